@@ -1,0 +1,173 @@
+"""The recording of one turn, whatever it came from: the one value that devices produce and imaging consumes.
+
+It is frozen and validated when made, so that nothing after it has to ask whether shapes or units fit.
+"""
+
+from __future__ import annotations
+
+import enum
+import uuid as uuid_module
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tagid import __version__
+from tagid.constants import BANDWIDTH_HZ, CENTER_FREQUENCY_HZ
+from tagid.errors import DataError
+from tagid.geometry import Aperture
+
+
+class ViewFlag(enum.IntFlag):
+    """What is known to be odd about a view (uint8 in files)."""
+
+    NONE = 0
+    CLIPPED = 1
+    AFTER_LOSS = 2
+    FIRST = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Pulse:
+    """A transmitted pulse as received from a point, antennas included.
+
+    Attributes:
+        samples: (n,) float64 real RF amplitude; the middle sample n // 2 is time zero.
+        step: sampling interval, s.
+    """
+
+    samples: NDArray[np.float64]
+    step: float
+
+    def __post_init__(self) -> None:
+        if self.samples.ndim != 1 or len(self.samples) < 2:
+            raise DataError(f"pulse has shape {self.samples.shape}, expected (n,) with n > 1")
+        if not np.isfinite(self.samples).all() or not np.any(self.samples):
+            raise DataError("pulse is zero or not finite")
+        if not (np.isfinite(self.step) and self.step > 0):
+            raise DataError(f"pulse step is {self.step} s, expected a positive number")
+
+
+@dataclass(frozen=True, eq=False)
+class Capture:
+    """Range profiles of one recording, with what is known of where and when they were taken.
+
+    Attributes:
+        samples: (views, bins) int32 or float32 real RF counts, or complex64 analytic.
+        range_start_m: one-way range of bin 0 after the cable delay is taken off, m.
+        range_step_m: one-way range between bins, m.
+        angles_rad: (views,) object angle, rad; None where not known (yet).
+        angle_sigma_rad: (views,) standard deviation of the angles, rad; None where not known.
+        axis_distance_m: radar to rotation axis, m; None where not known.
+        antenna_height_m: antenna above the object's plane, m.
+        antenna_positions_m: (views, 3) antenna positions in the object's frame, m, instead of angles.
+        host_time_ns: (views,) int64 arrival time on the host, ns since the epoch; None where not known.
+        radar_time_ms: (views,) float64 radar clock, ms (whole on a P440); None where not known.
+        scan_id: (views,) int64 unwrapped scan number, gaps are lost scans; None where not known.
+        flags: (views,) uint8 of `ViewFlag`.
+        center_frequency_hz, bandwidth_hz: the band of the pulse, Hz.
+        pulse: the pulse, where it came with the data.
+        radar, motion, object: settings as plain JSON values.
+        uuid, created_utc, tool_version: provenance.
+        complete: False while recording or where the end is missing.
+    """
+
+    samples: NDArray[Any]
+    range_start_m: float
+    range_step_m: float
+    angles_rad: NDArray[np.float64] | None = None
+    angle_sigma_rad: NDArray[np.float64] | None = None
+    axis_distance_m: float | None = None
+    antenna_height_m: float = 0.0
+    antenna_positions_m: NDArray[np.float64] | None = None
+    host_time_ns: NDArray[np.int64] | None = None
+    radar_time_ms: NDArray[np.float64] | None = None
+    scan_id: NDArray[np.int64] | None = None
+    flags: NDArray[np.uint8] | None = None
+    center_frequency_hz: float = CENTER_FREQUENCY_HZ
+    bandwidth_hz: float = BANDWIDTH_HZ
+    pulse: Pulse | None = None
+    radar: dict[str, Any] = field(default_factory=dict)
+    motion: dict[str, Any] = field(default_factory=dict)
+    object: dict[str, Any] = field(default_factory=dict)
+    uuid: str = field(default_factory=lambda: str(uuid_module.uuid4()))
+    created_utc: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="seconds"))
+    tool_version: str = __version__
+    complete: bool = True
+
+    def __post_init__(self) -> None:
+        s = self.samples
+        if s.ndim != 2 or s.shape[0] < 1 or s.shape[1] < 1:
+            raise DataError(f"samples have shape {s.shape}, expected (views, bins)")
+        if s.dtype not in (np.dtype(np.int32), np.dtype(np.float32), np.dtype(np.complex64)):
+            raise DataError(f"samples have dtype {s.dtype}, expected int32, float32 or complex64")
+        if not np.isfinite(s).all():
+            bad = int(np.count_nonzero(~np.isfinite(s).all(axis=1)))
+            raise DataError(f"{bad} of {len(s)} views hold samples that are not finite")
+        if not (np.isfinite(self.range_step_m) and self.range_step_m > 0):
+            raise DataError(f"range step is {self.range_step_m} m, expected a positive number")
+        if not np.isfinite(self.range_start_m):
+            raise DataError(f"range start is {self.range_start_m} m, expected a number")
+        for name in ("axis_distance_m", "center_frequency_hz", "bandwidth_hz"):
+            value = getattr(self, name)
+            if value is not None and not (np.isfinite(value) and value > 0):
+                raise DataError(f"{name} is {value}, expected a positive number")
+        if not np.isfinite(self.antenna_height_m):
+            raise DataError(f"antenna_height_m is {self.antenna_height_m}, expected a number")
+        for name in ("angles_rad", "angle_sigma_rad", "host_time_ns", "radar_time_ms", "scan_id", "flags"):
+            value = getattr(self, name)
+            if value is None:
+                continue
+            if value.shape != (len(s),):
+                raise DataError(f"{name} has shape {value.shape}, expected ({len(s)},)")
+            if not np.isfinite(value).all():
+                raise DataError(f"{name} is not finite")
+        positions = self.antenna_positions_m
+        if positions is not None and (positions.shape != (len(s), 3) or not np.isfinite(positions).all()):
+            raise DataError(
+                f"antenna_positions_m has shape {positions.shape}, expected ({len(s)}, 3), finite"
+            )
+        if self.angles_rad is not None and positions is not None:
+            raise DataError("a capture has angles or antenna positions, not both")
+
+    @property
+    def views(self) -> int:
+        """Number of views (scans)."""
+        return int(self.samples.shape[0])
+
+    @property
+    def bins(self) -> int:
+        """Number of range bins."""
+        return int(self.samples.shape[1])
+
+    @property
+    def ranges_m(self) -> NDArray[np.float64]:
+        """(bins,) one-way range of every bin, m."""
+        return self.range_start_m + self.range_step_m * np.arange(self.bins)
+
+    def aperture(self) -> Aperture:
+        """The antenna positions of the views. Raises DataError where neither angles nor positions are known."""
+        if self.antenna_positions_m is not None:
+            return Aperture(self.antenna_positions_m)
+        if self.angles_rad is None:
+            raise DataError(
+                "the capture holds no angles",
+                "Say how the object turned: --motion free (period from the data) or --motion 'free?rpm=2'.",
+            )
+        if self.axis_distance_m is None:
+            raise DataError(
+                "the distance from the radar to the rotation axis is not known",
+                "Give it with --axis-distance METRES.",
+            )
+        return Aperture.turntable(self.angles_rad, self.axis_distance_m, self.antenna_height_m)
+
+    def select(self, views: NDArray[np.integer] | slice) -> Capture:
+        """The capture of some views only; the provenance stays."""
+        names = ("angles_rad", "angle_sigma_rad", "antenna_positions_m", "host_time_ns", "radar_time_ms")
+        parts = {
+            name: None if getattr(self, name) is None else getattr(self, name)[views]
+            for name in (*names, "scan_id", "flags")
+        }
+        return replace(self, samples=self.samples[views], **parts)

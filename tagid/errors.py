@@ -1,0 +1,121 @@
+"""One tree of exceptions for everything a user can meet.
+
+Every class carries a stable code (part of the JSON contract) and the exit code of the process, and every
+instance says what happened and what to do next, so that no command ever shows a traceback.
+"""
+
+from __future__ import annotations
+
+EXIT_OK = 0
+EXIT_FAILED = 1
+EXIT_USAGE = 2
+EXIT_UNCERTAIN = 3
+EXIT_DEVICE = 4
+EXIT_BATCH = 5
+EXIT_INTERRUPTED = 130
+
+
+class TagidError(Exception):
+    """Base of all errors that `tagid` raises on purpose.
+
+    Args:
+        message: what went wrong and where (file, address, field), one sentence.
+        remedy: what the user should do next, one sentence; may be empty.
+    """
+
+    code = "failed"
+    exit_code = EXIT_FAILED
+
+    def __init__(self, message: str, remedy: str = "") -> None:
+        super().__init__(message)
+        self.message = message
+        self.remedy = remedy
+
+
+class UsageError(TagidError):
+    """An option or argument makes no sense."""
+
+    code = "usage"
+    exit_code = EXIT_USAGE
+
+
+class ConfigError(TagidError):
+    """A setting is missing, unknown or out of range."""
+
+    code = "config"
+    exit_code = EXIT_USAGE
+
+
+class MissingExtraError(TagidError):
+    """A feature needs an optional package that is not installed."""
+
+    code = "missing_extra"
+    exit_code = EXIT_USAGE
+
+
+class FileFormatError(TagidError):
+    """A file is not what its name or the caller says: truncated, wrong version, wrong dtype, not finite."""
+
+    code = "bad_file"
+
+
+class StorageError(TagidError):
+    """A file cannot be read or written (missing, no permission, not a folder)."""
+
+    code = "storage"
+
+
+class DiskFullError(StorageError):
+    """The disk is full; what was written before stays."""
+
+    code = "disk_full"
+
+
+class DataError(TagidError):
+    """The scans are readable but cannot be processed: too few views or bins, no angles, all zero."""
+
+    code = "bad_data"
+
+
+class RegistryError(TagidError):
+    """The registry of layouts cannot be read, or a layout is missing or taken."""
+
+    code = "registry"
+
+
+class LayoutConflictError(RegistryError):
+    """A layout is so near to an enrolled one that the two could be confused."""
+
+    code = "layout_conflict"
+
+
+class DeviceError(TagidError):
+    """A radar or a motion device is unavailable, silent or misbehaving."""
+
+    code = "device"
+    exit_code = EXIT_DEVICE
+
+
+class DeviceTimeoutError(DeviceError):
+    """A device did not answer, or stopped answering, within the time it was given."""
+
+    code = "device_timeout"
+
+
+class DeviceRejectedError(DeviceError):
+    """A device answered a request with an error status."""
+
+    code = "device_rejected"
+
+
+class PortInUseError(DeviceError):
+    """A network or serial port is held by another program."""
+
+    code = "port_in_use"
+
+
+class CaptureInterrupted(TagidError):  # noqa: N818 - it is an event, not a fault
+    """The user stopped the work (Ctrl-C); everything recorded until then is kept."""
+
+    code = "interrupted"
+    exit_code = EXIT_INTERRUPTED
