@@ -148,7 +148,7 @@ class Capture:
         return self.range_start_m + self.range_step_m * np.arange(self.bins)
 
     def aperture(self) -> Aperture:
-        """The antenna positions of the views. Raises DataError where neither angles nor positions are known."""
+        """The antenna positions of the views; DataError where neither angles nor positions are known."""
         if self.antenna_positions_m is not None:
             return Aperture(self.antenna_positions_m)
         if self.angles_rad is None:
@@ -166,7 +166,7 @@ class Capture:
     def select(self, views: NDArray[np.integer] | slice) -> Capture:
         """The capture of some views only; the provenance stays."""
         names = ("angles_rad", "angle_sigma_rad", "antenna_positions_m", "host_time_ns", "radar_time_ms")
-        parts = {
+        parts: dict[str, Any] = {
             name: None if getattr(self, name) is None else getattr(self, name)[views]
             for name in (*names, "scan_id", "flags")
         }

@@ -43,7 +43,7 @@ class Aperture:
         axis_distance * (cos(-angle), sin(-angle)).
 
         >>> a = Aperture.turntable(np.array([0.0, np.pi / 2]), 1.0)
-        >>> np.round(a.positions, 6).tolist()
+        >>> (np.round(a.positions, 6) + 0.0).tolist()
         [[1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]
         """
         angles = np.asarray(angles, dtype=np.float64)

@@ -1,0 +1,96 @@
+"""The two values that imaging passes on: preprocessed scans, and a complex image.
+
+Every method takes the first and gives the second, so that methods can be exchanged and compared on equal data.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tagid.constants import SPEED_OF_LIGHT
+from tagid.geometry import Aperture, ImageGrid
+
+
+@dataclass(frozen=True, eq=False)
+class PointResponse:
+    """Range response of a unit point after preprocessing, at baseband: the g of y(R) = sigma g(R - d) e^{-2jkd}.
+
+    Attributes:
+        samples: (n,) complex128, peak magnitude 1 at the middle sample n // 2, which is offset zero.
+        step_m: one-way range between samples, m (finer than the data's).
+    """
+
+    samples: NDArray[np.complex128]
+    step_m: float
+
+    @property
+    def half_width_m(self) -> float:
+        """Largest offset covered on both sides, m."""
+        return (len(self.samples) // 2 - 1) * self.step_m
+
+    def __call__(self, offset_m: NDArray[np.floating]) -> NDArray[np.complex128]:
+        """Response at range offsets R - d (any shape, m) by linear interpolation; zero outside."""
+        position = np.asarray(offset_m) / self.step_m + len(self.samples) // 2
+        index = np.arange(len(self.samples))
+        real = np.interp(position, index, self.samples.real, left=0.0, right=0.0)
+        return real + 1j * np.interp(position, index, self.samples.imag, left=0.0, right=0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class BasebandScans:
+    """Scans after preprocessing: analytic, mixed to baseband, matched-filtered, decimated.
+
+    A point of complex reflectivity sigma at distance d from the antenna of view v gives
+    samples[v, b] = sigma * response(R_b - d) * exp(-2j k d), k = 2 pi carrier_hz / c, R_b = bin b's range.
+
+    Attributes:
+        samples: (views, bins) complex64.
+        range_start_m, range_step_m: one-way range of bin 0 and between bins, m.
+        carrier_hz: frequency that was mixed to zero, Hz.
+        response: range response of a unit point.
+        aperture: where the antenna stood, one position a view.
+        noise_std: estimated standard deviation of the complex noise of one sample, 0 where unknown.
+        independent_samples: n of `reading`: views * bins * bandwidth / sampling rate.
+    """
+
+    samples: NDArray[np.complex64]
+    range_start_m: float
+    range_step_m: float
+    carrier_hz: float
+    response: PointResponse
+    aperture: Aperture
+    noise_std: float = 0.0
+    independent_samples: float = 0.0
+
+    @property
+    def wavenumber(self) -> float:
+        """k of the carrier, rad/m (one way)."""
+        return 2 * np.pi * self.carrier_hz / SPEED_OF_LIGHT
+
+    @property
+    def ranges_m(self) -> NDArray[np.float64]:
+        """(bins,) one-way range of every bin, m."""
+        return self.range_start_m + self.range_step_m * np.arange(self.samples.shape[1])
+
+    def with_aperture(self, aperture: Aperture) -> BasebandScans:
+        """The same scans under another assumption of where the antenna stood."""
+        return replace(self, aperture=aperture)
+
+
+@dataclass(frozen=True, eq=False)
+class Image:
+    """A complex reflectivity image.
+
+    Attributes:
+        values: (pixels, pixels) complex64, index (y, x).
+        grid: where the pixels lie.
+        settings: method and parameters as plain JSON values.
+    """
+
+    values: NDArray[np.complex64]
+    grid: ImageGrid
+    settings: dict[str, Any] = field(default_factory=dict)
