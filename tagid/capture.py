@@ -145,7 +145,7 @@ class Capture:
     @property
     def ranges_m(self) -> NDArray[np.float64]:
         """(bins,) one-way range of every bin, m."""
-        return self.range_start_m + self.range_step_m * np.arange(self.bins)
+        return self.range_start_m + self.range_step_m * np.arange(self.bins, dtype=np.float64)
 
     def aperture(self) -> Aperture:
         """The antenna positions of the views; DataError where neither angles nor positions are known."""

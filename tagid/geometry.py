@@ -46,14 +46,14 @@ class Aperture:
         >>> (np.round(a.positions, 6) + 0.0).tolist()
         [[1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]
         """
-        angles = np.asarray(angles, dtype=np.float64)
+        turn: NDArray[np.float64] = np.asarray(angles, dtype=np.float64)
         if not np.isfinite(axis_distance) or axis_distance <= 0:
             raise DataError(f"axis distance is {axis_distance} m, expected a positive number of metres")
         positions = np.stack(
-            [axis_distance * np.cos(-angles), axis_distance * np.sin(-angles), np.full(angles.shape, height)],
+            [axis_distance * np.cos(-turn), axis_distance * np.sin(-turn), np.full(turn.shape, height)],
             axis=1,
         )
-        return cls(positions, angles, float(axis_distance), float(height))
+        return cls(positions, turn, float(axis_distance), float(height))
 
     @property
     def views(self) -> int:

@@ -1,6 +1,6 @@
 """The two values that imaging passes on: preprocessed scans, and a complex image.
 
-Every method takes the first and gives the second, so that methods can be exchanged and compared on equal data.
+Every method takes the first and gives the second, so that methods are exchanged and compared on equal data.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from tagid.geometry import Aperture, ImageGrid
 
 @dataclass(frozen=True, eq=False)
 class PointResponse:
-    """Range response of a unit point after preprocessing, at baseband: the g of y(R) = sigma g(R - d) e^{-2jkd}.
+    """Range response of a unit point at baseband: the g of y(R) = sigma g(R - d) exp(-2jkd).
 
     Attributes:
         samples: (n,) complex128, peak magnitude 1 at the middle sample n // 2, which is offset zero.
@@ -74,7 +74,7 @@ class BasebandScans:
     @property
     def ranges_m(self) -> NDArray[np.float64]:
         """(bins,) one-way range of every bin, m."""
-        return self.range_start_m + self.range_step_m * np.arange(self.samples.shape[1])
+        return self.range_start_m + self.range_step_m * np.arange(self.samples.shape[1], dtype=np.float64)
 
     def with_aperture(self, aperture: Aperture) -> BasebandScans:
         """The same scans under another assumption of where the antenna stood."""
