@@ -17,37 +17,44 @@ def nominal_pulse(
 ) -> Pulse:
     """Gaussian-windowed cosine s(t) = exp(-t^2 / (2 tau^2)) cos(2 pi fc t) (paper, eq. 1).
 
-    tau follows from the -10 dB width B of the power spectrum: tau = sqrt(ln 10) / (sqrt(2) pi B)
+    tau follows from the -10 dB width B of the power spectrum: tau = sqrt(ln 10) / (pi B)
     (the paper leaves tau open).
 
     Args:
         center_frequency_hz: fc, Hz.
         bandwidth_hz: B, the -10 dB two-sided bandwidth, Hz.
     """
-    tau = np.sqrt(np.log(10)) / (np.sqrt(2) * np.pi * bandwidth_hz)
+    tau = np.sqrt(np.log(10)) / (np.pi * bandwidth_hz)
     step = 1 / (16 * (center_frequency_hz + bandwidth_hz))
     half = int(np.ceil(5 * tau / step))
     t = np.arange(-half, half + 1) * step
     return Pulse(np.exp(-(t**2) / (2 * tau**2)) * np.cos(2 * np.pi * center_frequency_hz * t), step)
 
 
-def analytic_pulse(pulse: Pulse) -> NDArray[np.complex128]:
-    """(n,) analytic signal of the pulse on its own grid (no negative frequencies), by the Fourier transform."""
+def analytic_pulse(pulse: Pulse, oversampling: int = 1) -> NDArray[np.complex128]:
+    """Analytic signal of the pulse (no negative frequencies) on a grid `oversampling` times finer.
+
+    Returns:
+        (n * oversampling,) complex128; time zero is at index (n // 2) * oversampling.
+    """
     n = len(pulse.samples)
     padded = 2 * n
     spectrum = np.fft.fft(pulse.samples, padded)
-    spectrum[padded // 2 + 1 :] = 0
-    spectrum[1 : padded // 2] *= 2
-    return np.asarray(np.fft.ifft(spectrum)[:n], dtype=np.complex128)
+    fine = np.zeros(padded * oversampling, dtype=np.complex128)
+    fine[: n + 1] = spectrum[: n + 1]
+    fine[1:n] *= 2
+    return np.asarray(np.fft.ifft(fine)[: n * oversampling] * oversampling, dtype=np.complex128)
 
 
 def pulse_at(pulse: Pulse, time_s: NDArray[np.floating]) -> NDArray[np.complex128]:
-    """Analytic pulse at times of any shape (s, zero is the middle sample), linear interpolation, zero outside.
+    """Analytic pulse at times of any shape (s; zero is the pulse's middle sample), zero outside it.
 
-    Linear interpolation is exact to 0.1 % on the fine grids pulses come in (>= 16 samples a period).
+    The pulse is first brought to a step of 2 ps or less by the Fourier transform, then interpolated linearly;
+    at 5 GHz that leaves an error under 0.1 %.
     """
-    z = analytic_pulse(pulse)
-    position = np.asarray(time_s) / pulse.step + len(z) // 2
+    oversampling = max(1, int(np.ceil(pulse.step / 2e-12)))
+    z = analytic_pulse(pulse, oversampling)
+    position = np.asarray(time_s) / pulse.step * oversampling + (len(pulse.samples) // 2) * oversampling
     index = np.arange(len(z))
     real = np.interp(position, index, z.real, left=0.0, right=0.0)
     return np.asarray(real + 1j * np.interp(position, index, z.imag, left=0.0, right=0.0))
