@@ -1,0 +1,223 @@
+"""A layout is data: where the reflectors of one identity sit on its object.
+
+It is validated when made, whether it comes from the package, a user's file or the command line, so that the
+matcher and the registry can rely on every field.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tagid.errors import FileFormatError, StorageError, TagidError, UsageError
+
+KINDS = ("helmet", "container", "other")
+MAX_REFLECTORS = 16
+MAX_RADIUS_M = 1.0
+MIN_SPACING_M = 0.01
+"""Nearer than this two reflectors are one: the image's main lobe is about 15 mm wide (null of J0(2kr))."""
+SYMMETRY_TOLERANCE_M = 1e-3
+MAX_FILE_BYTES = 64 * 1024
+MAX_TEXT = 2000
+_SLUG = re.compile(r"[a-z0-9](?:[a-z0-9._-]{0,62}[a-z0-9])?")
+_FIELDS = ("name", "kind", "positions_m", "symmetry", "notes", "label")
+
+
+def rotation_matrix(angle_rad: float | NDArray[np.floating]) -> NDArray[np.float64]:
+    """(..., 2, 2) matrices R with R @ p = p turned counter-clockwise by the angle."""
+    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    rows = [np.stack([c, -s], axis=-1), np.stack([s, c], axis=-1)]
+    return np.asarray(np.stack(rows, axis=-2), dtype=np.float64)
+
+
+def rotational_symmetry(positions: NDArray[np.float64], tolerance_m: float = SYMMETRY_TOLERANCE_M) -> int:
+    """Largest n for which a turn by 360/n degrees about the origin maps the points (K, 2) onto themselves.
+
+    >>> rotational_symmetry(np.array([[0.1, 0.0], [-0.1, 0.0]]))
+    2
+    """
+    for order in range(len(positions), 1, -1):
+        turned = positions @ rotation_matrix(2 * np.pi / order).T
+        gap = np.linalg.norm(turned[:, None] - positions[None], axis=2)
+        if (gap.min(axis=1) <= tolerance_m).all():
+            return order
+    return 1
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """Reflector positions of one identity.
+
+    Attributes:
+        name: lower-case slug, the identity's key.
+        positions: (K, 2) float64, m, in the object's plane; the origin is the object's rotation axis.
+        kind: "helmet", "container" or "other".
+        symmetry: rotational order n (a turn by 360/n degrees changes nothing); 0 asks to compute it.
+        notes, label: free text for people.
+    """
+
+    name: str
+    positions: NDArray[np.float64]
+    kind: str = "other"
+    symmetry: int = 0
+    notes: str = ""
+    label: str = ""
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.name, str) or not _SLUG.fullmatch(self.name):
+            raise UsageError(
+                f"layout name {str(self.name)[:80]!r} is not valid",
+                "Use 1 to 64 of a-z, 0-9, dot, dash and underscore; begin and end with a letter or digit.",
+            )
+        if self.kind not in KINDS:
+            raise UsageError(
+                f"layout {self.name}: kind {str(self.kind)[:80]!r} is unknown",
+                f"Use one of {', '.join(KINDS)}.",
+            )
+        for name in ("notes", "label"):
+            text = getattr(self, name)
+            if not isinstance(text, str) or len(text) > MAX_TEXT:
+                raise UsageError(f"layout {self.name}: {name} is not a text of up to {MAX_TEXT} characters")
+        object.__setattr__(self, "positions", self._checked_positions())
+        computed = rotational_symmetry(self.positions)
+        if isinstance(self.symmetry, bool) or not isinstance(self.symmetry, int):
+            raise UsageError(f"layout {self.name}: symmetry is not a whole number")
+        if self.symmetry not in (0, computed):
+            raise UsageError(
+                f"layout {self.name}: symmetry is {self.symmetry}, but its positions have {computed}",
+                "Leave symmetry out to have it computed.",
+            )
+        object.__setattr__(self, "symmetry", computed)
+
+    def _checked_positions(self) -> NDArray[np.float64]:
+        try:
+            positions = np.array(self.positions, dtype=np.float64)
+        except (TypeError, ValueError, OverflowError):
+            raise UsageError(
+                f"layout {self.name}: positions are not pairs of numbers",
+                "Give each reflector as [x, y] in metres.",
+            ) from None
+        if positions.ndim != 2 or positions.shape[1] != 2 or not 2 <= len(positions) <= MAX_REFLECTORS:
+            raise UsageError(
+                f"layout {self.name}: positions have shape {positions.shape}, expected (K, 2)",
+                f"Give 2 to {MAX_REFLECTORS} reflectors as [x, y] in metres.",
+            )
+        if not np.isfinite(positions).all() or np.abs(positions).max() > MAX_RADIUS_M:
+            raise UsageError(
+                f"layout {self.name}: a reflector is more than {MAX_RADIUS_M:g} m from the axis, or not finite",
+                "Give positions in metres, not millimetres.",
+            )
+        gap = np.linalg.norm(positions[:, None] - positions[None], axis=2) + np.eye(len(positions))
+        if gap.min() < MIN_SPACING_M:
+            raise UsageError(
+                f"layout {self.name}: two reflectors are {gap.min() * 1e3:.1f} mm apart",
+                f"Place reflectors {MIN_SPACING_M * 1e3:.0f} mm or more apart; nearer ones look like one.",
+            )
+        positions.setflags(write=False)
+        return positions
+
+    @property
+    def size(self) -> int:
+        """Number of reflectors K."""
+        return len(self.positions)
+
+    @property
+    def radius_m(self) -> float:
+        """Distance of the outermost reflector from the axis, m."""
+        return float(np.linalg.norm(self.positions, axis=1).max())
+
+    def placed(self, rotation_rad: float, centre_m: NDArray[np.floating]) -> NDArray[np.float64]:
+        """(K, 2) positions after a counter-clockwise turn about the origin and a shift, m."""
+        return self.positions @ rotation_matrix(rotation_rad).T + np.asarray(centre_m)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain JSON values; `layout_from_dict` takes them back."""
+        return {
+            "name": self.name,
+            "kind": self.kind,
+            "label": self.label,
+            "positions_m": [[float(x), float(y)] for x, y in self.positions],
+            "symmetry": self.symmetry,
+            "notes": self.notes,
+        }
+
+
+def layout_from_dict(data: Mapping[str, Any]) -> Layout:
+    """Layout from plain values; UsageError names the field that is missing, unknown or wrong."""
+    if not isinstance(data, Mapping):
+        raise UsageError("a layout is a table of fields", f"Give the fields {', '.join(_FIELDS)}.")
+    for name in ("name", "positions_m"):
+        if name not in data:
+            raise UsageError(f"the layout's field {name} is missing", "Give at least name and positions_m.")
+    unknown = sorted(str(key)[:40] for key in set(data) - set(_FIELDS))
+    if unknown:
+        raise UsageError(
+            f"unknown layout field {', '.join(unknown)}", f"The fields are {', '.join(_FIELDS)}."
+        )
+    rows = data["positions_m"]
+    pairs = isinstance(rows, list) and all(
+        isinstance(row, list)
+        and len(row) == 2
+        and all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in row)
+        for row in rows
+    )
+    if not pairs:
+        raise UsageError(
+            "the layout's field positions_m is not a list of [x, y] pairs",
+            "Give each reflector as [x, y] in metres.",
+        )
+    rest = {name: data[name] for name in _FIELDS if name in data and name != "positions_m"}
+    return Layout(positions=rows, **rest)
+
+
+def read_layout(path: Path) -> Layout:
+    """Layout from a .toml or .json file.
+
+    Raises:
+        StorageError: the file cannot be read.
+        FileFormatError: it is too large, not TOML/JSON, or a field is wrong; the message names both.
+    """
+    try:
+        with path.open("rb") as file:
+            raw = file.read(MAX_FILE_BYTES + 1)
+    except OSError as error:
+        raise StorageError(f"cannot read {path}: {error.strerror}", "Check the path.") from error
+    if len(raw) > MAX_FILE_BYTES:
+        raise FileFormatError(
+            f"{path} is larger than {MAX_FILE_BYTES // 1024} KiB, too large for a layout",
+            "Give a file with one layout.",
+        )
+    try:
+        text = raw.decode("utf-8")
+        data = json.loads(text) if path.suffix.lower() == ".json" else tomllib.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise FileFormatError(
+            f"{path} is not a layout in TOML or JSON: {str(error)[:200]}",
+            "Give name and positions_m = [[x, y], ...] in metres.",
+        ) from None
+    try:
+        return layout_from_dict(data)
+    except TagidError as error:
+        raise FileFormatError(f"{path}: {error.message}", error.remedy) from error
+
+
+@cache
+def _builtin() -> tuple[Layout, ...]:
+    folder = resources.files("tagid.tags") / "layouts"
+    files = sorted((f for f in folder.iterdir() if f.name.endswith(".toml")), key=lambda f: f.name)
+    return tuple(layout_from_dict(tomllib.loads(f.read_text("utf-8"))) for f in files)
+
+
+def builtin_layouts() -> dict[str, Layout]:
+    """The layouts that come with the package, by name: the paper's two containers and two helmets."""
+    return {layout.name: layout for layout in _builtin()}
