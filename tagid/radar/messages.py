@@ -1,6 +1,6 @@
 """Every message of the P440's MRM interface as one big-endian packed numpy dtype, and bytes <-> values.
 
-One table serves the client, the emulator and the file importers, so that no two of them can disagree on a layout.
+One table serves the client, the emulator and the file importers, so that no two of them can disagree.
 """
 
 from __future__ import annotations
@@ -330,9 +330,8 @@ def decode(data: bytes) -> Message:
     spec = MESSAGES.get(number)
     if spec is None:
         raise MalformedMessage(f"message type 0x{number:04X} is unknown", Status.UNRECOGNISED)
-    record = np.zeros((), spec.dtype)
     if len(data) == spec.dtype.itemsize:
-        record = np.frombuffer(data, spec.dtype, 1).copy()[0]
+        record = np.frombuffer(data, spec.dtype, 1).copy()
     else:
         short = next((d for d in spec.older if d.itemsize == len(data)), None)
         if short is None:
@@ -340,8 +339,9 @@ def decode(data: bytes) -> Message:
                 f"{spec.name} has {len(data)} bytes, expected {' or '.join(map(str, spec.sizes))}",
                 Status.WRONG_SIZE,
             )
-        old = np.frombuffer(data, short, 1)[0]
+        record = np.zeros(1, spec.dtype)
+        old = np.frombuffer(data, short, 1)
         for name in short.names or ():
             record[name] = old[name]
-        record = record[()]
-    return Message(spec.type, int.from_bytes(data[2:4], "big"), record)
+    fields: np.void = record[0]
+    return Message(spec.type, int.from_bytes(data[2:4], "big"), fields)
