@@ -1,0 +1,135 @@
+"""Encoding, network and differentiable forward model of analysis through synthesis, each against truth.
+
+The encoding is compared with an interpolation written out point by point, the gradients with numerical ones.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch", reason="analysis through synthesis needs the extra 'ats'")
+
+from tagid.imaging.ats.encoding import (  # noqa: E402
+    EncodingSettings,
+    HashEncoding,
+    encoding_matrix,
+    level_sizes,
+    vertex_entry,
+)
+from tagid.imaging.ats.forward import synthesize  # noqa: E402
+from tagid.imaging.ats.network import ReflectivityNetwork  # noqa: E402
+
+
+def interpolate_directly(point: np.ndarray, table: np.ndarray, settings: EncodingSettings) -> np.ndarray:
+    """Features of one point, corner by corner."""
+    out, offset = [], 0
+    for cells, size in zip(settings.resolutions(), level_sizes(settings), strict=True):
+        level = table[offset : offset + size]
+        x, y = point * cells
+        i, j = min(int(x), cells - 1), min(int(y), cells - 1)
+        u, v = x - i, y - j
+        feature = np.zeros(settings.features)
+        for a, b, weight in (
+            (i, j, (1 - u) * (1 - v)),
+            (i, j + 1, (1 - u) * v),
+            (i + 1, j, u * (1 - v)),
+            (i + 1, j + 1, u * v),
+        ):
+            entry = vertex_entry(np.array([[a, b]]), cells, settings)[0]
+            feature += weight * level[entry]
+        out.append(feature)
+        offset += size
+    return np.concatenate(out)
+
+
+@pytest.mark.parametrize("log2_entries", [14, 6], ids=["dense", "hashed"])
+def test_encoding_equals_direct_interpolation(log2_entries: int) -> None:
+    settings = EncodingSettings(levels=5, features=3, coarsest=4, finest=40, log2_entries=log2_entries)
+    points = np.random.default_rng(0).uniform(0, 1, (50, 2))
+    points[:4] = [[0, 0], [1, 1], [0, 1], [0.5, 0.25]]
+    encoding = HashEncoding(points, settings, torch.Generator().manual_seed(3))
+    with torch.no_grad():
+        features = encoding().numpy()
+        table = encoding.table.numpy()
+    assert features.shape == (50, settings.width)
+    expected = np.stack([interpolate_directly(p, table, settings) for p in points])
+    np.testing.assert_allclose(features, expected, atol=1e-7)
+
+
+def test_dense_levels_have_no_collisions_and_hashed_ones_stay_in_their_table() -> None:
+    settings = EncodingSettings(levels=2, coarsest=8, finest=100, log2_entries=8)
+    corners = np.stack(np.meshgrid(np.arange(9), np.arange(9)), -1).reshape(-1, 2)
+    assert sorted(vertex_entry(corners, 8, settings)) == list(range(81))
+    many = np.stack(np.meshgrid(np.arange(101), np.arange(101)), -1).reshape(-1, 2)
+    hashed = vertex_entry(many, 100, settings)
+    assert hashed.min() >= 0
+    assert hashed.max() < 256
+    assert len(set(hashed)) > 200
+    assert level_sizes(settings) == [81, 256]
+
+
+def test_bilinear_interpolation_reproduces_a_plane() -> None:
+    settings = EncodingSettings(levels=1, features=1, coarsest=7, finest=7)
+    points = np.random.default_rng(1).uniform(0, 1, (30, 2))
+    vertices = np.stack(np.meshgrid(np.arange(8), np.arange(8), indexing="ij"), -1).reshape(-1, 2)
+    table = np.empty(64)
+    table[vertex_entry(vertices, 7, settings)] = vertices @ [2.0, -3.0] / 7
+    np.testing.assert_allclose(encoding_matrix(points, settings) @ table, points @ [2.0, -3.0], atol=1e-6)
+
+
+def test_encoding_gradient_is_the_transpose() -> None:
+    settings = EncodingSettings(levels=3, features=2, coarsest=4, finest=16)
+    points = np.random.default_rng(2).uniform(0, 1, (20, 2))
+    encoding = HashEncoding(points, settings, torch.Generator().manual_seed(0))
+    weight = torch.rand(20, settings.width, generator=torch.Generator().manual_seed(1))
+    (encoding() * weight).sum().backward()
+    matrix = encoding_matrix(points, settings)
+    expected = matrix.T @ weight.numpy().reshape(-1, settings.features)
+    np.testing.assert_allclose(encoding.table.grad.numpy(), expected, rtol=1e-5, atol=1e-6)
+
+
+def test_network_is_the_written_out_product_and_leaves_the_global_random_state() -> None:
+    before = torch.random.get_rng_state()
+    network = ReflectivityNetwork(6, 8, 2, torch.Generator().manual_seed(5))
+    assert torch.equal(before, torch.random.get_rng_state())
+    x = np.random.default_rng(0).standard_normal((11, 6)).astype(np.float32)
+    with torch.no_grad():
+        out = network(torch.from_numpy(x)).numpy()
+    h = x
+    for i, (w, b) in enumerate(zip(network.weights, network.biases, strict=True)):
+        h = h @ w.detach().numpy() + b.detach().numpy()
+        h = np.maximum(h, 0) if i < 2 else h
+    assert out.dtype == np.complex64
+    np.testing.assert_allclose(out, h[:, 0] + 1j * h[:, 1], atol=1e-5)
+
+
+class DenseOperator:
+    """A random complex matrix in double precision, as a forward model of 3 views and 4 bins."""
+
+    def __init__(self) -> None:
+        rng = np.random.default_rng(7)
+        self.matrix = rng.standard_normal((12, 5)) + 1j * rng.standard_normal((12, 5))
+
+    def forward(self, sigma: np.ndarray) -> np.ndarray:
+        return (self.matrix @ sigma).reshape(3, 4)
+
+    def adjoint(self, samples: np.ndarray) -> np.ndarray:
+        return self.matrix.conj().T @ samples.reshape(-1)
+
+
+def test_forward_gradient_matches_numerical_differences() -> None:
+    operator = DenseOperator()
+    rng = np.random.default_rng(8)
+    start = rng.standard_normal(5) + 1j * rng.standard_normal(5)
+    sigma = torch.tensor(start, dtype=torch.complex128, requires_grad=True)
+    assert torch.autograd.gradcheck(lambda s: synthesize(s, operator), (sigma,))
+
+
+def test_forward_gradient_of_least_squares_is_the_normal_equation() -> None:
+    operator = DenseOperator()
+    rng = np.random.default_rng(9)
+    data = rng.standard_normal((3, 4)) + 1j * rng.standard_normal((3, 4))
+    sigma = torch.zeros(5, dtype=torch.complex128, requires_grad=True)
+    (synthesize(sigma, operator) - torch.tensor(data)).abs().square().sum().backward()
+    np.testing.assert_allclose(sigma.grad.numpy(), -2 * operator.adjoint(data))
