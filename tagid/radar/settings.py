@@ -1,6 +1,6 @@
 """The P440's configuration as a validated value, and the grid that the radar forces on a scan window.
 
-Client, emulator and importers all ask this one place how many samples a window holds and how long a scan takes.
+Client, emulator and importers ask this one place how many samples a window holds and how long a scan takes.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ class RadarConfig:
     def __post_init__(self) -> None:
         for name, (low, high) in _LIMITS.items():
             value = getattr(self, name)
-            if not low <= value <= high:
+            if not isinstance(value, int) or not low <= value <= high:
                 raise ConfigError(
                     f"radar setting {name} is {value}", f"Give a whole number from {low} to {high}."
                 )
@@ -90,7 +90,7 @@ class RadarConfig:
             )
         if self.scan_stop_ps <= self.scan_start_ps:
             raise ConfigError(
-                f"the scan window ends at {self.scan_stop_ps} ps, not after its start at {self.scan_start_ps} ps",
+                f"the scan window ends at {self.scan_stop_ps} ps and starts at {self.scan_start_ps} ps",
                 "Give a scan stop beyond the scan start.",
             )
         if self.samples > MAX_SAMPLES:
@@ -126,14 +126,14 @@ class RadarConfig:
         """Shortest time between scans, s: 0.867 ms + (N / 12) * 2^PII * 105.31 ns (measured).
 
         >>> round(RadarConfig(scan_start_ps=36_684, scan_stop_ps=106_996).scan_period_s * 1e3, 3)
-        21.573
+        21.572
         """
-        return SCAN_OVERHEAD_S + self.samples / 12 * 2**self.base_integration_index * BLOCK_TIME_S
+        return SCAN_OVERHEAD_S + self.samples / 12 * (1 << self.base_integration_index) * BLOCK_TIME_S
 
     @property
     def clip_counts(self) -> int:
         """Amplitude at which a sample saturates: 127 * 2^PII counts (measured)."""
-        return CLIP_COUNTS_PER_INTEGRATION * 2**self.base_integration_index
+        return CLIP_COUNTS_PER_INTEGRATION * (1 << self.base_integration_index)
 
     @property
     def range_step_m(self) -> float:
@@ -141,7 +141,7 @@ class RadarConfig:
         return RANGE_STEP_M
 
     def range_start_m(self, cable_delay_ps: float = 0.0) -> float:
-        """One-way range of the first sample after the two-way cable and antenna delay (ps) is taken off, m."""
+        """One-way range of the first sample after the two-way cable delay (ps) is taken off, m."""
         return (self.scan_start_ps - cable_delay_ps) * 1e-12 * SPEED_OF_LIGHT / 2
 
     def to_record(self) -> np.void:

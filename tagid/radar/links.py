@@ -1,0 +1,144 @@
+"""Links carry whole packets between the client and a radar; they know nothing of messages.
+
+The client speaks to a real radar, an emulator and a replay alike through the one Link protocol.
+"""
+
+from __future__ import annotations
+
+import errno
+import socket
+import time
+from typing import Final, Protocol
+
+from tagid.errors import DeviceError, PortInUseError
+
+DEFAULT_PORT: Final = 21210
+"""UDP port on which a P440 listens (P440 MRM API)."""
+
+_RECEIVE_BUFFER: Final = 4 * 1024 * 1024
+_LARGEST_DATAGRAM: Final = 65_535
+
+
+class Link(Protocol):
+    """Carries packets to and from one radar."""
+
+    foreign: int
+    """Packets dropped because another sender sent them."""
+
+    @property
+    def exhausted(self) -> bool:
+        """True once no packet can ever come again (the end of a replay)."""
+        ...
+
+    def send(self, packet: bytes) -> None:
+        """Sends one packet. Raises DeviceError where the link is down."""
+        ...
+
+    def receive(self, timeout: float) -> bytes | None:
+        """The next packet, or None where none came within `timeout` seconds."""
+        ...
+
+    def close(self) -> None:
+        """Frees the link; harmless when closed already."""
+        ...
+
+
+def bind_udp(host: str, port: int) -> socket.socket:
+    """A UDP socket bound to an address; port 0 takes any free one.
+
+    Raises PortInUseError where another program holds the port, DeviceError for an address not of this machine.
+    """
+    sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    try:
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER)
+        sock.bind((host, port))
+    except (OSError, OverflowError) as error:
+        sock.close()
+        if isinstance(error, OSError) and error.errno == errno.EADDRINUSE:
+            raise PortInUseError(
+                f"UDP port {port} on {host or 'this machine'} is in use",
+                "Stop the program that holds it (an emulator, another tagid) or choose another port.",
+            ) from error
+        raise DeviceError(
+            f"cannot open UDP port {port} on {host or 'this machine'}: {error}",
+            "Give an address of this machine and a port from 1024 to 65535.",
+        ) from error
+    return sock
+
+
+def resolve(host: str, port: int) -> tuple[str, int]:
+    """IPv4 address and port of a host name. Raises DeviceError for an unknown host or a bad port."""
+    if not 1 <= port <= 65_535:
+        raise DeviceError(f"radar port is {port}", "Give a port from 1 to 65535 (a P440 listens on 21210).")
+    try:
+        found = socket.getaddrinfo(host, port, socket.AF_INET, socket.SOCK_DGRAM)
+    except (OSError, UnicodeError) as error:
+        raise DeviceError(
+            f"radar host {host!r} is unknown ({error})",
+            "Give the radar's IPv4 address; kit units sit at 192.168.1.100 to 103.",
+        ) from error
+    address = found[0][4]
+    return str(address[0]), int(address[1])
+
+
+class UdpLink:
+    """UDP to one radar; packets of any other address or port are counted in `foreign` and dropped.
+
+    Args:
+        host: name or IPv4 address of the radar.
+        port: the radar's UDP port.
+        local_port: port to receive on; 0 takes any free one.
+
+    Raises:
+        DeviceError: unknown host, or no network.
+        PortInUseError: `local_port` is taken.
+    """
+
+    exhausted = False
+
+    def __init__(self, host: str, port: int = DEFAULT_PORT, local_port: int = 0) -> None:
+        self.address = resolve(host, port)
+        self.foreign = 0
+        self._socket = bind_udp("", local_port)
+
+    def __repr__(self) -> str:
+        return f"udp://{self.address[0]}:{self.address[1]}"
+
+    @property
+    def local_port(self) -> int:
+        """The port that answers come to."""
+        return int(self._socket.getsockname()[1])
+
+    def send(self, packet: bytes) -> None:
+        """Sends one datagram. Raises DeviceError where the network is down."""
+        try:
+            self._socket.sendto(packet, self.address)
+        except OSError as error:
+            raise DeviceError(
+                f"cannot send to the radar at {self.address[0]}:{self.address[1]}: {error}",
+                "Check the cable and that this computer has an address in the radar's network (192.168.1.x).",
+            ) from error
+
+    def receive(self, timeout: float) -> bytes | None:
+        """The next datagram of the radar, or None after `timeout` seconds."""
+        deadline = time.monotonic() + timeout
+        while True:
+            # A flood of foreign packets must not keep us here beyond the deadline.
+            self._socket.settimeout(max(deadline - time.monotonic(), 1e-4))
+            try:
+                packet, sender = self._socket.recvfrom(_LARGEST_DATAGRAM)
+            except TimeoutError:
+                return None
+            except ConnectionError:
+                continue  # an ICMP "port unreachable" to an earlier send; silence decides, not this
+            except OSError as error:
+                raise DeviceError(f"cannot receive from the radar: {error}", "Check the network.") from error
+            if sender == self.address:
+                return packet
+            self.foreign += 1
+            if time.monotonic() >= deadline:
+                return None
+
+    def close(self) -> None:
+        """Frees the port."""
+        self._socket.close()
