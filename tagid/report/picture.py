@@ -1,0 +1,123 @@
+"""The reconstructed image as a picture: dB, metres, and the reflectors that were found.
+
+It is what a user looks at in the sun or pastes into a report, hence white paper and large letters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tagid.errors import DataError, UsageError
+from tagid.report.axes import Axes, colour_bar
+from tagid.report.canvas import Canvas
+from tagid.report.colours import INK, RGB, WHITE, colourise, to_decibels
+
+_UNMATCHED: RGB = (255, 140, 110)
+_WIDTH, _HEIGHT = 940, 900
+_SIDE = 700
+_LEFT, _TOP = 110, 100
+
+
+class Marker(NamedTuple):
+    """A reflector to mark: position in m, a short label, and whether it belongs to the layout."""
+
+    x: float
+    y: float
+    label: str = ""
+    matched: bool = True
+
+
+def draw_image(
+    values: NDArray[np.inexact],
+    extent_m: float,
+    path: Path,
+    title: str = "",
+    reflectors: Sequence[Marker | tuple[float, float, str, bool]] = (),
+    dynamic_range_db: float = 30.0,
+) -> None:
+    """Writes a PNG of a reflectivity image, 940 x 900 px.
+
+    Args:
+        values: (y, x) complex or real reflectivity; row 0 is the lowest y, which is drawn at the bottom.
+        extent_m: side of the image along x, m; the pixels are square and the middle is the rotation axis.
+        path: the PNG; it appears complete or not at all.
+        title: one line above the image, cut where it is too long.
+        reflectors: (x, y, label, matched) each; a circle where matched, a cross where not. Those outside
+            the image are not drawn.
+        dynamic_range_db: what lies further below the brightest pixel has the darkest colour.
+
+    Raises:
+        DataError: the image is empty, not two-dimensional or not finite.
+        UsageError: the extent or the dynamic range is not positive.
+        StorageError, DiskFullError: the file cannot be written.
+    """
+    magnitude = checked_magnitude(values, extent_m, dynamic_range_db)
+    decibels = to_decibels(magnitude, dynamic_range_db)[::-1]
+    rows, columns = magnitude.shape
+    scale = _SIDE / max(rows, columns)
+    box = (_LEFT, _TOP, _LEFT + columns * scale, _TOP + rows * scale)
+    half_x, half_y = extent_m / 2, extent_m / 2 * rows / columns
+    canvas = Canvas(_WIDTH, _HEIGHT)
+    axes = Axes(canvas, box, (-half_x, half_x), (-half_y, half_y))
+    # Smoothing is for the eye only; where a pixel is large, its true square is more honest.
+    axes.raster(colourise(decibels, dynamic_range_db), smooth=scale < 12)
+    for marker in reflectors:
+        _mark(axes, Marker(*marker))
+    axes.frame("x (m)", "y (m)")
+    colour_bar(canvas, (_LEFT + _SIDE + 24, _TOP, _LEFT + _SIDE + 50, box[3]), dynamic_range_db)
+    canvas.text((_LEFT, 36), fit_text(canvas, title, _WIDTH - _LEFT - 30, 28), 28)
+    canvas.save(Path(path))
+
+
+def checked_magnitude(
+    values: NDArray[np.inexact], extent_m: float, dynamic_range_db: float
+) -> NDArray[np.float64]:
+    """|values| as (y, x) float64; raises DataError or UsageError for what cannot be drawn."""
+    if values.ndim != 2 or values.size == 0:
+        raise DataError(f"the image has shape {values.shape}, expected (y, x)")
+    magnitude: NDArray[np.float64] = np.abs(values).astype(np.float64)
+    if not np.isfinite(magnitude).all():
+        raise DataError(
+            "the image holds values that are not finite", "Reconstruct it again from the capture."
+        )
+    if not (np.isfinite(extent_m) and extent_m > 0):
+        raise UsageError(f"image extent is {extent_m} m", "Give a positive number of metres.")
+    if not (np.isfinite(dynamic_range_db) and dynamic_range_db > 0):
+        raise UsageError(f"dynamic range is {dynamic_range_db} dB", "Give a positive number of decibels.")
+    return magnitude
+
+
+def fit_text(canvas: Canvas, text: str, width: float, size: int) -> str:
+    """The text on one line, cut with an ellipsis where it is wider than `width` px."""
+    line = " ".join(text.split())[:400]
+    if canvas.text_width(line, size) <= width:
+        return line
+    while line and canvas.text_width(line + "…", size) > width:
+        line = line[:-1]
+    return line.rstrip() + "…"
+
+
+def _mark(axes: Axes, marker: Marker) -> None:
+    if not (axes.x[0] <= marker.x <= axes.x[1] and axes.y[0] <= marker.y <= axes.y[1]):
+        return
+    x, y = axes.place(marker.x, marker.y)
+    colour = WHITE if marker.matched else _UNMATCHED
+    for rim, shade in ((3.0, INK), (0.0, colour)):
+        width = 3 + rim
+        if marker.matched:
+            axes.canvas.circle((x, y), 17 + rim / 2, shade, width)
+        else:
+            arm = 12 + rim / 3
+            axes.canvas.line([(x - arm, y - arm), (x + arm, y + arm)], shade, width)
+            axes.canvas.line([(x - arm, y + arm), (x + arm, y - arm)], shade, width)
+    # Near the right edge the label goes to the other side.
+    room = axes.canvas.text_width(marker.label, 22) + 26
+    right = x + room < axes.box[2]
+    axes.canvas.text(
+        (x + 25 if right else x - 25, y), marker.label, 22, colour, "lm" if right else "rm", halo=INK
+    )
