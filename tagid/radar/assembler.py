@@ -1,7 +1,7 @@
 """Regroups SCAN_INFO fragments into scans by (id, timestamp), each scan once and in order.
 
-UDP loses, repeats and reorders; counting packets would turn one lost packet into shifted data for the rest of a
-recording. Here a lost packet costs its scan, which is counted, and nothing else.
+UDP loses, repeats and reorders; counting packets would turn one lost packet into shifted data for the rest of
+a recording. Here a lost packet costs its scan, which is counted, and nothing else.
 """
 
 from __future__ import annotations
@@ -189,7 +189,7 @@ class ScanAssembler:
         )
 
     def _in_turn(self, window: int) -> list[Scan]:
-        """Hands out what is next; an unfinished scan is lost once `window` ids after it a scan is complete."""
+        """Hands out what is next; an unfinished scan is lost once the scan `window` ids on is complete."""
         out: list[Scan] = []
         while self._ready and self._next is not None:
             if self._next not in self._ready:
@@ -216,7 +216,7 @@ class ScanAssembler:
 
 
 def _checked_layout(message: Message) -> tuple[int, ...] | None:
-    """(samples, messages, start, stop, antenna) of a fragment, or None where its numbers contradict each other."""
+    """(samples, messages, start, stop, antenna) of a fragment, or None where its numbers disagree."""
     total, count = message["total_samples"], message["message_count"]
     index, here = message["message_index"], message["message_samples"]
     if not (1 <= total <= MAX_SAMPLES_PER_SCAN and 1 <= count <= MAX_MESSAGES_PER_SCAN):

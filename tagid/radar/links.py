@@ -46,7 +46,7 @@ class Link(Protocol):
 def bind_udp(host: str, port: int) -> socket.socket:
     """A UDP socket bound to an address; port 0 takes any free one.
 
-    Raises PortInUseError where another program holds the port, DeviceError for an address not of this machine.
+    Raises PortInUseError where another program holds the port, DeviceError for an address of another machine.
     """
     sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     try:

@@ -1,0 +1,108 @@
+"""Where an emulated radar gets its samples: a scene that is computed, or a recording replayed sample for sample."""
+
+from __future__ import annotations
+
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tagid.errors import DataError
+from tagid.radar.settings import RadarConfig
+
+
+class ScanSource(Protocol):
+    """What stands before the emulated antenna."""
+
+    def scan(self, index: int, time_s: float, config: RadarConfig) -> NDArray[np.int32]:
+        """(config.samples,) counts of scan `index` of this run, taken `time_s` after the radar's boot."""
+        ...
+
+
+@runtime_checkable
+class FixedSource(Protocol):
+    """A source that cannot change its window and brings its own clock: a recording."""
+
+    @property
+    def config(self) -> RadarConfig:
+        """The only settings there are."""
+        ...
+
+    def timestamp_ms(self, index: int) -> int:
+        """The radar clock of scan `index`, whole ms, unwrapped."""
+        ...
+
+    def has(self, index: int) -> bool:
+        """Whether there is a scan `index`."""
+        ...
+
+    def scan(self, index: int, time_s: float, config: RadarConfig) -> NDArray[np.int32]:
+        """(config.samples,) counts of scan `index`."""
+        ...
+
+
+class RecordingSource:
+    """Replays a recording.
+
+    Args:
+        samples: (views, bins) int32, counts.
+        config: settings of the recording; GET_CONFIG answers these whatever is set, so that a client that reads
+            back its settings learns the recording's window.
+        timestamps_ms: (views,) radar clock; None counts scan periods from zero.
+        loop: start over at the end, for ever.
+
+    Raises DataError where the samples do not fit the window of the settings.
+    """
+
+    def __init__(
+        self,
+        samples: NDArray[np.int32],
+        config: RadarConfig,
+        timestamps_ms: NDArray[np.floating] | NDArray[np.integer] | None = None,
+        loop: bool = False,
+    ) -> None:
+        if samples.ndim != 2 or not len(samples) or samples.shape[1] != config.samples:
+            raise DataError(
+                f"a recording of shape {samples.shape} does not fit a radar window of {config.samples} samples",
+                "Replay a P440 recording with its own settings.",
+            )
+        if not np.issubdtype(samples.dtype, np.integer):
+            raise DataError(
+                f"a recording of {samples.dtype} cannot be replayed", "Replay raw counts (int32), not floats."
+            )
+        self._samples = np.ascontiguousarray(samples, np.int32)
+        self._config = config
+        self._loop = loop
+        if timestamps_ms is None:
+            times = np.arange(len(samples)) * config.scan_period_s * 1e3
+        elif timestamps_ms.shape != (len(samples),):
+            raise DataError(f"timestamps have shape {timestamps_ms.shape}, expected ({len(samples)},)")
+        else:
+            times = np.asarray(timestamps_ms, np.float64)
+        self._times = np.floor(times).astype(np.int64)
+        step = config.scan_period_s * 1e3 if len(times) < 2 else float(np.median(np.diff(times)))
+        self._duration = int(self._times[-1] - self._times[0] + max(round(step), 1))
+
+    @property
+    def config(self) -> RadarConfig:
+        """The recording's settings."""
+        return self._config
+
+    @property
+    def views(self) -> int:
+        """Scans in the recording."""
+        return len(self._samples)
+
+    def has(self, index: int) -> bool:
+        """Whether scan `index` exists: always when looping."""
+        return self._loop or index < self.views
+
+    def timestamp_ms(self, index: int) -> int:
+        """The recorded clock of scan `index`, ms; loops follow one another without a gap."""
+        turns, view = divmod(index, self.views)
+        return int(self._times[view]) + turns * self._duration
+
+    def scan(self, index: int, time_s: float, config: RadarConfig) -> NDArray[np.int32]:
+        """(bins,) recorded counts of scan `index`."""
+        view: NDArray[np.int32] = self._samples[index % self.views]
+        return view
