@@ -1,0 +1,101 @@
+"""From values found in a file to a Capture: the checks that every format shares.
+
+A file is not trusted, so whatever does not fit ends here in an error that names the file and the field.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tagid.capture import Capture
+from tagid.errors import DataError, FileFormatError
+
+MAX_JSON_BYTES = 64 << 20
+"""Longest settings text accepted, characters."""
+
+
+def encode_settings(settings: dict[str, Any]) -> str:
+    """JSON text of a settings dict; numpy values become plain ones, what is not finite becomes null."""
+    return json.dumps(_plain(settings), allow_nan=False, sort_keys=True)
+
+
+def decode_settings(text: str | bytes, where: str) -> dict[str, Any]:
+    """A dict from JSON text of a file.
+
+    Raises:
+        FileFormatError: too long, not JSON, or not an object; `where` says which file and field.
+    """
+    if len(text) > MAX_JSON_BYTES:
+        raise FileFormatError(
+            f"{where}: the settings have {len(text)} characters, more than {MAX_JSON_BYTES}"
+        )
+    try:
+        value = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise FileFormatError(f"{where}: the settings are not JSON") from error
+    if not isinstance(value, dict):
+        raise FileFormatError(f"{where}: the settings are a JSON {type(value).__name__}, expected an object")
+    return value
+
+
+def number(value: Any, where: str) -> float:
+    """A finite real number from a file. Raises FileFormatError."""
+    array = np.asarray(value)
+    if array.shape != () or array.dtype.kind not in "iuf" or not math.isfinite(float(array)):
+        raise FileFormatError(f"{where}: expected one finite number, found {_short(value)}")
+    return float(array)
+
+
+def text(value: Any, where: str) -> str:
+    """A short text from a file. Raises FileFormatError."""
+    if isinstance(value, bytes):
+        value = value.decode("utf-8", errors="replace")
+    if not isinstance(value, str) or len(value) > 4096:
+        raise FileFormatError(f"{where}: expected a short text, found {_short(value)}")
+    return str(value)
+
+
+def unwrap(counter: NDArray[Any], modulus: int) -> NDArray[np.int64]:
+    """A counter that wraps at `modulus`, continued: every step is taken as the smallest in either direction.
+
+    >>> unwrap(np.array([65534, 65535, 1]), 65536).tolist()
+    [65534, 65535, 65537]
+    """
+    values = np.asarray(counter, dtype=np.int64)
+    steps = (np.diff(values) + modulus // 2) % modulus - modulus // 2
+    unwrapped: NDArray[np.int64] = values[0] + np.concatenate([np.zeros(1, np.int64), np.cumsum(steps)])
+    return unwrapped
+
+
+def build_capture(path: Path, **fields: Any) -> Capture:
+    """A validated Capture from the fields of a file. Raises FileFormatError naming the file."""
+    try:
+        return Capture(**fields)
+    except DataError as error:
+        raise FileFormatError(f"{path}: {error.message}", error.remedy) from error
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple | set | frozenset):
+        return [_plain(item) for item in value]
+    if isinstance(value, np.ndarray | np.generic):
+        return _plain(value.tolist())
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if value is None or isinstance(value, bool | int | str):
+        return value
+    return str(value)
+
+
+def _short(value: Any) -> str:
+    if isinstance(value, np.ndarray):
+        return f"an array of shape {value.shape} and dtype {value.dtype}"
+    return repr(value)[:60]

@@ -1,0 +1,127 @@
+"""The only place that opens files by name: whole reads with a limit, and writes that are all or nothing.
+
+Every failure of the operating system becomes one clear error here, so that no format has to know about errno.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import secrets
+import stat
+from pathlib import Path
+
+from tagid.errors import DiskFullError, FileFormatError, StorageError
+
+MAX_FILE_BYTES = 2 << 30
+"""Largest file read whole, and largest array accepted from one, bytes: hours of a P440 at full rate."""
+
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+
+
+def storage_error(error: OSError, path: Path, doing: str) -> StorageError:
+    """The error to show for what the operating system answered while `doing` something with `path`."""
+    if error.errno in _FULL:
+        return DiskFullError(
+            f"{path}: the disk is full (or a quota or file size limit is reached) while {doing}",
+            "Free some space or choose another folder; what was written before is kept.",
+        )
+    if isinstance(error, FileNotFoundError):
+        return StorageError(f"{path}: no such file or folder while {doing}", "Check the path.")
+    if isinstance(error, FileExistsError):
+        return StorageError(f"{path}: already exists", "Choose another name or move the file away.")
+    if isinstance(error, PermissionError) or error.errno == errno.EROFS:
+        return StorageError(
+            f"{path}: no permission while {doing}", "Check the rights of the file and folder."
+        )
+    if isinstance(error, IsADirectoryError):
+        return StorageError(f"{path}: is a folder, not a file", "Give the path of a file.")
+    if isinstance(error, NotADirectoryError):
+        return StorageError(f"{path}: a part of the path is not a folder", "Check the path.")
+    return StorageError(f"{path}: {error.strerror or error} while {doing}", "Check the path and the device.")
+
+
+def read_bytes(path: Path, limit: int = MAX_FILE_BYTES) -> bytes:
+    """The content of a regular file.
+
+    Raises:
+        StorageError: missing, not readable, or not a regular file (a folder, a device, a pipe).
+        FileFormatError: larger than `limit` bytes.
+    """
+    try:
+        status = path.stat()
+        if stat.S_ISDIR(status.st_mode):
+            raise IsADirectoryError(errno.EISDIR, "is a folder")
+        if not stat.S_ISREG(status.st_mode):
+            raise StorageError(f"{path}: is not a regular file", "Give the path of a file.")
+        if status.st_size > limit:
+            raise FileFormatError(
+                f"{path}: has {status.st_size} bytes, more than the limit of {limit}",
+                "Record or export in parts.",
+            )
+        with path.open("rb") as stream:
+            return stream.read(limit)
+    except OSError as error:
+        raise storage_error(error, path, "reading") from error
+
+
+def write_bytes(path: Path, data: bytes | memoryview) -> None:
+    """Write a file so that its final name holds all of `data` or what it held before, even after a power cut.
+
+    The bytes go to a temporary file in the same folder, are synced, and the file is renamed over the
+    final name.
+
+    Raises:
+        DiskFullError: no space left.
+        StorageError: the folder is missing or not writable, or the name belongs to something not a file.
+    """
+    target = Path(os.path.realpath(path))
+    # Renaming over a device node would replace it, which root may do: only plain files are overwritten.
+    if target.exists() and not target.is_file():
+        raise StorageError(f"{path}: exists and is not a regular file", "Give the path of a file.")
+    temporary = target.with_name(f".{target.name[:80]}.{secrets.token_hex(6)}.tmp")
+    try:
+        _write_synced(temporary, data)
+        try:
+            temporary.replace(target)
+            sync_folder(target.parent)
+        except BaseException:
+            temporary.unlink(missing_ok=True)
+            raise
+    except OSError as error:
+        raise storage_error(error, path, "writing") from error
+
+
+def write_all(descriptor: int, data: bytes | memoryview) -> None:
+    """Hand all of `data` to the operating system, however many writes it takes. Raises OSError."""
+    rest = memoryview(data)
+    while rest:
+        rest = rest[os.write(descriptor, rest) :]
+
+
+def sync_folder(folder: Path) -> None:
+    """Make the names in a folder durable, where the file system offers that."""
+    try:
+        descriptor = os.open(folder, os.O_RDONLY)
+    except OSError:  # e.g. a folder with write but no read permission: the file itself is synced already
+        return
+    try:
+        os.fsync(descriptor)
+    except OSError as error:
+        if error.errno not in (errno.EINVAL, errno.ENOTSUP, errno.EBADF):
+            raise
+    finally:
+        os.close(descriptor)
+
+
+def _write_synced(path: Path, data: bytes | memoryview) -> None:
+    descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
+    try:
+        try:
+            write_all(descriptor, data)
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
+    except BaseException:
+        path.unlink(missing_ok=True)
+        raise

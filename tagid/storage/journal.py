@@ -1,0 +1,323 @@
+"""Append-only record of what arrives, written before anything else is done with it.
+
+After a kill or a power cut at any moment everything but the record in flight can be read back.
+
+Layout, little-endian: magic `TAGIDJNL`, version u32; then records of marker `REC\\x1e`, kind u32, payload
+length u32, CRC-32 u32 (over kind, length and payload), payload. Kinds: 1 header (JSON), 2 scan, 3 end (JSON).
+The payload of a scan is scan_id i64, host_time_ns i64, radar_time_ms f64, flags u8, dtype u8 (0 int32,
+1 float32), two zero bytes, bins u32, samples.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tagid.capture import Capture
+from tagid.errors import DataError, FileFormatError, StorageError
+from tagid.storage import atomic
+from tagid.storage.assembly import build_capture, decode_settings, encode_settings, number, text
+
+MAGIC = b"TAGIDJNL"
+VERSION = 1
+SUFFIX = ".tagid.journal"
+"""Usual ending of a journal's name."""
+
+_PREAMBLE = struct.Struct("<8sI")
+_RECORD = struct.Struct("<4sIII")
+_COVERED = struct.Struct("<II")
+_SCAN = struct.Struct("<qqdBBHI")
+_MARKER = b"REC\x1e"
+_HEADER, _SCAN_KIND, _END = 1, 2, 3
+_DTYPES = (np.dtype("<i4"), np.dtype("<f4"))
+_MAX_PAYLOAD = 64 << 20
+_NUMBERS = ("range_start_m", "range_step_m", "axis_distance_m", "antenna_height_m")
+_BAND = ("center_frequency_hz", "bandwidth_hz")
+_TEXTS = ("uuid", "created_utc", "tool_version")
+_DICTS = ("radar", "motion", "object")
+
+
+class JournalWriter:
+    """Appends scans to a new file, unbuffered.
+
+    Args:
+        path: file to create; it must not exist.
+        header: what a Capture needs besides the scans: `range_start_m`, `range_step_m` and, where known,
+            `axis_distance_m`, `antenna_height_m`, `center_frequency_hz`, `bandwidth_hz`, `uuid`,
+            `created_utc`, `tool_version` and the dicts `radar`, `motion`, `object`.
+        sync_every: records after which the disk is synced: what a power cut may cost at most (a kill of the
+            process costs nothing); 0 leaves it to the operating system.
+
+    Raises:
+        DiskFullError, StorageError: the file cannot be created or written.
+    """
+
+    def __init__(self, path: Path, header: dict[str, Any], sync_every: int = 50) -> None:
+        self.path = Path(path)
+        self.scans = 0
+        self._sync_every = sync_every
+        self._unsynced = 0
+        self._layout: tuple[int, int] | None = None
+        flags = os.O_WRONLY | os.O_CREAT | os.O_APPEND
+        try:
+            # An existing device node (a pipe, /dev/full) may be appended to; an existing file is never.
+            exclusive = 0 if self.path.exists() and not self.path.is_file() else os.O_EXCL
+            self._descriptor = os.open(self.path, flags | exclusive, 0o666)
+        except OSError as error:
+            raise atomic.storage_error(error, self.path, "creating the journal") from error
+        self._size = 0
+        try:
+            first = _record(_HEADER, encode_settings(header).encode())
+            self._write(_PREAMBLE.pack(MAGIC, VERSION) + first)
+            self._sync()
+            atomic.sync_folder(self.path.parent)
+        except BaseException:
+            self._release()
+            if self.path.is_file():
+                self.path.unlink(missing_ok=True)
+            raise
+
+    def append(
+        self,
+        scan_id: int,
+        host_time_ns: int,
+        radar_time_ms: float,
+        samples: NDArray[np.int32] | NDArray[np.float32],
+        flags: int = 0,
+    ) -> None:
+        """Add one scan; when this returns, the operating system has it.
+
+        Args:
+            scan_id: unwrapped scan number.
+            host_time_ns: arrival, ns since the epoch.
+            radar_time_ms: radar clock, ms.
+            samples: (bins,) int32 or float32, the same shape and dtype in every scan.
+            flags: of `tagid.capture.ViewFlag`.
+
+        Raises:
+            DiskFullError: no space; the record is taken off again, all before it stays.
+            DataError: samples of another shape or dtype.
+        """
+        code = {("i", 4): 0, ("f", 4): 1}.get((samples.dtype.kind, samples.dtype.itemsize))
+        if code is None or samples.ndim != 1 or not 0 < samples.nbytes <= _MAX_PAYLOAD - _SCAN.size:
+            raise DataError(
+                f"scan {scan_id} has shape {samples.shape} and dtype {samples.dtype}, expected (bins,)"
+            )
+        if self._layout not in (None, (code, len(samples))):
+            raise DataError(
+                f"scan {scan_id} has {len(samples)} samples ({samples.dtype}), unlike those before it"
+            )
+        head = _SCAN.pack(scan_id, host_time_ns, radar_time_ms, flags, code, 0, len(samples))
+        self._write(_record(_SCAN_KIND, head + samples.astype(_DTYPES[code], copy=False).tobytes()))
+        self._layout = (code, len(samples))
+        self.scans += 1
+        self._unsynced += 1
+        if self._sync_every and self._unsynced >= self._sync_every:
+            self._sync()
+
+    def close(self, summary: dict[str, Any] | None = None) -> None:
+        """Write the end record, which marks the recording as complete, and close. Raises DiskFullError."""
+        if self._descriptor < 0:
+            return
+        try:
+            self._write(_record(_END, encode_settings(summary or {}).encode()))
+            self._sync()
+        finally:
+            self._release()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Close the file; without `close` before, the recording stays marked as not complete."""
+        if self._descriptor >= 0:
+            try:
+                self._sync()
+            except StorageError:
+                if error is None:
+                    raise
+            finally:
+                self._release()
+
+    def _write(self, data: bytes) -> None:
+        if self._descriptor < 0:
+            raise StorageError(f"{self.path}: the journal is closed")
+        try:
+            atomic.write_all(self._descriptor, data)
+        except BaseException as error:
+            # Also after Ctrl-C in the middle: a partial record would hide nothing, but it need not be there.
+            self._cut_back()
+            if isinstance(error, OSError):
+                raise atomic.storage_error(error, self.path, "appending to the journal") from error
+            raise
+        self._size += len(data)
+
+    def _cut_back(self) -> None:
+        try:
+            os.ftruncate(self._descriptor, self._size)
+        except OSError:  # not a regular file; the reader drops a partial record as well
+            return
+
+    def _sync(self) -> None:
+        try:
+            os.fsync(self._descriptor)
+        except OSError as error:
+            if self.path.is_file():
+                raise atomic.storage_error(error, self.path, "syncing the journal") from error
+        self._unsynced = 0
+
+    def _release(self) -> None:
+        if self._descriptor >= 0:
+            os.close(self._descriptor)
+            self._descriptor = -1
+
+
+@dataclass(frozen=True, eq=False)
+class JournalScan:
+    """One scan as it was appended; see `JournalWriter.append` for the fields."""
+
+    scan_id: int
+    host_time_ns: int
+    radar_time_ms: float
+    flags: int
+    samples: NDArray[Any]
+
+
+@dataclass(frozen=True, eq=False)
+class Journal:
+    """What could be read of a journal.
+
+    Attributes:
+        path: the file.
+        header: as given to the writer.
+        scans: all intact scans, in the order of the file.
+        summary: of the end record; None where that is missing (killed, power cut, disk full).
+        bytes_dropped: bytes that belong to no intact record.
+    """
+
+    path: Path
+    header: dict[str, Any]
+    scans: tuple[JournalScan, ...]
+    summary: dict[str, Any] | None
+    bytes_dropped: int
+
+
+def read_journal(path: Path) -> Journal:
+    """Read every intact record; a cut or damaged part is skipped and counted.
+
+    Memory stays within a small multiple of the file's size, whatever lengths its records claim.
+
+    Raises:
+        StorageError: the file cannot be read.
+        FileFormatError: not a journal, made by a newer version, or without an intact header.
+    """
+    data = atomic.read_bytes(path)
+    if len(data) < _PREAMBLE.size or data[: len(MAGIC)] != MAGIC:
+        raise FileFormatError(f"{path}: is not a tagid journal (it does not start with {MAGIC.decode()})")
+    version = _PREAMBLE.unpack_from(data)[1]
+    if version != VERSION:
+        raise FileFormatError(
+            f"{path}: journal version {version}, this tagid reads version {VERSION}",
+            "It was made by a newer tagid; upgrade." if version > VERSION else "The file is damaged.",
+        )
+    records, kept = _intact_records(data)
+    if not records or records[0][0] != _HEADER:
+        raise FileFormatError(
+            f"{path}: the header of the journal is cut off or damaged", "Nothing can be recovered."
+        )
+    header = decode_settings(bytes(records[0][1]), f"{path} (header)")
+    scans = [_parse_scan(path, payload) for kind, payload in records if kind == _SCAN_KIND]
+    ends = [payload for kind, payload in records if kind == _END]
+    summary = decode_settings(bytes(ends[-1]), f"{path} (end record)") if ends else None
+    return Journal(path, header, tuple(scans), summary, len(data) - kept)
+
+
+def journal_to_capture(journal: Journal) -> Capture:
+    """The capture that a journal holds; `complete` is False where its end record is missing.
+
+    The dicts `radar`, `motion` and `object` of the end record add to those of the header; bytes that were
+    dropped are noted as `radar["journal_bytes_dropped"]`.
+
+    Raises:
+        FileFormatError: no scan is intact, scans differ in shape or dtype, or the header lacks a value.
+    """
+    path, header, scans = journal.path, journal.header, journal.scans
+    if not scans:
+        raise FileFormatError(
+            f"{path}: the journal holds no scan", "The recording stopped before the first scan."
+        )
+    layouts = {(s.samples.dtype, len(s.samples)) for s in scans}
+    if len(layouts) > 1:
+        raise FileFormatError(f"{path}: the scans of the journal differ in length or dtype")
+    fields: dict[str, Any] = {}
+    for name in (*_NUMBERS, *_BAND):
+        if header.get(name) is not None:
+            fields[name] = number(header[name], f"{path} (header, {name})")
+        elif name in ("range_start_m", "range_step_m"):
+            raise FileFormatError(f"{path}: the header of the journal lacks {name}")
+    fields |= {name: text(header[name], f"{path} (header, {name})") for name in _TEXTS if name in header}
+    for name in _DICTS:
+        parts = (header.get(name) or {}, (journal.summary or {}).get(name) or {})
+        if not all(isinstance(part, dict) for part in parts):
+            raise FileFormatError(f"{path}: {name} in the journal is not a JSON object")
+        fields[name] = {**parts[0], **parts[1]}
+    if journal.bytes_dropped:
+        fields["radar"]["journal_bytes_dropped"] = journal.bytes_dropped
+    return build_capture(
+        path,
+        samples=np.stack([s.samples for s in scans]).astype(scans[0].samples.dtype.newbyteorder("=")),
+        host_time_ns=np.array([s.host_time_ns for s in scans], dtype=np.int64),
+        radar_time_ms=np.array([s.radar_time_ms for s in scans], dtype=np.float64),
+        scan_id=np.array([s.scan_id for s in scans], dtype=np.int64),
+        flags=np.array([s.flags for s in scans], dtype=np.uint8),
+        complete=journal.summary is not None,
+        **fields,
+    )
+
+
+def _record(kind: int, payload: bytes) -> bytes:
+    crc = zlib.crc32(payload, zlib.crc32(_COVERED.pack(kind, len(payload))))
+    return _RECORD.pack(_MARKER, kind, len(payload), crc) + payload
+
+
+def _intact_records(data: bytes) -> tuple[list[tuple[int, memoryview]], int]:
+    """All records whose CRC holds, and the bytes that they and the preamble take."""
+    records: list[tuple[int, memoryview]] = []
+    view = memoryview(data)
+    kept = position = _PREAMBLE.size
+    # A crafted file could make every marker claim a long payload: the work spent on failures is bounded, too.
+    patience = len(data) + _MAX_PAYLOAD
+    while position + _RECORD.size <= len(data) and patience > 0:
+        marker, kind, length, crc = _RECORD.unpack_from(data, position)
+        end = position + _RECORD.size + length
+        if marker == _MARKER and length <= _MAX_PAYLOAD and end <= len(data):
+            payload = view[position + _RECORD.size : end]
+            if zlib.crc32(payload, zlib.crc32(_COVERED.pack(kind, length))) == crc:
+                records.append((kind, payload))
+                kept += end - position
+                position = end
+                continue
+            patience -= length
+        position = data.find(_MARKER, position + 1)
+        if position < 0:
+            break
+    return records, kept
+
+
+def _parse_scan(path: Path, payload: memoryview) -> JournalScan:
+    if len(payload) >= _SCAN.size:
+        scan_id, host_time_ns, radar_time_ms, flags, code, _, bins = _SCAN.unpack_from(payload)
+        if code < len(_DTYPES) and len(payload) == _SCAN.size + bins * _DTYPES[code].itemsize:
+            samples = np.frombuffer(payload, dtype=_DTYPES[code], offset=_SCAN.size)
+            return JournalScan(scan_id, host_time_ns, radar_time_ms, flags, samples)
+    raise FileFormatError(f"{path}: a scan record of the journal is not what its version defines")
