@@ -1,0 +1,237 @@
+"""From raw range profiles to the baseband scans that every imaging method takes.
+
+One linear filter does all of it (analytic signal, mixing, matched filter, band limit, decimation), so that
+the response of a point is known exactly: it is the same filter applied to the pulse.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft as sfft
+
+from tagid.capture import Capture, Pulse
+from tagid.errors import DataError, UsageError
+from tagid.geometry import Aperture
+from tagid.imaging.rangefilter import BandFilter, design_filter
+from tagid.imaging.types import BasebandScans
+from tagid.waveform import nominal_pulse
+
+MIN_BINS = 8
+"""Fewer range bins cannot hold one echo of the pulse (a P440 pulse spans about 10)."""
+
+MIN_NOISE_VALUES = 64
+"""Values needed for a noise estimate good to about 10 %."""
+
+_CHUNK_SAMPLES = 1 << 22
+_LN2 = float(np.log(2))
+
+Background = Literal["mean", "median", "none"]
+
+
+@dataclass(frozen=True)
+class PreprocessSettings:
+    """What is done to the scans before imaging.
+
+    Attributes:
+        background: static background over angle that is subtracted. "mean" is the least-squares estimate;
+            "median" resists single bright passes and lost scans. Both also take from the target what is
+            constant over angle: about 1/views of an echo (8 % at 12 views), more near the axis.
+        matched_filter: correlate with the pulse (maximum SNR), or only limit to its band.
+        pulse: the pulse; None takes the capture's, or the nominal one of the capture's band.
+        extent_m: side of the square that will be imaged, m; ranges that it cannot reach are gated away.
+        margin_m: kept beyond that on both sides, m; leaves room for the autofocus (+-3 cm).
+        oversampling: sampling rate after decimation / bandwidth of the pulse, at least 1.3.
+    """
+
+    background: Background = "mean"
+    matched_filter: bool = True
+    pulse: Pulse | None = None
+    extent_m: float = 0.5
+    margin_m: float = 0.03
+    oversampling: float = 1.5
+
+    def __post_init__(self) -> None:
+        if self.background not in ("mean", "median", "none"):
+            raise UsageError(f"background is {self.background!r}", "Choose mean, median or none.")
+        if not (np.isfinite(self.extent_m) and 0 < self.extent_m <= 100):
+            raise UsageError(f"extent is {self.extent_m} m", "Give a side between 0 and 100 m.")
+        if not (np.isfinite(self.margin_m) and 0 <= self.margin_m <= 10):
+            raise UsageError(f"gate margin is {self.margin_m} m", "Give 0 to 10 m.")
+        if not 1.3 <= self.oversampling <= 16:
+            raise UsageError(f"oversampling is {self.oversampling}", "Give 1.3 to 16.")
+
+
+def preprocess(
+    capture: Capture, aperture: Aperture | None = None, settings: PreprocessSettings | None = None
+) -> BasebandScans:
+    """Baseband scans of a capture, scaled so that an echo of amplitude A has reflectivity sigma = A.
+
+    With p the analytic pulse of envelope peak 1, a point at distance d gives the RF samples
+    A Re p(2 (R - d) / c) and the result A response(R - d) exp(-2j k d).
+
+    Args:
+        capture: (views, bins) real RF or complex analytic samples. Complex samples may be sampled below the
+            carrier as long as the rate exceeds the pulse's band.
+        aperture: antenna positions; None takes the capture's.
+        settings: see `PreprocessSettings`.
+
+    Raises:
+        DataError: too few views or bins, all zero, nothing changes over angle, sampled too coarsely for the
+            pulse's band, or the object's ranges lie outside the recorded ones.
+    """
+    settings = settings or PreprocessSettings()
+    aperture = aperture or capture.aperture()
+    _check(capture, aperture, settings)
+    pulse = settings.pulse or capture.pulse
+    pulse = pulse or nominal_pulse(capture.center_frequency_hz, capture.bandwidth_hz)
+    band = design_filter(pulse, capture, matched=settings.matched_filter, oversampling=settings.oversampling)
+    samples = remove_background(capture.samples, settings.background)
+    if not np.any(samples):
+        raise DataError(
+            f"nothing changes over the {capture.views} views: the background removal leaves zero",
+            "Check that the object turned, or image without background removal.",
+        )
+    baseband = _filter(samples, band, capture.range_start_m)
+    start_m, step_m = capture.range_start_m, band.step_m
+    low, high = _gate(capture, aperture, settings, band)
+    first = max(0, int(np.ceil((low - start_m) / step_m)))
+    last = min(baseband.shape[1], int(np.floor((high - start_m) / step_m)) + 1)
+    gated = np.ascontiguousarray(baseband[:, first:last])
+    if gated.shape[1] < 3:
+        raise DataError(
+            f"only {gated.shape[1]} independent range bins remain of the object's {low:.2f} to {high:.2f} m",
+            "Record a longer range window, or image a larger extent.",
+        )
+    if not np.any(gated):
+        raise DataError(f"all samples between {low:.2f} and {high:.2f} m are zero")
+    lost = 1.0 if settings.background == "none" else np.sqrt(capture.views / (capture.views - 1))
+    guard = int(np.ceil(band.response.half_width_m / step_m))
+    noise = _noise_std(samples, baseband, (first - guard, last + guard), band) * lost
+    return BasebandScans(
+        samples=gated,
+        range_start_m=start_m + first * step_m,
+        range_step_m=step_m,
+        carrier_hz=band.carrier_hz,
+        response=band.response,
+        aperture=aperture,
+        noise_std=float(noise),
+        independent_samples=gated.size * min(1.0, band.bandwidth_hz / band.rate_hz),
+    )
+
+
+def remove_background(samples: NDArray[Any], background: Background) -> NDArray[Any]:
+    """Samples (views, bins) without what is constant over the views, as float32 or complex64."""
+    dtype = np.complex64 if np.iscomplexobj(samples) else np.float32
+    if background == "none":
+        return np.asarray(samples, dtype=dtype)
+    static: NDArray[Any]
+    if background == "mean":
+        static = samples.mean(axis=0, dtype=np.complex128 if dtype is np.complex64 else np.float64)
+    elif np.iscomplexobj(samples):
+        static = np.median(samples.real, axis=0) + 1j * np.median(samples.imag, axis=0)
+    else:
+        static = np.median(samples, axis=0)
+    return np.asarray(samples - static, dtype=dtype)
+
+
+def _check(capture: Capture, aperture: Aperture, settings: PreprocessSettings) -> None:
+    if aperture.views != capture.views:
+        raise DataError(f"the capture has {capture.views} views but {aperture.views} antenna positions")
+    if capture.bins < MIN_BINS:
+        raise DataError(
+            f"the scans have {capture.bins} range bins, at least {MIN_BINS} are needed",
+            "Record a longer range window.",
+        )
+    if not np.any(capture.samples):
+        raise DataError("all samples are zero", "Check the radar's antenna and its transmit gain.")
+    if capture.views < 2 and settings.background != "none":
+        raise DataError(
+            f"the capture has {capture.views} view: removing the background over angle leaves nothing",
+            "Record the object turning, with at least 2 and better 18 or more views.",
+        )
+
+
+def _filter(samples: NDArray[Any], band: BandFilter, range_start_m: float) -> NDArray[np.complex64]:
+    """(views, M) baseband scans over the whole window: FFT, band filter, shorter inverse FFT."""
+    is_real = not np.iscomplexobj(samples)
+    n, m = band.fft_bins, band.decimated_bins
+    kept = int(np.floor((samples.shape[1] - 1) * m / n)) + 1
+    phase = np.exp(-2j * band.wavenumber * range_start_m)
+    transfer = (band.transfer * phase * (m / n)).astype(np.complex64)
+    out = np.empty((len(samples), kept), dtype=np.complex64)
+    block = max(1, _CHUNK_SAMPLES // n)
+    for at in range(0, len(samples), block):
+        part = samples[at : at + block]
+        spectrum = sfft.rfft(part, n, axis=1) if is_real else sfft.fft(part, n, axis=1)
+        narrow = np.zeros((len(part), m), dtype=np.complex64)
+        narrow[:, band.offsets % m] = spectrum[:, band.indices] * transfer
+        out[at : at + block] = sfft.ifft(narrow, axis=1, overwrite_x=True)[:, :kept]
+    return out
+
+
+def _gate(
+    capture: Capture, aperture: Aperture, settings: PreprocessSettings, band: BandFilter
+) -> tuple[float, float]:
+    """Ranges (m) from the nearest to the farthest that the imaged square can reach, and the pulse's width."""
+    radius = settings.extent_m / np.sqrt(2)
+    across = np.hypot(aperture.positions[:, 0], aperture.positions[:, 1])
+    height = aperture.positions[:, 2]
+    near = float(np.hypot(np.maximum(across - radius, 0), height).min())
+    far = float(np.hypot(across + radius, height).max())
+    axis = np.hypot(across, height)
+    first, last = capture.range_start_m, float(capture.ranges_m[-1])
+    if np.median(axis) < first or np.median(axis) > last:
+        what = "antenna to the origin" if aperture.axis_distance is None else "rotation axis"
+        raise DataError(
+            f"the recorded range is {first:.3f} to {last:.3f} m, the {what} is at {np.median(axis):.3f} m: "
+            "the object lies outside the data",
+            "Correct the axis distance (--axis-distance METRES) or the radar's range window.",
+        )
+    margin = settings.margin_m + band.width_m
+    return near - margin, far + margin
+
+
+def _noise_std(
+    samples: NDArray[Any], baseband: NDArray[np.complex64], target: tuple[int, int], band: BandFilter
+) -> float:
+    """Standard deviation of the complex noise of one baseband sample; 0 where it cannot be told.
+
+    Bins off the target are taken where there are enough; else the input's spectrum outside the pulse's band,
+    taken as white. Both use the median of |z|^2, which is ln 2 times its mean for complex Gaussian noise.
+    """
+    off = np.concatenate([baseband[:, : max(0, target[0])], baseband[:, max(0, target[1]) :]], axis=1)
+    if off.size * band.bandwidth_hz / band.rate_hz >= MIN_NOISE_VALUES:
+        return float(np.sqrt(np.median(off.real**2 + off.imag**2) / _LN2))
+    window = np.hanning(samples.shape[1] + 2)[1:-1].astype(np.float32)
+    n = samples.shape[1]
+    rows = samples[:: max(1, len(samples) * n // _CHUNK_SAMPLES)] * window
+    is_real = not np.iscomplexobj(samples)
+    spectrum = sfft.rfft(rows, axis=1) if is_real else sfft.fft(rows, axis=1)
+    frequency = np.arange(spectrum.shape[1]) / n * band.input_rate_hz
+    away = np.abs(frequency - band.carrier_hz)
+    if not is_real:
+        away = np.abs((away + band.input_rate_hz / 2) % band.input_rate_hz - band.input_rate_hz / 2)
+    outside = away > 1.5 * band.bandwidth_hz
+    if is_real:
+        outside &= (frequency > 2 * band.input_rate_hz / n) & (frequency < 0.49 * band.input_rate_hz)
+    values = spectrum[:, outside]
+    if values.size < MIN_NOISE_VALUES:
+        return 0.0
+    variance = float(np.median(values.real**2 + values.imag**2)) / _LN2 / float((window**2).sum())
+    return float(np.sqrt(variance * (np.abs(band.transfer) ** 2).sum() / band.fft_bins))
+
+
+def select_views(scans: BasebandScans, views: NDArray[np.integer] | slice) -> BasebandScans:
+    """The scans of some views only; the count of independent samples goes down with them."""
+    samples = scans.samples[views]
+    share = len(samples) / len(scans.samples)
+    return replace(
+        scans,
+        samples=samples,
+        aperture=scans.aperture.select(views),
+        independent_samples=scans.independent_samples * share,
+    )
