@@ -114,7 +114,7 @@ class Layout:
             )
         if not np.isfinite(positions).all() or np.abs(positions).max() > MAX_RADIUS_M:
             raise UsageError(
-                f"layout {self.name}: a reflector is more than {MAX_RADIUS_M:g} m from the axis, or not finite",
+                f"layout {self.name}: a reflector is over {MAX_RADIUS_M:g} m from the axis, or not finite",
                 "Give positions in metres, not millimetres.",
             )
         gap = np.linalg.norm(positions[:, None] - positions[None], axis=2) + np.eye(len(positions))

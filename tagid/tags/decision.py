@@ -1,0 +1,77 @@
+"""When to say a name, and when to say that none is known: every threshold of the reader with its reason.
+
+A wrong name costs more than a question, so each test can only take a name away.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class DecisionSettings:
+    """Thresholds of the decision.
+
+    Attributes:
+        null_nats: explained energy over the noise level, less 3 K, under which there is no tag. The search
+            tries about e^9 independent places; the tail of a Gamma(K) beyond 30 + 3 K is under e^-20.
+        explained_share: least share of the energy above noise that the layout explains.
+        missing_share: a reflector weaker than this share of the layout's median is missing.
+        extra_share: an unexplained point stronger than this share of the layout's median is extra.
+        displacement_m: RMS distance of freely fitted reflectors from the layout's, above which it is
+            another layout. Half of the smallest distance that enrolment accepts.
+        ambiguous_share: a runner-up within this share of the best's explained energy is as good, since
+            wobble, aspect and focus leave errors of that size.
+        ambiguous_nats: and so is one within this many noise levels.
+    """
+
+    null_nats: float = 30.0
+    explained_share: float = 0.35
+    missing_share: float = 0.35
+    extra_share: float = 0.5
+    displacement_m: float = 7e-3
+    ambiguous_share: float = 0.08
+    ambiguous_nats: float = 12.0
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What the decision is taken from.
+
+    Attributes:
+        size: reflectors of the best layout.
+        nats: its explained energy over the level of noise and clutter left.
+        share: its part of the energy above noise.
+        weakest: weakest reflector's amplitude over the median.
+        missing, extra: reflectors missing from and beyond the layout.
+        displacement_m: RMS distance of freely fitted reflectors from the layout's places.
+        margin_share, margin_nats: the best's lead over the runner-up, of its energy and in noise levels.
+    """
+
+    size: int
+    nats: float
+    share: float
+    weakest: float
+    missing: int
+    extra: int
+    displacement_m: float
+    margin_share: float
+    margin_nats: float
+
+
+def decide(evidence: Evidence, settings: DecisionSettings) -> tuple[str, str]:
+    """Status (identified, unknown, ambiguous or no_tag) and the reason in words."""
+    e = evidence
+    if e.nats < settings.null_nats + 3 * e.size:
+        return "no_tag", "nothing stands out of noise and clutter"
+    if e.share < settings.explained_share:
+        return "unknown", f"the nearest layout explains {e.share:.0%} of the echo"
+    if e.extra:
+        return "unknown", f"{e.extra} strong reflector(s) beyond the nearest layout"
+    if e.missing:
+        return "unknown", f"{e.missing} reflector(s) of the nearest layout are missing"
+    if e.displacement_m > settings.displacement_m:
+        return "unknown", f"reflectors lie {e.displacement_m * 1e3:.1f} mm from the nearest layout's"
+    if e.margin_share < settings.ambiguous_share or e.margin_nats < settings.ambiguous_nats:
+        return "ambiguous", "two layouts explain the echo almost equally well"
+    return "identified", ""

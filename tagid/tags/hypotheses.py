@@ -1,0 +1,222 @@
+"""Where each layout fits best: rotation, centre and range offset found jointly, in the data domain.
+
+A coarse grid reads one image per range offset; the best few places of every layout are then refined on exact
+templates, because three degrees are 6 mm at a helmet's rim and decide between layouts of one size.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tagid.tags.field import MatchedField
+from tagid.tags.layout import Layout, rotation_matrix
+
+IMAGE_STEP_M = 3e-3
+"""Pixel of the coarse image; its finest fringe is lambda_min / 2 = 31 mm: bilinear reading errs by < 5 %."""
+
+
+@dataclass(frozen=True)
+class SearchSettings:
+    """Extent and steps of the search.
+
+    Attributes:
+        rotation_step_deg, centre_step_m: the coarse grid.
+        centre_range_m: the object's axis is searched within +- this in x and y of the turntable's axis.
+        offsets_m: range offsets (errors of the axis distance) tried coarsely; refined between.
+        starts: places a layout that are refined.
+        iterations: halvings of the refinement's steps.
+        balance: amplitudes whose smallest is under this share of the largest are charged for.
+    """
+
+    rotation_step_deg: float = 3.0
+    centre_step_m: float = 4e-3
+    centre_range_m: float = 14e-3
+    offsets_m: tuple[float, ...] = (-4e-3, 0.0, 4e-3)
+    starts: int = 3
+    iterations: int = 7
+    balance: float = 0.35
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """The best place of one layout.
+
+    Attributes:
+        layout: which.
+        rotation_rad: counter-clockwise turn about the layout's origin, within its symmetry.
+        centre_m: (2,) where the origin lies, m.
+        offset_m: range offset: measured distances are this much longer than the aperture says.
+        positions: (K, 2) reflectors, m.
+        amplitudes: (K,) complex least-squares amplitudes.
+        explained: b^H G^-1 b, energy.
+        charged: the same after the charge for unlike amplitudes.
+    """
+
+    layout: Layout
+    rotation_rad: float
+    centre_m: NDArray[np.float64]
+    offset_m: float
+    positions: NDArray[np.float64]
+    amplitudes: NDArray[np.complex128]
+    explained: float
+    charged: float
+
+
+def least_squares(
+    b: NDArray[np.complex128], gram: NDArray[np.complex128]
+) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
+    """Amplitudes (..., K) = G^-1 b and explained energy (...) = b^H G^-1 b; G is loaded by 1e-3 of itself."""
+    k = b.shape[-1]
+    load = 1e-3 * np.abs(gram[..., 0, 0])[..., None, None] * np.eye(k)
+    amplitudes = np.linalg.solve(gram + load, b[..., None])[..., 0]
+    explained = np.real(np.sum(b.conj() * amplitudes, axis=-1))
+    return np.asarray(amplitudes, dtype=np.complex128), np.maximum(
+        np.asarray(explained, dtype=np.float64), 0.0
+    )
+
+
+def charge(
+    explained: NDArray[np.float64], amplitudes: NDArray[np.complex128], balance: float
+) -> NDArray[np.float64]:
+    """Explained energy scaled down where reflectors, which are alike, come out unlike."""
+    size = np.abs(amplitudes)
+    ratio = size.min(axis=-1) / np.maximum(size.max(axis=-1), 1e-30)
+    return np.asarray(explained * np.minimum(ratio / balance, 1.0), dtype=np.float64)
+
+
+class _CoarseImage:
+    """Complex image of b on a square, read by bilinear interpolation."""
+
+    def __init__(self, field: MatchedField, radius_m: float) -> None:
+        half = int(np.ceil(radius_m / IMAGE_STEP_M)) + 1
+        self.half = half
+        self.axis = np.arange(-half, half + 1) * IMAGE_STEP_M
+        x, y = np.meshgrid(self.axis, self.axis)
+        self.inside = x**2 + y**2 <= (radius_m + 2 * IMAGE_STEP_M) ** 2
+        self.distances = field.distances(np.stack([x[self.inside], y[self.inside]], axis=-1))
+        self.field = field
+
+    def at_offset(self, offset_m: float) -> NDArray[np.complex64]:
+        image = np.zeros(self.inside.shape, dtype=np.complex64)
+        image[self.inside] = self.field.correlate(self.distances + offset_m)
+        return image
+
+    def read(self, image: NDArray[np.complex64], points: NDArray[np.float64]) -> NDArray[np.complex64]:
+        position = (points / IMAGE_STEP_M + self.half).astype(np.float32)
+        index = np.clip(position.astype(np.int32), 0, 2 * self.half - 1)
+        part = position - index
+        width = 2 * self.half + 1
+        base = index[..., 1] * width + index[..., 0]
+        flat = image.ravel()
+        fx, fy = part[..., 0], part[..., 1]
+        low = flat[base] * (1 - fx) + flat[base + 1] * fx
+        high = flat[base + width] * (1 - fx) + flat[base + width + 1] * fx
+        return np.asarray(low * (1 - fy) + high * fy)
+
+
+def search(field: MatchedField, layouts: Sequence[Layout], settings: SearchSettings) -> list[Fit]:
+    """The best fit of every layout, in the order given."""
+    reach = max(layout.radius_m for layout in layouts) + settings.centre_range_m * np.sqrt(2)
+    coarse = _CoarseImage(field, reach)
+    images = [coarse.at_offset(offset) for offset in settings.offsets_m]
+    fits = []
+    for layout in layouts:
+        starts = _coarse_starts(field, layout, coarse, images, settings)
+        fits.append(_refine(field, layout, starts, settings))
+    return fits
+
+
+def _coarse_starts(
+    field: MatchedField,
+    layout: Layout,
+    coarse: _CoarseImage,
+    images: list[NDArray[np.complex64]],
+    settings: SearchSettings,
+) -> NDArray[np.float64]:
+    """(starts, 4) rotation, x, y, offset of the best distinct places."""
+    turn = 2 * np.pi / layout.symmetry
+    rotations = np.arange(0, turn - 1e-9, np.deg2rad(settings.rotation_step_deg))
+    count = int(np.floor(settings.centre_range_m / settings.centre_step_m))
+    line = np.linspace(-1, 1, 2 * count + 1) * settings.centre_range_m
+    x, y = np.meshgrid(line, line)
+    shifts = np.stack([x.ravel(), y.ravel()], axis=-1)
+    placed = layout.positions @ np.swapaxes(rotation_matrix(rotations), -1, -2)
+    gram = field.gram(field.distances(placed))
+    load = 1e-3 * field.template_energy * np.eye(layout.size)
+    inverse = np.linalg.inv(gram + load).astype(np.complex64)
+    points = placed[:, None] + shifts[None, :, None]
+    scores = np.empty((len(images), len(rotations), len(shifts)))
+    for i, image in enumerate(images):
+        b = coarse.read(image, points)
+        amplitudes = np.matmul(b, np.swapaxes(inverse, -1, -2))
+        explained = np.maximum(np.real(np.sum(b.conj() * amplitudes, axis=-1)), 0)
+        scores[i] = charge(explained, amplitudes, settings.balance)
+    starts: list[tuple[float, float, float, float]] = []
+    best = scores.max(axis=2)
+    for _ in range(settings.starts):
+        i, a = divmod(int(np.argmax(best)), best.shape[1])
+        s = int(np.argmax(scores[i, a]))
+        starts.append((rotations[a], shifts[s, 0], shifts[s, 1], settings.offsets_m[i]))
+        gap = np.abs(np.angle(np.exp(1j * (rotations - rotations[a]) * layout.symmetry))) / layout.symmetry
+        best[:, gap < np.deg2rad(8)] = -1
+    return np.array(starts)
+
+
+def _evaluate(
+    field: MatchedField, layout: Layout, places: NDArray[np.float64], balance: float
+) -> tuple[NDArray[np.float64], NDArray[np.complex128], NDArray[np.float64]]:
+    """Charged energy (H,), amplitudes (H, K) and explained energy (H,) at places (H, 4), exactly."""
+    points = layout.positions @ np.swapaxes(rotation_matrix(places[:, 0]), -1, -2) + places[:, None, 1:3]
+    d = field.distances(points)
+    b = field.correlate(d + places[:, 3, None])
+    amplitudes, explained = least_squares(b, field.gram(d))
+    return charge(explained, amplitudes, balance), amplitudes, explained
+
+
+def _refine(
+    field: MatchedField, layout: Layout, starts: NDArray[np.float64], settings: SearchSettings
+) -> Fit:
+    """Parabolic steps along every coordinate of all starts at once, on exact templates, halving."""
+    gap = settings.offsets_m[1] - settings.offsets_m[0] if len(settings.offsets_m) > 1 else 2e-3
+    low = np.array([-np.inf, -settings.centre_range_m, -settings.centre_range_m, settings.offsets_m[0] - gap])
+    high = np.array([np.inf, settings.centre_range_m, settings.centre_range_m, settings.offsets_m[-1] + gap])
+    step = np.array(
+        [np.deg2rad(settings.rotation_step_deg), settings.centre_step_m, settings.centre_step_m, gap]
+    )
+    step = step * 0.5
+    places = starts.copy()
+    unit = np.eye(4)
+    for _ in range(settings.iterations):
+        stencil = np.concatenate([np.zeros((1, 4)), unit * step, -unit * step])
+        trial = np.clip(places[:, None] + stencil[None], low, high)
+        value = _evaluate(field, layout, trial.reshape(-1, 4), settings.balance)[0].reshape(len(places), 9)
+        middle, plus, minus = value[:, :1], value[:, 1:5], value[:, 5:]
+        bend = 2 * middle - plus - minus
+        slope = (plus - minus) / 2
+        with np.errstate(divide="ignore", invalid="ignore"):
+            jump = np.where(bend > 0, slope / bend, np.sign(slope))
+        jump = np.clip(np.nan_to_num(jump), -1, 1) * step
+        joint = np.clip(places + jump, low, high)
+        joint_value = _evaluate(field, layout, joint, settings.balance)[0]
+        single = trial[np.arange(len(places)), value.argmax(axis=1)]
+        better = joint_value >= value.max(axis=1)
+        places = np.where(better[:, None], joint, single)
+        step = step * 0.6
+    charged, amplitudes, explained = _evaluate(field, layout, places, settings.balance)
+    i = int(np.argmax(charged))
+    rotation = float(np.mod(places[i, 0], 2 * np.pi / layout.symmetry))
+    centre = places[i, 1:3]
+    return Fit(
+        layout,
+        rotation,
+        centre,
+        float(places[i, 3]),
+        layout.placed(rotation, centre),
+        amplitudes[i],
+        float(explained[i]),
+        float(charged[i]),
+    )

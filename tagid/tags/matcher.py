@@ -1,0 +1,203 @@
+"""From scans to a name: the best place of every layout, what it leaves unexplained, and the decision.
+
+Layouts are compared in the data domain with a charge for every reflector, because any two reflectors of three
+look like some layout of two when only peaks are matched.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tagid.errors import RegistryError
+from tagid.imaging.types import BasebandScans
+from tagid.tags.decision import DecisionSettings, Evidence, decide
+from tagid.tags.field import MatchedField
+from tagid.tags.hypotheses import Fit, SearchSettings, search
+from tagid.tags.layout import Layout
+from tagid.tags.reflectors import (
+    FinderSettings,
+    Reflector,
+    SearchDisc,
+    as_reflectors,
+    clean,
+    refine_positions,
+)
+
+
+@dataclass(frozen=True)
+class ReaderSettings:
+    """Search, finder and decision in one value."""
+
+    search: SearchSettings = field(default_factory=SearchSettings)
+    finder: FinderSettings = field(default_factory=FinderSettings)
+    decision: DecisionSettings = field(default_factory=DecisionSettings)
+
+
+@dataclass(frozen=True)
+class LayoutScore:
+    """One row of the comparison.
+
+    Attributes:
+        name: layout.
+        criterion: J = n log(E - e) + K log n relative to no reflectors; lower is better.
+        share: part of the energy above noise that it explains.
+        rotation_deg, centre_m: where it fits best.
+    """
+
+    name: str
+    criterion: float
+    share: float
+    rotation_deg: float
+    centre_m: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Reading:
+    """What the scans say.
+
+    Attributes:
+        status: "identified", "unknown", "ambiguous" or "no_tag".
+        reason: why it is not identified, in words; empty otherwise.
+        layout: name of the layout; the nearest one where ambiguous, None where unknown or no tag.
+        nearest: name of the best-fitting layout whatever the status.
+        score: 0..1, share of the energy above noise that the nearest layout explains.
+        margin: 0..1, the lead over the runner-up as a share of the explained energy.
+        rotation_deg: counter-clockwise turn of the layout, within its symmetry.
+        centre_m: where the layout's origin lies, m.
+        offset_m: range offset found, i.e. the error of the axis distance, m.
+        reflectors: those of the layout (matched) and those beyond it.
+        missing, extra: counts.
+        scores: every layout, best first.
+        evidence: the numbers behind the decision.
+    """
+
+    status: str
+    reason: str
+    layout: str | None
+    nearest: str
+    score: float
+    margin: float
+    rotation_deg: float
+    centre_m: tuple[float, float]
+    offset_m: float
+    reflectors: tuple[Reflector, ...]
+    missing: int
+    extra: int
+    scores: tuple[LayoutScore, ...]
+    evidence: Evidence
+
+
+def read_tag(
+    scans: BasebandScans, layouts: Sequence[Layout], settings: ReaderSettings | None = None
+) -> Reading:
+    """Which of the layouts turned before the radar, if any.
+
+    Args:
+        scans: preprocessed without the matched filter (the reader correlates with the response itself).
+        layouts: the enrolled ones.
+        settings: search, finder and decision.
+
+    Raises:
+        RegistryError: no layouts. DataError: the scans do not hold the object's range.
+    """
+    if not layouts:
+        raise RegistryError("no layout is enrolled", "Enrol one with tagid enroll.")
+    settings = settings or ReaderSettings()
+    reach = max(layout.radius_m for layout in layouts) + settings.search.centre_range_m * np.sqrt(2)
+    radius = max(reach, settings.finder.radius_m) + 0.02
+    matched = MatchedField(scans, radius)
+    fits = search(matched, layouts, settings.search)
+    order = np.argsort([_criterion(matched, fit) for fit in fits])
+    best = fits[order[0]]
+    disc = SearchDisc(matched, radius - 0.02, settings.finder.step_m, best.offset_m)
+    positions, amplitudes, level = clean(disc, best.positions, best.amplitudes, settings.finder)
+    runner_up = fits[order[1]] if len(fits) > 1 else None
+    evidence = _evidence(matched, best, runner_up, (amplitudes, level), settings)
+    status, reason = decide(evidence, settings.decision)
+    ranked = [fits[i] for i in order]
+    signal = _signal_energy(matched, best)
+    return Reading(
+        status=status,
+        reason=reason,
+        layout=best.layout.name if status in ("identified", "ambiguous") else None,
+        nearest=best.layout.name,
+        score=0.0 if status == "no_tag" else _certain_share(matched, best),
+        margin=float(np.clip(evidence.margin_share, 0, 1)),
+        rotation_deg=float(np.rad2deg(best.rotation_rad)),
+        centre_m=(float(best.centre_m[0]), float(best.centre_m[1])),
+        offset_m=best.offset_m,
+        reflectors=as_reflectors(positions, amplitudes, level, matched.template_energy, best.layout.size),
+        missing=evidence.missing,
+        extra=evidence.extra,
+        scores=tuple(_score(matched, fit, signal) for fit in ranked),
+        evidence=evidence,
+    )
+
+
+def _criterion(matched: MatchedField, fit: Fit) -> float:
+    """J of `LayoutScore`."""
+    n = matched.independent_samples
+    left = max(1 - fit.charged / matched.energy, 1e-9)
+    return float(n * np.log(left) + fit.layout.size * np.log(n))
+
+
+def _signal_energy(matched: MatchedField, fit: Fit) -> float:
+    """Energy above noise, at least what the fit explains above its own share of noise."""
+    noise = matched.noise_variance * matched.independent_samples
+    return float(max(matched.energy - noise, fit.explained, 1e-30))
+
+
+def _certain_share(matched: MatchedField, fit: Fit) -> float:
+    """Explained share with the signal's energy taken two standard deviations of the noise's larger."""
+    n, variance = matched.independent_samples, matched.noise_variance
+    return float(min(fit.charged / (_signal_energy(matched, fit) + 2 * np.sqrt(n) * variance), 1.0))
+
+
+def _score(matched: MatchedField, fit: Fit, signal: float) -> LayoutScore:
+    return LayoutScore(
+        fit.layout.name,
+        _criterion(matched, fit),
+        float(min(fit.charged / signal, 1.0)),
+        float(np.rad2deg(fit.rotation_rad)),
+        (float(fit.centre_m[0]), float(fit.centre_m[1])),
+    )
+
+
+def _evidence(
+    matched: MatchedField,
+    best: Fit,
+    runner_up: Fit | None,
+    cleaned: tuple[NDArray[np.complex128], float],
+    settings: ReaderSettings,
+) -> Evidence:
+    amplitudes, level = np.abs(cleaned[0]), cleaned[1]
+    size = best.layout.size
+    own, beyond = np.abs(best.amplitudes), amplitudes[size:]
+    typical = float(np.median(own)) if size > 2 else float(own.max())
+    free, _, _ = refine_positions(matched, best.positions, best.offset_m)
+    lead = best.charged - (runner_up.charged if runner_up else 0.0)
+    fewer = (best.layout.size - runner_up.layout.size) if runner_up else size
+    return Evidence(
+        size=size,
+        nats=best.explained / level,
+        share=float(min(best.charged / _signal_energy(matched, best), 1.0)),
+        weakest=float(own.min() / max(typical, 1e-30)),
+        missing=int(np.count_nonzero(own < settings.decision.missing_share * typical)),
+        extra=int(np.count_nonzero(beyond > settings.decision.extra_share * typical)),
+        displacement_m=rigid_distance(free, best.positions),
+        margin_share=lead / max(best.charged, 1e-30),
+        margin_nats=lead / level - fewer * np.log(matched.independent_samples),
+    )
+
+
+def rigid_distance(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
+    """RMS distance, m, of points (K, 2) paired in order after the best turn and shift (Kabsch 1976)."""
+    a = a - a.mean(axis=0)
+    b = b - b.mean(axis=0)
+    turn = np.angle(np.sum((a[:, 0] + 1j * a[:, 1]).conj() * (b[:, 0] + 1j * b[:, 1])))
+    turned = (a[:, 0] + 1j * a[:, 1]) * np.exp(1j * turn)
+    return float(np.sqrt(np.mean(np.abs(turned - (b[:, 0] + 1j * b[:, 1])) ** 2)))
