@@ -87,7 +87,7 @@ def design_filter(pulse: Pulse, capture: Capture, *, matched: bool, oversampling
     if is_real:
         offsets = offsets[(centre + offsets > 0) & (centre + offsets < n / 2)]
     window = _raised_cosine(np.abs(offsets) * df, bandwidth / 2, m * df / 2)
-    frequency = (centre + offsets) * df
+    frequency = np.asarray((centre + offsets) * df, dtype=np.float64)
     spectrum = pulse_spectrum(pulse, frequency) * input_rate
     transfer = (spectrum.conj() * window if matched else window + 0j) * (2.0 if is_real else 1.0)
     # The analytic pulse has twice the spectrum of the real one; real input carries half of that.
@@ -98,7 +98,7 @@ def design_filter(pulse: Pulse, capture: Capture, *, matched: bool, oversampling
         decimated_bins=m,
         indices=np.asarray((centre + offsets) % n, dtype=np.intp),
         offsets=np.asarray(offsets, dtype=np.intp),
-        transfer=transfer * scale,
+        transfer=np.asarray(transfer * scale, dtype=np.complex128),
         carrier_hz=centre * df,
         bandwidth_hz=bandwidth,
         input_rate_hz=input_rate,
