@@ -6,10 +6,7 @@ anti-aliasing of its own.
 
 from __future__ import annotations
 
-import errno
 import io
-import os
-import tempfile
 from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
@@ -18,11 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from tagid.errors import DiskFullError, StorageError
+from tagid.errors import UsageError
 from tagid.report.colours import INK, RGB, WHITE
+from tagid.storage.atomic import write_bytes
 
 OVERSAMPLING = 2
-_PNG_FRAME_LIMIT = 20_000
+_LARGEST_SIDE = 20_000
 
 Point = tuple[float, float]
 
@@ -36,8 +34,8 @@ class Canvas:
     """A sheet of width x height px; all coordinates are px of the finished picture, y downwards."""
 
     def __init__(self, width: int, height: int) -> None:
-        if not (0 < width <= _PNG_FRAME_LIMIT and 0 < height <= _PNG_FRAME_LIMIT):
-            raise StorageError(f"a picture of {width} x {height} px cannot be drawn")
+        if not (0 < width <= _LARGEST_SIDE and 0 < height <= _LARGEST_SIDE):
+            raise UsageError(f"a picture of {width} x {height} px cannot be drawn")
         self.width = width
         self.height = height
         self._image = Image.new("RGB", (width * OVERSAMPLING, height * OVERSAMPLING), WHITE)
@@ -116,27 +114,4 @@ class Canvas:
             DiskFullError: the disk is full.
             StorageError: the folder is missing or cannot be written.
         """
-        data = self.png()
-        temporary: Path | None = None
-        try:
-            handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent)
-            temporary = Path(name)
-            with os.fdopen(handle, "wb") as file:
-                file.write(data)
-                file.flush()
-                os.fsync(file.fileno())
-            umask = os.umask(0)
-            os.umask(umask)
-            temporary.chmod(0o666 & ~umask)
-            temporary.replace(path)
-        except OSError as error:
-            if temporary is not None:
-                temporary.unlink(missing_ok=True)
-            if error.errno in (errno.ENOSPC, errno.EDQUOT):
-                raise DiskFullError(
-                    f"the disk is full, {path} was not written", "Free some space and draw the picture again."
-                ) from error
-            raise StorageError(
-                f"cannot write {path}: {error.strerror or error}",
-                "Give a folder that exists and can be written.",
-            ) from error
+        write_bytes(path, self.png())

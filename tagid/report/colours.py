@@ -12,11 +12,11 @@ RGB = tuple[int, int, int]
 
 WHITE: RGB = (255, 255, 255)
 INK: RGB = (25, 25, 30)
-GREY: RGB = (120, 120, 128)
 GRID: RGB = (225, 226, 232)
 BLUE: RGB = (28, 92, 170)
 ORANGE: RGB = (214, 96, 20)
 BAND: RGB = (231, 240, 250)
+BAND_INK: RGB = (165, 195, 230)
 GAP: RGB = (205, 205, 210)
 
 # Every eighth of matplotlib's viridis (S. van der Walt and N. Smith, 2015, CC0): lightness rises evenly.

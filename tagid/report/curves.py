@@ -1,0 +1,102 @@
+"""What a recording looks like along range, along slow time and along frequency: plain arrays, not yet drawn.
+
+The drawing and the summary of a recording take the same numbers from here.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tagid.capture import Capture
+from tagid.constants import SPEED_OF_LIGHT
+
+# Views transformed at once: bounds the memory of a long recording to a few tens of MB.
+_CHUNK = 256
+
+
+def analytic(samples: NDArray[np.generic]) -> NDArray[np.complex64]:
+    """The analytic signal along the last axis, (views, bins); complex samples are taken as analytic already.
+
+    Negative frequencies are removed and positive ones doubled (Marple, IEEE Trans. Signal Processing 47,
+    1999), so that the magnitude is the envelope of real RF samples.
+    """
+    if np.iscomplexobj(samples):
+        return np.asarray(samples, dtype=np.complex64)
+    bins = samples.shape[-1]
+    weight = np.zeros(bins)
+    weight[0] = 1
+    weight[1 : (bins + 1) // 2] = 2
+    if bins % 2 == 0:
+        weight[bins // 2] = 1
+    result = np.empty(samples.shape, dtype=np.complex64)
+    for first in range(0, len(samples), _CHUNK):
+        part = np.asarray(samples[first : first + _CHUNK], dtype=np.float64)
+        result[first : first + _CHUNK] = np.fft.ifft(np.fft.fft(part, axis=-1) * weight, axis=-1)
+    return result
+
+
+def slow_time(capture: Capture) -> tuple[NDArray[np.float64], str]:
+    """(views,) slow time of every view and what it is: seconds since the first, or the view's number.
+
+    Seconds come from the radar's clock, else from the host's; a clock that runs backwards is not used.
+    """
+    for clock, scale in ((capture.radar_time_ms, 1e-3), (capture.host_time_ns, 1e-9)):
+        if clock is None or len(clock) < 2:
+            continue
+        seconds = (clock - clock[0]).astype(np.float64) * scale
+        if np.all(np.diff(seconds) >= 0) and seconds[-1] > 0:
+            return seconds, "time (s)"
+    return np.arange(capture.views, dtype=np.float64), "view"
+
+
+@dataclass(frozen=True, eq=False)
+class RecordingCurves:
+    """The curves of a recording.
+
+    Attributes:
+        range_m: (bins,) one-way range, m.
+        mean_envelope: (bins,) mean over the views of the envelope, counts.
+        max_envelope: (bins,) largest envelope of any view, counts.
+        envelope: (views, bins) float32, counts.
+        frequency_hz: (n,) frequencies from 0 to half the sampling rate, to all of it for complex samples.
+        spectrum: (n,) root mean square over the views of the spectrum's magnitude, arbitrary unit.
+    """
+
+    range_m: NDArray[np.float64]
+    mean_envelope: NDArray[np.float64]
+    max_envelope: NDArray[np.float64]
+    envelope: NDArray[np.float32]
+    frequency_hz: NDArray[np.float64]
+    spectrum: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, capture: Capture) -> RecordingCurves:
+        """The curves of a capture; the sampling rate is c / (2 range_step), as range is one way."""
+        envelope = np.abs(analytic(capture.samples)).astype(np.float32)
+        sampling_hz = SPEED_OF_LIGHT / (2 * capture.range_step_m)
+        frequency, spectrum = _spectrum(capture.samples, sampling_hz)
+        return cls(
+            range_m=capture.ranges_m,
+            mean_envelope=envelope.mean(axis=0, dtype=np.float64),
+            max_envelope=envelope.max(axis=0).astype(np.float64),
+            envelope=envelope,
+            frequency_hz=frequency,
+            spectrum=spectrum,
+        )
+
+
+def _spectrum(
+    samples: NDArray[np.generic], sampling_hz: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    bins = samples.shape[1]
+    # A Hann window keeps a strong return at the window's edge from leaking over the whole band.
+    window = np.hanning(bins + 2)[1:-1]
+    transform = np.fft.fft if np.iscomplexobj(samples) else np.fft.rfft
+    power: NDArray[np.float64] = np.zeros(bins if np.iscomplexobj(samples) else bins // 2 + 1)
+    for first in range(0, len(samples), _CHUNK):
+        part = transform(np.asarray(samples[first : first + _CHUNK]) * window, axis=1)
+        power += (np.abs(part) ** 2).sum(axis=0)
+    return np.arange(len(power)) * sampling_hz / bins, np.sqrt(power / len(samples))

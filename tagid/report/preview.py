@@ -1,0 +1,114 @@
+"""The image drawn with characters in the terminal, for a glance over ssh where no picture can be opened.
+
+Two pixels share a cell by a half block in 24-bit colour; without colour, ten characters stand for lightness.
+"""
+
+from __future__ import annotations
+
+import os
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.text import Text
+
+from tagid.errors import UsageError
+from tagid.report.colours import colourise, to_decibels
+from tagid.report.picture import checked_magnitude
+
+_RAMP = " .:-=+*#%@"
+_LARGEST_WIDTH = 400
+
+
+def colour_wanted(console: Console) -> bool:
+    """Whether a console shows coloured half blocks: it has colours, no NO_COLOR, and a UTF encoding."""
+    return console.color_system is not None and not console.no_color and console.encoding.startswith("utf")
+
+
+def preview(
+    values: NDArray[np.inexact],
+    extent_m: float,
+    width: int = 60,
+    dynamic_range_db: float = 30.0,
+    colour: bool | None = None,
+) -> Text:
+    """A reflectivity image as text, +y up, with its extents.
+
+    Args:
+        values: (y, x) complex or real, row 0 the lowest y.
+        extent_m: side of the image along x, m.
+        width: columns of the terminal to use, labels included; a cell is taken as twice as high as wide.
+        dynamic_range_db: what lies further below the brightest pixel is darkest.
+        colour: half blocks in colour, or characters; None decides by the environment (NO_COLOR, TERM).
+            Commands pass `colour_wanted(console)`.
+
+    Raises:
+        DataError: the image is empty, not two-dimensional or not finite.
+        UsageError: extent, dynamic range or width makes no sense.
+    """
+    magnitude = checked_magnitude(values, extent_m, dynamic_range_db)
+    if not 16 <= width <= _LARGEST_WIDTH:
+        raise UsageError(f"preview width is {width}", f"Give 16 to {_LARGEST_WIDTH} columns.")
+    half_x, half_y = extent_m / 2, extent_m / 2 * magnitude.shape[0] / magnitude.shape[1]
+    labels = {0: f"{half_y:+.2f} m", -1: f"{-half_y:+.2f} m"}
+    margin = max(len(label) for label in labels.values()) + 1
+    columns = width - margin
+    cells = max(1, round(columns * magnitude.shape[0] / magnitude.shape[1] / 2))
+    coloured = _environment_has_colour() if colour is None else colour
+    lines = _half_blocks if coloured else _characters
+    picture = lines(magnitude[::-1], cells, columns, dynamic_range_db)
+    text = Text(no_wrap=True, overflow="crop")
+    for row, line in enumerate(picture):
+        label = labels[0] if row == 0 else labels[-1] if row == len(picture) - 1 else ""
+        text.append(label.rjust(margin - 1) + " ").append_text(line).append("\n")
+    left, right = f"{-half_x:+.2f} m", f"{half_x:+.2f} m"
+    text.append(" " * margin + left + f"{right:>{max(1, columns - len(left))}}\n")
+    return text.append(" " * margin).append_text(_scale(dynamic_range_db, coloured))
+
+
+def resample(magnitude: NDArray[np.float64], rows: int, columns: int) -> NDArray[np.float64]:
+    """(rows, columns) of (y, x) values: each cell the largest pixel it overlaps, so no reflector is lost."""
+    for axis, size in ((0, rows), (1, columns)):
+        old = magnitude.shape[axis]
+        first = (np.arange(size) * old) // size
+        last = np.maximum(-((-(np.arange(size) + 1) * old) // size), first + 1)
+        parts = [magnitude.take(range(a, b), axis).max(axis) for a, b in zip(first, last, strict=True)]
+        magnitude = np.stack(parts, axis)
+    return magnitude
+
+
+def _half_blocks(magnitude: NDArray[np.float64], cells: int, columns: int, depth_db: float) -> list[Text]:
+    decibels = to_decibels(resample(magnitude, 2 * cells, columns), depth_db)
+    colours = colourise(decibels, depth_db)
+    lines = []
+    for cell in range(cells):
+        line = Text()
+        for upper, lower in zip(colours[2 * cell], colours[2 * cell + 1], strict=True):
+            line.append("▀", f"{_rgb(upper)} on {_rgb(lower)}")
+        lines.append(line)
+    return lines
+
+
+def _characters(magnitude: NDArray[np.float64], cells: int, columns: int, depth_db: float) -> list[Text]:
+    decibels = to_decibels(resample(magnitude, cells, columns), depth_db)
+    level = np.rint((decibels / depth_db + 1) * (len(_RAMP) - 1)).astype(int)
+    return [Text("".join(_RAMP[i] for i in row)) for row in level]
+
+
+def _scale(depth_db: float, coloured: bool) -> Text:
+    steps = np.linspace(-depth_db, 0, len(_RAMP))
+    bar = Text(f"{-depth_db:.0f} dB ")
+    if coloured:
+        for rgb in colourise(steps, depth_db):
+            bar.append("  ", f"on {_rgb(rgb)}")
+    else:
+        bar.append(_RAMP)
+    return bar.append(" 0 dB")
+
+
+def _rgb(colour: NDArray[np.uint8]) -> str:
+    return f"#{colour[0]:02x}{colour[1]:02x}{colour[2]:02x}"
+
+
+def _environment_has_colour() -> bool:
+    return not os.environ.get("NO_COLOR") and os.environ.get("TERM", "dumb") not in ("dumb", "unknown", "")
