@@ -186,7 +186,7 @@ class Registry:
 
     @contextlib.contextmanager
     def _connection(self) -> Iterator[sqlite3.Connection]:
-        """A connection whose faults are RegistryErrors; sqlite opens lazily, so they come with the first use."""
+        """A connection whose faults are RegistryErrors; sqlite opens lazily, they come with the first use."""
         try:
             with contextlib.closing(
                 sqlite3.connect(self.path, timeout=BUSY_SECONDS, isolation_level=None)
@@ -197,7 +197,7 @@ class Registry:
                 raise DiskFullError(f"no space left to change {self.path}", "Free some space.") from error
             raise RegistryError(
                 f"cannot use the registry {self.path}: {error}",
-                "Restore it from a backup, remove it to begin with the built-in layouts, or give another path.",
+                "Restore a backup, remove the file to begin with the built-in layouts, or give another path.",
             ) from error
 
     @contextlib.contextmanager

@@ -18,7 +18,7 @@ CONFUSABLE_M = 12e-3
 2.405 / 2k = 14.5 mm at 3.95 GHz, less wobble and fit."""
 CENTRE_TOLERANCE_M = 14e-3
 """The reader looks for an object's centre within +- this, so a shift of this size tells no layouts apart."""
-_ROTATION_STEP_RAD = np.deg2rad(1.0)
+_ROTATION_STEP_RAD = np.deg2rad(4.0)
 
 
 @dataclass(frozen=True)
@@ -57,47 +57,66 @@ def rotational_distance(
     0.0
     """
     small, large = (a, b) if a.size <= b.size else (b, a)
-    rms, worst, rotation = _best_pairing(small.positions, large.positions, centre_tolerance_m)
-    turn = float(np.rad2deg(rotation if small is a else -rotation) % 360)
+    pair = best_pairing(small.positions, large.positions, centre_tolerance_m)
+    turn = float(np.rad2deg(pair.rotation_rad if small is a else -pair.rotation_rad) % 360)
     if a.size == b.size:
-        return LayoutDistance(rms, worst, turn)
-    return LayoutDistance(np.inf, np.inf, turn, worst)
+        return LayoutDistance(pair.rms_m, pair.worst_m, turn)
+    return LayoutDistance(np.inf, np.inf, turn, pair.worst_m)
 
 
-def _best_pairing(
-    small: NDArray[np.float64], large: NDArray[np.float64], tolerance_m: float
-) -> tuple[float, float, float]:
-    """(rms, worst, rotation) of the turn, shift and pairing with the smallest RMS distance."""
+@dataclass(frozen=True, eq=False)
+class Pairing:
+    """How one set of points is brought nearest to another.
+
+    Attributes:
+        rms_m, worst_m: distances left, m.
+        rotation_rad, shift_m: R(rotation) p + shift lies near its partner.
+        partner: (K,) index of each point's partner in the other set.
+    """
+
+    rms_m: float
+    worst_m: float
+    rotation_rad: float
+    shift_m: NDArray[np.float64]
+    partner: NDArray[np.intp]
+
+
+def best_pairing(
+    small: NDArray[np.float64], large: NDArray[np.float64], tolerance_m: float = np.inf
+) -> Pairing:
+    """Turn, shift up to the tolerance and pairing that bring points (K, 2) nearest to (L, 2), L >= K.
+
+    Every start of a grid of turns is brought to its own minimum by pairing and turning alternately.
+    """
     from scipy.optimize import linear_sum_assignment
 
-    best = (np.inf, np.inf, 0.0)
+    best: Pairing | None = None
     for rotation in np.arange(0, 2 * np.pi, _ROTATION_STEP_RAD):
         shift = np.zeros(2)
         angle = float(rotation)
-        for _ in range(3):
+        for _ in range(4):
             turned = small @ rotation_matrix(angle).T
             gap = np.linalg.norm(turned[:, None] + shift - large[None], axis=2)
-            columns = linear_sum_assignment(gap**2)[1]
+            columns = np.asarray(linear_sum_assignment(gap**2)[1])
             partner = large[columns]
-            if len(small) == len(large):
-                angle = _best_angle(small, partner, shift)
-                turned = small @ rotation_matrix(angle).T
+            angle = _best_angle(small, partner, tolerance_m)
+            turned = small @ rotation_matrix(angle).T
             shift = (partner - turned).mean(axis=0)
-            length = float(np.linalg.norm(shift))
-            shift *= min(1.0, tolerance_m / max(length, 1e-12))
+            shift *= min(1.0, tolerance_m / max(float(np.linalg.norm(shift)), 1e-12))
         error = np.linalg.norm(turned + shift - partner, axis=1)
         rms = float(np.sqrt(np.mean(error**2)))
-        if rms < best[0]:
-            best = (rms, float(error.max()), angle)
+        if best is None or rms < best.rms_m:
+            best = Pairing(rms, float(error.max()), angle, shift, columns)
+    assert best is not None
     return best
 
 
-def _best_angle(
-    points: NDArray[np.float64], partner: NDArray[np.float64], shift: NDArray[np.float64]
-) -> float:
-    """Turn about the origin that brings points nearest to partner - shift (Kabsch 1976)."""
+def _best_angle(points: NDArray[np.float64], partner: NDArray[np.float64], tolerance_m: float) -> float:
+    """Turn that brings points nearest to their partners, about the origin or (any shift) their means."""
+    if np.isinf(tolerance_m):
+        points, partner = points - points.mean(axis=0), partner - partner.mean(axis=0)
     p = points[:, 0] + 1j * points[:, 1]
-    q = (partner - shift)[:, 0] + 1j * (partner - shift)[:, 1]
+    q = partner[:, 0] + 1j * partner[:, 1]
     return float(np.angle(np.sum(p.conj() * q)))
 
 
