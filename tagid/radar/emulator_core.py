@@ -1,13 +1,13 @@
 """A P440 as a state machine: bytes in, bytes out, time handed in; no sockets, no clock of its own.
 
-The UDP emulator, the replay and the tests drive this one core, so that what they show of the radar is the same.
+The UDP emulator, the replay and the tests all drive this one core, so that they show the same radar.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -77,7 +77,7 @@ class _State:
     boots_until_s: float | None = None
     run: _Run | None = None
     clipped: int = 0
-    extra: dict[str, int] = field(default_factory=dict)
+    ended: bool = False
 
 
 class EmulatorCore:
@@ -106,6 +106,7 @@ class EmulatorCore:
         self._state = _State(start, start)
         self._identity = identity or Identity()
         self._now = booted_s
+        self._booted_at = 0.0
         self._handlers: dict[MessageType, Callable[[Message], bytes]] = {
             _T.SET_CONFIG_REQUEST: self._set_config,
             _T.GET_CONFIG_REQUEST: self._get_config,
@@ -145,7 +146,7 @@ class EmulatorCore:
     @property
     def ended(self) -> bool:
         """Whether a recording has come to its end: the run stopped for want of scans."""
-        return bool(self._state.extra.get("ended")) and self._state.run is None
+        return self._state.ended and self._state.run is None
 
     @property
     def clipped_samples(self) -> int:
@@ -192,7 +193,7 @@ class EmulatorCore:
         self._now = max(self._now, due)
         if self._state.boots_until_s is not None:
             self._state.boots_until_s = None
-            self._now = 0.0
+            self._booted_at = self._now
             return [encode(_T.READY_INFO, 0)]
         return self._next_scan()
 
@@ -203,7 +204,7 @@ class EmulatorCore:
         index = run.index
         if self._fixed and not self._fixed.has(index):
             state.run = None
-            state.extra["ended"] = 1
+            state.ended = True
             return []
         run.index += 1
         if run.index == run.count and run.count != SCAN_FOREVER:
@@ -215,12 +216,12 @@ class EmulatorCore:
             raise ValueError(f"source gave shape {samples.shape}, expected ({config.samples},)")
         limit = config.clip_counts
         state.clipped += int(np.count_nonzero(np.abs(samples) > limit))
-        stamp = self._fixed.timestamp_ms(index) if self._fixed else math.floor(self._now * 1e3)
+        stamp = self._fixed.timestamp_ms(index) & 0xFFFFFFFF if self._fixed else self._timestamp()
         return scan_packets(
             np.clip(samples, -limit, limit).astype(np.int32),
             config,
             (run.first_id + index) & 0xFFFF,
-            stamp & 0xFFFFFFFF,
+            stamp,
         )
 
     def _set_config(self, message: Message) -> bytes:
@@ -245,7 +246,7 @@ class EmulatorCore:
             return _confirm(_T.CONTROL_CONFIRM, message)
         period = max(self._state.config.scan_period_s, message["interval_us"] * 1e-6)
         self._state.run = _Run(message.id, count, period, self._now)
-        self._state.extra.pop("ended", None)
+        self._state.ended = False
         return _confirm(_T.CONTROL_CONFIRM, message)
 
     def _set_filter(self, message: Message) -> bytes:
@@ -271,7 +272,7 @@ class EmulatorCore:
         )
 
     def _reboot(self, message: Message) -> bytes:
-        flash = replace(self._state.flash)
+        flash = self._state.flash
         self._state = _State(flash, flash, boots_until_s=self._now + self._identity.boot_s)
         return encode(_T.REBOOT_CONFIRM, message.id)
 
@@ -297,7 +298,7 @@ class EmulatorCore:
         return _confirm(_T.SET_BAUD_CONFIRM, message, status)
 
     def _timestamp(self) -> int:
-        return math.floor(self._now * 1e3) & 0xFFFFFFFF
+        return math.floor((self._now - self._booted_at) * 1e3) & 0xFFFFFFFF
 
     def _refuse(self, message: Message, status: Status) -> bytes:
         if message.type is _T.GET_CONFIG_REQUEST:

@@ -1,4 +1,7 @@
-"""Where an emulated radar gets its samples: a scene that is computed, or a recording replayed sample for sample."""
+"""Where an emulated radar gets its samples: a computed scene, or a recording replayed sample for sample.
+
+The emulator knows only these protocols, so that the radar part needs neither simulation nor storage.
+"""
 
 from __future__ import annotations
 
@@ -46,8 +49,8 @@ class RecordingSource:
 
     Args:
         samples: (views, bins) int32, counts.
-        config: settings of the recording; GET_CONFIG answers these whatever is set, so that a client that reads
-            back its settings learns the recording's window.
+        config: settings of the recording; GET_CONFIG answers these whatever is set, so that a client that
+            reads back its settings learns the recording's window.
         timestamps_ms: (views,) radar clock; None counts scan periods from zero.
         loop: start over at the end, for ever.
 
@@ -63,7 +66,7 @@ class RecordingSource:
     ) -> None:
         if samples.ndim != 2 or not len(samples) or samples.shape[1] != config.samples:
             raise DataError(
-                f"a recording of shape {samples.shape} does not fit a radar window of {config.samples} samples",
+                f"a recording of shape {samples.shape} does not fit a window of {config.samples} samples",
                 "Replay a P440 recording with its own settings.",
             )
         if not np.issubdtype(samples.dtype, np.integer):

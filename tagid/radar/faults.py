@@ -1,0 +1,100 @@
+"""A network that loses, repeats, reorders and delays packets, the same way every time from a seed.
+
+Only what the radar sends passes through it; requests may be lost, but are never held back, because a stop
+request that arrives after the next start would show a fault of the network and not of the client.
+"""
+
+from __future__ import annotations
+
+import heapq
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from tagid.errors import UsageError
+
+
+@dataclass(frozen=True)
+class Faults:
+    """Probabilities, per packet.
+
+    Attributes:
+        lose: a packet of the radar vanishes.
+        lose_requests: a packet to the radar vanishes.
+        duplicate: a packet arrives twice.
+        reorder: a packet is held back behind the next one to three.
+        delay: a packet arrives `delay_s` late.
+        delay_s: how late, s of the emulated clock.
+        seed: of the random numbers.
+    """
+
+    lose: float = 0.0
+    lose_requests: float = 0.0
+    duplicate: float = 0.0
+    reorder: float = 0.0
+    delay: float = 0.0
+    delay_s: float = 0.02
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if field.name in ("delay_s", "seed"):
+                if value < 0:
+                    raise UsageError(f"fault setting {field.name} is {value}", "Give zero or more.")
+            elif not 0 <= value <= 1:
+                raise UsageError(f"fault probability {field.name} is {value}", "Give a number from 0 to 1.")
+
+
+class FaultyPath:
+    """The way from the radar to the client."""
+
+    def __init__(self, faults: Faults | None = None) -> None:
+        self._faults = faults or Faults()
+        self._random = np.random.default_rng(self._faults.seed)
+        self._sent = 0
+        # (not before this count of packets, not before this time, order, packet)
+        self._held: list[tuple[int, float, int, bytes]] = []
+        self.lost = 0
+
+    def request_arrives(self) -> bool:
+        """Whether the next packet to the radar arrives."""
+        return not self._random.random() < self._faults.lose_requests
+
+    def pass_on(self, packets: list[bytes], now_s: float) -> list[bytes]:
+        """What arrives now, of the packets sent now and of those held back before."""
+        out: list[bytes] = []
+        f = self._faults
+        for packet in packets:
+            lose, twice, swap, late = self._random.random(4)
+            self._sent += 1
+            if lose < f.lose:
+                self.lost += 1
+                continue
+            if swap < f.reorder or late < f.delay:
+                behind = int(self._random.integers(1, 4)) if swap < f.reorder else 0
+                until = now_s + f.delay_s if late < f.delay else now_s
+                heapq.heappush(self._held, (self._sent + behind, until, self._sent, packet))
+            else:
+                out.append(packet)
+            if twice < f.duplicate:
+                out.append(packet)
+            out += self._released(now_s)
+        return out + self._released(now_s)
+
+    def flush(self) -> list[bytes]:
+        """Everything still held back, for when nothing follows that it could be held behind."""
+        out = [packet for *_, packet in sorted(self._held)]
+        self._held.clear()
+        return out
+
+    @property
+    def next_due_s(self) -> float | None:
+        """When the next delayed packet is due; None where nothing is held back."""
+        return min((until for _, until, _, _ in self._held), default=None)
+
+    def _released(self, now_s: float) -> list[bytes]:
+        ready = [held for held in self._held if held[0] <= self._sent and held[1] <= now_s]
+        if ready:
+            self._held = [held for held in self._held if held not in ready]
+        return [packet for *_, packet in sorted(ready)]
