@@ -8,7 +8,6 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Iterator
-from dataclasses import dataclass
 from types import TracebackType
 from typing import Any, Final, Self
 
@@ -28,6 +27,7 @@ from tagid.radar.messages import (
     status_text,
 )
 from tagid.radar.settings import RadarConfig
+from tagid.radar.status import RadarStatus
 
 _T = MessageType
 _QUIET_S: Final = 0.05
@@ -35,30 +35,6 @@ _NO_ANSWER: Final = (
     "Check power, cable and the address (kit units: 192.168.1.100 to 103, this computer 192.168.1.1/24), and "
     "that no firewall drops the answers from UDP port 21210; `tagid doctor` tries each."
 )
-
-
-@dataclass(frozen=True)
-class RadarStatus:
-    """What the radar says of itself (GET_STATUSINFO).
-
-    Attributes:
-        mrm_version, kernel_version: "major.minor.build".
-        fpga_version: version and date.
-        serial: serial number.
-        board_revision: letter of the board.
-        built_in_test: 0 where the radar found itself healthy.
-        temperature_c: board temperature, degrees Celsius.
-        package: hardware package, empty on old firmware.
-    """
-
-    mrm_version: str
-    kernel_version: str
-    fpga_version: str
-    serial: int
-    board_revision: str
-    built_in_test: int
-    temperature_c: float
-    package: str
 
 
 class P440:
@@ -134,18 +110,7 @@ class P440:
         """Versions, serial number, temperature, self test."""
         m = self._request(_T.GET_STATUSINFO_REQUEST)
         _accept(m, "status")
-        # The date is binary-coded decimal: 0x16 is the year 16.
-        date = f"20{m['fpga_year']:02x}-{m['fpga_month']:02x}-{m['fpga_day']:02x}"
-        return RadarStatus(
-            mrm_version=f"{m['mrm_major']}.{m['mrm_minor']}.{m['mrm_build']}",
-            kernel_version=f"{m['kernel_major']}.{m['kernel_minor']}.{m['kernel_build']}",
-            fpga_version=f"{m['fpga_version']} ({date})",
-            serial=m["serial"],
-            board_revision=chr(m["board_revision"]) if 32 < m["board_revision"] < 127 else "",
-            built_in_test=m["bit_result"],
-            temperature_c=m["temperature_quarter_c"] / 4,
-            package=bytes(m["package"]).split(b"\0")[0].decode("ascii", "replace"),
-        )
+        return RadarStatus.from_message(m)
 
     def get_config(self) -> RadarConfig:
         """The settings in force. Raises DeviceRejectedError where they are none that tagid can read."""

@@ -1,0 +1,47 @@
+"""What a radar says of itself, decoded from GET_STATUSINFO into units that a person reads."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from tagid.radar.messages import Message
+
+
+@dataclass(frozen=True)
+class RadarStatus:
+    """Answer to GET_STATUSINFO (P440 MRM API).
+
+    Attributes:
+        mrm_version, kernel_version: "major.minor.build".
+        fpga_version: version and date.
+        serial: serial number.
+        board_revision: letter of the board.
+        built_in_test: 0 where the radar found itself healthy.
+        temperature_c: board temperature, degrees Celsius.
+        package: hardware package, empty on old firmware.
+    """
+
+    mrm_version: str
+    kernel_version: str
+    fpga_version: str
+    serial: int
+    board_revision: str
+    built_in_test: int
+    temperature_c: float
+    package: str
+
+    @classmethod
+    def from_message(cls, m: Message) -> RadarStatus:
+        """From a GET_STATUSINFO_CONFIRM of either size."""
+        # The date is binary-coded decimal: 0x16 is the year 16. The temperature counts quarters of a degree.
+        date = f"20{m['fpga_year']:02x}-{m['fpga_month']:02x}-{m['fpga_day']:02x}"
+        return cls(
+            mrm_version=f"{m['mrm_major']}.{m['mrm_minor']}.{m['mrm_build']}",
+            kernel_version=f"{m['kernel_major']}.{m['kernel_minor']}.{m['kernel_build']}",
+            fpga_version=f"{m['fpga_version']} ({date})",
+            serial=m["serial"],
+            board_revision=chr(m["board_revision"]) if 32 < m["board_revision"] < 127 else "",
+            built_in_test=m["bit_result"],
+            temperature_c=m["temperature_quarter_c"] / 4,
+            package=bytes(m["package"]).split(b"\0")[0].decode("ascii", "replace"),
+        )
