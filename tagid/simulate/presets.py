@@ -1,0 +1,116 @@
+"""Scenes by name, for the command line, the emulator and the tests.
+
+Each is drawn from a seed, so that "helmet-120?seed=1" means the same reflectors, shell and room everywhere.
+"""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tagid.errors import UsageError
+from tagid.simulate.scattering import Box, Cylinder, Points
+from tagid.simulate.scene import Scene, StaticReturns
+
+CAN_RADIUS_M = 0.033
+"""A 330 ml drink can is 66 mm wide."""
+BOX_SIDE_M = 0.2
+MAX_POINTS = 64
+_PLAIN = ("can", "box", "empty", "untagged")
+
+
+def room_clutter(rng: np.random.Generator, returns: int = 8) -> StaticReturns:
+    """Antenna leakage at 0.1..0.2 m and echoes of the room from 0.5 to 8 m, of either sign."""
+    leakage = rng.uniform(0.1, 0.2)
+    ranges = np.concatenate(
+        [[leakage], rng.uniform(0.5, 2.0, returns // 2), rng.uniform(2.0, 8.0, returns // 2)]
+    )
+    sizes = np.concatenate([[4.0], rng.uniform(0.2, 1.5, len(ranges) - 1)])
+    return StaticReturns(ranges, sizes * rng.choice([-1.0, 1.0], len(ranges)))
+
+
+def tag_points(positions: NDArray[np.floating], rng: np.random.Generator) -> Points:
+    """A tag's reflectors: amplitudes within 10 % of one another, facing away from the axis.
+
+    A reflector less than 1 cm from the axis has no outer side and is alike to every side.
+    """
+    p = np.asarray(positions, dtype=np.float64)
+    facing = np.where(np.linalg.norm(p, axis=1) < 0.01, np.nan, np.arctan2(p[:, 1], p[:, 0]))
+    return Points(p, rng.uniform(0.9, 1.0, len(p)), facing, np.deg2rad(180.0), 0.4)
+
+
+def scene_from_layout(positions: NDArray[np.floating], name: str = "tag", seed: int = 0) -> Scene:
+    """A tagged object with its shell and its room.
+
+    Args:
+        positions: (n, 2) reflectors in the object's plane, m.
+        name: of the scene.
+        seed: of amplitudes and room.
+    """
+    rng = np.random.default_rng(seed)
+    points = tag_points(positions, rng)
+    # The wall that carries the reflectors, a little inside them: 20 mm octahedra stand proud of it.
+    radius = max(0.02, float(np.linalg.norm(points.positions[:, :2], axis=1).max()) - 0.02)
+    shell = Cylinder(radius, amplitude=0.5)
+    return Scene(name, (points,), (shell,), room_clutter(rng), description={"layout": name, "seed": seed})
+
+
+def random_points(count: int, rng: np.random.Generator, radius_m: float = 0.2) -> Points:
+    """Points of amplitude 0.6..1 in a disc, at least 4 cm apart where there is room for that."""
+    chosen: list[NDArray[np.float64]] = []
+    spacing = 0.04
+    while len(chosen) < count:
+        angle, r = rng.uniform(0, 2 * np.pi), radius_m * np.sqrt(rng.uniform())
+        point = np.array([r * np.cos(angle), r * np.sin(angle)])
+        if all(np.linalg.norm(point - other) >= spacing for other in chosen):
+            chosen.append(point)
+        else:
+            spacing *= 0.995  # so that a full disc ends the search
+    return Points(np.array(chosen), rng.uniform(0.6, 1.0, count))
+
+
+def preset_names() -> list[str]:
+    """Every name that `scene_from_name` takes; "points-N" stands for any number."""
+    from tagid.tags.layout import builtin_layouts
+
+    return [*sorted(builtin_layouts()), *_PLAIN, "points-N"]
+
+
+def scene_from_name(name: str, seed: int = 0) -> Scene:
+    """A named scene: a built-in layout on its object, or points-N, can, box, empty, untagged.
+
+    Args:
+        name: see `preset_names`.
+        seed: of everything random in it.
+
+    Raises:
+        UsageError: the name is none of them.
+    """
+    rng = np.random.default_rng(seed)
+    about = {"seed": seed}
+    if match := re.fullmatch(r"points-(\d{1,3})", name):
+        count = int(match[1])
+        if not 1 <= count <= MAX_POINTS:
+            raise UsageError(f"scene {name!r} asks for {count} points", f"Use 1 to {MAX_POINTS} points.")
+        return Scene(name, (random_points(count, rng),), description=about)
+    if name == "can":
+        can = Cylinder(CAN_RADIUS_M, 1.0, (0.05, 0.0), 0.12)
+        return Scene(name, (can,), (), room_clutter(rng), description=about)
+    if name == "box":
+        box = Box(BOX_SIDE_M, BOX_SIDE_M, rotation_rad=float(rng.uniform(0, 2 * np.pi)))
+        return Scene(name, (box,), (), room_clutter(rng), description=about)
+    if name == "empty":
+        return Scene(name, (), (), room_clutter(rng), reference_amplitude=1.0, description=about)
+    if name == "untagged":
+        # A handle and a scratch: far weaker than a reflector, but they turn with the object.
+        weak = Points(random_points(2, rng, 0.1).positions, rng.uniform(0.03, 0.1, 2))
+        shell = Cylinder(0.09, amplitude=0.5)
+        return Scene(name, (weak,), (shell,), room_clutter(rng), reference_amplitude=1.0, description=about)
+    from tagid.tags.layout import builtin_layouts
+
+    layouts = builtin_layouts()
+    if name in layouts:
+        return scene_from_layout(layouts[name].positions, name, seed)
+    raise UsageError(f"scene {name[:80]!r} is unknown", f"Use one of {', '.join(preset_names())}.")

@@ -1,0 +1,121 @@
+"""A turning scene as the radar emulator asks for it: one scan at a time, at the time of the scan.
+
+It renders with the capture simulator's own functions, so that a scan over the wire and a simulated capture of
+the same moment hold the same echo.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tagid.constants import CLIP_COUNTS_PER_INTEGRATION, SPEED_OF_LIGHT
+from tagid.errors import UsageError
+from tagid.simulate.acquisition import Acquisition, Placement, RangeWindow, Turn
+from tagid.simulate.render import PulseTable, antennas, render_bodies, render_room
+from tagid.simulate.scene import Scene
+
+NOISE_COUNTS = 120.0
+"""Noise std of one sample at integration index 11, counts (recordings: 90 to 160)."""
+NOISE_INDEX = 11
+
+
+class ScanConfig(Protocol):
+    """What a source needs of the radar's configuration."""
+
+    @property
+    def samples(self) -> int:
+        """Samples a scan."""
+        ...
+
+    @property
+    def scan_start_ps(self) -> int:
+        """Delay of the first sample, ps."""
+        ...
+
+    @property
+    def base_integration_index(self) -> int:
+        """Integration index: 2^index pulses a sample."""
+        ...
+
+
+class TurningScene:
+    """A scene on a turntable that turns evenly (but for its wobble) from time zero on.
+
+    Echoes grow with the number of pulses integrated, 2^index, and noise with its square root; samples
+    saturate at 127 * 2^index (P440 MRM API; measured on recordings).
+
+    Args:
+        scene: what turns.
+        rpm: turns a minute; 0 stands still.
+        seed: of the wobble and of the noise; scan `index` has the same noise whenever it is asked for.
+        acquisition: axis distance, height, pulse, placement, wobble, beam, range law, direction. Its window,
+            period, turns and recording are not used: the radar's configuration and rpm say those. Its snr_db
+            (20 where it says nothing) is what a unit reflector at the axis has at integration index 11.
+        cable_delay_s: two-way delay that the radar sees on top of the way through the air, s.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        rpm: float = 2.0,
+        seed: int = 0,
+        acquisition: Acquisition | None = None,
+        cable_delay_s: float = 0.0,
+    ) -> None:
+        if not (np.isfinite(rpm) and 0 <= rpm <= 1000):
+            raise UsageError(f"the emulated table turns at {rpm} rpm", "Give 0 to 1000 turns a minute.")
+        acq = Acquisition() if acquisition is None else acquisition
+        self.scene, self.rpm, self.seed, self.cable_delay_s = scene, rpm, seed, cable_delay_s
+        self._acquisition = acq
+        self._table = PulseTable.of(acq.pulse)
+        self._turn = Turn.random(acq.wobble, acq.direction, np.random.default_rng(seed))
+        self._snr = 10 ** ((20.0 if acq.snr_db is None else acq.snr_db) / 20)
+        self._room: tuple[RangeWindow, NDArray[np.complex128]] | None = None
+
+    def angle(self, time_s: float) -> float:
+        """True object angle at a time since the start, rad."""
+        return float(self._turn.angles(np.array([time_s * self.rpm / 60]))[0])
+
+    def window(self, config: ScanConfig) -> RangeWindow:
+        """The range bins of a configuration, cable delay taken off."""
+        start_s = config.scan_start_ps * 1e-12 - self.cable_delay_s
+        return RangeWindow(start_s * SPEED_OF_LIGHT / 2, config.samples)
+
+    def counts_per_unit(self, config: ScanConfig) -> float:
+        """Counts of a unit reflector at the axis."""
+        return float(NOISE_COUNTS * self._snr * 2.0 ** (config.base_integration_index - NOISE_INDEX))
+
+    def clean(self, time_s: float, config: ScanConfig) -> NDArray[np.float64]:
+        """(samples,) noise-free scan, counts, neither rounded nor clipped."""
+        window = self.window(config)
+        acq = replace(self._acquisition, window=window, views=1, turns=1.0)
+        if self._room is None or self._room[0] != window:
+            self._room = window, render_room(self.scene, window, self._table)
+        turns = np.array([time_s * self.rpm / 60])
+        distance = acq.axis_distance_m + self._turn.radial(turns)
+        antenna = antennas(self._turn.angles(turns), distance, acq.antenna_height_m)
+        out = self._room[1][None].copy()
+        render_bodies(self.scene.object, acq.placement, antenna, acq, self._table, out)
+        render_bodies(self.scene.turntable, Placement(), antenna, acq, self._table, out)
+        return np.asarray(out[0].real * self.counts_per_unit(config), dtype=np.float64)
+
+    def scan(self, index: int, time_s: float, config: ScanConfig) -> NDArray[np.int32]:
+        """One scan as the radar would send it.
+
+        Args:
+            index: number of the scan, which picks its noise.
+            time_s: since the table began to turn, s.
+            config: the radar's configuration.
+
+        Returns:
+            (config.samples,) int32, counts.
+        """
+        rng = np.random.default_rng([self.seed & 0xFFFFFFFF, index & 0xFFFFFFFF])
+        noise = NOISE_COUNTS * 2.0 ** ((config.base_integration_index - NOISE_INDEX) / 2)
+        counts = self.clean(time_s, config) + noise * rng.standard_normal(config.samples)
+        clip = CLIP_COUNTS_PER_INTEGRATION * 2**config.base_integration_index
+        return np.asarray(np.clip(np.rint(counts), -clip, clip), dtype=np.int32)
