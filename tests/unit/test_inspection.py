@@ -1,0 +1,167 @@
+"""The summary of a recording against scans whose noise, clipping, losses and timing are known."""
+
+from __future__ import annotations
+
+import importlib
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tagid.capture import Capture
+from tagid.constants import RANGE_STEP_M, SAMPLE_STEP_S
+from tagid.inspection import inspect, noise_power_of
+from tagid.report.curves import analytic
+
+BINS = 576
+
+
+def burst(at: float, frequency_hz: float = 4e9, width_bins: float = 10.0) -> np.ndarray:
+    """(BINS,) Gaussian burst of unit envelope at a bin."""
+    n = np.arange(BINS) - at
+    return np.exp(-((n / width_bins) ** 2)) * np.cos(2 * np.pi * frequency_hz * SAMPLE_STEP_S * n)
+
+
+def capture_of(samples: np.ndarray, **more: object) -> Capture:
+    return Capture(samples=samples, range_start_m=2.0, range_step_m=RANGE_STEP_M, **more)  # type: ignore[arg-type]
+
+
+def resting(views: int = 60, amplitude: float = 1000.0, sigma: float = 20.0, seed: int = 1) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    return (amplitude * burst(300) + rng.normal(0, sigma, (views, BINS))).astype(np.float32)
+
+
+@pytest.mark.parametrize(("amplitude", "sigma"), [(1000.0, 20.0), (50.0, 25.0)])
+def test_noise_and_snr_follow_their_definition(amplitude: float, sigma: float) -> None:
+    summary = inspect(capture_of(resting(200, amplitude, sigma)))
+    assert summary.noise == pytest.approx(sigma, rel=0.04)
+    assert summary.snr_db == pytest.approx(10 * np.log10(amplitude**2 / (2 * sigma**2)), abs=1.0)
+
+
+def test_analytic_samples_give_the_same_snr_as_their_real_part() -> None:
+    samples = resting(100)
+    real, analytic_ = inspect(capture_of(samples)), inspect(capture_of(analytic(samples)))
+    assert analytic_.snr_db == pytest.approx(real.snr_db, abs=1e-3)
+    assert analytic_.noise == pytest.approx(np.sqrt(2) * real.noise, rel=1e-3)
+
+
+def test_a_turning_object_does_not_pass_for_noise() -> None:
+    samples = resting(200)
+    for view in range(200):
+        samples[view] += 800 * burst(200 + 10 * np.sin(2 * np.pi * view / 100))
+    assert inspect(capture_of(samples)).noise == pytest.approx(20.0, rel=0.06)
+
+
+@pytest.mark.parametrize("views", [2, 3])
+def test_noise_of_very_few_views_is_roughly_right(views: int) -> None:
+    power = noise_power_of(analytic(resting(views)))
+    assert power is not None
+    assert np.sqrt(power / 2) == pytest.approx(20.0, rel=0.3)
+
+
+def test_clipping_by_the_integration_index() -> None:
+    samples = np.zeros((10, 96), np.int32)
+    samples[0, :5], samples[1, :3] = 127 * 2**11, -127 * 2**11
+    samples[2, :] = 127 * 2**11 - 1
+    known = capture_of(samples, radar={"base_integration_index": 11})
+    assert inspect(known).clipped_fraction == 8 / 960
+    assert inspect(replace(known, samples=samples.astype(np.float32))).clipped_fraction == 8 / 960
+
+
+@pytest.mark.parametrize("index", [None, "11", 400, -3, True])
+def test_clipping_without_a_usable_index(index: object) -> None:
+    samples = np.arange(960, dtype=np.int32).reshape(10, 96)
+    radar = {"base_integration_index": index}
+    assert inspect(capture_of(samples, radar=radar)).clipped_fraction == 0
+    flat = np.minimum(samples, 949)  # 949..959 became 949
+    assert inspect(capture_of(flat, radar=radar)).clipped_fraction == 11 / 960
+    assert inspect(capture_of(flat.astype(np.float32), radar=radar)).clipped_fraction is None
+    assert inspect(capture_of(flat.astype(np.complex64))).clipped_fraction is None
+
+
+def test_lost_scans_and_rate() -> None:
+    keep = np.array([0, 1, 2, 5, 6, 9])
+    capture = capture_of(resting(6), scan_id=keep + 70000, radar_time_ms=np.round(21.573 * keep))
+    summary = inspect(capture)
+    assert summary.lost_scans == 4
+    assert summary.scan_rate_hz == pytest.approx(1 / 0.021573, rel=0.01)
+    assert summary.duration_s == pytest.approx(9 * 0.021573, abs=1e-3)
+    unnumbered = replace(capture, scan_id=None, radar={"scans_lost": 3})
+    assert inspect(unnumbered).lost_scans == 3
+    assert inspect(replace(unnumbered, radar={})).lost_scans is None
+    no_clock = inspect(replace(capture, radar_time_ms=None))
+    assert (no_clock.scan_rate_hz, no_clock.duration_s) == (None, None)
+
+
+def test_the_strongest_return_is_tracked_to_a_fraction_of_a_bin() -> None:
+    rng = np.random.default_rng(2)
+    shift = rng.uniform(-1.0, 1.0, 50)
+    samples = np.stack([1000 * burst(300 + s) for s in shift]) + rng.normal(0, 20, (50, BINS))
+    found = inspect(capture_of(samples.astype(np.float32))).strongest
+    assert found is not None
+    assert abs(found.bin - 300) <= 1
+    error = found.bins - found.bins.mean() - (shift - shift.mean())
+    assert np.abs(error).max() < 0.35
+
+
+def test_two_equal_returns_at_rest_do_not_make_the_bin_jump() -> None:
+    rng = np.random.default_rng(5)
+    samples = 500 * (burst(150) + burst(420)) + rng.normal(0, 60, (80, BINS))
+    maxima = np.abs(analytic(samples)).argmax(axis=1)
+    assert np.ptp(maxima) > 200  # what a plain maximum does
+    found = inspect(capture_of(samples.astype(np.float32))).strongest
+    assert found is not None
+    assert found.spread_bins < 2
+    assert found.coherence > 0.8
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 50), (2, 1), (3, 2)])
+@pytest.mark.parametrize("dtype", [np.int32, np.float32, np.complex64])
+def test_degenerate_recordings_have_a_summary(shape: tuple[int, int], dtype: type) -> None:
+    zero, ones = (inspect(capture_of(np.full(shape, fill, dtype))) for fill in (0, 1))
+    assert zero.strongest is None
+    assert zero.snr_db is None
+    assert ones.strongest is not None
+    assert ones.period_s is None
+    assert ones.period_note
+
+
+def recording(name: str) -> Capture:
+    """A real recording, read by the importer; skips where either is absent."""
+    shared = os.environ.get("TAGID_SHARED") or Path(__file__).resolve().parents[2].parent / "shared"
+    path = Path(shared) / "data" / "p440" / name
+    if not path.exists():
+        pytest.skip(f"the real recording {name} is not beside the checkout")
+    try:
+        importers = importlib.import_module("tagid.storage.importers")
+    except ModuleNotFoundError:
+        pytest.skip("the importers are not there yet")
+    capture = importers.read_any(path)
+    assert isinstance(capture, Capture)
+    return capture
+
+
+def test_the_real_corner_reflector_stands_still() -> None:
+    summary = inspect(recording("corner-reflector-scan08.out"))
+    assert (summary.views, summary.bins, summary.lost_scans) == (200, 1152, 0)
+    assert summary.strongest is not None
+    assert 665 <= summary.strongest.bin <= 770
+    assert summary.strongest.spread_bins <= 2
+    assert summary.clipped_fraction == 0
+    assert summary.noise is not None
+    assert 90 <= summary.noise <= 160  # what this radar's noise was measured to be at index 11
+    assert summary.snr_db is not None
+    assert 25 < summary.snr_db < 40
+    assert summary.scan_rate_hz == pytest.approx(1 / 0.021573, rel=2e-3)
+    assert summary.period_s is None
+    assert summary.period_note
+
+
+def test_the_real_light_pole_has_a_summary() -> None:
+    summary = inspect(recording("light-pole-scan04.out"))
+    assert (summary.views, summary.bins, summary.lost_scans) == (200, 1152, 0)
+    assert summary.strongest is not None
+    assert summary.strongest.coherence < 0.5  # the radar moved
+    assert summary.clipped_fraction == 0
