@@ -1,0 +1,71 @@
+"""The `tagid` program: its commands, and the last line of defence for wrong command lines.
+
+It imports no numerics, so that `tagid --help` answers at once.
+"""
+
+from __future__ import annotations
+
+import sys
+from typing import Annotated
+
+import typer
+
+from tagid import __version__
+from tagid.cli import (
+    config,
+    doctor,
+    emulate,
+    enroll,
+    identify,
+    layouts,
+    reconstruct,
+    scan,
+    show,
+    simulate,
+    transfer,
+)
+from tagid.errors import EXIT_INTERRUPTED, EXIT_USAGE, UsageError
+from tagid.result import Result, render
+
+app = typer.Typer(
+    name="tagid",
+    help="Read the identity of a tagged object from radar scans of it turning.",
+    epilog="Try it without a radar: tagid scan --demo",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+for part in (scan, identify, enroll, layouts, reconstruct, show, transfer, simulate, emulate, doctor, config):
+    part.register(app)
+
+
+def _print_version(value: bool) -> None:
+    if value:
+        typer.echo(f"tagid {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _root(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    pass
+
+
+def main() -> None:
+    """Entry point: run the command line, with every wrong command line answered in the wanted format."""
+    try:
+        code = app(standalone_mode=False)
+    except typer.TyperException as error:
+        as_json = any(word == "json" or word == "--output=json" for word in sys.argv[1:])
+        words = [word for word in sys.argv[1:] if not word.startswith("-")]
+        usage = UsageError(error.format_message(), "`tagid --help` and `tagid COMMAND --help` show what fits.")
+        if not usage.message:
+            sys.exit(EXIT_USAGE)
+        render(Result.from_error(words[0] if words else "tagid", usage), "json" if as_json else "human")
+        sys.exit(EXIT_USAGE)
+    except (KeyboardInterrupt, typer.Abort):
+        sys.exit(EXIT_INTERRUPTED)
+    sys.exit(code if isinstance(code, int) else 0)

@@ -1,0 +1,130 @@
+"""What all commands share: common options, one place for errors, one place for output.
+
+A command's own file then holds its options and one call into the library, nothing else.
+"""
+
+from __future__ import annotations
+
+import functools
+import inspect
+import logging
+import typing
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Annotated, Any
+
+import typer
+
+from tagid.errors import EXIT_FAILED, EXIT_INTERRUPTED, CaptureInterrupted, TagidError
+from tagid.result import Result, render
+
+
+class Output(StrEnum):
+    """How a result is written."""
+
+    human = "human"
+    json = "json"
+
+
+@dataclass(frozen=True)
+class Terminal:
+    """How this run talks to its user."""
+
+    output: Output = Output.human
+    quiet: bool = False
+    verbose: int = 0
+
+    @contextmanager
+    def progress(self, what: str, total: float | None = None) -> Iterator[Callable[[float, str], None]]:
+        """A progress line on stderr; call the yielded function with (done, remark)."""
+        if self.quiet:
+            yield lambda done, remark: None
+            return
+        from rich.console import Console
+        from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+        columns = (
+            TextColumn("{task.description}"),
+            BarColumn(bar_width=24),
+            TextColumn("{task.fields[remark]}"),
+            TimeElapsedColumn(),
+        )
+        with Progress(*columns, console=Console(stderr=True), transient=False) as bars:
+            task = bars.add_task(f"{what:<12}", total=total, remark="")
+
+            def advance(done: float, remark: str) -> None:
+                bars.update(task, completed=done, remark=remark)
+
+            yield advance
+            if total is not None:
+                bars.update(task, completed=total)
+
+
+_COMMON = {
+    "output": Annotated[Output, typer.Option("--output", help="Text for people or one JSON document.")],
+    "quiet": Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no remarks.")],
+    "verbose": Annotated[int, typer.Option("--verbose", "-v", count=True, help="Say more; twice: debug.")],
+}
+_DEFAULTS: dict[str, Any] = {"output": Output.human, "quiet": False, "verbose": 0}
+
+
+def command(app: typer.Typer, name: str) -> Callable[[Callable[..., Result]], Callable[..., Result]]:
+    """Register a function `(terminal, ...) -> Result` as a command with the common options added."""
+
+    def decorate(function: Callable[..., Result]) -> Callable[..., Result]:
+        hints = typing.get_type_hints(function, include_extras=True)
+        own = [
+            parameter.replace(annotation=hints[parameter.name])
+            for parameter in inspect.signature(function).parameters.values()
+            if parameter.name != "terminal"
+        ]
+        common = [
+            inspect.Parameter(key, inspect.Parameter.KEYWORD_ONLY, default=_DEFAULTS[key], annotation=kind)
+            for key, kind in _COMMON.items()
+        ]
+
+        @functools.wraps(function)
+        def run(**options: Any) -> None:
+            terminal = Terminal(options.pop("output"), options.pop("quiet"), options.pop("verbose"))
+            result = execute(name, terminal, lambda: function(terminal, **options))
+            raise typer.Exit(result.exit_code)
+
+        run.__signature__ = inspect.Signature(own + common)  # type: ignore[attr-defined]
+        run.__annotations__ = {parameter.name: parameter.annotation for parameter in own + common}
+        app.command(name.rpartition(" ")[2])(run)
+        return function
+
+    return decorate
+
+
+def execute(name: str, terminal: Terminal, work: Callable[[], Result]) -> Result:
+    """Do the work, turn whatever happens into a Result, write it, and return it."""
+    _set_up_logging(terminal)
+    try:
+        result = work()
+    except TagidError as error:
+        result = Result.from_error(name, error)
+    except KeyboardInterrupt:
+        result = Result.from_error(name, CaptureInterrupted("stopped by the user"))
+    except BrokenPipeError:
+        return Result(name, status="error", exit_code=EXIT_FAILED)
+    except (MemoryError, OSError, ArithmeticError, LookupError, TypeError, ValueError, RuntimeError) as error:
+        logging.getLogger("tagid").debug("unexpected error", exc_info=True)
+        result = Result.from_error(
+            name,
+            TagidError(
+                f"unexpected {type(error).__name__}: {error}",
+                "This is a fault in tagid: run again with -vv and report what it prints.",
+            ),
+        )
+    if result.exit_code == EXIT_INTERRUPTED:
+        logging.getLogger("tagid").info("interrupted")
+    render(result, terminal.output.value, terminal.quiet)
+    return result
+
+
+def _set_up_logging(terminal: Terminal) -> None:
+    level = (logging.WARNING, logging.INFO, logging.DEBUG)[min(terminal.verbose, 2)]
+    logging.basicConfig(level=level, format="%(levelname)s %(name)s: %(message)s", force=True)

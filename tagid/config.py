@@ -1,0 +1,193 @@
+"""Settings that outlive a command, each remembering where its value came from.
+
+Command line beats environment beats file beats default, so that a value that surprises can always be traced.
+"""
+
+from __future__ import annotations
+
+import os
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from tagid.errors import ConfigError, StorageError
+
+Source = Literal["command line", "environment", "file", "default"]
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One setting's definition: dotted name, type, default, bounds and a line of help."""
+
+    name: str
+    kind: type[str] | type[float] | type[int]
+    default: str | float | int | None
+    help: str
+    low: float | None = None
+    high: float | None = None
+    choices: tuple[str, ...] = ()
+
+    @property
+    def variable(self) -> str:
+        """Environment variable that sets it."""
+        return "TAGID_" + self.name.upper().replace(".", "_")
+
+
+SETTINGS: tuple[Setting, ...] = (
+    Setting("radar.url", str, None, "the radar, e.g. udp://192.168.1.100"),
+    Setting("radar.range_m", float, None, "first range of the window, m (default: around the axis)", 0, 100),
+    Setting("radar.integration", int, 11, "pulse integration index, 6 to 15 (2^n pulses a sample)", 6, 15),
+    Setting("radar.gain", int, 63, "transmit gain, 0 to 63", 0, 63),
+    Setting("radar.antenna_mode", int, 2, "0 A/A, 1 B/B, 2 TxA-RxB, 3 TxB-RxA", 0, 3),
+    Setting("radar.cable_delay_ps", float, 0.0, "cable and antenna delay, two-way, ps", -1e6, 1e6),
+    Setting("radar.timeout_s", float, 2.0, "longest silence before the radar counts as gone, s", 0.05, 60),
+    Setting("motion.url", str, "free", "what turns the object, e.g. free?rpm=2"),
+    Setting("motion.axis_distance_m", float, None, "radar to rotation axis, m", 0.05, 100),
+    Setting("motion.antenna_height_m", float, 0.0, "antenna above the object's plane, m", -10, 10),
+    Setting(
+        "imaging.method", str, "auto", "bp, sparse, ats, auto", choices=("auto", "bp", "sparse", "ats")
+    ),
+    Setting("imaging.extent_m", float, 0.5, "side of the image, m", 0.05, 5),
+    Setting("imaging.pixels", int, 128, "pixels a side", 16, 1024),
+    Setting("storage.folder", str, None, "where captures are written (default: current folder)"),
+)
+"""Every setting there is."""
+
+_BY_NAME = {setting.name: setting for setting in SETTINGS}
+
+
+@dataclass(frozen=True)
+class Value:
+    """A setting's value and where it came from."""
+
+    value: Any
+    source: Source
+
+
+@dataclass(frozen=True)
+class Config:
+    """All settings resolved."""
+
+    values: Mapping[str, Value]
+    path: Path
+
+    def __getitem__(self, name: str) -> Any:
+        return self.values[name].value
+
+
+def config_path() -> Path:
+    """The configuration file: TAGID_CONFIG, or the user's configuration folder."""
+    if os.environ.get("TAGID_CONFIG"):
+        return Path(os.environ["TAGID_CONFIG"])
+    import platformdirs
+
+    return Path(platformdirs.user_config_dir("tagid")) / "config.toml"
+
+
+def data_folder() -> Path:
+    """Where the registry lives: TAGID_DATA, or the user's data folder."""
+    if os.environ.get("TAGID_DATA"):
+        return Path(os.environ["TAGID_DATA"])
+    import platformdirs
+
+    return Path(platformdirs.user_data_dir("tagid"))
+
+
+def parse_value(name: str, raw: Any, where: str) -> Any:
+    """Check and convert one value. Raises ConfigError naming the setting, the place and the bounds."""
+    setting = _BY_NAME.get(name)
+    if setting is None:
+        raise ConfigError(f"{where}: there is no setting {name!r}", "`tagid config` lists all settings.")
+    try:
+        value: Any = setting.kind(raw)
+        if setting.kind is int and float(raw) != value:
+            raise ValueError
+    except (TypeError, ValueError):
+        kind = {int: "a whole number", float: "a number", str: "text"}[setting.kind]
+        raise ConfigError(f"{where}: {name} is {raw!r}, expected {kind}", setting.help) from None
+    if setting.low is not None and setting.high is not None and not setting.low <= value <= setting.high:
+        raise ConfigError(
+            f"{where}: {name} is {value}, expected {setting.low:g} to {setting.high:g}", setting.help
+        )
+    if setting.choices and value not in setting.choices:
+        raise ConfigError(f"{where}: {name} is {value!r}, expected one of {', '.join(setting.choices)}")
+    return value
+
+
+def read_file(path: Path) -> dict[str, Any]:
+    """Settings of the file by dotted name; empty where there is no file. Raises ConfigError, StorageError."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        return {}
+    except UnicodeDecodeError:
+        raise ConfigError(f"{path} is not text in UTF-8", "Repair or delete it.") from None
+    except OSError as error:
+        raise StorageError(f"cannot read {path}: {error.strerror}", "Check the file's permissions.") from None
+    try:
+        tables = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"{path} is not valid TOML: {error}", "Repair or delete it.") from None
+    found: dict[str, Any] = {}
+    for section, table in tables.items():
+        if not isinstance(table, dict):
+            raise ConfigError(
+                f"{path}: {section!r} stands outside a section", "`tagid config` lists all settings."
+            )
+        for key, raw in table.items():
+            found[f"{section}.{key}"] = parse_value(f"{section}.{key}", raw, str(path))
+    return found
+
+
+def load_config(overrides: Mapping[str, Any] | None = None) -> Config:
+    """Resolve every setting; `overrides` are the command line's, None meaning not given."""
+    path = config_path()
+    from_file = read_file(path)
+    values: dict[str, Value] = {}
+    for setting in SETTINGS:
+        given = (overrides or {}).get(setting.name)
+        if given is not None:
+            values[setting.name] = Value(parse_value(setting.name, given, "command line"), "command line")
+        elif os.environ.get(setting.variable):
+            raw = os.environ[setting.variable]
+            values[setting.name] = Value(parse_value(setting.name, raw, setting.variable), "environment")
+        elif setting.name in from_file:
+            values[setting.name] = Value(from_file[setting.name], "file")
+        else:
+            values[setting.name] = Value(setting.default, "default")
+    return Config(values, path)
+
+
+def change_file(name: str, raw: Any | None) -> Path:
+    """Set one setting in the file, or take it out where `raw` is None; returns the file's path."""
+    path = config_path()
+    found = read_file(path)
+    if name not in _BY_NAME:
+        parse_value(name, raw, "command line")
+    if raw is None:
+        found.pop(name, None)
+    else:
+        found[name] = parse_value(name, raw, "command line")
+    _write_file(path, found)
+    return path
+
+
+def _write_file(path: Path, found: Mapping[str, Any]) -> None:
+    import tomli_w
+
+    tables: dict[str, dict[str, Any]] = {}
+    for name, value in sorted(found.items()):
+        section, key = name.split(".", 1)
+        tables.setdefault(section, {})[key] = value
+    temporary = path.with_suffix(".new")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        temporary.write_text(tomli_w.dumps(tables), encoding="utf-8")
+        temporary.replace(path)
+    except OSError as error:
+        temporary.unlink(missing_ok=True)
+        raise StorageError(
+            f"cannot write {path}: {error.strerror}", "Check the folder's permissions and free space."
+        ) from None

@@ -1,0 +1,100 @@
+"""What every command returns, and the only place that turns it into text.
+
+Scripts read the JSON envelope, people read the drawn result; both come from one value and cannot disagree.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Literal
+
+from tagid.errors import EXIT_OK, TagidError
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+
+RESULT_VERSION = 1
+"""Version of the JSON envelope; it changes only when a field changes its meaning or goes."""
+
+Status = Literal["success", "partial", "error"]
+
+
+@dataclass(frozen=True)
+class Result:
+    """Outcome of one command.
+
+    Attributes:
+        command: name of the command, e.g. "scan".
+        data: plain JSON values, the machine's half.
+        human: anything rich can draw, the person's half; nothing is drawn where it is None.
+        status: "success", "partial" (some of it failed) or "error".
+        exit_code: exit code of the process.
+        messages: remarks that are not errors, one sentence each.
+        errors: [{code, message, remedy}].
+    """
+
+    command: str
+    data: dict[str, Any] = field(default_factory=dict)
+    human: RenderableType | None = None
+    status: Status = "success"
+    exit_code: int = EXIT_OK
+    messages: tuple[str, ...] = ()
+    errors: tuple[dict[str, str], ...] = ()
+
+    @classmethod
+    def from_error(cls, command: str, error: TagidError) -> Result:
+        """The envelope of a command that ended with an error."""
+        entry = {"code": error.code, "message": error.message, "remedy": error.remedy}
+        return cls(command, status="error", exit_code=error.exit_code, errors=(entry,))
+
+    def envelope(self) -> dict[str, Any]:
+        """The JSON document of the contract, as plain values."""
+        return {
+            "tagid_result_version": RESULT_VERSION,
+            "command": self.command,
+            "status": self.status,
+            "exit_code": self.exit_code,
+            "data": _plain(self.data),
+            "messages": list(self.messages),
+            "errors": [dict(entry) for entry in self.errors],
+        }
+
+
+def _plain(value: Any) -> Any:
+    """JSON has no NaN and knows no numpy: numbers that are not finite become null, arrays lists."""
+    if isinstance(value, dict):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if hasattr(value, "tolist"):
+        return _plain(value.tolist())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    if value is None or isinstance(value, (str, int, float, bool)):
+        return value
+    return str(value)
+
+
+def render(result: Result, output: str, quiet: bool = False) -> None:
+    """Write a result: one JSON document on stdout, or text on stdout with errors and remarks on stderr."""
+    if output == "json":
+        json.dump(result.envelope(), sys.stdout, indent=2, allow_nan=False)
+        sys.stdout.write("\n")
+        sys.stdout.flush()
+        return
+    from rich.console import Console
+    from rich.text import Text
+
+    err = Console(stderr=True, highlight=False)
+    if result.human is not None:
+        Console(highlight=False).print(result.human)
+    if not quiet:
+        for message in result.messages:
+            err.print(Text(f"note: {message}", style="yellow"))
+    for entry in result.errors:
+        err.print(Text.assemble(("error: ", "bold red"), entry["message"]), soft_wrap=True)
+        if entry["remedy"]:
+            err.print(Text.assemble(("what to do: ", "bold"), entry["remedy"]), soft_wrap=True)
