@@ -1,0 +1,136 @@
+"""Regrouping under everything that UDP and hostile senders do."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tagid.radar.assembler import Scan, ScanAssembler
+from tagid.radar.emulator_core import EmulatorCore, scan_packets
+from tagid.radar.messages import MAX_SAMPLES_PER_SCAN, MalformedMessage, MessageType, decode, encode
+from tagid.radar.settings import RadarConfig
+
+CONFIG = RadarConfig(scan_start_ps=10_000, scan_stop_ps=60_000)
+
+
+def samples_of(index: int) -> np.ndarray:
+    return np.arange(CONFIG.samples, dtype=np.int32) - 7 * index
+
+
+def packets_of(count: int, first_id: int, first_ms: int = 1000) -> list[list[bytes]]:
+    return [
+        scan_packets(samples_of(i), CONFIG, (first_id + i) & 0xFFFF, (first_ms + 16 * i) & 0xFFFFFFFF)
+        for i in range(count)
+    ]
+
+
+def feed(assembler: ScanAssembler, packets: list[bytes]) -> list[Scan]:
+    out = [scan for packet in packets for scan in assembler.add(decode(packet))]
+    return out + assembler.flush()
+
+
+@given(st.data())
+@settings(max_examples=80, deadline=None)
+def test_loss_repeats_and_shuffling_cost_only_the_scans_they_hit(data: st.DataObject) -> None:
+    """Any small displacement, loss or repeat: exactly the untouched scans come out, in order, once."""
+    count = data.draw(st.integers(1, 30))
+    first_id = data.draw(st.sampled_from([0, 5, 65_530, 65_535]))
+    first_ms = data.draw(st.sampled_from([0, 2**32 - 40]))
+    scans = packets_of(count, first_id, first_ms)
+    flat = [(i, k) for i, fragments in enumerate(scans) for k in range(len(fragments))]
+    lost = data.draw(st.sets(st.sampled_from(flat), max_size=6))
+    repeated = data.draw(st.lists(st.sampled_from(flat), max_size=6))
+    # Each packet is displaced by less than three scans: within what the assembler must stand.
+    per_scan = len(scans[0])
+    arrivals = [
+        (position + data.draw(st.floats(0, 3 * per_scan)), item)
+        for position, item in enumerate(flat)
+        if item not in lost
+    ]
+    arrivals += [(flat.index(item) + 0.5, item) for item in repeated if item not in lost]
+    order = [scans[i][k] for _, (i, k) in sorted(arrivals)]
+    assembler = ScanAssembler(first_id, clock_ns=lambda: 1)
+    got = feed(assembler, order)
+    assembler.give_up_until(first_id + count)
+    whole = [i for i in range(count) if not any(i == a for a, _ in lost)]
+    assert [scan.scan_id - first_id for scan in got] == whole
+    for scan in got:
+        np.testing.assert_array_equal(scan.samples, samples_of(scan.scan_id - first_id))
+    if got:
+        steps = np.diff([scan.radar_time_ms for scan in got])
+        assert (steps == 16 * np.diff(whole)).all()
+    s = assembler.statistics
+    assert (s.complete_scans, s.lost_scans) == (len(whole), count - len(whole))
+    assert s.duplicate + s.late == len([item for item in repeated if item not in lost])
+
+
+def test_ids_and_clock_are_unwrapped() -> None:
+    got = feed(ScanAssembler(65_534), [p for s in packets_of(4, 65_534, 2**32 - 20) for p in s])
+    assert [s.scan_id for s in got] == [65_534, 65_535, 65_536, 65_537]
+    assert [s.radar_time_ms for s in got] == [2**32 - 20 + 16 * i for i in range(4)]
+
+
+def test_a_lost_scan_holds_the_others_back_only_for_the_window() -> None:
+    assembler = ScanAssembler(0)
+    scans = packets_of(12, 0)
+    out = [
+        len(feed_one) for s in scans[1:] for feed_one in [[x for p in s for x in assembler.add(decode(p))]]
+    ]
+    assert out == [0] * 7 + [8, 1, 1, 1]
+    assert assembler.statistics.lost_scans == 1
+
+
+def test_same_id_of_another_time_is_another_scan() -> None:
+    """A fragment of an old run with the same id must not be mixed into a scan."""
+    old = scan_packets(samples_of(99), CONFIG, 3, 500)
+    new = scan_packets(samples_of(0), CONFIG, 3, 9000)
+    (scan,) = feed(ScanAssembler(3), [old[0], new[1], new[2], new[0]])
+    np.testing.assert_array_equal(scan.samples, samples_of(0))
+
+
+FRAGMENT = {
+    "timestamp_ms": st.integers(0, 2**32 - 1),
+    "message_samples": st.integers(0, 65_535),
+    "total_samples": st.integers(0, 2**32 - 1) | st.integers(0, 9000),
+    "message_index": st.integers(0, 65_535) | st.integers(0, 30),
+    "message_count": st.integers(0, 65_535) | st.integers(0, 30),
+}
+
+
+@given(st.lists(st.tuples(st.integers(0, 65_535), st.fixed_dictionaries(FRAGMENT)), max_size=60))
+@settings(max_examples=60, deadline=None)
+def test_fragments_that_lie_cannot_crash_or_grow_it(lies: list[tuple[int, dict[str, int]]]) -> None:
+    assembler = ScanAssembler(0)
+    for message_id, fields in lies:
+        for scan in assembler.add(decode(encode(MessageType.SCAN_INFO, message_id, **fields))):
+            assert len(scan.samples) <= MAX_SAMPLES_PER_SCAN
+    assert len(assembler._pending) <= 32
+    assert len(assembler._ready) <= 8
+
+
+class Ramp:
+    def scan(self, index: int, time_s: float, config: RadarConfig) -> np.ndarray:
+        return np.full(config.samples, index, np.int32)
+
+
+@given(
+    st.lists(
+        st.binary(max_size=64)
+        | st.tuples(st.sampled_from(list(MessageType)), st.binary(max_size=64)).map(
+            lambda t: int(t[0]).to_bytes(2, "big") + t[1]
+        ),
+        max_size=20,
+    )
+)
+@settings(max_examples=150, deadline=None)
+def test_random_bytes_crash_neither_decoder_nor_emulator(packets: list[bytes]) -> None:
+    core = EmulatorCore(Ramp())
+    for packet in packets:
+        try:
+            decode(packet)
+        except MalformedMessage:
+            answers = core.handle(packet)
+            assert len(answers) == 0 or decode(answers[0]).type is MessageType.INVALID_MESSAGE_CONFIRM
+        for answer in core.handle(packet) + core.step():
+            decode(answer)
