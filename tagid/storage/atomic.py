@@ -48,19 +48,24 @@ def read_bytes(path: Path, limit: int = MAX_FILE_BYTES) -> bytes:
         StorageError: missing, not readable, or not a regular file (a folder, a device, a pipe).
         FileFormatError: larger than `limit` bytes.
     """
+    data = read_head(path, limit + 1)
+    if len(data) > limit:
+        raise FileFormatError(
+            f"{path}: has more than the limit of {limit} bytes", "Record or export in parts."
+        )
+    return data
+
+
+def read_head(path: Path, count: int) -> bytes:
+    """The first `count` bytes of a regular file, or all that it has. Raises StorageError."""
     try:
         status = path.stat()
         if stat.S_ISDIR(status.st_mode):
             raise IsADirectoryError(errno.EISDIR, "is a folder")
         if not stat.S_ISREG(status.st_mode):
             raise StorageError(f"{path}: is not a regular file", "Give the path of a file.")
-        if status.st_size > limit:
-            raise FileFormatError(
-                f"{path}: has {status.st_size} bytes, more than the limit of {limit}",
-                "Record or export in parts.",
-            )
         with path.open("rb") as stream:
-            return stream.read(limit)
+            return stream.read(min(count, status.st_size + 1))
     except OSError as error:
         raise storage_error(error, path, "reading") from error
 

@@ -1,0 +1,244 @@
+"""The capture file: one recording with all that is known of it, in HDF5.
+
+It is the format that every command writes and that other programs can open without `tagid`.
+
+Layout, version 1. Root attributes: format ("tagid.capture"), format_version, uuid, created_utc,
+tool_version, complete, radar, motion, object (JSON), range_start_m, range_step_m, axis_distance_m (absent:
+unknown), antenna_height_m, center_frequency_hz, bandwidth_hz, pulse_step_s (with /pulse). Datasets under
+/scans, a row a view: samples (views, bins) int32 or float32, samples_imag (for complex samples, whose real
+part is in samples), host_time_ns and scan_id int64, radar_time_ms, angle_rad, angle_sigma_rad float64,
+flags uint8, antenna_positions_m (views, 3) float64; what is not known is absent. /pulse (n,) float64, its
+middle sample is time zero. Every dataset is checksummed (Fletcher-32), shuffled and deflated.
+"""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from tagid.capture import Capture, Pulse
+from tagid.errors import DataError, FileFormatError, UsageError
+from tagid.storage import atomic
+from tagid.storage.assembly import (
+    MAX_JSON_BYTES,
+    build_capture,
+    decode_settings,
+    encode_settings,
+    number,
+    text,
+)
+from tagid.storage.migrations import FORMAT_VERSION, RawCapture, check_version, migrate
+
+FORMAT = "tagid.capture"
+SUFFIX = ".tagid.h5"
+"""Usual ending of a capture file's name."""
+MAGIC = b"\x89HDF\r\n\x1a\n"
+
+_VIEW_ARRAYS = {
+    "host_time_ns": ("host_time_ns", "int64"),
+    "radar_time_ms": ("radar_time_ms", "float64"),
+    "angle_rad": ("angles_rad", "float64"),
+    "angle_sigma_rad": ("angle_sigma_rad", "float64"),
+    "scan_id": ("scan_id", "int64"),
+    "flags": ("flags", "uint8"),
+    "antenna_positions_m": ("antenna_positions_m", "float64"),
+}
+"""Dataset under /scans -> (field of Capture, dtype)."""
+_NUMBERS = ("range_start_m", "range_step_m", "antenna_height_m", "center_frequency_hz", "bandwidth_hz")
+_TEXTS = ("uuid", "created_utc", "tool_version")
+_DICTS = ("radar", "motion", "object")
+_MAX_EXPANSION = 2000
+"""Deflate reaches 1032:1 at most; a dataset that claims more than this was made to fill the memory."""
+
+
+def write_capture(path: Path, capture: Capture) -> None:
+    """Write a capture file; its final name holds the whole file or what it held before.
+
+    Raises:
+        DiskFullError, StorageError: see `tagid.storage.atomic.write_bytes`.
+        UsageError: more than 2 GiB of samples.
+    """
+    if capture.samples.nbytes > atomic.MAX_FILE_BYTES:
+        raise UsageError(f"{path}: the capture has {capture.samples.nbytes} bytes", "Write it in parts.")
+    # Built in memory, as HDF5 cannot be closed cleanly once a write has failed on a full disk.
+    buffer = io.BytesIO()
+    with h5py.File(buffer, "w", libver=("v110", "v110")) as file:
+        _fill(file, capture)
+    atomic.write_bytes(path, buffer.getbuffer())
+
+
+def read_capture(path: Path) -> Capture:
+    """Read a capture file of this or an older version.
+
+    What the file claims to hold is checked against its size before memory is taken; links to other files are
+    refused.
+
+    Raises:
+        StorageError: the file cannot be read.
+        FileFormatError: not a capture file, damaged, or made by a newer version.
+    """
+    data = atomic.read_bytes(path)
+    if data[: len(MAGIC)] != MAGIC:
+        raise FileFormatError(f"{path}: is not an HDF5 file", f"A capture file ends in {SUFFIX}.")
+    try:
+        with h5py.File(io.BytesIO(data), "r") as file:
+            version = _version(file, path)
+            raw = RawCapture(_read_attributes(file, path), _read_arrays(file, path))
+    # h5py raises any of these on damaged files, depending on where the damage is.
+    except (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError, MemoryError) as error:
+        raise FileFormatError(
+            f"{path}: the HDF5 file is damaged or cut off ({str(error)[:120]})",
+            "If a journal of the recording is left, use `tagid recover`.",
+        ) from error
+    return _to_capture(path, migrate(raw, version, path))
+
+
+def _fill(file: Any, capture: Capture) -> None:
+    file.attrs["format"] = FORMAT
+    file.attrs["format_version"] = FORMAT_VERSION
+    file.attrs["complete"] = bool(capture.complete)
+    for name in _TEXTS:
+        file.attrs[name] = getattr(capture, name)
+    for name in _DICTS:
+        file.attrs[name] = encode_settings(getattr(capture, name))
+    for name in _NUMBERS:
+        file.attrs[name] = float(getattr(capture, name))
+    if capture.axis_distance_m is not None:
+        file.attrs["axis_distance_m"] = float(capture.axis_distance_m)
+    scans = file.create_group("scans")
+    if np.iscomplexobj(capture.samples):
+        _put(scans, "samples", capture.samples.real)
+        _put(scans, "samples_imag", capture.samples.imag)
+    else:
+        _put(scans, "samples", capture.samples)
+    for name, (field, dtype) in _VIEW_ARRAYS.items():
+        value = getattr(capture, field)
+        if value is not None:
+            _put(scans, name, np.asarray(value, dtype=dtype))
+    if capture.pulse is not None:
+        _put(file, "pulse", np.asarray(capture.pulse.samples, dtype=np.float64))
+        file.attrs["pulse_step_s"] = float(capture.pulse.step)
+
+
+def _put(group: Any, name: str, values: NDArray[Any]) -> None:
+    little = np.ascontiguousarray(values, dtype=values.dtype.newbyteorder("<"))
+    group.create_dataset(
+        name, data=little, chunks=True, compression="gzip", compression_opts=4, shuffle=True, fletcher32=True
+    )
+
+
+def _version(file: Any, path: Path) -> int:
+    if "format" not in file.attrs or text(file.attrs["format"], f"{path} (format)") != FORMAT:
+        raise FileFormatError(
+            f"{path}: is an HDF5 file, but not a tagid capture (format is not {FORMAT!r})",
+            "Import other data as NPZ: see `tagid import --help`.",
+        )
+    version = number(file.attrs["format_version"], f"{path} (format_version)")
+    if version != int(version):
+        raise FileFormatError(f"{path}: format_version is {version}, expected a whole number")
+    check_version(int(version), path)
+    return int(version)
+
+
+def _read_attributes(file: Any, path: Path) -> dict[str, Any]:
+    attributes: dict[str, Any] = {}
+    for name in file.attrs:
+        identifier = file.attrs.get_id(name)
+        if identifier.shape != () or identifier.get_storage_size() > MAX_JSON_BYTES:
+            raise FileFormatError(f"{path}: the attribute {name[:40]!r} is not a single value")
+        attributes[name] = file.attrs[name]
+    return attributes
+
+
+def _read_arrays(file: Any, path: Path) -> dict[str, NDArray[Any]]:
+    """All numeric datasets of the root and of /scans, by path; links that leave the file are refused."""
+    arrays: dict[str, NDArray[Any]] = {}
+    budget = atomic.MAX_FILE_BYTES * 2
+    for prefix in ("", "scans/"):
+        group = file[prefix] if prefix else file
+        if not isinstance(group, h5py.Group):
+            raise FileFormatError(f"{path}: {prefix!r} is not a group")
+        if len(group) > 100:
+            raise FileFormatError(f"{path}: /{prefix} holds {len(group)} members, more than 100")
+        for name in group:
+            if not isinstance(group.get(name, getlink=True), h5py.HardLink):
+                raise FileFormatError(f"{path}: /{prefix}{name} is a link, which is not followed")
+            if prefix == "" and name == "scans":
+                continue
+            dataset = group[name]
+            if not isinstance(dataset, h5py.Dataset):
+                continue
+            _check_dataset(dataset, path)
+            budget -= dataset.nbytes
+            if budget < 0:
+                raise FileFormatError(f"{path}: the datasets together claim more than the memory allowed")
+            arrays[prefix + name] = dataset[()]
+    return arrays
+
+
+def _check_dataset(dataset: Any, path: Path) -> None:
+    where = f"{path}: {dataset.name}"
+    if dataset.dtype.kind not in "iuf":
+        raise FileFormatError(f"{where} has dtype {dataset.dtype}, expected numbers")
+    if dataset.is_virtual or dataset.external:
+        raise FileFormatError(f"{where} points to other files, which are not followed")
+    if dataset.shape is None or not 1 <= dataset.ndim <= 2:
+        raise FileFormatError(f"{where} has shape {dataset.shape}, expected one or two axes")
+    stored = dataset.id.get_storage_size()
+    if dataset.nbytes > atomic.MAX_FILE_BYTES or dataset.nbytes > _MAX_EXPANSION * max(stored, 1):
+        raise FileFormatError(
+            f"{where} claims shape {dataset.shape} ({dataset.nbytes} bytes), but {stored} bytes are stored",
+            "The file is damaged or was made to fill the memory.",
+        )
+
+
+def _to_capture(path: Path, raw: RawCapture) -> Capture:
+    attributes, arrays = raw.attributes, raw.arrays
+    needed = {"complete", *_TEXTS, *_DICTS, *_NUMBERS}
+    missing = sorted(needed - set(attributes)) + (["/scans/samples"] if "scans/samples" not in arrays else [])
+    if missing:
+        raise FileFormatError(f"{path}: lacks {', '.join(missing)}", "The file is damaged or cut off.")
+    fields: dict[str, Any] = {name: number(attributes[name], f"{path} ({name})") for name in _NUMBERS}
+    fields |= {name: text(attributes[name], f"{path} ({name})") for name in _TEXTS}
+    for name in _DICTS:
+        if not isinstance(attributes[name], str | bytes):
+            raise FileFormatError(f"{path}: {name} is not a JSON text")
+        fields[name] = decode_settings(attributes[name], f"{path} ({name})")
+    if "axis_distance_m" in attributes:
+        fields["axis_distance_m"] = number(attributes["axis_distance_m"], f"{path} (axis_distance_m)")
+    if not isinstance(attributes["complete"], bool | np.bool_):
+        raise FileFormatError(f"{path}: complete is not true or false")
+    for name, (field, dtype) in _VIEW_ARRAYS.items():
+        if f"scans/{name}" in arrays:
+            fields[field] = _native(arrays[f"scans/{name}"], f"{path}: /scans/{name}", (dtype,))
+    if "pulse" in arrays:
+        step = number(attributes.get("pulse_step_s"), f"{path} (pulse_step_s)")
+        try:
+            fields["pulse"] = Pulse(_native(arrays["pulse"], f"{path}: /pulse", ("float64",)), step)
+        except DataError as error:
+            raise FileFormatError(f"{path}: {error.message}") from error
+    fields["samples"] = _samples(path, arrays)
+    return build_capture(path, complete=bool(attributes["complete"]), **fields)
+
+
+def _samples(path: Path, arrays: Any) -> NDArray[Any]:
+    real = _native(arrays["scans/samples"], f"{path}: /scans/samples", ("int32", "float32"))
+    if "scans/samples_imag" not in arrays:
+        return real
+    imaginary = _native(arrays["scans/samples_imag"], f"{path}: /scans/samples_imag", ("float32",))
+    if real.dtype != np.float32 or real.shape != imaginary.shape:
+        raise FileFormatError(f"{path}: /scans/samples and samples_imag differ in shape or dtype")
+    samples = np.empty(real.shape, dtype=np.complex64)
+    samples.real, samples.imag = real, imaginary
+    return samples
+
+
+def _native(values: NDArray[Any], where: str, dtypes: tuple[str, ...]) -> NDArray[Any]:
+    if values.dtype.newbyteorder("=").name not in dtypes:
+        raise FileFormatError(f"{where} has dtype {values.dtype}, expected {' or '.join(dtypes)}")
+    return values.astype(values.dtype.newbyteorder("="), copy=False)

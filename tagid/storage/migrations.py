@@ -1,0 +1,68 @@
+"""Small pure steps that bring what an older capture file holds to the present layout.
+
+A step knows two neighbouring versions and nothing else, so old files stay readable and the reader knows
+one layout.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+from tagid.errors import FileFormatError
+
+FORMAT_VERSION = 1
+"""Version of the capture file that this tagid writes."""
+
+
+@dataclass(frozen=True)
+class RawCapture:
+    """A capture file's content before it is interpreted.
+
+    Attributes:
+        attributes: root attributes by name, as plain values.
+        arrays: datasets by path, e.g. `scans/samples`, as numpy arrays.
+    """
+
+    attributes: Mapping[str, Any]
+    arrays: Mapping[str, Any]
+
+
+Step = Callable[[RawCapture], RawCapture]
+
+STEPS: Mapping[int, Step] = MappingProxyType({})
+"""The step from version n to n + 1, by n. Empty as long as version 1 is the only one."""
+
+
+def migrate(
+    raw: RawCapture,
+    version: int,
+    path: Path,
+    steps: Mapping[int, Step] = STEPS,
+    current: int = FORMAT_VERSION,
+) -> RawCapture:
+    """The content at version `current`.
+
+    Raises:
+        FileFormatError: the version is newer than `current`, below 1, or a step is missing.
+    """
+    check_version(version, path, current)
+    for number in range(version, current):
+        if number not in steps:
+            raise FileFormatError(f"{path}: format version {number} is no longer read", "Use an older tagid.")
+        raw = steps[number](raw)
+    return raw
+
+
+def check_version(version: int, path: Path, current: int = FORMAT_VERSION) -> None:
+    """Raise FileFormatError where a file of this version cannot be read."""
+    if version > current:
+        raise FileFormatError(
+            f"{path}: format version {version}, this tagid reads up to version {current}",
+            "It was made by a newer tagid; upgrade.",
+        )
+    if version < 1:
+        raise FileFormatError(f"{path}: format version {version} does not exist", "The file is damaged.")

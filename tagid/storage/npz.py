@@ -1,0 +1,251 @@
+"""The generic NPZ file, through which scans of any radar come in and captures go out to numpy.
+
+Keys: samples (views, bins) real or complex; range_start_m, range_step_m; one of angles_rad (views,),
+timestamps_s (views,), antenna_positions_m (views, 3); with angles axis_distance_m, optionally
+antenna_height_m. Optional: center_frequency_hz, bandwidth_hz, pulse with pulse_step_s, object (text or
+JSON). What `tagid` exports also holds angle_sigma_rad, radar_time_ms, host_time_ns, scan_id, flags and
+tagid (JSON: provenance, settings).
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import zipfile
+import zlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tagid.capture import Capture, Pulse
+from tagid.errors import DataError, FileFormatError
+from tagid.storage import atomic
+from tagid.storage.assembly import build_capture, decode_settings, encode_settings, number, text
+
+MAGIC = b"PK"
+
+_NUMBERS = ("axis_distance_m", "antenna_height_m", "center_frequency_hz", "bandwidth_hz")
+_VECTORS = {
+    "angles_rad": np.float64,
+    "angle_sigma_rad": np.float64,
+    "antenna_positions_m": np.float64,
+    "radar_time_ms": np.float64,
+    "host_time_ns": np.int64,
+    "scan_id": np.int64,
+    "flags": np.uint8,
+}
+_WHERE = ("angles_rad", "timestamps_s", "antenna_positions_m")
+_OTHER = (
+    "samples",
+    "range_start_m",
+    "range_step_m",
+    "timestamps_s",
+    "pulse",
+    "pulse_step_s",
+    "object",
+    "tagid",
+)
+_KEYS = frozenset((*_NUMBERS, *_VECTORS, *_OTHER))
+_TEXTS = ("uuid", "created_utc", "tool_version")
+_DICTS = ("radar", "motion", "object")
+_SMALL_BYTES = 64 << 20
+_MAX_EXPANSION = 200
+"""Scans hold noise and deflate 2:1 or so; far more, of something large, was made to fill the memory."""
+
+
+def read_npz(path: Path) -> Capture:
+    """Read a generic NPZ file; nothing in it is unpickled.
+
+    float64 samples become float32, integers int32 where they fit and float32 otherwise, complex128 complex64.
+
+    Raises:
+        StorageError: the file cannot be read.
+        FileFormatError: damaged, a key is missing, of the wrong shape, dtype or size, or not finite.
+    """
+    arrays = _load(path, atomic.read_bytes(path))
+    missing = [key for key in ("samples", "range_start_m", "range_step_m") if key not in arrays]
+    if missing:
+        raise FileFormatError(
+            f"{path}: the NPZ file lacks {', '.join(missing)}",
+            "It needs samples (views, bins), range_start_m, range_step_m and one of "
+            + ", ".join(_WHERE)
+            + ".",
+        )
+    ours = (
+        decode_settings(_string(arrays["tagid"], f"{path} (tagid)"), f"{path} (tagid)")
+        if "tagid" in arrays
+        else {}
+    )
+    if not ours and not any(key in arrays for key in _WHERE):
+        raise FileFormatError(
+            f"{path}: the NPZ file does not say where the antenna stood",
+            "Add one of angles_rad (views,), timestamps_s (views,) or antenna_positions_m (views, 3).",
+        )
+    if not ours and "angles_rad" in arrays and "axis_distance_m" not in arrays:
+        raise FileFormatError(
+            f"{path}: the NPZ file holds angles_rad, but lacks axis_distance_m",
+            "Add axis_distance_m, the metres from the radar to the rotation axis.",
+        )
+    samples = _samples(path, arrays["samples"])
+    fields: dict[str, Any] = {
+        key: number(arrays[key], f"{path} ({key})")
+        for key in ("range_start_m", "range_step_m", *_NUMBERS)
+        if key in arrays
+    }
+    for key, dtype in _VECTORS.items():
+        if key in arrays:
+            fields[key] = _vector(path, key, arrays[key], dtype, len(samples))
+    if "timestamps_s" in arrays and "radar_time_ms" not in arrays:
+        seconds = _vector(path, "timestamps_s", arrays["timestamps_s"], np.float64, len(samples))
+        fields["radar_time_ms"] = seconds * 1000.0
+    if "pulse" in arrays:
+        fields["pulse"] = _pulse(path, arrays)
+    fields |= _provenance(path, arrays, ours)
+    return build_capture(path, samples=samples, **fields)
+
+
+def encode_npz(capture: Capture) -> bytes:
+    """The bytes of a generic NPZ file that `read_npz` takes back without loss."""
+    arrays: dict[str, Any] = {
+        "samples": capture.samples,
+        "range_start_m": np.float64(capture.range_start_m),
+        "range_step_m": np.float64(capture.range_step_m),
+    }
+    for key in (*_NUMBERS, *_VECTORS):
+        value = getattr(capture, key)
+        if value is not None:
+            arrays[key] = np.asarray(value)
+    if capture.radar_time_ms is not None:
+        arrays["timestamps_s"] = capture.radar_time_ms / 1000.0
+    if capture.pulse is not None:
+        arrays |= {"pulse": capture.pulse.samples, "pulse_step_s": np.float64(capture.pulse.step)}
+    ours = {key: getattr(capture, key) for key in (*_TEXTS, *_DICTS, "complete")}
+    arrays |= {"object": encode_settings(capture.object), "tagid": encode_settings(ours)}
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, allow_pickle=False, **arrays)
+    return buffer.getvalue()
+
+
+def _load(path: Path, data: bytes) -> dict[str, NDArray[Any]]:
+    """The arrays under known keys, each checked before memory is taken for it."""
+    arrays: dict[str, NDArray[Any]] = {}
+    budget = atomic.MAX_FILE_BYTES
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            for member in archive.infolist():
+                key = member.filename.removesuffix(".npy")
+                if key not in _KEYS or key in arrays:
+                    continue
+                budget -= member.file_size
+                large = member.file_size > _SMALL_BYTES
+                if budget < 0 or (large and member.file_size > _MAX_EXPANSION * max(member.compress_size, 1)):
+                    raise FileFormatError(
+                        f"{path}: {key} claims {member.file_size} bytes, which is not plausible"
+                    )
+                with archive.open(member) as stream:
+                    _check_header(f"{path}: {key}", stream, member.file_size)
+                with archive.open(member) as stream:
+                    arrays[key] = np.lib.format.read_array(stream, allow_pickle=False)
+    # zipfile and numpy raise any of these on damaged files, depending on where the damage is.
+    except (
+        zipfile.BadZipFile, zlib.error, OSError, EOFError, ValueError, RuntimeError, TypeError, SyntaxError,
+        LookupError, MemoryError, OverflowError,
+    ) as error:  # fmt: skip
+        raise FileFormatError(
+            f"{path}: the NPZ file is damaged or cut off ({str(error)[:120]})",
+            "Write it again with numpy.savez.",
+        ) from error
+    return arrays
+
+
+def _check_header(where: str, stream: Any, size: int) -> None:
+    """Refuse objects, and shapes that the member cannot hold."""
+    version = np.lib.format.read_magic(stream)
+    if version == (1, 0):
+        shape, _, dtype = np.lib.format.read_array_header_1_0(stream)
+    elif version == (2, 0):
+        shape, _, dtype = np.lib.format.read_array_header_2_0(stream)
+    else:
+        raise FileFormatError(f"{where} has npy version {version}, expected (1, 0) or (2, 0)")
+    if dtype.hasobject or dtype.kind not in "iufcUS":
+        raise FileFormatError(
+            f"{where} has dtype {dtype}, expected numbers or text", "Python objects are not read."
+        )
+    claimed = dtype.itemsize
+    for length in shape:
+        claimed *= int(length)
+    if claimed < 0 or claimed > size or any(length < 0 for length in shape):
+        raise FileFormatError(f"{where} claims shape {shape}, but only {size} bytes are there")
+
+
+def _samples(path: Path, values: NDArray[Any]) -> NDArray[Any]:
+    if values.ndim != 2 or values.size == 0:
+        raise FileFormatError(f"{path}: samples have shape {values.shape}, expected (views, bins)")
+    if values.dtype.kind not in "iufc":
+        raise FileFormatError(f"{path}: samples have dtype {values.dtype}, expected numbers")
+    if values.dtype.kind in "iu":
+        limits = np.iinfo(np.int32)
+        fits = int(values.min()) >= limits.min and int(values.max()) <= limits.max
+        return np.ascontiguousarray(values, dtype=np.int32 if fits else np.float32)
+    # What is too large for single precision becomes infinite, which the capture refuses.
+    with np.errstate(over="ignore", invalid="ignore"):
+        return np.ascontiguousarray(values, dtype=np.complex64 if values.dtype.kind == "c" else np.float32)
+
+
+def _vector(path: Path, key: str, values: NDArray[Any], dtype: Any, views: int) -> NDArray[Any]:
+    shape = (views, 3) if key == "antenna_positions_m" else (views,)
+    if values.shape != shape:
+        raise FileFormatError(
+            f"{path}: {key} has shape {values.shape}, but samples has {views} views: expected {shape}"
+        )
+    kinds = "iuf" if dtype is np.float64 else "iu"
+    if values.dtype.kind not in kinds:
+        raise FileFormatError(f"{path}: {key} has dtype {values.dtype}, expected {np.dtype(dtype).name}")
+    converted = values.astype(dtype)
+    if kinds == "iu" and not np.array_equal(converted, values):
+        raise FileFormatError(f"{path}: {key} holds values that do not fit {np.dtype(dtype).name}")
+    return converted
+
+
+def _pulse(path: Path, arrays: dict[str, NDArray[Any]]) -> Pulse:
+    if "pulse_step_s" not in arrays:
+        raise FileFormatError(f"{path}: the NPZ file holds pulse, but lacks pulse_step_s")
+    values = arrays["pulse"]
+    if values.dtype.kind not in "iuf":
+        raise FileFormatError(f"{path}: pulse has dtype {values.dtype}, expected real numbers")
+    try:
+        return Pulse(values.astype(np.float64), number(arrays["pulse_step_s"], f"{path} (pulse_step_s)"))
+    except DataError as error:
+        raise FileFormatError(f"{path}: {error.message}") from error
+
+
+def _provenance(path: Path, arrays: dict[str, NDArray[Any]], ours: dict[str, Any]) -> dict[str, Any]:
+    fields: dict[str, Any] = {key: text(ours[key], f"{path} (tagid, {key})") for key in _TEXTS if key in ours}
+    for key in _DICTS:
+        if not isinstance(ours.get(key, {}), dict):
+            raise FileFormatError(f"{path}: {key} in tagid is not a JSON object")
+        fields[key] = ours.get(key, {})
+    if not isinstance(ours.get("complete", True), bool):
+        raise FileFormatError(f"{path}: complete in tagid is not true or false")
+    fields["complete"] = ours.get("complete", True)
+    if "object" in arrays:
+        fields["object"] = _object(_string(arrays["object"], f"{path} (object)"))
+    return fields
+
+
+def _object(content: str) -> dict[str, Any]:
+    """A JSON object as it is; any other text is the object's label."""
+    try:
+        value = json.loads(content)
+    except (ValueError, RecursionError):
+        value = content
+    return value if isinstance(value, dict) else {"label": content}
+
+
+def _string(value: NDArray[Any], where: str) -> str:
+    if value.shape != () or value.dtype.kind not in "US":
+        raise FileFormatError(f"{where}: has shape {value.shape} and dtype {value.dtype}, expected one text")
+    item = value.item()
+    return item.decode("utf-8", errors="replace") if isinstance(item, bytes) else str(item)

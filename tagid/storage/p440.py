@@ -1,0 +1,109 @@
+"""From scans as a P440 numbers and times them to a Capture, whichever file they were found in.
+
+The binary recordings and the vendor's log share the grid, the wrapping counters and the way lost scans show.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tagid.capture import Capture, ViewFlag
+from tagid.constants import BIN_PS, CLIP_COUNTS_PER_INTEGRATION, SPEED_OF_LIGHT
+from tagid.errors import FileFormatError
+from tagid.storage.assembly import build_capture, unwrap
+
+_RESTART = -64
+"""A step of the scan number below this is a new run in the same file, else packets are out of order."""
+
+
+@dataclass(frozen=True, eq=False)
+class P440Scans:
+    """Complete scans in the order of the file, one grid.
+
+    Attributes:
+        samples: (views, bins) int32 counts.
+        message_id: (views,) scan number as sent, u16, wraps.
+        timestamp_ms: (views,) radar clock as sent, u32 ms, wraps.
+        host_time_ns: (views,) ns since the epoch, or None.
+        lost_id: (lost,) numbers of scans that were seen only in part.
+        info: the other fields of the first scan, by the names of `SCAN_INFO_DTYPE`.
+        config: the configuration block, by the names of `CONFIG_DTYPE`; may be stale or empty.
+    """
+
+    samples: NDArray[np.int32]
+    message_id: NDArray[np.int64]
+    timestamp_ms: NDArray[np.int64]
+    host_time_ns: NDArray[np.int64] | None
+    lost_id: NDArray[np.int64]
+    info: dict[str, Any]
+    config: dict[str, Any]
+
+
+def p440_capture(path: Path, scans: P440Scans, source: str, cable_delay_ps: float) -> Capture:
+    """The capture of some scans: views sorted by scan number within each run, lost scans counted and marked.
+
+    Args:
+        path: the file, for messages.
+        scans: what was read.
+        source: name of the file's format, kept in `radar["source"]`.
+        cable_delay_ps: two-way delay of cables and antennas that is taken off the ranges, ps.
+
+    Raises:
+        FileFormatError: the grid makes no sense.
+    """
+    start_ps, step_bins = scans.info["scan_start_ps"], scans.info["step_bins"]
+    if step_bins < 1:
+        raise FileFormatError(f"{path}: the scans have a step of {step_bins} bins", "The file is damaged.")
+    scan_id, order, lost = _sort(scans.message_id, scans.lost_id)
+    samples = scans.samples[order]
+    radar = {
+        "source": source,
+        "node_id": scans.info.get("node_id", scans.config.get("node_id", 0)),
+        "config": scans.config,
+        "scan_info": scans.info,
+        "cable_delay_ps": float(cable_delay_ps),
+        "scans_lost": lost,
+    }
+    host = scans.host_time_ns
+    return build_capture(
+        path,
+        samples=samples,
+        range_start_m=(start_ps - cable_delay_ps) * 1e-12 * SPEED_OF_LIGHT / 2,
+        range_step_m=step_bins * BIN_PS * 1e-12 * SPEED_OF_LIGHT / 2,
+        host_time_ns=None if host is None else host[order],
+        radar_time_ms=unwrap(scans.timestamp_ms[order], 1 << 32).astype(np.float64),
+        scan_id=scan_id,
+        flags=_flags(samples, scan_id, scans.config.get("base_integration_index")),
+        radar=radar,
+    )
+
+
+def _sort(
+    message_id: NDArray[np.int64], lost_id: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.intp], int]:
+    """Unwrapped numbers in order, the order, and how many scans are missing."""
+    number = unwrap(message_id, 1 << 16)
+    run = np.concatenate([np.zeros(1, np.int64), np.cumsum(np.diff(number) < _RESTART)])
+    order = np.lexsort((number, run))
+    number, run = number[order], run[order]
+    steps = np.diff(number)[np.diff(run) == 0]
+    missing = int(np.maximum(steps - 1, 0).sum())
+    # Scans seen in part before the first or after the last complete one leave no gap between complete ones.
+    inside = (lost_id - number.min()) % (1 << 16) <= number.max() - number.min()
+    return number, order, missing + int(len(lost_id) - np.count_nonzero(inside))
+
+
+def _flags(samples: NDArray[np.int32], scan_id: NDArray[np.int64], integration: Any) -> NDArray[np.uint8]:
+    flags = np.zeros(len(samples), dtype=np.uint8)
+    flags[0] |= np.uint8(ViewFlag.FIRST)
+    flags[1:][np.diff(scan_id) != 1] |= np.uint8(ViewFlag.AFTER_LOSS)
+    if isinstance(integration, int) and 0 <= integration <= 15:
+        clip = CLIP_COUNTS_PER_INTEGRATION << integration
+        # Not abs(): the most negative int32 has none.
+        flags[((samples >= clip) | (samples <= -clip)).any(axis=1)] |= np.uint8(ViewFlag.CLIPPED)
+    return flags
