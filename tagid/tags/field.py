@@ -32,6 +32,8 @@ class MatchedField:
     """b(p) = <s_p, z> and G(p, q) = <s_p, s_q> for templates s_p[v, b] = g(R_b - d_v(p)) exp(-2jk d_v(p)).
 
     Given scans without a matched filter the noise is white and b is the maximum-likelihood statistic.
+    What is constant over the views is taken from the data and from the templates alike: static clutter is a
+    free unknown of the fit: a reflector near the axis loses most of its energy to it, and the fit knows.
 
     Args:
         scans: baseband scans (views, bins).
@@ -62,6 +64,7 @@ class MatchedField:
                 "Check the axis distance, or record a range window that holds the object.",
             )
         z = scans.samples[:, keep]
+        z = z - z.mean(axis=0)
         self.energy = float(np.sum(np.abs(z.astype(np.complex128)) ** 2))
         if not self.energy > 0:
             raise DataError("the scans are zero over the whole object", "Check the radar's antenna cables.")
@@ -72,6 +75,10 @@ class MatchedField:
         self.noise_variance = scans.noise_std**2 * z.size / self.independent_samples
         self._start = near - 0.05
         fine = np.arange(self._start, far + 0.05, FINE_STEP_M)
+        self._ranges = ranges[keep]
+        self._response = scans.response(np.arange(-_half(width), _half(width) + 1) * FINE_STEP_M).astype(
+            np.complex64
+        )
         self._table = (z @ scans.response(ranges[keep][:, None] - fine[None]).conj()).astype(np.complex64)
         self._overlap = _overlap(scans, 2 * radius_m + 0.1)
         self.template_energy = float(self.views * self._overlap[len(self._overlap) // 2].real)
@@ -108,11 +115,35 @@ class MatchedField:
 
     def gram(self, distances: NDArray[np.float64]) -> NDArray[np.complex128]:
         """(..., K, K) G[k, l] = <s_k, s_l> for groups of K points given by distances (views, ..., K), m."""
-        return self.cross(distances[..., :, None], distances[..., None, :])
+        static = self.static_part(distances)
+        lost = np.matmul(static.conj(), np.swapaxes(static, -1, -2)) * self.views
+        return np.asarray(self.full_gram(distances) - lost)
 
     def cross(self, d_p: NDArray[np.float64], d_q: NDArray[np.float64]) -> NDArray[np.complex128]:
-        """(...) <s_p, s_q> for two broadcastable arrays of distances (views, ...), m."""
-        gap = d_p - d_q
+        """(P,) <s_p, s_q> of points p given by distances (views, P) with one point q (views, 1), m."""
+        lost = self.static_part(d_p).conj() @ self.static_part(d_q)[0] * self.views
+        return np.asarray(self._overlap_sum(d_p - d_q) - lost)
+
+    def full_gram(self, distances: NDArray[np.float64]) -> NDArray[np.complex128]:
+        """`gram` before the part that is constant over the views is taken out."""
+        return self._overlap_sum(distances[..., :, None] - distances[..., None, :])
+
+    def static_part(self, distances: NDArray[np.float64]) -> NDArray[np.complex64]:
+        """(..., bins) mean template over the views, for points given by distances (views, ...), m."""
+        shape = distances.shape[1:]
+        flat = distances.reshape(self.views, -1)
+        out = np.empty((flat.shape[1], len(self._ranges)), dtype=np.complex64)
+        size = max(1, _BLOCK // (self.views * len(self._ranges)))
+        middle = len(self._response) // 2
+        for start in range(0, flat.shape[1], size):
+            d = flat[:, start : start + size]
+            position = ((self._ranges - d[..., None]) / FINE_STEP_M + middle).astype(np.float32)
+            value = _interpolate(self._response[None], position.reshape(1, -1)).reshape(position.shape)
+            out[start : start + size] = np.einsum("vpb,vp->pb", value, self._turn(d).conj()) / self.views
+        return out.reshape(*shape, len(self._ranges))
+
+    def _overlap_sum(self, gap: NDArray[np.float64]) -> NDArray[np.complex128]:
+        """(...) overlap of two points whose distances differ by gap (views, ...), summed over views."""
         shape = gap.shape[1:]
         flat = gap.reshape(self.views, -1)
         out = np.empty(flat.shape[1], dtype=np.complex128)
@@ -132,6 +163,10 @@ class MatchedField:
         np.cos(angle, out=out.real)
         np.sin(angle, out=out.imag)
         return out
+
+
+def _half(width_m: float) -> int:
+    return int(np.ceil(width_m / FINE_STEP_M)) + 1
 
 
 def _effective_half_width(scans: BasebandScans) -> float:

@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 from tagid.tags.field import MatchedField
 from tagid.tags.layout import Layout, rotation_matrix
 
+FULLY_VISIBLE = 0.5
+"""Visibility from which an amplitude is taken as measured."""
 IMAGE_STEP_M = 3e-3
 """Pixel of the coarse image; its finest fringe is lambda_min / 2 = 31 mm: bilinear reading errs by < 5 %."""
 
@@ -35,7 +37,7 @@ class SearchSettings:
     rotation_step_deg: float = 3.0
     centre_step_m: float = 4e-3
     centre_range_m: float = 14e-3
-    offsets_m: tuple[float, ...] = (-4e-3, 0.0, 4e-3)
+    offsets_m: tuple[float, ...] = tuple(i * 4e-3 for i in range(-4, 5))
     starts: int = 3
     iterations: int = 7
     balance: float = 0.35
@@ -52,6 +54,7 @@ class Fit:
         offset_m: range offset: measured distances are this much longer than the aperture says.
         positions: (K, 2) reflectors, m.
         amplitudes: (K,) complex least-squares amplitudes.
+        sizes: (K,) their magnitudes, see `visible_sizes`.
         explained: b^H G^-1 b, energy.
         charged: the same after the charge for unlike amplitudes.
     """
@@ -62,6 +65,7 @@ class Fit:
     offset_m: float
     positions: NDArray[np.float64]
     amplitudes: NDArray[np.complex128]
+    sizes: NDArray[np.float64]
     explained: float
     charged: float
 
@@ -69,9 +73,10 @@ class Fit:
 def least_squares(
     b: NDArray[np.complex128], gram: NDArray[np.complex128]
 ) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
-    """Amplitudes (..., K) = G^-1 b and explained energy (...) = b^H G^-1 b; G is loaded by 1e-3 of itself."""
+    """Amplitudes (..., K) = G^-1 b and explained energy (...) = b^H G^-1 b; G is loaded by 1e-2 of itself."""
     k = b.shape[-1]
-    load = 1e-3 * np.abs(gram[..., 0, 0])[..., None, None] * np.eye(k)
+    size = np.abs(np.trace(gram, axis1=-2, axis2=-1)) / k
+    load = 1e-2 * size[..., None, None] * np.eye(k)
     amplitudes = np.linalg.solve(gram + load, b[..., None])[..., 0]
     explained = np.real(np.sum(b.conj() * amplitudes, axis=-1))
     return np.asarray(amplitudes, dtype=np.complex128), np.maximum(
@@ -79,11 +84,21 @@ def least_squares(
     )
 
 
-def charge(
-    explained: NDArray[np.float64], amplitudes: NDArray[np.complex128], balance: float
+def visible_sizes(
+    amplitudes: NDArray[np.complex128], visibility: NDArray[np.floating]
 ) -> NDArray[np.float64]:
-    """Explained energy scaled down where reflectors, which are alike, come out unlike."""
+    """|amplitudes| (..., K), drawn to the mean of the visible ones where a reflector can hardly be seen.
+
+    Visibility is the share of a template's energy that varies over the views; near the axis it goes to zero.
+    """
+    trust = np.minimum(visibility / FULLY_VISIBLE, 1.0)
     size = np.abs(amplitudes)
+    typical = np.sum(trust * size, axis=-1, keepdims=True) / np.maximum(trust.sum(-1, keepdims=True), 1e-9)
+    return np.asarray(trust * size + (1 - trust) * typical, dtype=np.float64)
+
+
+def charge(explained: NDArray[np.float64], size: NDArray[np.float64], balance: float) -> NDArray[np.float64]:
+    """Explained energy (...) scaled down where reflectors, all alike, come out of unlike size (..., K)."""
     ratio = size.min(axis=-1) / np.maximum(size.max(axis=-1), 1e-30)
     return np.asarray(explained * np.minimum(ratio / balance, 1.0), dtype=np.float64)
 
@@ -99,6 +114,18 @@ class _CoarseImage:
         self.inside = x**2 + y**2 <= (radius_m + 2 * IMAGE_STEP_M) ** 2
         self.distances = field.distances(np.stack([x[self.inside], y[self.inside]], axis=-1))
         self.field = field
+
+        # Static parts depend on the radius alone, as far as views are dense: tabulated along one direction.
+        radii = np.arange(half + 2) * IMAGE_STEP_M
+        static = field.static_part(field.distances(np.stack([radii, 0 * radii], axis=-1)))
+        self.static = (static.conj() @ static.T * field.views).astype(np.complex64)
+
+    def static_overlap(self, points: NDArray[np.float64]) -> NDArray[np.complex64]:
+        """(..., K, K) part of the Gram matrix that is constant over views, to the nearest pixel of radius."""
+        index = np.rint(np.linalg.norm(points, axis=-1) / IMAGE_STEP_M).astype(np.int32)
+        index = np.minimum(index, len(self.static) - 1)
+        table: NDArray[np.complex64] = self.static
+        return table[index[..., :, None], index[..., None, :]]
 
     def at_offset(self, offset_m: float) -> NDArray[np.complex64]:
         image = np.zeros(self.inside.shape, dtype=np.complex64)
@@ -145,16 +172,17 @@ def _coarse_starts(
     x, y = np.meshgrid(line, line)
     shifts = np.stack([x.ravel(), y.ravel()], axis=-1)
     placed = layout.positions @ np.swapaxes(rotation_matrix(rotations), -1, -2)
-    gram = field.gram(field.distances(placed))
-    load = 1e-3 * field.template_energy * np.eye(layout.size)
-    inverse = np.linalg.inv(gram + load).astype(np.complex64)
     points = placed[:, None] + shifts[None, :, None]
+    gram = field.full_gram(field.distances(placed))[:, None] - coarse.static_overlap(points)
+    load = 1e-2 * field.template_energy * np.eye(layout.size)
+    inverse = np.linalg.inv(gram + load).astype(np.complex64)
+    visibility = np.real(np.diagonal(gram, axis1=-2, axis2=-1)) / field.template_energy
     scores = np.empty((len(images), len(rotations), len(shifts)))
     for i, image in enumerate(images):
         b = coarse.read(image, points)
-        amplitudes = np.matmul(b, np.swapaxes(inverse, -1, -2))
+        amplitudes = np.matmul(inverse, b[..., None])[..., 0]
         explained = np.maximum(np.real(np.sum(b.conj() * amplitudes, axis=-1)), 0)
-        scores[i] = charge(explained, amplitudes, settings.balance)
+        scores[i] = charge(explained, visible_sizes(amplitudes, visibility), settings.balance)
     starts: list[tuple[float, float, float, float]] = []
     best = scores.max(axis=2)
     for _ in range(settings.starts):
@@ -168,13 +196,16 @@ def _coarse_starts(
 
 def _evaluate(
     field: MatchedField, layout: Layout, places: NDArray[np.float64], balance: float
-) -> tuple[NDArray[np.float64], NDArray[np.complex128], NDArray[np.float64]]:
-    """Charged energy (H,), amplitudes (H, K) and explained energy (H,) at places (H, 4), exactly."""
+) -> tuple[NDArray[np.float64], NDArray[np.complex128], NDArray[np.float64], NDArray[np.float64]]:
+    """Charged energy (H,), amplitudes, sizes (H, K), explained energy (H,) at places (H, 4), exactly."""
     points = layout.positions @ np.swapaxes(rotation_matrix(places[:, 0]), -1, -2) + places[:, None, 1:3]
     d = field.distances(points)
     b = field.correlate(d + places[:, 3, None])
-    amplitudes, explained = least_squares(b, field.gram(d))
-    return charge(explained, amplitudes, balance), amplitudes, explained
+    gram = field.gram(d)
+    amplitudes, explained = least_squares(b, gram)
+    visibility = np.real(np.diagonal(gram, axis1=-2, axis2=-1)) / field.template_energy
+    sizes = visible_sizes(amplitudes, visibility)
+    return charge(explained, sizes, balance), amplitudes, sizes, explained
 
 
 def _refine(
@@ -206,7 +237,7 @@ def _refine(
         better = joint_value >= value.max(axis=1)
         places = np.where(better[:, None], joint, single)
         step = step * 0.6
-    charged, amplitudes, explained = _evaluate(field, layout, places, settings.balance)
+    charged, amplitudes, sizes, explained = _evaluate(field, layout, places, settings.balance)
     i = int(np.argmax(charged))
     rotation = float(np.mod(places[i, 0], 2 * np.pi / layout.symmetry))
     centre = places[i, 1:3]
@@ -217,6 +248,7 @@ def _refine(
         float(places[i, 3]),
         layout.placed(rotation, centre),
         amplitudes[i],
+        sizes[i],
         float(explained[i]),
         float(charged[i]),
     )

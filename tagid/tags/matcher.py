@@ -27,6 +27,8 @@ from tagid.tags.reflectors import (
     refine_positions,
 )
 
+from tagid.tags.views import fold_views
+
 
 @dataclass(frozen=True)
 class ReaderSettings:
@@ -109,7 +111,7 @@ def read_tag(
     settings = settings or ReaderSettings()
     reach = max(layout.radius_m for layout in layouts) + settings.search.centre_range_m * np.sqrt(2)
     radius = max(reach, settings.finder.radius_m) + 0.02
-    matched = MatchedField(scans, radius)
+    matched = MatchedField(fold_views(scans, radius), radius)
     fits = search(matched, layouts, settings.search)
     order = np.argsort([_criterion(matched, fit) for fit in fits])
     best = fits[order[0]]
@@ -176,7 +178,7 @@ def _evidence(
 ) -> Evidence:
     amplitudes, level = np.abs(cleaned[0]), cleaned[1]
     size = best.layout.size
-    own, beyond = np.abs(best.amplitudes), amplitudes[size:]
+    own, beyond = best.sizes, amplitudes[size:]
     typical = float(np.median(own)) if size > 2 else float(own.max())
     free, _, _ = refine_positions(matched, best.positions, best.offset_m)
     lead = best.charged - (runner_up.charged if runner_up else 0.0)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from tagid.imaging.types import BasebandScans
 from tagid.tags.field import MatchedField
 from tagid.tags.hypotheses import least_squares
+from tagid.tags.views import fold_views
 
 DETECTION_NATS = 18.0
 """|a|^2 ||s||^2 over the noise level that a peak must reach: the largest of about 1000 independent cells of
@@ -195,7 +196,8 @@ def find_reflectors(scans: BasebandScans, settings: FinderSettings | None = None
     Raises DataError where the scans do not hold the object's range.
     """
     settings = settings or FinderSettings()
-    field = MatchedField(scans, settings.radius_m + 0.02)
+    radius = settings.radius_m + 0.02
+    field = MatchedField(fold_views(scans, radius), radius)
     disc = SearchDisc(field, settings.radius_m, settings.step_m)
     empty = np.zeros((0, 2)), np.zeros(0, dtype=np.complex128)
     positions, amplitudes, level = clean(disc, *empty, settings)

@@ -1,0 +1,57 @@
+"""Many views folded into as few as the object's size needs, so that reading takes the same time for any scan.
+
+A point at radius r puts angular frequencies up to 2 k r into the scans; what lies beyond is noise.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from tagid.geometry import Aperture
+from tagid.imaging.types import BasebandScans
+
+GUARD_ORDERS = 10
+"""Bessel functions J_m(x) fall below 1 % within about ten orders beyond m = x, for x up to 50."""
+BAND_MARGIN = 1.25
+"""Highest frequency of the band over the carrier: 4.8 / 3.95 GHz, rounded up."""
+
+
+def fold_views(scans: BasebandScans, radius_m: float) -> BasebandScans:
+    """Full turns of many views as one turn of the fewest uniform views that keep all of a disc of that radius.
+
+    An angular low-pass (flat to 2 k r plus a guard, cosine taper beyond) applied to views weighted by the gap
+    to their neighbours. Scans that are few already, have gaps or free positions come back as they are.
+
+    Args:
+        scans: (views, bins) of a turntable aperture.
+        radius_m: radius of the disc around the axis that must be kept, m.
+    """
+    angles, distance = scans.aperture.angles, scans.aperture.axis_distance
+    passed = int(np.ceil(2 * BAND_MARGIN * scans.wavenumber * radius_m)) + GUARD_ORDERS
+    count = 2 * passed + GUARD_ORDERS
+    if angles is None or distance is None or len(angles) < 1.5 * count:
+        return scans
+    turn = np.mod(angles, 2 * np.pi)
+    order = np.argsort(turn, kind="stable")
+    gap = np.diff(np.append(turn[order], turn[order[0]] + 2 * np.pi))
+    if gap.max() > 2 * np.pi / count:
+        return scans
+    weight = np.empty(len(turn))
+    weight[order] = (gap + np.roll(gap, 1)) / (4 * np.pi)
+    orders = np.arange(-(passed + GUARD_ORDERS), passed + GUARD_ORDERS + 1)
+    beyond = np.clip((np.abs(orders) - passed) / GUARD_ORDERS, 0, 1)
+    taper = 0.5 + 0.5 * np.cos(np.pi * beyond)
+    new = np.arange(count) * 2 * np.pi / count
+    synthesis = np.exp(1j * np.outer(new, orders)) * taper
+    fold = (synthesis @ np.exp(-1j * np.outer(orders, turn)) * weight).real
+    gain = float(np.sqrt(np.mean(np.sum(fold**2, axis=1))))
+    share = (taper**2).sum() ** 2 / (taper**4).sum() / len(turn)
+    return replace(
+        scans,
+        samples=(fold @ scans.samples).astype(np.complex64),
+        aperture=Aperture.turntable(new, distance, scans.aperture.height),
+        noise_std=scans.noise_std * gain,
+        independent_samples=scans.independent_samples * share,
+    )
