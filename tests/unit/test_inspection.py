@@ -108,7 +108,7 @@ def test_the_strongest_return_is_tracked_to_a_fraction_of_a_bin() -> None:
 
 def test_two_equal_returns_at_rest_do_not_make_the_bin_jump() -> None:
     rng = np.random.default_rng(5)
-    samples = 500 * (burst(150) + burst(420)) + rng.normal(0, 60, (80, BINS))
+    samples = 500 * (burst(150) + burst(420)) + rng.normal(0, 40, (80, BINS))
     maxima = np.abs(analytic(samples)).argmax(axis=1)
     assert np.ptp(maxima) > 200  # what a plain maximum does
     found = inspect(capture_of(samples.astype(np.float32))).strongest
