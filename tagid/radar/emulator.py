@@ -22,6 +22,7 @@ from tagid.radar.pacing import queued_bytes
 
 _IDLE_S: Final = 0.05
 _LARGEST_DATAGRAM: Final = 65_535
+_WORST_LAG_S: Final = 0.5
 _QUEUE_LIMIT: Final = 64 * 1024
 """Bytes waiting at the receiver from which an unlimited emulator holds its next scan back."""
 _UNSEEN_PACE_S: Final = 2e-3
@@ -89,8 +90,10 @@ class _Server:
             if readable:
                 self._answer()
             if self._rate:
-                now = (time.monotonic() - self._origin) * self._rate
-                self._send(self._core.advance_to(now))
+                self._send(self._core.advance_by_one((time.monotonic() - self._origin) * self._rate))
+                # A source slower than the radar slows the emulated clock; it must not end in bursts.
+                lag = time.monotonic() - self._origin - self._core.now_s / self._rate
+                self._origin += lag if lag > _WORST_LAG_S else 0.0
             elif self._core.next_due_s is not None and self._receiver_ready():
                 self._send(self._core.step())
             if self._core.next_due_s is None:

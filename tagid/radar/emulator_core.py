@@ -83,7 +83,7 @@ class _State:
 class EmulatorCore:
     """One emulated radar.
 
-    Times are seconds of the emulated clock. `handle` takes a request, `advance_to` lets time pass, and `step`
+    Times are seconds of the emulated clock. `handle` takes a request, `advance_by_one` lets time pass, `step`
     jumps to the next scan; all return the packets that leave the radar, in order.
 
     Args:
@@ -177,13 +177,16 @@ class EmulatorCore:
             return [self._refuse(message, Status.INVALID_DURING_SLEEP)]
         return [handler(message)]
 
-    def advance_to(self, now_s: float) -> list[bytes]:
-        """Lets time pass; returns everything that left the radar until then."""
-        out: list[bytes] = []
-        while (due := self.next_due_s) is not None and due <= now_s:
-            out += self.step()
+    def advance_by_one(self, now_s: float) -> list[bytes]:
+        """Lets time pass until `now_s` or the next scan, whichever is first; returns what left the radar.
+
+        One scan a call, so that a slow source cannot keep a request (a stop!) from being heard.
+        """
+        due = self.next_due_s
+        if due is not None and due <= now_s:
+            return self.step()
         self._now = max(self._now, now_s)
-        return out
+        return []
 
     def step(self) -> list[bytes]:
         """Jumps to the next thing that happens by itself (a scan, the end of a boot)."""

@@ -44,7 +44,7 @@ class MemoryLink:
     def send(self, packet: bytes) -> None:
         """Hands one packet to the radar."""
         if self._rate:
-            self._put(self._core.advance_to((time.monotonic() - self._origin) * self._rate))
+            self._put(self._core.advance_by_one((time.monotonic() - self._origin) * self._rate))
         if self._path.request_arrives():
             self._put(self._core.handle(packet))
 
@@ -58,7 +58,7 @@ class MemoryLink:
         deadline = time.monotonic() + timeout
         while True:
             now = time.monotonic()
-            self._put(self._core.advance_to((now - self._origin) * self._rate))
+            self._put(self._core.advance_by_one((now - self._origin) * self._rate))
             if self._queue or now >= deadline:
                 return self._queue.popleft() if self._queue else None
             due = self._core.next_due_s

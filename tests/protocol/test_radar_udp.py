@@ -1,0 +1,310 @@
+"""Client and emulator over real UDP sockets on loopback."""
+
+from __future__ import annotations
+
+import os
+import socket
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tagid.errors import DeviceError, DeviceTimeoutError, PortInUseError, TagidError, UsageError
+from tagid.radar.devices import open_radar
+from tagid.radar.emulator import ServeOptions, UdpEmulator, serve_udp
+from tagid.radar.emulator_core import EmulatorCore
+from tagid.radar.faults import Faults
+from tagid.radar.links import UdpLink
+from tagid.radar.messages import CONFIG_DTYPE, SCAN_INFO_DTYPE, MessageType, decode, encode
+from tagid.radar.p440 import P440
+from tagid.radar.settings import RadarConfig
+from tagid.radar.sources import RecordingSource, ScanSource
+
+T = MessageType
+ROOT = Path(os.environ.get("TAGID_SHARED", Path(__file__).resolve().parents[2].parent / "shared"))
+RECORDINGS = sorted((ROOT / "data" / "p440").glob("*.out"))
+
+
+class Noise:
+    """Counts that depend on the scan, some beyond full scale."""
+
+    def scan(self, index: int, time_s: float, config: RadarConfig) -> np.ndarray:
+        return np.random.default_rng(index).integers(-400_000, 400_000, config.samples, dtype=np.int32)
+
+
+def expected(index: int, config: RadarConfig) -> np.ndarray:
+    limit = 127 * 2**config.base_integration_index
+    return np.clip(Noise().scan(index, 0.0, config), -limit, limit)
+
+
+def emulator(rate: float = 0.0, **faults: float) -> UdpEmulator:
+    options = ServeOptions(port=0, rate=rate, faults=Faults(**faults))  # type: ignore[arg-type]
+    return UdpEmulator(EmulatorCore(Noise()), options)
+
+
+def test_every_scan_arrives_over_loopback_as_fast_as_it_can() -> None:
+    with emulator() as device, P440(UdpLink(*device.address)) as radar:
+        config = radar.set_config(RadarConfig(scan_start_ps=36684, scan_stop_ps=106996))
+        got = list(radar.scans(300))
+        assert [s.scan_id - got[0].scan_id for s in got] == list(range(300))
+        for i, scan in enumerate(got):
+            np.testing.assert_array_equal(scan.samples, expected(i, config))
+        # Whole milliseconds on the clock of the timing formula.
+        clock = np.array([s.radar_time_ms for s in got])
+        assert np.ptp(clock - np.arange(300) * config.scan_period_s * 1e3) <= 1.0 + 1e-6
+        assert radar.statistics.lost_scans == 0
+
+
+def test_a_slow_reader_is_not_overrun() -> None:
+    with emulator() as device, P440(UdpLink(*device.address)) as radar:
+        run = radar.scans(400)
+        first = next(run)
+        time.sleep(0.3)
+        assert len(list(run)) == 399
+        assert first.samples.dtype == np.int32
+
+
+def test_bad_network_costs_exactly_the_scans_it_hits() -> None:
+    with (
+        emulator(lose=0.02, lose_requests=0.1, duplicate=0.05, reorder=0.1, delay=0.02, seed=4) as device,
+        P440(UdpLink(*device.address), timeout=0.2, attempts=8) as radar,
+    ):
+        config = radar.config
+        got = list(radar.scans(300))
+        s = radar.statistics
+        assert 200 < len(got) < 300
+        assert len(got) + s.lost_scans == 300
+        assert s.duplicate > 0
+        first = next(k for k in range(20) if (got[0].samples == expected(k, config)).all())
+        for scan in got:
+            np.testing.assert_array_equal(
+                scan.samples, expected(first + scan.scan_id - got[0].scan_id, config)
+            )
+
+
+def test_packets_of_strangers_are_counted_and_dropped() -> None:
+    with emulator() as device, P440(UdpLink(*device.address)) as radar:
+        port = radar._link.local_port  # type: ignore[attr-defined]
+        run = radar.scans(50)
+        got = [next(run)]
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
+            for i in range(10):
+                fake = encode(
+                    T.SCAN_INFO,
+                    i,
+                    message_samples=1,
+                    total_samples=1,
+                    message_count=1,
+                    samples=[66] + [0] * 349,
+                )
+                stranger.sendto(fake, ("127.0.0.1", port))
+            got += list(run)
+        assert len(got) == 50
+        assert radar.statistics.foreign == 10
+        assert all(len(s.samples) == radar.config.samples for s in got)
+
+
+def test_the_real_timing_is_kept() -> None:
+    with emulator(rate=1.0) as device, P440(UdpLink(*device.address)) as radar:
+        start = time.monotonic()
+        got = list(radar.scans(20))
+        assert time.monotonic() - start >= 20 * radar.config.scan_period_s * 0.95
+        assert len(got) == 20
+
+
+def test_a_source_slower_than_the_radar_does_not_deafen_it() -> None:
+    class Slow(Noise):
+        def scan(self, index: int, time_s: float, config: RadarConfig) -> np.ndarray:
+            time.sleep(0.02)
+            return super().scan(index, time_s, config)
+
+    core = EmulatorCore(Slow())
+    with (
+        UdpEmulator(core, ServeOptions(port=0, rate=50.0)) as device,
+        P440(UdpLink(*device.address)) as radar,
+    ):
+        run = radar.scans()
+        assert [next(run).scan_id for _ in range(5)]
+        run.close()  # type: ignore[attr-defined]
+        assert not core.scanning
+        assert radar.statistics.retries == 0
+
+
+def test_serving_from_a_thread_of_ones_own() -> None:
+    stop, ready, address = threading.Event(), threading.Event(), []
+
+    def on_ready(host: str, port: int) -> None:
+        address.append((host, port))
+        ready.set()
+
+    args = (EmulatorCore(Noise()), ServeOptions(port=0, rate=0), stop, on_ready)
+    thread = threading.Thread(target=serve_udp, args=args)
+    thread.start()
+    assert ready.wait(10)
+    with P440(UdpLink(*address[0])) as radar:
+        assert len(list(radar.scans(3))) == 3
+    stop.set()
+    thread.join(10)
+    assert not thread.is_alive()
+
+
+def test_nobody_answers() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as mute:
+        mute.bind(("127.0.0.1", 0))
+        radar = P440(UdpLink(*mute.getsockname()), timeout=0.05)
+        with pytest.raises(DeviceTimeoutError) as caught, radar:
+            pass
+        assert "127.0.0.1" in caught.value.message
+        assert "192.168.1.1" in caught.value.remedy
+
+
+def test_a_radar_that_dies_in_the_middle_leaves_the_scans_so_far() -> None:
+    device = emulator(rate=20.0)
+    got = []
+    with (
+        device,
+        P440(UdpLink(*device.address), timeout=0.1) as radar,
+        pytest.raises(DeviceTimeoutError) as caught,
+    ):
+        for scan in radar.scans():
+            got.append(scan)
+            if len(got) == 10:
+                device.__exit__(None, None, None)
+    assert len(got) >= 10
+    assert f"after {len(got)} scans" in caught.value.message
+
+
+def test_answers_go_to_the_port_that_asked_and_a_new_client_takes_over() -> None:
+    with emulator() as device:
+        killed = P440(UdpLink(*device.address))
+        killed.connect()
+        next(killed.scans())
+        killed._link.close()  # as if killed: no stop was sent
+        killed._scanning = False
+        with P440(UdpLink(*device.address)) as radar:
+            assert len(list(radar.scans(30))) == 30
+            assert radar.statistics.lost_scans == 0
+
+
+def test_the_emulator_answers_what_it_does_not_know() -> None:
+    with emulator() as device, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as raw:
+        raw.settimeout(2)
+        for request, answer in (
+            ("12340007", "f10c00071234000700000008"),
+            ("1003000812", "f10c00081003000800000005"),
+            ("f10100090000", "f10c0009f101000900000005"),
+        ):
+            raw.sendto(bytes.fromhex(request), device.address)
+            assert raw.recv(2000).hex() == answer
+        for kind in MessageType:
+            if kind.name.endswith("_REQUEST") and kind is not T.REBOOT_REQUEST:
+                raw.sendto(encode(kind, 5), device.address)
+                reply = decode(raw.recv(2000))
+                assert (reply.type, reply.id) == (kind + 0x100, 5)
+
+
+def test_set_config_stops_a_run_silently() -> None:
+    core = EmulatorCore(Noise())
+    core.handle(encode(T.CONTROL_REQUEST, 1, scan_count=65_535))
+    assert core.scanning
+    core.handle(encode(T.SET_CONFIG_REQUEST, 2, config=RadarConfig().to_record()))
+    assert not core.scanning
+
+
+def test_a_port_in_use_is_named() -> None:
+    with emulator() as device:
+        with pytest.raises(PortInUseError, match=str(device.address[1])):
+            UdpEmulator(EmulatorCore(Noise()), ServeOptions(port=device.address[1])).__enter__()
+        with pytest.raises(PortInUseError):
+            UdpLink("127.0.0.1", 21210, local_port=device.address[1])
+
+
+def test_an_unknown_host_is_named() -> None:
+    with pytest.raises(DeviceError, match="no such host"):
+        UdpLink("no such host", 21210)
+
+
+def load(path: Path) -> RecordingSource:
+    data = path.read_bytes()
+    config = RadarConfig.from_bytes(data[: CONFIG_DTYPE.itemsize])
+    packets = np.frombuffer(data[CONFIG_DTYPE.itemsize :], SCAN_INFO_DTYPE).reshape(-1, 4)
+    samples = packets["samples"].reshape(len(packets), -1)[:, : config.samples].astype(np.int32)
+    return RecordingSource(samples, config, packets["timestamp_ms"][:, 0].astype(np.int64))
+
+
+@pytest.mark.skipif(not RECORDINGS, reason="the folder of real recordings is not here")
+@pytest.mark.parametrize("path", RECORDINGS, ids=lambda p: p.stem)
+def test_a_real_recording_comes_over_the_wire_sample_for_sample(path: Path) -> None:
+    """The payloads on the wire equal those in the file, and the client gets back every count."""
+    source = load(path)
+    options = ServeOptions(port=0, rate=0)
+    with UdpEmulator(EmulatorCore(source), options) as device, P440(UdpLink(*device.address)) as radar:
+        took = radar.set_config(RadarConfig(scan_start_ps=1000, scan_stop_ps=9000))
+        assert (took.scan_start_ps, took.scan_stop_ps, took.samples) == (36684, 106996, 1152)
+        got = list(radar.scans(source.views))
+    np.testing.assert_array_equal([s.samples for s in got], source._samples)
+    assert [s.radar_time_ms for s in got] == source._times.tolist()
+    core = EmulatorCore(source)
+    core.handle(encode(T.CONTROL_REQUEST, 0, scan_count=65_535))
+    wire = b"".join(packet for _ in range(source.views) for packet in core.step())
+    assert wire == path.read_bytes()[32:]
+
+
+class Sources:
+    def recording(self, path: Path, loop: bool) -> RecordingSource:
+        config = RadarConfig().quantised()
+        return RecordingSource(np.stack([expected(i, config) for i in range(7)]), config, loop=loop)
+
+    def scene(self, name: str, options: dict[str, str]) -> ScanSource:
+        assert (name, options) == ("helmet-120", {"seed": "1", "rpm": "2"})
+        return Noise()
+
+
+def test_urls_open_the_same_client() -> None:
+    with open_radar("replay://some/file.tagid.h5", Sources()) as radar:
+        assert len(list(radar.scans())) == 7  # a replay ends by itself
+        assert len(list(radar.scans())) == 7
+    with open_radar("replay://file?loop=1", Sources()) as radar:
+        got = list(radar.scans(20))
+        np.testing.assert_array_equal(got[15].samples, got[1].samples)
+        assert (np.diff([s.radar_time_ms for s in got]) > 0).all()
+    with open_radar("emulator://helmet-120?seed=1&rpm=2&rate=0", Sources()) as radar:
+        assert len(list(radar.scans(5))) == 5
+    with emulator() as device, open_radar(device.url, Sources()) as radar:
+        assert len(list(radar.scans(5))) == 5
+
+
+@pytest.mark.parametrize(
+    "url",
+    [
+        "192.168.1.100",
+        "tcp://x",
+        "serial:///dev/ttyACM0",
+        "udp://",
+        "udp://host:99999",
+        "udp://host:x",
+        "udp://host?rate=1",
+        "udp://u@host",
+        "udp://[::1",
+        "replay://",
+        "replay://f?what=1",
+        "emulator://x?rate=fast",
+        "emulator://x?rate=nan",
+        "emulator://x?lose=2",
+        "emulator://x?seed=-1",
+        "emulator://x?=&",
+    ],
+)
+def test_urls_that_cannot_work_say_what_does(url: str) -> None:
+    with pytest.raises(UsageError) as caught:
+        open_radar(url, Sources())
+    assert isinstance(caught.value, TagidError)
+    assert caught.value.remedy
+
+
+def test_the_server_thread_ends() -> None:
+    with emulator():
+        assert any(t.name == "p440-emulator" for t in threading.enumerate())
+    assert not any(t.name == "p440-emulator" for t in threading.enumerate())
