@@ -65,7 +65,8 @@ def _recorded(
         return (recording.counts_per_unit * signal).astype(np.complex64), flags
     counts = recording.counts_per_unit * (clean.real + noise_std * rng.standard_normal(clean.shape))
     if recording.clip_counts is not None:
-        flags[(np.abs(counts) >= recording.clip_counts).any(axis=1)] |= ViewFlag.CLIPPED
+        clipped = (np.abs(counts) >= recording.clip_counts).any(axis=1)
+        flags[clipped] |= np.uint8(ViewFlag.CLIPPED)
         counts = np.clip(counts, -recording.clip_counts, recording.clip_counts)
     if recording.dtype == "int32":
         info = np.iinfo(np.int32)
@@ -107,7 +108,7 @@ def simulate_capture(
     believed = acq.direction * 2 * np.pi * turns + acq.angle_error_rad * rng.standard_normal(acq.scans)
     samples, flags = _recorded(clean, noise_std, acq.recording, rng)
     times = turns * acq.period_s
-    flags[0] |= ViewFlag.FIRST
+    flags[0] |= np.uint8(ViewFlag.FIRST)
     capture = Capture(
         samples=samples,
         range_start_m=window.start_m,
