@@ -52,6 +52,8 @@ class RecordingSummary:
         range_from_m, range_to_m: one-way range of the first and last bin, m.
         noise: standard deviation of the noise of one sample, counts; None where one view alone is there.
         snr_db: power of the strongest return over the noise's in one view, dB; None where there is no return.
+        changing_snr_db: the same for what is left without the mean scan: what moves or turns.
+        changing_range_m: one-way range at which most changes, m; None with `changing_snr_db`.
         clipped_fraction: saturated samples over all samples; None where the limit is not known.
         lost_scans: scans missing between the first and the last; None where scans are not numbered.
         scan_rate_hz: scans a second; None where there is no clock.
@@ -67,6 +69,8 @@ class RecordingSummary:
     range_to_m: float
     noise: float | None
     snr_db: float | None
+    changing_snr_db: float | None
+    changing_range_m: float | None
     clipped_fraction: float | None
     lost_scans: int | None
     scan_rate_hz: float | None
@@ -82,6 +86,7 @@ def inspect(capture: Capture) -> RecordingSummary:
     signal = analytic(capture.samples)
     noise_power = noise_power_of(signal)
     strongest = strongest_return(signal, capture)
+    changing_snr, changing_bin = signal_to_noise_db(signal - signal.mean(axis=0), noise_power)
     rate, duration = scan_rate(capture)
     period, sigma, note = None, None, "not looked for"
     ranges = capture.ranges_m
@@ -93,7 +98,9 @@ def inspect(capture: Capture) -> RecordingSummary:
         range_from_m=float(ranges[0]),
         range_to_m=float(ranges[-1]),
         noise=None if noise_power is None else math.sqrt(own * noise_power),
-        snr_db=signal_to_noise_db(signal, noise_power),
+        snr_db=signal_to_noise_db(signal, noise_power)[0],
+        changing_snr_db=changing_snr,
+        changing_range_m=None if changing_bin is None else float(ranges[changing_bin]),
         clipped_fraction=clipped_fraction(capture),
         lost_scans=lost_scans(capture),
         scan_rate_hz=rate,
@@ -122,17 +129,21 @@ def noise_power_of(signal: NDArray[np.complex64]) -> float | None:
     return float(np.percentile(np.add.reduceat(power, starts) / widths, 25))
 
 
-def signal_to_noise_db(signal: NDArray[np.complex64], noise_power: float | None) -> float | None:
-    """Largest mean power of a range bin, less the noise's, over the noise power of one view, dB.
+def signal_to_noise_db(
+    signal: NDArray[np.complex64], noise_power: float | None
+) -> tuple[float | None, int | None]:
+    """(dB, bin) of the largest mean power of a range bin, less the noise's, over the noise power of one view.
 
     For real samples this is A^2 / (2 sigma^2), A the envelope's peak and sigma the noise of a sample.
-    None without noise to compare with or where nothing stands out of it.
+    (None, None) without noise to compare with or where nothing stands out of it by four standard errors of
+    the mean noise power.
     """
     if not noise_power:
-        return None
+        return None, None
     power = (np.abs(signal) ** 2).mean(axis=0, dtype=np.float64)
-    ratio = float(power.max()) / noise_power - 1
-    return 10 * math.log10(ratio) if ratio > 0 else None
+    peak = int(power.argmax())
+    ratio = float(power[peak]) / noise_power - 1
+    return (10 * math.log10(ratio), peak) if ratio > 4 / math.sqrt(len(signal)) else (None, None)
 
 
 def clipped_fraction(capture: Capture) -> float | None:

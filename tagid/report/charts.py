@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from tagid.capture import Capture
 from tagid.report.axes import LABEL_SIZE, Axes, colour_bar
 from tagid.report.canvas import Canvas
-from tagid.report.colours import BAND_INK, BLUE, GAP, INK, ORANGE, RGB, colourise, to_decibels
+from tagid.report.colours import BAND_INK, BLUE, GAP, GREEN, INK, ORANGE, RGB, colourise, to_decibels
 from tagid.report.curves import RecordingCurves, slow_time
 from tagid.report.picture import fit_text
 
@@ -23,25 +23,32 @@ _LEFT, _RIGHT = 120, 880
 _PROFILE = (_LEFT, 110, _RIGHT, 370)
 _SINOGRAM = (_LEFT, 500, _RIGHT, 860)
 _SPECTRUM = (_LEFT, 990, _RIGHT, 1250)
-_SINOGRAM_RANGE_DB = 40.0
 _HIGHEST_SHOWN_HZ = 8.2e9
 
 
-def draw_recording(capture: Capture, path: Path, title: str = "") -> None:
+def draw_recording(capture: Capture, path: Path, title: str = "", *, changing_only: bool = False) -> None:
     """Writes a PNG of a recording, 1000 x 1330 px.
 
-    From above: mean and largest envelope over range (dB of the largest); the envelope of every view over
-    range (dB below the 99.9th percentile, gaps of lost scans in grey); the mean spectrum over frequency with
-    the band of the pulse shaded. Frequencies follow from the range step: sampling rate = c / (2 step).
+    From above: mean and largest envelope over range and the mean envelope of what changes (dB of the
+    largest); the envelope of every view over range (dB below the 99.9th percentile, gaps of lost scans in
+    grey); the mean spectrum over frequency with the band of the pulse shaded. Frequencies follow from the
+    range step: sampling rate = c / (2 step).
+
+    Args:
+        capture: the recording.
+        path: the PNG; it appears complete or not at all.
+        title: one line above the charts, cut where it is too long.
+        changing_only: draw the sinogram without the mean scan; leakage and room hide a turning tag otherwise.
 
     Raises:
         StorageError, DiskFullError: the file cannot be written.
     """
-    curves = RecordingCurves.of(capture)
+    curves = RecordingCurves.of(capture, changing_only=changing_only)
     canvas = Canvas(_WIDTH, _HEIGHT)
     canvas.text((_LEFT, 30), fit_text(canvas, title, _WIDTH - _LEFT - 30, 28), 28)
     _draw_profile(canvas, curves, capture.range_step_m)
-    _draw_sinogram(canvas, capture, curves)
+    what = "what changes in" if changing_only else "envelope of"
+    _draw_sinogram(canvas, capture, curves, f"Sinogram: {what} {capture.views} views")
     _draw_spectrum(canvas, capture, curves)
     canvas.save(Path(path))
 
@@ -84,25 +91,29 @@ def _draw_profile(canvas: Canvas, curves: RecordingCurves, step_m: float) -> Non
     axes = Axes(canvas, _PROFILE, _span(curves.range_m, step_m), (_floor(mean), 4.0))
     axes.grid()
     axes.curve(curves.range_m, largest, ORANGE, 1.5)
+    axes.curve(curves.range_m, to_decibels(curves.changing_envelope, 120.0, top), GREEN, 2.5)
     axes.curve(curves.range_m, mean, BLUE, 2.5)
     axes.frame("range, one way (m)", "envelope (dB)", "Range profile")
-    _legend(canvas, _PROFILE, [("mean of all views", BLUE), ("largest of any view", ORANGE)])
+    _legend(canvas, _PROFILE, [("mean", BLUE), ("largest of any view", ORANGE), ("what changes", GREEN)])
 
 
-def _draw_sinogram(canvas: Canvas, capture: Capture, curves: RecordingCurves) -> None:
+def _draw_sinogram(canvas: Canvas, capture: Capture, curves: RecordingCurves, title: str) -> None:
     position, label = slow_time(capture)
     rows, columns = _SINOGRAM[3] - _SINOGRAM[1], _SINOGRAM[2] - _SINOGRAM[0]
     picture, gaps = resample_views(curves.envelope, position, rows, columns)
     reference = float(np.percentile(curves.envelope, 99.9)) or None
-    colours = colourise(to_decibels(picture, _SINOGRAM_RANGE_DB, reference), _SINOGRAM_RANGE_DB)
+    # The colours end a little under the middle of the noise: they are for the echoes.
+    middle = float(to_decibels(np.median(picture, keepdims=True), 80.0, reference).item())
+    depth_db = float(min(max(10 * math.ceil((3 - middle) / 10), 20), 60))
+    colours = colourise(to_decibels(picture, depth_db, reference), depth_db)
     colours[gaps] = GAP
     interval = (position[-1] - position[0]) / max(len(position) - 1, 1) or 1.0
     slow = (float(position[0] - interval / 2), float(position[-1] + interval / 2))
     axes = Axes(canvas, _SINOGRAM, _span(curves.range_m, capture.range_step_m), slow)
     axes.raster(colours[::-1])
-    axes.frame("range, one way (m)", label, f"Sinogram, {capture.views} views")
+    axes.frame("range, one way (m)", label, title)
     bar = (_RIGHT + 22, _SINOGRAM[1], _RIGHT + 44, _SINOGRAM[3])
-    colour_bar(canvas, bar, _SINOGRAM_RANGE_DB)
+    colour_bar(canvas, bar, depth_db)
 
 
 def _draw_spectrum(canvas: Canvas, capture: Capture, curves: RecordingCurves) -> None:

@@ -60,7 +60,8 @@ class RecordingCurves:
         range_m: (bins,) one-way range, m.
         mean_envelope: (bins,) mean over the views of the envelope, counts.
         max_envelope: (bins,) largest envelope of any view, counts.
-        envelope: (views, bins) float32, counts.
+        changing_envelope: (bins,) mean envelope of what is left without the mean scan, counts.
+        envelope: (views, bins) float32, counts; without the mean scan where that was asked for.
         frequency_hz: (n,) frequencies from 0 to half the sampling rate, to all of it for complex samples.
         spectrum: (n,) root mean square over the views of the spectrum's magnitude, arbitrary unit.
     """
@@ -68,21 +69,28 @@ class RecordingCurves:
     range_m: NDArray[np.float64]
     mean_envelope: NDArray[np.float64]
     max_envelope: NDArray[np.float64]
+    changing_envelope: NDArray[np.float64]
     envelope: NDArray[np.float32]
     frequency_hz: NDArray[np.float64]
     spectrum: NDArray[np.float64]
 
     @classmethod
-    def of(cls, capture: Capture) -> RecordingCurves:
-        """The curves of a capture; the sampling rate is c / (2 range_step), as range is one way."""
-        envelope = np.abs(analytic(capture.samples)).astype(np.float32)
+    def of(cls, capture: Capture, *, changing_only: bool = False) -> RecordingCurves:
+        """The curves of a capture; the sampling rate is c / (2 range_step), as range is one way.
+
+        `changing_only` takes the mean scan (leakage, room) off `envelope`, which leaves what moves or turns.
+        """
+        signal = analytic(capture.samples)
+        envelope = np.abs(signal)
+        changing = np.abs(signal - signal.mean(axis=0))
         sampling_hz = SPEED_OF_LIGHT / (2 * capture.range_step_m)
         frequency, spectrum = _spectrum(capture.samples, sampling_hz)
         return cls(
             range_m=capture.ranges_m,
             mean_envelope=envelope.mean(axis=0, dtype=np.float64),
             max_envelope=envelope.max(axis=0).astype(np.float64),
-            envelope=envelope,
+            changing_envelope=changing.mean(axis=0, dtype=np.float64),
+            envelope=changing if changing_only else envelope,
             frequency_hz=frequency,
             spectrum=spectrum,
         )
