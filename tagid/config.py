@@ -46,9 +46,7 @@ SETTINGS: tuple[Setting, ...] = (
     Setting("motion.url", str, "free", "what turns the object, e.g. free?rpm=2"),
     Setting("motion.axis_distance_m", float, None, "radar to rotation axis, m", 0.05, 100),
     Setting("motion.antenna_height_m", float, 0.0, "antenna above the object's plane, m", -10, 10),
-    Setting(
-        "imaging.method", str, "auto", "bp, sparse, ats, auto", choices=("auto", "bp", "sparse", "ats")
-    ),
+    Setting("imaging.method", str, "auto", "bp, sparse, ats, auto", choices=("auto", "bp", "sparse", "ats")),
     Setting("imaging.extent_m", float, 0.5, "side of the image, m", 0.05, 5),
     Setting("imaging.pixels", int, 128, "pixels a side", 16, 1024),
     Setting("storage.folder", str, None, "where captures are written (default: current folder)"),

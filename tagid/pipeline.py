@@ -26,6 +26,7 @@ from tagid.motion.resolve import one_turn, with_angles
 if TYPE_CHECKING:
     from tagid.tags.layout import Layout
     from tagid.tags.matcher import Reading
+    from tagid.tags.reflectors import Reflector
 
 Progress = Callable[[float, float, str], None]
 """Called with (done, total, remark)."""
@@ -259,3 +260,18 @@ def identify(
         reading = read_tag(scans, layouts)
     label = next((layout.label for layout in layouts if layout.name == reading.layout), "")
     return Identification(reading.status, reading, capture.uuid, registry_version, label, dict(watch.seconds))
+
+
+def locate_reflectors(capture: Capture, settings: ImagingSettings | None = None) -> tuple[Reflector, ...]:
+    """Reflectors of a prepared capture without knowledge of any layout, strongest first.
+
+    Raises DataError as `identify` does.
+    """
+    from tagid.tags.reflectors import find_reflectors
+
+    settings = settings or ImagingSettings()
+    scans = preprocess(capture, settings=_preprocessing(settings, matched_filter=False))
+    if settings.focus_m > 0 and scans.aperture.angles is not None:
+        grid = ImageGrid(settings.extent_m, settings.pixels)
+        scans, _ = focus_axis_distance(scans, grid, settings.focus_m)
+    return find_reflectors(scans)

@@ -106,6 +106,8 @@ def execute(name: str, terminal: Terminal, work: Callable[[], Result]) -> Result
         result = work()
     except TagidError as error:
         result = Result.from_error(name, error)
+    except typer.Exit:
+        raise
     except KeyboardInterrupt:
         result = Result.from_error(name, CaptureInterrupted("stopped by the user"))
     except BrokenPipeError:

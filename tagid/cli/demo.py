@@ -1,0 +1,60 @@
+"""The demo's radar: an emulated P440 in a process of its own, reached over a real UDP socket on loopback."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from tagid.errors import DeviceError
+
+DEMO_RPM = 6.0
+DEMO_AXIS_DISTANCE_M = 1.0
+
+
+@contextmanager
+def emulated_radar(scene: str) -> Iterator[dict[str, Any]]:
+    """Run an emulator while the block runs; yields the settings that lead to it.
+
+    Raises DeviceError with the emulator's own words where it does not start.
+    """
+    arguments = ["emulate", "p440", "--bind", "127.0.0.1:0", "--scene", scene, "--rpm", str(DEMO_RPM)]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "tagid", *arguments, "--output", "json"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        assert process.stdout is not None
+        line = process.stdout.readline()
+        try:
+            url = json.loads(line)["data"]["url"]
+        except (ValueError, KeyError, TypeError):
+            rest, errors = process.communicate(timeout=5)
+            raise DeviceError(
+                f"the emulated radar did not start: {_reason(line + rest, errors)}",
+                f"Run `tagid emulate p440 --scene {scene}` to see why.",
+            ) from None
+        yield {
+            "radar.url": url,
+            "motion.url": f"free?rpm={DEMO_RPM:g}",
+            "motion.axis_distance_m": DEMO_AXIS_DISTANCE_M,
+        }
+    finally:
+        process.terminate()
+        try:
+            process.communicate(timeout=5)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.communicate()
+
+
+def _reason(output: str, errors: str) -> str:
+    try:
+        return str(json.loads(output)["errors"][0]["message"])
+    except (ValueError, KeyError, IndexError, TypeError):
+        return (errors.strip().splitlines() or ["no reason given"])[-1]

@@ -1,0 +1,100 @@
+"""`tagid identify`: name the objects of recorded scans."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import typer
+
+from tagid.cli import options
+from tagid.cli.frame import Terminal, command
+from tagid.config import load_config
+from tagid.errors import EXIT_BATCH, EXIT_FAILED, TagidError
+from tagid.result import Result, Status
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+
+    @command(app, "identify")
+    def identify(
+        terminal: Terminal,
+        files: options.Captures,
+        motion: options.MotionUrl = None,
+        axis_distance: options.AxisDistance = None,
+        antenna_height: options.AntennaHeight = None,
+        background: options.Background = "mean",
+        preview: options.Preview = False,
+        png: options.PngFile = None,
+    ) -> Result:
+        """Name the object in one or more recorded scans.
+
+        Example: tagid identify helmet.tagid.h5
+        """
+        return run(
+            terminal,
+            files,
+            {
+                "motion.url": motion,
+                "motion.axis_distance_m": axis_distance,
+                "motion.antenna_height_m": antenna_height,
+            },
+            (background, preview, png),
+        )
+
+
+def run(
+    terminal: Terminal,
+    files: list[Path],
+    overrides: dict[str, object],
+    view: tuple[str, bool, Path | None],
+) -> Result:
+    """Identify each file; a file that fails is one failed item and stops nothing."""
+    from rich.console import Group
+
+    from tagid.cli import imaging
+    from tagid.pipeline import identify, prepare
+    from tagid.storage.importers import read_any
+
+    background, preview, png = view
+    config = load_config(overrides)
+    registry = imaging.open_registry()
+    layouts, version = registry.layouts(), registry.version
+    answers, items, drawn = [], [], []
+    errors: list[dict[str, str]] = []
+    settings = imaging.settings_from(config, background)
+    for path in files:
+        try:
+            capture = imaging.complete(read_any(path), config)
+            capture = prepare(capture, imaging.motion_of(config, capture))
+            answer = identify(capture, layouts, settings, version)
+            if (preview or png) and len(files) == 1:
+                result = imaging.image_with_progress(terminal, capture, settings)
+                if png:
+                    imaging.draw(result, answer, png)
+                if preview:
+                    from tagid.report.preview import preview as in_terminal
+
+                    drawn.append(in_terminal(result.image.values, result.image.grid.extent))
+        except TagidError as error:
+            answer = imaging.failed(None, error)
+            errors.append(
+                {"code": error.code, "message": _named(path, error.message), "remedy": error.remedy}
+            )
+            exit_code = error.exit_code
+        answers.append(answer)
+        items.append({"file": str(path), **answer.to_dict()})
+        if answer.status != "failed":
+            drawn.append(imaging.describe(answer, path.name))
+    code = imaging.exit_code_of(answers)
+    if code == EXIT_FAILED:
+        code = exit_code
+    status: Status = "success" if not errors else "partial" if len(errors) < len(items) else "error"
+    if status == "error" and len(files) > 1:
+        code = EXIT_BATCH
+    data = {"items": items, "png": str(png) if png else None}
+    return Result("identify", data, Group(*drawn) if drawn else None, status, code, (), tuple(errors))
+
+
+def _named(path: Path, message: str) -> str:
+    return message if str(path) in message else f"{path}: {message}"

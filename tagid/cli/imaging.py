@@ -1,0 +1,142 @@
+"""What `scan`, `identify` and `reconstruct` do alike: load, prepare, draw and word an answer.
+
+Kept apart from the commands so that the same capture gives the same words whoever asks.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from tagid.cli.frame import Terminal
+from tagid.config import Config, data_folder
+from tagid.errors import EXIT_BATCH, EXIT_FAILED, EXIT_OK, EXIT_UNCERTAIN, TagidError, UsageError
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+
+    from tagid.capture import Capture
+    from tagid.pipeline import Identification, ImagingSettings, Reconstruction
+    from tagid.storage.registry import Registry
+
+
+def open_registry() -> Registry:
+    """The user's registry of layouts."""
+    from tagid.storage.registry import Registry
+
+    return Registry(data_folder() / "registry.sqlite")
+
+
+def settings_from(config: Config, background: str = "mean", focus_m: float = 0.03) -> ImagingSettings:
+    """Imaging settings of the configuration and the command line."""
+    from tagid.pipeline import ImagingSettings
+
+    if background not in ("mean", "median", "none"):
+        raise UsageError(f"--background is {background!r}", "Use mean, median or none.")
+    return ImagingSettings(
+        method=config["imaging.method"],
+        extent_m=config["imaging.extent_m"],
+        pixels=config["imaging.pixels"],
+        background=background,  # type: ignore[arg-type]
+        focus_m=focus_m,
+    )
+
+
+def complete(capture: Capture, config: Config) -> Capture:
+    """The capture with the configuration's geometry where it has none, or where the command line insists."""
+    changes: dict[str, Any] = {}
+    for field, name in (
+        ("axis_distance_m", "motion.axis_distance_m"),
+        ("antenna_height_m", "motion.antenna_height_m"),
+    ):
+        given = config.values[name]
+        lacking = field == "axis_distance_m" and capture.axis_distance_m is None
+        if given.value is not None and (given.source == "command line" or lacking):
+            changes[field] = given.value
+    return replace(capture, **changes)
+
+
+def motion_of(config: Config, capture: Capture) -> str | None:
+    """Motion to apply to a file: what the command line says, or the configuration where it has no angles."""
+    given = config.values["motion.url"]
+    if given.source == "command line":
+        return str(given.value)
+    if capture.angles_rad is not None or capture.antenna_positions_m is not None:
+        return None
+    return str(given.value)
+
+
+def image_with_progress(terminal: Terminal, capture: Capture, settings: ImagingSettings) -> Reconstruction:
+    """Reconstruct a prepared capture under a progress line."""
+    from tagid.pipeline import reconstruct
+
+    with terminal.progress("image", total=1.0) as advance:
+        return reconstruct(
+            capture, settings, lambda done, total, remark: advance(done / max(total, 1), remark)
+        )
+
+
+def draw(result: Reconstruction, answer: Identification | None, png: Path) -> None:
+    """Write the picture of an image, with the reflectors that were read in it."""
+    from tagid.report.picture import Marker, draw_image
+
+    markers = []
+    reading = answer.reading if answer else None
+    if reading:
+        offset = 1
+        for reflector in reading.reflectors:
+            markers.append(Marker(reflector.x_m, reflector.y_m, str(offset), reflector.matched))
+            offset += 1
+    title = result.method.upper() if answer is None else f"{headline(answer)}  ({result.method.upper()})"
+    draw_image(result.image.values, result.image.grid.extent, png, title=title, reflectors=markers)
+
+
+def headline(answer: Identification) -> str:
+    """The answer in a few words, for a title or a first line."""
+    reading = answer.reading
+    if answer.status == "identified" and reading:
+        return f"{reading.layout}, score {reading.score:.2f}"
+    words = {"unknown": "unknown tag", "ambiguous": "ambiguous", "no_tag": "no tag", "failed": "failed"}
+    return words[answer.status]
+
+
+def describe(answer: Identification, name: str) -> RenderableType:
+    """The answer for a person: one bold line, then what stands behind it."""
+    from rich.console import Group
+    from rich.text import Text
+
+    colours = {"identified": "bold green", "failed": "bold red"}
+    style = colours.get(answer.status, "bold yellow")
+    first = Text.assemble((headline(answer).upper(), style), f"   {answer.label}   {name}")
+    lines = [first]
+    reading = answer.reading
+    if answer.error:
+        lines.append(Text(f"  {answer.error['message']} {answer.error['remedy']}"))
+    if reading:
+        if reading.reason:
+            lines.append(Text(f"  why: {reading.reason}"))
+        if reading.layout:
+            x, y = (value * 1e3 for value in reading.centre_m)
+            lines.append(
+                Text(
+                    f"  turned {reading.rotation_deg:.1f} deg, centre ({x:.1f}, {y:.1f}) mm, "
+                    f"margin {reading.margin:.2f}, {len(reading.reflectors)} reflectors"
+                )
+            )
+    return Group(*lines)
+
+
+def failed(capture_uuid: str | None, error: TagidError) -> Identification:
+    """The Identification of an item that could not be read."""
+    from tagid.pipeline import Identification
+
+    entry = {"code": error.code, "message": error.message, "remedy": error.remedy}
+    return Identification("failed", None, capture_uuid, None, error=entry)
+
+
+def exit_code_of(answers: list[Identification]) -> int:
+    """0 all identified, 3 some unknown/ambiguous/no tag, 1 the only one failed, 5 some of many failed."""
+    if any(answer.status == "failed" for answer in answers):
+        return EXIT_FAILED if len(answers) == 1 else EXIT_BATCH
+    return EXIT_OK if all(answer.status == "identified" for answer in answers) else EXIT_UNCERTAIN

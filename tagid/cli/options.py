@@ -1,0 +1,47 @@
+"""Options that several commands take, each defined once with its help."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+Captures = Annotated[
+    list[Path], typer.Argument(help="Capture, NPZ, .out/.prd, CSV or journal.", show_default=False)
+]
+CaptureFile = Annotated[
+    Path, typer.Argument(help="Capture, NPZ, .out/.prd, CSV or journal.", show_default=False)
+]
+RadarUrl = Annotated[
+    str | None, typer.Option("--radar", help="The radar: udp://HOST, replay://FILE or emulator://SCENE.")
+]
+MotionUrl = Annotated[
+    str | None, typer.Option("--motion", help="What turns the object: free, free?rpm=2.", show_default=False)
+]
+AxisDistance = Annotated[
+    float | None, typer.Option("--axis-distance", help="Radar to rotation axis, metres.", show_default=False)
+]
+AntennaHeight = Annotated[
+    float | None,
+    typer.Option("--antenna-height", help="Antenna above the reflectors' plane, metres.", show_default=False),
+]
+CableDelay = Annotated[
+    float | None,
+    typer.Option("--cable-delay", help="Cable and antenna delay, two-way picoseconds.", show_default=False),
+]
+Method = Annotated[
+    str | None, typer.Option("--method", help="bp, sparse, ats or auto (ats where torch is installed).")
+]
+Extent = Annotated[
+    float | None, typer.Option("--extent", help="Side of the image, metres.", show_default=False)
+]
+Pixels = Annotated[int | None, typer.Option("--pixels", help="Pixels a side.", show_default=False)]
+Background = Annotated[
+    str, typer.Option("--background", help="Static background to remove: mean, median, none.")
+]
+Preview = Annotated[bool, typer.Option("--preview", help="Draw the image in the terminal.")]
+PngFile = Annotated[
+    Path | None, typer.Option("--png", help="Write the image as a picture.", show_default=False)
+]
+Seed = Annotated[int, typer.Option("--seed", help="Of everything random.")]

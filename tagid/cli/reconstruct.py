@@ -1,0 +1,93 @@
+"""`tagid reconstruct`: an image of a recorded scan."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from tagid.cli import options
+from tagid.cli.frame import Terminal, command
+from tagid.config import load_config
+from tagid.errors import UsageError
+from tagid.result import Result
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+
+    @command(app, "reconstruct")
+    def reconstruct(
+        terminal: Terminal,
+        file: options.CaptureFile,
+        method: options.Method = None,
+        engine: Annotated[str, typer.Option("--engine", help="What runs ats: torch.")] = "torch",
+        extent: options.Extent = None,
+        pixels: options.Pixels = None,
+        out: Annotated[
+            Path | None, typer.Option("--out", help="Write image, axes and settings (NPZ).")
+        ] = None,
+        png: options.PngFile = None,
+        preview: options.Preview = False,
+        motion: options.MotionUrl = None,
+        axis_distance: options.AxisDistance = None,
+        antenna_height: options.AntennaHeight = None,
+        background: options.Background = "mean",
+        focus: Annotated[bool, typer.Option(help="Search the axis distance within 3 cm.")] = True,
+        seed: options.Seed = 0,
+    ) -> Result:
+        """Make an image of a recorded scan.
+
+        Example: tagid reconstruct helmet.tagid.h5 --method sparse --png helmet.png
+        """
+        from dataclasses import replace
+
+        from rich.console import Group
+        from rich.text import Text
+
+        from tagid.cli import imaging
+        from tagid.pipeline import prepare
+        from tagid.storage.image import write_image
+        from tagid.storage.importers import read_any
+
+        if engine == "onnx":
+            raise UsageError("ats does not run on onnxruntime yet", "Use --engine torch, or --method sparse.")
+        if engine != "torch":
+            raise UsageError(f"there is no engine {engine!r}", "Use --engine torch.")
+        config = load_config(
+            {
+                "imaging.method": method,
+                "imaging.extent_m": extent,
+                "imaging.pixels": pixels,
+                "motion.url": motion,
+                "motion.axis_distance_m": axis_distance,
+                "motion.antenna_height_m": antenna_height,
+            }
+        )
+        settings = imaging.settings_from(config, background, 0.03 if focus else 0.0)
+        capture = imaging.complete(read_any(file), config)
+        capture = prepare(capture, imaging.motion_of(config, capture))
+        result = imaging.image_with_progress(terminal, capture, replace(settings, seed=seed))
+        if out:
+            write_image(out, result.image)
+        if png:
+            imaging.draw(result, None, png)
+        lines: list[Text] = []
+        if preview:
+            from tagid.report.preview import preview as in_terminal
+
+            lines.append(in_terminal(result.image.values, result.image.grid.extent))
+        took = sum(result.seconds.values())
+        distance = result.image.settings["axis_distance_m"]
+        where = "" if distance is None else f", axis at {distance:.3f} m"
+        lines.append(Text(f"{result.method} image of {result.views} views in {took:.2f} s{where}"))
+        lines += [Text(f"{name} {path}") for name, path in (("image", out), ("picture", png)) if path]
+        data = {
+            "method": result.method,
+            "image": str(out) if out else None,
+            "png": str(png) if png else None,
+            "settings": result.image.settings,
+            "seconds": result.seconds,
+        }
+        return Result("reconstruct", data, Group(*lines))

@@ -1,0 +1,182 @@
+"""`tagid scan`: record one turn with the radar, image it, name the object."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from tagid.cli import options
+from tagid.cli.frame import Terminal, command
+from tagid.config import Config, load_config
+from tagid.errors import ConfigError, StorageError, TagidError
+from tagid.result import Result
+
+if TYPE_CHECKING:
+    from tagid.radar.settings import RadarConfig
+    from tagid.recorder import RecordingPlan
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+
+    @command(app, "scan")
+    def scan(
+        terminal: Terminal,
+        radar: options.RadarUrl = None,
+        motion: options.MotionUrl = None,
+        axis_distance: options.AxisDistance = None,
+        antenna_height: options.AntennaHeight = None,
+        cable_delay: options.CableDelay = None,
+        scans: Annotated[int | None, typer.Option("--scans", help="Stop after so many scans.")] = None,
+        max_seconds: Annotated[float, typer.Option("--max-seconds", help="Stop after so long.")] = 180.0,
+        save_dir: Annotated[Path | None, typer.Option("--save-dir", help="Folder for the files.")] = None,
+        method: options.Method = None,
+        demo: Annotated[bool, typer.Option("--demo", help="Use an emulated radar and helmet.")] = False,
+        demo_scene: Annotated[str, typer.Option("--demo-scene", help="What the demo turns.")] = "helmet-120",
+        preview: options.Preview = False,
+        note: Annotated[str, typer.Option("--note", help="Kept in the capture, e.g. a name.")] = "",
+    ) -> Result:
+        """Record one turn of the object, image it and name it.
+
+        Example: tagid scan --radar udp://192.168.1.100 --axis-distance 1.0
+        """
+        overrides: dict[str, Any] = {
+            "radar.url": radar,
+            "motion.url": motion,
+            "motion.axis_distance_m": axis_distance,
+            "motion.antenna_height_m": antenna_height,
+            "radar.cable_delay_ps": cable_delay,
+            "imaging.method": method,
+            "storage.folder": None if save_dir is None else str(save_dir),
+        }
+        about = {"note": note} if note else {}
+        limits = (scans, max_seconds)
+        if not demo:
+            return _scan(terminal, load_config(overrides), limits, about, preview)
+        from tagid.cli.demo import emulated_radar
+
+        with emulated_radar(demo_scene) as there:
+            demo_config = load_config({**overrides, **there})
+            return _scan(terminal, demo_config, limits, {**about, "demo": True}, preview)
+
+
+def _scan(
+    terminal: Terminal,
+    config: Config,
+    limits: tuple[int | None, float],
+    about: dict[str, Any],
+    preview: bool,
+) -> Result:
+    from rich.console import Group, RenderableType
+    from rich.text import Text
+
+    from tagid.cli import imaging
+    from tagid.motion.urls import open_motion
+    from tagid.pipeline import identify, prepare
+    from tagid.radar.devices import open_radar
+    from tagid.recorder import capture_path, record
+    from tagid.sources import Sources
+    from tagid.storage.image import write_image
+
+    url = config["radar.url"]
+    if not url:
+        raise ConfigError(
+            "no radar is configured",
+            "Give --radar udp://192.168.1.100, or keep it with `tagid config set radar.url udp://...`; "
+            "`tagid scan --demo` shows a scan without a radar.",
+        )
+    folder = Path(config["storage.folder"] or ".")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise StorageError(f"cannot make the folder {folder}: {error.strerror}", "Choose another.") from None
+    plan = _plan(config, url, limits, about)
+    layouts_registry = imaging.open_registry()
+    layouts, version = layouts_registry.layouts(), layouts_registry.version
+    motion = open_motion(config["motion.url"])
+    path = capture_path(folder)
+    with terminal.progress("record") as advance:
+        capture = record(
+            open_radar(url, Sources(), config["radar.timeout_s"]),
+            motion,
+            plan,
+            path,
+            lambda count, seconds, remark: advance(count, f"{count} scans, {seconds:.1f} s  {remark}"),
+        )
+    stem = path.name.removesuffix(".tagid.h5")
+    png = path.with_name(f"{stem}.png")
+    npz = path.with_name(f"{stem}.image.npz")
+    drawn: list[RenderableType] = []
+    settings = imaging.settings_from(config)
+    files: dict[str, str | None] = {"capture": str(path), "png": None, "image": None}
+    result_errors: tuple[dict[str, str], ...] = ()
+    try:
+        prepared = prepare(capture, config["motion.url"])
+        answer = identify(prepared, layouts, settings, version)
+        result = imaging.image_with_progress(terminal, prepared, settings)
+        imaging.draw(result, answer, png)
+        write_image(npz, result.image)
+        files |= {"png": str(png), "image": str(npz)}
+        if preview:
+            from tagid.report.preview import preview as in_terminal
+
+            drawn.append(in_terminal(result.image.values, result.image.grid.extent))
+        code = imaging.exit_code_of([answer])
+    except TagidError as error:
+        # The recording is safe; only what was to be read from it failed.
+        answer = imaging.failed(capture.uuid, error)
+        remedy = f"{error.remedy} The capture is kept in {path}; `tagid show` looks into it.".strip()
+        result_errors = ({"code": error.code, "message": error.message, "remedy": remedy},)
+        code = error.exit_code
+    else:
+        drawn.append(imaging.describe(answer, ""))
+    drawn += [Text(f"{name:<8} {where}") for name, where in files.items() if where]
+    lost = capture.radar.get("scans_lost") or 0
+    facts = {"views": capture.views, "bins": capture.bins, "scans_lost": lost, "files": files}
+    messages = (f"{lost} scans were lost on the way from the radar",) if lost else ()
+    data = {"items": [{"file": str(path), **answer.to_dict()}], **facts}
+    status = "error" if result_errors else "success"
+    return Result("scan", data, Group(*drawn), status, code, messages, result_errors)  # type: ignore[arg-type]
+
+
+def _plan(config: Config, url: str, limits: tuple[int | None, float], about: dict[str, Any]) -> RecordingPlan:
+    from tagid.recorder import RecordingPlan
+
+    scans, max_seconds = limits
+    if scans is not None and not 1 <= scans <= 65534:
+        raise ConfigError(f"--scans is {scans}", "Give 1 to 65534.")
+    if not 0 < max_seconds <= 86400:
+        raise ConfigError(f"--max-seconds is {max_seconds}", "Give a positive number of seconds.")
+    return RecordingPlan(
+        _window(config, url),
+        config["motion.axis_distance_m"],
+        config["motion.antenna_height_m"],
+        config["radar.cable_delay_ps"],
+        scans,
+        max_seconds,
+        about,
+    )
+
+
+def _window(config: Config, url: str) -> RadarConfig | None:
+    """The radar settings to ask for; None leaves a replayed recording its own."""
+    from tagid.radar.settings import RadarConfig
+    from tagid.recorder import plan_window
+
+    distance = config["motion.axis_distance_m"]
+    if url.startswith("replay://"):
+        return None
+    base = RadarConfig(
+        base_integration_index=config["radar.integration"],
+        transmit_gain=config["radar.gain"],
+        antenna_mode=config["radar.antenna_mode"],
+    )
+    if distance is None:
+        raise ConfigError(
+            "the distance from the radar to the rotation axis is not known",
+            "Measure it to a centimetre or two and give --axis-distance METRES, or keep it with "
+            "`tagid config set motion.axis_distance_m METRES`.",
+        )
+    return plan_window(distance, config["imaging.extent_m"], config["radar.cable_delay_ps"], base)

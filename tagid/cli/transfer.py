@@ -1,0 +1,129 @@
+"""`tagid import`, `export` and `recover`: captures from and to other formats, and back from a journal."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from tagid.cli import options
+from tagid.cli.frame import Terminal, command
+from tagid.config import load_config
+from tagid.errors import StorageError, UsageError
+from tagid.result import Result
+
+CAPTURE_SUFFIX = ".tagid.h5"
+_Out = Annotated[Path | None, typer.Option("--out", "-o", help="File to write.", show_default=False)]
+_Force = Annotated[bool, typer.Option("--force", help="Write over a file that exists.")]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands."""
+
+    @command(app, "import")
+    def import_(
+        terminal: Terminal,
+        file: options.CaptureFile,
+        out: _Out = None,
+        axis_distance: options.AxisDistance = None,
+        antenna_height: options.AntennaHeight = None,
+        cable_delay: options.CableDelay = None,
+        force: _Force = False,
+    ) -> Result:
+        """Turn a recording of another tool into a capture file.
+
+        Example: tagid import scan08.out --out scan08.tagid.h5
+        """
+        from dataclasses import replace
+
+        from rich.text import Text
+
+        from tagid.cli.imaging import complete
+        from tagid.storage.hdf5 import write_capture
+        from tagid.storage.importers import read_any
+
+        config = load_config(
+            {
+                "motion.axis_distance_m": axis_distance,
+                "motion.antenna_height_m": antenna_height,
+                "radar.cable_delay_ps": cable_delay,
+            }
+        )
+        target = _target(file, out, CAPTURE_SUFFIX, force)
+        if not target.name.endswith(".h5"):
+            raise UsageError(f"{target} does not end in {CAPTURE_SUFFIX}", "Use `tagid export` for others.")
+        capture = read_any(file, config["radar.cable_delay_ps"])
+        capture = replace(complete(capture, config))
+        write_capture(target, capture)
+        line = Text(f"{target}: {capture.views} scans of {capture.bins} samples")
+        data = {
+            "path": str(target),
+            "views": capture.views,
+            "bins": capture.bins,
+            "uuid": capture.uuid,
+            "complete": capture.complete,
+        }
+        return Result("import", data, line)
+
+    @command(app, "export")
+    def export(
+        terminal: Terminal, file: options.CaptureFile, out: _Out = None, force: _Force = False
+    ) -> Result:
+        """Write a capture as NPZ, MATLAB (.mat), P440 recording (.out, .prd) or .h5.
+
+        Example: tagid export helmet.tagid.h5 --out helmet.mat
+        """
+        from rich.text import Text
+
+        from tagid.storage.exporters import export as write
+        from tagid.storage.importers import read_any
+
+        target = _target(file, out, ".npz", force)
+        write(read_any(file), target)
+        return Result("export", {"path": str(target)}, Text(f"{target} written"))
+
+    @command(app, "recover")
+    def recover(
+        terminal: Terminal,
+        journal: Annotated[Path, typer.Argument(help="The .tagid.journal that was left.")],
+        out: _Out = None,
+        force: _Force = False,
+    ) -> Result:
+        """Make a capture file of the journal that a killed recording left.
+
+        Example: tagid recover scan-20260102-101112.tagid.journal
+        """
+        from rich.text import Text
+
+        from tagid.storage.hdf5 import write_capture
+        from tagid.storage.journal import journal_to_capture, read_journal
+
+        target = _target(journal, out, CAPTURE_SUFFIX, force)
+        content = read_journal(journal)
+        capture = journal_to_capture(content)
+        write_capture(target, capture)
+        state = "complete" if capture.complete else "cut short"
+        line = Text(f"{target}: {capture.views} scans recovered, the recording was {state}")
+        dropped = content.bytes_dropped
+        messages = (f"{dropped} bytes of the journal belong to no whole scan and were left out",)
+        data = {
+            "path": str(target),
+            "views": capture.views,
+            "complete": capture.complete,
+            "bytes_dropped": dropped,
+        }
+        return Result("recover", data, line, messages=messages if dropped else ())
+
+
+def _target(source: Path, out: Path | None, suffix: str, force: bool) -> Path:
+    if out is None:
+        stem = source.name
+        for ending in (CAPTURE_SUFFIX, ".tagid.journal", source.suffix):
+            if ending and stem.endswith(ending):
+                stem = stem.removesuffix(ending)
+                break
+        out = source.with_name(stem + suffix)
+    if out.exists() and not force:
+        raise StorageError(f"{out} exists already", "Choose another name with --out, or add --force.")
+    return out

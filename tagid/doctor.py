@@ -1,0 +1,136 @@
+"""What could keep `tagid scan` from working here, each finding with one remedy.
+
+A person in the field has one question when something does not work: what do I change.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import platform
+import shutil
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+from typing import Literal
+
+from tagid import __version__
+from tagid.config import Config, data_folder
+from tagid.errors import TagidError
+
+Level = Literal["ok", "warning", "problem"]
+_LOW_DISK_BYTES = 500 * 2**20
+_PACKAGES = ("numpy", "scipy", "h5py", "typer", "rich", "pillow")
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that was checked.
+
+    Attributes:
+        topic: what was checked.
+        level: "ok", "warning" (works without) or "problem".
+        text: what was found.
+        remedy: what to do; empty where all is well.
+    """
+
+    topic: str
+    level: Level
+    text: str
+    remedy: str = ""
+
+
+def examine(config: Config) -> list[Finding]:
+    """Check software, disk, registry, serial ports and the configured radar's answer."""
+    return [
+        *_versions(),
+        _engines(),
+        _disk(Path(config["storage.folder"] or ".")),
+        _registry(),
+        _ports(),
+        _axis(config),
+        _radar(config),
+    ]
+
+
+def _versions() -> list[Finding]:
+    found = ", ".join(f"{name} {metadata.version(name)}" for name in _PACKAGES)
+    return [
+        Finding("tagid", "ok", f"{__version__} on Python {platform.python_version()}, {platform.system()}"),
+        Finding("packages", "ok", found),
+    ]
+
+
+def _engines() -> Finding:
+    if importlib.util.find_spec("torch") is None:
+        remedy = "Nothing to do in the field; for ats: pip install 'tagid[ats]'."
+        return Finding("imaging", "warning", "bp and sparse; ats needs torch, which is not here", remedy)
+    return Finding("imaging", "ok", f"bp, sparse and ats (torch {metadata.version('torch')})")
+
+
+def _disk(folder: Path) -> Finding:
+    place = folder
+    while not place.exists() and place != place.parent:
+        place = place.parent
+    if not os.access(place, os.W_OK):
+        return Finding("disk", "problem", f"{place} cannot be written to", "Set storage.folder to another.")
+    free = shutil.disk_usage(place).free
+    text = f"{free / 2**30:.1f} GiB free for captures in {folder.resolve()}"
+    if free < _LOW_DISK_BYTES:
+        return Finding("disk", "problem", text, "Free some space; a scan takes up to 50 MB.")
+    return Finding("disk", "ok", text)
+
+
+def _registry() -> Finding:
+    from tagid.storage.registry import Registry
+
+    path = data_folder() / "registry.sqlite"
+    try:
+        registry = Registry(path)
+        count = len(registry.layouts())
+    except TagidError as error:
+        return Finding("layouts", "problem", error.message, error.remedy)
+    return Finding("layouts", "ok", f"{count} enrolled, version {registry.version}, in {path}")
+
+
+def _ports() -> Finding:
+    ports = sorted(str(path) for kind in ("ttyACM*", "ttyUSB*") for path in Path("/dev").glob(kind))
+    if not ports:
+        return Finding("serial ports", "ok", "none")
+    locked = [port for port in ports if not os.access(port, os.R_OK | os.W_OK)]
+    if locked:
+        remedy = "Add yourself to the group dialout (sudo usermod -aG dialout $USER) and log in again."
+        return Finding("serial ports", "warning", f"no permission for {', '.join(locked)}", remedy)
+    return Finding("serial ports", "ok", ", ".join(ports))
+
+
+def _axis(config: Config) -> Finding:
+    distance = config["motion.axis_distance_m"]
+    if distance is None:
+        remedy = "Measure it: tagid config set motion.axis_distance_m METRES"
+        return Finding("axis distance", "warning", "not set", remedy)
+    return Finding("axis distance", "ok", f"{distance} m")
+
+
+def _radar(config: Config) -> Finding:
+    from tagid.radar.devices import open_radar
+    from tagid.sources import Sources
+
+    url = config["radar.url"]
+    if not url:
+        remedy = "tagid config set radar.url udp://192.168.1.100 (kit units: .100 to .103)"
+        return Finding("radar", "warning", "none configured", remedy)
+    try:
+        with open_radar(url, Sources(), config["radar.timeout_s"]) as radar:
+            status = radar.status()
+            taken = radar.config
+    except TagidError as error:
+        return Finding("radar", "problem", f"{url}: {error.message}", error.remedy)
+    text = (
+        f"{url} answers: serial {status.serial}, MRM {status.mrm_version}, {status.temperature_c:.1f} degC, "
+        f"{taken.samples} samples"
+    )
+    if status.built_in_test:
+        remedy = "Power-cycle the radar; if it stays, the unit needs service."
+        return Finding("radar", "problem", f"{text}, self test {status.built_in_test}", remedy)
+    return Finding("radar", "ok", text)

@@ -1,0 +1,216 @@
+"""From two devices to a capture: the radar's scans go to the journal first, then to a capture file.
+
+Whatever ends a recording early, what arrived stays on disk and the error says where.
+"""
+
+from __future__ import annotations
+
+import time
+import uuid
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tagid import __version__
+from tagid.capture import Capture, ViewFlag
+from tagid.constants import RANGE_STEP_M, SPEED_OF_LIGHT
+from tagid.errors import CaptureInterrupted, ConfigError, DataError, StorageError, TagidError
+from tagid.motion.turntable import Motion
+from tagid.radar.assembler import Scan
+from tagid.radar.p440 import P440
+from tagid.radar.settings import RadarConfig
+from tagid.storage.hdf5 import write_capture
+from tagid.storage.journal import SUFFIX as JOURNAL_SUFFIX
+from tagid.storage.journal import JournalWriter, journal_to_capture, read_journal
+
+CAPTURE_SUFFIX = ".tagid.h5"
+_MARGIN_M = 0.35
+"""Kept on both sides of the image: the pulse's length, the autofocus and clutter-free bins for the noise."""
+
+Progress = Callable[[int, float, str], None]
+"""Called with (scans, seconds, remark)."""
+
+
+@dataclass(frozen=True)
+class RecordingPlan:
+    """What is recorded.
+
+    Attributes:
+        config: the radar settings asked for; None leaves the radar's own.
+        axis_distance_m, antenna_height_m: of the antenna, m; the distance may be unknown (None).
+        cable_delay_ps: two-way delay to take off the ranges, ps.
+        scans: number of scans; None until the motion says that a turn is complete.
+        max_seconds: longest recording, s.
+        object: what is known of the object, plain JSON values.
+    """
+
+    config: RadarConfig | None
+    axis_distance_m: float | None
+    antenna_height_m: float = 0.0
+    cable_delay_ps: float = 0.0
+    scans: int | None = None
+    max_seconds: float = 180.0
+    object: dict[str, Any] = field(default_factory=dict)
+
+
+def plan_window(
+    axis_distance_m: float, extent_m: float, cable_delay_ps: float, base: RadarConfig
+) -> RadarConfig:
+    """The settings whose range window holds the object and a margin around it.
+
+    Raises ConfigError where the radar would stand inside the object.
+    """
+    reach = extent_m / np.sqrt(2) + _MARGIN_M
+    if axis_distance_m <= extent_m / 2:
+        raise ConfigError(
+            f"the axis distance is {axis_distance_m} m, but the image reaches {extent_m / 2} m from the axis",
+            "Move the radar away or make the extent smaller.",
+        )
+
+    def picoseconds(range_m: float) -> int:
+        return round(2e12 * range_m / SPEED_OF_LIGHT + cable_delay_ps)
+
+    return replace(
+        base,
+        scan_start_ps=picoseconds(max(axis_distance_m - reach, 0.0)),
+        scan_stop_ps=picoseconds(axis_distance_m + reach),
+    )
+
+
+def record(
+    radar: P440, motion: Motion, plan: RecordingPlan, path: Path, progress: Progress | None = None
+) -> Capture:
+    """Record until a turn is complete and write the capture file at `path`.
+
+    The journal lies beside it while recording and is removed when the capture file is safe on disk. Where
+    recording ends early, the capture file holds what arrived, marked as not complete, and the error says so.
+
+    Args:
+        radar: a client, not connected.
+        motion: what turns the object; started before and stopped after, whatever happens.
+        plan: what to record.
+        path: the capture file to write; it must not exist.
+        progress: told after every batch of scans.
+
+    Raises:
+        DeviceError and its kinds: the radar or the table failed. DiskFullError, StorageError: files.
+        CaptureInterrupted: stopped by the user. DataError: no scan arrived.
+    """
+    if path.exists():
+        raise StorageError(f"{path} exists already", "Choose another name; captures are never overwritten.")
+    journal_path = path.with_name(path.name.removesuffix(CAPTURE_SUFFIX) + JOURNAL_SUFFIX)
+    stopped: TagidError | None = None
+    with radar:
+        status = radar.status()
+        taken = radar.config if plan.config is None else radar.set_config(plan.config)
+        header = _header(plan, taken, {"serial": status.serial, "package": status.package})
+        with JournalWriter(journal_path, header) as journal:
+            try:
+                _receive(radar, motion, plan, journal, progress)
+            except KeyboardInterrupt:
+                stopped = CaptureInterrupted(f"stopped by the user after {journal.scans} scans")
+            except StorageError as error:
+                raise _with_remedy(error, f"Free space, then `tagid recover {journal_path}`.") from error
+            except TagidError as error:
+                stopped = error
+            statistics = asdict(radar.statistics)
+            summary = {
+                "radar": {"statistics": statistics, "scans_lost": statistics["lost_scans"]},
+                "motion": motion.describe(),
+            }
+            if stopped is None:
+                journal.close(summary)
+    return _finish(journal_path, path, summary, stopped)
+
+
+def _receive(
+    radar: P440, motion: Motion, plan: RecordingPlan, journal: JournalWriter, progress: Progress | None
+) -> None:
+    config = radar.config
+    scans: list[Scan] = []
+    check_every = max(1, round(0.5 / config.scan_period_s))
+    motion.start()
+    try:
+        for scan in radar.scans(plan.scans or 65535):
+            flags = ViewFlag.CLIPPED if int(np.abs(scan.samples).max()) >= config.clip_counts else 0
+            if not scans:
+                flags |= ViewFlag.FIRST
+            elif scan.scan_id != scans[-1].scan_id + 1:
+                flags |= ViewFlag.AFTER_LOSS
+            journal.append(
+                scan.scan_id, scan.host_time_ns, float(scan.radar_time_ms), scan.samples, int(flags)
+            )
+            scans.append(scan)
+            if len(scans) % check_every:
+                continue
+            seconds = (scan.radar_time_ms - scans[0].radar_time_ms) * 1e-3
+            if progress:
+                progress(len(scans), seconds, motion.remark)
+            if plan.scans is None and motion.finished(
+                [s.samples for s in scans], np.array([s.radar_time_ms for s in scans], dtype=np.float64)
+            ):
+                return
+            if seconds >= plan.max_seconds:
+                return
+    finally:
+        motion.stop()
+
+
+def _header(plan: RecordingPlan, taken: RadarConfig, radar: dict[str, Any]) -> dict[str, Any]:
+    asked = None if plan.config is None else asdict(plan.config)
+    return {
+        "range_start_m": taken.range_start_m(plan.cable_delay_ps),
+        "range_step_m": RANGE_STEP_M,
+        "axis_distance_m": plan.axis_distance_m,
+        "antenna_height_m": plan.antenna_height_m,
+        "uuid": str(uuid.uuid4()),
+        "created_utc": datetime.now(UTC).isoformat(timespec="seconds"),
+        "tool_version": __version__,
+        "radar": {
+            **radar,
+            "config": asdict(taken),
+            "config_asked": asked,
+            "cable_delay_ps": plan.cable_delay_ps,
+        },
+        "object": plan.object,
+    }
+
+
+def _finish(journal_path: Path, path: Path, summary: dict[str, Any], stopped: TagidError | None) -> Capture:
+    """Turn the journal into the capture file; the journal goes only when that is safe on disk."""
+    journal = read_journal(journal_path)
+    if not journal.scans:
+        journal_path.unlink(missing_ok=True)
+        raise stopped or DataError(
+            "no complete scan arrived", "Check the network for lost packets with `tagid doctor`."
+        )
+    capture = journal_to_capture(journal)
+    if stopped is not None:
+        motion = summary["motion"]
+        capture = replace(capture, radar={**capture.radar, **summary["radar"]}, motion=motion)
+    try:
+        write_capture(path, capture)
+    except StorageError as error:
+        raise _with_remedy(error, f"Free space, then `tagid recover {journal_path}`.") from error
+    journal_path.unlink(missing_ok=True)
+    if stopped is not None:
+        raise _with_remedy(stopped, f"The {capture.views} scans that arrived are in {path}.") from stopped
+    return capture
+
+
+def _with_remedy(error: TagidError, remedy: str) -> TagidError:
+    return type(error)(error.message, f"{error.remedy} {remedy}".strip())
+
+
+def capture_path(folder: Path, now: float | None = None) -> Path:
+    """A new capture file's path in a folder: named after the second, numbered where that is taken."""
+    stem = time.strftime("scan-%Y%m%d-%H%M%S", time.localtime(now))
+    for number in range(1, 1000):
+        path = folder / f"{stem}{'' if number == 1 else f'-{number}'}{CAPTURE_SUFFIX}"
+        if not path.exists():
+            return path
+    raise StorageError(f"{folder} holds a thousand captures of this second", "Choose another folder.")

@@ -1,0 +1,60 @@
+"""Image files: what `tagid reconstruct --out` leaves for other programs.
+
+One NPZ with the complex image, its axes and every setting, so that a figure can be made and checked elsewhere.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tagid.storage.atomic import write_bytes
+
+
+class Grid(Protocol):
+    """What is needed of a grid: its axis, m."""
+
+    @property
+    def axis(self) -> NDArray[np.float64]:
+        """(pixels,) pixel centres, m."""
+        ...
+
+
+class GriddedImage(Protocol):
+    """What is needed of an image; `tagid.imaging.types.Image` is one."""
+
+    @property
+    def values(self) -> NDArray[np.complex64]:
+        """(y, x) reflectivity."""
+        ...
+
+    @property
+    def grid(self) -> Grid:
+        """Where the pixels lie."""
+        ...
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Method and parameters."""
+        ...
+
+
+def write_image(path: Path, image: GriddedImage) -> None:
+    """Write `image` complex64 (y, x), `x_m`, `y_m` and `settings` (JSON), whole or not at all.
+
+    Raises StorageError, DiskFullError.
+    """
+    buffer = io.BytesIO()
+    np.savez_compressed(
+        buffer,
+        image=image.values.astype(np.complex64),
+        x_m=image.grid.axis,
+        y_m=image.grid.axis,
+        settings=np.array(json.dumps(image.settings, default=str)),
+    )
+    write_bytes(path, buffer.getvalue())
