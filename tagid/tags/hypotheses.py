@@ -125,7 +125,7 @@ class _CoarseImage:
         index = np.rint(np.linalg.norm(points, axis=-1) / IMAGE_STEP_M).astype(np.int32)
         index = np.minimum(index, len(self.static) - 1)
         table: NDArray[np.complex64] = self.static
-        return table[index[..., :, None], index[..., None, :]]
+        return np.asarray(table[index[..., :, None], index[..., None, :]])
 
     def at_offset(self, offset_m: float) -> NDArray[np.complex64]:
         image = np.zeros(self.inside.shape, dtype=np.complex64)

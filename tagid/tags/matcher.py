@@ -26,7 +26,6 @@ from tagid.tags.reflectors import (
     clean,
     refine_positions,
 )
-
 from tagid.tags.views import fold_views
 
 
@@ -121,13 +120,13 @@ def read_tag(
     evidence = _evidence(matched, best, runner_up, (amplitudes, level), settings)
     status, reason = decide(evidence, settings.decision)
     ranked = [fits[i] for i in order]
-    signal = _signal_energy(matched, best)
+    signal = _signal_energy(matched, best, level)
     return Reading(
         status=status,
         reason=reason,
         layout=best.layout.name if status in ("identified", "ambiguous") else None,
         nearest=best.layout.name,
-        score=0.0 if status == "no_tag" else _certain_share(matched, best),
+        score=0.0 if status == "no_tag" else _certain_share(matched, best, level),
         margin=float(np.clip(evidence.margin_share, 0, 1)),
         rotation_deg=float(np.rad2deg(best.rotation_rad)),
         centre_m=(float(best.centre_m[0]), float(best.centre_m[1])),
@@ -147,16 +146,21 @@ def _criterion(matched: MatchedField, fit: Fit) -> float:
     return float(n * np.log(left) + fit.layout.size * np.log(n))
 
 
-def _signal_energy(matched: MatchedField, fit: Fit) -> float:
-    """Energy above noise, at least what the fit explains above its own share of noise."""
-    noise = matched.noise_variance * matched.independent_samples
+def _signal_energy(matched: MatchedField, fit: Fit, level: float) -> float:
+    """Energy above noise, at least what the fit explains.
+
+    The noise is what the scans say or what the residual shows, but no more than twice the former: in strong
+    echoes the residual is the model's error, which is not to be forgiven.
+    """
+    stated = matched.noise_variance * matched.independent_samples
+    noise = float(np.clip(level * matched.independent_samples, stated, 2 * stated)) if stated > 0 else 0.0
     return float(max(matched.energy - noise, fit.explained, 1e-30))
 
 
-def _certain_share(matched: MatchedField, fit: Fit) -> float:
+def _certain_share(matched: MatchedField, fit: Fit, level: float) -> float:
     """Explained share with the signal's energy taken two standard deviations of the noise's larger."""
     n, variance = matched.independent_samples, matched.noise_variance
-    return float(min(fit.charged / (_signal_energy(matched, fit) + 2 * np.sqrt(n) * variance), 1.0))
+    return float(min(fit.charged / (_signal_energy(matched, fit, level) + 2 * np.sqrt(n) * variance), 1.0))
 
 
 def _score(matched: MatchedField, fit: Fit, signal: float) -> LayoutScore:
@@ -186,7 +190,7 @@ def _evidence(
     return Evidence(
         size=size,
         nats=best.explained / level,
-        share=float(min(best.charged / _signal_energy(matched, best), 1.0)),
+        share=float(min(best.charged / _signal_energy(matched, best, level), 1.0)),
         weakest=float(own.min() / max(typical, 1e-30)),
         missing=int(np.count_nonzero(own < settings.decision.missing_share * typical)),
         extra=int(np.count_nonzero(beyond > settings.decision.extra_share * typical)),

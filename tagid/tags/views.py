@@ -19,7 +19,7 @@ BAND_MARGIN = 1.25
 
 
 def fold_views(scans: BasebandScans, radius_m: float) -> BasebandScans:
-    """Full turns of many views as one turn of the fewest uniform views that keep all of a disc of that radius.
+    """Full turns of many views as one turn of the fewest uniform views that keep a disc of that radius.
 
     An angular low-pass (flat to 2 k r plus a guard, cosine taper beyond) applied to views weighted by the gap
     to their neighbours. Scans that are few already, have gaps or free positions come back as they are.
