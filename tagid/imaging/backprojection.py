@@ -52,7 +52,7 @@ def _accumulate(
     size = len(axis)
     total = np.zeros((size, size), dtype=np.complex64)
     distance = np.empty((size, size), dtype=np.float32)
-    index = np.empty((size, size), dtype=np.int32)
+    index = np.empty((size, size), dtype=np.intp)
     echo = np.empty((size, size), dtype=np.complex64)
     for at in range(0, len(views), _VIEWS_PER_BLOCK):
         part = views[at : at + _VIEWS_PER_BLOCK]

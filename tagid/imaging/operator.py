@@ -6,8 +6,11 @@ that a turntable and a free path are the same thing to them.
 
 from __future__ import annotations
 
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,20 +21,27 @@ from tagid.geometry import ImageGrid
 from tagid.imaging.types import BasebandScans
 
 MAX_ENTRIES = 80_000_000
-"""Largest number of (view, point) pairs: 24 bytes each, 1.9 GB."""
+"""Largest number of (view, point) pairs: 12 bytes each, 1 GB."""
 
-_FINE_ERROR = 1.5e-3
-"""Largest error of the linear interpolation onto the fine range grid, relative to the response's peak."""
+_FINE_ERROR = 4e-3
+"""Largest error of the response on the fine range grid, relative to its peak; the phase stays exact."""
 
-_CHUNK = 1 << 21
+_CHUNK = 1 << 18
+
+VIEWS_PER_BLOCK = 16
+"""Views in one sparse block: their fine scans (some 1000 bins each) stay in a core's cache."""
+
+MAX_THREADS = 8
+
+_T = TypeVar("_T")
 
 
 class ForwardOperator:
     """y[v, b] = sum_p sigma_p response(R_b - d_vp) exp(-2j k d_vp), d_vp = |antenna_v - point_p|.
 
-    It is applied in two stages, y = S G sigma: the sparse G puts every point on a fine range grid by linear
-    interpolation (two entries for each view and point), the small dense S convolves with the response and
-    samples the bins. Both adjoints are exact: <A x, y> = <x, A^H y> to rounding.
+    It is applied in two stages, y = S G sigma: the sparse G puts every point with its phase into the nearest
+    bin of a fine range grid (one entry for each view and point), the small dense S convolves with the
+    response and samples the bins. Both adjoints are exact: <A x, y> = <x, A^H y> to rounding.
 
     Args:
         scans: where the bins, the response, the wavenumber and the antenna positions come from; the samples
@@ -49,26 +59,29 @@ class ForwardOperator:
         views, bins = scans.aperture.views, scans.samples.shape[1]
         if views * len(points) > MAX_ENTRIES:
             raise UsageError(
-                f"{views} views of {len(points)} points need {views * len(points) * 24 / 1e9:.1f} GB",
+                f"{views} views of {len(points)} points need {views * len(points) * 12 / 1e9:.1f} GB",
                 "Use fewer pixels or fewer views.",
             )
-        self.views, self.bins, self.points = views, bins, len(points)
         near, far, step = _fine_range(scans, points)
+        self.views, self.bins, self.points = views, bins, len(points)
         self._fine_bins = int(np.ceil((far - near) / step)) + 2
-        index, weight = _interpolation(scans, points, near, step)
         fine = near + step * np.arange(self._fine_bins)
         self._response = scans.response(scans.ranges_m[None, :] - fine[:, None]).astype(np.complex64)
-        self._set(index, weight)
+        self._blocks = [
+            self._block(*_interpolation(scans, points, views_of_block, (near, step)))
+            for views_of_block in _split(views)
+        ]
 
-    def _set(self, index: NDArray[np.int32], weight: NDArray[np.complex64]) -> None:
-        # Stored by points, index and weight (points, views, 2): no sorting to build, cheap choice of views.
-        self._index, self._weight = index, weight
-        rows = index + (np.arange(self.views, dtype=np.int32) * self._fine_bins)[None, :, None]
-        starts = np.arange(0, rows.size + 1, 2 * self.views, dtype=np.int32)
-        shape = (self.views * self._fine_bins, self.points)
-        parts: Any = (weight.ravel(), rows.ravel(), starts)
-        self._gather: sparse.csc_array = sparse.csc_array(parts, shape=shape)
-        self._gather_t: sparse.csr_array = self._gather.T
+    def _block(self, index: NDArray[np.int32], weight: NDArray[np.complex64]) -> sparse.csc_array:
+        """G of some views, CSC (k * fine bins, points), from fine bins and phases (points, k).
+
+        By columns it needs no sorting to build; few views a block keep the fine scans in the cache.
+        """
+        k = index.shape[1]
+        index += (np.arange(k, dtype=np.int32) * self._fine_bins)[None, :]
+        starts = np.arange(0, index.size + 1, k, dtype=np.int32)
+        parts: Any = (weight.ravel(), index.ravel(), starts)
+        return sparse.csc_array(parts, shape=(k * self._fine_bins, self.points))
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -78,14 +91,20 @@ class ForwardOperator:
     def forward(self, sigma: NDArray[np.complexfloating]) -> NDArray[np.complex64]:
         """Scans (views, bins) complex64 of reflectivities (points,)."""
         x = np.asarray(sigma, dtype=np.complex64).reshape(self.points)
-        fine = (self._gather @ x).reshape(self.views, self._fine_bins)
-        return np.asarray(fine @ self._response, dtype=np.complex64)
+        fine = np.concatenate(_each(lambda block: block @ x, self._blocks))
+        return np.asarray(fine.reshape(self.views, self._fine_bins) @ self._response, dtype=np.complex64)
 
     def adjoint(self, scans: NDArray[np.complexfloating]) -> NDArray[np.complex64]:
         """A^H y (points,) complex64 of scans (views, bins) or (views * bins,)."""
         y = np.asarray(scans, dtype=np.complex64).reshape(self.views, self.bins)
-        fine = y.conj() @ self._response.T
-        return np.asarray((self._gather_t @ fine.ravel()).conj(), dtype=np.complex64)
+        fine = (y.conj() @ self._response.T).ravel()
+        starts = np.cumsum([0, *(block.shape[0] for block in self._blocks)])
+        pairs = [
+            (block.T, fine[at : at + block.shape[0]]) for block, at in zip(self._blocks, starts, strict=False)
+        ]
+        return np.asarray(
+            np.sum(_each(lambda pair: pair[0] @ pair[1], pairs), axis=0).conj(), dtype=np.complex64
+        )
 
     def norm_squared(self, iterations: int = 12, seed: int = 0) -> float:
         """Largest eigenvalue of A^H A by power iteration from a seeded start (a few % from below)."""
@@ -102,66 +121,84 @@ class ForwardOperator:
         return norm
 
     def select(self, views: NDArray[np.integer] | slice) -> ForwardOperator:
-        """The operator of some views only; no geometry is computed again."""
+        """The operator of some views only, in the order given; no geometry is computed again."""
+        chosen = np.arange(self.views)[views]
         part = object.__new__(ForwardOperator)
-        index, weight = self._index[:, views], self._weight[:, views]
-        part.views, part.bins, part.points = index.shape[1], self.bins, self.points
+        part.views, part.bins, part.points = len(chosen), self.bins, self.points
         part._fine_bins, part._response = self._fine_bins, self._response
-        part._set(index, weight)
+        part._blocks = []
+        for group in _split(len(chosen)):
+            index = np.empty((self.points, len(chosen[group])), dtype=np.int32)
+            weight = np.empty(index.shape, dtype=np.complex64)
+            for i, view in enumerate(chosen[group]):
+                block, at = self._blocks[view // VIEWS_PER_BLOCK], view % VIEWS_PER_BLOCK
+                index[:, i] = block.indices.reshape(self.points, -1)[:, at] - at * self._fine_bins
+                weight[:, i] = block.data.reshape(self.points, -1)[:, at]
+            part._blocks.append(part._block(index, weight))
         return part
 
     @property
-    def stages(self) -> tuple[sparse.csc_array, NDArray[np.complex64]]:
+    def stages(self) -> tuple[sparse.csr_array, NDArray[np.complex64]]:
         """G (views * fine bins, points) and S^T (fine bins, bins): y = (G x).reshape(views, -1) @ S^T."""
-        return self._gather, self._response
+        return sparse.csr_array(sparse.vstack(self._blocks, format="csr")), self._response
 
     @cached_property
     def matrix(self) -> sparse.csr_array:
-        """A itself, CSR complex64 (views * bins, points); larger and slower than the two stages."""
+        """A itself, CSR complex64 (views * bins, points); some ten times larger than the two stages."""
         spread = sparse.csr_array(self._response.T)
-        blocks = [
-            spread @ self._gather_t[:, v * self._fine_bins : (v + 1) * self._fine_bins].T.tocsr()
-            for v in range(self.views)
+        rows = [
+            spread @ block[at : at + self._fine_bins]
+            for block in (sparse.csr_array(b) for b in self._blocks)
+            for at in range(0, block.shape[0], self._fine_bins)
         ]
-        matrix = sparse.csr_array(sparse.vstack(blocks, format="csr"))
+        matrix = sparse.csr_array(sparse.vstack(rows, format="csr"))
         matrix.sort_indices()
         return matrix
 
 
+def _split(views: int) -> list[slice]:
+    return [slice(at, min(at + VIEWS_PER_BLOCK, views)) for at in range(0, views, VIEWS_PER_BLOCK)]
+
+
+def _each(work: Callable[[_T], NDArray[np.complex64]], parts: list[_T]) -> list[NDArray[np.complex64]]:
+    """work(part) of every part, in order, on as many threads as pay (scipy's products let go of the GIL)."""
+    threads = min(len(parts), os.cpu_count() or 1, MAX_THREADS)
+    if threads < 2:
+        return [work(part) for part in parts]
+    with ThreadPoolExecutor(threads) as pool:
+        return list(pool.map(work, parts))
+
+
 def _fine_range(scans: BasebandScans, points: NDArray[np.float64]) -> tuple[float, float, float]:
-    """First and last fine range and step, m: all points lie inside, the interpolation error is small."""
+    """First and last fine range and step, m: all points lie inside, rounding to it costs little."""
     antenna = scans.aperture.positions
     radius = float(np.hypot(points[:, 0], points[:, 1]).max())
     across = np.hypot(antenna[:, 0], antenna[:, 1])
     near = float(np.hypot(np.maximum(across - radius, 0), antenna[:, 2]).min())
     far = float(np.hypot(across + radius, antenna[:, 2]).max())
     response = scans.response
-    bend = float(np.abs(np.diff(response.samples, 2)).max()) / response.step_m**2
-    step = min(float(np.sqrt(8 * _FINE_ERROR / bend)), scans.range_step_m)
+    slope = float(np.abs(np.diff(response.samples)).max()) / response.step_m
+    step = min(2 * _FINE_ERROR / slope, scans.range_step_m)
     return near - step, far + step, step
 
 
 def _interpolation(
-    scans: BasebandScans, points: NDArray[np.float64], near: float, step: float
+    scans: BasebandScans, points: NDArray[np.float64], views: slice, fine: tuple[float, float]
 ) -> tuple[NDArray[np.int32], NDArray[np.complex64]]:
-    """Fine bins and weights (points, views, 2) of every point in every view."""
-    antenna = scans.aperture.positions
-    shape = (len(points), len(antenna), 2)
+    """Fine bins and phases (points, k) of every point in some views; `fine` is (first range, step), m."""
+    antenna = scans.aperture.positions[views]
+    near, step = fine
+    shape = (len(points), len(antenna))
     index = np.empty(shape, dtype=np.int32)
     weight = np.empty(shape, dtype=np.complex64)
-    block = max(1, _CHUNK // len(antenna))
-    for at in range(0, len(points), block):
-        part = slice(at, at + block)
+    rows = max(1, _CHUNK // len(antenna))
+    for at in range(0, len(points), rows):
+        part = slice(at, at + rows)
         x, y = points[part, 0, None], points[part, 1, None]
         distance = np.sqrt((x - antenna[:, 0]) ** 2 + (y - antenna[:, 1]) ** 2 + antenna[:, 2] ** 2)
-        position = (distance - near) / step
-        lower = position.astype(np.int32)
-        fraction = (position - lower).astype(np.float32)
+        index[part] = ((distance - near) / step + 0.5).astype(np.int32)
         # The phase is reduced to one turn in double precision before single precision takes over.
         turns = distance * (scans.wavenumber / np.pi)
         angle = ((turns - np.rint(turns)) * (-2 * np.pi)).astype(np.float32)
-        phase = np.empty(angle.shape, dtype=np.complex64)
-        phase.real, phase.imag = np.cos(angle), np.sin(angle)
-        index[part, :, 0], index[part, :, 1] = lower, lower + 1
-        weight[part, :, 0], weight[part, :, 1] = phase * (1 - fraction), phase * fraction
+        weight[part].real, weight[part].imag = np.cos(angle), np.sin(angle)
     return index, weight
