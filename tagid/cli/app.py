@@ -61,9 +61,7 @@ def main() -> None:
     except typer.TyperException as error:
         as_json = any(word == "json" or word == "--output=json" for word in sys.argv[1:])
         words = [word for word in sys.argv[1:] if not word.startswith("-")]
-        usage = UsageError(
-            error.format_message(), "`tagid --help` and `tagid COMMAND --help` show what fits."
-        )
+        usage = UsageError(error.format_message(), "`tagid --help` and `tagid COMMAND -h` show what fits.")
         if not usage.message:
             sys.exit(EXIT_USAGE)
         render(Result.from_error(words[0] if words else "tagid", usage), "json" if as_json else "human")

@@ -36,9 +36,7 @@ def register(app: typer.Typer) -> None:
         notes: Annotated[str, typer.Option("--notes", help="Kept with the layout.")] = "",
         motion: options.MotionUrl = None,
         axis_distance: options.AxisDistance = None,
-        force: Annotated[
-            bool, typer.Option("--force", help="Enrol a layout that could be confused.")
-        ] = False,
+        force: Annotated[bool, typer.Option("--force", help="Enrol one that could be confused.")] = False,
     ) -> Result:
         """Enrol a layout from numbers, from a file, or from captures of the real object.
 

@@ -112,7 +112,17 @@ def execute(name: str, terminal: Terminal, work: Callable[[], Result]) -> Result
         result = Result.from_error(name, CaptureInterrupted("stopped by the user"))
     except BrokenPipeError:
         return Result(name, status="error", exit_code=EXIT_FAILED)
-    except (MemoryError, OSError, ArithmeticError, LookupError, TypeError, ValueError, RuntimeError) as error:
+    except (
+        ArithmeticError,
+        AttributeError,
+        ImportError,
+        LookupError,
+        MemoryError,
+        OSError,
+        RuntimeError,
+        TypeError,
+        ValueError,
+    ) as error:
         logging.getLogger("tagid").debug("unexpected error", exc_info=True)
         result = Result.from_error(
             name,

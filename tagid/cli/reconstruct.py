@@ -25,9 +25,7 @@ def register(app: typer.Typer) -> None:
         engine: Annotated[str, typer.Option("--engine", help="What runs ats: torch.")] = "torch",
         extent: options.Extent = None,
         pixels: options.Pixels = None,
-        out: Annotated[
-            Path | None, typer.Option("--out", help="Write image, axes and settings (NPZ).")
-        ] = None,
+        out: Annotated[Path | None, typer.Option("--out", help="Write image and axes (NPZ).")] = None,
         png: options.PngFile = None,
         preview: options.Preview = False,
         motion: options.MotionUrl = None,

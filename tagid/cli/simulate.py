@@ -30,9 +30,7 @@ def register(app: typer.Typer) -> None:
         height: Annotated[float, typer.Option("--antenna-height", help="Metres.")] = 0.0,
         rotation: Annotated[float, typer.Option("--rotation", help="Turn of the object, degrees.")] = 0.0,
         centre: Annotated[str, typer.Option("--centre", help="X,Y off the axis, metres.")] = "0,0",
-        wobble: Annotated[
-            float, typer.Option("--wobble", help="Unevenness of the speed, 0.01 is 1 %.")
-        ] = 0.0,
+        wobble: Annotated[float, typer.Option("--wobble", help="Uneven speed, 0.01 is 1 %.")] = 0.0,
         beam_deg: Annotated[float | None, typer.Option("--beam", help="-3 dB beam width, degrees.")] = None,
         range_law: Annotated[bool, typer.Option("--range-law", help="1/R^4 in power.")] = False,
         seed: options.Seed = 0,
