@@ -1,0 +1,120 @@
+"""One uniform clock through the radar's whole-millisecond timestamps.
+
+A scan takes 21.573 ms and is stamped in whole milliseconds: alone a stamp is off by up to 1 ms, but the radar
+scans evenly, so a line through all of them is good to microseconds.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tagid.errors import DataError
+
+OUTLIER_MS = 1.5
+"""A stamp further from the line than rounding (1 ms) plus jitter is not used for the line."""
+WRAP_MS = 2.0**32
+"""The radar's clock is a u32 of milliseconds (P440 MRM API)."""
+
+
+@dataclass(frozen=True, eq=False)
+class UniformClock:
+    """A clock time = t0 + period * index.
+
+    Attributes:
+        times_s: (scans,) time of each scan since the first one, s.
+        index: (scans,) whole scan periods since the first scan; gaps are lost scans.
+        period_s: scan period, s.
+        period_sigma_s: its standard deviation, s.
+        sigma_s: standard deviation of one of times_s, s (worst: at the ends).
+        residual_ms: RMS of stamp minus line, ms; 0.29 for pure rounding.
+        outliers: stamps that were not used.
+    """
+
+    times_s: NDArray[np.float64]
+    index: NDArray[np.int64]
+    period_s: float
+    period_sigma_s: float
+    sigma_s: float
+    residual_ms: float
+    outliers: int
+
+
+def _indexes(
+    stamps: NDArray[np.float64], scan_id: NDArray[np.integer] | None, period_ms: float
+) -> NDArray[np.int64]:
+    if scan_id is not None:
+        return np.asarray(scan_id, dtype=np.int64) - int(scan_id[0])
+    steps = np.maximum(np.rint(np.diff(stamps) / period_ms), 1)
+    return np.concatenate([[0], np.cumsum(steps)]).astype(np.int64)
+
+
+def fit_clock(
+    radar_time_ms: NDArray[np.floating], scan_id: NDArray[np.integer] | None = None
+) -> UniformClock:
+    """Fit the uniform clock, least squares with outliers left out (the first scan is often one).
+
+    Args:
+        radar_time_ms: (scans,) stamps, whole ms; a wrap of the u32 counter is undone.
+        scan_id: (scans,) unwrapped scan numbers; without them lost scans are told from the gaps in time.
+
+    Raises:
+        DataError: fewer than two scans, stamps that do not advance, ids that do not increase.
+    """
+    stamps = np.array(radar_time_ms, dtype=np.float64)
+    if stamps.ndim != 1 or len(stamps) < 2 or not np.isfinite(stamps).all():
+        raise DataError(
+            f"a clock cannot be fitted through {stamps.size} timestamps", "Record at least two scans."
+        )
+    if scan_id is not None and (len(scan_id) != len(stamps) or (np.diff(scan_id) <= 0).any()):
+        raise DataError("scan numbers do not increase, or are not as many as timestamps")
+    stamps = stamps + WRAP_MS * np.concatenate([[0], np.cumsum(np.diff(stamps) < -WRAP_MS / 2)])
+    if scan_id is not None:
+        guess = float(np.median(np.diff(stamps) / np.diff(scan_id)))
+    else:
+        guess = float(np.median(np.diff(stamps)))
+    if guess <= 0:
+        raise DataError(
+            "the radar's timestamps do not advance",
+            "Give the scan period, or record with a radar that stamps.",
+        )
+    index = _indexes(stamps, scan_id, guess)
+    # A robust start: the median slope over long baselines is not moved by a few bad stamps.
+    half = len(stamps) // 2
+    slope = float(
+        np.median(
+            (stamps[half:] - stamps[: len(stamps) - half]) / (index[half:] - index[: len(stamps) - half])
+        )
+    )
+    offset = float(np.median(stamps - slope * index))
+    used = np.ones(len(stamps), dtype=bool)
+    for _ in range(4):
+        inliers = np.abs(stamps - offset - slope * index) <= OUTLIER_MS
+        if np.count_nonzero(inliers) < max(2, len(stamps) // 2):
+            # No uniform clock within rounding: keep every stamp and let the residual tell.
+            inliers = np.ones(len(stamps), dtype=bool)
+        slope, offset = (
+            np.polyfit(index[inliers], stamps[inliers], 1) if inliers.sum() > 2 else (slope, offset)
+        )
+        if np.array_equal(inliers, used):
+            break
+        used = inliers
+    residual = stamps[used] - offset - slope * index[used]
+    rms = float(np.sqrt(np.mean(residual**2)))
+    # Rounding is uniform with std 1/sqrt(12) ms; a residual below that (few stamps) is luck.
+    noise_ms = max(rms, 1 / np.sqrt(12))
+    spread = float(np.sqrt(np.sum((index[used] - index[used].mean()) ** 2))) or 1.0
+    period_sigma = noise_ms / spread
+    reach = max(abs(index[-1] - index[used].mean()), abs(index[0] - index[used].mean()))
+    sigma = np.hypot(noise_ms / np.sqrt(np.count_nonzero(used)), period_sigma * reach)
+    return UniformClock(
+        times_s=np.asarray(index * slope * 1e-3, dtype=np.float64),
+        index=index,
+        period_s=float(slope) * 1e-3,
+        period_sigma_s=period_sigma * 1e-3,
+        sigma_s=float(sigma) * 1e-3,
+        residual_ms=rms,
+        outliers=int(np.count_nonzero(~used)),
+    )

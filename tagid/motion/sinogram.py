@@ -1,0 +1,201 @@
+"""Slow-time autocorrelation of a sinogram: how alike scans are to those a given time later.
+
+It is normalised to the energy of the overlap and split into groups of range bins, so that the period search
+can compare lags of any length and tell how far its answer scatters.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tagid.errors import DataError
+
+GROUPS = 12
+MAX_GAP_FACTOR = 20
+"""Scans on the uniform grid may be at most this many times those received; more means wrong times."""
+
+
+@dataclass(frozen=True, eq=False)
+class Autocorrelation:
+    """Correlation of scans that lie k scan periods apart.
+
+    Attributes:
+        step_s: time between lags, s.
+        scans: length of the uniform grid, lost scans included.
+        products: (groups, lags) sum over scans and a group's bins of x_i x_{i+k}.
+        norm: (lags,) geometric mean of the energies of both ends of the overlap.
+        coherence: expected correlation of identical echoes: signal / (signal + noise).
+        noise: (lags,) standard deviation of the correlation of noise alone, from the number of independent
+            samples in the overlap.
+    """
+
+    step_s: float
+    scans: int
+    products: NDArray[np.float64]
+    norm: NDArray[np.float64]
+    coherence: float
+    noise: NDArray[np.float64]
+
+    @property
+    def values(self) -> NDArray[np.float64]:
+        """(lags,) normalised correlation, 1 at lag 0."""
+        return np.asarray(self.products.sum(axis=0) / self.norm)
+
+    def without(self, group: int) -> NDArray[np.float64]:
+        """The products without one group of bins, for the jackknife; the norm drops out of a peak's place."""
+        return np.asarray((self.products.sum(axis=0) - self.products[group]) / self.norm)
+
+
+def uniform_grid(
+    samples: NDArray[np.generic], times_s: NDArray[np.floating]
+) -> tuple[NDArray[np.float32], NDArray[np.bool_], float]:
+    """Scans on a uniform time grid, lost ones zero.
+
+    Returns:
+        (scans, bins) float32 (of complex samples real and imaginary parts side by side), (scans,) which were
+        received, and the step in s.
+
+    Raises:
+        DataError: times not increasing, not as many as scans, or too uneven for one grid.
+    """
+    x = np.asarray(samples)
+    t = np.asarray(times_s, dtype=np.float64)
+    if x.ndim != 2 or t.shape != (len(x),) or len(x) < 8:
+        raise DataError(
+            f"the period cannot be searched in samples {x.shape} with times {t.shape}",
+            "Record at least one full turn and a third.",
+        )
+    if not np.isfinite(t).all() or (np.diff(t) <= 0).any():
+        raise DataError("the times of the scans do not increase")
+    step = float(np.median(np.diff(t)))
+    index = np.rint((t - t[0]) / step).astype(np.int64)
+    if index[-1] >= MAX_GAP_FACTOR * len(x):
+        raise DataError(
+            "most of the scans were lost: the period cannot be searched", "Check the link, and record again."
+        )
+    flat = np.concatenate([x.real, x.imag], axis=1) if np.iscomplexobj(x) else x
+    # Rounding to the grid may put two scans of a jittered clock on one place; the later one stays.
+    grid = np.zeros((index[-1] + 1, flat.shape[1]), dtype=np.float32)
+    grid[index] = flat
+    received = np.zeros(len(grid), dtype=bool)
+    received[index] = True
+    return grid, received, (t[-1] - t[0]) / index[-1]
+
+
+def _repeating_share(x: NDArray[Any], both: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """(columns,) share of each column's slow-time energy that is alike from scan to scan; pure noise gives 0.
+
+    The product of neighbouring scans has no noise in its mean; its scatter in columns of noise alone says how
+    large a chance value gets.
+    """
+    signal = np.einsum("ib,ib->b", x[1:][both], x[:-1][both].conj()).real.astype(np.float64)
+    energy = np.einsum("ib,ib->b", x[1:][both], x[1:][both].conj()).real.astype(np.float64)
+    ratio = signal / np.maximum(energy, np.finfo(np.float64).tiny)
+    floor = 2.5 / np.sqrt(max(1, int(np.count_nonzero(both))))
+    return np.asarray(np.where(ratio > floor, np.clip(ratio, 0, 1), 0.0))
+
+
+def _band_filtered(x: NDArray[np.float32], both: NDArray[np.bool_], parts: int) -> NDArray[np.float32]:
+    """Range profiles through a filter that passes the frequencies that repeat: the pulse's own band.
+
+    The band is taken from the data, so that it fits any radar; neighbouring frequencies are averaged, because
+    a band is smooth and chance is not.
+    """
+    bins = x.shape[1] // parts
+    split = x.reshape(len(x), parts, bins)
+    spectrum = np.fft.rfft(split, axis=2)
+    share = np.mean([_repeating_share(spectrum[:, p], both) for p in range(parts)], axis=0)
+    width = max(1, bins // 32)
+    share = np.convolve(share, np.ones(width) / width, "same")
+    if not share.any():
+        return x
+    return np.asarray(np.fft.irfft(spectrum * share, bins, axis=2).reshape(x.shape), dtype=np.float32)
+
+
+def _slow_time_lowpass(x: NDArray[np.float32]) -> tuple[NDArray[np.float32], float]:
+    """Scans through a low-pass that keeps 98 % of what stands above the noise's flat slow-time spectrum.
+
+    Returns:
+        the scans, and the number of independent noise samples a scan that is left, 0..1.
+    """
+    spectrum = np.fft.rfft(x, axis=0)
+    power = (np.abs(spectrum) ** 2).sum(axis=1)
+    # The upper half holds noise alone where scans are denser than the echoes' own bandwidth asks.
+    noise = float(np.median(power[len(power) // 2 :]))
+    excess = np.cumsum(np.maximum(power - 1.3 * noise, 0))
+    if excess[-1] <= 0:
+        return x, 1.0
+    cutoff = int(np.searchsorted(excess, 0.98 * excess[-1])) + 2
+    gain = 1 / (1 + (np.arange(len(power)) / (1.2 * cutoff)) ** 8)
+    independent = float(np.sum(gain**2) ** 2 / np.sum(gain**4) / len(gain))
+    return np.asarray(np.fft.irfft(spectrum * gain[:, None], len(x), axis=0), dtype=np.float32), independent
+
+
+def autocorrelate(samples: NDArray[np.generic], times_s: NDArray[np.floating]) -> Autocorrelation:
+    """Autocorrelation over slow time of the mean-removed sinogram.
+
+    Args:
+        samples: (scans, bins) real RF or complex.
+        times_s: (scans,) s, increasing; gaps are lost scans.
+
+    Raises:
+        DataError: see `uniform_grid`; or nothing in the scans moves.
+    """
+    x, received, step = uniform_grid(samples, times_s)
+    x[received] -= x[received].mean(axis=0)
+    both = received[1:] & received[:-1]
+    x = _band_filtered(x, both, 2 if np.iscomplexobj(samples) else 1)
+    weights = _repeating_share(x, both)
+    chosen = np.flatnonzero(weights)
+    if len(chosen) == 0:
+        raise DataError(
+            "nothing in the scans moves: the period cannot be found",
+            "Check that the table turns and that the range window holds it.",
+        )
+    x = x[:, chosen] * weights[chosen].astype(np.float32)
+    signal = _signal_energy(x, both)
+    x, independent = _slow_time_lowpass(x)
+    n = len(x)
+    size = 1 << (2 * n - 1).bit_length()
+    energy = np.einsum("ib,ib->b", x, x)
+    # Groups of neighbouring bins with about the same energy each: neighbours share their echoes.
+    group = np.minimum((np.cumsum(energy) / energy.sum() * GROUPS).astype(int), GROUPS - 1)
+    products = np.zeros((GROUPS, n))
+    for g in range(GROUPS):
+        part = x[:, group == g]
+        if part.shape[1]:
+            power = np.zeros(size // 2 + 1)
+            for begin in range(0, part.shape[1], 64):  # bounded memory: 64 bins at a time
+                power += (np.abs(np.fft.rfft(part[:, begin : begin + 64], size, axis=0)) ** 2).sum(axis=1)
+            products[g] = np.fft.irfft(power, size)[:n]
+    scan_energy = np.einsum("ib,ib->i", x, x).astype(np.float64)
+    e, m = np.fft.rfft(scan_energy, size), np.fft.rfft(received.astype(np.float64), size)
+    early = np.fft.irfft(e.conj() * m, size)[:n]  # energy of scans that have a partner k later
+    late = np.fft.irfft(m.conj() * e, size)[:n]
+    tiny = 1e-9 * scan_energy.sum()
+    norm = np.sqrt(np.maximum(early, tiny) * np.maximum(late, tiny))
+    coherence = float(np.clip(signal / scan_energy.sum(), 1e-3, 1.0))
+    overlap = np.maximum(np.fft.irfft(np.abs(m) ** 2, size)[:n], 1.0)
+    noise = 1 / np.sqrt(np.maximum(overlap * independent * _independent_bins(x), 1.0))
+    return Autocorrelation(step, n, products, norm, coherence, noise)
+
+
+def _independent_bins(x: NDArray[np.float32]) -> float:
+    """Effective number of independent range samples, (tr C)^2 / ||C||^2 of their covariance C."""
+    covariance = x.T @ x
+    return float(np.trace(covariance) ** 2 / np.sum(covariance.astype(np.float64) ** 2))
+
+
+def _signal_energy(x: NDArray[np.float32], both: NDArray[np.bool_]) -> float:
+    """Energy without noise: products of scans one and two apart, by an even parabola back to lag zero."""
+    one = float(np.einsum("ib,ib->", x[1:][both], x[:-1][both]))
+    pairs = both[1:] & both[:-1]
+    two = float(np.einsum("ib,ib->", x[2:][pairs], x[:-2][pairs]))
+    mean_one = one / max(1, int(np.count_nonzero(both)))
+    mean_two = two / max(1, int(np.count_nonzero(pairs)))
+    received = int(np.count_nonzero((x != 0).any(axis=1)))
+    return received * max(mean_one, (4 * mean_one - mean_two) / 3)

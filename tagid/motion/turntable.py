@@ -1,0 +1,166 @@
+"""A turntable that runs freely: nothing to command, its angle follows from the time and its period.
+
+It is the plainest motion device and sets what every other must offer: when enough was recorded, and an angle
+with a sigma for every scan.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tagid.errors import DataError, UsageError
+from tagid.motion.angles import Angles
+from tagid.motion.period import PeriodEstimate, find_period
+
+OVERLAP_TURNS = 1.3
+"""Turns to record: one, and the overlap that gives the period to 0.1 % at 10 dB."""
+AMBIGUOUS_TURNS = 2.3
+"""Turns to record where the scans also repeat after a fraction of a turn."""
+NOMINAL_SIGMA = 0.01
+"""Relative standard deviation of a speed that was given and could not be checked against the data."""
+MAX_SEARCH_SCANS = 2000
+"""Scans that the running search looks at; more are thinned."""
+
+
+class Motion(Protocol):
+    """What turns the object, as the capture sees it."""
+
+    def start(self) -> None:
+        """Begin to turn; nothing where it turns by itself."""
+        ...
+
+    def stop(self) -> None:
+        """Stop turning; safe to call twice."""
+        ...
+
+    def needed_seconds(self) -> float | None:
+        """Seconds to record, None where only the data can tell."""
+        ...
+
+    def finished(self, samples: Sequence[NDArray[Any]] | NDArray[Any], times_s: Sequence[float]) -> bool:
+        """Whether the scans so far (one array a scan) cover a full turn and the overlap that is needed."""
+        ...
+
+    def resolve(
+        self, samples: NDArray[Any], times_s: NDArray[np.floating], clock_sigma_s: float = 0.0
+    ) -> Angles:
+        """Angle and sigma of every scan."""
+        ...
+
+
+class FreeTurntable:
+    """A free-running turntable.
+
+    Args:
+        rpm: nominal speed, turns a minute, believed to 15 %; None to take it from the data alone.
+        direction: +1 counter-clockwise from above, -1 clockwise.
+        max_seconds: when to give up waiting for a period.
+    """
+
+    def __init__(self, rpm: float | None = None, direction: int = 1, max_seconds: float = 120.0) -> None:
+        if rpm is not None and not (np.isfinite(rpm) and 0 < rpm <= 1000):
+            raise UsageError(
+                f"the table's speed is {rpm} rpm", "Give more than 0 and up to 1000 turns a minute."
+            )
+        if direction not in (1, -1):
+            raise UsageError(f"direction is {direction}", "Use +1 (counter-clockwise) or -1 (clockwise).")
+        if not (np.isfinite(max_seconds) and 0 < max_seconds <= 3600):
+            raise UsageError(f"max_seconds is {max_seconds}", "Give more than 0 and up to 3600 seconds.")
+        self.rpm, self.direction, self.max_seconds = rpm, direction, max_seconds
+        self._tested_s = 0.0
+        self._last: PeriodEstimate | None = None
+
+    @property
+    def nominal_s(self) -> float | None:
+        """Nominal period, s a turn."""
+        return None if self.rpm is None else 60.0 / self.rpm
+
+    def start(self) -> None:
+        """Forget an earlier recording; the table turns by itself."""
+        self._tested_s, self._last = 0.0, None
+
+    def stop(self) -> None:
+        """Nothing: the table turns by itself."""
+
+    def needed_seconds(self) -> float | None:
+        """1.3 turns at the nominal speed, or None where the speed is not known."""
+        return None if self.nominal_s is None else OVERLAP_TURNS * self.nominal_s
+
+    def finished(self, samples: Sequence[NDArray[Any]] | NDArray[Any], times_s: Sequence[float]) -> bool:
+        """Whether to stop recording.
+
+        With a speed it is a matter of time. Without one the growing sinogram is searched whenever it has
+        become a tenth longer, until two searches in a row agree on a period and 1.3 turns of it are there (2.3 where
+        it is ambiguous), or max_seconds have passed.
+
+        Args:
+            samples: one (bins,) array a scan, or (scans, bins).
+            times_s: one time a scan, s.
+        """
+        if len(times_s) < 2:
+            return False
+        elapsed = float(times_s[-1]) - float(times_s[0])
+        needed = self.needed_seconds()
+        if needed is not None:
+            return elapsed >= needed
+        if elapsed >= self.max_seconds:
+            return True
+        if len(times_s) < 40 or elapsed < 1.1 * self._tested_s:
+            return False
+        self._tested_s = elapsed
+        every = -(-len(times_s) // MAX_SEARCH_SCANS)
+        try:
+            found = find_period(
+                np.stack(list(samples[::every])), np.asarray(times_s[::every], dtype=np.float64)
+            )
+        except DataError:
+            self._last = None
+            return False
+        last, self._last = self._last, found
+        if last is None or abs(found.period_s - last.period_s) > 0.02 * last.period_s:
+            return False
+        return found.turns >= (AMBIGUOUS_TURNS if found.harmonic_ambiguous else OVERLAP_TURNS)
+
+    def resolve(
+        self, samples: NDArray[Any], times_s: NDArray[np.floating], clock_sigma_s: float = 0.0
+    ) -> Angles:
+        """Angles from the period in the data; from the nominal speed where the data do not show one.
+
+        sigma(t) = (2 pi / T) hypot(sqrt(2) sigma_clock, (t - t0) sigma_T / T): it grows with the time since
+        the first scan, which has angle zero by definition.
+
+        Args:
+            samples: (scans, bins).
+            times_s: (scans,) s, from `fit_clock`.
+            clock_sigma_s: standard deviation of a time, s.
+
+        Raises:
+            DataError: no speed was given and the data show no period.
+        """
+        times = np.asarray(times_s, dtype=np.float64)
+        info: dict[str, Any] = {"kind": "free", "direction": self.direction, "nominal_rpm": self.rpm}
+        try:
+            found = find_period(samples, times, self.nominal_s)
+            period, sigma = found.period_s, found.sigma_s
+            info |= {
+                "source": "data",
+                "quality": found.quality,
+                "harmonic_ambiguous": found.harmonic_ambiguous,
+                "rivals_s": list(found.rivals_s),
+                "decided_by_nominal": found.harmonic_ambiguous and self.rpm is not None,
+            }
+        except DataError as error:
+            if self.nominal_s is None:
+                raise
+            period, sigma = self.nominal_s, NOMINAL_SIGMA * self.nominal_s
+            info |= {"source": "nominal", "reason": error.message, "harmonic_ambiguous": False}
+        info |= {"period_s": period, "period_sigma_s": sigma}
+        since = times - times[0]
+        info["turns"] = float(since[-1] / period)
+        speed = 2 * np.pi / period
+        spread = speed * np.hypot(np.sqrt(2) * clock_sigma_s * (since > 0), since * sigma / period)
+        return Angles(self.direction * speed * since, np.asarray(spread, dtype=np.float64), info)
