@@ -92,17 +92,14 @@ def best_pairing(
 
     best: Pairing | None = None
     for rotation in np.arange(0, 2 * np.pi, _ROTATION_STEP_RAD):
-        shift = np.zeros(2)
-        angle = float(rotation)
+        angle, shift = float(rotation), np.zeros(2)
         for _ in range(4):
             turned = small @ rotation_matrix(angle).T
             gap = np.linalg.norm(turned[:, None] + shift - large[None], axis=2)
             columns = np.asarray(linear_sum_assignment(gap**2)[1])
             partner = large[columns]
-            angle = _best_angle(small, partner, tolerance_m)
-            turned = small @ rotation_matrix(angle).T
-            shift = (partner - turned).mean(axis=0)
-            shift *= min(1.0, tolerance_m / max(float(np.linalg.norm(shift)), 1e-12))
+            angle, shift = _best_place(small, partner, tolerance_m)
+        turned = small @ rotation_matrix(angle).T
         error = np.linalg.norm(turned + shift - partner, axis=1)
         rms = float(np.sqrt(np.mean(error**2)))
         if best is None or rms < best.rms_m:
@@ -111,10 +108,24 @@ def best_pairing(
     return best
 
 
-def _best_angle(points: NDArray[np.float64], partner: NDArray[np.float64], tolerance_m: float) -> float:
-    """Turn that brings points nearest to their partners, about the origin or (any shift) their means."""
-    if np.isinf(tolerance_m):
-        points, partner = points - points.mean(axis=0), partner - partner.mean(axis=0)
+def _best_place(
+    points: NDArray[np.float64], partner: NDArray[np.float64], tolerance_m: float
+) -> tuple[float, NDArray[np.float64]]:
+    """Turn and shift that bring points nearest to their partners (Kabsch 1976), the shift within it."""
+    p, q = points.mean(axis=0), partner.mean(axis=0)
+    angle = _best_angle(points - p, partner - q)
+    shift: NDArray[np.float64] = q - rotation_matrix(angle) @ p
+    if np.linalg.norm(shift) <= tolerance_m:
+        return angle, shift
+    for _ in range(6):
+        shift = shift * min(1.0, tolerance_m / max(float(np.linalg.norm(shift)), 1e-12))
+        angle = _best_angle(points, partner - shift)
+        shift = q - rotation_matrix(angle) @ p
+    return angle, shift * min(1.0, tolerance_m / max(float(np.linalg.norm(shift)), 1e-12))
+
+
+def _best_angle(points: NDArray[np.float64], partner: NDArray[np.float64]) -> float:
+    """Turn about the origin that brings points nearest to their partners."""
     p = points[:, 0] + 1j * points[:, 1]
     q = partner[:, 0] + 1j * partner[:, 1]
     return float(np.angle(np.sum(p.conj() * q)))

@@ -1,0 +1,143 @@
+"""The registry: round trips, history, damage, strangers, and two writers at once."""
+
+from __future__ import annotations
+
+import sqlite3
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tagid.errors import LayoutConflictError, RegistryError
+from tagid.storage.registry import Registry
+from tagid.tags.enrolment import enrol
+from tagid.tags.layout import Layout, builtin_layouts
+
+SCALENE = np.array([[0.1, 0.0], [-0.02, 0.06], [-0.05, -0.04]])
+
+
+def test_begins_with_the_built_in_layouts(tmp_path: Path) -> None:
+    registry = Registry(tmp_path / "deep" / "registry.db")
+    assert [layout.name for layout in registry.layouts()] == sorted(builtin_layouts())
+    assert registry.version == 4
+
+
+def test_a_removed_built_in_stays_removed(tmp_path: Path) -> None:
+    path = tmp_path / "r.db"
+    Registry(path).remove("helmet-120")
+    assert "helmet-120" not in [layout.name for layout in Registry(path).layouts()]
+
+
+def test_each_change_raises_the_version_and_is_kept(tmp_path: Path) -> None:
+    registry = Registry(tmp_path / "r.db")
+    layout = Layout("mine", SCALENE, "helmet", notes="n")
+    assert registry.add(layout, "file mine.toml") == 5
+    assert registry.get("mine").to_dict() == layout.to_dict()
+    moved = Layout("mine", SCALENE * 1.2)
+    assert registry.add(moved, "again", replace=True) == 6
+    assert registry.remove("mine") == 7
+    changes = registry.history("mine")
+    assert [(c.version, c.action) for c in changes] == [(5, "add"), (6, "replace"), (7, "remove")]
+    assert np.allclose(changes[0].layout.positions, SCALENE)
+    assert np.allclose(changes[2].layout.positions, SCALENE * 1.2)
+    assert len(registry.history()) == 7
+    assert registry.version == 7
+
+
+def test_taken_and_missing_names(tmp_path: Path) -> None:
+    registry = Registry(tmp_path / "r.db")
+    with pytest.raises(RegistryError, match="enrolled already"):
+        registry.add(builtin_layouts()["helmet-120"], "x")
+    for call in (registry.get, registry.remove):
+        with pytest.raises(RegistryError, match="no layout is named") as caught:
+            call("nobody")
+        assert "helmet-120" in caught.value.remedy
+    assert registry.version == 4
+
+
+def test_strangers_and_damage_are_told(tmp_path: Path) -> None:
+    noise = tmp_path / "noise.db"
+    noise.write_bytes(b"not a database, " * 400)
+    with pytest.raises(RegistryError, match=r"noise\.db"):
+        Registry(noise)
+    assert noise.read_bytes().startswith(b"not a database")
+
+    other = tmp_path / "other.db"
+    with sqlite3.connect(other) as connection:
+        connection.execute("CREATE TABLE t (x)")
+    connection.close()
+    with pytest.raises(RegistryError, match="another program"):
+        Registry(other)
+
+    newer = tmp_path / "newer.db"
+    Registry(newer)
+    connection = sqlite3.connect(newer)
+    connection.execute("PRAGMA user_version = 99")
+    connection.close()
+    with pytest.raises(RegistryError, match="schema 99"):
+        Registry(newer)
+
+    damaged = tmp_path / "damaged.db"
+    registry = Registry(damaged)
+    connection = sqlite3.connect(damaged, isolation_level=None)
+    connection.execute("UPDATE layout SET definition = '{' WHERE name = 'helmet-120'")
+    connection.close()
+    with pytest.raises(RegistryError, match="helmet-120"):
+        registry.layouts()
+
+    truncated = tmp_path / "truncated.db"
+    Registry(truncated)
+    truncated.write_bytes(truncated.read_bytes()[:5000])
+    with pytest.raises(RegistryError, match=r"truncated\.db"):
+        Registry(truncated).layouts()
+
+    with pytest.raises(RegistryError):
+        Registry(tmp_path)  # a folder
+    with pytest.raises(RegistryError):
+        Registry(noise / "below-a-file" / "r.db")
+
+
+def test_many_writers_lose_nothing(tmp_path: Path) -> None:
+    path = tmp_path / "r.db"
+    errors: list[Exception] = []
+
+    def work(worker: int) -> None:
+        try:
+            registry = Registry(path)
+            for i in range(5):
+                registry.add(Layout(f"w{worker}-{i}", SCALENE), "thread")
+        except Exception as error:
+            errors.append(error)
+
+    threads = [threading.Thread(target=work, args=(i,)) for i in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert not errors
+    registry = Registry(path)
+    assert registry.version == 4 + 20
+    assert len(registry.layouts()) == 4 + 20
+
+
+def test_a_failed_change_leaves_no_trace(tmp_path: Path) -> None:
+    registry = Registry(tmp_path / "r.db")
+    with pytest.raises(RegistryError):
+        registry.remove("nobody")
+    assert len(registry.history()) == 4
+
+
+def test_enrolment_refuses_what_could_be_confused(tmp_path: Path) -> None:
+    registry = Registry(tmp_path / "r.db")
+    near = builtin_layouts()["helmet-120"].positions.copy()
+    near[0, 0] += 0.006
+    with pytest.raises(LayoutConflictError, match="helmet-120"):
+        enrol(registry, Layout("near", near), "numbers")
+    assert registry.version == 4
+    forced = enrol(registry, Layout("near", near), "numbers", force=True)
+    assert forced.confusable == ("helmet-120",)
+    assert registry.version == forced.version == 5
+    fine = enrol(registry, Layout("fine", SCALENE), "numbers")
+    assert not fine.confusable
+    assert set(fine.distances) == {*builtin_layouts(), "near"}

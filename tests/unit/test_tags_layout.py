@@ -1,0 +1,129 @@
+"""Layouts: what is refused, what survives a round trip, and distances against geometry done by hand."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tagid.errors import FileFormatError, StorageError, UsageError
+from tagid.tags.codebook import CONFUSABLE_M, confusable, rotational_distance
+from tagid.tags.layout import Layout, builtin_layouts, layout_from_dict, read_layout
+
+SCALENE = np.array([[0.1, 0.0], [-0.02, 0.06], [-0.05, -0.04]])
+
+
+def test_the_papers_four_layouts_are_built_in() -> None:
+    layouts = builtin_layouts()
+    assert sorted(layouts) == ["container-180", "container-90", "helmet-120", "helmet-linear"]
+    assert {name: layout.symmetry for name, layout in layouts.items()} == {
+        "container-180": 2,
+        "container-90": 1,
+        "helmet-120": 3,
+        "helmet-linear": 2,
+    }
+    for name, radius in (("container-90", 0.045), ("container-180", 0.045), ("helmet-120", 0.11)):
+        assert np.allclose(np.linalg.norm(layouts[name].positions, axis=1), radius)
+    a, b = layouts["container-90"].positions
+    assert abs(a @ b) < 1e-12  # 90 degrees
+    steps = np.diff(layouts["helmet-linear"].positions, axis=0)
+    assert np.allclose(np.linalg.norm(steps, axis=1), 0.09)
+
+
+def test_a_layout_takes_back_its_own_dict() -> None:
+    layout = Layout("a-b.c", SCALENE, "helmet", notes="n", label="L")
+    again = layout_from_dict(json.loads(json.dumps(layout.to_dict())))
+    assert again.to_dict() == layout.to_dict()
+
+
+@pytest.mark.parametrize(
+    ("change", "field"),
+    [
+        ({"name": "Bad Name"}, "name"),
+        ({"name": 3}, "name"),
+        ({"kind": "hat"}, "kind"),
+        ({"symmetry": 3}, "symmetry"),
+        ({"positions_m": [[0.1, 0.0]]}, "positions"),
+        ({"positions_m": [[0.1, 0.0], [0.1, float("nan")]]}, "axis"),
+        ({"positions_m": [[110, 0], [0, 110]]}, "axis"),
+        ({"positions_m": [[0.1, 0.0], [0.101, 0.0]]}, "apart"),
+        ({"positions_m": [[0.1, 0.0], ["x", 0.0]]}, "positions_m"),
+        ({"positions_m": [[True, 0.0], [0.1, 0.0]]}, "positions_m"),
+        ({"positions_m": "no"}, "positions_m"),
+        ({"colour": "red"}, "colour"),
+        ({"notes": 5}, "notes"),
+        ({"notes": "x" * 5000}, "notes"),
+    ],
+)
+def test_a_wrong_field_is_named(change: dict[str, object], field: str) -> None:
+    data = {"name": "ok", "kind": "other", "positions_m": SCALENE.tolist(), **change}
+    with pytest.raises(UsageError, match=field):
+        layout_from_dict(data)
+
+
+def test_files_in_toml_and_json_and_their_faults(tmp_path: Path) -> None:
+    good = tmp_path / "a.toml"
+    good.write_text('name = "a"\npositions_m = [[0.1, 0.0], [0.0, 0.1]]\n')
+    assert read_layout(good).size == 2
+    as_json = tmp_path / "a.json"
+    as_json.write_text(json.dumps(Layout("a", SCALENE).to_dict()))
+    assert read_layout(as_json).size == 3
+    with pytest.raises(StorageError, match="missing"):
+        read_layout(tmp_path / "missing.toml")
+    for name, content in {
+        "big.toml": b"#" * 70_000,
+        "bad.toml": b"name = [",
+        "deep.json": b"[" * 60_000,
+        "latin.toml": b'name = "\xff"',
+        "list.json": b"[1]",
+        "nan.json": b'{"name": "a", "positions_m": [[NaN, 0], [0, 1]]}',
+        "huge.json": b'{"name": "a", "positions_m": [[1' + b"0" * 400 + b", 0], [0, 1]]}",
+    }.items():
+        path = tmp_path / name
+        path.write_bytes(content)
+        with pytest.raises(FileFormatError, match=name):
+            read_layout(path)
+
+
+def test_distance_ignores_turn_shift_and_order() -> None:
+    a = Layout("a", SCALENE)
+    b = Layout("b", a.placed(1.234, np.array([0.005, -0.004]))[[2, 0, 1]])
+    distance = rotational_distance(a, b)
+    assert distance.worst_m < 1e-6
+    assert distance.rotation_deg == pytest.approx(np.rad2deg(1.234), abs=0.01)
+    assert rotational_distance(b, a).rotation_deg == pytest.approx(360 - np.rad2deg(1.234), abs=0.01)
+
+
+def test_a_shift_beyond_the_centres_tolerance_counts() -> None:
+    a = Layout("a", SCALENE)
+    b = Layout("b", SCALENE + np.array([0.05, 0.0]))
+    assert rotational_distance(a, b).worst_m > 0.01
+
+
+def test_mirror_images_are_different() -> None:
+    mirrored = Layout("m", SCALENE * np.array([1.0, -1.0]))
+    assert rotational_distance(Layout("a", SCALENE), mirrored).worst_m > CONFUSABLE_M
+
+
+def test_a_part_of_a_layout_is_flagged_as_nested() -> None:
+    helmet = builtin_layouts()["helmet-120"]
+    pair = Layout("pair", helmet.positions[:2])
+    distance = rotational_distance(pair, helmet)
+    assert distance.nested
+    assert np.isinf(distance.worst_m)
+    assert not rotational_distance(builtin_layouts()["container-90"], helmet).nested
+
+
+def test_confusable_names_only_the_near_ones() -> None:
+    moved = SCALENE.copy()
+    moved[0, 0] += 0.006
+    found = confusable(Layout("new", moved), [Layout("near", SCALENE), *builtin_layouts().values()])
+    assert list(found) == ["near"]
+
+
+def test_the_built_in_layouts_are_not_confusable() -> None:
+    layouts = list(builtin_layouts().values())
+    for i, layout in enumerate(layouts):
+        assert not confusable(layout, layouts[i + 1 :])

@@ -1,0 +1,211 @@
+"""The reader against scans made from their definition: places, signs, statuses, and rates of rejection."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from tags_synthetic import synthetic_scans
+
+from tagid.errors import DataError, RegistryError
+from tagid.geometry import Aperture
+from tagid.tags.enrolment import layout_from_readings
+from tagid.tags.field import MatchedField
+from tagid.tags.layout import Layout, builtin_layouts
+from tagid.tags.matcher import Reading, read_tag
+from tagid.tags.reflectors import find_reflectors
+from tagid.tags.views import fold_views
+
+LAYOUTS = builtin_layouts()
+ALL = list(LAYOUTS.values())
+SCALENE = np.array([[0.1, 0.0], [-0.02, 0.06], [-0.05, -0.04]])
+
+
+def turn_error_deg(reading: Reading, truth_deg: float, symmetry: int) -> float:
+    """Difference of turns within a layout's symmetry, degrees."""
+    period = 360 / symmetry
+    return abs((reading.rotation_deg - truth_deg + period / 2) % period - period / 2)
+
+
+def test_the_fit_of_known_points_gives_their_amplitudes() -> None:
+    points = np.array([[0.05, 0.02], [-0.03, 0.06]])
+    sigma = np.array([1.0, 0.5j])
+    field = MatchedField(synthetic_scans(points, amplitudes=sigma), 0.15)
+    d = field.distances(points)
+    found = np.linalg.solve(field.gram(d), field.correlate(d))
+    assert np.allclose(found, sigma, atol=0.01)
+    explained = np.vdot(field.correlate(d), found).real
+    assert explained == pytest.approx(field.energy, rel=0.01)
+
+
+def test_static_clutter_changes_nothing() -> None:
+    points = LAYOUTS["helmet-linear"].placed(0.3, np.array([0.004, 0.0]))
+    scans = synthetic_scans(points)
+    wall = 5 * np.exp(1j * np.arange(scans.samples.shape[1]))
+    cluttered = MatchedField(scans, 0.15)
+    scans.samples[:] += wall.astype(np.complex64)
+    assert np.allclose(MatchedField(scans, 0.15).at(points), cluttered.at(points), atol=1e-3)
+
+
+@pytest.mark.parametrize("name", sorted(LAYOUTS))
+@pytest.mark.parametrize(("turn_deg", "centre"), [(40.0, (0.006, -0.005)), (-77.0, (-0.009, 0.002))])
+def test_reads_name_turn_and_centre(name: str, turn_deg: float, centre: tuple[float, float]) -> None:
+    layout = LAYOUTS[name]
+    points = layout.placed(np.deg2rad(turn_deg), np.array(centre))
+    reading = read_tag(synthetic_scans(points, noise=0.2, seed=3, distance_error=0.007), ALL)
+    assert (reading.status, reading.layout) == ("identified", name)
+    # Two neighbouring reflectors turn about either's place for a small shift of the centre: 45 mm lever.
+    assert turn_error_deg(reading, turn_deg, layout.symmetry) < 3.0
+    assert np.hypot(*(np.array(reading.centre_m) - centre)) < 2.5e-3
+    assert reading.score > 0.9
+    assert reading.margin > 0.3
+    found = np.array([(r.x_m, r.y_m) for r in reading.reflectors if r.matched])
+    gap = np.linalg.norm(found[:, None] - points[None], axis=2).min(axis=1)
+    assert gap.max() < 2e-3
+
+
+def test_an_object_turned_further_reads_further() -> None:
+    """The scans of an object turned by +a are those of the unturned one rolled by a views."""
+    layout = Layout("scalene", SCALENE)
+    scans = synthetic_scans(layout.positions, views=36)
+    first = read_tag(scans, [layout, *ALL])
+    # After a turn of 50 deg, view v sees what the unturned object showed at view v + 5: the table turns on.
+    rolled = synthetic_scans(layout.positions, views=36)
+    rolled.samples[:] = np.roll(scans.samples, -5, axis=0)
+    second = read_tag(rolled, [layout, *ALL])
+    assert first.layout == second.layout == "scalene"
+    assert turn_error_deg(first, 0.0, 1) < 1.0
+    assert turn_error_deg(second, 50.0, 1) < 1.0
+
+
+def test_the_mirror_image_is_another_layout() -> None:
+    layout, mirrored = Layout("right", SCALENE), Layout("left", SCALENE * np.array([1.0, -1.0]))
+    for truth in (layout, mirrored):
+        scans = synthetic_scans(truth.placed(2.0, np.array([0.003, 0.003])), noise=0.3, seed=1)
+        assert read_tag(scans, [layout, mirrored]).layout == truth.name
+        other = mirrored if truth is layout else layout
+        assert read_tag(scans, [other]).status == "unknown"
+
+
+def test_nested_layouts_are_told_apart() -> None:
+    """Any two reflectors of a helmet are a part of it; a third echo must not be ignored, nor invented."""
+    helmet = LAYOUTS["helmet-120"]
+    pair = Layout("pair", helmet.positions[:2])
+    for truth in (helmet, pair):
+        scans = synthetic_scans(truth.placed(1.0, np.zeros(2)), noise=0.3, seed=2)
+        reading = read_tag(scans, [helmet, pair])
+        assert (reading.status, reading.layout) == ("identified", truth.name)
+    assert read_tag(synthetic_scans(pair.positions, noise=0.3), [helmet]).status == "unknown"
+    extra = read_tag(synthetic_scans(helmet.positions, noise=0.3), [pair])
+    assert extra.status == "unknown"
+    assert extra.layout is None
+
+
+def test_layouts_that_nobody_enrolled_are_unknown() -> None:
+    rng = np.random.default_rng(5)
+    square = np.array([[0.1, 0.0], [0.0, 0.1], [-0.1, 0.0], [0.0, -0.1]])
+    others = [square, np.array([[0.07, 0.0], [-0.07, 0.0]]), rng.uniform(-0.1, 0.1, (4, 2))]
+    for seed, points in enumerate(others):
+        reading = read_tag(synthetic_scans(points, noise=0.3, seed=seed), ALL)
+        assert reading.status == "unknown"
+        assert reading.reason
+
+
+def test_two_layouts_a_millimetre_apart_are_ambiguous() -> None:
+    moved = SCALENE.copy()
+    moved[0, 0] += 0.001
+    scans = synthetic_scans(SCALENE, noise=0.5, seed=4)
+    reading = read_tag(scans, [Layout("one", SCALENE), Layout("two", moved)])
+    assert reading.status == "ambiguous"
+    assert reading.margin < 0.05
+
+
+def test_noise_holds_no_tag() -> None:
+    """24 recordings of noise: the largest statistic stays clear of the threshold."""
+    nats = []
+    for seed in range(24):
+        scans = synthetic_scans(np.zeros((0, 2)), noise=1.0, seed=seed, views=18 if seed % 2 else 36)
+        reading = read_tag(scans, ALL)
+        assert reading.status == "no_tag"
+        assert reading.score == 0.0
+        nats.append(reading.evidence.nats)
+    assert max(nats) < 20
+
+
+def test_a_missing_reflector_takes_the_name_away() -> None:
+    points = LAYOUTS["helmet-120"].positions
+    reading = read_tag(synthetic_scans(points, amplitudes=np.array([1, 1, 0.05]), noise=0.2), ALL)
+    assert reading.status == "unknown"
+
+
+def test_many_views_fold_into_few_without_loss() -> None:
+    points = LAYOUTS["helmet-120"].placed(0.2, np.array([0.005, 0.0]))
+    many = synthetic_scans(points, views=720)
+    few = fold_views(many, 0.15)
+    assert few.aperture.views < 120
+    truth = synthetic_scans(points, views=few.aperture.views)
+    error = np.linalg.norm(few.samples - truth.samples) / np.linalg.norm(truth.samples)
+    assert error < 0.01
+    noise = synthetic_scans(np.zeros((0, 2)), views=720, noise=1.0)
+    folded = fold_views(noise, 0.15)
+    assert np.sqrt(np.mean(np.abs(folded.samples) ** 2)) == pytest.approx(folded.noise_std, rel=0.05)
+    assert fold_views(synthetic_scans(points, views=36), 0.15).aperture.views == 36
+
+
+def test_a_part_of_a_turn_is_not_folded() -> None:
+    scans = synthetic_scans(SCALENE, views=720)
+    half = Aperture.turntable(np.linspace(0, np.pi, 720), 0.5)
+    assert fold_views(scans.with_aperture(half), 0.15).aperture.views == 720
+
+
+def test_the_finder_reports_reflectors_and_no_sidelobes() -> None:
+    rng = np.random.default_rng(0)
+    for name, layout in LAYOUTS.items():
+        points = layout.placed(rng.uniform(0, 6), np.array([0.008, 0.004]))
+        found = find_reflectors(synthetic_scans(points, noise=0.2, seed=1))
+        assert len(found) == layout.size, name
+        places = np.array([(r.x_m, r.y_m) for r in found])
+        gap = np.linalg.norm(places[:, None] - points[None], axis=2)
+        assert gap.min(axis=1).max() < 2e-3
+        assert np.unique(gap.argmin(axis=1)).size == layout.size
+        assert all(abs(abs(r.amplitude) - 1) < 0.15 for r in found)
+    assert find_reflectors(synthetic_scans(np.zeros((0, 2)), noise=1.0)) == ()
+
+
+def test_a_layout_measured_on_the_object() -> None:
+    rng = np.random.default_rng(1)
+    truth = Layout("truth", SCALENE)
+    captures = [
+        find_reflectors(
+            synthetic_scans(truth.placed(rng.uniform(0, 6), rng.uniform(-0.005, 0.005, 2)), noise=0.3, seed=i)
+        )
+        for i in range(6)
+    ]
+    captures.append(captures[0][:1])  # one bad capture
+    estimate = layout_from_readings(captures, "measured", "helmet")
+    assert estimate.used == tuple(range(6))
+    assert estimate.discarded == (6,)
+    assert estimate.spread_m.max() < 2e-3
+    sides = [
+        np.sort(np.linalg.norm(p - np.roll(p, 1, 0), axis=1)) for p in (SCALENE, estimate.layout.positions)
+    ]
+    assert np.allclose(*sides, atol=2e-3)
+    # The axis averages out: 5 mm uniform in x and y over six captures leaves about 1.2 mm.
+    assert np.linalg.norm(estimate.layout.positions, axis=1).max() == pytest.approx(0.1, abs=4e-3)
+
+
+def test_measuring_needs_agreement() -> None:
+    with pytest.raises(DataError, match="no capture"):
+        layout_from_readings([], "x")
+    with pytest.raises(DataError, match="needs two"):
+        layout_from_readings([find_reflectors(synthetic_scans(np.array([[0.05, 0.0]])))], "x")
+
+
+def test_bad_input_is_told() -> None:
+    scans = synthetic_scans(SCALENE)
+    with pytest.raises(RegistryError):
+        read_tag(scans, [])
+    with pytest.raises(DataError, match="cover"):
+        read_tag(scans.with_aperture(scans.aperture.with_axis_distance(5.0)), ALL)
+    scans.samples[:] = 0
+    with pytest.raises(DataError, match="zero"):
+        read_tag(scans, ALL)
