@@ -13,7 +13,10 @@ from numpy.typing import NDArray
 
 from tagid.capture import Capture
 from tagid.constants import CLIP_COUNTS_PER_INTEGRATION
-from tagid.report.curves import analytic, slow_time
+from tagid.errors import DataError
+from tagid.motion.clock import fit_clock
+from tagid.motion.period import find_period
+from tagid.report.curves import TIME_LABEL, analytic, slow_time
 
 # A P440's base integration index; a larger number in a file is not believed (P440 MRM API: 6..15).
 _LARGEST_INTEGRATION_INDEX = 15
@@ -81,6 +84,23 @@ class RecordingSummary:
     strongest: StrongReturn | None
 
 
+@dataclass(frozen=True)
+class Turning:
+    """A period of rotation, or why there is none.
+
+    Attributes:
+        period_s, sigma_s: seconds a turn and their standard deviation; None where none was found.
+        note: why there is none, or what is doubtful about it; empty otherwise.
+    """
+
+    period_s: float | None = None
+    sigma_s: float | None = None
+    note: str = ""
+
+
+NO_CHANGE = Turning(note="nothing changes from scan to scan beyond the noise")
+
+
 def inspect(capture: Capture) -> RecordingSummary:
     """The summary of a capture; a figure that its data cannot give is None, never a guess."""
     signal = analytic(capture.samples)
@@ -88,7 +108,7 @@ def inspect(capture: Capture) -> RecordingSummary:
     strongest = strongest_return(signal, capture)
     changing_snr, changing_bin = signal_to_noise_db(signal - signal.mean(axis=0), noise_power)
     rate, duration = scan_rate(capture)
-    period, sigma, note = None, None, "not looked for"
+    turning = turning_period(capture) if changing_snr is not None else NO_CHANGE
     ranges = capture.ranges_m
     # Of a real sample's analytic noise power, half is the sample's own.
     own = 1.0 if np.iscomplexobj(capture.samples) else 0.5
@@ -105,9 +125,9 @@ def inspect(capture: Capture) -> RecordingSummary:
         lost_scans=lost_scans(capture),
         scan_rate_hz=rate,
         duration_s=duration,
-        period_s=period,
-        period_sigma_s=sigma,
-        period_note=note,
+        period_s=turning.period_s,
+        period_sigma_s=turning.sigma_s,
+        period_note=turning.note,
         strongest=strongest,
     )
 
@@ -135,15 +155,15 @@ def signal_to_noise_db(
     """(dB, bin) of the largest mean power of a range bin, less the noise's, over the noise power of one view.
 
     For real samples this is A^2 / (2 sigma^2), A the envelope's peak and sigma the noise of a sample.
-    (None, None) without noise to compare with or where nothing stands out of it by four standard errors of
-    the mean noise power.
+    (None, None) without noise to compare with or where nothing stands out of it by five standard errors of
+    the mean noise power (of some hundred bins, noise alone brings one over four).
     """
     if not noise_power:
         return None, None
     power = (np.abs(signal) ** 2).mean(axis=0, dtype=np.float64)
     peak = int(power.argmax())
     ratio = float(power[peak]) / noise_power - 1
-    return (10 * math.log10(ratio), peak) if ratio > 4 / math.sqrt(len(signal)) else (None, None)
+    return (10 * math.log10(ratio), peak) if ratio > 5 / math.sqrt(len(signal)) else (None, None)
 
 
 def clipped_fraction(capture: Capture) -> float | None:
@@ -184,13 +204,50 @@ def scan_rate(capture: Capture) -> tuple[float | None, float | None]:
     Scan numbers are used where known, so that lost scans do not slow the rate.
     """
     position, label = slow_time(capture)
-    if label != "time (s)":
+    if label != TIME_LABEL:
         return None, None
     duration = float(position[-1])
     scans = capture.views - 1
     if capture.scan_id is not None and np.all(np.diff(capture.scan_id) > 0):
         scans = int(capture.scan_id[-1] - capture.scan_id[0])
     return scans / duration, duration
+
+
+def turning_period(capture: Capture) -> Turning:
+    """The period after which the scans repeat.
+
+    Where the recording tells a speed (motion settings, or its angles), a period near that is looked for;
+    otherwise the shortest repetition is given, which for a symmetric object is a part of a turn.
+    """
+    times, label = slow_time(capture)
+    if label != TIME_LABEL:
+        return Turning(note="the scans carry no times")
+    nominal = nominal_period_s(capture, float(times[-1]))
+    try:
+        if capture.radar_time_ms is not None:
+            times = fit_clock(capture.radar_time_ms, capture.scan_id).times_s
+        found = find_period(capture.samples, times, nominal_s=nominal)
+    except DataError as error:
+        return Turning(note=error.message)
+    notes = []
+    if nominal is None:
+        notes.append("shortest repetition; an object alike after 1/n turn takes n times as long")
+    if found.harmonic_ambiguous:
+        others = ", ".join(f"{rival:.2f} s" for rival in found.rivals_s)
+        notes.append(f"the scans also repeat after {others}" if others else "a multiple is possible")
+    return Turning(float(found.period_s), float(found.sigma_s), "; ".join(notes))
+
+
+def nominal_period_s(capture: Capture, duration_s: float) -> float | None:
+    """Seconds a turn by the motion settings (`period_s`, `rpm`), else by the angles; None where unknown."""
+    for key, numerator in (("period_s", None), ("rpm", 60.0)):
+        value = capture.motion.get(key)
+        if isinstance(value, int | float) and not isinstance(value, bool) and 1e-3 < value < 1e6:
+            return float(value) if numerator is None else numerator / value
+    if capture.angles_rad is None:
+        return None
+    turns = abs(float(capture.angles_rad[-1] - capture.angles_rad[0])) / (2 * math.pi)
+    return duration_s / turns if turns > 0.5 else None
 
 
 def strongest_return(signal: NDArray[np.complex64], capture: Capture) -> StrongReturn | None:

@@ -16,6 +16,8 @@ from tagid.constants import SPEED_OF_LIGHT
 # Views transformed at once: bounds the memory of a long recording to a few tens of MB.
 _CHUNK = 256
 
+TIME_LABEL = "time (s)"
+
 
 def analytic(samples: NDArray[np.generic]) -> NDArray[np.complex64]:
     """The analytic signal along the last axis, (views, bins); complex samples are taken as analytic already.
@@ -48,7 +50,7 @@ def slow_time(capture: Capture) -> tuple[NDArray[np.float64], str]:
             continue
         seconds = (clock - clock[0]).astype(np.float64) * scale
         if np.all(np.diff(seconds) >= 0) and seconds[-1] > 0:
-            return seconds, "time (s)"
+            return seconds, TIME_LABEL
     return np.arange(capture.views, dtype=np.float64), "view"
 
 

@@ -117,6 +117,71 @@ def test_two_equal_returns_at_rest_do_not_make_the_bin_jump() -> None:
     assert found.coherence > 0.8
 
 
+def turning(turns: float, period_s: float = 6.0, sigma: float = 20.0) -> Capture:
+    """Two unlike points on a table beside a strong return at rest; 20 scans a second, whole-ms stamps."""
+    times = np.arange(int(20 * turns * period_s)) / 20
+    angle = 2 * np.pi * times / period_s
+    rng = np.random.default_rng(4)
+    samples = rng.normal(0, sigma, (len(times), BINS)) + 3000 * burst(80)
+    for radius, start, height in ((12.0, 0.3, 300.0), (7.0, 2.0, 200.0)):
+        samples += height * np.stack([burst(350 - radius * np.cos(a + start)) for a in angle])
+    return capture_of(
+        samples.astype(np.float32),
+        radar_time_ms=np.floor(1e3 * times + 0.4),
+        scan_id=np.arange(len(times)),
+    )
+
+
+def test_the_period_of_a_turning_object_is_found() -> None:
+    summary = inspect(turning(1.5))
+    assert summary.period_s == pytest.approx(6.0, rel=5e-3)
+    assert summary.period_sigma_s is not None
+    assert abs(summary.period_s - 6.0) < 5 * max(summary.period_sigma_s, 0.005)
+    assert "1/n" in summary.period_note  # without a nominal speed the doubt is told
+    assert summary.changing_range_m == pytest.approx(2.0 + 350 * RANGE_STEP_M, abs=15 * RANGE_STEP_M)
+    assert summary.strongest is not None
+    assert summary.strongest.bin == pytest.approx(80, abs=1)
+
+
+@pytest.mark.parametrize(
+    "known", [{"motion": {"rpm": 10.0}}, {"motion": {"period_s": 6.1}}, {"angles": True}]
+)
+def test_a_known_speed_takes_the_doubt_away(known: dict[str, object]) -> None:
+    capture = turning(2.5)
+    if "angles" in known:
+        assert capture.radar_time_ms is not None
+        known = {"angles_rad": 2 * np.pi * capture.radar_time_ms / 6e3, "axis_distance_m": 5.0}
+    summary = inspect(replace(capture, **known))  # type: ignore[arg-type]
+    assert summary.period_s == pytest.approx(6.0, rel=5e-3)
+    assert "1/n" not in summary.period_note
+
+
+@pytest.mark.parametrize("broken", ["rpm", -3, 0, True, float("nan"), [1]])
+def test_a_senseless_speed_in_the_file_is_ignored(broken: object) -> None:
+    assert inspect(replace(turning(1.5), motion={"rpm": broken})).period_s == pytest.approx(6.0, rel=5e-3)
+
+
+def test_less_than_a_turn_gives_a_reason_instead_of_a_period() -> None:
+    summary = inspect(turning(0.8))
+    assert summary.period_s is None
+    assert summary.period_note
+    assert summary.changing_snr_db is not None
+
+
+def test_a_scene_at_rest_changes_nothing() -> None:
+    for seed in range(8):
+        times = np.arange(300) * 50.0
+        summary = inspect(capture_of(resting(300, seed=seed), radar_time_ms=times))
+        assert (summary.changing_snr_db, summary.period_s) == (None, None)
+        assert "nothing changes" in summary.period_note
+
+
+def test_scans_without_times_give_no_period() -> None:
+    summary = inspect(replace(turning(1.5), radar_time_ms=None))
+    assert summary.period_s is None
+    assert "times" in summary.period_note
+
+
 @pytest.mark.parametrize("shape", [(1, 1), (1, 50), (2, 1), (3, 2)])
 @pytest.mark.parametrize("dtype", [np.int32, np.float32, np.complex64])
 def test_degenerate_recordings_have_a_summary(shape: tuple[int, int], dtype: type) -> None:

@@ -107,3 +107,14 @@ def test_degenerate_recordings_are_drawn(tmp_path: Path, shape: tuple[int, int],
 def test_an_unwritable_folder_is_one_clear_error(tmp_path: Path) -> None:
     with pytest.raises(StorageError):
         draw_recording(capture_of(np.ones((2, 8), np.int32)), tmp_path / "no" / "show.png")
+
+
+def test_what_rests_disappears_from_the_changing_part() -> None:
+    turning = np.stack([100 * burst(480, 300 + 5 * np.sin(2 * np.pi * v / 40), 4e9) for v in range(40)])
+    capture = capture_of((5000 * burst(480, 100, 4e9) + turning).astype(np.float32))
+    curves = RecordingCurves.of(capture, changing_only=True)
+    assert curves.mean_envelope.argmax() == 100
+    assert curves.changing_envelope[:200].max() < 1
+    assert abs(int(curves.changing_envelope.argmax()) - 300) < 12
+    assert curves.envelope[:, :200].max() < 1
+    assert curves.envelope[:, 200:].max() > 100
