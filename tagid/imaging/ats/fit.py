@@ -46,13 +46,15 @@ class AtsSettings:
             never.
         patience: steps that one comparison spans.
         seed: of the initial weights; the same seed gives the same image on the same machine.
+        threads: torch's threads during the fit. One is the default: the layers are so small that a second
+            thread gains little where the cores are idle, and waits for its slice where they are not.
     """
 
-    steps: int = 100
+    steps: int = 60
     learning_rate: float = 0.05
-    network_rate: float = 0.3
+    network_rate: float = 1.0
     decay: float = 0.1
-    l1: float = 0.001
+    l1: float = 0.03
     noise_l1: float = 0.0
     views_per_step: int = 36
     width: int = 32
@@ -65,10 +67,13 @@ class AtsSettings:
     tolerance: float = 0.005
     patience: int = 20
     seed: int = 0
+    threads: int = 1
 
     def __post_init__(self) -> None:
         least = {"steps": 1, "views_per_step": 1, "width": 1, "hidden": 0, "levels": 1, "features": 1}
-        for name, low in (least | {"coarsest": 1, "log2_entries": 1, "patience": 1, "seed": 0}).items():
+        for name, low in (
+            least | {"coarsest": 1, "log2_entries": 1, "patience": 1, "seed": 0, "threads": 1}
+        ).items():
             if not low <= getattr(self, name) <= 10**6:
                 raise UsageError(f"ATS setting {name} is {getattr(self, name)}", f"Give {low} to 1000000.")
         for name in ("learning_rate", "network_rate", "decay", "finest_m"):
@@ -126,9 +131,14 @@ def fit(
     generator = torch.Generator().manual_seed(settings.seed)
     encoding = HashEncoding(grid.points / grid.extent + 0.5, settings.encoding(grid), generator)
     network = ReflectivityNetwork(encoding.settings.width, settings.width, settings.hidden, generator)
-    losses = _optimise(problem, encoding, network, settings, progress)
-    with torch.no_grad():
-        values = (network(encoding()) * problem.output_scale).numpy()
+    threads_before = torch.get_num_threads()
+    torch.set_num_threads(settings.threads)
+    try:
+        losses = _optimise(problem, encoding, network, settings, progress)
+        with torch.no_grad():
+            values = (network(encoding()) * problem.output_scale).numpy()
+    finally:
+        torch.set_num_threads(threads_before)
     values = values.reshape(grid.pixels, grid.pixels).astype(np.complex64)
     return Image(values, grid, {**chosen, "steps_done": len(losses), "loss": losses[-1]})
 

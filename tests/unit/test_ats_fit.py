@@ -1,0 +1,160 @@
+"""The fit of analysis through synthesis on simulated points: better than backprojection, and repeatable."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch", reason="analysis through synthesis needs the extra 'ats'")
+
+from tagid.capture import Capture  # noqa: E402
+from tagid.constants import RANGE_STEP_M, SPEED_OF_LIGHT  # noqa: E402
+from tagid.errors import TagidError, UsageError  # noqa: E402
+from tagid.geometry import Aperture, ImageGrid  # noqa: E402
+from tagid.imaging.ats.fit import AtsSettings, fit  # noqa: E402
+from tagid.imaging.backprojection import backproject  # noqa: E402
+from tagid.imaging.preprocess import PreprocessSettings, preprocess  # noqa: E402
+from tagid.imaging.types import BasebandScans  # noqa: E402
+from tagid.waveform import nominal_pulse, pulse_at  # noqa: E402
+
+GRID = ImageGrid(0.5, 64)
+POINTS = np.array([[0.10, -0.05], [-0.07, 0.12]])
+
+
+def simulate(points: np.ndarray, views: int, noise: float, axis_distance: float = 1.0) -> BasebandScans:
+    """Preprocessed scans of unit points, complex noise of the given standard deviation a raw sample."""
+    rng = np.random.default_rng(5)
+    angles = np.arange(views) * 2 * np.pi / views
+    antenna = Aperture.turntable(angles, axis_distance).positions
+    ranges = axis_distance + np.arange(-0.65, 0.65, RANGE_STEP_M)
+    there = np.concatenate([points, np.zeros((len(points), 1))], axis=1)
+    distance = np.linalg.norm(antenna[:, None] - there[None], axis=2)
+    delay = 2 * (ranges[None, :, None] - distance[:, None, :]) / SPEED_OF_LIGHT
+    echo = pulse_at(nominal_pulse(), delay).sum(axis=2)
+    echo += noise / np.sqrt(2) * (rng.standard_normal(echo.shape) + 1j * rng.standard_normal(echo.shape))
+    capture = Capture(
+        echo.astype(np.complex64), ranges[0], RANGE_STEP_M, angles, axis_distance_m=axis_distance
+    )
+    return preprocess(capture, settings=PreprocessSettings(background="none", extent_m=GRID.extent))
+
+
+def psnr(values: np.ndarray, points: np.ndarray, grid: ImageGrid = GRID) -> float:
+    """Peak-normalised magnitude against 1 cm Gaussians at the points, dB."""
+    square = ((grid.points[:, None] - points[None]) ** 2).sum(axis=2)
+    truth = np.exp(-square / (2 * 0.01**2)).max(axis=1)
+    magnitude = np.abs(values).ravel()
+    return float(-10 * np.log10(np.mean((magnitude / magnitude.max() - truth) ** 2)))
+
+
+def peaks(values: np.ndarray, count: int) -> np.ndarray:
+    """The `count` brightest places more than 4 cm apart, (count, 2) m."""
+    magnitude, found = np.abs(values).ravel().copy(), []
+    for _ in range(count):
+        at = GRID.points[int(np.argmax(magnitude))]
+        found.append(at)
+        magnitude[np.hypot(*(GRID.points - at).T) < 0.04] = 0
+    return np.array(found)
+
+
+def test_two_points_at_36_views_beat_backprojection() -> None:
+    scans = simulate(POINTS, 36, 0.3)
+    image = fit(scans, GRID)
+    assert psnr(image.values, POINTS) > psnr(backproject(scans, GRID).values, POINTS) + 8
+    found = peaks(image.values, 2)
+    errors = np.linalg.norm(found[:, None] - POINTS[None], axis=2).min(axis=0)
+    assert errors.max() < GRID.step
+    assert image.values.dtype == np.complex64
+    assert image.settings["method"] == "ats"
+    assert image.settings["seed"] == 0
+
+
+def test_many_views_are_used_in_subsets() -> None:
+    scans = simulate(POINTS, 144, 1.0)
+    image = fit(scans, GRID, AtsSettings(views_per_step=36))
+    assert psnr(image.values, POINTS) > psnr(backproject(scans, GRID).values, POINTS) + 5
+
+
+@pytest.mark.parametrize(("views", "axis_distance"), [(12, 0.6), (12, 3.0)])
+def test_few_views_from_near_and_far(views: int, axis_distance: float) -> None:
+    scans = simulate(POINTS, views, 0.1, axis_distance)
+    image = fit(scans, GRID)
+    errors = np.linalg.norm(peaks(image.values, 2)[:, None] - POINTS[None], axis=2).min(axis=0)
+    assert errors.max() < 2 * GRID.step
+    assert psnr(image.values, POINTS) > psnr(backproject(scans, GRID).values, POINTS) + 6
+
+
+def test_same_seed_gives_the_same_image_and_the_global_state_stays() -> None:
+    scans = simulate(POINTS, 18, 0.1)
+    short = AtsSettings(steps=12)
+    random_state, threads = torch.random.get_rng_state(), torch.get_num_threads()
+    first = fit(scans, GRID, short).values
+    torch.manual_seed(99)
+    second = fit(scans, GRID, short).values
+    torch.random.set_rng_state(random_state)
+    third = fit(scans, GRID, short).values
+    other = fit(scans, GRID, AtsSettings(steps=12, seed=1)).values
+    np.testing.assert_array_equal(first, second)
+    np.testing.assert_array_equal(first, third)
+    assert not np.array_equal(first, other)
+    assert torch.equal(random_state, torch.random.get_rng_state())
+    assert torch.get_num_threads() == threads
+
+
+def test_scaling_the_data_scales_the_image() -> None:
+    scans = simulate(POINTS, 18, 0.1)
+    louder = BasebandScans(**{**scans.__dict__, "samples": scans.samples * np.float32(1024)})
+    short = AtsSettings(steps=20)
+    one, thousand = fit(scans, GRID, short).values, fit(louder, GRID, short).values
+    np.testing.assert_allclose(thousand / 1024, one, atol=1e-3 * np.abs(one).max())
+
+
+def test_zero_data_gives_a_zero_image() -> None:
+    scans = simulate(POINTS, 18, 0.0)
+    dark = BasebandScans(**{**scans.__dict__, "samples": np.zeros_like(scans.samples)})
+    image = fit(dark, GRID)
+    assert not image.values.any()
+    assert image.settings["steps_done"] == 0
+
+
+def test_pure_noise_stays_finite() -> None:
+    scans = simulate(POINTS[:0], 18, 1.0)
+    assert np.isfinite(fit(scans, GRID, AtsSettings(steps=30)).values).all()
+
+
+def test_a_silent_subset_of_views_does_no_harm() -> None:
+    scans = simulate(POINTS, 72, 0.1)
+    samples = scans.samples.copy()
+    samples[1::2] = 0
+    image = fit(BasebandScans(**{**scans.__dict__, "samples": samples}), GRID, AtsSettings(steps=20))
+    assert np.isfinite(image.values).all()
+
+
+def test_progress_is_told_every_step() -> None:
+    told: list[tuple[int, int, float]] = []
+    fit(simulate(POINTS, 12, 0.1), GRID, AtsSettings(steps=7), lambda *step: told.append(step))
+    assert [step[:2] for step in told] == [(i, 7) for i in range(1, 8)]
+    assert told[-1][2] < told[0][2]
+
+
+def test_stops_early_when_the_loss_no_longer_falls() -> None:
+    scans = simulate(POINTS, 12, 0.1)
+    image = fit(scans, GRID, AtsSettings(steps=100, tolerance=0.5, patience=5))
+    assert 10 <= image.settings["steps_done"] < 100
+    never = fit(scans, GRID, AtsSettings(steps=30, tolerance=0, patience=5))
+    assert never.settings["steps_done"] == 30
+
+
+def test_a_tiny_grid_works() -> None:
+    image = fit(simulate(POINTS, 12, 0.1), ImageGrid(0.5, 4), AtsSettings(steps=5))
+    assert image.values.shape == (4, 4)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"steps": 0}, {"learning_rate": float("nan")}, {"l1": -1.0}, {"views_per_step": 0}, {"levels": 0}],
+)
+def test_senseless_settings_are_refused(wrong: dict[str, float]) -> None:
+    with pytest.raises(UsageError) as caught:
+        AtsSettings(**wrong)
+    assert isinstance(caught.value, TagidError)
+    assert caught.value.remedy
