@@ -8,7 +8,8 @@ unknown), antenna_height_m, center_frequency_hz, bandwidth_hz, pulse_step_s (wit
 /scans, a row a view: samples (views, bins) int32 or float32, samples_imag (for complex samples, whose real
 part is in samples), host_time_ns and scan_id int64, radar_time_ms, angle_rad, angle_sigma_rad float64,
 flags uint8, antenna_positions_m (views, 3) float64; what is not known is absent. /pulse (n,) float64, its
-middle sample is time zero. Every dataset is checksummed (Fletcher-32), shuffled and deflated.
+middle sample is time zero. Texts have a fixed length, so that all metadata is checksummed, too. Every
+dataset is checksummed (Fletcher-32), shuffled and deflated.
 """
 
 from __future__ import annotations
@@ -88,7 +89,7 @@ def read_capture(path: Path) -> Capture:
     try:
         with h5py.File(io.BytesIO(data), "r") as file:
             version = _version(file, path)
-            raw = RawCapture(_read_attributes(file, path), _read_arrays(file, path))
+            raw = RawCapture({name: _attribute(file, name) for name in file.attrs}, _read_arrays(file, path))
     # h5py raises any of these on damaged files, depending on where the damage is.
     except (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError, MemoryError) as error:
         raise FileFormatError(
@@ -99,13 +100,13 @@ def read_capture(path: Path) -> Capture:
 
 
 def _fill(file: Any, capture: Capture) -> None:
-    file.attrs["format"] = FORMAT
+    _put_text(file, "format", FORMAT)
     file.attrs["format_version"] = FORMAT_VERSION
     file.attrs["complete"] = bool(capture.complete)
     for name in _TEXTS:
-        file.attrs[name] = getattr(capture, name)
+        _put_text(file, name, getattr(capture, name))
     for name in _DICTS:
-        file.attrs[name] = encode_settings(getattr(capture, name))
+        _put_text(file, name, encode_settings(getattr(capture, name)))
     for name in _NUMBERS:
         file.attrs[name] = float(getattr(capture, name))
     if capture.axis_distance_m is not None:
@@ -125,6 +126,12 @@ def _fill(file: Any, capture: Capture) -> None:
         file.attrs["pulse_step_s"] = float(capture.pulse.step)
 
 
+def _put_text(file: Any, name: str, content: str) -> None:
+    """A text of fixed length: HDF5 keeps those of variable length apart and without a checksum."""
+    data = content.encode()
+    file.attrs.create(name, data, dtype=h5py.string_dtype("utf-8", max(1, len(data))))
+
+
 def _put(group: Any, name: str, values: NDArray[Any]) -> None:
     little = np.ascontiguousarray(values, dtype=values.dtype.newbyteorder("<"))
     group.create_dataset(
@@ -133,26 +140,30 @@ def _put(group: Any, name: str, values: NDArray[Any]) -> None:
 
 
 def _version(file: Any, path: Path) -> int:
-    if "format" not in file.attrs or text(file.attrs["format"], f"{path} (format)") != FORMAT:
+    name = _attribute(file, "format")
+    if name is None or text(name, f"{path} (format)") != FORMAT:
         raise FileFormatError(
             f"{path}: is an HDF5 file, but not a tagid capture (format is not {FORMAT!r})",
             "Import other data as NPZ: see `tagid import --help`.",
         )
-    version = number(file.attrs["format_version"], f"{path} (format_version)")
+    version = number(_attribute(file, "format_version"), f"{path} (format_version)")
     if version != int(version):
         raise FileFormatError(f"{path}: format_version is {version}, expected a whole number")
     check_version(int(version), path)
     return int(version)
 
 
-def _read_attributes(file: Any, path: Path) -> dict[str, Any]:
-    attributes: dict[str, Any] = {}
-    for name in file.attrs:
-        identifier = file.attrs.get_id(name)
-        if identifier.shape != () or identifier.get_storage_size() > MAX_JSON_BYTES:
-            raise FileFormatError(f"{path}: the attribute {name[:40]!r} is not a single value")
-        attributes[name] = file.attrs[name]
-    return attributes
+def _attribute(file: Any, name: str) -> Any:
+    """A root attribute; None where it is missing or is not one number or text of fixed length.
+
+    Texts of variable length are never read: HDF5 2.0 loops for ever on a damaged heap of them.
+    """
+    if name not in file.attrs:
+        return None
+    identifier = file.attrs.get_id(name)
+    if identifier.shape != () or identifier.get_storage_size() > MAX_JSON_BYTES:
+        return None
+    return file.attrs[name] if identifier.dtype.kind in "iufbS" else None
 
 
 def _read_arrays(file: Any, path: Path) -> dict[str, NDArray[Any]]:
@@ -200,7 +211,9 @@ def _check_dataset(dataset: Any, path: Path) -> None:
 def _to_capture(path: Path, raw: RawCapture) -> Capture:
     attributes, arrays = raw.attributes, raw.arrays
     needed = {"complete", *_TEXTS, *_DICTS, *_NUMBERS}
-    missing = sorted(needed - set(attributes)) + (["/scans/samples"] if "scans/samples" not in arrays else [])
+    missing = sorted(name for name in needed if attributes.get(name) is None)
+    if "scans/samples" not in arrays:
+        missing.append("/scans/samples")
     if missing:
         raise FileFormatError(f"{path}: lacks {', '.join(missing)}", "The file is damaged or cut off.")
     fields: dict[str, Any] = {name: number(attributes[name], f"{path} ({name})") for name in _NUMBERS}
@@ -209,7 +222,7 @@ def _to_capture(path: Path, raw: RawCapture) -> Capture:
         if not isinstance(attributes[name], str | bytes):
             raise FileFormatError(f"{path}: {name} is not a JSON text")
         fields[name] = decode_settings(attributes[name], f"{path} ({name})")
-    if "axis_distance_m" in attributes:
+    if attributes.get("axis_distance_m") is not None:
         fields["axis_distance_m"] = number(attributes["axis_distance_m"], f"{path} (axis_distance_m)")
     if not isinstance(attributes["complete"], bool | np.bool_):
         raise FileFormatError(f"{path}: complete is not true or false")

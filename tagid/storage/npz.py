@@ -99,7 +99,8 @@ def read_npz(path: Path) -> Capture:
             fields[key] = _vector(path, key, arrays[key], dtype, len(samples))
     if "timestamps_s" in arrays and "radar_time_ms" not in arrays:
         seconds = _vector(path, "timestamps_s", arrays["timestamps_s"], np.float64, len(samples))
-        fields["radar_time_ms"] = seconds * 1000.0
+        with np.errstate(over="ignore"):  # what becomes infinite is refused by the capture
+            fields["radar_time_ms"] = seconds * 1000.0
     if "pulse" in arrays:
         fields["pulse"] = _pulse(path, arrays)
     fields |= _provenance(path, arrays, ours)
