@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -239,15 +240,27 @@ def turning_period(capture: Capture) -> Turning:
 
 
 def nominal_period_s(capture: Capture, duration_s: float) -> float | None:
-    """Seconds a turn by the motion settings (`period_s`, `rpm`), else by the angles; None where unknown."""
-    for key, numerator in (("period_s", None), ("rpm", 60.0)):
-        value = capture.motion.get(key)
-        if isinstance(value, int | float) and not isinstance(value, bool) and 1e-3 < value < 1e6:
-            return float(value) if numerator is None else numerator / value
-    if capture.angles_rad is None:
+    """Seconds a turn by the motion settings, else by the angles; None where nobody told the speed.
+
+    A period or angles that were themselves found in these scans (`source` is "data") are no second witness.
+    """
+    for key in ("nominal_rpm", "rpm"):
+        rpm = _positive(capture.motion.get(key))
+        if rpm is not None:
+            return 60 / rpm
+    if capture.motion.get("source") == "data":
         return None
+    told = _positive(capture.motion.get("period_s"))
+    if told is not None or capture.angles_rad is None:
+        return told
     turns = abs(float(capture.angles_rad[-1] - capture.angles_rad[0])) / (2 * math.pi)
     return duration_s / turns if turns > 0.5 else None
+
+
+def _positive(value: Any) -> float | None:
+    """A setting as a sensible positive number; None for anything else that a file may hold."""
+    number = isinstance(value, int | float) and not isinstance(value, bool) and 1e-3 < value < 1e6
+    return float(value) if number else None
 
 
 def strongest_return(signal: NDArray[np.complex64], capture: Capture) -> StrongReturn | None:

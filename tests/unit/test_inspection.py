@@ -156,6 +156,18 @@ def test_a_known_speed_takes_the_doubt_away(known: dict[str, object]) -> None:
     assert "1/n" not in summary.period_note
 
 
+def test_a_period_found_in_the_same_scans_is_no_second_witness() -> None:
+    capture = turning(2.5)
+    assert capture.radar_time_ms is not None
+    angles = 2 * np.pi * capture.radar_time_ms / 6e3
+    found = {"source": "data", "period_s": 6.0, "nominal_rpm": None}
+    summary = inspect(replace(capture, motion=found, angles_rad=angles, axis_distance_m=5.0))
+    assert "1/n" in summary.period_note
+    told = inspect(replace(capture, motion={**found, "nominal_rpm": 10.0}))
+    assert told.period_s == pytest.approx(6.0, rel=5e-3)
+    assert "1/n" not in told.period_note
+
+
 @pytest.mark.parametrize("broken", ["rpm", -3, 0, True, float("nan"), [1]])
 def test_a_senseless_speed_in_the_file_is_ignored(broken: object) -> None:
     assert inspect(replace(turning(1.5), motion={"rpm": broken})).period_s == pytest.approx(6.0, rel=5e-3)
