@@ -1,0 +1,187 @@
+"""The journal keeps every intact record whatever happens to the rest of the file."""
+
+from __future__ import annotations
+
+import os
+import struct
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tagid.errors import DataError, DiskFullError, FileFormatError, StorageError
+from tagid.storage.journal import JournalWriter, journal_to_capture, read_journal
+
+HEADER = {
+    "range_start_m": 0.4,
+    "range_step_m": 0.009149,
+    "axis_distance_m": 1.5,
+    "radar": {"config": {"base_integration_index": 11}},
+    "motion": {"url": "free"},
+    "object": {"label": "helmet"},
+    "uuid": "5a0f3a6e-0000-4000-8000-000000000001",
+    "created_utc": "2024-05-01T10:00:00+00:00",
+    "tool_version": "0.1.0",
+}
+
+
+def scan(number: int, bins: int = 32) -> np.ndarray:
+    return np.random.default_rng(number).integers(-(2**31), 2**31, bins, dtype=np.int64).astype(np.int32)
+
+
+def write(path: Path, scans: int, close: bool = True) -> None:
+    with JournalWriter(path, HEADER, sync_every=3) as journal:
+        for i in range(scans):
+            journal.append(100 + i, 10**18 + i, 21.5 * i, scan(i), flags=i % 8)
+        if close:
+            journal.close({"radar": {"scans_lost": 2}})
+
+
+def test_what_is_written_is_read_back(tmp_path: Path) -> None:
+    write(tmp_path / "j", 7)
+    journal = read_journal(tmp_path / "j")
+    assert journal.header == HEADER and journal.bytes_dropped == 0
+    capture = journal_to_capture(journal)
+    assert capture.complete and capture.samples.dtype == np.int32
+    np.testing.assert_array_equal(capture.samples, np.stack([scan(i) for i in range(7)]))
+    np.testing.assert_array_equal(capture.scan_id, np.arange(100, 107))
+    np.testing.assert_array_equal(capture.host_time_ns, 10**18 + np.arange(7))
+    np.testing.assert_array_equal(capture.radar_time_ms, 21.5 * np.arange(7))
+    np.testing.assert_array_equal(capture.flags, np.arange(7))
+    assert capture.radar == {"config": {"base_integration_index": 11}, "scans_lost": 2}
+    assert (capture.axis_distance_m, capture.uuid, capture.object) == (1.5, HEADER["uuid"], {"label": "helmet"})
+
+
+def test_without_end_record_the_capture_is_not_complete(tmp_path: Path) -> None:
+    write(tmp_path / "j", 3, close=False)
+    capture = journal_to_capture(read_journal(tmp_path / "j"))
+    assert not capture.complete and capture.views == 3
+
+
+def test_cut_at_any_byte_keeps_every_record_before(tmp_path: Path) -> None:
+    write(tmp_path / "j", 4)
+    data = (tmp_path / "j").read_bytes()
+    record = 16 + 32 + 32 * 4
+    end = len(data) - data[::-1].index(b"REC\x1e"[::-1]) - 4  # where the end record starts
+    header = end - 4 * record
+    for cut in range(0, len(data)):
+        (tmp_path / "cut").write_bytes(data[:cut])
+        if cut < header:
+            with pytest.raises(FileFormatError):
+                read_journal(tmp_path / "cut")
+            continue
+        journal = read_journal(tmp_path / "cut")
+        whole = min(4, (cut - header) // record)
+        assert [s.scan_id for s in journal.scans] == list(range(100, 100 + whole))
+        assert journal.summary is None
+        assert journal.bytes_dropped == cut - header - whole * record
+
+
+def test_damage_in_the_middle_costs_only_the_damaged_record(tmp_path: Path) -> None:
+    write(tmp_path / "j", 6)
+    data = bytearray((tmp_path / "j").read_bytes())
+    record = 16 + 32 + 32 * 4
+    start = len(data) - data[::-1].index(b"REC\x1e"[::-1]) - 4 - 6 * record
+    data[start + 2 * record + 100] ^= 0x40
+    (tmp_path / "j").write_bytes(data)
+    journal = read_journal(tmp_path / "j")
+    assert [s.scan_id for s in journal.scans] == [100, 101, 103, 104, 105]
+    assert journal.bytes_dropped == record
+    assert journal_to_capture(journal).radar["journal_bytes_dropped"] == record
+
+
+def test_hostile_length_takes_no_memory(tmp_path: Path) -> None:
+    write(tmp_path / "j", 1)
+    with (tmp_path / "j").open("ab") as stream:
+        stream.write(struct.pack("<4sIII", b"REC\x1e", 2, 0xFFFFFFFF, 0) * 50)
+    journal = read_journal(tmp_path / "j")
+    assert len(journal.scans) == 1 and journal.bytes_dropped == 50 * 16
+
+
+def test_samples_must_keep_their_shape(tmp_path: Path) -> None:
+    with JournalWriter(tmp_path / "j", HEADER) as journal:
+        journal.append(0, 0, 0.0, scan(0))
+        for bad in (scan(0, 31), scan(0).astype(np.float32), scan(0).astype(np.int64), scan(0).reshape(2, 16)):
+            with pytest.raises(DataError):
+                journal.append(1, 0, 0.0, bad)
+    assert len(read_journal(tmp_path / "j").scans) == 1
+
+
+def test_existing_file_is_never_overwritten(tmp_path: Path) -> None:
+    (tmp_path / "j").write_bytes(b"dear")
+    with pytest.raises(StorageError, match="already exists"):
+        JournalWriter(tmp_path / "j", HEADER)
+    assert (tmp_path / "j").read_bytes() == b"dear"
+
+
+def test_closed_journal_refuses(tmp_path: Path) -> None:
+    with JournalWriter(tmp_path / "j", HEADER) as journal:
+        journal.close()
+        journal.close()
+        with pytest.raises(StorageError, match="closed"):
+            journal.append(0, 0, 0.0, scan(0))
+
+
+@pytest.mark.parametrize("content", [b"", b"TAGIDJNL", b"TAGIDJNL\1\0\0\0", b"x" * 500])
+def test_not_a_journal(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "j").write_bytes(content)
+    with pytest.raises(FileFormatError):
+        read_journal(tmp_path / "j")
+
+
+def test_newer_version_says_upgrade(tmp_path: Path) -> None:
+    write(tmp_path / "j", 1)
+    data = bytearray((tmp_path / "j").read_bytes())
+    data[8] = 9
+    (tmp_path / "j").write_bytes(data)
+    with pytest.raises(FileFormatError) as caught:
+        read_journal(tmp_path / "j")
+    assert "newer" in caught.value.remedy
+
+
+def test_journal_without_scans_is_no_capture(tmp_path: Path) -> None:
+    write(tmp_path / "j", 0)
+    with pytest.raises(FileFormatError, match="no scan"):
+        journal_to_capture(read_journal(tmp_path / "j"))
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="the system has no /dev/full")
+def test_full_disk_at_the_start() -> None:
+    with pytest.raises(DiskFullError):
+        JournalWriter(Path("/dev/full"), HEADER)
+    assert Path("/dev/full").exists()
+
+
+CHILD = """
+import resource, sys
+from pathlib import Path
+import numpy as np
+from tagid.errors import DiskFullError
+from tagid.storage.journal import JournalWriter
+resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, 10_000))
+with JournalWriter(Path(sys.argv[1]), {"range_start_m": 0.0, "range_step_m": 0.01}) as journal:
+    try:
+        for i in range(100):
+            journal.append(i, i, float(i), np.full(300, i, np.int32))
+    except DiskFullError as error:
+        print(i, error.remedy)
+"""
+
+
+def test_full_disk_in_the_middle_keeps_what_was_written(tmp_path: Path) -> None:
+    result = subprocess.run(
+        [sys.executable, "-c", CHILD, str(tmp_path / "j")],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        env={**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[2])},
+    )
+    assert result.returncode == 0, result.stderr
+    acknowledged = int(result.stdout.split()[0])
+    assert 0 < acknowledged < 100 and "Free some space" in result.stdout
+    journal = read_journal(tmp_path / "j")
+    assert [s.scan_id for s in journal.scans] == list(range(acknowledged))
+    assert journal.bytes_dropped == 0 and journal.summary is None
+    np.testing.assert_array_equal(journal.scans[-1].samples, np.full(300, acknowledged - 1))
