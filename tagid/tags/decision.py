@@ -14,7 +14,8 @@ class DecisionSettings:
 
     Attributes:
         null_nats: explained energy over the noise level, less 3 K, under which there is no tag. The search
-            tries about e^9 independent places; the tail of a Gamma(K) beyond 30 + 3 K is under e^-20.
+            tries about e^9 independent places; the tail of a Gamma(K) beyond 24 + 3 K is under e^-16.
+            Recordings of noise alone reach 20.
         explained_share: least share of the energy above noise that the layout explains.
         missing_share: a reflector weaker than this share of the layout's median is missing.
         extra_share: an unexplained point stronger than this share of the layout's median is extra.
@@ -25,7 +26,7 @@ class DecisionSettings:
         ambiguous_nats: and so is one within this many noise levels.
     """
 
-    null_nats: float = 30.0
+    null_nats: float = 24.0
     explained_share: float = 0.35
     missing_share: float = 0.35
     extra_share: float = 0.5

@@ -24,8 +24,9 @@ from tagid.errors import FileFormatError, StorageError, TagidError, UsageError
 KINDS = ("helmet", "container", "other")
 MAX_REFLECTORS = 16
 MAX_RADIUS_M = 1.0
-MIN_SPACING_M = 0.01
-"""Nearer than this two reflectors are one: the image's main lobe is about 15 mm wide (null of J0(2kr))."""
+MIN_SPACING_M = 0.02
+"""Nearer than this two reflectors are one: the null of the point response J0(2kr) is at 14.5 mm, and the
+paper's octahedra have a radius of 20 mm themselves."""
 SYMMETRY_TOLERANCE_M = 1e-3
 MAX_FILE_BYTES = 64 * 1024
 MAX_TEXT = 2000

@@ -25,6 +25,7 @@ from tagid.tags.reflectors import (
     as_reflectors,
     clean,
     refine_positions,
+    separate,
 )
 from tagid.tags.views import fold_views
 
@@ -116,6 +117,8 @@ def read_tag(
     best = fits[order[0]]
     disc = SearchDisc(matched, radius - 0.02, settings.finder.step_m, best.offset_m)
     positions, amplitudes, level = clean(disc, best.positions, best.amplitudes, settings.finder)
+    apart = separate(positions, amplitudes, best.layout.size)
+    positions, amplitudes = positions[apart], amplitudes[apart]
     runner_up = fits[order[1]] if len(fits) > 1 else None
     evidence = _evidence(matched, best, runner_up, (amplitudes, level), settings)
     status, reason = decide(evidence, settings.decision)

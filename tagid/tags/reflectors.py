@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from tagid.imaging.types import BasebandScans
 from tagid.tags.field import MatchedField
 from tagid.tags.hypotheses import least_squares
+from tagid.tags.layout import MIN_SPACING_M
 from tagid.tags.views import fold_views
 
 DETECTION_NATS = 18.0
@@ -166,6 +167,21 @@ def _polish(
     return np.concatenate([points[:fixed], moved[fixed:]]), amplitudes, energy
 
 
+def separate(
+    positions: NDArray[np.float64], amplitudes: NDArray[np.complex128], given: int
+) -> NDArray[np.intp]:
+    """Indexes of the first `given` points and of those at least MIN_SPACING_M from every stronger one kept.
+
+    What a reflector's aspect pattern leaves of it looks like a second point a few millimetres away.
+    """
+    kept = list(range(given))
+    for i in given + np.argsort(-np.abs(amplitudes[given:])):
+        gap = np.linalg.norm(positions[kept] - positions[i], axis=1)
+        if not kept or gap.min() >= MIN_SPACING_M:
+            kept.append(int(i))
+    return np.array(kept, dtype=np.intp)
+
+
 def as_reflectors(
     positions: NDArray[np.float64],
     amplitudes: NDArray[np.complex128],
@@ -201,6 +217,7 @@ def find_reflectors(scans: BasebandScans, settings: FinderSettings | None = None
     disc = SearchDisc(field, settings.radius_m, settings.step_m)
     empty = np.zeros((0, 2)), np.zeros(0, dtype=np.complex128)
     positions, amplitudes, level = clean(disc, *empty, settings)
-    found = as_reflectors(positions, amplitudes, level, field.template_energy)
+    apart = separate(positions, amplitudes, 0)
+    found = as_reflectors(positions[apart], amplitudes[apart], level, field.template_energy)
     floor = [r for r in found if r.amplitude_db >= settings.floor_db]
     return tuple(sorted(floor, key=lambda r: -abs(r.amplitude)))
