@@ -31,8 +31,8 @@ CAPTURE_SUFFIX = ".tagid.h5"
 _MARGIN_M = 0.35
 """Kept on both sides of the image: the pulse's length, the autofocus and clutter-free bins for the noise."""
 
-Progress = Callable[[int, float, str], None]
-"""Called with (scans, seconds, remark)."""
+Progress = Callable[[int, float], None]
+"""Called with (scans, seconds)."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +45,7 @@ class RecordingPlan:
         cable_delay_ps: two-way delay to take off the ranges, ps.
         scans: number of scans; None until the motion says that a turn is complete.
         max_seconds: longest recording, s.
+        motion: URL of what turns the object, kept with the capture.
         object: what is known of the object, plain JSON values.
     """
 
@@ -54,6 +55,7 @@ class RecordingPlan:
     cable_delay_ps: float = 0.0
     scans: int | None = None
     max_seconds: float = 180.0
+    motion: str = "free"
     object: dict[str, Any] = field(default_factory=dict)
 
 
@@ -120,7 +122,7 @@ def record(
             statistics = asdict(radar.statistics)
             summary = {
                 "radar": {"statistics": statistics, "scans_lost": statistics["lost_scans"]},
-                "motion": motion.describe(),
+                "motion": {"url": plan.motion},
             }
             if stopped is None:
                 journal.close(summary)
@@ -149,10 +151,9 @@ def _receive(
                 continue
             seconds = (scan.radar_time_ms - scans[0].radar_time_ms) * 1e-3
             if progress:
-                progress(len(scans), seconds, motion.remark)
-            if plan.scans is None and motion.finished(
-                [s.samples for s in scans], np.array([s.radar_time_ms for s in scans], dtype=np.float64)
-            ):
+                progress(len(scans), seconds)
+            times = [s.radar_time_ms * 1e-3 for s in scans]
+            if plan.scans is None and motion.finished([s.samples for s in scans], times):
                 return
             if seconds >= plan.max_seconds:
                 return

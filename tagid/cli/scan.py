@@ -97,13 +97,13 @@ def _scan(
     layouts, version = layouts_registry.layouts(), layouts_registry.version
     motion = open_motion(config["motion.url"])
     path = capture_path(folder)
-    with terminal.progress("record") as advance:
+    with terminal.progress("record", motion.needed_seconds()) as advance:
         capture = record(
             open_radar(url, Sources(), config["radar.timeout_s"]),
             motion,
             plan,
             path,
-            lambda count, seconds, remark: advance(count, f"{count} scans, {seconds:.1f} s  {remark}"),
+            lambda count, seconds: advance(seconds, f"{count} scans, {seconds:.1f} s"),
         )
     stem = path.name.removesuffix(".tagid.h5")
     png = path.with_name(f"{stem}.png")
@@ -156,6 +156,7 @@ def _plan(config: Config, url: str, limits: tuple[int | None, float], about: dic
         config["radar.cable_delay_ps"],
         scans,
         max_seconds,
+        config["motion.url"],
         about,
     )
 

@@ -1,0 +1,73 @@
+"""From a recording without angles to one turn of views with angles: what imaging asks of motion.
+
+It joins the clock, the motion device and the thinning of views, so that scanning and reading a file agree.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from tagid.capture import Capture
+from tagid.errors import DataError
+from tagid.motion.angles import average_into_views, select_views
+from tagid.motion.clock import UniformClock, fit_clock
+from tagid.motion.urls import open_motion
+
+
+def clock_of(capture: Capture) -> UniformClock:
+    """The clock of a capture: of the radar's stamps where there are any, else of the host's arrival times.
+
+    Raises:
+        DataError: neither is known, or they do not advance.
+    """
+    if capture.radar_time_ms is not None:
+        return fit_clock(capture.radar_time_ms, capture.scan_id)
+    if capture.host_time_ns is not None:
+        # Relative to the first scan, because nanoseconds since the epoch do not fit a float64.
+        return fit_clock((capture.host_time_ns - capture.host_time_ns[0]) * 1e-6, capture.scan_id)
+    raise DataError(
+        "the capture holds neither angles nor the times of its scans",
+        "Import it with angles_rad, timestamps_s or antenna_positions_m.",
+    )
+
+
+def with_angles(capture: Capture, motion: str | None = None) -> Capture:
+    """The capture with an angle and a sigma for every scan.
+
+    Args:
+        capture: any capture.
+        motion: device URL of what turned the object. None keeps angles or antenna positions that are there, and
+            else takes the period from the data.
+
+    Raises:
+        UsageError: the URL makes no sense. DataError: no times, or no period in the data and no speed given.
+    """
+    known = capture.angles_rad is not None or capture.antenna_positions_m is not None
+    if motion is None and known:
+        return capture
+    device = open_motion(motion or "free")
+    clock = clock_of(capture)
+    angles = device.resolve(capture.samples, clock.times_s, clock.sigma_s)
+    info = {**angles.info, "scan_period_s": clock.period_s, "clock_residual_ms": clock.residual_ms}
+    return replace(
+        capture,
+        angles_rad=angles.angles_rad,
+        angle_sigma_rad=angles.sigma_rad,
+        antenna_positions_m=None,
+        motion={**capture.motion, "url": motion or "free", "resolved": info},
+    )
+
+
+def one_turn(capture: Capture, max_views: int) -> Capture:
+    """At most so many views, evenly over one turn.
+
+    Denser scans are averaged into views, which lowers the noise; otherwise the scans of the first turn stay as
+    they are. A capture of free antenna positions is thinned only.
+    """
+    if capture.angles_rad is None:
+        every = -(-capture.views // max_views)
+        return capture if every == 1 else capture.select(slice(None, None, every))
+    inside = select_views(capture.angles_rad)
+    if len(inside) > max_views:
+        return average_into_views(capture, max_views)
+    return capture if len(inside) == capture.views else capture.select(inside)
