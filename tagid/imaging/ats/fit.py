@@ -50,12 +50,12 @@ class AtsSettings:
             thread gains little where the cores are idle, and waits for its slice where they are not.
     """
 
-    steps: int = 60
+    steps: int = 80
     learning_rate: float = 0.05
     network_rate: float = 1.0
     decay: float = 0.1
     l1: float = 0.03
-    noise_l1: float = 0.0
+    noise_l1: float = 0.3
     views_per_step: int = 36
     width: int = 32
     hidden: int = 2
