@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import typer
 
@@ -11,6 +12,9 @@ from tagid.cli.frame import Terminal, command
 from tagid.config import load_config
 from tagid.errors import EXIT_BATCH, EXIT_FAILED, TagidError
 from tagid.result import Result, Status
+
+if TYPE_CHECKING:
+    from tagid.pipeline import Identification
 
 
 def register(app: typer.Typer) -> None:
@@ -50,7 +54,7 @@ def run(
     view: tuple[str, bool, Path | None],
 ) -> Result:
     """Identify each file; a file that fails is one failed item and stops nothing."""
-    from rich.console import Group
+    from rich.console import Group, RenderableType
 
     from tagid.cli import imaging
     from tagid.pipeline import identify, prepare
@@ -60,7 +64,9 @@ def run(
     config = load_config(overrides)
     registry = imaging.open_registry()
     layouts, version = registry.layouts(), registry.version
-    answers, items, drawn = [], [], []
+    answers: list[Identification] = []
+    items: list[dict[str, object]] = []
+    drawn: list[RenderableType] = []
     errors: list[dict[str, str]] = []
     settings = imaging.settings_from(config, background)
     for path in files:
@@ -73,9 +79,7 @@ def run(
                 if png:
                     imaging.draw(result, answer, png)
                 if preview:
-                    from tagid.report.preview import preview as in_terminal
-
-                    drawn.append(in_terminal(result.image.values, result.image.grid.extent))
+                    drawn.append(imaging.in_terminal(result))
         except TagidError as error:
             answer = imaging.failed(None, error)
             errors.append(

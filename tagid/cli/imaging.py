@@ -92,6 +92,15 @@ def draw(result: Reconstruction, answer: Identification | None, png: Path) -> No
     draw_image(result.image.values, result.image.grid.extent, png, title=title, reflectors=markers)
 
 
+def in_terminal(result: Reconstruction) -> RenderableType:
+    """The image as text, in colour where the terminal has it and NO_COLOR does not forbid."""
+    from rich.console import Console
+
+    from tagid.report.preview import colour_wanted, preview
+
+    return preview(result.image.values, result.image.grid.extent, colour=colour_wanted(Console()))
+
+
 def headline(answer: Identification) -> str:
     """The answer in a few words, for a title or a first line."""
     reading = answer.reading

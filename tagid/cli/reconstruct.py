@@ -41,7 +41,7 @@ def register(app: typer.Typer) -> None:
         """
         from dataclasses import replace
 
-        from rich.console import Group
+        from rich.console import Group, RenderableType
         from rich.text import Text
 
         from tagid.cli import imaging
@@ -71,11 +71,9 @@ def register(app: typer.Typer) -> None:
             write_image(out, result.image)
         if png:
             imaging.draw(result, None, png)
-        lines: list[Text] = []
+        lines: list[RenderableType] = []
         if preview:
-            from tagid.report.preview import preview as in_terminal
-
-            lines.append(in_terminal(result.image.values, result.image.grid.extent))
+            lines.append(imaging.in_terminal(result))
         took = sum(result.seconds.values())
         distance = result.image.settings["axis_distance_m"]
         where = "" if distance is None else f", axis at {distance:.3f} m"

@@ -120,9 +120,7 @@ def _scan(
         write_image(npz, result.image)
         files |= {"png": str(png), "image": str(npz)}
         if preview:
-            from tagid.report.preview import preview as in_terminal
-
-            drawn.append(in_terminal(result.image.values, result.image.grid.extent))
+            drawn.append(imaging.in_terminal(result))
         code = imaging.exit_code_of([answer])
     except TagidError as error:
         # The recording is safe; only what was to be read from it failed.

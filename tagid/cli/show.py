@@ -24,6 +24,7 @@ def register(app: typer.Typer) -> None:
         terminal: Terminal,
         file: options.CaptureFile,
         png: Annotated[Path | None, typer.Option("--png", help="Picture (default: beside the file).")] = None,
+        changing: Annotated[bool, typer.Option("--changing", help="Draw only what changes.")] = False,
         cable_delay: options.CableDelay = None,
     ) -> Result:
         """Draw range profile, sinogram and spectrum of a recording, with a short table.
@@ -42,7 +43,7 @@ def register(app: typer.Typer) -> None:
         capture = read_any(file, config["radar.cable_delay_ps"])
         summary = inspect(capture)
         target = png or file.with_name(file.name.removesuffix(".tagid.h5") + ".png")
-        draw_recording(capture, target, file.name)
+        draw_recording(capture, target, file.name, changing_only=changing)
         table = Table(show_header=False, box=None)
         for name, text in _rows(summary):
             table.add_row(name, text)
@@ -54,6 +55,8 @@ def register(app: typer.Typer) -> None:
             "bins": summary.bins,
             "range_m": [summary.range_from_m, summary.range_to_m],
             "snr_db": summary.snr_db,
+            "changing_snr_db": summary.changing_snr_db,
+            "changing_range_m": summary.changing_range_m,
             "clipped_fraction": summary.clipped_fraction,
             "lost_scans": summary.lost_scans,
             "scan_rate_hz": summary.scan_rate_hz,
@@ -85,6 +88,10 @@ def _rows(summary: RecordingSummary) -> list[tuple[str, str]]:
         ("scans", f"{summary.views} of {summary.bins} samples, {rate} a second"),
         ("range", f"{summary.range_from_m:.2f} to {summary.range_to_m:.2f} m"),
         ("SNR", f"{or_dash(summary.snr_db, '.1f')} dB"),
+        (
+            "turning",
+            f"{or_dash(summary.changing_snr_db, '.1f')} dB at {or_dash(summary.changing_range_m, '.2f')} m",
+        ),
         ("clipped", clipped),
         ("lost scans", "-" if summary.lost_scans is None else str(summary.lost_scans)),
         ("period", period),
