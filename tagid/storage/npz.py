@@ -11,6 +11,8 @@ from __future__ import annotations
 
 import io
 import json
+import tokenize
+import warnings
 import zipfile
 import zlib
 from pathlib import Path
@@ -134,7 +136,8 @@ def _load(path: Path, data: bytes) -> dict[str, NDArray[Any]]:
     arrays: dict[str, NDArray[Any]] = {}
     budget = atomic.MAX_FILE_BYTES
     try:
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        with warnings.catch_warnings(), zipfile.ZipFile(io.BytesIO(data)) as archive:
+            warnings.simplefilter("ignore")  # numpy warns of headers that it parses with effort
             for member in archive.infolist():
                 key = member.filename.removesuffix(".npy")
                 if key not in _KEYS or key in arrays:
@@ -152,7 +155,7 @@ def _load(path: Path, data: bytes) -> dict[str, NDArray[Any]]:
     # zipfile and numpy raise any of these on damaged files, depending on where the damage is.
     except (
         zipfile.BadZipFile, zlib.error, OSError, EOFError, ValueError, RuntimeError, TypeError, SyntaxError,
-        LookupError, MemoryError, OverflowError,
+        LookupError, MemoryError, OverflowError, tokenize.TokenError,
     ) as error:  # fmt: skip
         raise FileFormatError(
             f"{path}: the NPZ file is damaged or cut off ({str(error)[:120]})",

@@ -56,7 +56,7 @@ def test_every_acknowledged_scan_survives_sigkill(tmp_path: Path) -> None:
     moments = random.Random(20)
     for kill in range(KILLS):
         path = tmp_path / f"{kill}.tagid.journal"
-        acknowledged = record_and_kill(path, moments.randint(1, 150), moments.random() * 0.003)
+        acknowledged = record_and_kill(path, moments.randint(1, 90), moments.random() * 0.003)
         journal = read_journal(path)
         assert journal.summary is None
         # One more may be there: written, but killed before it was acknowledged.

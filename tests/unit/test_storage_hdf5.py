@@ -5,66 +5,18 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
 import pytest
+from storage_samples import BARE, COMPLEX, FLOAT, FREE, LONG, TINY, assert_equal, capture
 
-from tagid.capture import Capture, Pulse
 from tagid.errors import DiskFullError, FileFormatError, StorageError, TagidError
 from tagid.storage import atomic
 from tagid.storage.hdf5 import read_capture, write_capture
 from tagid.storage.migrations import RawCapture, migrate
-
-
-def capture(**changes: Any) -> Capture:
-    rng = np.random.default_rng(7)
-    views = 9
-    values: dict[str, Any] = {
-        "samples": rng.integers(-(2**31), 2**31, (views, 40), dtype=np.int64).astype(np.int32),
-        "range_start_m": 0.31,
-        "range_step_m": 0.009149,
-        "angles_rad": np.linspace(0, 6, views),
-        "angle_sigma_rad": np.full(views, 1e-3),
-        "axis_distance_m": 1.25,
-        "antenna_height_m": 0.2,
-        "host_time_ns": 1_700_000_000_123_456_789 + np.arange(views),
-        "radar_time_ms": 21.0 * np.arange(views),
-        "scan_id": np.arange(70_000, 70_000 + views),
-        "flags": np.arange(views, dtype=np.uint8) % 8,
-        "center_frequency_hz": 4e9,
-        "bandwidth_hz": 1.5e9,
-        "pulse": Pulse(rng.standard_normal(31), 3.8e-12),
-        "radar": {"config": {"transmit_gain": 63}, "text": "é日本"},
-        "motion": {"rpm": 2.0},
-        "object": {"label": "helmet 7"},
-        "complete": False,
-    }
-    return Capture(**{**values, **changes})
-
-
-def assert_equal(a: Capture, b: Capture) -> None:
-    for field in fields(Capture):
-        one, two = getattr(a, field.name), getattr(b, field.name)
-        if isinstance(one, np.ndarray):
-            assert one.dtype == two.dtype, field.name
-            np.testing.assert_array_equal(one, two, err_msg=field.name)
-        elif isinstance(one, Pulse):
-            np.testing.assert_array_equal(one.samples, two.samples)
-            assert one.step == two.step
-        else:
-            assert one == two, field.name
-
-
-FREE = {"angles_rad": None, "angle_sigma_rad": None, "antenna_positions_m": np.arange(27.0).reshape(9, 3)}
-BARE = dict.fromkeys(("angles_rad", "angle_sigma_rad", "axis_distance_m", "host_time_ns", "pulse"))
-COMPLEX = {"samples": (np.arange(360).reshape(9, 40) * (1 - 2j)).astype(np.complex64)}
-FLOAT = {"samples": np.linspace(-1, 1, 360, dtype=np.float32).reshape(9, 40)}
-TINY = {**BARE, "samples": np.ones((1, 1), np.int32), "radar_time_ms": None, "scan_id": None, "flags": None}
-LONG = {"radar": {"notes": "x" * 300_000}}
 
 
 @pytest.mark.parametrize("changes", [{}, FREE, BARE, COMPLEX, FLOAT, TINY, LONG, {"complete": True}])

@@ -31,10 +31,10 @@ def scan(number: int, bins: int = 32) -> np.ndarray:
     return np.random.default_rng(number).integers(-(2**31), 2**31, bins, dtype=np.int64).astype(np.int32)
 
 
-def write(path: Path, scans: int, close: bool = True) -> None:
+def write(path: Path, scans: int, close: bool = True, bins: int = 32) -> None:
     with JournalWriter(path, HEADER, sync_every=3) as journal:
         for i in range(scans):
-            journal.append(100 + i, 10**18 + i, 21.5 * i, scan(i), flags=i % 8)
+            journal.append(100 + i, 10**18 + i, 21.5 * i, scan(i, bins), flags=i % 8)
         if close:
             journal.close({"radar": {"scans_lost": 2}})
 
@@ -51,7 +51,11 @@ def test_what_is_written_is_read_back(tmp_path: Path) -> None:
     np.testing.assert_array_equal(capture.radar_time_ms, 21.5 * np.arange(7))
     np.testing.assert_array_equal(capture.flags, np.arange(7))
     assert capture.radar == {"config": {"base_integration_index": 11}, "scans_lost": 2}
-    assert (capture.axis_distance_m, capture.uuid, capture.object) == (1.5, HEADER["uuid"], {"label": "helmet"})
+    assert (capture.axis_distance_m, capture.uuid, capture.object) == (
+        1.5,
+        HEADER["uuid"],
+        {"label": "helmet"},
+    )
 
 
 def test_without_end_record_the_capture_is_not_complete(tmp_path: Path) -> None:
@@ -61,9 +65,9 @@ def test_without_end_record_the_capture_is_not_complete(tmp_path: Path) -> None:
 
 
 def test_cut_at_any_byte_keeps_every_record_before(tmp_path: Path) -> None:
-    write(tmp_path / "j", 4)
+    write(tmp_path / "j", 4, bins=5)
     data = (tmp_path / "j").read_bytes()
-    record = 16 + 32 + 32 * 4
+    record = 16 + 32 + 5 * 4
     end = len(data) - data[::-1].index(b"REC\x1e"[::-1]) - 4  # where the end record starts
     header = end - 4 * record
     for cut in range(0, len(data)):
@@ -103,7 +107,12 @@ def test_hostile_length_takes_no_memory(tmp_path: Path) -> None:
 def test_samples_must_keep_their_shape(tmp_path: Path) -> None:
     with JournalWriter(tmp_path / "j", HEADER) as journal:
         journal.append(0, 0, 0.0, scan(0))
-        for bad in (scan(0, 31), scan(0).astype(np.float32), scan(0).astype(np.int64), scan(0).reshape(2, 16)):
+        for bad in (
+            scan(0, 31),
+            scan(0).astype(np.float32),
+            scan(0).astype(np.int64),
+            scan(0).reshape(2, 16),
+        ):
             with pytest.raises(DataError):
                 journal.append(1, 0, 0.0, bad)
     assert len(read_journal(tmp_path / "j").scans) == 1

@@ -1,0 +1,144 @@
+"""Any capture comes back equal from each lossless format, and any bytes give a capture or one clear error."""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as npst
+
+from tagid.capture import Capture, Pulse
+from tagid.errors import TagidError
+from tagid.storage.exporters import export
+from tagid.storage.importers import read_any
+from tagid.storage.recordings import encode_recording
+
+NUMBER = st.floats(-1e12, 1e12)
+POSITIVE = st.floats(1e-9, 1e12)
+INT64 = st.integers(-(2**63), 2**63 - 1)
+JSON = st.dictionaries(
+    st.text(max_size=9),
+    st.recursive(
+        st.none() | st.booleans() | INT64 | st.floats(allow_nan=False, allow_infinity=False) | st.text(),
+        lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner, max_size=3),
+        max_leaves=6,
+    ),
+    max_size=4,
+)
+
+
+@st.composite
+def captures(draw: st.DrawFn) -> Capture:
+    """Captures of a few views, each optional field there or not."""
+    views, bins = draw(st.integers(1, 5)), draw(st.integers(1, 9))
+    dtype = draw(st.sampled_from(["int32", "float32", "complex64"]))
+    finite: dict[str, Any] = {"allow_nan": False, "allow_infinity": False}
+    elements = {
+        "int32": st.integers(-(2**31), 2**31 - 1),
+        "float32": st.floats(width=32, **finite),
+        "complex64": st.builds(complex, st.floats(width=32, **finite), st.floats(width=32, **finite)),
+    }[dtype]
+
+    def vector(kind: str, values: st.SearchStrategy[Any]) -> Any:
+        return draw(st.none() | npst.arrays(kind, views, elements=values))
+
+    shape = st.sampled_from(["angles", "positions", "neither"])
+    place = draw(shape)
+    pulse = draw(st.none() | npst.arrays("float64", st.integers(2, 9), elements=st.floats(0.5, 2)))
+    return Capture(
+        samples=draw(npst.arrays(dtype, (views, bins), elements=elements)),
+        range_start_m=draw(NUMBER),
+        range_step_m=draw(POSITIVE),
+        angles_rad=draw(npst.arrays("float64", views, elements=NUMBER)) if place == "angles" else None,
+        angle_sigma_rad=vector("float64", NUMBER),
+        axis_distance_m=draw(st.none() | POSITIVE),
+        antenna_height_m=draw(NUMBER),
+        antenna_positions_m=draw(npst.arrays("float64", (views, 3), elements=NUMBER))
+        if place == "positions"
+        else None,
+        host_time_ns=vector("int64", INT64),
+        radar_time_ms=vector("float64", NUMBER),
+        scan_id=vector("int64", INT64),
+        flags=vector("uint8", st.integers(0, 255)),
+        center_frequency_hz=draw(POSITIVE),
+        bandwidth_hz=draw(POSITIVE),
+        pulse=None if pulse is None else Pulse(pulse, draw(POSITIVE)),
+        radar=draw(JSON),
+        motion=draw(JSON),
+        object=draw(JSON),
+        complete=draw(st.booleans()),
+    )
+
+
+def comparable(capture: Capture) -> list[Any]:
+    """Every field as plain values that compare bit for bit."""
+    values: list[Any] = []
+    for field in fields(Capture):
+        value = getattr(capture, field.name)
+        if isinstance(value, Pulse):
+            value = (value.samples.tobytes(), value.step)
+        if isinstance(value, np.ndarray):
+            value = (str(value.dtype), value.shape, value.tobytes())
+        values.append((field.name, value))
+    return values
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".tagid.h5"])
+@given(captures())
+@settings(max_examples=30, deadline=None)
+def test_round_trip(suffix: str, capture: Capture) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / f"a{suffix}"
+        export(capture, path)
+        assert comparable(read_any(path)) == comparable(capture)
+
+
+@given(
+    st.integers(1, 6),
+    st.integers(1, 1100),
+    st.integers(0, 65_535),
+    st.integers(0, 2**32 - 1),
+    st.integers(0, 2**31 - 10**6),
+)
+@settings(max_examples=40, deadline=None)
+def test_recording_written_and_read_and_written(
+    views: int, bins: int, first_id: int, first_ms: int, start_ps: int
+) -> None:
+    capture = Capture(
+        np.random.default_rng(bins).integers(-(2**31), 2**31, (views, bins)).astype(np.int32),
+        0.0,
+        0.01,
+        scan_id=first_id + np.arange(views),
+        radar_time_ms=first_ms + 22.0 * np.arange(views),
+        radar={"config": {"scan_start_ps": start_ps, "scan_stop_ps": start_ps + 1000}},
+    )
+    data = encode_recording(capture)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "a.out"
+        path.write_bytes(data)
+        again = read_any(path)
+    np.testing.assert_array_equal(again.samples, capture.samples)
+    np.testing.assert_array_equal(again.scan_id, capture.scan_id)
+    np.testing.assert_array_equal(again.radar_time_ms, capture.radar_time_ms)
+    assert encode_recording(again) == data
+
+
+HEADS = [b"", b"PK\3\4", b"\x89HDF\r\n\x1a\n", b"TAGIDJNL\1\0\0\0", bytes(32) + b"\xf2\1", b"1.0, Config, "]
+
+
+@given(st.sampled_from(HEADS), st.binary(max_size=3000))
+@settings(max_examples=150, deadline=None)
+def test_any_bytes_give_one_clear_error(head: bytes, content: bytes) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "a"
+        path.write_bytes(head + content)
+        try:
+            read_any(path)
+        except TagidError as error:
+            assert str(path) in error.message

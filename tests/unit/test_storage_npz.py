@@ -1,0 +1,261 @@
+"""The generic NPZ file, the MATLAB export, and telling files apart by their content."""
+
+from __future__ import annotations
+
+import io
+import pickle
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.io import loadmat
+from storage_samples import COMPLEX, FLOAT, FREE, TINY, assert_equal, capture
+
+from tagid.errors import FileFormatError, StorageError, UsageError
+from tagid.storage.exporters import export
+from tagid.storage.importers import read_any
+from tagid.storage.journal import JournalWriter
+
+GOOD: dict[str, Any] = {
+    "samples": np.linspace(-1, 1, 24).reshape(4, 6),
+    "range_start_m": 0.5,
+    "range_step_m": 0.01,
+    "angles_rad": np.arange(4.0),
+    "axis_distance_m": 1.5,
+}
+
+
+def npz(path: Path, remove: tuple[str, ...] = (), **changes: Any) -> Path:
+    np.savez(path, **{k: v for k, v in {**GOOD, **changes}.items() if k not in remove})
+    return path
+
+
+def test_generic_file_of_another_radar(tmp_path: Path) -> None:
+    c = read_any(npz(tmp_path / "a.npz", object="box 3", antenna_height_m=0.2, center_frequency_hz=6e9))
+    assert c.samples.dtype == np.float32 and c.samples.shape == (4, 6)
+    np.testing.assert_array_equal(c.angles_rad, np.arange(4.0))
+    assert (c.axis_distance_m, c.antenna_height_m, c.center_frequency_hz) == (1.5, 0.2, 6e9)
+    assert c.object == {"label": "box 3"} and c.complete
+
+
+@pytest.mark.parametrize(
+    ("dtype", "scale", "expected"),
+    [
+        ("int16", 1, "int32"),
+        ("uint64", 1, "int32"),
+        ("int64", 1, "int32"),
+        ("int64", 2**40, "float32"),
+        (">i4", 1, "int32"),
+        (">f8", 1, "float32"),
+        ("float16", 1, "float32"),
+        ("complex128", 1, "complex64"),
+        (">c8", 1, "complex64"),
+    ],
+)
+def test_dtypes(tmp_path: Path, dtype: str, scale: int, expected: str) -> None:
+    values = (np.arange(24).reshape(4, 6) * scale).astype(dtype)
+    c = read_any(npz(tmp_path / "a.npz", samples=values))
+    assert c.samples.dtype == np.dtype(expected) and c.samples.dtype.isnative
+    np.testing.assert_allclose(c.samples, np.arange(24.0).reshape(4, 6) * scale)
+
+
+def test_times_or_positions_instead_of_angles(tmp_path: Path) -> None:
+    c = read_any(
+        npz(tmp_path / "a.npz", ("angles_rad", "axis_distance_m"), timestamps_s=np.array([0, 0.5, 1, 2]))
+    )
+    assert c.radar_time_ms is not None and c.radar_time_ms.tolist() == [0, 500, 1000, 2000]
+    c = read_any(npz(tmp_path / "a.npz", ("angles_rad",), antenna_positions_m=np.ones((4, 3))))
+    assert c.antenna_positions_m is not None and c.angles_rad is None
+    c = read_any(npz(tmp_path / "a.npz", object='{"kind": "helmet"}', pulse=[0, 1, 0], pulse_step_s=1e-11))
+    assert c.object == {"kind": "helmet"} and c.pulse is not None and c.pulse.step == 1e-11
+
+
+def test_small_is_not_bad(tmp_path: Path) -> None:
+    one = {"samples": np.ones((1, 1)), "angles_rad": np.zeros(1)}
+    assert read_any(npz(tmp_path / "a.npz", **one)).samples.shape == (1, 1)
+
+
+@pytest.mark.parametrize("changes", [{}, FREE, COMPLEX, FLOAT, TINY])
+def test_export_is_taken_back_without_loss(tmp_path: Path, changes: dict[str, Any]) -> None:
+    one = capture(**changes)
+    export(one, tmp_path / "a.npz")
+    assert_equal(one, read_any(tmp_path / "a.npz"))
+    assert [p.name for p in tmp_path.iterdir()] == ["a.npz"]
+
+
+BAD: dict[str, tuple[tuple[str, ...], dict[str, Any], str]] = {
+    "no samples": (("samples",), {}, "samples"),
+    "no range step": (("range_step_m",), {}, "range_step_m"),
+    "no place": (("angles_rad",), {}, "where the antenna stood"),
+    "no axis distance": (("axis_distance_m",), {}, "axis_distance_m"),
+    "flat": ((), {"samples": np.ones(24)}, "(24,)"),
+    "cube": ((), {"samples": np.ones((4, 3, 2))}, "(4, 3, 2)"),
+    "no views": ((), {"samples": np.ones((0, 6))}, "(0, 6)"),
+    "objects": ((), {"samples": np.array([[{}], [1]], dtype=object)}, "samples"),
+    "text": ((), {"samples": np.array([["a", "b"]])}, "dtype"),
+    "booleans": ((), {"samples": np.ones((4, 6), bool)}, "dtype"),
+    "records": ((), {"samples": np.zeros((4, 6), [("a", "i4")])}, "dtype"),
+    "NaN": ((), {"samples": np.full((4, 6), np.nan)}, "not finite"),
+    "too large for float32": ((), {"samples": np.full((4, 6), 1e300)}, "not finite"),
+    "angles of another length": ((), {"angles_rad": np.zeros(5)}, "(5,)"),
+    "angles NaN": ((), {"angles_rad": np.full(4, np.nan)}, "angles_rad"),
+    "angles complex": ((), {"angles_rad": np.zeros(4, complex)}, "angles_rad"),
+    "positions flat": (("angles_rad",), {"antenna_positions_m": np.ones((4, 2))}, "(4, 2)"),
+    "angles and positions": ((), {"antenna_positions_m": np.ones((4, 3))}, "not both"),
+    "times infinite": ((), {"timestamps_s": np.full(4, 1e308)}, "radar_time_ms"),
+    "range step of zero": ((), {"range_step_m": 0.0}, "range step"),
+    "range start a vector": ((), {"range_start_m": np.ones(2)}, "range_start_m"),
+    "axis distance negative": ((), {"axis_distance_m": -1.0}, "axis_distance_m"),
+    "pulse without step": ((), {"pulse": np.ones(5)}, "pulse_step_s"),
+    "pulse of zeros": ((), {"pulse": np.zeros(5), "pulse_step_s": 1e-12}, "pulse"),
+    "object a number": ((), {"object": 5}, "object"),
+    "tagid not JSON": ((), {"tagid": "{"}, "tagid"),
+    "scan ids as float": ((), {"scan_id": np.zeros(4)}, "scan_id"),
+    "flags too large": ((), {"flags": np.full(4, 300)}, "flags"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_content(tmp_path: Path, name: str) -> None:
+    remove, changes, said = BAD[name]
+    path = npz(tmp_path / "a.npz", remove, **changes)
+    with pytest.raises(FileFormatError) as caught:
+        read_any(path)
+    assert str(path) in caught.value.message and said in caught.value.message
+
+
+class Bomb:
+    """Would leave a file behind if it were unpickled."""
+
+    def __reduce__(self) -> Any:
+        return (Path.touch, (Path("unpickled"),))
+
+
+def test_nothing_is_unpickled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "a.npz").write_bytes(member("samples", b"\x80" + pickle.dumps(Bomb())))
+    with pytest.raises(FileFormatError):
+        read_any(tmp_path / "a.npz")
+    np.savez(tmp_path / "b.npz", **{**GOOD, "samples": np.array([[Bomb()]], dtype=object)})
+    with pytest.raises(FileFormatError):
+        read_any(tmp_path / "b.npz")
+    assert not (tmp_path / "unpickled").exists()
+
+
+def member(key: str, content: bytes) -> bytes:
+    """An NPZ file whose `key` holds these raw bytes."""
+    buffer = io.BytesIO()
+    np.savez(buffer, **{k: v for k, v in GOOD.items() if k != key})
+    with zipfile.ZipFile(buffer, "a", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr(f"{key}.npy", content)
+    return buffer.getvalue()
+
+
+def header(text: str, version: bytes = b"\1\0") -> bytes:
+    return b"\x93NUMPY" + version + len(text).to_bytes(2, "little") + text.encode()
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        header("{'descr': '<f4', 'fortran_order': False, 'shape': (1000000000, 1000000000), }\n"),
+        header("{'descr': '<f4', 'fortran_order': False, 'shape': (-1, -40), }\n"),
+        header("{'descr': '<f4', 'fortran_order': False, 'shape': (True, 6), }\n") + bytes(100),
+        header("{'descr': '|V0', 'fortran_order': False, 'shape': (4, 6), }\n"),
+        header("{'descr': '<U0', 'fortran_order': False, 'shape': (99999999999, 6), }\n"),
+        header("[" * 9000),
+        header("{'descr': '<f4'}", b"\7\7"),
+        b"",
+        b"\x93NUM",
+    ],
+)
+def test_hostile_array_headers(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "a.npz").write_bytes(member("samples", content))
+    with pytest.raises(FileFormatError):
+        read_any(tmp_path / "a.npz")
+
+
+def test_zip_bomb(tmp_path: Path) -> None:
+    shape = "{'descr': '|i1', 'fortran_order': False, 'shape': (1000, 100000), }\n"
+    (tmp_path / "a.npz").write_bytes(member("samples", header(shape) + bytes(100_000_000)))
+    assert (tmp_path / "a.npz").stat().st_size < 200_000
+    with pytest.raises(FileFormatError, match="not plausible"):
+        read_any(tmp_path / "a.npz")
+
+
+def test_damage_gives_the_samples_or_an_error(tmp_path: Path) -> None:
+    one = capture()
+    export(one, tmp_path / "a.npz")
+    data = (tmp_path / "a.npz").read_bytes()
+    rng = np.random.default_rng(3)
+    for turn in range(300):
+        bad = bytearray(data)
+        if turn % 3:
+            bad[rng.integers(len(bad))] ^= 1 << rng.integers(8)
+        else:
+            bad = bad[: rng.integers(len(bad))]
+        (tmp_path / "b").write_bytes(bad)
+        try:
+            np.testing.assert_array_equal(read_any(tmp_path / "b").samples, one.samples)
+        except FileFormatError:
+            continue
+
+
+def test_matlab_file(tmp_path: Path) -> None:
+    one = capture()
+    export(one, tmp_path / "a.mat")
+    mat = loadmat(tmp_path / "a.mat")
+    np.testing.assert_array_equal(mat["samples"], one.samples)
+    np.testing.assert_array_equal(mat["host_time_ns"][:, 0], one.host_time_ns)
+    np.testing.assert_allclose(mat["range_m"][:, 0], one.ranges_m)
+    np.testing.assert_array_equal(mat["angle_rad"][:, 0], one.angles_rad)
+    assert mat["axis_distance_m"].item() == 1.25 and mat["uuid"].item() == one.uuid
+    assert mat["object"].item() == '{"label": "helmet 7"}' and mat["complete"].item() == 0
+    export(capture(**{**COMPLEX, **FREE}), tmp_path / "b.mat")
+    mat = loadmat(tmp_path / "b.mat")
+    np.testing.assert_array_equal(mat["samples"], COMPLEX["samples"])
+    assert mat["antenna_positions_m"].shape == (9, 3) and "angle_rad" not in mat
+
+
+def test_unknown_suffix_lists_those_known(tmp_path: Path) -> None:
+    for name in ("a.csv", "a", "a.npy"):
+        with pytest.raises(UsageError) as caught:
+            export(capture(), tmp_path / name)
+        assert ".npz" in caught.value.remedy and ".mat" in caught.value.remedy
+
+
+def test_content_decides_not_the_name(tmp_path: Path) -> None:
+    one = capture()
+    export(one, tmp_path / "a.h5")
+    (tmp_path / "a.h5").rename(tmp_path / "a.npz")
+    assert_equal(one, read_any(tmp_path / "a.npz"))
+    with JournalWriter(tmp_path / "b.csv", {"range_start_m": 0.0, "range_step_m": 0.01}) as journal:
+        journal.append(0, 0, 0.0, np.arange(5, dtype=np.float32))
+    assert read_any(tmp_path / "b.csv").samples.tolist() == [[0, 1, 2, 3, 4]]
+
+
+@pytest.mark.parametrize("suffix", [".tagid.h5", ".npz", ".out", ".csv", ".tagid.journal", ""])
+def test_no_such_content(tmp_path: Path, suffix: str) -> None:
+    rng = np.random.default_rng(0)
+    path = tmp_path / f"a{suffix}"
+    for content in (
+        b"",
+        b"\0",
+        bytes(5000),
+        rng.bytes(5000),
+        b"hello, world\n" * 90,
+        b"PK\3\4",
+        b"\x89HDF\r\n\x1a\n",
+    ):
+        path.write_bytes(content)
+        with pytest.raises(FileFormatError) as caught:
+            read_any(path)
+        assert str(path) in caught.value.message and caught.value.remedy
+
+
+def test_no_file_to_read(tmp_path: Path) -> None:
+    for path in (tmp_path / "none.npz", tmp_path, Path("/dev/zero"), tmp_path / ("x" * 300)):
+        with pytest.raises(StorageError):
+            read_any(path)

@@ -1,0 +1,271 @@
+"""P440 recordings and logs: a lost packet costs its scan only, and real files come back byte for byte."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tagid.capture import Capture, ViewFlag
+from tagid.constants import RANGE_STEP_M, SPEED_OF_LIGHT
+from tagid.errors import DataError, FileFormatError, UsageError
+from tagid.radar.messages import CONFIG_DTYPE, SCAN_INFO_DTYPE
+from tagid.storage.assembly import unwrap
+from tagid.storage.exporters import export
+from tagid.storage.importers import read_any
+from tagid.storage.mrm_ret import read_mrm_ret
+from tagid.storage.recordings import encode_recording, read_recording, write_recording
+
+SHARED = Path(os.environ.get("TAGID_SHARED", Path(__file__).resolve().parents[2].parent / "shared"))
+REAL = [SHARED / "data" / "p440" / name for name in ("corner-reflector-scan08.out", "light-pole-scan04.out")]
+BINS = 768  # 350 + 350 + 68
+
+
+def recording(first_id: int = 65_530, scans: int = 12, bins: int = BINS) -> tuple[np.ndarray, bytes]:
+    """Samples of some scans and the file that a recorder would have written, made field by field."""
+    samples = np.random.default_rng(1).integers(-90_000, 90_000, (scans, bins)).astype(np.int32)
+    config = np.zeros(1, CONFIG_DTYPE)
+    values = {"node_id": 5, "scan_start_ps": 10_000, "scan_stop_ps": 56_875, "resolution_bins": 32}
+    for name, value in {**values, "base_integration_index": 11, "transmit_gain": 40}.items():
+        config[name] = value
+    out = config.tobytes()
+    for i in range(scans):
+        for index in range(-(-bins // 350)):
+            packet = np.zeros(1, SCAN_INFO_DTYPE)
+            part = samples[i, index * 350 : (index + 1) * 350]
+            header = {
+                "type": 0xF201, "id": (first_id + i) % 65_536, "node_id": 5,
+                "timestamp_ms": (2**32 - 100 + 22 * i) % 2**32,
+                "scan_start_ps": 10_000, "scan_stop_ps": 56_875, "step_bins": 32, "filter": 1, "reserved2": 3,
+                "antenna_id": 2, "operation_mode": 1, "message_samples": len(part), "total_samples": bins,
+                "message_index": index, "message_count": -(-bins // 350),
+            }  # fmt: skip
+            for name, value in header.items():
+                packet[name] = value
+            packet["samples"][0, : len(part)] = part
+            out += packet.tobytes()
+    return samples, out
+
+
+def save(path: Path, data: bytes) -> Path:
+    path.write_bytes(data)
+    return path
+
+
+def packets(data: bytes) -> list[bytes]:
+    return [data[i : i + 1452] for i in range(32, len(data), 1452)]
+
+
+def test_samples_ranges_and_unwrapped_counters(tmp_path: Path) -> None:
+    samples, data = recording()
+    capture = read_recording(save(tmp_path / "a.prd", data), cable_delay_ps=1_000.0)
+    np.testing.assert_array_equal(capture.samples, samples)
+    assert capture.samples.dtype == np.int32 and capture.samples.dtype.isnative
+    assert capture.range_start_m == pytest.approx(9_000e-12 * SPEED_OF_LIGHT / 2)
+    assert capture.range_step_m == pytest.approx(RANGE_STEP_M)
+    np.testing.assert_array_equal(capture.scan_id, 65_530 + np.arange(12))
+    np.testing.assert_array_equal(capture.radar_time_ms, 2**32 - 100 + 22 * np.arange(12))
+    assert capture.radar["scans_lost"] == 0 and capture.radar["config"]["transmit_gain"] == 40
+    assert capture.flags is not None and capture.flags[0] == ViewFlag.FIRST and not capture.flags[1:].any()
+
+
+def test_comes_back_byte_for_byte_through_every_format(tmp_path: Path) -> None:
+    _, data = recording()
+    capture = read_any(save(tmp_path / "a.out", data))
+    for name in ("b.out", "b.tagid.h5", "b.npz"):
+        export(capture, tmp_path / name)
+        assert encode_recording(read_any(tmp_path / name)) == data
+
+
+def test_lost_fragment_costs_its_scan_only(tmp_path: Path) -> None:
+    samples, data = recording()
+    kept = packets(data)
+    del kept[3 * 4 + 1]  # a fragment of scan 4
+    capture = read_recording(save(tmp_path / "a.out", data[:32] + b"".join(kept)))
+    np.testing.assert_array_equal(capture.samples, np.delete(samples, 4, axis=0))
+    assert capture.radar["scans_lost"] == 1
+    assert capture.flags is not None
+    assert np.flatnonzero(capture.flags & ViewFlag.AFTER_LOSS).tolist() == [4]
+
+
+def test_whole_scans_lost_are_counted(tmp_path: Path) -> None:
+    _, data = recording()
+    kept = packets(data)
+    capture = read_recording(save(tmp_path / "a.out", data[:32] + b"".join(kept[:9] + kept[18:])))
+    assert capture.views == 9 and capture.radar["scans_lost"] == 3
+
+
+def test_end_in_the_middle_of_a_packet(tmp_path: Path) -> None:
+    samples, data = recording()
+    capture = read_recording(save(tmp_path / "a.out", data[:-2000]))
+    np.testing.assert_array_equal(capture.samples, samples[:-1])
+    assert capture.radar["scans_lost"] == 1
+
+
+def test_order_repeats_and_foreign_packets_do_not_matter(tmp_path: Path) -> None:
+    samples, data = recording()
+    kept = packets(data)
+    kept[4], kept[7] = kept[7], kept[4]
+    kept[12:18] = kept[15:18] + kept[12:15]
+    foreign = b"\x11\x03" + kept[0][2:]
+    wrong = kept[0][:42] + b"\xff\xff" + kept[0][44:]
+    shuffled = data[:32] + b"".join([*kept[:5], kept[2], foreign, wrong, *kept[5:]])
+    capture = read_recording(save(tmp_path / "a.out", shuffled))
+    np.testing.assert_array_equal(capture.samples, samples)
+    assert capture.radar["scans_lost"] == 0 and capture.radar["packets_ignored"] == 2
+
+
+def test_two_runs_in_one_file_lose_nothing(tmp_path: Path) -> None:
+    samples, data = recording(first_id=500)
+    capture = read_recording(save(tmp_path / "a.out", data + data[32:]))
+    assert capture.views == 12  # the same scans again are repeats
+    _, second = recording(first_id=0)
+    capture = read_recording(save(tmp_path / "a.out", data + second[32:]))
+    np.testing.assert_array_equal(capture.samples, np.concatenate([samples, samples]))
+    assert capture.radar["scans_lost"] == 0
+
+
+def test_clipped_views_are_marked(tmp_path: Path) -> None:
+    samples, _ = recording(first_id=0, scans=3)
+    samples[1, 5] = -127 << 11
+    samples[2, 5] = -(2**31)
+    capture = Capture(
+        samples,
+        1.0,
+        RANGE_STEP_M,
+        radar_time_ms=np.arange(3.0),
+        radar={"config": {"base_integration_index": 11}},
+    )
+    write_recording(tmp_path / "a.out", capture)
+    again = read_recording(tmp_path / "a.out")
+    assert again.flags is not None
+    assert (again.flags & ViewFlag.CLIPPED).astype(bool).tolist() == [False, True, True]
+
+
+@pytest.mark.parametrize("start", [0.4, 1.7, 5.498793264636])
+def test_capture_from_elsewhere_keeps_its_ranges(tmp_path: Path, start: float) -> None:
+    samples, _ = recording()
+    capture = Capture(
+        samples, start, RANGE_STEP_M, radar_time_ms=np.arange(12.0), radar={"cable_delay_ps": 11_000}
+    )
+    write_recording(tmp_path / "a.out", capture)
+    again = read_recording(tmp_path / "a.out", cable_delay_ps=11_000)
+    assert again.range_start_m == pytest.approx(start, abs=1e-4)  # whole ps are 0.15 mm
+    np.testing.assert_array_equal(again.samples, samples)
+
+
+def test_what_the_format_cannot_hold(tmp_path: Path) -> None:
+    times = {"radar_time_ms": np.arange(2.0)}
+    with pytest.raises(UsageError, match="int32"):
+        export(Capture(np.ones((2, 96), np.float32), 0.0, 0.01, **times), tmp_path / "a.out")
+    with pytest.raises(DataError, match="times"):
+        export(Capture(np.ones((2, 96), np.int32), 0.0, 0.01), tmp_path / "a.out")
+    with pytest.raises(DataError, match="bins"):
+        export(Capture(np.ones((2, 9000), np.int32), 0.0, 0.01, **times), tmp_path / "a.out")
+    for bad in ("x", 2**40, [1, 2], None, 1.5):
+        radar = {"config": {"transmit_gain": bad}}
+        with pytest.raises(DataError, match="transmit_gain"):
+            export(Capture(np.ones((2, 96), np.int32), 0.0, 0.01, radar=radar, **times), tmp_path / "a.out")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("size", [0, 10, 32, 100, 1483])
+def test_too_short(tmp_path: Path, size: int) -> None:
+    _, data = recording()
+    with pytest.raises(FileFormatError):
+        read_recording(save(tmp_path / "a.out", data[:size]))
+
+
+def test_hostile_counters_take_no_memory(tmp_path: Path) -> None:
+    _, data = recording(scans=60, bins=96)
+    raw = np.frombuffer(data[32:], SCAN_INFO_DTYPE).copy()
+    raw["id"] = (np.arange(60) * 32_000) % 65_536
+    raw["total_samples"][::7] = 2**32 - 1
+    raw["message_count"][1::7] = 65_535
+    capture = read_recording(save(tmp_path / "a.out", data[:32] + raw.tobytes()))
+    assert 30 < capture.views < 60
+
+
+def test_unwrap_goes_both_ways() -> None:
+    assert unwrap(np.array([2, 65_535, 3, 1]), 65_536).tolist() == [2, -1, 3, 1]
+
+
+@pytest.mark.skipif(
+    not all(p.is_file() for p in REAL), reason="the real recordings are not beside the checkout"
+)
+class TestReal:
+    """The two recordings of a real P440 (200 scans of 1152 samples)."""
+
+    @pytest.mark.parametrize("path", REAL, ids=lambda p: p.stem)
+    def test_shape_and_byte_for_byte(self, path: Path, tmp_path: Path) -> None:
+        capture = read_any(path)
+        assert capture.samples.shape == (200, 1152) and capture.radar["scans_lost"] == 0
+        export(capture, tmp_path / "a.tagid.h5")
+        export(read_any(tmp_path / "a.tagid.h5"), tmp_path / "b.out")
+        assert (tmp_path / "b.out").read_bytes() == path.read_bytes()
+
+    def test_scan_period_is_the_formulas(self) -> None:
+        times = read_any(REAL[0]).radar_time_ms
+        assert times is not None
+        formula = 0.867 + 1152 / 12 * 2**11 * 105.31e-6
+        assert (times[-1] - times[0]) / 199 == pytest.approx(formula, abs=0.01)
+
+    def test_corner_reflector_stays_in_its_bin(self) -> None:
+        from scipy.signal import hilbert
+
+        envelope = np.abs(hilbert(read_any(REAL[0]).samples.astype(np.float64), axis=1))
+        peaks = envelope.argmax(axis=1)
+        assert peaks.max() - peaks.min() <= 2
+
+
+CONFIG_LINE = "1700000000.100, Config, 7, 999, 1999, 32, 12, 0, 0, 0, 0, 0, 0, 0, 0, 2, 63, 0"
+
+
+def log_line(number: int, samples: np.ndarray, filtering: int = 1, declared: int | None = None) -> str:
+    head = f"170000000{number % 10}.123, MrmFullScanInfo, {number}, 7, {1000 + 20 * number}, 0, 0, 0, 0, "
+    head += f"10000, 15858, 32, {filtering}, 2, 3, {declared or len(samples)}, "
+    return head + ", ".join(map(str, samples.tolist()))
+
+
+def test_mrm_ret_log(tmp_path: Path) -> None:
+    samples = np.arange(5 * 96, dtype=np.int32).reshape(5, 96) - 200
+    lines = [
+        "Timestamp, Config, NodeId, ScanStartPs, ScanStopPs, ...",
+        CONFIG_LINE,
+        "Timestamp, MrmControlRequest, MessageId, ScanCount, Reserved, Interval",
+        "1700000000.200, MrmControlRequest, 1, 5, 0, 0",
+        "Timestamp, MrmFullScanInfo, MessageId, SourceId, ...",
+        *(log_line(i, samples[i]) for i in (0, 1)),
+        log_line(1, samples[1] * 0 + 9, filtering=2),
+        *(log_line(i, samples[i]) for i in (3, 4)),
+        log_line(5, samples[4][:50], declared=96),
+    ]
+    capture = read_any(save(tmp_path / "log.csv", "\r\n".join(lines).encode()))
+    np.testing.assert_array_equal(capture.samples, samples[[0, 1, 3, 4]])
+    # The window of the Config line is stale: that of the scan lines counts.
+    assert capture.range_start_m == pytest.approx(10_000e-12 * SPEED_OF_LIGHT / 2)
+    assert capture.range_step_m == pytest.approx(RANGE_STEP_M)
+    assert capture.radar["scans_lost"] == 2 and capture.radar["config"]["base_integration_index"] == 12
+    assert capture.host_time_ns is not None and capture.host_time_ns[1] == 1_700_000_001_123_000_000
+    assert capture.radar_time_ms is not None and capture.radar_time_ms.tolist() == [1000, 1020, 1060, 1080]
+    export(capture, tmp_path / "a.out")
+    np.testing.assert_array_equal(read_any(tmp_path / "a.out").samples, capture.samples)
+
+
+@pytest.mark.parametrize(
+    "lines",
+    [
+        [CONFIG_LINE],
+        [CONFIG_LINE, "x, MrmFullScanInfo, 1"],
+        [CONFIG_LINE, log_line(0, np.arange(3), declared=10**9)],
+        [CONFIG_LINE, log_line(0, np.array([2**40]))],
+        [CONFIG_LINE, log_line(0, np.arange(96)).replace("15858, 32,", "15858, 0,")],
+        [CONFIG_LINE, log_line(0, np.arange(96)).replace("1700000000.123", "inf")],
+        ["a, Config, b"],
+    ],
+)
+def test_bad_logs(tmp_path: Path, lines: list[str]) -> None:
+    with pytest.raises(FileFormatError):
+        read_mrm_ret(save(tmp_path / "log.csv", "\n".join(lines).encode()))
