@@ -22,8 +22,8 @@ STEP_M = 0.005
 turns only the phase of the image, so nothing narrower is to be seen and a parabola interpolates it."""
 
 MIN_PEAK_DB = 13.0
-"""Image peak over its mean noise power below which nothing is focused; noise alone reached 12.1 dB in 80 trials
-of 12 to 360 views."""
+"""Image peak over its mean noise power below which nothing is focused; noise alone reached 12.1 dB in 80
+trials of 12 to 360 views."""
 
 _PIXEL_M = 0.007
 _MAX_PIXELS = 160

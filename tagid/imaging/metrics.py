@@ -44,7 +44,7 @@ class Localisation:
 
 def normalised_magnitude(values: NDArray[np.generic]) -> NDArray[np.float64]:
     """|values| / max |values|, any shape; a blank image stays zero."""
-    magnitude = np.abs(values).astype(np.float64)
+    magnitude: NDArray[np.float64] = np.abs(values).astype(np.float64)
     peak = float(magnitude.max()) if magnitude.size else 0.0
     return magnitude / peak if peak > 0 else magnitude
 
@@ -196,4 +196,4 @@ def _for_network(values: NDArray[np.generic]) -> NDArray[np.float32]:
     mean = np.array([0.485, 0.456, 0.406])[:, None, None]
     std = np.array([0.229, 0.224, 0.225])[:, None, None]
     magnitude = np.repeat(normalised_magnitude(values)[None], 3, axis=0)
-    return ((magnitude - mean) / std)[None].astype(np.float32)
+    return np.asarray(((magnitude - mean) / std)[None], dtype=np.float32)

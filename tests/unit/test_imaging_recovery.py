@@ -1,0 +1,167 @@
+"""Sparse recovery and the focus of the axis distance on points whose truth is known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from imaging_scenes import helix, record, turn
+
+from tagid.errors import UsageError
+from tagid.geometry import ImageGrid
+from tagid.imaging.autofocus import focus_axis_distance, sharpness
+from tagid.imaging.backprojection import backproject
+from tagid.imaging.metrics import localise, peak_to_sidelobe_db, pick_peaks
+from tagid.imaging.operator import ForwardOperator
+from tagid.imaging.preprocess import PreprocessSettings, preprocess
+from tagid.imaging.sparse import SparseSettings, column_norm, omp, soft_threshold, sparse_recovery
+
+GRID = ImageGrid(0.4, 48)
+POINTS = np.array([GRID.points[i] for i in (10 * 48 + 33, 30 * 48 + 12, 36 * 48 + 37)])
+
+
+def scans_of(views=24, noise=0.0, seed=0, aperture=None):
+    capture = record(POINTS, [1.0, 1.0, 1.0], aperture or turn(views), noise=noise, seed=seed)
+    return preprocess(capture, settings=PreprocessSettings(matched_filter=False, extent_m=0.4))
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.22])
+def test_points_come_back_where_they_are(noise):
+    scans = scans_of(noise=noise)
+    image = sparse_recovery(scans, GRID)
+    result = localise(pick_peaks(image, 6), POINTS)
+    assert (result.detected, result.missed, result.false) == (3, 0, 0)
+    assert result.rmse_m < 0.003
+    assert peak_to_sidelobe_db(image, POINTS) > peak_to_sidelobe_db(backproject(scans, GRID), POINTS) + 6
+
+
+def test_fista_lowers_its_objective_below_that_of_other_images():
+    scans = scans_of(12, noise=0.1)
+    operator = ForwardOperator(scans, GRID)
+    image = sparse_recovery(scans, GRID, SparseSettings(iterations=150, tolerance=0), operator=operator)
+    weight = image.settings["lambda"]
+
+    def objective(x):
+        misfit = operator.forward(x) - scans.samples
+        return 0.5 * np.linalg.norm(misfit) ** 2 + weight * np.abs(x).sum()
+
+    best = objective(image.values.ravel())
+    truth = np.zeros(GRID.pixels**2, np.complex64)
+    truth[[10 * 48 + 33, 30 * 48 + 12, 36 * 48 + 37]] = 1
+    assert best < objective(0 * truth)
+    assert best <= objective(truth * 0.9) * 1.01
+    short = sparse_recovery(scans, GRID, SparseSettings(iterations=10, tolerance=0), operator=operator)
+    assert best < objective(short.values.ravel())
+
+
+def test_it_stops_early_and_reports_progress():
+    seen = []
+    image = sparse_recovery(scans_of(), GRID, SparseSettings(tolerance=0.05), lambda *at: seen.append(at))
+    assert seen[0] == (1, 100)
+    assert seen[-1][0] == image.settings["iterations_done"] < 100
+
+
+def test_noise_alone_gives_an_almost_blank_image():
+    capture = record([], [], turn(24), noise=1.0)
+    scans = preprocess(capture, settings=PreprocessSettings(matched_filter=False, extent_m=0.4))
+    values = sparse_recovery(scans, GRID).values
+    assert np.count_nonzero(values) < 0.03 * values.size
+
+
+def test_debias_restores_amplitudes_of_the_support():
+    scans = scans_of(36)
+    operator = ForwardOperator(scans, GRID)
+    shrunk, refitted = (
+        sparse_recovery(
+            scans, GRID, SparseSettings(regularisation=0.3, debias=on), operator=operator
+        ).values.ravel()
+        for on in (False, True)
+    )
+    misfit = [np.linalg.norm(operator.forward(x) - scans.samples) for x in (shrunk, refitted)]
+    assert misfit[1] < 0.6 * misfit[0]
+    assert np.array_equal(shrunk != 0, refitted != 0)
+
+
+def test_omp_takes_the_true_pixels_one_by_one():
+    capture = record(POINTS, [1.0, 0.8, 0.6], turn(24))
+    scans = preprocess(capture, settings=PreprocessSettings(background="none", extent_m=0.4))
+    image = omp(scans, GRID, 3)
+    chosen = set(np.flatnonzero(image.values.ravel()))
+    assert chosen == {10 * 48 + 33, 30 * 48 + 12, 36 * 48 + 37}
+    amplitudes = np.abs(image.values.ravel()[[10 * 48 + 33, 30 * 48 + 12, 36 * 48 + 37]])
+    assert amplitudes == pytest.approx([1.0, 0.8, 0.6], rel=0.02)
+    capture = record(POINTS, [1.0] * 3, turn(24), noise=0.1)
+    noisy = preprocess(capture, settings=PreprocessSettings(background="none", extent_m=0.4))
+    assert np.count_nonzero(omp(noisy, GRID, 50, stop=5.0).values) == 3
+
+
+def test_soft_threshold_keeps_the_phase():
+    x = np.array([3 + 4j, 0.1j, 0], np.complex64)
+    assert soft_threshold(x, 1.0) == pytest.approx(np.array([0.8 * (3 + 4j), 0, 0]))
+
+
+def test_column_norm_is_that_of_the_operator():
+    scans = scans_of()
+    column = ForwardOperator(scans, np.array([[0.05, 0.02]])).forward(np.ones(1))
+    assert column_norm(scans) == pytest.approx(float(np.linalg.norm(column)), rel=0.02)
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"regularisation": 1.0}, {"iterations": 0}, {"tolerance": -1.0}, {"noise_factor": -1.0}]
+)
+def test_senseless_settings_are_refused(wrong):
+    with pytest.raises(UsageError):
+        SparseSettings(**wrong)
+
+
+def test_omp_refuses_no_points():
+    with pytest.raises(UsageError):
+        omp(scans_of(), GRID, 0)
+
+
+@pytest.mark.parametrize("error_m", [-0.015, 0.010])
+def test_focus_finds_the_axis_distance_within_2_mm(error_m):
+    """36 views, 10 dB SNR a sample (unit echo, real noise of half its power over ten)."""
+    true = turn(36)
+    point = [(0.05, 0.03), (-0.04, 0.06)]
+    for seed in range(3):
+        capture = record(point, [1.0, 1.0], true, noise=np.sqrt(0.05), seed=seed)
+        scans = preprocess(capture, true.with_axis_distance(1.0 + error_m))
+        focused, found = focus_axis_distance(scans, ImageGrid(0.4, 64))
+        assert found.reliable
+        assert found.axis_distance_m == pytest.approx(1.0, abs=0.002)
+        assert found.offset_m == pytest.approx(-error_m, abs=0.002)
+        assert focused.aperture.axis_distance == found.axis_distance_m
+        assert found.contrast > 1
+
+
+def test_focus_leaves_noise_alone():
+    scans = preprocess(record([], [], turn(36), noise=1.0))
+    same, found = focus_axis_distance(scans, ImageGrid(0.4, 64))
+    assert same is scans
+    assert not found.reliable
+    assert found.offset_m == 0
+
+
+def test_focus_does_not_trust_the_edge_of_its_search():
+    true = turn(36)
+    scans = preprocess(record([(0.05, 0.03)], [1.0], true), true.with_axis_distance(1.06))
+    same, found = focus_axis_distance(scans, ImageGrid(0.4, 64))
+    assert same is scans
+    assert not found.reliable
+
+
+def test_free_positions_are_not_focused():
+    scans = preprocess(record([(0.1, 0.0)], [1.0], helix(24)))
+    same, found = focus_axis_distance(scans, GRID)
+    assert same is scans
+    assert found.axis_distance_m is None
+
+
+def test_sharpness_counts_pixels():
+    one = np.zeros((4, 4), complex)
+    one[1, 2] = 3j
+    assert sharpness(one) == pytest.approx(1)
+    assert sharpness(np.ones((4, 4), complex)) == pytest.approx(1 / 16)
+    assert sharpness(0 * one) == 0
+    with pytest.raises(UsageError):
+        focus_axis_distance(scans_of(), GRID, 0.5)
