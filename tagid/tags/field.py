@@ -4,6 +4,8 @@ each other. Every statement about reflectors is made from these two, so no image
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,20 +14,24 @@ from tagid.imaging.types import BasebandScans
 
 FINE_STEP_M = 4e-3
 """Range step of the tables; baseband varies over c / B = 176 mm, so linear interpolation errs by < 0.5 %."""
-_BLOCK = 1 << 20
+_BLOCK = 1 << 18
 
 
 def _interpolate(table: NDArray[np.complex64], position: NDArray[np.float32]) -> NDArray[np.complex64]:
-    """Linear interpolation of table (views, n) at fractional indexes (views, m), zero outside."""
+    """Linear interpolation of table (views, n) at fractional indexes (views, m), held beyond the ends."""
     n = table.shape[1]
-    inside = (position >= 0) & (position <= n - 1)
-    index = np.clip(position.astype(np.int32), 0, n - 2)
-    part = (position - index).astype(np.float32)
-    rows = np.arange(len(table), dtype=np.int32)[:, None] * n
+    position = np.clip(position, 0, n - 1)
+    index = np.minimum(position.astype(np.int32), n - 2)
+    position -= index
+    index += np.arange(len(table), dtype=np.int32)[:, None] * n
     flat = table.ravel()
-    low = flat[rows + index]
-    value = low + part * (flat[rows + index + 1] - low)
-    return np.asarray(np.where(inside, value, 0), dtype=np.complex64)
+    value = flat[index]
+    index += 1
+    above = flat[index]
+    above -= value
+    above *= position
+    value += above
+    return np.asarray(value, dtype=np.complex64)
 
 
 class MatchedField:
@@ -79,6 +85,7 @@ class MatchedField:
         self._response = scans.response(np.arange(-_half(width), _half(width) + 1) * FINE_STEP_M).astype(
             np.complex64
         )
+        self._response[[0, -1]] = 0
         self._table = (z @ scans.response(ranges[keep][:, None] - fine[None]).conj()).astype(np.complex64)
         self._overlap = _overlap(scans, 2 * radius_m + 0.1)
         self.template_energy = float(self.views * self._overlap[len(self._overlap) // 2].real)
@@ -98,16 +105,28 @@ class MatchedField:
 
     def correlate(self, distances: NDArray[np.float64]) -> NDArray[np.complex128]:
         """(...) b for points given by their distances (views, ...), m: the data against each template."""
+        return np.asarray(self.correlate_offsets(distances, (0.0,))[0])
+
+    def correlate_offsets(
+        self, distances: NDArray[np.float64], offsets_m: Sequence[float]
+    ) -> NDArray[np.complex128]:
+        """(offsets, ...) b for points whose distances (views, ...) are all longer by each offset, m.
+
+        The phase of an offset is common to all views, so the costly exponential is formed once.
+        """
         shape = distances.shape[1:]
         flat = distances.reshape(self.views, -1)
-        out = np.empty(flat.shape[1], dtype=np.complex128)
+        out = np.empty((len(offsets_m), flat.shape[1]), dtype=np.complex128)
         size = max(1, _BLOCK // self.views)
         for start in range(0, flat.shape[1], size):
             d = flat[:, start : start + size]
+            turn = self._turn(d)
             position = ((d - self._start) / FINE_STEP_M).astype(np.float32)
-            value = _interpolate(self._table, position) * self._turn(d)
-            out[start : start + size] = value.sum(axis=0)
-        return out.reshape(shape)
+            for i, offset in enumerate(offsets_m):
+                value = _interpolate(self._table, position + np.float32(offset / FINE_STEP_M))
+                out[i, start : start + size] = np.einsum("vp,vp->p", value, turn)
+        out *= np.exp(2j * self.wavenumber * np.asarray(offsets_m))[:, None]
+        return out.reshape(len(offsets_m), *shape)
 
     def at(self, points: NDArray[np.floating]) -> NDArray[np.complex128]:
         """(...) b at points (..., 2), m."""
@@ -188,4 +207,6 @@ def _overlap(scans: BasebandScans, reach_m: float) -> NDArray[np.complex64]:
     grid = np.arange(-bins, bins + 1) * scans.range_step_m
     own: NDArray[np.complex128] = scans.response(grid).conj()
     shifted = scans.response(grid[:, None] + gap[None])
-    return np.asarray(own @ shifted, dtype=np.complex64)
+    overlap = np.asarray(own @ shifted, dtype=np.complex64)
+    overlap[[0, -1]] = 0
+    return overlap

@@ -127,10 +127,11 @@ class _CoarseImage:
         table: NDArray[np.complex64] = self.static
         return np.asarray(table[index[..., :, None], index[..., None, :]])
 
-    def at_offset(self, offset_m: float) -> NDArray[np.complex64]:
-        image = np.zeros(self.inside.shape, dtype=np.complex64)
-        image[self.inside] = self.field.correlate(self.distances + offset_m)
-        return image
+    def at_offsets(self, offsets_m: Sequence[float]) -> NDArray[np.complex64]:
+        """(offsets, pixels, pixels) b, zero outside the disc."""
+        images = np.zeros((len(offsets_m), *self.inside.shape), dtype=np.complex64)
+        images[:, self.inside] = self.field.correlate_offsets(self.distances, offsets_m)
+        return images
 
     def read(self, image: NDArray[np.complex64], points: NDArray[np.float64]) -> NDArray[np.complex64]:
         position = (points / IMAGE_STEP_M + self.half).astype(np.float32)
@@ -149,7 +150,7 @@ def search(field: MatchedField, layouts: Sequence[Layout], settings: SearchSetti
     """The best fit of every layout, in the order given."""
     reach = max(layout.radius_m for layout in layouts) + settings.centre_range_m * np.sqrt(2)
     coarse = _CoarseImage(field, reach)
-    images = [coarse.at_offset(offset) for offset in settings.offsets_m]
+    images = coarse.at_offsets(settings.offsets_m)
     fits = []
     for layout in layouts:
         starts = _coarse_starts(field, layout, coarse, images, settings)
@@ -161,7 +162,7 @@ def _coarse_starts(
     field: MatchedField,
     layout: Layout,
     coarse: _CoarseImage,
-    images: list[NDArray[np.complex64]],
+    images: NDArray[np.complex64],
     settings: SearchSettings,
 ) -> NDArray[np.float64]:
     """(starts, 4) rotation, x, y, offset of the best distinct places."""
