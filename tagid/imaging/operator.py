@@ -65,6 +65,11 @@ class ForwardOperator:
         near, far, step = _fine_range(scans, points)
         self.views, self.bins, self.points = views, bins, len(points)
         self._fine_bins = int(np.ceil((far - near) / step)) + 2
+        if self._fine_bins * bins > MAX_ENTRIES:
+            raise UsageError(
+                f"the points lie {near:.2f} to {far:.2f} m from the antenna: too far apart for one operator",
+                "Check the antenna positions (metres, in the object's frame) and the extent of the image.",
+            )
         fine = near + step * np.arange(self._fine_bins)
         self._response = scans.response(scans.ranges_m[None, :] - fine[:, None]).astype(np.complex64)
         self._blocks = [

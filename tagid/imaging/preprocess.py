@@ -86,8 +86,7 @@ def preprocess(
     settings = settings or PreprocessSettings()
     aperture = aperture or capture.aperture()
     _check(capture, aperture, settings)
-    pulse = settings.pulse or capture.pulse
-    pulse = pulse or nominal_pulse(capture.center_frequency_hz, capture.bandwidth_hz)
+    pulse = settings.pulse or capture.pulse or _nominal(capture)
     band = design_filter(pulse, capture, matched=settings.matched_filter, oversampling=settings.oversampling)
     samples = remove_background(capture.samples, settings.background)
     if not np.any(samples):
@@ -136,6 +135,17 @@ def remove_background(samples: NDArray[Any], background: Background) -> NDArray[
     else:
         static = np.median(samples, axis=0)
     return np.asarray(samples - static, dtype=dtype)
+
+
+def _nominal(capture: Capture) -> Pulse:
+    ratio = capture.bandwidth_hz / capture.center_frequency_hz
+    if not 0.01 <= ratio <= 1.8:
+        raise DataError(
+            f"a bandwidth of {capture.bandwidth_hz:.3g} Hz at {capture.center_frequency_hz:.3g} Hz "
+            "is not that of an ultra-wideband pulse",
+            "Correct center_frequency_hz and bandwidth_hz (Hz), or give the pulse.",
+        )
+    return nominal_pulse(capture.center_frequency_hz, capture.bandwidth_hz)
 
 
 def _check(capture: Capture, aperture: Aperture, settings: PreprocessSettings) -> None:

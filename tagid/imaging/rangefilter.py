@@ -18,6 +18,9 @@ from tagid.imaging.types import PointResponse
 from tagid.waveform import analytic_pulse
 
 MAX_PULSE_SAMPLES = 1 << 17
+MAX_PAD = 1 << 17
+"""Range bins that the pulse may take at most (a P440 pulse takes some 200 with its filter's ringing)."""
+
 RESPONSE_FLOOR = 1e-3
 """The response is cut where it stays under this part of its peak (-60 dB)."""
 
@@ -79,6 +82,11 @@ def design_filter(pulse: Pulse, capture: Capture, *, matched: bool, oversampling
     _check_rate(is_real, input_rate, low, high)
     # No wrap-around: the pulse, its reflection (the matched filter) and the ringing of W must fit in the pad.
     duration = (1 + matched) * len(pulse.samples) * pulse.step + 24 / bandwidth
+    if duration * input_rate > MAX_PAD:
+        raise DataError(
+            f"a range step of {capture.range_step_m:.3g} m is far too fine for a pulse of {bandwidth:.3g} Hz",
+            "Check range_step_m (one way, in metres), the bandwidth and the pulse.",
+        )
     n = int(sfft.next_fast_len(capture.bins + int(np.ceil(duration * input_rate)), real=is_real))
     df = input_rate / n
     centre = round((low + high) / 2 / df)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,6 +16,8 @@ from tagid.imaging.preprocess import PreprocessSettings, preprocess, select_view
 from tagid.imaging.rangefilter import band_of
 from tagid.waveform import nominal_pulse
 
+SHARED = Path(os.environ.get("TAGID_SHARED", Path(__file__).resolve().parents[2].parent / "shared"))
+MEASURED = SHARED / "data" / "p440" / "pulse.npz"
 RAW = PreprocessSettings(background="none")
 
 
@@ -177,3 +181,30 @@ def test_views_and_positions_must_agree():
 def test_senseless_settings_are_refused(wrong):
     with pytest.raises(UsageError):
         PreprocessSettings(**wrong)
+
+
+@pytest.mark.parametrize("wrong", [{"range_step_m": 1e-9, "range_start_m": 1.0}, {"bandwidth_hz": 1.0}])
+def test_absurd_numbers_end_in_an_error_and_not_in_memory(wrong):
+    with pytest.raises(DataError):
+        preprocess(replace(record([(0.1, 0.0)], [1.0], turn(4)), **wrong))
+
+
+@pytest.mark.skipif(not MEASURED.is_file(), reason="the measured pulses are not in the shared data folder")
+@pytest.mark.parametrize("name", ["cr02", "cr07"])
+@pytest.mark.parametrize("matched", [True, False])
+def test_measured_pulses_give_their_response_too(name, matched):
+    """Ringing, asymmetric pulses: the model of a point holds to 1 % for them as for the nominal one."""
+    with np.load(MEASURED) as data:
+        pulse = Pulse(data[name], float(data["dt_ns"]) * 1e-9)
+    point, aperture = (0.08, -0.05), turn(10)
+    d = np.hypot(aperture.positions[:, 0] - point[0], aperture.positions[:, 1] - point[1])
+    ranges = 0.2 + STEP_M * np.arange(220)
+    time = 2 * (ranges - d[:, None]) / 299_792_458.0
+    shape_time = (np.arange(len(pulse.samples)) - len(pulse.samples) // 2) * pulse.step
+    samples = np.interp(time, shape_time, pulse.samples, left=0, right=0).astype(np.float32)
+    capture = Capture(samples, 0.2, STEP_M, angles_rad=aperture.angles, axis_distance_m=1.0, pulse=pulse)
+    scans = preprocess(capture, settings=replace(RAW, matched_filter=matched))
+    model = predicted(scans, [point], [1.0])
+    sigma = np.vdot(model, scans.samples) / np.vdot(model, model)
+    assert abs(sigma) == pytest.approx(sigma.real, rel=1e-3)  # no phase error
+    assert np.abs(scans.samples - sigma * model).max() < 0.01 * np.abs(scans.samples).max()
