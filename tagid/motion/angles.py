@@ -31,15 +31,15 @@ class Angles:
     info: dict[str, Any] = field(default_factory=dict)
 
 
-def _one_turn(angles_rad: NDArray[np.floating]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Turned angle since the first view, and which views lie in the first turn."""
+def _one_turn(angles_rad: NDArray[np.floating]) -> tuple[NDArray[np.float64], NDArray[np.bool_], float]:
+    """Turned angle since the first view, which views lie in the first turn, and the angle between views."""
     a = np.asarray(angles_rad, dtype=np.float64)
     if a.ndim != 1 or len(a) == 0 or not np.isfinite(a).all():
         raise DataError(f"angles have shape {a.shape}, expected (views,), finite")
     turned = a - a[0] if a[-1] >= a[0] else a[0] - a
     # Half of a view's step is left open at the end: the view after a full turn is the first one again.
-    step = float(np.median(np.diff(turned))) if len(a) > 1 else 0.0
-    return turned, (turned >= 0) & (turned < 2 * np.pi - 0.5 * abs(step))
+    step = abs(float(np.median(np.diff(turned)))) if len(a) > 1 else 0.0
+    return turned, (turned >= 0) & (turned < 2 * np.pi - 0.5 * step), step
 
 
 def select_views(
@@ -55,7 +55,7 @@ def select_views(
     Returns:
         (n,) increasing indexes, the scan nearest to each wanted angle; fewer than asked where scans lack.
     """
-    turned, inside = _one_turn(angles_rad)
+    turned, inside, scan_step = _one_turn(angles_rad)
     candidates = np.flatnonzero(inside)
     if views is None and step_rad is None:
         return candidates
@@ -64,7 +64,7 @@ def select_views(
     count = views if views is not None else max(1, round(2 * np.pi / float(step_rad or 1)))
     step = 2 * np.pi / count
     wanted = np.arange(count) * step
-    wanted = wanted[wanted <= turned[candidates[-1]] + 0.5 * step]
+    wanted = wanted[wanted <= turned[candidates[-1]] + 0.5 * scan_step]
     order = np.argsort(turned[candidates])
     ordered = turned[candidates][order]
     right = np.clip(np.searchsorted(ordered, wanted), 1, max(1, len(ordered) - 1))
@@ -78,9 +78,9 @@ def select_views(
 def average_into_views(capture: Capture, views: int) -> Capture:
     """Average scans into evenly spaced angular sectors: noise falls by sqrt(scans a view).
 
-    Scans in a sector are smeared over its width w: the echo of a reflector at radius r turns its phase by up to
-    4 pi r w / lambda across the sector and loses sinc(2 r w / lambda). That is 1 dB at w = 0.13 lambda / r: 5.7
-    deg for r = 0.1 m, 1.7 deg for r = 0.34 m at 3.95 GHz. Wider sectors lose the outer reflectors.
+    Scans in a sector are smeared over its width w: the echo of a reflector at radius r turns its phase by
+    up to 4 pi r w / lambda across the sector and loses sinc(2 r w / lambda). That is 1 dB at
+    w = 0.13 lambda / r, at 3.95 GHz 5.7 deg for r = 0.1 m and 1.7 deg for 0.34 m.
 
     Args:
         capture: with angles; integer samples become float32.

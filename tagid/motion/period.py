@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.errors import DataError
-from tagid.motion.sinogram import Autocorrelation, autocorrelate
+from tagid.motion.kinematics import kinematic_period
+from tagid.motion.sinogram import Autocorrelation, autocorrelate, uniform_grid
 
 MIN_TURNS = 1.1
 """Least record in turns: the overlap of a tenth of a turn is where chance likeness begins."""
@@ -26,6 +27,8 @@ ACCEPT = 0.6
 """Least quality of a period: likeness after a turn relative to what noise leaves of it."""
 RIVAL = 0.7
 """A fraction of the period whose quality reaches this part of the period's own makes it ambiguous."""
+SLOWER = 1.5
+"""A period is doubted where the echoes move as if a turn took this many times as long."""
 NOMINAL_TOLERANCE = 0.15
 """A nominal period is believed to 15 %."""
 
@@ -41,7 +44,7 @@ class PeriodEstimate:
         turns: turns in the record.
         multiple: turns of the lag that was measured (the longest available).
         harmonic_ambiguous: the scans also repeat after a fraction of this period, or are clearly more alike
-            after twice this period.
+            after twice this period, or move too slowly for it.
         rivals_s: those other periods, s.
     """
 
@@ -82,9 +85,17 @@ def _near(rho: NDArray[np.float64], lag: float, tolerance: float) -> tuple[int, 
     return k, float(rho[k])
 
 
+def _enough(ac: Autocorrelation) -> NDArray[np.float64]:
+    """(lags,) least correlation that counts as a repetition: alike enough, and not by chance.
+
+    Chance is judged on Fisher's z = artanh(rho), which is normal also for the few samples of a short overlap.
+    """
+    return np.maximum(ACCEPT * ac.coherence, np.tanh(SIGNIFICANT * ac.noise))
+
+
 def _first_turn(ac: Autocorrelation, rho: NDArray[np.float64], low: int, high: int) -> int:
     """The smallest lag that is a peak nearly as high as the highest one; 0 where none is high enough."""
-    enough = np.maximum(ACCEPT * ac.coherence, SIGNIFICANT * ac.noise)
+    enough = _enough(ac)
     inner = rho[low : high + 1]
     if len(inner) < 3:
         return 0
@@ -93,19 +104,26 @@ def _first_turn(ac: Autocorrelation, rho: NDArray[np.float64], low: int, high: i
     if len(peaks) == 0:
         return 0
     best = float(rho[peaks].max())
-    return int(peaks[rho[peaks] >= 0.9 * best - 2 * ac.noise[peaks]][0])
+    slack = 2 * np.hypot(ac.noise[peaks], ac.noise[peaks[np.argmax(rho[peaks])]])
+    return int(peaks[rho[peaks] >= 0.9 * best - slack][0])
 
 
 def _peak_place(
     ac: Autocorrelation, rho: NDArray[np.float64], peak: int, half_width: int
 ) -> tuple[float, float]:
-    """(lag, sigma) of a peak; sigma from the jackknife over groups of bins, at least a hundredth of a lag."""
+    """(lag, sigma) of a peak.
+
+    sigma joins the jackknife over groups of bins with the place's scatter under strong noise, about
+    half_width * sigma_rho / rho where sigma_rho = noise (1 - rho^2); it is at least a hundredth of a lag.
+    """
     lag = _refine(rho, peak, half_width)
     active = [g for g in range(len(ac.products)) if ac.products[g, 0] > 0]
     leave_one = np.array([_refine(ac.without(g), peak, half_width) for g in active])
     n = len(leave_one)
-    sigma = float(np.sqrt((n - 1) / n * np.sum((leave_one - leave_one.mean()) ** 2))) if n > 1 else 1.0
-    return lag, max(JACKKNIFE_SCALE * sigma, 0.01)
+    jackknife = float(np.sqrt((n - 1) / n * np.sum((leave_one - leave_one.mean()) ** 2))) if n > 1 else 1.0
+    height = float(np.clip(rho[peak], 1e-3, 1))
+    chance = half_width * float(ac.noise[peak]) * (1 - height**2) / height
+    return lag, max(float(np.hypot(JACKKNIFE_SCALE * jackknife, chance)), 0.01)
 
 
 def find_period(
@@ -126,6 +144,10 @@ def find_period(
         nominal_s: period to be expected within 15 %, s; without it the shortest repetition is taken.
         min_s, max_s: bounds of the search, s.
 
+    Simulated at 20 scans/s and 20..30 s a turn: worst of 12 errors 0.08, 0.02, 0.02 % at 10 dB with 1.3, 2.3
+    and 3.2 turns for four points in 20 cm, up to 0.26 % for a container's tag. At 0 dB a search without a nominal
+    period takes a multiple or a fraction now and then, mostly but not always reported: give the nominal one.
+
     Raises:
         DataError: less than 1.1 turns, nothing moves, or no repetition is found.
     """
@@ -140,7 +162,7 @@ def find_period(
                 f"Record at least {1.3 * nominal_s:.0f} s.",
             )
         peak, value = _near(rho[: longest + 1], nominal_s / ac.step_s, NOMINAL_TOLERANCE)
-        if value < max(ACCEPT * ac.coherence, SIGNIFICANT * ac.noise[peak]):
+        if value < _enough(ac)[peak]:
             peak = 0
     else:
         lobe = _lobe(rho, 0.5 * ac.coherence)
@@ -164,7 +186,9 @@ def find_period(
         if spread / m < sigma / multiple:
             lag, sigma, multiple = place, spread, m
     period = lag / multiple
-    rivals = _rivals(rho, period, float(rho[peak]), longest, half_width)
+    rivals = _rivals(ac, rho, period, peak, half_width)
+    if nominal_s is None and not any(r > period for r in rivals):
+        rivals += _slower(samples, times_s, period * ac.step_s, ac.step_s)
     return PeriodEstimate(
         period_s=period * ac.step_s,
         sigma_s=sigma / multiple * ac.step_s,
@@ -177,18 +201,34 @@ def find_period(
 
 
 def _rivals(
-    rho: NDArray[np.float64], period: float, value: float, longest: int, half_width: int
+    ac: Autocorrelation, rho: NDArray[np.float64], period: float, peak: int, half_width: int
 ) -> list[float]:
-    """Other periods that the scans allow: a fraction with a high peak, the double if clearly better."""
+    """Other periods, in lags, that the scans allow: a fraction about as alike, the double if clearly more.
+
+    Where noise is strong, "about" is two standard deviations of chance.
+    """
     found: list[float] = []
+    value = float(rho[peak])
     for divisor in (2, 3, 4):
         lag = period / divisor
         if lag < 2 * half_width:
             continue
-        _, other = _near(rho, lag, 0.5 * half_width / lag)
-        if other >= RIVAL * value:
+        k, other = _near(rho, lag, 0.5 * half_width / lag)
+        if other >= min(RIVAL * value, value - 2 * ac.noise[peak]) and other >= 4 * ac.noise[k]:
             found.append(lag)
-    _, other = _near(rho[: longest + 1], 2 * period, 0.5 * half_width / period)
+    _, other = _near(rho[: int(ac.scans / (1 + OVERLAP)) + 1], 2 * period, 0.5 * half_width / period)
     if value < 0.85 * other:
         found.append(2 * period)
     return found
+
+
+def _slower(
+    samples: NDArray[np.generic], times_s: NDArray[np.floating], period_s: float, step_s: float
+) -> list[float]:
+    """Multiple of a period, in lags, at which the echoes seem to move; empty where they agree with it."""
+    x, received, _ = uniform_grid(np.real(samples), times_s)
+    x[received] -= x[received].mean(axis=0)
+    moving = kinematic_period(x, received, step_s)
+    if moving is None or moving < SLOWER * period_s:
+        return []
+    return [max(2, round(moving / period_s)) * period_s / step_s]

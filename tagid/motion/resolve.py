@@ -36,8 +36,8 @@ def with_angles(capture: Capture, motion: str | None = None) -> Capture:
 
     Args:
         capture: any capture.
-        motion: device URL of what turned the object. None keeps angles or antenna positions that are there, and
-            else takes the period from the data.
+        motion: device URL of what turned the object. None keeps angles or antenna positions that are there,
+            and else takes the period from the data.
 
     Raises:
         UsageError: the URL makes no sense. DataError: no times, or no period in the data and no speed given.
@@ -61,8 +61,8 @@ def with_angles(capture: Capture, motion: str | None = None) -> Capture:
 def one_turn(capture: Capture, max_views: int) -> Capture:
     """At most so many views, evenly over one turn.
 
-    Denser scans are averaged into views, which lowers the noise; otherwise the scans of the first turn stay as
-    they are. A capture of free antenna positions is thinned only.
+    Denser scans are averaged into views, which lowers the noise; otherwise the scans of the first turn
+    stay as they are. A capture of free antenna positions is thinned only.
     """
     if capture.angles_rad is None:
         every = -(-capture.views // max_views)

@@ -94,8 +94,8 @@ class FreeTurntable:
         """Whether to stop recording.
 
         With a speed it is a matter of time. Without one the growing sinogram is searched whenever it has
-        become a tenth longer, until two searches in a row agree on a period and 1.3 turns of it are there (2.3 where
-        it is ambiguous), or max_seconds have passed.
+        become a tenth longer, until two searches in a row agree on a period and 1.3 turns of it are there
+        (2.3 where it is ambiguous), or max_seconds have passed.
 
         Args:
             samples: one (bins,) array a scan, or (scans, bins).

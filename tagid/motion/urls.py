@@ -30,8 +30,8 @@ def open_motion(url: str) -> FreeTurntable:
     """The motion device of a URL; nothing is connected yet.
 
     `free` takes rpm (turns a minute), direction (ccw, the default, or cw) and max_seconds (how long to wait
-    for a period where rpm is not given). `emulator://SCENE?rpm=...` is the emulated radar's own table, which runs
-    freely; options of the scene are ignored here.
+    for a period where rpm is not given). `emulator://SCENE?rpm=...` is the emulated radar's own table, which
+    runs freely; options of the scene are ignored here.
 
     >>> open_motion("free?rpm=2&direction=cw").needed_seconds()
     39.0

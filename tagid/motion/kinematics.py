@@ -1,0 +1,66 @@
+"""A rough rotation period from range and speed alone, which symmetry cannot deceive.
+
+A target that looks the same after half a turn repeats twice a turn, but its reflectors still move at the
+speed that their distance from the axis and the true period ask for.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+
+def _products(x: NDArray[np.complex128], received: NDArray[np.bool_], lag: int) -> Floats:
+    """(columns,) mean over scans of Re x_i conj(x_{i + lag}): free of noise in the mean."""
+    both = received[lag:] & received[:-lag]
+    product = (x[lag:] * x[:-lag].conj()).real[both]
+    return np.asarray(product.mean(axis=0) if len(product) else np.zeros(x.shape[1]))
+
+
+def kinematic_period(scans: NDArray[np.float32], received: NDArray[np.bool_], step_s: float) -> float | None:
+    """Period of a turn, s, to some ten per cent at 20 dB; None where the echoes are too weak.
+
+    A reflector at radius r has range -r cos(w t) and range rate r w sin(w t), so over a turn
+    w^2 = <rate^2> / var(range). The rate's mean square is the curvature of the slow-time autocorrelation at
+    lag zero, 2 (1 - rho(tau)) / tau^2, divided by the mean square wavenumber of the range profile; the
+    range variance is that of the echo energy over range bins, less the pulse's, 1 / (4 var(wavenumber)).
+    Energies are products of neighbouring scans, free of noise. All lengths are in bins and cancel. Weak echoes
+    come out too fast (a factor of 2 at 10 dB, of 5 at 0 dB), boxes too: it can warn of a longer period, not
+    rule one out.
+
+    Args:
+        scans: (scans, bins) real, mean removed, on a uniform grid.
+        received: (scans,) which are there.
+        step_s: scan period, s.
+    """
+    spectrum = np.fft.rfft(scans.astype(np.float64), axis=1)
+    wavenumber = 2 * np.pi * np.fft.rfftfreq(scans.shape[1])
+    power, later = _products(spectrum, received, 1), _products(spectrum, received, 2)
+    band = power > 0.1 * power.max()
+    power, later = np.where(band, power, 0), np.where(band, later, 0)
+    if power.sum() <= 0:
+        return None
+    # Even parabola through lags 1 and 2: rho0 and the curvature.
+    zero = (4 * power.sum() - later.sum()) / 3
+    curvature = 2 * (power.sum() - later.sum()) / (3 * zero * step_s**2)
+    centre = float(np.sum(wavenumber * power) / power.sum())
+    spread = float(np.sum((wavenumber - centre) ** 2 * power) / power.sum())
+    if curvature <= 0 or spread <= 0:
+        return None
+    rate_squared = curvature / (centre**2 + spread)
+
+    filtered = np.fft.irfft(spectrum * band, scans.shape[1], axis=1)
+    energy = _products(filtered.astype(np.complex128), received, 1)
+    # A bin far out weighs much in a variance: only those count whose energy cannot be chance.
+    chance = np.mean(filtered[received] ** 2, axis=0) * 4 / np.sqrt(np.count_nonzero(received))
+    energy = np.where((energy > 0.03 * energy.max()) & (energy > chance), energy, 0)
+    if energy.sum() <= 0:
+        return None
+    bins = np.arange(len(energy))
+    mean = float(np.sum(bins * energy) / energy.sum())
+    variance = float(np.sum((bins - mean) ** 2 * energy) / energy.sum()) - 1 / (4 * spread)
+    if variance <= 0:
+        return None
+    return float(2 * np.pi * np.sqrt(variance / rate_squared))

@@ -1,0 +1,197 @@
+"""Clock, angles, thinning and URLs of motion."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tagid.capture import Capture
+from tagid.errors import DataError, UsageError
+from tagid.motion import FreeTurntable, average_into_views, fit_clock, open_motion, select_views
+from tagid.motion.resolve import clock_of, one_turn, with_angles
+from tagid.simulate import Acquisition, Scene, simulate_capture
+
+SCAN_S = 0.021573
+"""0.867 ms + (1152 / 12) * 2^11 * 105.31 ns (P440, measured)."""
+
+
+def stamps(count: int, offset: float = 0.4) -> np.ndarray:
+    return np.floor(np.arange(count) * SCAN_S * 1e3 + offset + 5000)
+
+
+@pytest.mark.parametrize("offset", [0.0, 0.37, 0.9])
+def test_whole_millisecond_stamps_give_microseconds(offset: float) -> None:
+    clock = fit_clock(stamps(1400, offset))
+    assert clock.period_s == pytest.approx(SCAN_S, rel=3e-6)
+    assert abs(clock.period_s - SCAN_S) < 4 * clock.period_sigma_s
+    np.testing.assert_allclose(clock.times_s, np.arange(1400) * SCAN_S, atol=1e-4)
+    assert clock.residual_ms == pytest.approx(1 / np.sqrt(12), rel=0.1)
+
+
+@pytest.mark.parametrize("with_ids", [True, False])
+def test_lost_scans_leave_gaps(with_ids: bool) -> None:
+    kept = np.sort(np.random.default_rng(1).permutation(1000)[:900])
+    kept = np.unique(np.append(kept, 0))
+    clock = fit_clock(stamps(1000)[kept], kept if with_ids else None)
+    assert np.array_equal(clock.index, kept)
+    assert clock.period_s == pytest.approx(SCAN_S, rel=1e-5)
+
+
+def test_bad_first_stamp_and_outliers_do_not_bend_the_line() -> None:
+    t = stamps(600)
+    t[0] -= 30
+    t[300] += 12
+    clock = fit_clock(t, np.arange(600))
+    assert clock.outliers == 2
+    assert clock.period_s == pytest.approx(SCAN_S, rel=1e-5)
+
+
+def test_wrapped_counter_goes_on() -> None:
+    t = (stamps(200) + 2**32 - 6000) % 2**32
+    assert (np.diff(t) < 0).any()
+    assert fit_clock(t).period_s == pytest.approx(SCAN_S, rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("times", "ids"),
+    [
+        ([1.0], None),
+        ([5.0, 5.0, 5.0], None),
+        ([1.0, 2.0], [3, 3]),
+        ([1.0, np.nan], None),
+        ([3.0, 2.0, 1.0], None),
+    ],
+)
+def test_impossible_stamps_are_refused(times: list[float], ids: list[int] | None) -> None:
+    with pytest.raises(DataError):
+        fit_clock(np.array(times), None if ids is None else np.array(ids))
+
+
+@given(
+    views=st.integers(4, 90),
+    turns=st.floats(1.0, 2.5),
+    scans=st.integers(100, 400),
+    direction=st.sampled_from([1, -1]),
+)
+def test_selected_views_are_even_and_within_one_turn(
+    views: int, turns: float, scans: int, direction: int
+) -> None:
+    angles = direction * np.arange(round(scans * turns)) * 2 * np.pi / scans
+    picked = select_views(angles, views)
+    turned = np.abs(angles[picked])
+    assert len(picked) == views
+    assert turned.max() < 2 * np.pi
+    np.testing.assert_allclose(turned, np.arange(views) * 2 * np.pi / views, atol=0.5001 * 2 * np.pi / scans)
+
+
+def test_selection_drops_the_overlap_and_takes_a_step() -> None:
+    angles = np.arange(468) * 2 * np.pi / 360
+    assert np.array_equal(select_views(angles), np.arange(360))
+    assert np.array_equal(select_views(angles, step_rad=np.deg2rad(10)), np.arange(0, 360, 10))
+    assert len(select_views(angles[:90], 36)) == 9  # a quarter of a turn
+    with pytest.raises(UsageError):
+        select_views(angles, 0)
+
+
+def test_averaging_lowers_noise_and_keeps_the_echo() -> None:
+    scene = Scene.of_points(np.array([[0.05, 0.02]]))
+    capture, truth = simulate_capture(scene, Acquisition(views=1440, turns=1.25, noise_std=0.3), seed=2)
+    averaged = average_into_views(capture, 90)
+    assert averaged.angles_rad is not None
+    assert averaged.views == 90
+    clean, _ = simulate_capture(scene, Acquisition(views=90))
+    difference = averaged.samples - clean.samples
+    quiet = np.abs(clean.samples).max(axis=0) < 1e-6
+    # 16 scans a view, 32 in the overlapping quarter
+    assert difference[:, quiet].std() == pytest.approx(0.3 / np.sqrt(16 / 0.875), rel=0.1)
+    assert np.abs(averaged.samples).max() == pytest.approx(np.abs(truth.clean).max(), rel=0.35)
+    np.testing.assert_allclose(averaged.angles_rad, np.arange(90) * 2 * np.pi / 90, atol=0.01)
+
+
+def test_averaging_needs_angles() -> None:
+    with pytest.raises(DataError):
+        average_into_views(Capture(np.ones((4, 8), np.float32), 0.5, 0.01), 2)
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+def test_recording_resolves_to_one_turn_of_right_angles(direction: int) -> None:
+    scene = Scene.of_points(np.array([[0.1, 0.02], [-0.05, 0.08], [0.0, -0.12]]))
+    acq = Acquisition(views=400, turns=1.35, period_s=20.3, direction=direction, snr_db=15)
+    capture, truth = simulate_capture(scene, acq, seed=5)
+    from dataclasses import replace
+
+    bare = replace(capture, angles_rad=None, angle_sigma_rad=None)
+    url = "free?direction=cw" if direction < 0 else "free"
+    resolved = with_angles(bare, url)
+    assert resolved.angles_rad is not None
+    assert resolved.angle_sigma_rad is not None
+    error = np.abs(resolved.angles_rad - truth.angles_rad)
+    assert error.max() < np.deg2rad(0.5)
+    assert (error[1:] < 5 * resolved.angle_sigma_rad[1:]).all()
+    assert resolved.angle_sigma_rad[0] == 0
+    assert (np.diff(resolved.angle_sigma_rad) >= 0).all()
+    assert resolved.motion["resolved"]["source"] == "data"
+    turn = one_turn(resolved, 360)
+    assert turn.views == 360
+    assert one_turn(resolved, 500).views == 400
+
+
+def test_known_angles_stay_and_missing_times_are_told() -> None:
+    capture, _ = simulate_capture(Scene.of_points(np.zeros((1, 2))), Acquisition(views=8))
+    assert with_angles(capture) is capture
+    with pytest.raises(DataError) as error:
+        with_angles(Capture(np.ones((20, 8), np.float32), 0.5, 0.01))
+    assert error.value.remedy
+    host = np.arange(30, dtype=np.int64) * 20_000_000 + 1_700_000_000_000_000_000
+    assert clock_of(Capture(np.ones((30, 8), np.float32), 0.5, 0.01, host_time_ns=host)).period_s == (
+        pytest.approx(0.02, rel=1e-6)
+    )
+
+
+def test_urls_that_work() -> None:
+    free = open_motion("free")
+    assert (free.rpm, free.direction, free.needed_seconds()) == (None, 1, None)
+    fast = open_motion("free?rpm=2.5&direction=cw&max_seconds=50")
+    assert (fast.rpm, fast.direction, fast.max_seconds) == (2.5, -1, 50)
+    assert fast.needed_seconds() == pytest.approx(1.3 * 24)
+    assert open_motion("emulator://helmet-120?seed=1&rpm=6&loss=0.1").rpm == 6
+    assert open_motion("emulator://helmet-120").rpm is None
+
+
+@pytest.mark.parametrize(
+    "url",
+    [
+        "",
+        "fre",
+        "free?rpm=fast",
+        "free?rpm=0",
+        "free?rpm=-1",
+        "free?rpm=nan",
+        "free?rpm",
+        "free?speed=2",
+        "free?rpm=1&rpm=2",
+        "free?direction=left",
+        "free?max_seconds=0",
+        "free://x",
+        "roomba+serial:///dev/ttyUSB0",
+        "roomba+ble://NAME",
+        "emulator://",
+        "http://[::1",
+    ],
+)
+def test_urls_that_do_not_work_say_what_does(url: str) -> None:
+    with pytest.raises(UsageError) as error:
+        open_motion(url)
+    assert error.value.remedy
+
+
+def test_planned_devices_are_told_apart_from_nonsense() -> None:
+    with pytest.raises(UsageError, match="not supported yet"):
+        open_motion("roomba+serial:///dev/ttyUSB0")
+
+
+def test_turntable_refuses_nonsense() -> None:
+    with pytest.raises(UsageError):
+        FreeTurntable(direction=2)
