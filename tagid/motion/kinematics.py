@@ -27,8 +27,8 @@ def kinematic_period(scans: NDArray[np.float32], received: NDArray[np.bool_], st
     lag zero, 2 (1 - rho(tau)) / tau^2, divided by the mean square wavenumber of the range profile; the
     range variance is that of the echo energy over range bins, less the pulse's, 1 / (4 var(wavenumber)).
     Energies are products of neighbouring scans, free of noise. All lengths are in bins and cancel. Weak
-    echoes come out too fast (a factor of 2 at 10 dB, of 5 at 0 dB), boxes too: it can warn of a longer period, not
-    rule one out.
+    echoes come out too fast (a factor of 2 at 10 dB, of 5 at 0 dB), boxes too: it can warn of a longer
+    period, not rule one out.
 
     Args:
         scans: (scans, bins) real, mean removed, on a uniform grid.

@@ -146,7 +146,8 @@ def find_period(
 
     Simulated at 20 scans/s and 20..30 s a turn: worst of 12 errors 0.08, 0.02, 0.02 % at 10 dB with 1.3, 2.3
     and 3.2 turns for four points in 20 cm, up to 0.26 % for a container's tag. At 0 dB a search without a
-    nominal period takes a multiple or a fraction now and then, mostly but not always reported: give the nominal one.
+    nominal period takes a multiple or a fraction now and then, mostly but not always reported: give
+    the nominal one.
 
     Raises:
         DataError: less than 1.1 turns, nothing moves, or no repetition is found.
