@@ -35,7 +35,7 @@ def simulate(points: np.ndarray, views: int, noise: float, axis_distance: float 
     capture = Capture(
         echo.astype(np.complex64), ranges[0], RANGE_STEP_M, angles, axis_distance_m=axis_distance
     )
-    return preprocess(capture, settings=PreprocessSettings(background="none", extent_m=GRID.extent))
+    return preprocess(capture, settings=PreprocessSettings("none", False, extent_m=GRID.extent))
 
 
 def psnr(values: np.ndarray, points: np.ndarray, grid: ImageGrid = GRID) -> float:

@@ -20,6 +20,7 @@ from tagid.imaging.ats.encoding import EncodingSettings, HashEncoding
 from tagid.imaging.ats.forward import LinearOperator, synthesize
 from tagid.imaging.ats.network import ReflectivityNetwork
 from tagid.imaging.operator import ForwardOperator
+from tagid.imaging.sparse import column_norm
 from tagid.imaging.types import BasebandScans, Image
 
 Progress = Callable[[int, int, float], None]
@@ -36,8 +37,8 @@ class AtsSettings:
         network_rate: see there.
         decay: what is left of the rates after `steps` steps (exponential decay).
         l1: weight of the sparsity prior, as a fraction of the weight at which the image would be zero.
-        noise_l1: the same weight in units of the noise's standard deviation in the adjoint image; the larger
-            of the two is used, and never more than half of what gives a zero image.
+        noise_factor: the weight is never less than this times the standard deviation of A^H noise (where the
+            noise is known), and never more than half of what gives a zero image.
         views_per_step: views of one step; a capture with more is used in interleaved subsets by turns.
         width, hidden: units of a hidden layer, and hidden layers of the network.
         finest_m: edge of the finest cell of the encoding, m; never finer than the pixels.
@@ -50,12 +51,12 @@ class AtsSettings:
             thread gains little where the cores are idle, and waits for its slice where they are not.
     """
 
-    steps: int = 80
+    steps: int = 70
     learning_rate: float = 0.05
     network_rate: float = 1.0
-    decay: float = 0.1
+    decay: float = 0.3
     l1: float = 0.03
-    noise_l1: float = 0.3
+    noise_factor: float = 1.5
     views_per_step: int = 36
     width: int = 32
     hidden: int = 2
@@ -79,7 +80,7 @@ class AtsSettings:
         for name in ("learning_rate", "network_rate", "decay", "finest_m"):
             if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0):
                 raise UsageError(f"ATS setting {name} is {getattr(self, name)}", "Give a positive number.")
-        for name in ("l1", "noise_l1", "tolerance"):
+        for name in ("l1", "noise_factor", "tolerance"):
             if not (np.isfinite(getattr(self, name)) and getattr(self, name) >= 0):
                 raise UsageError(f"ATS setting {name} is {getattr(self, name)}", "Give zero or more.")
 
@@ -154,10 +155,8 @@ def _prepare(scans: BasebandScans, operator: Any, settings: AtsSettings) -> _Pro
     # Least-squares amplitude of the backprojection image: the order of magnitude to start from.
     seen = operator.forward(back)
     blurred = float(np.vdot(seen, data).real / np.vdot(seen, seen).real) * peak
-    weight = settings.l1 * peak
-    # Noise of one sample passes the adjoint with the norm of a pixel's column.
-    column = np.sqrt(float(np.vdot(seen, seen).real) / float(np.vdot(back, back).real))
-    weight = min(max(weight, settings.noise_l1 * scans.noise_std * column), 0.5 * peak)
+    floor = settings.noise_factor * scans.noise_std * column_norm(scans)
+    weight = min(max(settings.l1 * peak, floor), 0.5 * peak)
     stride = max(1, round(scans.samples.shape[0] / settings.views_per_step))
     subsets = [slice(k, None, stride) for k in range(stride)]
     operators = [operator.select(s) for s in subsets] if stride > 1 else [operator]
