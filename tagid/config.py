@@ -37,7 +37,6 @@ class Setting:
 
 SETTINGS: tuple[Setting, ...] = (
     Setting("radar.url", str, None, "the radar, e.g. udp://192.168.1.100"),
-    Setting("radar.range_m", float, None, "first range of the window, m (default: around the axis)", 0, 100),
     Setting("radar.integration", int, 11, "pulse integration index, 6 to 15 (2^n pulses a sample)", 6, 15),
     Setting("radar.gain", int, 63, "transmit gain, 0 to 63", 0, 63),
     Setting("radar.antenna_mode", int, 2, "0 A/A, 1 B/B, 2 TxA-RxB, 3 TxB-RxA", 0, 3),

@@ -21,7 +21,8 @@ from tagid.geometry import ImageGrid
 from tagid.imaging.autofocus import AxisFocus, focus_axis_distance
 from tagid.imaging.preprocess import Background, PreprocessSettings, preprocess
 from tagid.imaging.types import BasebandScans, Image
-from tagid.motion.resolve import one_turn, with_angles
+from tagid.motion.resolve import one_turn
+from tagid.turn import resolve_turn
 
 if TYPE_CHECKING:
     from tagid.tags.layout import Layout
@@ -172,7 +173,7 @@ def prepare(capture: Capture, motion: str | None = None) -> Capture:
     Raises:
         DataError: the angles can neither be had nor found.
     """
-    return one_turn(with_angles(capture, motion), MAX_VIEWS)
+    return one_turn(resolve_turn(capture, motion), MAX_VIEWS)
 
 
 def reconstruct(

@@ -19,7 +19,7 @@ from tagid import __version__
 from tagid.capture import Capture, ViewFlag
 from tagid.constants import RANGE_STEP_M, SPEED_OF_LIGHT
 from tagid.errors import CaptureInterrupted, ConfigError, DataError, StorageError, TagidError
-from tagid.motion.turntable import Motion
+from tagid.motion.turntable import OVERLAP_TURNS, Motion
 from tagid.radar.assembler import Scan
 from tagid.radar.p440 import P440
 from tagid.radar.settings import RadarConfig
@@ -30,6 +30,9 @@ from tagid.storage.journal import JournalWriter, journal_to_capture, read_journa
 CAPTURE_SUFFIX = ".tagid.h5"
 _MARGIN_M = 0.35
 """Kept on both sides of the image: the pulse's length, the autofocus and clutter-free bins for the noise."""
+
+_JUDGED_SCANS = 2000
+"""Scans looked at while recording; more are thinned, so that the radar's queue never waits long."""
 
 Progress = Callable[[int, float], None]
 """Called with (scans, seconds)."""
@@ -83,10 +86,25 @@ def plan_window(
     )
 
 
+@dataclass(frozen=True)
+class Watch:
+    """Who looks on while scans arrive.
+
+    Attributes:
+        progress: told after every half second of scans.
+        resolve: gives a capture its angles, from the motion's URL; asked when the motion believes that a turn
+            is complete (imaging knows whether the shortest repetition is a turn, the motion does not), and
+            at the end. It raises DataError where it cannot.
+    """
+
+    progress: Progress | None = None
+    resolve: Callable[[Capture, str], Capture] | None = None
+
+
 def record(
-    radar: P440, motion: Motion, plan: RecordingPlan, path: Path, progress: Progress | None = None
+    radar: P440, motion: Motion, plan: RecordingPlan, path: Path, watch: Watch | None = None
 ) -> Capture:
-    """Record until a turn is complete and write the capture file at `path`.
+    """Record until a turn is complete and write the capture file at `path`, with angles where they are known.
 
     The journal lies beside it while recording and is removed when the capture file is safe on disk. Where
     recording ends early, the capture file holds what arrived, marked as not complete, and the error says so.
@@ -96,7 +114,7 @@ def record(
         motion: what turns the object; started before and stopped after, whatever happens.
         plan: what to record.
         path: the capture file to write; it must not exist.
-        progress: told after every batch of scans.
+        watch: who looks on.
 
     Raises:
         DeviceError and its kinds: the radar or the table failed. DiskFullError, StorageError: files.
@@ -112,7 +130,7 @@ def record(
         header = _header(plan, taken, {"serial": status.serial, "package": status.package})
         with JournalWriter(journal_path, header) as journal:
             try:
-                _receive(radar, motion, plan, journal, progress)
+                _receive(radar, motion, (plan, header), journal, watch or Watch())
             except KeyboardInterrupt:
                 stopped = CaptureInterrupted(f"stopped by the user after {journal.scans} scans")
             except StorageError as error:
@@ -122,17 +140,22 @@ def record(
             statistics = asdict(radar.statistics)
             summary = {
                 "radar": {"statistics": statistics, "scans_lost": statistics["lost_scans"]},
-                "motion": {"url": plan.motion},
             }
             if stopped is None:
                 journal.close(summary)
-    return _finish(journal_path, path, summary, stopped)
+    return _finish(journal_path, path, (summary, watch or Watch()), stopped)
 
 
 def _receive(
-    radar: P440, motion: Motion, plan: RecordingPlan, journal: JournalWriter, progress: Progress | None
+    radar: P440,
+    motion: Motion,
+    plan_and_header: tuple[RecordingPlan, dict[str, Any]],
+    journal: JournalWriter,
+    watch: Watch,
 ) -> None:
+    plan, header = plan_and_header
     config = radar.config
+    needed = 0.0
     scans: list[Scan] = []
     check_every = max(1, round(0.5 / config.scan_period_s))
     motion.start()
@@ -150,15 +173,39 @@ def _receive(
             if len(scans) % check_every:
                 continue
             seconds = (scan.radar_time_ms - scans[0].radar_time_ms) * 1e-3
-            if progress:
-                progress(len(scans), seconds)
-            times = [s.radar_time_ms * 1e-3 for s in scans]
-            if plan.scans is None and motion.finished([s.samples for s in scans], times):
-                return
+            if watch.progress:
+                watch.progress(len(scans), seconds)
             if seconds >= plan.max_seconds:
                 return
+            if plan.scans is not None or seconds < needed:
+                continue
+            if needed or motion.finished([s.samples for s in scans], [s.radar_time_ms * 1e-3 for s in scans]):
+                needed = _needed(watch, scans, header, plan)
+                if seconds >= needed:
+                    return
     finally:
         motion.stop()
+
+
+def _needed(watch: Watch, scans: list[Scan], header: dict[str, Any], plan: RecordingPlan) -> float:
+    """Seconds to record; 0 where what arrived does not tell, because then more of it is no help."""
+    if not watch.resolve:
+        return 0.0
+    every = -(-len(scans) // _JUDGED_SCANS)
+    some = scans[::every]
+    capture = Capture(
+        np.stack([s.samples for s in some]),
+        header["range_start_m"],
+        header["range_step_m"],
+        axis_distance_m=plan.axis_distance_m,
+        antenna_height_m=plan.antenna_height_m,
+        radar_time_ms=np.array([s.radar_time_ms for s in some], dtype=np.float64),
+    )
+    try:
+        resolved = watch.resolve(capture, plan.motion).motion["resolved"]
+        return OVERLAP_TURNS * float(resolved["period_s"])
+    except DataError:
+        return 0.0
 
 
 def _header(plan: RecordingPlan, taken: RadarConfig, radar: dict[str, Any]) -> dict[str, Any]:
@@ -177,11 +224,14 @@ def _header(plan: RecordingPlan, taken: RadarConfig, radar: dict[str, Any]) -> d
             "config_asked": asked,
             "cable_delay_ps": plan.cable_delay_ps,
         },
+        "motion": {"url": plan.motion},
         "object": plan.object,
     }
 
 
-def _finish(journal_path: Path, path: Path, summary: dict[str, Any], stopped: TagidError | None) -> Capture:
+def _finish(
+    journal_path: Path, path: Path, end: tuple[dict[str, Any], Watch], stopped: TagidError | None
+) -> Capture:
     """Turn the journal into the capture file; the journal goes only when that is safe on disk."""
     journal = read_journal(journal_path)
     if not journal.scans:
@@ -190,9 +240,14 @@ def _finish(journal_path: Path, path: Path, summary: dict[str, Any], stopped: Ta
             "no complete scan arrived", "Check the network for lost packets with `tagid doctor`."
         )
     capture = journal_to_capture(journal)
+    summary, watch = end
     if stopped is not None:
-        motion = summary["motion"]
-        capture = replace(capture, radar={**capture.radar, **summary["radar"]}, motion=motion)
+        capture = replace(capture, radar={**capture.radar, **summary["radar"]})
+    if watch.resolve and stopped is None:
+        try:
+            capture = watch.resolve(capture, capture.motion["url"])
+        except DataError as error:
+            capture = replace(capture, motion={**capture.motion, "not_resolved": error.message})
     try:
         write_capture(path, capture)
     except StorageError as error:

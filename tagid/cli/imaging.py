@@ -58,12 +58,16 @@ def complete(capture: Capture, config: Config) -> Capture:
 
 
 def motion_of(config: Config, capture: Capture) -> str | None:
-    """Motion to apply to a file: what the command line says, or the configuration where it has no angles."""
+    """Motion to apply to a file: what the command line says, else, where it has no angles, what it was
+    recorded with, else the configuration."""
     given = config.values["motion.url"]
     if given.source == "command line":
         return str(given.value)
     if capture.angles_rad is not None or capture.antenna_positions_m is not None:
         return None
+    recorded_with = capture.motion.get("url")
+    if given.source == "default" and isinstance(recorded_with, str):
+        return recorded_with
     return str(given.value)
 
 

@@ -76,9 +76,10 @@ def _scan(
     from tagid.motion.urls import open_motion
     from tagid.pipeline import identify, prepare
     from tagid.radar.devices import open_radar
-    from tagid.recorder import capture_path, record
+    from tagid.recorder import Watch, capture_path, record
     from tagid.sources import Sources
     from tagid.storage.image import write_image
+    from tagid.turn import resolve_turn
 
     url = config["radar.url"]
     if not url:
@@ -103,7 +104,7 @@ def _scan(
             motion,
             plan,
             path,
-            lambda count, seconds: advance(seconds, f"{count} scans, {seconds:.1f} s"),
+            Watch(lambda count, seconds: advance(seconds, f"{count} scans, {seconds:.1f} s"), resolve_turn),
         )
     stem = path.name.removesuffix(".tagid.h5")
     png = path.with_name(f"{stem}.png")
@@ -113,7 +114,7 @@ def _scan(
     files: dict[str, str | None] = {"capture": str(path), "png": None, "image": None}
     result_errors: tuple[dict[str, str], ...] = ()
     try:
-        prepared = prepare(capture, config["motion.url"])
+        prepared = prepare(capture, None if capture.angles_rad is not None else config["motion.url"])
         answer = identify(prepared, layouts, settings, version)
         result = imaging.image_with_progress(terminal, prepared, settings)
         imaging.draw(result, answer, png)

@@ -1,0 +1,54 @@
+"""Every command line runs in a process of its own, with its own configuration and registry."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+
+@dataclass
+class Ran:
+    code: int
+    out: str
+    err: str
+
+    @property
+    def json(self) -> dict[str, Any]:
+        return json.loads(self.out)
+
+
+@pytest.fixture
+def home(tmp_path: Path) -> dict[str, str]:
+    environment = {k: v for k, v in os.environ.items() if not k.startswith("TAGID_")}
+    return {
+        **environment,
+        "TAGID_CONFIG": str(tmp_path / "home" / "config.toml"),
+        "TAGID_DATA": str(tmp_path / "home"),
+        "OMP_NUM_THREADS": "1",
+        "COLUMNS": "200",
+    }
+
+
+@pytest.fixture
+def tagid(tmp_path: Path, home: dict[str, str]) -> Callable[..., Ran]:
+    def run(*words: object, **more: str) -> Ran:
+        done = subprocess.run(
+            [sys.executable, "-m", "tagid", *map(str, words)],
+            capture_output=True,
+            text=True,
+            cwd=tmp_path,
+            env={**home, **more},
+            timeout=120,
+        )
+        assert "Traceback" not in done.stderr, done.stderr
+        return Ran(done.returncode, done.stdout, done.stderr)
+
+    return run

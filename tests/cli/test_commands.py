@@ -1,0 +1,174 @@
+"""The commands as their users meet them: answers, envelope, exit codes, files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+COMMANDS = (
+    "scan identify enroll layouts reconstruct show import export recover simulate doctor config".split()
+)
+ENVELOPE = {"tagid_result_version", "command", "status", "exit_code", "data", "messages", "errors"}
+IDENTIFICATION = {
+    "status", "layout", "label", "score", "margin", "rotation_deg", "centre_m", "reflectors", "missing", "extra",
+    "capture_uuid", "tool_version", "model_sha256", "registry_version", "seconds",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("command", [*COMMANDS, "emulate p440"])
+def test_every_command_has_help_with_an_example(tagid, command) -> None:
+    done = tagid(*command.split(), "--help")
+    assert done.code == 0
+    assert f"Example: tagid {command}" in " ".join(done.out.split())
+
+
+def test_simulate_identify_and_reconstruct(tagid, tmp_path: Path) -> None:
+    made = tagid("simulate", "helmet-120", "--views", 36, "--snr", 15, "--out", "h.tagid.h5", "--rotation", 40)
+    assert made.code == 0, made.err
+    done = tagid("identify", "h.tagid.h5", "--output", "json")
+    document = done.json
+    assert set(document) == ENVELOPE
+    assert (done.code, document["exit_code"], document["status"]) == (0, 0, "success")
+    (item,) = document["data"]["items"]
+    assert set(item) >= IDENTIFICATION
+    assert (item["status"], item["layout"]) == ("identified", "helmet-120")
+    assert item["rotation_deg"] % 120 == pytest.approx(40, abs=2)
+    assert len(item["reflectors"]) == 3
+    assert all(reflector["matched"] for reflector in item["reflectors"])
+    image = tagid(
+        "reconstruct", "h.tagid.h5", "--method", "bp", "--out", "i.npz", "--png", "i.png", "--pixels", 64
+    )
+    assert image.code == 0, image.err
+    with np.load(tmp_path / "i.npz", allow_pickle=False) as file:
+        assert file["image"].shape == (64, 64)
+        assert file["image"].dtype == np.complex64
+        y, x = np.unravel_index(np.abs(file["image"]).argmax(), (64, 64))
+        radius = np.hypot(file["x_m"][x], file["y_m"][y])
+    assert radius == pytest.approx(0.11, abs=0.01)
+    assert (tmp_path / "i.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_uncertain_answers_and_failed_items_have_their_exit_codes(tagid, tmp_path: Path) -> None:
+    tagid("simulate", "empty", "--views", 36, "--out", "empty.tagid.h5")
+    tagid("simulate", "container-90", "--views", 36, "--out", "tag.tagid.h5")
+    empty = tagid("identify", "empty.tagid.h5", "--output", "json")
+    assert empty.code == 3
+    assert empty.json["data"]["items"][0]["status"] == "no_tag"
+    assert empty.json["data"]["items"][0]["layout"] is None
+    (tmp_path / "bad.tagid.h5").write_bytes(b"not a capture")
+    batch = tagid("identify", "tag.tagid.h5", "bad.tagid.h5", "--output", "json")
+    assert (batch.code, batch.json["status"]) == (5, "partial")
+    assert [item["status"] for item in batch.json["data"]["items"]] == ["identified", "failed"]
+    alone = tagid("identify", "bad.tagid.h5", "--output", "json")
+    assert (alone.code, alone.json["status"]) == (1, "error")
+    assert alone.json["errors"][0]["code"] == "bad_file"
+
+
+def test_wrong_command_lines_end_with_2_in_the_wanted_format(tagid) -> None:
+    assert tagid("no-such-command").code == 2
+    done = tagid("identify", "--no-such-option", "--output", "json")
+    assert (done.code, done.json["exit_code"]) == (2, 2)
+    assert set(done.json) == ENVELOPE
+    assert tagid("scan", "--radar", "ftp://x", "--axis-distance", 1).code == 2
+    assert tagid("scan", "--radar", "udp://127.0.0.1", "--axis-distance", -1).code == 2
+    assert tagid("reconstruct", "x.npz", "--method", "magic").code == 2
+    assert tagid("config", "set", "radar.gain", "100").code == 2
+
+
+def test_scan_without_a_radar_says_what_to_configure(tagid) -> None:
+    done = tagid("scan")
+    assert done.code == 2
+    assert "radar.url" in done.err
+    assert "--demo" in done.err
+
+
+def test_silent_radar_is_device_unavailable(tagid) -> None:
+    import socket
+
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as silent:
+        silent.bind(("127.0.0.1", 0))
+        url = f"udp://127.0.0.1:{silent.getsockname()[1]}"
+        done = tagid(
+            "scan", "--radar", url, "--axis-distance", 1, "--output", "json", TAGID_RADAR_TIMEOUT_S="0.1"
+        )
+    assert done.code == 4
+    assert done.json["errors"][0]["code"] == "device_timeout"
+
+
+def test_enroll_prints_distances_and_refuses_what_could_be_confused(tagid, tmp_path: Path) -> None:
+    points = ("--point", "0.1,0", "--point", "-0.05,0.03", "--point", "0.02,-0.09")
+    done = tagid("enroll", "mine", *points, "--kind", "helmet", "--output", "json")
+    assert done.code == 0, done.err
+    assert set(done.json["data"]["distances"]) == {
+        "container-90", "container-180", "helmet-120", "helmet-linear"
+    }  # fmt: skip
+    near = ("--point", "0.1,0.001", "--point", "-0.05,0.031", "--point", "0.02,-0.09")
+    refused = tagid("enroll", "near", *near, "--output", "json")
+    assert refused.code == 1
+    assert refused.json["errors"][0]["code"] == "layout_conflict"
+    assert tagid("enroll", "near", *near, "--force").code == 0
+    (tmp_path / "l.toml").write_text('name = "filed"\npositions_m = [[0.05, 0], [-0.08, 0.03]]\n')
+    assert tagid("enroll", "--file", "l.toml").code == 0
+    names = [layout["name"] for layout in tagid("layouts", "--output", "json").json["data"]["layouts"]]
+    assert {"mine", "near", "filed"} <= set(names)
+    assert tagid("layouts", "--remove", "mine").code == 0
+    history = tagid("layouts", "--history", "--output", "json").json["data"]["history"]
+    assert [c["action"] for c in history if c["name"] == "mine"] == ["add", "remove"]
+    assert tagid("enroll", "x", "--point", "1;2").code == 2
+    assert tagid("enroll", "x").code == 2
+
+
+def test_enroll_from_captures_measures_the_object(tagid, tmp_path: Path) -> None:
+    for seed in (1, 2):
+        tagid(
+            "simulate", "container-90", "--views", 72, "--out", f"{seed}.tagid.h5", "--rotation", 70 * seed,
+            "--seed", seed,
+        )  # fmt: skip
+    done = tagid(
+        "enroll", "again", "--capture", "1.tagid.h5", "--capture", "2.tagid.h5", "--force", "--output", "json"
+    )
+    assert done.code == 0, done.err
+    positions = np.array(done.json["data"]["layout"]["positions_m"])
+    assert len(positions) == 2
+    assert np.linalg.norm(positions[0] - positions[1]) == pytest.approx(0.045 * np.sqrt(2), abs=0.004)
+    assert done.json["data"]["confusable"] == ["container-90"]
+
+
+def test_no_color_and_quiet(tagid) -> None:
+    tagid("simulate", "container-90", "--views", 36, "--out", "c.tagid.h5")
+    done = tagid("identify", "c.tagid.h5", "--preview", "-q", NO_COLOR="1", FORCE_COLOR="1")
+    assert done.code == 0
+    assert "\x1b[3" not in done.out
+    assert "\x1b[4" not in done.out
+    assert done.err == ""
+
+
+def test_recover_turns_a_journal_into_a_capture(tagid, tmp_path: Path) -> None:
+    from tagid.storage.journal import JournalWriter
+
+    header = {"range_start_m": 0.5, "range_step_m": 0.009, "radar": {"config": {}}}
+    with JournalWriter(tmp_path / "s.tagid.journal", header) as journal:
+        for number in range(5):
+            journal.append(number, number, float(number), np.arange(96, dtype=np.int32))
+    with (tmp_path / "s.tagid.journal").open("ab") as file:
+        file.write(b"half a record")
+    done = tagid("recover", "s.tagid.journal", "--output", "json")
+    assert done.code == 0
+    assert done.json["data"] == {
+        "path": "s.tagid.h5", "views": 5, "complete": False, "bytes_dropped": 13
+    }  # fmt: skip
+    again = tagid("recover", "s.tagid.journal")
+    assert again.code == 1
+    assert "exists already" in again.err
+
+
+def test_doctor_finds_a_radar_that_does_not_answer(tagid) -> None:
+    well = tagid("doctor", "--output", "json")
+    assert well.code == 0
+    topics = {finding["topic"] for finding in well.json["data"]["findings"]}
+    assert {"disk", "layouts", "radar", "packages", "serial ports"} <= topics
+    ill = tagid("doctor", "--radar", "udp://127.0.0.1:9", "--output", "json", TAGID_RADAR_TIMEOUT_S="0.1")
+    assert ill.code == 1
+    assert ill.json["data"]["problems"] == 1
