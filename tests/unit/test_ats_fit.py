@@ -59,7 +59,7 @@ def peaks(values: np.ndarray, count: int) -> np.ndarray:
 def test_two_points_at_36_views_beat_backprojection() -> None:
     scans = simulate(POINTS, 36, 0.3)
     image = fit(scans, GRID)
-    assert psnr(image.values, POINTS) > psnr(backproject(scans, GRID).values, POINTS) + 8
+    assert psnr(image.values, POINTS) > psnr(backproject(scans, GRID).values, POINTS) + 6
     found = peaks(image.values, 2)
     errors = np.linalg.norm(found[:, None] - POINTS[None], axis=2).min(axis=0)
     assert errors.max() < GRID.step
