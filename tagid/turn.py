@@ -28,8 +28,8 @@ _GRID = ImageGrid(0.3, 60)
 """Holds the layouts (radius up to 130 mm) at the Nyquist step of the point response, 5 mm < lambda / 8."""
 _VIEWS = 90
 _BETTER = 0.7
-"""A multiple is believed where it leaves less than this share of what the shortest repetition leaves. Measured
-on the four layouts at 10 and 20 dB: the true one leaves 0.05 to 0.4."""
+"""A multiple is believed where it leaves less than this share of what the shortest repetition leaves: on
+the four layouts at 10 and 20 dB the true one leaves 0.05 to 0.4."""
 
 
 def resolve_turn(capture: Capture, motion: str | None = None) -> Capture:

@@ -1,6 +1,6 @@
 """Image files: what `tagid reconstruct --out` leaves for other programs.
 
-One NPZ with the complex image, its axes and every setting, so that a figure can be made and checked elsewhere.
+One NPZ with the complex image, its axes and every setting, so that figures can be checked elsewhere.
 """
 
 from __future__ import annotations

@@ -14,7 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.errors import DataError, LayoutConflictError
-from tagid.tags.codebook import CONFUSABLE_M, LayoutDistance, best_pairing, rotational_distance
+from tagid.tags.codebook import (
+    CENTRE_TOLERANCE_M,
+    CONFUSABLE_M,
+    LayoutDistance,
+    best_pairing,
+    rotational_distance,
+)
 from tagid.tags.layout import Layout, rotation_matrix
 from tagid.tags.reflectors import Reflector
 
@@ -135,7 +141,9 @@ def layout_from_readings(
         placed = []
         axes = []
         for points in sets:
-            pair = best_pairing(points, mean)
+            # An object off the axis in both captures by as much as the reader allows; more would be another pairing,
+            # since two reflectors can always be exchanged by half a turn and a shift.
+            pair = best_pairing(points, mean, 2 * CENTRE_TOLERANCE_M)
             turned = points @ rotation_matrix(pair.rotation_rad).T + pair.shift_m
             ordered = np.empty_like(turned)
             ordered[pair.partner] = turned
