@@ -141,7 +141,7 @@ def layout_from_readings(
         placed = []
         axes = []
         for points in sets:
-            # An object off the axis in both captures by as much as the reader allows; more would be another pairing,
+            # Off the axis in both captures by as much as the reader allows; more is another pairing,
             # since two reflectors can always be exchanged by half a turn and a shift.
             pair = best_pairing(points, mean, 2 * CENTRE_TOLERANCE_M)
             turned = points @ rotation_matrix(pair.rotation_rad).T + pair.shift_m

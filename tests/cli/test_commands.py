@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 
 COMMANDS = (
-    "scan identify enroll layouts reconstruct show import export recover simulate doctor config".split()
-)
+    "scan", "identify", "enroll", "layouts", "reconstruct", "show", "import", "export", "recover", "simulate",
+    "doctor", "config",
+)  # fmt: skip
 ENVELOPE = {"tagid_result_version", "command", "status", "exit_code", "data", "messages", "errors"}
 IDENTIFICATION = {
-    "status", "layout", "label", "score", "margin", "rotation_deg", "centre_m", "reflectors", "missing", "extra",
-    "capture_uuid", "tool_version", "model_sha256", "registry_version", "seconds",
+    "status", "layout", "label", "score", "margin", "rotation_deg", "centre_m", "reflectors", "missing",
+    "extra", "capture_uuid", "tool_version", "model_sha256", "registry_version", "seconds",
 }  # fmt: skip
 
 
@@ -25,7 +26,9 @@ def test_every_command_has_help_with_an_example(tagid, command) -> None:
 
 
 def test_simulate_identify_and_reconstruct(tagid, tmp_path: Path) -> None:
-    made = tagid("simulate", "helmet-120", "--views", 36, "--snr", 15, "--out", "h.tagid.h5", "--rotation", 40)
+    made = tagid(
+        "simulate", "helmet-120", "--views", 36, "--snr", 15, "--out", "h.tagid.h5", "--rotation", 40
+    )
     assert made.code == 0, made.err
     done = tagid("identify", "h.tagid.h5", "--output", "json")
     document = done.json

@@ -30,7 +30,7 @@ def synthetic_scans(
     distance_error: float = 0.0,
     seed: int = 0,
 ) -> BasebandScans:
-    """samples[v, b] = sum_p sigma_p g(R_b - d_vp) exp(-2jk d_vp) + complex noise of the given std a sample."""
+    """samples[v, b] = sum_p sigma_p g(R_b - d_vp) exp(-2jk d_vp) + complex noise of std a sample."""
     rng = np.random.default_rng(seed)
     angles = np.arange(views) * 2 * np.pi / views
     aperture = Aperture.turntable(angles, axis_distance)

@@ -1,0 +1,96 @@
+"""Whatever a file holds: one clear message, the right exit code, no traceback, nothing half-written."""
+
+from __future__ import annotations
+
+import io
+import struct
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+GOOD = {
+    "samples": np.random.default_rng(0).standard_normal((36, 192)).astype(np.float32),
+    "range_start_m": 0.3,
+    "range_step_m": 0.00915,
+    "angles_rad": np.arange(36) * np.pi / 18,
+    "axis_distance_m": 1.0,
+}
+
+
+def npz(**changes: object) -> bytes:
+    buffer = io.BytesIO()
+    np.savez(buffer, **{k: v for k, v in {**GOOD, **changes}.items() if v is not None})
+    return buffer.getvalue()
+
+
+def huge_header() -> bytes:
+    header = b"{'descr': '<f8', 'fortran_order': False, 'shape': (100000000, 100000), }\n"
+    npy = b"\x93NUMPY\x01\x00" + struct.pack("<H", len(header)) + header
+    buffer = io.BytesIO(npz())
+    with zipfile.ZipFile(buffer, "a") as file:
+        file.writestr("pulse.npy", npy)
+    return buffer.getvalue()
+
+
+BAD = {
+    "empty": b"",
+    "random": np.random.default_rng(1).bytes(5000),
+    "truncated": npz()[:3000],
+    "huge header": huge_header(),
+    "NaN": npz(samples=np.full((36, 192), np.nan, np.float32)),
+    "text": npz(samples=np.full((36, 192), "x")),
+    "pickled": npz(samples=np.array([{}] * 36, dtype=object)),
+    "no angles": npz(angles_rad=None),
+    "angles too few": npz(angles_rad=np.zeros(3)),
+    "one view": npz(samples=GOOD["samples"][:1], angles_rad=np.zeros(1)),
+    "one bin": npz(samples=GOOD["samples"][:, :1]),
+    "all zero": npz(samples=np.zeros((36, 192), np.float32)),
+    "object outside": npz(axis_distance_m=9.0),
+    "negative step": npz(range_step_m=-1.0),
+}
+
+
+@pytest.mark.parametrize("kind", sorted(BAD))
+def test_a_bad_file_is_one_clear_error(tagid, tmp_path: Path, kind: str) -> None:
+    (tmp_path / "bad.npz").write_bytes(BAD[kind])
+    done = tagid("identify", "bad.npz", "--output", "json")
+    document = done.json
+    assert done.code == document["exit_code"] == 1, document
+    (error,) = document["errors"]
+    assert error["message"]
+    assert "bad.npz" in error["message"]
+    assert not error["message"].startswith("unexpected"), error
+    image = tagid("reconstruct", "bad.npz", "--method", "bp", "--out", "i.npz")
+    assert image.code == 1
+    assert image.err.count("error:") == 1
+    assert sorted(p.name for p in tmp_path.iterdir() if p.is_file()) == ["bad.npz"]
+
+
+def test_unwritable_places(tagid, tmp_path: Path) -> None:
+    (tmp_path / "good.npz").write_bytes(npz())
+    (tmp_path / "file").write_text("")
+    for words in (
+        ("import", "good.npz", "--out", "file/x.tagid.h5"),
+        ("import", "good.npz", "--out", "none/x.tagid.h5"),
+        ("export", "good.npz", "--out", "none/x.mat"),
+        ("reconstruct", "good.npz", "--method", "bp", "--out", "none/i.npz"),
+        ("reconstruct", "good.npz", "--method", "bp", "--png", "none/i.png"),
+        ("simulate", "helmet-120", "--out", "none/x.tagid.h5"),
+        ("scan", "--radar", "emulator://helmet-120", "--axis-distance", "1", "--save-dir", "file/x"),
+    ):
+        done = tagid(*words)
+        assert (done.code, done.err.count("error:")) == (1, 1), (words, done)
+
+
+def test_a_port_in_use_is_named(tagid) -> None:
+    import socket
+
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.bind(("127.0.0.1", 0))
+        port = other.getsockname()[1]
+        done = tagid("emulate", "p440", "--bind", f"127.0.0.1:{port}", "--output", "json")
+    assert done.code == 4
+    assert done.json["errors"][0]["code"] == "port_in_use"
+    assert str(port) in done.json["errors"][0]["message"]

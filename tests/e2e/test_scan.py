@@ -1,0 +1,162 @@
+"""The main job over a real UDP socket, against an emulator in a process of its own, with what goes wrong."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tagid.storage.importers import read_any
+
+ROOT = Path(__file__).resolve().parents[2]
+SHARED = Path(os.environ.get("TAGID_SHARED", ROOT.parent / "shared"))
+TAGID = [sys.executable, "-m", "tagid"]
+
+
+@pytest.fixture
+def home(tmp_path: Path) -> dict[str, str]:
+    environment = {k: v for k, v in os.environ.items() if not k.startswith("TAGID_")}
+    return {
+        **environment,
+        "TAGID_CONFIG": str(tmp_path / "config.toml"),
+        "TAGID_DATA": str(tmp_path / "data"),
+        "TAGID_RADAR_TIMEOUT_S": "0.5",
+        "OMP_NUM_THREADS": "1",
+    }
+
+
+@contextmanager
+def emulator(home: dict[str, str], *options: str):
+    process = subprocess.Popen(
+        [*TAGID, "emulate", "p440", "--bind", "127.0.0.1:0", *options, "--output", "json"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=home,
+    )
+    try:
+        yield json.loads(process.stdout.readline())["data"]["url"], process
+    finally:
+        process.terminate()
+        process.communicate(timeout=10)
+
+
+def scan(home: dict[str, str], url: str, folder: Path, *options: str) -> tuple[int, dict]:
+    done = subprocess.run(
+        [*TAGID, "scan", "--radar", url, "--axis-distance", "1", "--save-dir", str(folder), "--method", "bp",
+         "--output", "json", *options],
+        capture_output=True,
+        text=True,
+        env=home,
+        timeout=120,
+    )  # fmt: skip
+    assert "Traceback" not in done.stderr, done.stderr
+    return done.returncode, json.loads(done.stdout)
+
+
+@pytest.mark.parametrize("motion", ["free?rpm=20", "free"])
+def test_a_turning_helmet_is_named_and_everything_is_left_on_disk(
+    home: dict[str, str], tmp_path: Path, motion: str
+) -> None:
+    with emulator(home, "--scene", "helmet-120", "--rpm", "20", "--rate", "0", "--lose", "0.02",
+                  "--duplicate", "0.02", "--reorder", "0.05", "--seed", "4") as (url, _):  # fmt: skip
+        code, document = scan(home, url, tmp_path / "out", "--motion", motion)
+    assert code == 0, document
+    (item,) = document["data"]["items"]
+    assert (item["status"], item["layout"]) == ("identified", "helmet-120")
+    files = document["data"]["files"]
+    assert Path(files["png"]).read_bytes().startswith(b"\x89PNG")
+    capture = read_any(Path(files["capture"]))
+    assert capture.complete
+    assert capture.angles_rad is not None
+    assert np.ptp(capture.angles_rad) >= 2 * np.pi
+    assert capture.radar["scans_lost"] > 0
+    lost = int(capture.scan_id[-1] - capture.scan_id[0]) + 1 - capture.views
+    assert lost <= capture.radar["scans_lost"]
+    assert not list((tmp_path / "out").glob("*.journal"))
+
+
+def test_a_radar_that_dies_costs_nothing_that_arrived(home: dict[str, str], tmp_path: Path) -> None:
+    with emulator(home, "--scene", "helmet-120", "--rpm", "1") as (url, process):
+        client = subprocess.Popen(
+            [*TAGID, "scan", "--radar", url, "--axis-distance", "1", "--save-dir", str(tmp_path / "out"),
+             "--motion", "free?rpm=1", "--output", "json"],
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=home,
+        )  # fmt: skip
+        wait_for_scans(tmp_path / "out")
+        process.kill()
+        out, err = client.communicate(timeout=30)
+    document = json.loads(out)
+    assert (client.returncode, document["errors"][0]["code"]) == (4, "device_timeout"), err
+    (path,) = (tmp_path / "out").glob("*.tagid.h5")
+    assert str(path) in document["errors"][0]["remedy"]
+    capture = read_any(path)
+    assert capture.views > 20
+    assert not capture.complete
+
+
+def test_ctrl_c_stops_the_radar_and_keeps_the_scans(home: dict[str, str], tmp_path: Path) -> None:
+    with emulator(home, "--scene", "helmet-120", "--rpm", "1") as (url, _):
+        client = subprocess.Popen(
+            [*TAGID, "scan", "--radar", url, "--axis-distance", "1", "--save-dir", str(tmp_path / "out"),
+             "--motion", "free?rpm=1", "--output", "json"],
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=home,
+        )  # fmt: skip
+        wait_for_scans(tmp_path / "out")
+        client.send_signal(signal.SIGINT)
+        out, err = client.communicate(timeout=30)
+        assert client.returncode == 130, err
+        assert json.loads(out)["errors"][0]["code"] == "interrupted"
+        (path,) = (tmp_path / "out").glob("*.tagid.h5")
+        assert read_any(path).views > 20
+        # The radar stands still: the next user connects and scans at once.
+        code, document = scan(home, url, tmp_path / "next", "--scans", "30", "--motion", "free?rpm=1")
+        assert document["data"]["views"] == 30, document
+        assert code in (1, 3)
+
+
+def wait_for_scans(folder: Path) -> None:
+    deadline = time.monotonic() + 30
+    while time.monotonic() < deadline:
+        if any(path.stat().st_size > 100_000 for path in folder.glob("*.journal")):
+            return
+        time.sleep(0.05)
+    raise AssertionError("no scan arrived")
+
+
+@pytest.mark.skipif(not SHARED.is_dir(), reason="no real recordings beside the checkout")
+@pytest.mark.parametrize("name", ["corner-reflector-scan08", "light-pole-scan04"])
+def test_a_replayed_recording_is_captured_sample_for_sample(
+    home: dict[str, str], tmp_path: Path, name: str
+) -> None:
+    source = SHARED / "p440" / f"{name}.out"
+    source = source if source.exists() else SHARED / "data" / "p440" / f"{name}.out"
+    if not source.exists():
+        pytest.skip(f"{source} is not there")
+    with emulator(home, "--replay", str(source), "--rate", "0") as (url, _):
+        _, document = scan(home, url, tmp_path / "out", "--scans", "200")
+    capture = read_any(Path(document["data"]["files"]["capture"]))
+    recorded = read_any(source)
+    np.testing.assert_array_equal(capture.samples, recorded.samples)
+    assert capture.range_start_m == pytest.approx(recorded.range_start_m)
+    np.testing.assert_array_equal(np.diff(capture.radar_time_ms), np.diff(recorded.radar_time_ms))
+
+
+def test_the_demo(home: dict[str, str], tmp_path: Path) -> None:
+    done = subprocess.run(
+        [*TAGID, "scan", "--demo", "--demo-scene", "container-90", "--save-dir", str(tmp_path), "--method",
+         "bp", "--output", "json"],
+        capture_output=True, text=True, env=home, timeout=120,
+    )  # fmt: skip
+    document = json.loads(done.stdout)
+    assert done.returncode == 0, document
+    assert document["data"]["items"][0]["layout"] == "container-90"
+    assert "scans" in done.stderr
