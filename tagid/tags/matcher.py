@@ -19,6 +19,7 @@ from tagid.tags.field import MatchedField
 from tagid.tags.hypotheses import Fit, SearchSettings, search
 from tagid.tags.layout import Layout
 from tagid.tags.reflectors import (
+    NOISE_MARGIN,
     FinderSettings,
     Reflector,
     SearchDisc,
@@ -29,13 +30,17 @@ from tagid.tags.reflectors import (
 )
 from tagid.tags.views import fold_views
 
+EXTRA_NATS = 11.0
+"""Extra reflectors are looked for more eagerly than the finder does, at 1000 exp(-11) = 2 % of false alarms:
+they only count where they are as strong as the layout's own."""
+
 
 @dataclass(frozen=True)
 class ReaderSettings:
     """Search, finder and decision in one value."""
 
     search: SearchSettings = field(default_factory=SearchSettings)
-    finder: FinderSettings = field(default_factory=FinderSettings)
+    finder: FinderSettings = field(default_factory=lambda: FinderSettings(detection_nats=EXTRA_NATS))
     decision: DecisionSettings = field(default_factory=DecisionSettings)
 
 
@@ -120,7 +125,7 @@ def read_tag(
     apart = separate(positions, amplitudes, best.layout.size)
     positions, amplitudes = positions[apart], amplitudes[apart]
     runner_up = fits[order[1]] if len(fits) > 1 else None
-    evidence = _evidence(matched, best, runner_up, (amplitudes, level), settings)
+    evidence = _evidence(disc, best, runner_up, (amplitudes, level), settings)
     status, reason = decide(evidence, settings.decision)
     ranked = [fits[i] for i in order]
     signal = _signal_energy(matched, best, level)
@@ -177,17 +182,26 @@ def _score(matched: MatchedField, fit: Fit, signal: float) -> LayoutScore:
 
 
 def _evidence(
-    matched: MatchedField,
+    disc: SearchDisc,
     best: Fit,
     runner_up: Fit | None,
     cleaned: tuple[NDArray[np.complex128], float],
     settings: ReaderSettings,
 ) -> Evidence:
+    matched, decision = disc.field, settings.decision
     amplitudes, level = np.abs(cleaned[0]), cleaned[1]
     size = best.layout.size
     own, beyond = best.sizes, amplitudes[size:]
     typical = float(np.median(own)) if size > 2 else float(own.max())
-    free, _, _ = refine_positions(matched, best.positions, best.offset_m)
+    moved, _, energy = refine_positions(matched, best.positions, best.offset_m)
+    only = FinderSettings(maximum=size, floor_db=settings.finder.floor_db, detection_nats=EXTRA_NATS)
+    free, heights, _ = clean(disc, np.zeros((0, 2)), np.zeros(0, dtype=np.complex128), only)
+    if len(free) == size:
+        energy = max(energy, _explained(matched, free, heights, best.offset_m))
+    stated = NOISE_MARGIN * matched.noise_variance
+    noise = min(level, stated) if stated > 0 else level
+    each = max(best.explained / level / size, 1.0)
+    missing = max(decision.missing_least, decision.missing_share - 2 / np.sqrt(2 * each))
     lead = best.charged - (runner_up.charged if runner_up else 0.0)
     fewer = (best.layout.size - runner_up.layout.size) if runner_up else size
     return Evidence(
@@ -195,12 +209,26 @@ def _evidence(
         nats=best.explained / level,
         share=float(min(best.charged / _signal_energy(matched, best, level), 1.0)),
         weakest=float(own.min() / max(typical, 1e-30)),
-        missing=int(np.count_nonzero(own < settings.decision.missing_share * typical)),
-        extra=int(np.count_nonzero(beyond > settings.decision.extra_share * typical)),
-        displacement_m=rigid_distance(free, best.positions),
+        missing=int(np.count_nonzero(own < missing * typical)),
+        extra=int(np.count_nonzero(beyond > decision.extra_share * typical)),
+        displacement_m=rigid_distance(moved, best.positions),
+        displacement_sigma_m=float(1 / (2 * matched.wavenumber * np.sqrt(2 * each))),
         margin_share=lead / max(best.charged, 1e-30),
         margin_nats=lead / level - fewer * np.log(matched.independent_samples),
+        free_share=(energy - best.explained) / max(best.explained, 1e-30),
+        free_nats=(energy - best.explained) / noise,
     )
+
+
+def _explained(
+    matched: MatchedField,
+    positions: NDArray[np.float64],
+    amplitudes: NDArray[np.complex128],
+    offset_m: float,
+) -> float:
+    """Energy that points (K, 2) with their least-squares amplitudes (K,) take from the data: Re a^H b."""
+    b = matched.correlate(matched.distances(positions) + offset_m)
+    return float(np.vdot(amplitudes, b).real)
 
 
 def rigid_distance(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:

@@ -21,6 +21,10 @@ DETECTION_NATS = 18.0
 """|a|^2 ||s||^2 over the noise level that a peak must reach: the largest of about 1000 independent cells of
 exponential noise exceeds it with a probability of 1000 exp(-18) = 1.5e-5."""
 
+NOISE_MARGIN = 2.0
+"""The residual's level may be this much over the stated noise and still be noise (it is estimated off the
+object); what is more is echoes that nothing explains yet, which must not hide themselves."""
+
 
 @dataclass(frozen=True)
 class Reflector:
@@ -51,12 +55,14 @@ class FinderSettings:
         step_m: pixel of the search image, m.
         maximum: largest number of reflectors.
         floor_db: weaker ones than this under the strongest are not reported, dB.
+        detection_nats: energy over the level of noise that a peak must reach.
     """
 
     radius_m: float = 0.16
     step_m: float = 5e-3
     maximum: int = 8
     floor_db: float = -12.0
+    detection_nats: float = DETECTION_NATS
 
 
 class SearchDisc:
@@ -88,6 +94,11 @@ class SearchDisc:
         """Noise and clutter of |b|^2 / ||s||^2: the median of an exponential is ln 2 times its mean."""
         own = float(np.median(np.abs(residual) ** 2) / np.log(2) / self.field.template_energy)
         return float(max(own, self.field.noise_variance, 1e-12 * self.field.energy))
+
+    def noise_level(self, residual: NDArray[np.complex128]) -> float:
+        """`level`, held to between the stated noise and NOISE_MARGIN times it where there is one."""
+        stated, own = self.field.noise_variance, self.level(residual)
+        return min(own, NOISE_MARGIN * stated) if stated > 0 else own
 
 
 def refine_positions(
@@ -140,11 +151,11 @@ def clean(
     residual = disc.residual(positions, amplitudes)
     while len(positions) < given + settings.maximum:
         power = np.abs(residual) ** 2 / field.template_energy
-        level = disc.level(residual)
+        level = disc.noise_level(residual)
         peak = int(np.argmax(power))
         strongest = float(np.max(np.abs(amplitudes) ** 2, initial=0.0)) * field.template_energy
         floor = strongest * 10 ** (settings.floor_db / 10)
-        if power[peak] < max(DETECTION_NATS * level, floor):
+        if power[peak] < max(settings.detection_nats * level, floor):
             break
         added = np.concatenate([positions, disc.points[peak][None]])
         d = field.distances(added)

@@ -86,7 +86,7 @@ def one(task: tuple[str, int, int, int]) -> tuple[str, int, int, str, float, str
     e = reading.evidence
     detail = (
         f"{name} seed {seed} -> {reading.nearest} {reading.status} nats {e.nats:.0f} share {e.share:.2f} "
-        f"weak {e.weakest:.2f} miss {e.missing} extra {e.extra} disp {e.displacement_m * 1e3:.1f} "
+        f"weak {e.weakest:.2f} free {e.free_share:.2f}/{e.free_nats:.0f} miss {e.missing} extra {e.extra} disp {e.displacement_m * 1e3:.1f} "
         f"margin {e.margin_share:.2f}/{e.margin_nats:.0f} {reading.reason}"
     )
     return group, views, snr_db, outcome, seconds, detail
@@ -124,7 +124,11 @@ def main() -> None:
             for group in (UNENROLLED, UNTAGGED):
                 tasks += [(group[i % len(group)], views, snr_db, i) for i in range(arguments.others)]
     with multiprocessing.get_context("fork").Pool(arguments.jobs) as pool:
-        results = list(pool.imap(one, tasks, chunksize=8))
+        results = []
+        for result in pool.imap(one, tasks, chunksize=8):
+            results.append(result)
+            if result[3] in arguments.detail:
+                print(*result[:4], result[5], file=sys.stderr, flush=True)
     print(
         f"Machine: {platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()},", end=" "
     )
@@ -147,9 +151,6 @@ def main() -> None:
                 seconds = np.median([r[4] for r in some])
                 print(f"| {views} | {snr_db} | {len(some)} | {cells} | {seconds:.2f} |")
         print()
-    for r in results:
-        if r[3] in arguments.detail:
-            print(*r[:4], r[5], file=sys.stderr)
 
 
 if __name__ == "__main__":
