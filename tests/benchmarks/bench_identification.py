@@ -86,7 +86,8 @@ def one(task: tuple[str, int, int, int]) -> tuple[str, int, int, str, float, str
     e = reading.evidence
     detail = (
         f"{name} seed {seed} -> {reading.nearest} {reading.status} nats {e.nats:.0f} share {e.share:.2f} "
-        f"weak {e.weakest:.2f} free {e.free_share:.2f}/{e.free_nats:.0f} miss {e.missing} extra {e.extra} disp {e.displacement_m * 1e3:.1f} "
+        f"weak {e.weakest:.2f} free {e.free_share:.2f}/{e.free_nats:.0f} "
+        f"miss {e.missing} extra {e.extra} disp {e.displacement_m * 1e3:.1f} "
         f"margin {e.margin_share:.2f}/{e.margin_nats:.0f} {reading.reason}"
     )
     return group, views, snr_db, outcome, seconds, detail
