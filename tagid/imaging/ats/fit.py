@@ -191,7 +191,7 @@ def _optimise(
         residual = torch.view_as_real(synthesize(sigma, problem.operators[k]) - problem.samples[k])
         # The small constant keeps the gradient of |sigma| finite at zero.
         parts = torch.view_as_real(sigma)
-        magnitude = (parts.square().sum(1) + (1e-6 * problem.output_scale) ** 2).sqrt()
+        magnitude = (parts.square().sum(1) + 1e-12 * abs(problem.output_scale) ** 2).sqrt()
         loss = residual.square().sum() / problem.energy[k] + problem.l1_weight * magnitude.sum()
         optimiser.zero_grad()
         loss.backward()
