@@ -95,6 +95,15 @@ def test_selection_drops_the_overlap_and_takes_a_step() -> None:
         select_views(angles, 0)
 
 
+@pytest.mark.parametrize("first", [90, 200])
+def test_selection_keeps_every_view_of_a_turn_in_any_order(first: int) -> None:
+    wrapped = np.deg2rad((np.arange(360) + first) % 360)
+    assert len(select_views(wrapped)) == 360
+    assert len(select_views(-wrapped)) == 360
+    shuffled = np.random.default_rng(first).permutation(wrapped)
+    assert len(select_views(shuffled)) == 360
+
+
 def test_averaging_lowers_noise_and_keeps_the_echo() -> None:
     scene = Scene.of_points(np.array([[0.05, 0.02]]))
     capture, truth = simulate_capture(scene, Acquisition(views=1440, turns=1.25, noise_std=0.3), seed=2)
