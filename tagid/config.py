@@ -17,6 +17,10 @@ from tagid.errors import ConfigError, StorageError
 Source = Literal["command line", "environment", "file", "default"]
 
 
+KIT_ADDRESSES = "192.168.1.100,192.168.1.101,192.168.1.102,192.168.1.103"
+"""Addresses of the units of a P440 kit at delivery (P440 MRM documents)."""
+
+
 @dataclass(frozen=True)
 class Setting:
     """One setting's definition: dotted name, type, default, bounds and a line of help."""
@@ -37,6 +41,7 @@ class Setting:
 
 SETTINGS: tuple[Setting, ...] = (
     Setting("radar.url", str, None, "the radar, e.g. udp://192.168.1.100"),
+    Setting("radar.addresses", str, KIT_ADDRESSES, "where `radar find` asks: HOST[:PORT], commas between"),
     Setting("radar.integration", int, 11, "pulse integration index, 6 to 15 (2^n pulses a sample)", 6, 15),
     Setting("radar.gain", int, 63, "transmit gain, 0 to 63", 0, 63),
     Setting("radar.antenna_mode", int, 2, "0 A/A, 1 B/B, 2 TxA-RxB, 3 TxB-RxA", 0, 3),

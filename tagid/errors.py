@@ -102,6 +102,12 @@ class DeviceTimeoutError(DeviceError):
     code = "device_timeout"
 
 
+class DeviceGoneError(DeviceError):
+    """A device was unplugged, or its port vanished; the same device may come back."""
+
+    code = "device_gone"
+
+
 class DeviceRejectedError(DeviceError):
     """A device answered a request with an error status."""
 

@@ -18,6 +18,7 @@ from tagid.cli import (
     enroll,
     identify,
     layouts,
+    radar,
     reconstruct,
     scan,
     show,
@@ -35,7 +36,20 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for part in (scan, identify, enroll, layouts, reconstruct, show, transfer, simulate, emulate, doctor, config):
+for part in (
+    scan,
+    identify,
+    enroll,
+    layouts,
+    reconstruct,
+    show,
+    transfer,
+    simulate,
+    emulate,
+    radar,
+    doctor,
+    config,
+):
     part.register(app)
 
 

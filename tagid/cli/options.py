@@ -14,7 +14,8 @@ CaptureFile = Annotated[
     Path, typer.Argument(help="Capture, NPZ, .out/.prd, CSV or journal.", show_default=False)
 ]
 RadarUrl = Annotated[
-    str | None, typer.Option("--radar", help="The radar: udp://HOST, replay://FILE or emulator://SCENE.")
+    str | None,
+    typer.Option("--radar", help="The radar: udp://HOST, serial:///dev/ttyACM0, replay://FILE."),
 ]
 MotionUrl = Annotated[
     str | None, typer.Option("--motion", help="What turns the object: free, free?rpm=2.", show_default=False)

@@ -5,6 +5,7 @@ Whatever the URL names, the caller gets the same client; the `sources` it brings
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Protocol
@@ -13,14 +14,16 @@ from urllib.parse import parse_qsl, unquote, urlsplit
 from tagid.errors import UsageError
 from tagid.radar.emulator_core import EmulatorCore
 from tagid.radar.faults import Faults
-from tagid.radar.links import DEFAULT_PORT, UdpLink
+from tagid.radar.framing import Framing
+from tagid.radar.links import DEFAULT_PORT, Link, UdpLink
 from tagid.radar.memory import MemoryLink
 from tagid.radar.p440 import P440
 from tagid.radar.settings import RadarConfig
 from tagid.radar.sources import RecordingSource, ScanSource
 
 WHAT_WORKS: Final = (
-    "Give udp://HOST[:PORT] (a P440 in a network), replay://FILE (a recording) or "
+    "Give udp://HOST[:PORT] (a P440 in a network), serial:///dev/ttyACM0 (on USB), "
+    "serial:///dev/ttyUSB0?framing=uart&baud=115200 (on its UART), replay://FILE (a recording) or "
     "emulator://SCENE?seed=1 (a simulated radar)."
 )
 _FAULT_OPTIONS: Final = ("lose", "lose_requests", "duplicate", "reorder", "delay", "delay_s")
@@ -43,8 +46,8 @@ class RadarUrl:
     """A radar URL taken apart.
 
     Attributes:
-        scheme: "udp", "replay" or "emulator".
-        target: host, file path or scene name.
+        scheme: "udp", "serial", "replay" or "emulator".
+        target: host, device file, file path or scene name.
         port: UDP port; 0 for other schemes.
         options: what stands behind the question mark.
     """
@@ -72,9 +75,7 @@ def parse_radar_url(url: str) -> RadarUrl:
     except ValueError as error:
         raise UsageError(f"radar {url!r}: the options {query!r} cannot be read", WHAT_WORKS) from error
     options = dict(pairs)
-    if scheme == "serial":
-        raise UsageError("radars on a serial port are not supported yet", WHAT_WORKS)
-    if scheme not in ("udp", "replay", "emulator"):
+    if scheme not in _TARGET_NAMES:
         raise UsageError(f"radar {url!r}: {scheme}:// is unknown", WHAT_WORKS)
     if not path.strip("/"):
         raise UsageError(f"radar {url!r} names no {_TARGET_NAMES[scheme]}", WHAT_WORKS)
@@ -92,7 +93,35 @@ def parse_radar_url(url: str) -> RadarUrl:
     return RadarUrl(scheme, host, port or DEFAULT_PORT, {})
 
 
-_TARGET_NAMES: Final = {"udp": "host", "replay": "file", "emulator": "scene"}
+_TARGET_NAMES: Final = {"udp": "host", "serial": "port", "replay": "file", "emulator": "scene"}
+
+
+def open_link(url: str) -> Callable[[], Link]:
+    """What opens the wire that a udp:// or serial:// URL names; the URL itself is judged at once.
+
+    Raises UsageError for another scheme, a bad address or a bad option. Calling the result raises DeviceError
+    for an unknown host or a port that is missing, taken or forbidden.
+    """
+    parsed = parse_radar_url(url)
+    if parsed.scheme == "udp":
+        return lambda: UdpLink(parsed.target, parsed.port)
+    if parsed.scheme != "serial":
+        raise UsageError(f"radar {url!r} stands on no wire", WHAT_WORKS)
+    options = dict(parsed.options)
+    framing_name, baud_text = options.pop("framing", "usb"), options.pop("baud", None)
+    if options:
+        raise UsageError(f"radar {url!r}: option {next(iter(options))!r} is unknown", WHAT_WORKS)
+    if not parsed.target.startswith("/"):
+        raise UsageError(f"radar {url!r} names no device file", WHAT_WORKS)
+    if framing_name not in ("usb", "uart"):
+        raise UsageError(f"radar {url!r}: framing is {framing_name!r}", "Give framing=usb or framing=uart.")
+    from tagid.radar.serial_link import BAUD_RATES, DEFAULT_BAUD, SerialLink, SerialPort
+
+    baud = DEFAULT_BAUD if baud_text is None else int(_number(url, "baud", baud_text))
+    if baud not in BAUD_RATES:
+        raise UsageError(f"radar {url!r}: baud is {baud}", "Give 9600 to 921600; at delivery: 115200.")
+    port = SerialPort(parsed.target, Framing(framing_name), baud)
+    return lambda: SerialLink(port)
 
 
 def open_radar(url: str, sources: SourceFactory, timeout: float = 1.0) -> P440:
@@ -104,11 +133,11 @@ def open_radar(url: str, sources: SourceFactory, timeout: float = 1.0) -> P440:
 
     Raises:
         UsageError: unknown scheme, bad address, bad option.
-        DeviceError: unknown host, no network.
+        DeviceError: unknown host, no network; no such port, taken or forbidden.
     """
     parsed = parse_radar_url(url)
-    if parsed.scheme == "udp":
-        return P440(UdpLink(parsed.target, parsed.port), timeout)
+    if parsed.scheme in ("udp", "serial"):
+        return P440(open_link(url)(), timeout)
     options = dict(parsed.options)
     rate = _number(url, "rate", options.pop("rate", "0"))
     if not 0 <= rate <= 1e6:

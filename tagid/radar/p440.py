@@ -112,6 +112,12 @@ class P440:
         _accept(m, "status")
         return RadarStatus.from_message(m)
 
+    def uptime_s(self) -> float:
+        """The radar's clock: seconds since its boot, modulo 2^32 ms."""
+        confirm = self._request(_T.GET_CONFIG_REQUEST)
+        _accept(confirm, "get configuration")
+        return float(confirm["timestamp_ms"] * 1e-3)
+
     def get_config(self) -> RadarConfig:
         """The settings in force. Raises DeviceRejectedError where they are none that tagid can read."""
         confirm = self._request(_T.GET_CONFIG_REQUEST)

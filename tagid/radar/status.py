@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 from tagid.radar.messages import Message
+
+WARM_C: Final = 70.0
+"""Board temperature from which a warning is due (our choice: where the commercial range of parts ends)."""
 
 
 @dataclass(frozen=True)
@@ -29,6 +33,20 @@ class RadarStatus:
     built_in_test: int
     temperature_c: float
     package: str
+
+    def warnings(self) -> list[str]:
+        """What a user should know of, one sentence each: a failed self test, heat."""
+        found = []
+        if self.built_in_test:
+            found.append(
+                f"the self test failed (code {self.built_in_test}): power-cycle the radar; "
+                "if it stays, the unit needs service"
+            )
+        if self.temperature_c > WARM_C:
+            found.append(
+                f"the board is at {self.temperature_c:.1f} degC: give it air, it is made for up to {WARM_C:g}"
+            )
+        return found
 
     @classmethod
     def from_message(cls, m: Message) -> RadarStatus:

@@ -32,6 +32,7 @@ def home(tmp_path: Path) -> dict[str, str]:
         **environment,
         "TAGID_CONFIG": str(tmp_path / "home" / "config.toml"),
         "TAGID_DATA": str(tmp_path / "home"),
+        "TAGID_RADAR_ADDRESSES": "127.0.0.1:9",  # the shipped addresses are asked by no test
         "OMP_NUM_THREADS": "1",
         "COLUMNS": "200",
     }

@@ -281,7 +281,11 @@ def test_urls_open_the_same_client() -> None:
     [
         "192.168.1.100",
         "tcp://x",
-        "serial:///dev/ttyACM0",
+        "serial://",
+        "serial://ttyACM0",
+        "serial:///dev/ttyACM0?framing=spi",
+        "serial:///dev/ttyACM0?baud=1",
+        "serial:///dev/ttyACM0?speed=1",
         "udp://",
         "udp://host:99999",
         "udp://host:x",

@@ -1,0 +1,152 @@
+"""Which radars are there: serial ports with a radar's USB number, and configured addresses that answer.
+
+All are asked at once, so that the whole search ends within three seconds however many are silent.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Final
+
+from tagid.errors import ConfigError, TagidError
+from tagid.radar.devices import open_link
+from tagid.radar.links import DEFAULT_PORT
+from tagid.radar.p440 import P440
+from tagid.radar.status import RadarStatus
+
+USB_VENDOR: Final = 0x1027
+USB_PRODUCTS: Final = {0x0005: "P440", 0x0003: "P410"}
+"""USB numbers 1027:0005 and 1027:0003, as Linux shows them (hexadecimal)."""
+
+LIMIT_S: Final = 3.0
+_ASKING_S: Final = 2.6
+_ANSWER_S: Final = 0.8
+_ATTEMPTS: Final = 3
+_MOST_ADDRESSES: Final = 64
+
+WHERE_TO_LOOK: Final = (
+    "Check power (a P440 boots for 7 to 11 s) and cable; in a network give this computer 192.168.1.1/24 and "
+    "let the firewall pass UDP port 21210; other addresses: --address, or `tagid config set radar.addresses`."
+)
+
+
+@dataclass(frozen=True)
+class FoundRadar:
+    """One radar, or one port that should be one.
+
+    Attributes:
+        url: what to give as --radar.
+        kind: "network", "P440 on USB", "P410 on USB" or "serial".
+        status: what it says of itself; None where it did not answer.
+        problem, remedy: why it did not answer, and what to do; empty where it did.
+    """
+
+    url: str
+    kind: str
+    status: RadarStatus | None
+    problem: str = ""
+    remedy: str = ""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain JSON values."""
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class Search:
+    """Outcome of a search.
+
+    Attributes:
+        radars: what was found; network addresses that stay silent are not in it, silent serial ports are.
+        asked: URLs of all that were asked.
+        seconds: how long it took.
+    """
+
+    radars: tuple[FoundRadar, ...]
+    asked: tuple[str, ...]
+    seconds: float
+
+
+def addresses_from(text: str | None) -> tuple[str, ...]:
+    """The addresses of the setting `radar.addresses`: HOST or HOST:PORT, separated by commas.
+
+    Raises ConfigError where there are more than 64.
+
+    >>> addresses_from("127.0.0.1:5000, 127.0.0.1:5001")
+    ('127.0.0.1:5000', '127.0.0.1:5001')
+    """
+    found = tuple(dict.fromkeys(part.strip() for part in (text or "").split(",") if part.strip()))
+    if len(found) > _MOST_ADDRESSES:
+        raise ConfigError(
+            f"radar.addresses holds {len(found)} addresses",
+            f"Give at most {_MOST_ADDRESSES}, with commas between.",
+        )
+    return found
+
+
+def radar_ports() -> list[tuple[str, str]]:
+    """(URL, kind) of the serial ports whose USB number is that of a P440 or P410."""
+    from serial.tools import list_ports
+
+    return [
+        (f"serial://{port.device}", f"{USB_PRODUCTS[port.pid]} on USB")
+        for port in sorted(list_ports.comports(), key=lambda port: str(port.device))
+        if port.vid == USB_VENDOR and port.pid in USB_PRODUCTS
+    ]
+
+
+def discover(
+    addresses: Sequence[str],
+    urls: Sequence[str] = (),
+    ports: Callable[[], list[tuple[str, str]]] = radar_ports,
+) -> Search:
+    """Asks every candidate for its status, all at once; a scanning radar goes on scanning.
+
+    Args:
+        addresses: HOST or HOST:PORT of the network, for UDP.
+        urls: further radar URLs, e.g. of a UART adapter, which no USB number gives away.
+        ports: lists the serial ports that look like a radar.
+
+    Raises UsageError for an address or URL that makes no sense.
+    """
+    started = time.monotonic()
+    candidates: dict[str, str] = {}
+    for address in addresses:
+        candidates.setdefault(
+            f"udp://{address}" if ":" in address else f"udp://{address}:{DEFAULT_PORT}", "network"
+        )
+    for url, kind in ports():
+        candidates.setdefault(url, kind)
+    for url in urls:
+        candidates.setdefault(url, "network" if url.startswith("udp:") else "serial")
+    answers: dict[str, FoundRadar] = {}
+    openers = {url: open_link(url) for url in candidates}
+    threads = [
+        threading.Thread(target=_ask, args=(url, kind, openers[url], answers), daemon=True)
+        for url, kind in candidates.items()
+    ]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(max(started + _ASKING_S - time.monotonic(), 0.0))
+    found = []
+    for url, kind in candidates.items():
+        late = FoundRadar(url, kind, None, "did not answer in time", WHERE_TO_LOOK)
+        radar = answers.get(url, late)
+        if radar.status is not None or kind != "network" or url in urls:
+            found.append(radar)
+    return Search(tuple(found), tuple(candidates), time.monotonic() - started)
+
+
+def _ask(url: str, kind: str, opener: Callable[[], Any], answers: dict[str, FoundRadar]) -> None:
+    try:
+        link = opener()
+        try:
+            answers[url] = FoundRadar(url, kind, P440(link, _ANSWER_S, _ATTEMPTS).status())
+        finally:
+            link.close()
+    except TagidError as error:
+        answers[url] = FoundRadar(url, kind, None, error.message, error.remedy)

@@ -1,0 +1,197 @@
+"""Packets in a byte stream: the frames of the P440's USB and UART ports, and a decoder that finds them.
+
+A serial line has no packet borders: bytes are lost, noise comes in, and samples may look like the sync word.
+One damaged frame must cost that frame and nothing behind it.
+
+Frame (P440 MRM API): `A5 A5`, length u16 of the packet, packet; on UART followed by the CRC-16 of the packet.
+"""
+
+from __future__ import annotations
+
+import binascii
+import enum
+from typing import Final
+
+from tagid.radar.messages import HEADER_DTYPE, MAX_PACKET_BYTES, MESSAGES
+
+SYNC: Final = b"\xa5\xa5"
+_PREFIX: Final = 4
+_CRC: Final = 2
+_SMALLEST: Final = HEADER_DTYPE.itemsize
+_STRONG: Final = _PREFIX + 2
+"""Bytes that tell a frame of a known message: sync, length, type."""
+_SIZES: Final = {number: spec.sizes for number, spec in MESSAGES.items()}
+
+
+class Framing(enum.Enum):
+    """How packets are put into a byte stream."""
+
+    USB = "usb"
+    UART = "uart"
+
+
+def crc16(packet: bytes | bytearray) -> int:
+    """CRC-16/XMODEM: polynomial 0x1021, start 0, not reflected (P440 MRM API).
+
+    >>> hex(crc16(bytes.fromhex("00020001"))), hex(crc16(bytes.fromhex("10020001")))
+    ('0x7e41', '0x65e6')
+    """
+    return binascii.crc_hqx(packet, 0)
+
+
+def frame(packet: bytes, framing: Framing) -> bytes:
+    """One packet as it goes over the wire. Raises ValueError for a packet that no frame can hold."""
+    if not 0 < len(packet) <= 0xFFFF:
+        raise ValueError(f"a frame holds 1 to 65535 bytes, not {len(packet)}")
+    head = SYNC + len(packet).to_bytes(2, "big") + packet
+    return head if framing is Framing.USB else head + crc16(packet).to_bytes(2, "big")
+
+
+class StreamDecoder:
+    """Bytes in, packets out; whatever is no frame is skipped and counted.
+
+    What comes out does not depend on how the bytes are cut into chunks. On UART the CRC decides. On USB,
+    which has none, a frame counts when it starts where the one before ended, or when it has the length of the
+    message type it claims; and a frame that holds the head of another one is a cut frame that ran into its
+    successor, unless the next frame starts exactly behind it (then the head was a pattern in the samples).
+
+    Args:
+        framing: of the wire.
+
+    Attributes:
+        skipped: bytes that belonged to no frame.
+        damaged: frames dropped because their CRC or their end was wrong.
+    """
+
+    def __init__(self, framing: Framing) -> None:
+        self._framing = framing
+        self._tail = _CRC if framing is Framing.UART else 0
+        self._buffer = bytearray()
+        self._locked = True
+        self.skipped = 0
+        self.damaged = 0
+
+    @property
+    def buffered(self) -> int:
+        """Bytes kept until more arrive; never more than one frame and what `feed` was given last."""
+        return len(self._buffer)
+
+    def feed(self, data: bytes) -> list[bytes]:
+        """Takes bytes from the wire; returns the packets that are certain now."""
+        self._buffer += data
+        return self._take(quiet=False)
+
+    def flush(self) -> list[bytes]:
+        """The packets that count once the line has been quiet for a moment.
+
+        A frame that waits for its end gives way to whole frames inside it; where there are none it goes on
+        waiting, so that a pause in the middle of a frame costs nothing.
+        """
+        return self._take(quiet=True)
+
+    def reset(self) -> None:
+        """Forgets what is buffered, e.g. after the line was opened anew."""
+        self.skipped += len(self._buffer)
+        self._buffer.clear()
+        self._locked = True
+
+    def _take(self, quiet: bool) -> list[bytes]:
+        out: list[bytes] = []
+        data, at = self._buffer, 0
+        while at < len(data):
+            found = data.find(SYNC, at)
+            if found < 0:
+                found = len(data) - (data[-1] == SYNC[0])
+            if found > at:
+                self._skip(found - at)
+                at = found
+            if at >= len(data):
+                break
+            size = self._size_at(at)
+            if size is None:
+                break
+            if size == 0:
+                self._skip(1)
+                at += 1
+                continue
+            verdict = self._verdict(at, size, quiet)
+            if verdict is None:
+                break
+            if not verdict:
+                self.damaged += 1
+                self._skip(1)
+                at += 1
+                continue
+            out.append(bytes(data[at + _PREFIX : at + _PREFIX + size]))
+            at += _PREFIX + size + self._tail
+            self._locked = True
+        del data[:at]
+        return out
+
+    def _skip(self, count: int) -> None:
+        self.skipped += count
+        self._locked = False
+
+    def _size_at(self, at: int) -> int | None:
+        """Packet size of the frame that may start at `at`; 0 where none does, None: not known yet."""
+        data = self._buffer
+        have = len(data) - at
+        if have < _PREFIX:
+            return None
+        size = data[at + 2] << 8 | data[at + 3]
+        if not _SMALLEST <= size <= MAX_PACKET_BYTES:
+            return 0
+        if self._locked or self._framing is Framing.UART:
+            return size
+        if have < _STRONG:
+            return None
+        return size if self._is_strong(at) else 0
+
+    def _is_strong(self, at: int) -> bool:
+        data = self._buffer
+        size = data[at + 2] << 8 | data[at + 3]
+        return size in _SIZES.get(data[at + 4] << 8 | data[at + 5], ())
+
+    def _verdict(self, at: int, size: int, quiet: bool) -> bool | None:
+        """Whether the frame at `at` counts; None where that cannot be said before more bytes arrive."""
+        data = self._buffer
+        end = at + _PREFIX + size + self._tail
+        if len(data) < end:
+            return False if quiet and self._holds_whole_frame(at, len(data)) else None
+        if self._framing is Framing.UART:
+            packet = data[at + _PREFIX : at + _PREFIX + size]
+            return crc16(packet) == (data[end - 2] << 8 | data[end - 1])
+        inner = self._inner_head(at + 1, end)
+        if inner is False:
+            return True
+        behind = data[end : end + 2]
+        if behind == SYNC or quiet:
+            return SYNC.startswith(behind) or inner is None
+        # A head inside, or the start of one: what follows decides.
+        return None if inner is None or SYNC.startswith(behind) else False
+
+    def _inner_head(self, start: int, end: int) -> bool | None:
+        """Whether a known message's frame starts in `start`..`end`; None where its head may still come."""
+        data = self._buffer
+        at = data.find(SYNC, start, end + 1)
+        while 0 <= at < end:
+            if len(data) - at < _STRONG:
+                return None
+            if self._is_strong(at):
+                return True
+            at = data.find(SYNC, at + 1, end + 1)
+        return None if len(data) == end and data[-1] == SYNC[0] else False
+
+    def _holds_whole_frame(self, start: int, end: int) -> bool:
+        """Whether a complete frame lies behind `start`, i.e. the one that starts there was cut."""
+        data = self._buffer
+        at = data.find(SYNC, start + 1, end)
+        while at >= 0 and end - at >= _PREFIX + _SMALLEST:
+            size = data[at + 2] << 8 | data[at + 3]
+            stop = at + _PREFIX + size + self._tail
+            if size >= _SMALLEST and stop <= end and self._is_strong(at):
+                packet = data[at + _PREFIX : at + _PREFIX + size]
+                if self._framing is Framing.USB or crc16(packet) == (data[stop - 2] << 8 | data[stop - 1]):
+                    return True
+            at = data.find(SYNC, at + 1, end)
+        return False

@@ -1,0 +1,169 @@
+"""A radar on a serial port: the P440's USB (CDC ACM) or its UART behind an adapter.
+
+The port is opened for us alone, and a port that vanishes is told apart from a radar that is silent, because
+the first can be opened again when the plug is back.
+"""
+
+from __future__ import annotations
+
+import errno
+import time
+from collections import deque
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import serial
+
+from tagid.errors import DeviceError, DeviceGoneError, PortInUseError
+from tagid.radar.framing import Framing, StreamDecoder, frame
+
+DEFAULT_BAUD: Final = 115_200
+"""Baud rate of the P440's UART at delivery, 8N1 (P440 MRM API)."""
+
+BAUD_RATES: Final = range(9_600, 921_601)
+"""What the P440's UART can be set to (P440 MRM API)."""
+
+_QUIET_S: Final = 0.05
+"""Pause after which a frame that misses its end may be judged; a USB port bundles bytes for up to 16 ms."""
+_CHUNK: Final = 65_536
+_WRITE_TIMEOUT_S: Final = 5.0
+
+
+@dataclass(frozen=True)
+class SerialPort:
+    """Which port and how.
+
+    Attributes:
+        path: device file, e.g. /dev/ttyACM0, or a link to one in /dev/serial/by-id, whose name stays.
+        framing: USB (CDC ACM) or UART.
+        baud: baud rate on UART; on USB it has no meaning.
+    """
+
+    path: str
+    framing: Framing = Framing.USB
+    baud: int = DEFAULT_BAUD
+
+    @property
+    def url(self) -> str:
+        """The radar URL that opens it."""
+        options = "" if self.framing is Framing.USB else f"?framing=uart&baud={self.baud}"
+        return f"serial://{self.path}{options}"
+
+
+class SerialLink:
+    """Carries packets over a serial port.
+
+    Args:
+        port: which port and how.
+
+    Raises:
+        PortInUseError: another program has it open.
+        DeviceGoneError: there is no such port (now).
+        DeviceError: no permission, or not a serial port.
+    """
+
+    exhausted = False
+    foreign = 0
+
+    def __init__(self, port: SerialPort) -> None:
+        self.port = port
+        self.decoder = StreamDecoder(port.framing)
+        self._packets: deque[bytes] = deque()
+        self._serial: serial.Serial | None = _open(port)
+
+    def __repr__(self) -> str:
+        return self.port.url
+
+    def send(self, packet: bytes) -> None:
+        """Sends one packet. Raises DeviceGoneError where the port is gone, DeviceError where it is stuck."""
+        line = self._line()
+        try:
+            line.write(frame(packet, self.port.framing))
+        except serial.SerialTimeoutException as error:
+            raise DeviceError(
+                f"{self.port.path} takes no bytes",
+                "Check cable and power, then plug it in anew.",
+            ) from error
+        except (OSError, TypeError) as error:  # pyserial raises its errors as kinds of OSError
+            raise self._gone(error) from error
+
+    def receive(self, timeout: float) -> bytes | None:
+        """The next packet, or None after `timeout` seconds. Raises DeviceGoneError where the port is gone."""
+        deadline = time.monotonic() + timeout
+        while not self._packets:
+            left = deadline - time.monotonic()
+            data = self._read(min(max(left, 0.0), _QUIET_S))
+            self._packets.extend(self.decoder.feed(data) if data else self.decoder.flush())
+            if not self._packets and time.monotonic() >= deadline:
+                return None
+        return self._packets.popleft()
+
+    def reopen(self) -> None:
+        """Opens the port again after it was gone. Raises as the constructor does."""
+        self.close()
+        self.decoder.reset()
+        self._packets.clear()
+        self._serial = _open(self.port)
+
+    def close(self) -> None:
+        """Frees the port."""
+        line, self._serial = self._serial, None
+        if line is not None:
+            try:
+                line.close()
+            except OSError:
+                return  # the device is gone already
+
+    def _line(self) -> serial.Serial:
+        if self._serial is None:
+            raise DeviceGoneError(f"{self.port.path} is closed", "Open the radar again.")
+        return self._serial
+
+    def _read(self, wait_s: float) -> bytes:
+        line = self._line()
+        try:
+            waiting = line.in_waiting
+            if not waiting:
+                line.timeout = wait_s
+                first = bytes(line.read(1))
+                if not first:
+                    return b""
+                return first + bytes(line.read(min(line.in_waiting, _CHUNK)))
+            return bytes(line.read(min(waiting, _CHUNK)))
+        except (OSError, TypeError) as error:  # TypeError: pyserial, where the port is closed under a read
+            raise self._gone(error) from error
+
+    def _gone(self, error: Exception) -> DeviceGoneError:
+        self.close()
+        return DeviceGoneError(
+            f"the radar's port {self.port.path} is gone ({error})", "Check the plug and the radar's power."
+        )
+
+
+def _open(port: SerialPort) -> serial.Serial:
+    try:
+        line = serial.Serial(port.path, port.baud, timeout=0, write_timeout=_WRITE_TIMEOUT_S, exclusive=True)
+        line.reset_input_buffer()
+        return line
+    except (OSError, ValueError) as error:
+        number = getattr(error, "errno", None)
+        text = str(error)
+        if number in (errno.EAGAIN, errno.EBUSY) or "exclusively lock" in text:
+            raise PortInUseError(
+                f"{port.path} is held by another program",
+                "Close the other program (a terminal, another tagid, ModemManager) and try again.",
+            ) from error
+        if number in (errno.ENOENT, errno.ENODEV, errno.ENXIO, errno.EIO) or not Path(port.path).exists():
+            raise DeviceGoneError(
+                f"there is no serial port {port.path}",
+                "Plug the radar in; `tagid radar find` lists the ports that look like one.",
+            ) from error
+        if number in (errno.EACCES, errno.EPERM):
+            raise DeviceError(
+                f"no permission to open {port.path}",
+                "Add yourself to the group dialout (sudo usermod -aG dialout $USER) and log in again.",
+            ) from error
+        raise DeviceError(
+            f"cannot open {port.path}: {text}", "Give the device file of a serial port."
+        ) from error
