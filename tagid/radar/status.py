@@ -43,9 +43,7 @@ class RadarStatus:
                 "if it stays, the unit needs service"
             )
         if self.temperature_c > WARM_C:
-            found.append(
-                f"the board is at {self.temperature_c:.1f} degC: give it air, it is made for up to {WARM_C:g}"
-            )
+            found.append(f"the board is at {self.temperature_c:.1f} degC, above {WARM_C:g}: give it air")
         return found
 
     @classmethod
