@@ -57,12 +57,6 @@ def test_turning_the_object_turns_the_image():
     assert np.abs(np.rot90(first, k=-1) - second).max() < 0.02
 
 
-def test_threads_do_not_change_the_image():
-    scans = preprocess(record([(0.1, 0.1)], [1.0], turn(40), noise=0.1))
-    one, many = backproject(scans, GRID, 1), backproject(scans, GRID, 4)
-    assert np.allclose(one.values, many.values, atol=1e-5)
-
-
 def test_exact_sum_of_the_definition():
     """f(p) = 1/V sum_v z_v(d) exp(2jkd), z the response itself: upsampling and rounding add < 1 %."""
     aperture, point = turn(90), np.array([0.06, -0.13])

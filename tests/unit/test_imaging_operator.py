@@ -10,7 +10,7 @@ from imaging_scenes import helix, record, turn
 
 from tagid.errors import UsageError
 from tagid.geometry import ImageGrid
-from tagid.imaging import operator as module
+from tagid.imaging import memory
 from tagid.imaging.operator import ForwardOperator
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
 
@@ -126,12 +126,13 @@ def test_chosen_views_are_rows_of_the_whole(aperture):
 
 
 def test_too_large_is_refused_before_memory_is_taken(monkeypatch):
-    monkeypatch.setattr(module, "MAX_ENTRIES", 1000)
-    with pytest.raises(UsageError, match="GB"):
+    monkeypatch.setattr(memory, "free_memory", lambda: 100_000)
+    with pytest.raises(UsageError, match="GB") as caught:
         ForwardOperator(scans_of(turn(20)), GRID)
+    assert "fewer views" in caught.value.remedy
 
 
-@pytest.mark.parametrize("points", [np.zeros((0, 2)), np.zeros((4, 3)), np.zeros(4)])
+@pytest.mark.parametrize("points", [np.zeros((0, 2)), np.zeros((4, 3)), np.zeros(4), np.full((2, 2), np.nan)])
 def test_points_must_be_points(points):
     with pytest.raises(UsageError, match="points"):
         ForwardOperator(scans_of(turn(20)), points)

@@ -1,0 +1,111 @@
+"""The compiled loops and their stand-in: the same sums, exact transposes, nothing out of bounds."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tagid.errors import UsageError
+from tagid.imaging import kernel, memory
+from tagid.imaging.kernel import RangeGeometry
+
+RNG = np.random.default_rng(0)
+POINTS = RNG.uniform(-0.2, 0.2, (70, 2))
+ANTENNA = RNG.uniform(-0.3, 0.3, (23, 3)) + np.array([1.0, 0.2, 0.3])
+FIRST_M, STEP_M = 0.7, 0.002
+
+
+def complex_noise(*shape):
+    return (RNG.standard_normal(shape) + 1j * RNG.standard_normal(shape)).astype(np.complex64)
+
+
+@pytest.fixture(params=["compiled", "numpy"])
+def engine(request, monkeypatch):
+    if request.param == "numpy":
+        monkeypatch.setattr(kernel, "_compiled", None)
+    elif not kernel.is_compiled():
+        pytest.skip("no compiler was present at installation")
+    return request.param
+
+
+def geometry(bins=500):
+    return RangeGeometry.of(ANTENNA, POINTS, (FIRST_M, STEP_M), bins)
+
+
+def by_definition(rows):
+    """Linear interpolation by numpy in double precision, one view after the other."""
+    bins = np.arange(rows.shape[1])
+    total = np.zeros(len(POINTS), dtype=complex)
+    for antenna, row in zip(ANTENNA, rows, strict=True):
+        distance = np.linalg.norm(np.column_stack([POINTS, np.zeros(len(POINTS))]) - antenna, axis=1)
+        at = (distance - FIRST_M) / STEP_M
+        total += np.interp(at, bins, row.real) + 1j * np.interp(at, bins, row.imag)
+    return total
+
+
+@pytest.mark.parametrize("bins", [2, 100, 500])
+def test_gather_is_linear_interpolation_held_at_the_ends(engine, bins):
+    rows = complex_noise(len(ANTENNA), bins)
+    truth = by_definition(rows)
+    # A few hundred bins away single precision knows the place to 5e-5 of a bin.
+    assert np.abs(geometry(bins).gather(rows) - truth).max() < 1e-3 * np.abs(truth).max()
+
+
+@pytest.mark.parametrize("bins", [2, 100, 500])
+def test_scatter_is_the_exact_transpose(engine, bins):
+    where = geometry(bins)
+    rows, values = complex_noise(len(ANTENNA), bins), complex_noise(len(POINTS))
+    left = (where.gather(rows) * values).sum(dtype=complex)
+    right = (where.scatter(values) * rows).sum(dtype=complex)
+    assert abs(left - right) < 1e-5 * np.linalg.norm(rows) * np.linalg.norm(values)
+
+
+def test_the_matrix_is_the_scatter(engine):
+    where, values = geometry(), complex_noise(len(POINTS))
+    together = (where.matrix() @ values).reshape(len(ANTENNA), -1)
+    assert np.abs(where.scatter(values) - together).max() < 1e-3
+
+
+def test_compiled_and_numpy_agree(monkeypatch):
+    if not kernel.is_compiled():
+        pytest.skip("no compiler was present at installation")
+    rows, values = complex_noise(len(ANTENNA), 500), complex_noise(len(POINTS))
+    gathered, scattered = geometry().gather(rows), geometry().scatter(values)
+    monkeypatch.setattr(kernel, "_compiled", None)
+    assert np.abs(geometry().gather(rows) - gathered).max() < 1e-3
+    assert np.abs(geometry().scatter(values) - scattered).max() < 1e-3
+
+
+def test_threads_do_not_change_the_sums(monkeypatch):
+    rows, values = complex_noise(len(ANTENNA), 500), complex_noise(len(POINTS))
+    monkeypatch.setattr(kernel, "_PAIRS_PER_THREAD", 10**9)
+    one = geometry().gather(rows), geometry().scatter(values)
+    monkeypatch.setattr(kernel, "_PAIRS_PER_THREAD", 1)
+    monkeypatch.setattr(kernel, "cores", lambda: 5)
+    many = geometry().gather(rows), geometry().scatter(values)
+    np.testing.assert_array_equal(one[0], many[0])
+    np.testing.assert_array_equal(one[1], many[1])
+
+
+def test_buffers_that_do_not_fit_are_refused():
+    if not kernel.is_compiled():
+        pytest.skip("no compiler was present at installation")
+    where = geometry()
+    for bins in (0, 1, 499, 501, -5, 1 << 40):
+        with pytest.raises(ValueError, match="fit"):
+            kernel._compiled.gather(
+                where.antenna, where.x, where.y, complex_noise(23, 500), complex_noise(70), bins, 0.0, 1
+            )
+
+
+def test_rows_without_end_are_refused():
+    with pytest.raises(UsageError, match="fine range bins"):
+        geometry(1 << 30)
+
+
+def test_the_stand_in_tells_what_it_would_store(monkeypatch):
+    monkeypatch.setattr(kernel, "_compiled", None)
+    monkeypatch.setattr(memory, "free_memory", lambda: 10_000)
+    with pytest.raises(UsageError, match="23 views of 70 points") as caught:
+        geometry().scatter(complex_noise(70))
+    assert "compiler" in caught.value.remedy
