@@ -25,7 +25,8 @@ from tagid.radar.p440 import P440
 from tagid.radar.settings import RadarConfig
 from tagid.storage.hdf5 import write_capture
 from tagid.storage.journal import SUFFIX as JOURNAL_SUFFIX
-from tagid.storage.journal import JournalWriter, journal_to_capture, read_journal
+from tagid.storage.journal import JournalWriter, read_journal
+from tagid.storage.journal_capture import journal_to_capture
 
 CAPTURE_SUFFIX = ".tagid.h5"
 _MARGIN_M = 0.35

@@ -31,6 +31,10 @@ CableDelay = Annotated[
     float | None,
     typer.Option("--cable-delay", help="Cable and antenna delay, two-way picoseconds.", show_default=False),
 ]
+Node = Annotated[
+    int | None,
+    typer.Option("--node", help="The radar to read, of several in one log.", show_default=False),
+]
 Method = Annotated[
     str | None, typer.Option("--method", help="bp, sparse, ats or auto (ats where torch is installed).")
 ]

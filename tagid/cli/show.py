@@ -26,6 +26,7 @@ def register(app: typer.Typer) -> None:
         png: Annotated[Path | None, typer.Option("--png", help="Picture (default: beside the file).")] = None,
         changing: Annotated[bool, typer.Option("--changing", help="Draw only what changes.")] = False,
         cable_delay: options.CableDelay = None,
+        node: options.Node = None,
     ) -> Result:
         """Draw range profile, sinogram and spectrum of a recording, with a short table.
 
@@ -37,10 +38,10 @@ def register(app: typer.Typer) -> None:
 
         from tagid.inspection import inspect
         from tagid.report.charts import draw_recording
-        from tagid.storage.importers import read_any
+        from tagid.storage.importers import read_any, remarks
 
         config = load_config({"radar.cable_delay_ps": cable_delay})
-        capture = read_any(file, config["radar.cable_delay_ps"])
+        capture = read_any(file, config["radar.cable_delay_ps"], node)
         summary = inspect(capture)
         target = png or file.with_name(file.name.removesuffix(".tagid.h5") + ".png")
         draw_recording(capture, target, file.name, changing_only=changing)
@@ -72,7 +73,7 @@ def register(app: typer.Typer) -> None:
             },
             "complete": capture.complete,
         }
-        return Result("show", data, Group(table, Text(f"picture {target}")))
+        return Result("show", data, Group(table, Text(f"picture {target}")), messages=remarks(capture))
 
 
 def _rows(summary: RecordingSummary) -> list[tuple[str, str]]:

@@ -29,19 +29,18 @@ def register(app: typer.Typer) -> None:
         axis_distance: options.AxisDistance = None,
         antenna_height: options.AntennaHeight = None,
         cable_delay: options.CableDelay = None,
+        node: options.Node = None,
         force: _Force = False,
     ) -> Result:
         """Turn a recording of another tool into a capture file.
 
         Example: tagid import scan08.out --out scan08.tagid.h5
         """
-        from dataclasses import replace
-
         from rich.text import Text
 
         from tagid.cli.imaging import complete
         from tagid.storage.hdf5 import write_capture
-        from tagid.storage.importers import read_any
+        from tagid.storage.importers import read_any, remarks
 
         config = load_config(
             {
@@ -53,8 +52,7 @@ def register(app: typer.Typer) -> None:
         target = _target(file, out, CAPTURE_SUFFIX, force)
         if not target.name.endswith(".h5"):
             raise UsageError(f"{target} does not end in {CAPTURE_SUFFIX}", "Use `tagid export` for others.")
-        capture = read_any(file, config["radar.cable_delay_ps"])
-        capture = replace(complete(capture, config))
+        capture = complete(read_any(file, config["radar.cable_delay_ps"], node), config)
         write_capture(target, capture)
         line = Text(f"{target}: {capture.views} scans of {capture.bins} samples")
         data = {
@@ -63,25 +61,34 @@ def register(app: typer.Typer) -> None:
             "bins": capture.bins,
             "uuid": capture.uuid,
             "complete": capture.complete,
+            "node": capture.radar.get("node_id"),
+            "bytes_left_over": capture.radar.get("bytes_left_over", 0),
+            "scans_lost": capture.radar.get("scans_lost", 0),
         }
-        return Result("import", data, line)
+        return Result("import", data, line, messages=remarks(capture))
 
     @command(app, "export")
     def export(
-        terminal: Terminal, file: options.CaptureFile, out: _Out = None, force: _Force = False
+        terminal: Terminal,
+        file: options.CaptureFile,
+        out: _Out = None,
+        node: options.Node = None,
+        force: _Force = False,
     ) -> Result:
-        """Write a capture as NPZ, MATLAB (.mat), P440 recording (.out, .prd) or .h5.
+        """Write a capture as NPZ, MATLAB (.mat), P440 recording (.out, .prd), MRM-RET log (.csv) or .h5.
 
         Example: tagid export helmet.tagid.h5 --out helmet.mat
         """
         from rich.text import Text
 
         from tagid.storage.exporters import export as write
-        from tagid.storage.importers import read_any
+        from tagid.storage.importers import read_any, remarks
 
         target = _target(file, out, ".npz", force)
-        write(read_any(file), target)
-        return Result("export", {"path": str(target)}, Text(f"{target} written"))
+        capture = read_any(file, node=node)
+        write(capture, target)
+        data = {"path": str(target), "views": capture.views, "bins": capture.bins}
+        return Result("export", data, Text(f"{target} written"), messages=remarks(capture))
 
     @command(app, "recover")
     def recover(
@@ -96,24 +103,33 @@ def register(app: typer.Typer) -> None:
         """
         from rich.text import Text
 
-        from tagid.storage.hdf5 import write_capture
-        from tagid.storage.journal import journal_to_capture, read_journal
+        from tagid.storage.journal_capture import write_captures
 
         target = _target(journal, out, CAPTURE_SUFFIX, force)
-        content = read_journal(journal)
-        capture = journal_to_capture(content)
-        write_capture(target, capture)
-        state = "complete" if capture.complete else "cut short"
-        line = Text(f"{target}: {capture.views} scans recovered, the recording was {state}")
-        dropped = content.bytes_dropped
+        written = write_captures(journal, lambda part: part_path(target, part))
+        state = "complete" if written.complete else "cut short"
+        lines = [f"{written.views} scans recovered, the recording was {state}", *map(str, written.paths)]
+        dropped = written.bytes_dropped
         messages = (f"{dropped} bytes of the journal belong to no whole scan and were left out",)
         data = {
-            "path": str(target),
-            "views": capture.views,
-            "complete": capture.complete,
+            "path": str(written.paths[0]),
+            "paths": [str(path) for path in written.paths],
+            "views": written.views,
+            "complete": written.complete,
             "bytes_dropped": dropped,
         }
-        return Result("recover", data, line, messages=messages if dropped else ())
+        return Result("recover", data, Text("\n".join(lines)), messages=messages if dropped else ())
+
+
+def part_path(target: Path, part: int) -> Path:
+    """The path of part 1, 2, ... of a recording that is too long for one file."""
+    if part == 1:
+        return target
+    stem = target.name.removesuffix(CAPTURE_SUFFIX)
+    path = target.with_name(f"{stem}.part{part}{CAPTURE_SUFFIX}")
+    if path.exists():
+        raise StorageError(f"{path} exists already", "Move it away; captures are never overwritten.")
+    return path
 
 
 def _target(source: Path, out: Path | None, suffix: str, force: bool) -> Path:

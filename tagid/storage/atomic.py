@@ -6,10 +6,14 @@ Every failure of the operating system becomes one clear error here, so that no f
 from __future__ import annotations
 
 import errno
+import io
 import os
 import secrets
 import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any, BinaryIO
 
 from tagid.errors import DiskFullError, FileFormatError, StorageError
 
@@ -58,6 +62,16 @@ def read_bytes(path: Path, limit: int = MAX_FILE_BYTES) -> bytes:
 
 def read_head(path: Path, count: int) -> bytes:
     """The first `count` bytes of a regular file, or all that it has. Raises StorageError."""
+    with open_regular(path) as (stream, size):
+        return stream.read(min(count, size + 1))
+
+
+@contextmanager
+def open_regular(path: Path) -> Iterator[tuple[BinaryIO, int]]:
+    """A regular file to be read in parts, and its size in bytes, for what may be larger than the memory.
+
+    Raises StorageError: missing, not readable, or not a regular file; also where reading it fails.
+    """
     try:
         status = path.stat()
         if stat.S_ISDIR(status.st_mode):
@@ -65,16 +79,58 @@ def read_head(path: Path, count: int) -> bytes:
         if not stat.S_ISREG(status.st_mode):
             raise StorageError(f"{path}: is not a regular file", "Give the path of a file.")
         with path.open("rb") as stream:
-            return stream.read(min(count, status.st_size + 1))
+            yield stream, status.st_size
     except OSError as error:
         raise storage_error(error, path, "reading") from error
 
 
 def write_bytes(path: Path, data: bytes | memoryview) -> None:
-    """Write a file so that its final name holds all of `data` or what it held before, even after a power cut.
+    """Write a file so that its final name holds all of `data` or what it held before; see `replacing`."""
+    with replacing(path) as stream:
+        stream.write(data)
 
-    The bytes go to a temporary file in the same folder, are synced, and the file is renamed over the
-    final name.
+
+class PatientFile(io.FileIO):
+    """A new file that remembers a failed write instead of raising it, for writers that could not clean up.
+
+    HDF5 cannot be closed once a write has failed; so it is told that all is well, and `check` tells us.
+    """
+
+    failure: OSError | None = None
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path, "x+b")
+
+    def write(self, data: Any) -> int:
+        """Writes all of `data`; once a write has failed, nothing."""
+        whole = memoryview(data).cast("B")
+        try:
+            if self.failure is None:
+                write_all(self.fileno(), whole)
+        except OSError as error:
+            self.failure = error
+        return len(whole)
+
+    def truncate(self, size: int | None = None) -> int:
+        """Cuts or extends the file; once a write has failed, does nothing."""
+        try:
+            return super().truncate(size) if self.failure is None else self.tell()
+        except OSError as error:
+            self.failure = error
+            return self.tell()
+
+    def check(self) -> None:
+        """Raises the OSError of the first write that failed."""
+        if self.failure is not None:
+            raise self.failure
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[PatientFile]:
+    """A file to fill, whose final name holds all of it or what it held before, even after a power cut.
+
+    The bytes go to a temporary file in the same folder, are synced, and the file is renamed over the final
+    name; where anything is raised inside, the temporary file goes and the final name stays as it was.
 
     Raises:
         DiskFullError: no space left.
@@ -86,15 +142,25 @@ def write_bytes(path: Path, data: bytes | memoryview) -> None:
         raise StorageError(f"{path}: exists and is not a regular file", "Give the path of a file.")
     temporary = target.with_name(f".{target.name[:80]}.{secrets.token_hex(6)}.tmp")
     try:
-        _write_synced(temporary, data)
-        try:
-            temporary.replace(target)
-            sync_folder(target.parent)
-        except BaseException:
-            temporary.unlink(missing_ok=True)
-            raise
+        stream = PatientFile(temporary)
     except OSError as error:
         raise storage_error(error, path, "writing") from error
+    try:
+        with stream:
+            try:
+                yield stream
+            except Exception as error:
+                stream.check()  # what was raised then is a consequence
+                raise error
+            stream.check()
+            os.fsync(stream.fileno())
+        temporary.replace(target)
+        sync_folder(target.parent)
+    except BaseException as error:
+        temporary.unlink(missing_ok=True)
+        if isinstance(error, OSError):
+            raise storage_error(error, path, "writing") from error
+        raise
 
 
 def write_all(descriptor: int, data: bytes | memoryview) -> None:
@@ -117,16 +183,3 @@ def sync_folder(folder: Path) -> None:
             raise
     finally:
         os.close(descriptor)
-
-
-def _write_synced(path: Path, data: bytes | memoryview) -> None:
-    descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
-    try:
-        try:
-            write_all(descriptor, data)
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)
-    except BaseException:
-        path.unlink(missing_ok=True)
-        raise

@@ -17,6 +17,7 @@ from tagid.capture import Capture
 from tagid.errors import UsageError
 from tagid.storage import atomic, hdf5
 from tagid.storage.assembly import encode_settings
+from tagid.storage.mrm_ret_export import mrm_ret_lines
 from tagid.storage.npz import encode_npz
 from tagid.storage.recordings import encode_recording
 
@@ -41,7 +42,7 @@ _MAT_NAMES = MappingProxyType(
     }
 )
 
-SUFFIXES = (".npz", ".mat", ".out", ".prd", ".h5")
+SUFFIXES = (".npz", ".mat", ".out", ".prd", ".csv", ".h5")
 """Formats that `export` writes, by the end of the name."""
 
 
@@ -49,7 +50,7 @@ def export(capture: Capture, path: Path) -> None:
     """Write a capture in the format that the suffix of `path` names; the file is whole or not there.
 
     `.npz` the generic NPZ file (see `tagid.storage.npz`), `.mat` MATLAB 5 (see `encode_mat`), `.out` and
-    `.prd` P440 recordings (int32 counts only), `.h5` the capture file.
+    `.prd` P440 recordings (int32 counts only), `.csv` MRM-RET logs (the same), `.h5` the capture file.
 
     Raises:
         UsageError: another suffix, or samples that the format cannot hold.
@@ -65,6 +66,10 @@ def export(capture: Capture, path: Path) -> None:
         atomic.write_bytes(path, encode_mat(capture))
     elif suffix in (".out", ".prd"):
         atomic.write_bytes(path, encode_recording(capture))
+    elif suffix == ".csv":
+        with atomic.replacing(path) as stream:
+            for line in mrm_ret_lines(capture):
+                stream.write(line)
     else:
         raise UsageError(f"{path}: no format has the suffix {suffix!r}", f"Use one of {', '.join(SUFFIXES)}.")
 

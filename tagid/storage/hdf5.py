@@ -15,6 +15,8 @@ dataset is checksummed (Fletcher-32), shuffled and deflated.
 from __future__ import annotations
 
 import io
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -66,11 +68,40 @@ def write_capture(path: Path, capture: Capture) -> None:
     """
     if capture.samples.nbytes > atomic.MAX_FILE_BYTES:
         raise UsageError(f"{path}: the capture has {capture.samples.nbytes} bytes", "Write it in parts.")
-    # Built in memory, as HDF5 cannot be closed cleanly once a write has failed on a full disk.
-    buffer = io.BytesIO()
-    with h5py.File(buffer, "w", libver=("v110", "v110")) as file:
-        _fill(file, capture)
-    atomic.write_bytes(path, buffer.getbuffer())
+    with growing_capture(path) as append:
+        append(capture)
+
+
+@contextmanager
+def growing_capture(path: Path) -> Iterator[Callable[[Capture], None]]:
+    """A capture file that is written part after part: call what it yields with the scans that follow.
+
+    All but the arrays of scans is taken from the first part. Raises as `write_capture` does, DataError where
+    a part differs from the first in bins, dtype or the arrays it has.
+    """
+    with atomic.replacing(path) as stream, h5py.File(stream, "w", libver=("v110", "v110")) as file:
+
+        def append(capture: Capture) -> None:
+            if "scans" in file:
+                _extend(file["scans"], capture)
+            else:
+                _fill(file, capture)
+            stream.check()
+
+        yield append
+
+
+def _extend(scans: Any, capture: Capture) -> None:
+    arrays = _scan_arrays(capture)
+    if set(arrays) != set(scans):
+        raise DataError("the parts of a long capture hold different arrays")
+    for name, values in arrays.items():
+        dataset = scans[name]
+        if dataset.shape[1:] != values.shape[1:] or dataset.dtype != values.dtype.newbyteorder("<"):
+            raise DataError(f"the parts of a long capture differ in the shape or dtype of {name}")
+        rows = len(dataset)
+        dataset.resize(rows + len(values), axis=0)
+        dataset[rows:] = values
 
 
 def read_capture(path: Path) -> Capture:
@@ -112,18 +143,23 @@ def _fill(file: Any, capture: Capture) -> None:
     if capture.axis_distance_m is not None:
         file.attrs["axis_distance_m"] = float(capture.axis_distance_m)
     scans = file.create_group("scans")
-    if np.iscomplexobj(capture.samples):
-        _put(scans, "samples", capture.samples.real)
-        _put(scans, "samples_imag", capture.samples.imag)
-    else:
-        _put(scans, "samples", capture.samples)
-    for name, (field, dtype) in _VIEW_ARRAYS.items():
-        value = getattr(capture, field)
-        if value is not None:
-            _put(scans, name, np.asarray(value, dtype=dtype))
+    for name, values in _scan_arrays(capture).items():
+        _put(scans, name, values)
     if capture.pulse is not None:
         _put(file, "pulse", np.asarray(capture.pulse.samples, dtype=np.float64))
         file.attrs["pulse_step_s"] = float(capture.pulse.step)
+
+
+def _scan_arrays(capture: Capture) -> dict[str, NDArray[Any]]:
+    """The datasets under /scans."""
+    arrays = {"samples": capture.samples}
+    if np.iscomplexobj(capture.samples):
+        arrays = {"samples": capture.samples.real, "samples_imag": capture.samples.imag}
+    for name, (field, dtype) in _VIEW_ARRAYS.items():
+        value = getattr(capture, field)
+        if value is not None:
+            arrays[name] = np.asarray(value, dtype=dtype)
+    return arrays
 
 
 def _put_text(file: Any, name: str, content: str) -> None:
@@ -135,7 +171,14 @@ def _put_text(file: Any, name: str, content: str) -> None:
 def _put(group: Any, name: str, values: NDArray[Any]) -> None:
     little = np.ascontiguousarray(values, dtype=values.dtype.newbyteorder("<"))
     group.create_dataset(
-        name, data=little, chunks=True, compression="gzip", compression_opts=4, shuffle=True, fletcher32=True
+        name,
+        data=little,
+        maxshape=(None, *little.shape[1:]),
+        chunks=True,
+        compression="gzip",
+        compression_opts=4,
+        shuffle=True,
+        fletcher32=True,
     )
 
 

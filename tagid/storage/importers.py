@@ -9,7 +9,8 @@ from pathlib import Path
 
 from tagid.capture import Capture
 from tagid.errors import FileFormatError
-from tagid.storage import atomic, hdf5, journal, mrm_ret, npz, recordings
+from tagid.storage import atomic, hdf5, journal, journal_capture, mrm_ret, npz, recordings
+from tagid.storage.p440 import choose_node
 
 _KNOWN = (
     "Expected a capture (.tagid.h5), a journal, a generic NPZ file, a P440 recording (.prd, .out) or an "
@@ -18,29 +19,55 @@ _KNOWN = (
 _HEAD = 1 << 16
 
 
-def read_any(path: Path, cable_delay_ps: float = 0.0) -> Capture:
+def read_any(path: Path, cable_delay_ps: float = 0.0, node: int | None = None) -> Capture:
     """Read a capture file, a journal, a generic NPZ file, a P440 recording or an MRM-RET log.
 
     Args:
         path: the file.
         cable_delay_ps: two-way cable delay to take off the ranges of recordings and logs, ps; the other
             formats hold ranges that it has been taken off already.
+        node: number of the radar to read, where a recording or log holds scans of several.
 
     Raises:
         StorageError: missing, a folder, no permission.
         FileFormatError: none of these formats, or damaged.
+        UsageError: scans of several radars and no `node`, or none of that one.
     """
     head = atomic.read_head(path, _HEAD)
     if not head:
         raise FileFormatError(f"{path}: the file is empty", _KNOWN)
+    if not head.startswith((hdf5.MAGIC, journal.MAGIC, npz.MAGIC)):
+        if recordings.is_recording(head):
+            return recordings.read_recording(path, cable_delay_ps, node)
+        if mrm_ret.is_mrm_ret(head):
+            return mrm_ret.read_mrm_ret(path, cable_delay_ps, node)
+        raise FileFormatError(f"{path}: the file is of no known format", _KNOWN)
     if head.startswith(hdf5.MAGIC):
-        return hdf5.read_capture(path)
-    if head.startswith(journal.MAGIC):
-        return journal.journal_to_capture(journal.read_journal(path))
-    if head.startswith(npz.MAGIC):
-        return npz.read_npz(path)
-    if recordings.is_recording(head):
-        return recordings.read_recording(path, cable_delay_ps)
-    if mrm_ret.is_mrm_ret(head):
-        return mrm_ret.read_mrm_ret(path, cable_delay_ps)
-    raise FileFormatError(f"{path}: the file is of no known format", _KNOWN)
+        capture = hdf5.read_capture(path)
+    elif head.startswith(journal.MAGIC):
+        capture = journal_capture.read_journal_capture(path)
+    else:
+        capture = npz.read_npz(path)
+    known = capture.radar.get("node_id")
+    if node is not None and isinstance(known, int) and known != node:
+        choose_node(path, {known: capture.views}, node)
+    return capture
+
+
+def remarks(capture: Capture) -> tuple[str, ...]:
+    """What is worth saying of how a file was read, one sentence each; empty for one that is in order."""
+    radar = capture.radar
+    found = []
+    left_over = radar.get("bytes_left_over") or radar.get("journal_bytes_dropped")
+    if left_over:
+        found.append(
+            f"{left_over} bytes were left over: the file is cut off or damaged; whole scans are kept"
+        )
+    if radar.get("scans_lost"):
+        found.append(f"{radar['scans_lost']} scans are missing between those that are whole, or were cut")
+    if radar.get("packets_ignored"):
+        found.append(f"{radar['packets_ignored']} messages or lines are none of this radar's scans; left out")
+    if radar.get("config_stale"):
+        asked, actual = radar.get("window_requested_ps"), radar.get("window_actual_ps")
+        found.append(f"the Config line is stale: it asks for {asked} ps, the scans hold {actual} ps")
+    return tuple(found)

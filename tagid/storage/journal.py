@@ -12,8 +12,9 @@ from __future__ import annotations
 
 import os
 import struct
-import zlib
-from dataclasses import dataclass
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -21,28 +22,19 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from tagid.capture import Capture
 from tagid.errors import DataError, FileFormatError, StorageError
 from tagid.storage import atomic
-from tagid.storage.assembly import build_capture, decode_settings, encode_settings, number, text
+from tagid.storage.assembly import decode_settings, encode_settings
+from tagid.storage.journal_records import MAX_PAYLOAD, PREAMBLE, intact_records, pack_record, record_bytes
 
 MAGIC = b"TAGIDJNL"
 VERSION = 1
 SUFFIX = ".tagid.journal"
 """Usual ending of a journal's name."""
 
-_PREAMBLE = struct.Struct("<8sI")
-_RECORD = struct.Struct("<4sIII")
-_COVERED = struct.Struct("<II")
 _SCAN = struct.Struct("<qqdBBHI")
-_MARKER = b"REC\x1e"
 _HEADER, _SCAN_KIND, _END = 1, 2, 3
 _DTYPES = (np.dtype("<i4"), np.dtype("<f4"))
-_MAX_PAYLOAD = 64 << 20
-_NUMBERS = ("range_start_m", "range_step_m", "axis_distance_m", "antenna_height_m")
-_BAND = ("center_frequency_hz", "bandwidth_hz")
-_TEXTS = ("uuid", "created_utc", "tool_version")
-_DICTS = ("radar", "motion", "object")
 
 
 class JournalWriter:
@@ -75,8 +67,8 @@ class JournalWriter:
             raise atomic.storage_error(error, self.path, "creating the journal") from error
         self._size = 0
         try:
-            first = _record(_HEADER, encode_settings(header).encode())
-            self._write(_PREAMBLE.pack(MAGIC, VERSION) + first)
+            first = pack_record(_HEADER, encode_settings(header).encode())
+            self._write(PREAMBLE.pack(MAGIC, VERSION) + first)
             self._sync()
             atomic.sync_folder(self.path.parent)
         except BaseException:
@@ -107,7 +99,7 @@ class JournalWriter:
             DataError: samples of another shape or dtype.
         """
         code = {("i", 4): 0, ("f", 4): 1}.get((samples.dtype.kind, samples.dtype.itemsize))
-        if code is None or samples.ndim != 1 or not 0 < samples.nbytes <= _MAX_PAYLOAD - _SCAN.size:
+        if code is None or samples.ndim != 1 or not 0 < samples.nbytes <= MAX_PAYLOAD - _SCAN.size:
             raise DataError(
                 f"scan {scan_id} has shape {samples.shape} and dtype {samples.dtype}, expected (bins,)"
             )
@@ -116,7 +108,7 @@ class JournalWriter:
                 f"scan {scan_id} has {len(samples)} samples ({samples.dtype}), unlike those before it"
             )
         head = _SCAN.pack(scan_id, host_time_ns, radar_time_ms, flags, code, 0, len(samples))
-        self._write(_record(_SCAN_KIND, head + samples.astype(_DTYPES[code], copy=False).tobytes()))
+        self._write(pack_record(_SCAN_KIND, head + samples.astype(_DTYPES[code], copy=False).tobytes()))
         self._layout = (code, len(samples))
         self.scans += 1
         self._unsynced += 1
@@ -128,7 +120,7 @@ class JournalWriter:
         if self._descriptor < 0:
             return
         try:
-            self._write(_record(_END, encode_settings(summary or {}).encode()))
+            self._write(pack_record(_END, encode_settings(summary or {}).encode()))
             self._sync()
         finally:
             self._release()
@@ -212,6 +204,58 @@ class Journal:
     bytes_dropped: int
 
 
+@dataclass
+class JournalStream:
+    """A journal read scan by scan, however large it is; made by `open_journal`.
+
+    Attributes:
+        path: the file.
+        header: as given to the writer.
+        summary: of the end record; None before the end, and where it is missing.
+        bytes_dropped: bytes that belong to no intact record; known at the end.
+    """
+
+    path: Path
+    size: int
+    records: Iterator[tuple[int, bytes]]
+    header: dict[str, Any] = field(default_factory=dict)
+    summary: dict[str, Any] | None = None
+    bytes_dropped: int = 0
+
+    def scans(self) -> Iterator[JournalScan]:
+        """Every intact scan, in the order of the file; once. Raises FileFormatError."""
+        for kind, payload in self.records:
+            self.bytes_dropped -= record_bytes(payload)
+            if kind == _SCAN_KIND:
+                yield _parse_scan(self.path, payload)
+            elif kind == _END:
+                self.summary = decode_settings(payload, f"{self.path} (end record)")
+
+
+@contextmanager
+def open_journal(path: Path) -> Iterator[JournalStream]:
+    """A journal to be read in constant memory; errors as for `read_journal`."""
+    with atomic.open_regular(path) as (stream, size):
+        head = stream.read(PREAMBLE.size)
+        if len(head) < PREAMBLE.size or head[: len(MAGIC)] != MAGIC:
+            raise FileFormatError(f"{path}: is not a tagid journal (it does not start with {MAGIC.decode()})")
+        version = PREAMBLE.unpack(head)[1]
+        if version != VERSION:
+            raise FileFormatError(
+                f"{path}: journal version {version}, this tagid reads version {VERSION}",
+                "It was made by a newer tagid; upgrade." if version > VERSION else "The file is damaged.",
+            )
+        records = intact_records(stream, size)
+        kind, payload = next(records, (0, b""))
+        if kind != _HEADER:
+            raise FileFormatError(
+                f"{path}: the header of the journal is cut off or damaged", "Nothing can be recovered."
+            )
+        header = decode_settings(payload, f"{path} (header)")
+        dropped = size - PREAMBLE.size - record_bytes(payload)
+        yield JournalStream(path, size, records, header, bytes_dropped=dropped)
+
+
 def read_journal(path: Path) -> Journal:
     """Read every intact record; a cut or damaged part is skipped and counted.
 
@@ -219,102 +263,20 @@ def read_journal(path: Path) -> Journal:
 
     Raises:
         StorageError: the file cannot be read.
-        FileFormatError: not a journal, made by a newer version, or without an intact header.
+        FileFormatError: not a journal, made by a newer version, without an intact header, or too large to
+            be held in memory.
     """
-    data = atomic.read_bytes(path)
-    if len(data) < _PREAMBLE.size or data[: len(MAGIC)] != MAGIC:
-        raise FileFormatError(f"{path}: is not a tagid journal (it does not start with {MAGIC.decode()})")
-    version = _PREAMBLE.unpack_from(data)[1]
-    if version != VERSION:
-        raise FileFormatError(
-            f"{path}: journal version {version}, this tagid reads version {VERSION}",
-            "It was made by a newer tagid; upgrade." if version > VERSION else "The file is damaged.",
-        )
-    records, kept = _intact_records(data)
-    if not records or records[0][0] != _HEADER:
-        raise FileFormatError(
-            f"{path}: the header of the journal is cut off or damaged", "Nothing can be recovered."
-        )
-    header = decode_settings(bytes(records[0][1]), f"{path} (header)")
-    scans = [_parse_scan(path, payload) for kind, payload in records if kind == _SCAN_KIND]
-    ends = [payload for kind, payload in records if kind == _END]
-    summary = decode_settings(bytes(ends[-1]), f"{path} (end record)") if ends else None
-    return Journal(path, header, tuple(scans), summary, len(data) - kept)
+    with open_journal(path) as stream:
+        if stream.size > atomic.MAX_FILE_BYTES:
+            raise FileFormatError(
+                f"{path}: has more than the limit of {atomic.MAX_FILE_BYTES} bytes",
+                f"`tagid recover {path}` makes capture files of it, in parts that can be read.",
+            )
+        scans = tuple(stream.scans())
+        return Journal(path, stream.header, scans, stream.summary, stream.bytes_dropped)
 
 
-def journal_to_capture(journal: Journal) -> Capture:
-    """The capture that a journal holds; `complete` is False where its end record is missing.
-
-    The dicts `radar`, `motion` and `object` of the end record add to those of the header; bytes that were
-    dropped are noted as `radar["journal_bytes_dropped"]`.
-
-    Raises:
-        FileFormatError: no scan is intact, scans differ in shape or dtype, or the header lacks a value.
-    """
-    path, header, scans = journal.path, journal.header, journal.scans
-    if not scans:
-        raise FileFormatError(
-            f"{path}: the journal holds no scan", "The recording stopped before the first scan."
-        )
-    layouts = {(s.samples.dtype, len(s.samples)) for s in scans}
-    if len(layouts) > 1:
-        raise FileFormatError(f"{path}: the scans of the journal differ in length or dtype")
-    fields: dict[str, Any] = {}
-    for name in (*_NUMBERS, *_BAND):
-        if header.get(name) is not None:
-            fields[name] = number(header[name], f"{path} (header, {name})")
-        elif name in ("range_start_m", "range_step_m"):
-            raise FileFormatError(f"{path}: the header of the journal lacks {name}")
-    fields |= {name: text(header[name], f"{path} (header, {name})") for name in _TEXTS if name in header}
-    for name in _DICTS:
-        parts = (header.get(name) or {}, (journal.summary or {}).get(name) or {})
-        if not all(isinstance(part, dict) for part in parts):
-            raise FileFormatError(f"{path}: {name} in the journal is not a JSON object")
-        fields[name] = {**parts[0], **parts[1]}
-    if journal.bytes_dropped:
-        fields["radar"]["journal_bytes_dropped"] = journal.bytes_dropped
-    return build_capture(
-        path,
-        samples=np.stack([s.samples for s in scans]).astype(scans[0].samples.dtype.newbyteorder("=")),
-        host_time_ns=np.array([s.host_time_ns for s in scans], dtype=np.int64),
-        radar_time_ms=np.array([s.radar_time_ms for s in scans], dtype=np.float64),
-        scan_id=np.array([s.scan_id for s in scans], dtype=np.int64),
-        flags=np.array([s.flags for s in scans], dtype=np.uint8),
-        complete=journal.summary is not None,
-        **fields,
-    )
-
-
-def _record(kind: int, payload: bytes) -> bytes:
-    crc = zlib.crc32(payload, zlib.crc32(_COVERED.pack(kind, len(payload))))
-    return _RECORD.pack(_MARKER, kind, len(payload), crc) + payload
-
-
-def _intact_records(data: bytes) -> tuple[list[tuple[int, memoryview]], int]:
-    """All records whose CRC holds, and the bytes that they and the preamble take."""
-    records: list[tuple[int, memoryview]] = []
-    view = memoryview(data)
-    kept = position = _PREAMBLE.size
-    # A crafted file could make every marker claim a long payload: the work spent on failures is bounded, too.
-    patience = len(data) + _MAX_PAYLOAD
-    while position + _RECORD.size <= len(data) and patience > 0:
-        marker, kind, length, crc = _RECORD.unpack_from(data, position)
-        end = position + _RECORD.size + length
-        if marker == _MARKER and length <= _MAX_PAYLOAD and end <= len(data):
-            payload = view[position + _RECORD.size : end]
-            if zlib.crc32(payload, zlib.crc32(_COVERED.pack(kind, length))) == crc:
-                records.append((kind, payload))
-                kept += end - position
-                position = end
-                continue
-            patience -= length
-        position = data.find(_MARKER, position + 1)
-        if position < 0:
-            break
-    return records, kept
-
-
-def _parse_scan(path: Path, payload: memoryview) -> JournalScan:
+def _parse_scan(path: Path, payload: bytes) -> JournalScan:
     if len(payload) >= _SCAN.size:
         scan_id, host_time_ns, radar_time_ms, flags, code, _, bins = _SCAN.unpack_from(payload)
         if code < len(_DTYPES) and len(payload) == _SCAN.size + bins * _DTYPES[code].itemsize:

@@ -14,8 +14,11 @@ from numpy.typing import NDArray
 
 from tagid.capture import Capture, ViewFlag
 from tagid.constants import BIN_PS, CLIP_COUNTS_PER_INTEGRATION, SPEED_OF_LIGHT
-from tagid.errors import FileFormatError
+from tagid.errors import FileFormatError, UsageError
 from tagid.storage.assembly import build_capture, unwrap
+
+MAX_NODES = 64
+"""Radars told apart in one file."""
 
 _RESTART = -64
 """A step of the scan number below this is a new run in the same file, else packets are out of order."""
@@ -44,6 +47,29 @@ class P440Scans:
     config: dict[str, Any]
 
 
+def choose_node(path: Path, scans_of: dict[int, int], node: int | None) -> int:
+    """The radar whose scans are read from a file.
+
+    Args:
+        path: the file, for messages.
+        scans_of: number of each radar in the file (at most `MAX_NODES` of them) -> how much of it there is.
+        node: the one that was asked for; None takes the only one.
+
+    Raises UsageError where there are several and none was chosen, or the chosen one is not among them.
+    """
+    if node is None and len(scans_of) == 1:
+        return next(iter(scans_of))
+    if node in scans_of:
+        return int(node)
+    shown = ", ".join(str(number) for number in sorted(scans_of)[:8]) + ", ..." * (len(scans_of) > 8)
+    if node is None:
+        raise UsageError(
+            f"{path}: holds scans of {len(scans_of)} radars (nodes {shown})",
+            f"Choose one with --node, e.g. --node {min(scans_of)}.",
+        )
+    raise UsageError(f"{path}: holds no scan of node {node}", f"It holds {shown}; choose one with --node.")
+
+
 def p440_capture(path: Path, scans: P440Scans, source: str, cable_delay_ps: float) -> Capture:
     """The capture of some scans: views sorted by scan number within each run, lost scans counted and marked.
 
@@ -60,7 +86,7 @@ def p440_capture(path: Path, scans: P440Scans, source: str, cable_delay_ps: floa
     if step_bins < 1:
         raise FileFormatError(f"{path}: the scans have a step of {step_bins} bins", "The file is damaged.")
     scan_id, order, lost = _sort(scans.message_id, scans.lost_id)
-    samples = scans.samples[order]
+    samples = _reorder(scans.samples, order)
     radar = {
         "source": source,
         "node_id": scans.info.get("node_id", scans.config.get("node_id", 0)),
@@ -81,6 +107,24 @@ def p440_capture(path: Path, scans: P440Scans, source: str, cable_delay_ps: floa
         flags=_flags(samples, scan_id, scans.config.get("base_integration_index")),
         radar=radar,
     )
+
+
+def _reorder(samples: NDArray[np.int32], order: NDArray[np.intp]) -> NDArray[np.int32]:
+    """samples[order] without a second copy of a recording that may fill half of the memory: in place."""
+    if np.array_equal(order, np.arange(len(order))):
+        return samples
+    done = np.zeros(len(order), dtype=bool)
+    for start in range(len(order)):
+        if done[start]:
+            continue
+        kept = samples[start].copy()
+        row = start
+        while not done[row]:
+            done[row] = True
+            source = int(order[row])
+            samples[row] = kept if source == start else samples[source]
+            row = source
+    return samples
 
 
 def _sort(
@@ -105,5 +149,6 @@ def _flags(samples: NDArray[np.int32], scan_id: NDArray[np.int64], integration: 
     if isinstance(integration, int) and 0 <= integration <= 15:
         clip = CLIP_COUNTS_PER_INTEGRATION << integration
         # Not abs(): the most negative int32 has none.
-        flags[((samples >= clip) | (samples <= -clip)).any(axis=1)] |= np.uint8(ViewFlag.CLIPPED)
+        clipped = (samples.max(axis=1) >= clip) | (samples.min(axis=1) <= -clip)
+        flags[clipped] |= np.uint8(ViewFlag.CLIPPED)
     return flags

@@ -7,7 +7,7 @@ it may end in the middle of a message (P440 MRM API; public recordings).
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +24,7 @@ from tagid.radar.messages import (
     MessageType,
 )
 from tagid.storage import atomic
-from tagid.storage.p440 import P440Scans, p440_capture
+from tagid.storage.p440 import MAX_NODES, P440Scans, choose_node, p440_capture
 
 _PER_SCAN = (
     "node_id",
@@ -38,6 +38,12 @@ _PER_SCAN = (
     "operation_mode",
 )
 _GRID = ("scan_start_ps", "step_bins", "total_samples")
+_CONFIG_NAMES = CONFIG_DTYPE.names or ()
+_HEAD_NAMES = tuple(name for name in SCAN_INFO_DTYPE.names or () if name != "samples")
+_HEAD_DTYPE = np.dtype([(name, SCAN_INFO_DTYPE[name]) for name in _HEAD_NAMES])
+_SHORTEST = CONFIG_DTYPE.itemsize + SCAN_INFO_DTYPE.itemsize
+_PACKETS_AT_ONCE = 64
+"""Messages read at a time: 93 kB."""
 
 
 def is_recording(data: bytes) -> bool:
@@ -47,58 +53,96 @@ def is_recording(data: bytes) -> bool:
     )
 
 
-def read_recording(path: Path, cable_delay_ps: float = 0.0) -> Capture:
-    """Read a `.prd`/`.out` recording.
+def read_recording(path: Path, cable_delay_ps: float = 0.0, node: int | None = None) -> Capture:
+    """Read a `.prd`/`.out` recording, in parts: the memory taken is that of the samples and little more.
 
     Fragments are regrouped by (id, timestamp), so a lost one costs its scan and nothing else; `radar` holds
-    `config` and `scan_info` (the fields that make the file again), `scans_lost` and `packets_ignored`
-    (what is no fragment of a scan on the recording's grid).
+    `config` and `scan_info` (the fields that make the file again), `scans_lost`, `packets_ignored` (what is
+    no fragment of a scan on the recording's grid) and `bytes_left_over` (a message cut off at the end).
 
     Args:
         path: the file.
         cable_delay_ps: two-way delay of cables and antennas to take off the ranges, ps.
+        node: number of the radar to read, where the file holds scans of several.
 
     Raises:
         StorageError: the file cannot be read.
         FileFormatError: not a recording, or without one complete scan.
+        UsageError: several radars and no `node`, or no scan of that one.
     """
-    data = atomic.read_bytes(path)
-    count = (len(data) - CONFIG_DTYPE.itemsize) // SCAN_INFO_DTYPE.itemsize
-    if count < 1:
-        raise FileFormatError(
-            f"{path}: has {len(data)} bytes, too few for a P440 recording",
-            f"One has {CONFIG_DTYPE.itemsize} bytes, then {SCAN_INFO_DTYPE.itemsize} a message.",
-        )
-    config = _plain(np.frombuffer(data, CONFIG_DTYPE, 1)[0], CONFIG_DTYPE.names or ())
-    packets = np.frombuffer(data, SCAN_INFO_DTYPE, count, CONFIG_DTYPE.itemsize)
-    valid = _valid(packets)
-    if not valid.any():
-        raise FileFormatError(f"{path}: holds no SCAN_INFO message where a P440 recording has them")
-    fragments = packets[valid]
-    same = np.ones(len(fragments), dtype=bool)
-    for name in _GRID:
-        same &= fragments[name] == fragments[name][0]
-    fragments = fragments[same]
-    complete, partial = _regroup(fragments)
-    if not complete:
-        raise FileFormatError(
-            f"{path}: holds no complete scan", "The recording is cut off or most of it is lost."
-        )
-    index = np.array(complete)
-    first = fragments[index[:, 0]]
-    total = int(first["total_samples"][0])
+    with atomic.open_regular(path) as (stream, size):
+        count, left_over = divmod(size - CONFIG_DTYPE.itemsize, SCAN_INFO_DTYPE.itemsize)
+        if count < 1 or size > atomic.MAX_FILE_BYTES:
+            limits = f"expected {_SHORTEST} to {atomic.MAX_FILE_BYTES}"
+            raise FileFormatError(
+                f"{path}: has {size} bytes, {limits} for a P440 recording",
+                f"One has {CONFIG_DTYPE.itemsize} bytes, then {SCAN_INFO_DTYPE.itemsize} a message.",
+            )
+        config = _plain(np.frombuffer(stream.read(CONFIG_DTYPE.itemsize), CONFIG_DTYPE, 1)[0], _CONFIG_NAMES)
+        heads = _read_heads(stream, count)
+        valid = _valid(heads)
+        if not valid.any():
+            raise FileFormatError(f"{path}: holds no SCAN_INFO message where a P440 recording has them")
+        numbers, packets_of = np.unique(heads["node_id"][valid], return_counts=True)
+        held = dict(zip(numbers[:MAX_NODES].tolist(), packets_of[:MAX_NODES].tolist(), strict=True))
+        valid &= heads["node_id"] == choose_node(path, held, node)
+        first = heads[int(valid.argmax())]
+        for name in _GRID:
+            valid &= heads[name] == first[name]
+        complete, partial = _regroup(heads, np.flatnonzero(valid))
+        if not complete:
+            raise FileFormatError(
+                f"{path}: holds no complete scan", "The recording is cut off or most of it is lost."
+            )
+        rows = np.array(complete)
+        stream.seek(CONFIG_DTYPE.itemsize)
+        samples = _read_samples(stream, heads, rows)
     scans = P440Scans(
-        samples=fragments["samples"][index].reshape(len(index), -1)[:, :total].astype(np.int32),
-        message_id=first["id"].astype(np.int64),
-        timestamp_ms=first["timestamp_ms"].astype(np.int64),
+        samples=samples,
+        message_id=heads["id"][rows[:, 0]].astype(np.int64),
+        timestamp_ms=heads["timestamp_ms"][rows[:, 0]].astype(np.int64),
         host_time_ns=None,
         lost_id=np.array(partial, dtype=np.int64),
-        info=_plain(first[0], _PER_SCAN),
+        info=_plain(heads[rows[0, 0]], _PER_SCAN),
         config=config,
     )
     capture = p440_capture(path, scans, "recording", cable_delay_ps)
-    capture.radar["packets_ignored"] = int(count - len(fragments))
+    ignored = int(count - np.count_nonzero(valid))
+    capture.radar.update(packets_ignored=ignored, bytes_left_over=int(left_over))
     return capture
+
+
+def _read_heads(stream: BinaryIO, count: int) -> NDArray[np.void]:
+    """(count,) headers of the messages that follow; what a shrinking file lacks is zero."""
+    heads = np.zeros(count, dtype=_HEAD_DTYPE)
+    for first in range(0, count, _PACKETS_AT_ONCE):
+        packets = _read_packets(stream, min(_PACKETS_AT_ONCE, count - first))
+        heads[first : first + len(packets)] = packets[list(_HEAD_NAMES)]
+    return heads
+
+
+def _read_packets(stream: BinaryIO, count: int) -> NDArray[np.void]:
+    data = stream.read(count * SCAN_INFO_DTYPE.itemsize)
+    return np.frombuffer(data, SCAN_INFO_DTYPE, len(data) // SCAN_INFO_DTYPE.itemsize)
+
+
+def _read_samples(stream: BinaryIO, heads: NDArray[np.void], rows: NDArray[np.int64]) -> NDArray[np.int32]:
+    """(views, bins) counts of the scans whose messages stand in `rows` (views, messages)."""
+    total = int(heads["total_samples"][rows[0, 0]])
+    samples: NDArray[np.int32] = np.zeros((len(rows), total), dtype=np.int32)
+    scan_of = np.full(len(heads), -1, dtype=np.int64)
+    scan_of[rows] = np.arange(len(rows))[:, None]
+    part_of = heads["message_index"]
+    for first in range(0, len(heads), _PACKETS_AT_ONCE):
+        packets = _read_packets(stream, min(_PACKETS_AT_ONCE, len(heads) - first))
+        scans = scan_of[first : first + len(packets)]
+        parts = part_of[first : first + len(packets)]
+        for part in np.unique(parts[scans >= 0]).tolist():
+            here = np.flatnonzero((parts == part) & (scans >= 0))
+            start = part * SAMPLES_PER_MESSAGE
+            width = min(SAMPLES_PER_MESSAGE, total - start)
+            samples[scans[here], start : start + width] = packets["samples"][here, :width]
+    return samples
 
 
 def write_recording(path: Path, capture: Capture) -> None:
@@ -123,12 +167,12 @@ def encode_recording(capture: Capture) -> bytes:
     if bins > MAX_SAMPLES_PER_SCAN:
         raise DataError(f"the capture has {bins} bins, a P440 scan has at most {MAX_SAMPLES_PER_SCAN}")
     messages = -(-bins // SAMPLES_PER_MESSAGE)
-    info, config = _settings(capture)
+    info, config = wire_settings(capture)
     packets = np.zeros((views, messages), dtype=SCAN_INFO_DTYPE)
     packets["type"] = int(MessageType.SCAN_INFO)
     scan_id = np.arange(views) if capture.scan_id is None else capture.scan_id
     packets["id"] = (scan_id & 0xFFFF)[:, None]
-    packets["timestamp_ms"] = (_clock_ms(capture) & 0xFFFFFFFF)[:, None]
+    packets["timestamp_ms"] = (clock_ms(capture) & 0xFFFFFFFF)[:, None]
     _fill(packets, info)
     packets["total_samples"] = bins
     packets["message_index"] = np.arange(messages)
@@ -160,23 +204,18 @@ def _valid(packets: NDArray[np.void]) -> NDArray[np.bool_]:
     return valid
 
 
-def _regroup(fragments: NDArray[np.void]) -> tuple[list[list[int]], list[int]]:
+def _regroup(heads: NDArray[np.void], rows: NDArray[np.intp]) -> tuple[list[list[int]], list[int]]:
     """Rows of the fragments of each complete scan, in order of its first one, and the ids of the others."""
     groups: dict[tuple[int, int], dict[int, int]] = {}
-    keys = zip(
-        fragments["id"].tolist(),
-        fragments["timestamp_ms"].tolist(),
-        fragments["message_index"].tolist(),
-        strict=True,
-    )
-    for row, (scan, timestamp, index) in enumerate(keys):
+    columns = (heads[name][rows].tolist() for name in ("id", "timestamp_ms", "message_index"))
+    for row, scan, timestamp, index in zip(rows.tolist(), *columns, strict=True):
         groups.setdefault((scan, timestamp), {}).setdefault(index, row)
-    count = int(fragments["message_count"][0])
+    count = int(heads["message_count"][rows[0]])
     complete = [[g[i] for i in range(count)] for g in groups.values() if len(g) == count]
     return complete, [key[0] for key, g in groups.items() if len(g) < count]
 
 
-def _settings(capture: Capture) -> tuple[dict[str, Any], dict[str, Any]]:
+def wire_settings(capture: Capture) -> tuple[dict[str, Any], dict[str, Any]]:
     """Header and configuration fields: those of the recording, or what follows from the capture's grid."""
     radar = capture.radar
     info, config = radar.get("scan_info"), radar.get("config")
@@ -198,7 +237,7 @@ def _settings(capture: Capture) -> tuple[dict[str, Any], dict[str, Any]]:
 
 def _fill(record: NDArray[np.void], fields: dict[str, Any]) -> None:
     """Set the fields that the record has; DataError where a value does not fit."""
-    names = (set(_PER_SCAN) | set(CONFIG_DTYPE.names or ())) & set(record.dtype.names or ())
+    names = (set(_PER_SCAN) | set(_CONFIG_NAMES)) & set(record.dtype.names or ())
     for name in names & set(fields):
         field = record.dtype[name]
         values = np.asarray(fields[name])
@@ -215,7 +254,7 @@ def _fill(record: NDArray[np.void], fields: dict[str, Any]) -> None:
         record[name] = values
 
 
-def _clock_ms(capture: Capture) -> NDArray[np.int64]:
+def clock_ms(capture: Capture) -> NDArray[np.int64]:
     if capture.radar_time_ms is not None:
         return np.rint(capture.radar_time_ms).astype(np.int64)
     if capture.host_time_ns is not None:

@@ -12,7 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from tagid.storage.journal import journal_to_capture, read_journal
+from tagid.storage.journal import read_journal
+from tagid.storage.journal_capture import journal_to_capture
 
 BINS = 1152
 KILLS = 20

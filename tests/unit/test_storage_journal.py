@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 from tagid.errors import DataError, DiskFullError, FileFormatError, StorageError
-from tagid.storage.journal import JournalWriter, journal_to_capture, read_journal
+from tagid.storage.journal import JournalWriter, read_journal
+from tagid.storage.journal_capture import journal_to_capture
 
 HEADER = {
     "range_start_m": 0.4,

@@ -1,0 +1,179 @@
+"""The vendor's log: several radars, stale settings, cut ends, and the way back."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tagid.capture import Capture
+from tagid.constants import RANGE_STEP_M, SPEED_OF_LIGHT
+from tagid.errors import DataError, FileFormatError, UsageError
+from tagid.storage.exporters import export
+from tagid.storage.importers import read_any, remarks
+from tagid.storage.recordings import encode_recording
+
+BINS = 96
+STOP = 15_858
+
+
+def config(node: int, start: int = 10_000, stop: int = STOP, pii: int = 11) -> str:
+    return f"1700000000.100, Config, {node}, {start}, {stop}, 32, {pii}, 0, 0, 0, 0, 0, 0, 0, 0, 2, 63, 0"
+
+
+def scan(number: int, samples: np.ndarray, node: int = 7, filtering: int = 1, start: int = 10_000) -> str:
+    head = (
+        f"{1_700_000_000 + number}.123, MrmFullScanInfo, {number}, {node}, {1000 + 20 * number}, 0, 0, 0, 0, "
+    )
+    head += f"{start}, {start + STOP - 10_000}, 32, {filtering}, 2, 3, {len(samples)}, "
+    return head + ", ".join(map(str, samples.tolist()))
+
+
+def log(path: Path, *lines: str, end: str = "\r\n") -> Path:
+    path.write_bytes(("\r\n".join(lines) + end).encode())
+    return path
+
+
+@pytest.fixture
+def samples() -> np.ndarray:
+    return np.random.default_rng(3).integers(-200_000, 200_000, (6, BINS)).astype(np.int32)
+
+
+def test_a_stale_config_line_gives_its_settings_but_not_its_window(tmp_path: Path, samples) -> None:
+    path = log(
+        tmp_path / "a.csv", config(7, 20_000, 50_000, pii=12), *(scan(i, samples[i]) for i in range(3))
+    )
+    capture = read_any(path)
+    assert capture.range_start_m == pytest.approx(10_000e-12 * SPEED_OF_LIGHT / 2)
+    assert capture.radar["config_stale"] is True
+    assert capture.radar["window_requested_ps"] == [20_000, 50_000]
+    assert capture.radar["window_actual_ps"] == [10_000, STOP]
+    assert capture.radar["config"]["scan_start_ps"] == 10_000
+    assert capture.radar["config"]["base_integration_index"] == 12
+    assert any("stale" in text and "20000" in text for text in remarks(capture))
+
+
+def test_of_several_config_lines_the_one_that_fits_the_scans_is_taken(tmp_path: Path, samples) -> None:
+    lines = [config(7, pii=9), config(7, 20_000, 50_000, pii=12), scan(0, samples[0]), config(7, pii=15)]
+    capture = read_any(log(tmp_path / "a.csv", *lines))
+    assert capture.radar["config"]["base_integration_index"] == 9
+    assert capture.radar["config_stale"] is False
+    assert remarks(capture) == ()
+
+
+def test_several_radars_are_told_apart(tmp_path: Path, samples) -> None:
+    lines = [config(101, pii=9), config(102, 20_000, 20_000 + STOP - 10_000, pii=13)]
+    for i in range(6):
+        lines.append(scan(i, samples[i], *((101,) if i % 2 else (102, 1, 20_000))))
+    path = log(tmp_path / "a.csv", *lines)
+    with pytest.raises(UsageError, match="101, 102") as caught:
+        read_any(path)
+    assert "--node 101" in caught.value.remedy
+    with pytest.raises(UsageError, match="node 5"):
+        read_any(path, node=5)
+    for node, rows, pii, start in ((101, [1, 3, 5], 9, 10_000), (102, [0, 2, 4], 13, 20_000)):
+        capture = read_any(path, node=node)
+        np.testing.assert_array_equal(capture.samples, samples[rows])
+        assert capture.radar["node_id"] == node
+        assert capture.radar["config"]["base_integration_index"] == pii
+        assert capture.range_start_m == pytest.approx(start * 1e-12 * SPEED_OF_LIGHT / 2)
+        assert capture.radar["packets_ignored"] == 0
+
+
+def test_several_radars_in_one_recording(tmp_path: Path, samples) -> None:
+    parts = []
+    for node in (3, 4):
+        radar = {"node_id": node, "config": {"node_id": node}}
+        one = Capture(samples + node, 1.5, RANGE_STEP_M, radar_time_ms=np.arange(6.0), radar=radar)
+        parts.append(encode_recording(one))
+    packets = [[data[i : i + 1452] for i in range(32, len(data), 1452)] for data in parts]
+    mixed = b"".join(a + b for a, b in zip(*packets, strict=True))
+    (tmp_path / "a.prd").write_bytes(parts[0][:32] + mixed)
+    with pytest.raises(UsageError, match="3, 4"):
+        read_any(tmp_path / "a.prd")
+    for node in (3, 4):
+        np.testing.assert_array_equal(read_any(tmp_path / "a.prd", node=node).samples, samples + node)
+    export(read_any(tmp_path / "a.prd", node=4), tmp_path / "b.tagid.h5")
+    assert read_any(tmp_path / "b.tagid.h5", node=4).views == 6
+    with pytest.raises(UsageError, match="node 3"):
+        read_any(tmp_path / "b.tagid.h5", node=3)
+
+
+@pytest.mark.parametrize("cut", [1, 30, 300, 420])
+def test_a_log_cut_anywhere_keeps_whole_scans_and_counts_the_rest(tmp_path: Path, samples, cut: int) -> None:
+    path = log(tmp_path / "a.csv", config(7), *(scan(i, samples[i]) for i in range(6)))
+    data = path.read_bytes()
+    last = len(data) - data.rstrip().rfind(b"\n") - 1
+    path.write_bytes(data[: -2 - cut])
+    capture = read_any(path)
+    if cut == 1:  # a digit of the very last number: nothing shows that it is missing
+        assert capture.views == 6
+        return
+    np.testing.assert_array_equal(capture.samples, samples[:5])
+    assert capture.radar["bytes_left_over"] == last - 2 - cut
+    assert any(f"{last - 2 - cut} bytes" in text for text in remarks(capture))
+
+
+@pytest.mark.parametrize("cut", [1, 700, 1451, 1452, 2000])
+def test_a_recording_cut_anywhere_says_what_was_left_over(tmp_path: Path, samples, cut: int) -> None:
+    data = encode_recording(Capture(samples, 1.5, RANGE_STEP_M, radar_time_ms=np.arange(6.0)))
+    (tmp_path / "a.prd").write_bytes(data[:-cut])
+    capture = read_any(tmp_path / "a.prd")
+    np.testing.assert_array_equal(capture.samples, samples[: 6 - -(-cut // 1452)])
+    assert capture.radar["bytes_left_over"] == -cut % 1452
+
+
+def test_the_vendors_c_example_logs_without_reserved_columns(tmp_path: Path, samples) -> None:
+    lines = [config(7)]
+    for i in range(3):
+        values = ", ".join(map(str, samples[i].tolist()))
+        head = f"{1_700_000_000 + i}, MrmFullScanInfo, {i}, 7, {20 * i}, 10000, {STOP}, 32, 1, 2, {BINS}"
+        lines.append(f"{head}, {values}")
+    capture = read_any(log(tmp_path / "a.csv", *lines))
+    np.testing.assert_array_equal(capture.samples, samples[:3])
+    assert capture.range_start_m == pytest.approx(10_000e-12 * SPEED_OF_LIGHT / 2)
+    assert capture.host_time_ns is not None
+    assert capture.host_time_ns[2] == 1_700_000_002 * 10**9
+
+
+def test_out_and_back_with_detection_lists(tmp_path: Path, samples) -> None:
+    lines = [config(7, 20_000, 50_000)]
+    for i in range(4):
+        lines += [scan(i, samples[i]), scan(i, samples[i] // 2, filtering=4)]
+        lines.append(f"{1_700_000_000 + i}.124, MrmDetectionListInfo, {i}, 2, {10 + i}, 500, 40, {i}")
+    lines.append("1700000004.124, MrmDetectionListInfo, 3, 5, 1")  # cut off
+    first = read_any(log(tmp_path / "a.csv", *lines))
+    assert first.radar["detection_lists"][1] == "1: 11 500, 40 1"
+    assert len(first.radar["detection_lists"]) == 4
+    export(first, tmp_path / "b.csv")
+    again = read_any(tmp_path / "b.csv")
+    np.testing.assert_array_equal(again.samples, samples[:4])
+    np.testing.assert_array_equal(again.host_time_ns, first.host_time_ns)
+    np.testing.assert_array_equal(again.radar_time_ms, first.radar_time_ms)
+    for name in ("detection_lists", "config", "window_requested_ps", "window_actual_ps", "scan_info"):
+        assert again.radar[name] == first.radar[name], name
+    export(again, tmp_path / "c.csv")
+    assert (tmp_path / "c.csv").read_bytes() == (tmp_path / "b.csv").read_bytes()
+
+
+def test_what_a_log_cannot_hold_leaves_no_file(tmp_path: Path, samples) -> None:
+    times = {"radar_time_ms": np.arange(6.0)}
+    for capture, kind in (
+        (Capture(samples.astype(np.float32), 0.0, 0.01, **times), UsageError),
+        (Capture(samples, 0.0, 0.01), DataError),
+        (Capture(samples, 0.0, 0.01, radar={"config": {"transmit_gain": "x"}}, **times), DataError),
+    ):
+        with pytest.raises(kind):
+            export(capture, tmp_path / "a.csv")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_numbers_that_are_none_cost_their_line_only(tmp_path: Path, samples) -> None:
+    lines = [config(7), *(scan(i, samples[i]) for i in range(4))]
+    for bad in ("1_0", "0x10", "1e3", "", "99999999999", "nan", "1 2"):
+        spoiled = lines[2].rsplit(",", 1)[0] + f", {bad}"
+        path = log(tmp_path / "a.csv", *lines[:2], spoiled, *lines[3:])
+        np.testing.assert_array_equal(read_any(path).samples, samples[[0, 2, 3]], err_msg=bad)
+    with pytest.raises(FileFormatError):
+        read_any(log(tmp_path / "a.csv", config(7), "x" * 500_000))
