@@ -6,7 +6,8 @@ import json
 import signal
 import sys
 import threading
-from typing import Annotated
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -14,6 +15,9 @@ from tagid.cli import options
 from tagid.cli.frame import Output, Terminal, command
 from tagid.errors import UsageError
 from tagid.result import Result
+
+if TYPE_CHECKING:
+    from tagid.radar.wires import PtyWire
 
 
 def register(app: typer.Typer) -> None:
@@ -31,6 +35,10 @@ def register(app: typer.Typer) -> None:
         bind: Annotated[str, typer.Option("--bind", help="HOST:PORT to listen on; 0 any free port.")] = (
             "127.0.0.1:21210"
         ),
+        serial: Annotated[bool, typer.Option("--serial", help="A serial port instead of UDP.")] = False,
+        framing: Annotated[str, typer.Option("--framing", help="On the serial port: usb or uart.")] = "usb",
+        baud: Annotated[int, typer.Option("--baud", help="Of the uart; 0 as fast as taken.")] = 115200,
+        link: Annotated[Path | None, typer.Option("--link", help="A name for the port that stays.")] = (None),
         scene: Annotated[str, typer.Option("--scene", help="helmet-120, points-3, can, empty ...")] = (
             "helmet-120"
         ),
@@ -45,45 +53,74 @@ def register(app: typer.Typer) -> None:
         reorder: Annotated[float, typer.Option("--reorder", help="Share of packets held back.")] = 0.0,
         delay: Annotated[float, typer.Option("--delay", help="Share of packets that come late.")] = 0.0,
         delay_ms: Annotated[float, typer.Option("--delay-ms", help="How late, milliseconds.")] = 20.0,
+        status_bytes: Annotated[int, typer.Option("--status-bytes", help="64, or 32 as old firmware.")] = 64,
+        sleep_bytes: Annotated[int, typer.Option("--sleep-bytes", help="Sleep confirm: 12 or 8.")] = 12,
+        server: Annotated[bool, typer.Option("--server", help="Confirm SERVER_CONNECT and filters.")] = False,
         seed: options.Seed = 0,
     ) -> Result:
-        """Be a P440 on UDP until stopped.
+        """Be a P440 on UDP, or on a serial port whose path is printed, until stopped.
 
         Example: tagid emulate p440 --bind 127.0.0.1:21210 --scene helmet-120 --rpm 2
         """
-        from pathlib import Path
-
-        from tagid.radar.emulator import ServeOptions, serve_udp
+        from tagid.radar.emulator import ServeOptions, serve, serve_udp
         from tagid.radar.emulator_core import EmulatorCore
         from tagid.radar.faults import Faults
+        from tagid.radar.firmware import Firmware
         from tagid.radar.sources import ScanSource
         from tagid.sources import Sources
 
-        host, _, port_text = bind.rpartition(":")
-        if not host or not port_text.isdecimal() or int(port_text) > 65535:
-            raise UsageError(f"--bind is {bind!r}", "Give HOST:PORT, e.g. 127.0.0.1:21210.")
         faults = Faults(
             lose=lose, duplicate=duplicate, reorder=reorder, delay=delay, delay_s=delay_ms * 1e-3, seed=seed
         )
+        firmware = Firmware(status_bytes, sleep_bytes, server)
+        host, port = ("", 0) if serial else _address(bind)
         source: ScanSource
         if replay is not None:
             source = Sources().recording(Path(replay), loop)
         else:
             wanted = {"seed": seed, "rpm": rpm, "axis_distance": axis_distance, "snr": snr}
             source = Sources().scene(scene, {key: str(value) for key, value in wanted.items()})
+        core = EmulatorCore(source, firmware=firmware)
         stop = threading.Event()
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, lambda *_: stop.set())
-
-        def ready(address: str, port: int) -> None:
-            url = f"udp://{address}:{port}"
-            if terminal.output is Output.json:
-                # Written on one line when it listens: whoever starts it must learn its port while it runs.
-                envelope = Result("emulate p440", {"url": url}).envelope()
-                sys.stdout.write(json.dumps(envelope) + "\n")
-                sys.stdout.flush()
-            elif not terminal.quiet:
-                typer.echo(f"P440 emulator at {url}, {replay or scene}; stop with Ctrl-C", err=True)
-
-        serve_udp(EmulatorCore(source), ServeOptions(host, int(port_text), rate, faults), stop, ready)
+        if serial:
+            wire = _pty(framing, baud, link)
+            end = link or wire.path
+            _announce(terminal, f"serial://{end}{'?framing=uart' * (framing == 'uart')}", str(end))
+            serve(core, wire, ServeOptions(rate=rate, faults=faults), stop)
+        else:
+            udp = ServeOptions(host, port, rate, faults)
+            serve_udp(core, udp, stop, lambda a, p: _announce(terminal, f"udp://{a}:{p}", ""))
         raise typer.Exit(0)
+
+
+def _address(bind: str) -> tuple[str, int]:
+    host, _, port = bind.rpartition(":")
+    if not host or not port.isdecimal() or int(port) > 65535:
+        raise UsageError(f"--bind is {bind!r}", "Give HOST:PORT, e.g. 127.0.0.1:21210.")
+    return host, int(port)
+
+
+def _pty(framing: str, baud: int, link: Path | None) -> PtyWire:
+    from tagid.radar.framing import Framing
+    from tagid.radar.serial_link import BAUD_RATES
+    from tagid.radar.wires import PtyWire
+
+    if framing not in ("usb", "uart"):
+        raise UsageError(f"--framing is {framing!r}", "Give usb or uart.")
+    if baud and baud not in BAUD_RATES:
+        raise UsageError(f"--baud is {baud}", "Give 9600 to 921600, or 0 for no limit.")
+    return PtyWire(Framing(framing), baud if framing == "uart" and baud else None, link)
+
+
+def _announce(terminal: Terminal, url: str, port: str) -> None:
+    """Tells where the emulator listens, at once: whoever starts it must learn that while it runs."""
+    if terminal.output is Output.json:
+        data = {"url": url, **({"port": port} if port else {})}
+        sys.stdout.write(json.dumps(Result("emulate p440", data).envelope()) + "\n")
+    elif port:
+        sys.stdout.write(port + "\n")
+    sys.stdout.flush()
+    if terminal.output is Output.human and not terminal.quiet:
+        typer.echo(f"P440 emulator at {url}; stop with Ctrl-C", err=True)

@@ -1,32 +1,28 @@
-"""The emulated radar on a real UDP port: what stands behind `tagid emulate`.
+"""The emulated radar on a real wire: what stands behind `tagid emulate`.
 
-It adds to the core only what a network adds: a socket, faults, real time, and a pace the receiver can take.
+It adds to the core only what a wire adds: faults, real time, and a pace the receiver can take.
 """
 
 from __future__ import annotations
 
-import select
-import socket
+import queue
 import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 from types import TracebackType
-from typing import Final, Protocol, Self
+from typing import Any, Final, Protocol, Self
 
 from tagid.errors import UsageError
 from tagid.radar.emulator_core import EmulatorCore
 from tagid.radar.faults import Faults, FaultyPath
+from tagid.radar.framing import Framing
 from tagid.radar.links import DEFAULT_PORT, bind_udp
-from tagid.radar.pacing import queued_bytes
+from tagid.radar.wires import PtyWire, UdpWire, Wire
 
 _IDLE_S: Final = 0.05
-_LARGEST_DATAGRAM: Final = 65_535
 _WORST_LAG_S: Final = 0.5
-_QUEUE_LIMIT: Final = 64 * 1024
-"""Bytes waiting at the receiver from which an unlimited emulator holds its next scan back."""
-_UNSEEN_PACE_S: Final = 2e-3
-"""Time between scans where the receiver's queue cannot be seen (another machine, not Linux)."""
 
 
 class StopEvent(Protocol):
@@ -57,103 +53,155 @@ class ServeOptions:
             raise UsageError(f"emulator rate is {self.rate}", "Give 1 for real time, 0 for no limit.")
 
 
+def serve(core: EmulatorCore, wire: Wire, options: ServeOptions, stop_event: StopEvent) -> None:
+    """Serves one emulated radar on a wire until `stop_event` is set; closes the wire."""
+    try:
+        Server(core, options, wire).run(stop_event)
+    finally:
+        wire.close()
+
+
 def serve_udp(
     core: EmulatorCore,
     options: ServeOptions,
     stop_event: StopEvent,
     on_ready: Callable[[str, int], None] | None = None,
 ) -> None:
-    """Serves one emulated radar until `stop_event` is set. `on_ready` is told the address when it listens.
+    """Serves one emulated radar on UDP. `on_ready` is told the address when it listens.
 
     Raises PortInUseError where another program holds the port.
     """
-    with bind_udp(options.host, options.port) as sock:
-        host, port = sock.getsockname()
-        if on_ready:
-            on_ready(host, port)
-        _Server(core, options, sock).run(stop_event)
+    sock = bind_udp(options.host, options.port)
+    host, port = sock.getsockname()
+    if on_ready:
+        on_ready(host, port)
+    serve(core, UdpWire(sock), options, stop_event)
 
 
-class _Server:
-    def __init__(self, core: EmulatorCore, options: ServeOptions, sock: socket.socket) -> None:
+class Server:
+    """Moves packets between the core and a wire as time passes.
+
+    Args:
+        core: the radar.
+        options: rate and faults.
+        wire: carries the packets.
+    """
+
+    def __init__(self, core: EmulatorCore, options: ServeOptions, wire: Wire) -> None:
         self._core = core
         self._rate = options.rate
-        self._socket = sock
+        self._wire = wire
         self._path = FaultyPath(options.faults)
-        self._client: tuple[str, int] | None = None
         self._origin = time.monotonic() - (core.now_s / options.rate if options.rate else 0.0)
-        sock.setblocking(False)
+        self._orders: queue.SimpleQueue[Callable[[], Any]] = queue.SimpleQueue()
+
+    def order(self, what: Callable[[], Any]) -> None:
+        """Has something done between two packets, by the thread that serves."""
+        self._orders.put(what)
 
     def run(self, stop_event: StopEvent) -> None:
+        """Serves until told to stop."""
         while not stop_event.is_set():
-            readable, _, _ = select.select([self._socket], [], [], self._wait_s())
-            if readable:
-                self._answer()
+            while not self._orders.empty():
+                self._orders.get()()
+            for packet in self._wire.requests(self._wait_s()):
+                if self._path.request_arrives():
+                    self.send(self._core.handle(packet))
             if self._rate:
-                self._send(self._core.advance_by_one((time.monotonic() - self._origin) * self._rate))
-                # A source slower than the radar slows the emulated clock; it must not end in bursts.
-                lag = time.monotonic() - self._origin - self._core.now_s / self._rate
-                self._origin += lag if lag > _WORST_LAG_S else 0.0
-            elif self._core.next_due_s is not None and self._receiver_ready():
-                self._send(self._core.step())
+                self._keep_time()
+            elif self._core.next_due_s is not None and self._wire.ready():
+                self.send(self._core.step())
+            self._release()
+
+    def send(self, packets: list[bytes]) -> None:
+        """Packets leave the radar and go the way that loses some of them."""
+        if packets:
+            self._wire.send(self._path.pass_on(packets, self._core.now_s))
+
+    def _keep_time(self) -> None:
+        now = (time.monotonic() - self._origin) * self._rate
+        if self._wire.paces and self._core.scanning and not self._wire.ready():
+            self._core.hold_back(now)
+            return
+        self.send(self._core.advance_by_one(now))
+        # A source slower than the radar slows the emulated clock; it must not end in bursts.
+        lag = time.monotonic() - self._origin - self._core.now_s / self._rate
+        self._origin += lag if lag > _WORST_LAG_S else 0.0
+
+    def _release(self) -> None:
+        """What was held back goes when its time has come, or at once where nothing can follow it."""
+        if self._path.holding:
             if self._core.next_due_s is None:
-                self._transmit(self._path.flush())
+                late = self._path.flush(self._core.now_s if self._rate else None)
+            else:
+                late = self._path.pass_on([], self._core.now_s)
+            self._wire.send(late)
 
     def _wait_s(self) -> float:
         due = self._core.next_due_s
-        if due is None:
+        held = self._path.next_due_s
+        if due is None and held is None:
             return _IDLE_S
         if not self._rate:
             return 0.0
-        return min(max(self._origin + due / self._rate - time.monotonic(), 0.0), _IDLE_S)
+        first = min(time_s for time_s in (due, held) if time_s is not None)
+        return min(max(self._origin + first / self._rate - time.monotonic(), 0.0), _IDLE_S)
 
-    def _receiver_ready(self) -> bool:
-        """Back-pressure: the next scan waits while the receiver has not read the ones before."""
-        waiting = queued_bytes(self._client) if self._client else None
-        if waiting is None:
-            time.sleep(_UNSEEN_PACE_S)
-            return True
-        if waiting > _QUEUE_LIMIT:
-            time.sleep(2e-4)
-            return False
-        return True
 
-    def _answer(self) -> None:
-        try:
-            packet, sender = self._socket.recvfrom(_LARGEST_DATAGRAM)
-        except OSError:
-            return  # an ICMP error of a client that is gone
-        if not self._path.request_arrives():
-            return
-        answers = self._core.handle(packet)
-        if answers:
-            self._client = sender
-        self._send(answers)
+class _Emulator:
+    """The emulator on a thread, for tests and demos in one process; a context manager."""
 
-    def _send(self, packets: list[bytes]) -> None:
-        self._transmit(self._path.pass_on(packets, self._core.now_s))
+    def __init__(self, core: EmulatorCore, options: ServeOptions) -> None:
+        self.core = core
+        self._options = options
+        self._stop = threading.Event()
+        self._thread: threading.Thread | None = None
+        self._server: Server | None = None
 
-    def _transmit(self, packets: list[bytes]) -> None:
-        if self._client is None:
-            return
-        for packet in packets:
+    def _start(self, wire: Wire) -> None:
+        self._server = server = Server(self.core, self._options, wire)
+
+        def work() -> None:
             try:
-                self._socket.sendto(packet, self._client)
-            except OSError:
-                continue  # the wire loses what it cannot carry; so does the radar
+                server.run(self._stop)
+            finally:
+                wire.close()
+
+        self._thread = threading.Thread(target=work, name="p440-emulator", daemon=True)
+        self._thread.start()
+
+    def order(self, what: Callable[[], Any]) -> None:
+        """Has something done by the emulator's thread and waits until it is done."""
+        assert self._server is not None
+        done = threading.Event()
+
+        def work() -> None:
+            what()
+            done.set()
+
+        self._server.order(work)
+        done.wait(10)
+
+    def power_cycle(self) -> None:
+        """Takes the power away for a moment: the radar boots, loses its run and says READY_INFO then."""
+        self.order(self.core.power_cycle)
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stop.set()
+        if self._thread:
+            self._thread.join(timeout=5)
 
 
-class UdpEmulator:
-    """The emulator on a thread, for tests and demos in one process; a context manager.
+class UdpEmulator(_Emulator):
+    """An emulated radar on a UDP port.
 
     Raises PortInUseError on entry where the port is taken.
     """
 
     def __init__(self, core: EmulatorCore, options: ServeOptions | None = None) -> None:
-        self._core = core
-        self._options = options or ServeOptions(port=0)
-        self._stop = threading.Event()
-        self._thread: threading.Thread | None = None
+        super().__init__(core, options or ServeOptions(port=0))
         self.address: tuple[str, int] = ("", 0)
 
     @property
@@ -164,19 +212,48 @@ class UdpEmulator:
     def __enter__(self) -> Self:
         sock = bind_udp(self._options.host, self._options.port)
         self.address = sock.getsockname()
-        server = _Server(self._core, self._options, sock)
-
-        def work() -> None:
-            with sock:
-                server.run(self._stop)
-
-        self._thread = threading.Thread(target=work, name="p440-emulator", daemon=True)
-        self._thread.start()
+        self._start(UdpWire(sock))
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+
+class SerialEmulator(_Emulator):
+    """An emulated radar on a pseudo-terminal.
+
+    Args:
+        core: the radar.
+        options: rate and faults.
+        framing: USB or UART.
+        baud: bytes leave no faster than this; None is as fast as they are taken.
+        link: path of a symbolic link to the port, whose name stays when the port is replugged.
+    """
+
+    def __init__(
+        self,
+        core: EmulatorCore,
+        options: ServeOptions | None = None,
+        framing: Framing = Framing.USB,
+        baud: int | None = None,
+        link: Path | None = None,
     ) -> None:
-        self._stop.set()
-        if self._thread:
-            self._thread.join(timeout=5)
+        super().__init__(core, options or ServeOptions())
+        self._framing = framing
+        self._link = link
+        self.wire = PtyWire(framing, baud, link)
+
+    @property
+    def url(self) -> str:
+        """The radar URL to connect to."""
+        path = self._link or self.wire.path
+        return f"serial://{path}" + ("?framing=uart" if self._framing is Framing.UART else "")
+
+    def unplug(self) -> None:
+        """Pulls the plug; the radar, which has its own power, goes on."""
+        self.order(self.wire.unplug)
+
+    def plug(self) -> None:
+        """Puts the plug back; the port may have another name."""
+        self.order(self.wire.plug)
+
+    def __enter__(self) -> Self:
+        self._start(self.wire)
+        return self

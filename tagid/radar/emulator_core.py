@@ -8,16 +8,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
-from tagid.constants import BINS_PER_SAMPLE
 from tagid.errors import ConfigError
+from tagid.radar.firmware import SERVER_ONLY, Firmware, Identity
 from tagid.radar.messages import (
     CONFIG_DTYPE,
     OPMODE_MRM,
-    SAMPLES_PER_MESSAGE,
     SCAN_FOREVER,
     SLEEP_ACTIVE,
     MalformedMessage,
@@ -27,30 +26,13 @@ from tagid.radar.messages import (
     decode,
     encode,
 )
+from tagid.radar.scan_info import RAW_FILTER, scan_packets
 from tagid.radar.settings import RadarConfig
 from tagid.radar.sources import FixedSource, ScanSource
 
 _T = MessageType
-_RAW_FILTER: Final = 1
 _BAUD_RATES: Final = range(9_600, 921_601)
 _MRM_REQUESTS: Final = (_T.SET_CONFIG_REQUEST, _T.GET_CONFIG_REQUEST, _T.CONTROL_REQUEST)
-
-
-@dataclass(frozen=True)
-class Identity:
-    """What the emulated radar says of itself in GET_STATUSINFO.
-
-    Attributes:
-        serial: serial number.
-        package: name of the hardware package, up to 32 characters.
-        temperature_c: board temperature, degrees Celsius.
-        boot_s: time from a reboot to READY_INFO (7 s on Ethernet, measured).
-    """
-
-    serial: int = 0x440
-    package: str = "P440 emulator"
-    temperature_c: float = 41.25
-    boot_s: float = 7.0
 
 
 @dataclass
@@ -73,7 +55,7 @@ class _State:
     flash: RadarConfig
     opmode: int = OPMODE_MRM
     sleep: int = SLEEP_ACTIVE
-    filter_mask: int = _RAW_FILTER
+    filter_mask: int = RAW_FILTER
     boots_until_s: float | None = None
     run: _Run | None = None
     clipped: int = 0
@@ -91,6 +73,7 @@ class EmulatorCore:
         config: settings at power-up.
         identity: what GET_STATUSINFO says.
         booted_s: emulated time since boot at the start.
+        firmware: what its firmware does its own way.
     """
 
     def __init__(
@@ -99,10 +82,12 @@ class EmulatorCore:
         config: RadarConfig | None = None,
         identity: Identity | None = None,
         booted_s: float = 10.0,
+        firmware: Firmware | None = None,
     ) -> None:
         self._source = source
         self._fixed = source if isinstance(source, FixedSource) else None
-        start = self._fixed.config if self._fixed else (config or RadarConfig()).quantised()
+        self._firmware = firmware or Firmware()
+        start = self._fixed.config if self._fixed else self._firmware.take(config or RadarConfig())
         self._state = _State(start, start)
         self._identity = identity or Identity()
         self._now = booted_s
@@ -117,14 +102,12 @@ class EmulatorCore:
             _T.GET_FILTER_REQUEST: lambda m: encode(
                 _T.GET_FILTER_CONFIRM, m.id, mask=self._state.filter_mask
             ),
-            _T.GET_STATUSINFO_REQUEST: self._status_info,
+            _T.GET_STATUSINFO_REQUEST: lambda m: self._firmware.status_info(m.id, self._identity),
             _T.REBOOT_REQUEST: self._reboot,
             _T.SET_OPMODE_REQUEST: self._set_opmode,
             _T.GET_OPMODE_REQUEST: lambda m: encode(_T.GET_OPMODE_CONFIRM, m.id, mode=self._state.opmode),
             _T.SET_SLEEPMODE_REQUEST: self._set_sleep,
-            _T.GET_SLEEPMODE_REQUEST: lambda m: encode(
-                _T.GET_SLEEPMODE_CONFIRM, m.id, mode=self._state.sleep
-            ),
+            _T.GET_SLEEPMODE_REQUEST: lambda m: self._firmware.sleep_mode(m.id, self._state.sleep),
             _T.SET_BAUD_REQUEST: self._set_baud,
         }
 
@@ -169,13 +152,24 @@ class EmulatorCore:
         except MalformedMessage as error:
             return [_invalid(packet, error.status)]
         handler = self._handlers.get(message.type)
-        if handler is None:
+        if handler is None or (message.type in SERVER_ONLY and not self._firmware.server):
             return [_invalid(packet, Status.UNRECOGNISED)]
         if message.type in _MRM_REQUESTS and self._state.opmode != OPMODE_MRM:
             return [self._refuse(message, Status.WRONG_OPMODE)]
         if message.type is _T.CONTROL_REQUEST and self._state.sleep != SLEEP_ACTIVE:
             return [self._refuse(message, Status.INVALID_DURING_SLEEP)]
-        return [handler(message)]
+        residual: list[bytes] = []
+        if message.type is _T.CONTROL_REQUEST and message["scan_count"] == 0:
+            for _ in range(self._firmware.residual_scans):
+                residual += self.step() if self.scanning else []
+        return [*residual, handler(message)]
+
+    def hold_back(self, now_s: float) -> None:
+        """Lets time pass without a scan: the wire has no room, and the radar waits for it."""
+        run = self._state.run
+        if run is not None and run.due_s() < now_s:
+            run.started_s += now_s - run.due_s()
+        self._now = max(self._now, now_s)
 
     def advance_by_one(self, now_s: float) -> list[bytes]:
         """Lets time pass until `now_s` or the next scan, whichever is first; returns what left the radar.
@@ -230,7 +224,7 @@ class EmulatorCore:
     def _set_config(self, message: Message) -> bytes:
         self._state.run = None  # silently, as the real radar does
         try:
-            wanted = RadarConfig.from_record(message.fields["config"]).quantised()
+            wanted = self._firmware.take(RadarConfig.from_record(message.fields["config"]))
         except ConfigError:
             return _confirm(_T.SET_CONFIG_CONFIRM, message, Status.UNSUPPORTED_VALUE)
         self._state.config = self._fixed.config if self._fixed else wanted
@@ -253,30 +247,16 @@ class EmulatorCore:
         return _confirm(_T.CONTROL_CONFIRM, message)
 
     def _set_filter(self, message: Message) -> bytes:
-        status = Status.OK if message["mask"] == _RAW_FILTER else Status.UNSUPPORTED_VALUE
+        status = Status.OK if message["mask"] == RAW_FILTER else Status.UNSUPPORTED_VALUE
         return _confirm(_T.SET_FILTER_CONFIRM, message, status)
 
-    def _status_info(self, message: Message) -> bytes:
-        return encode(
-            _T.GET_STATUSINFO_CONFIRM,
-            message.id,
-            mrm_major=2,
-            mrm_minor=1,
-            mrm_build=440,
-            kernel_major=1,
-            fpga_version=1,
-            fpga_year=0x16,
-            fpga_month=0x12,
-            fpga_day=0x31,
-            serial=self._identity.serial,
-            board_revision=ord("C"),
-            temperature_quarter_c=round(self._identity.temperature_c * 4),
-            package=self._identity.package.encode("ascii", "replace")[:32],
-        )
-
-    def _reboot(self, message: Message) -> bytes:
+    def power_cycle(self) -> None:
+        """Boots anew: settings from flash, no run, and deaf until READY_INFO."""
         flash = self._state.flash
         self._state = _State(flash, flash, boots_until_s=self._now + self._identity.boot_s)
+
+    def _reboot(self, message: Message) -> bytes:
+        self.power_cycle()
         return encode(_T.REBOOT_CONFIRM, message.id)
 
     def _set_opmode(self, message: Message) -> bytes:
@@ -309,44 +289,6 @@ class EmulatorCore:
                 _T.GET_CONFIG_CONFIRM, message.id, config=np.zeros((), CONFIG_DTYPE), status=int(status)
             )
         return _confirm(MessageType(message.type + 0x100), message, status)
-
-
-def scan_packets(samples: Any, config: RadarConfig, scan_id: int, timestamp_ms: int) -> list[bytes]:
-    """The SCAN_INFO packets of one scan: 1452 bytes each, the last one zero-padded.
-
-    Args:
-        samples: (N,) int32, counts.
-        config: settings it was taken with.
-        scan_id: message id, u16, that all fragments share.
-        timestamp_ms: radar clock, u32, that all fragments share.
-    """
-    count = -(-len(samples) // SAMPLES_PER_MESSAGE)
-    packets = []
-    for index in range(count):
-        part = samples[index * SAMPLES_PER_MESSAGE : (index + 1) * SAMPLES_PER_MESSAGE]
-        padded = np.zeros(SAMPLES_PER_MESSAGE, np.int32)
-        padded[: len(part)] = part
-        packets.append(
-            encode(
-                _T.SCAN_INFO,
-                scan_id,
-                node_id=config.node_id,
-                timestamp_ms=timestamp_ms,
-                scan_start_ps=config.scan_start_ps,
-                scan_stop_ps=config.scan_stop_ps,
-                step_bins=BINS_PER_SAMPLE,
-                filter=_RAW_FILTER,
-                reserved2=3,  # 3 on every recording
-                antenna_id=config.antenna_mode,
-                operation_mode=OPMODE_MRM,
-                message_samples=len(part),
-                total_samples=len(samples),
-                message_index=index,
-                message_count=count,
-                samples=padded,
-            )
-        )
-    return packets
 
 
 def _confirm(confirm: MessageType, request: Message, status: Status = Status.OK) -> bytes:

@@ -82,11 +82,19 @@ class FaultyPath:
             out += self._released(now_s)
         return out + self._released(now_s)
 
-    def flush(self) -> list[bytes]:
-        """Everything still held back, for when nothing follows that it could be held behind."""
-        out = [packet for *_, packet in sorted(self._held)]
-        self._held.clear()
-        return out
+    @property
+    def holding(self) -> bool:
+        """Whether packets are held back."""
+        return bool(self._held)
+
+    def flush(self, now_s: float | None = None) -> list[bytes]:
+        """What is held back behind packets that will not follow; delayed ones only from their time on.
+
+        Without a time, as where no clock runs, everything goes.
+        """
+        going = [held for held in self._held if now_s is None or held[1] <= now_s]
+        self._held = [held for held in self._held if held not in going]
+        return [packet for *_, packet in sorted(going)]
 
     @property
     def next_due_s(self) -> float | None:

@@ -53,7 +53,7 @@ class StreamDecoder:
     What comes out does not depend on how the bytes are cut into chunks. On UART the CRC decides. On USB,
     which has none, a frame counts when it starts where the one before ended, or when it has the length of the
     message type it claims; and a frame that holds the head of another one is a cut frame that ran into its
-    successor, unless the next frame starts exactly behind it (then the head was a pattern in the samples).
+    successor, unless another one starts exactly behind it (then the head was a pattern in the samples).
 
     Args:
         framing: of the wire.
@@ -147,6 +147,12 @@ class StreamDecoder:
             return None
         return size if self._is_strong(at) else 0
 
+    def _head_at(self, at: int) -> bool | None:
+        """Whether a known message's frame starts at `at`; None: it may begin there."""
+        if len(self._buffer) - at >= _STRONG:
+            return self._buffer.startswith(SYNC, at) and self._is_strong(at)
+        return None if SYNC.startswith(self._buffer[at : at + 2]) else False
+
     def _is_strong(self, at: int) -> bool:
         data = self._buffer
         size = data[at + 2] << 8 | data[at + 3]
@@ -164,11 +170,11 @@ class StreamDecoder:
         inner = self._inner_head(at + 1, end)
         if inner is False:
             return True
-        behind = data[end : end + 2]
-        if behind == SYNC or quiet:
-            return SYNC.startswith(behind) or inner is None
         # A head inside, or the start of one: what follows decides.
-        return None if inner is None or SYNC.startswith(behind) else False
+        behind = self._head_at(end)
+        if inner is None:
+            return True if quiet or behind else None
+        return True if quiet and behind is None else behind
 
     def _inner_head(self, start: int, end: int) -> bool | None:
         """Whether a known message's frame starts in `start`..`end`; None where its head may still come."""

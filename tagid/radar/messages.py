@@ -304,8 +304,21 @@ def encode(message_type: MessageType, message_id: int, **fields: Any) -> bytes:
     >>> encode(MessageType.CONTROL_REQUEST, 7, scan_count=1).hex()
     '100300070001000000000000'
     """
-    record = np.zeros((), MESSAGES[message_type].dtype)
-    for name, value in {"type": int(message_type), "id": message_id, **fields}.items():
+    return _packed(message_type, MESSAGES[message_type].dtype, {"id": message_id, **fields})
+
+
+def encode_older(message_type: MessageType, message_id: int, **fields: Any) -> bytes:
+    """A message in the layout of older firmware; raises as `encode` does.
+
+    >>> len(encode_older(MessageType.GET_SLEEPMODE_CONFIRM, 1, mode=2))
+    8
+    """
+    return _packed(message_type, MESSAGES[message_type].older[0], {"id": message_id, **fields})
+
+
+def _packed(message_type: MessageType, dtype: np.dtype[np.void], fields: dict[str, Any]) -> bytes:
+    record = np.zeros((), dtype)
+    for name, value in {"type": int(message_type), **fields}.items():
         if name not in (record.dtype.names or ()):
             raise KeyError(f"{message_type.name} has no field {name}")
         kind = record.dtype[name].base

@@ -7,8 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tagid.radar.assembler import Scan, ScanAssembler
-from tagid.radar.emulator_core import EmulatorCore, scan_packets
+from tagid.radar.emulator_core import EmulatorCore
 from tagid.radar.messages import MAX_SAMPLES_PER_SCAN, MalformedMessage, MessageType, decode, encode
+from tagid.radar.scan_info import scan_packets
 from tagid.radar.settings import RadarConfig
 
 CONFIG = RadarConfig(scan_start_ps=10_000, scan_stop_ps=60_000)

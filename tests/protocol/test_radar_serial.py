@@ -1,0 +1,130 @@
+"""Client and emulator over a real pseudo-terminal, with USB and UART frames."""
+
+from __future__ import annotations
+
+import os
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+from radar_ends import THREE_FRAGMENTS, check, core, pty
+
+from tagid.errors import DeviceError, DeviceGoneError, DeviceTimeoutError, PortInUseError
+from tagid.radar.devices import open_link, open_radar
+from tagid.radar.discovery import discover
+from tagid.radar.firmware import Firmware, Identity
+from tagid.radar.framing import Framing
+from tagid.radar.p440 import P440
+from tagid.sources import Sources
+
+BOTH = pytest.mark.parametrize("framing", list(Framing))
+
+
+@BOTH
+def test_settings_and_scans_come_over_a_serial_port(framing: Framing) -> None:
+    with pty(framing) as device, open_radar(device.url, Sources()) as radar:
+        assert radar.status().serial == 0x440
+        taken = radar.set_config(THREE_FRAGMENTS)
+        assert taken == THREE_FRAGMENTS.quantised()
+        got = list(radar.scans(60))
+        assert len(got) == 60
+        check(got, got[0].scan_id, taken.samples)
+        assert radar.statistics.lost_scans == 0
+        assert radar.statistics.malformed == 0
+
+
+@BOTH
+def test_noise_on_the_line_costs_only_what_it_hits(framing: Framing) -> None:
+    """Garbage before frames, sync words in it, and half a frame: everything else arrives."""
+    with pty(framing) as device, open_radar(device.url, Sources(), 0.5) as radar:
+        radar.set_config(THREE_FRAGMENTS)
+        run = radar.scans(40)
+        got = [next(run)]
+        for noise in (b"\x00\xff\x17", b"\xa5\xa5\x00", b"\xa5\xa5\x05\xac\xf2\x01" + bytes(500)):
+            device.order(lambda noise=noise: device.wire.write_raw(noise))
+            got += [next(run) for _ in range(5)]
+        got += list(run)
+        check(got, got[0].scan_id, radar.config.samples)
+        assert len(got) + radar.statistics.lost_scans == 40
+        assert radar.statistics.lost_scans <= 2
+        assert radar._link.decoder.skipped > 0  # type: ignore[attr-defined]
+
+
+def test_a_slow_uart_paces_the_scans_and_is_not_taken_for_silence() -> None:
+    """At 115200 baud one message takes 127 ms, far longer than the scan itself."""
+    from tagid.radar.emulator import SerialEmulator, ServeOptions
+
+    emulator = SerialEmulator(core(), ServeOptions(rate=1.0), Framing.UART, baud=115_200)
+    with emulator as device, P440(open_link(device.url)(), timeout=0.2) as radar:
+        got = list(radar.scans(4))
+        assert len(got) == 4
+        clock = [scan.radar_time_ms for scan in got]
+        assert min(b - a for a, b in pairwise(clock)) >= 120
+
+
+@BOTH
+def test_old_firmware_is_understood_over_the_wire(framing: Framing) -> None:
+    firmware = Firmware(status_bytes=32, sleep_confirm_bytes=8)
+    with pty(framing, core(firmware)) as device, open_radar(device.url, Sources()) as radar:
+        assert radar.get_sleep_mode() == 0
+        status = radar.status()
+        assert (status.serial, status.package, status.temperature_c) == (0x440, "", 41.25)
+
+
+def test_a_port_that_is_taken_missing_or_no_port_is_named(tmp_path: Path) -> None:
+    with pty() as device, open_radar(device.url, Sources()), pytest.raises(PortInUseError):
+        open_radar(device.url, Sources())
+    with pytest.raises(DeviceGoneError, match="no serial port"):
+        open_radar(f"serial://{tmp_path}/ttyACM7", Sources())
+    (tmp_path / "file").write_bytes(b"x")
+    with pytest.raises(DeviceError) as caught:
+        open_radar(f"serial://{tmp_path}/file", Sources())
+    assert caught.value.remedy
+
+
+def test_a_serial_port_without_a_radar_stays_silent() -> None:
+    master, slave = os.openpty()
+    try:
+        radar = P440(open_link(f"serial://{os.ttyname(slave)}")(), timeout=0.05)
+        with pytest.raises(DeviceTimeoutError), radar:
+            pass
+    finally:
+        os.close(master)
+        os.close(slave)
+
+
+def test_pulling_the_plug_is_told_apart_from_silence() -> None:
+    with pty() as device, open_radar(device.url, Sources()) as radar:
+        run = radar.scans()
+        next(run)
+        device.unplug()
+        with pytest.raises(DeviceGoneError, match="gone"):
+            for _ in range(10_000):
+                next(run)
+
+
+@BOTH
+def test_find_asks_serial_ports_by_their_usb_number_and_those_it_is_told(framing: Framing) -> None:
+    with pty(framing, core(identity=Identity(serial=5))) as device:
+        listed = discover(
+            (), (), lambda: [(device.url, "P440 on USB"), ("serial:///dev/nothing", "P440 on USB")]
+        )
+        assert [(r.url, r.status.serial if r.status else None) for r in listed.radars] == [
+            (device.url, 5),
+            ("serial:///dev/nothing", None),
+        ]
+        assert "no serial port" in listed.radars[1].problem
+        assert discover((), (device.url,), list).radars[0].kind == "serial"
+
+
+def test_find_ends_within_three_seconds_however_many_are_silent() -> None:
+    import socket
+
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as mute:
+        mute.bind(("127.0.0.1", 0))
+        port = mute.getsockname()[1]
+        silent = [f"127.0.0.{k}:{port}" for k in range(1, 9)]
+        search = discover(silent, (), list)
+    assert search.radars == ()
+    assert len(search.asked) == 8
+    assert search.seconds < 3.0
