@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import permutations
+from math import perm
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +20,7 @@ CONFUSABLE_M = 12e-3
 2.405 / 2k = 14.5 mm at 3.95 GHz, less wobble and fit."""
 CENTRE_TOLERANCE_M = 14e-3
 """The reader looks for an object's centre within +- this, so a shift of this size tells no layouts apart."""
+MAX_PAIRINGS = 5040
 _ROTATION_STEP_RAD = np.deg2rad(4.0)
 
 
@@ -86,8 +89,62 @@ def best_pairing(
 ) -> Pairing:
     """Turn, shift up to the tolerance and pairing that bring points (K, 2) nearest to (L, 2), L >= K.
 
-    Every start of a grid of turns is brought to its own minimum by pairing and turning alternately.
+    Every pairing is tried where there are few, else every start of a grid of turns is brought to its own
+    minimum by pairing and turning alternately.
     """
+    if perm(len(large), len(small)) > MAX_PAIRINGS:
+        return _nearest_pairing(small, large, tolerance_m)
+    partners = np.array(list(permutations(range(len(large)), len(small))), dtype=np.intp)
+    rms, angle, shift = best_places(small[None], large[partners], tolerance_m)
+    i = int(np.argmin(rms))
+    turned = small @ rotation_matrix(float(angle[i])).T + shift[i]
+    worst = float(np.linalg.norm(turned - large[partners[i]], axis=1).max())
+    return Pairing(float(rms[i]), worst, float(angle[i]), shift[i], partners[i])
+
+
+def best_places(
+    points: NDArray[np.float64], partners: NDArray[np.float64], tolerance_m: float = np.inf
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Turns and shifts, within the tolerance, that bring points nearest to their partners.
+
+    The unlimited optimum is Kabsch's (1976); where its shift is too long, shift and turn are improved in turn.
+
+    Args:
+        points, partners: (..., K, 2), broadcast against each other, m.
+        tolerance_m: longest shift, m.
+
+    Returns:
+        RMS distance left (...), m; turn (...), rad; shift (..., 2), m.
+    """
+    p = points[..., 0] + 1j * points[..., 1]
+    q = partners[..., 0] + 1j * partners[..., 1]
+    p, q = np.broadcast_arrays(p, q)
+    shape = p.shape[:-1]
+    p, q = p.reshape(-1, p.shape[-1]), q.reshape(-1, p.shape[-1])
+    p_mean, q_mean = p.mean(axis=-1), q.mean(axis=-1)
+    centred = np.sum(p.conj() * q, axis=-1) - p.shape[-1] * p_mean.conj() * q_mean
+    turn = np.exp(1j * np.angle(centred))
+    shift = q_mean - turn * p_mean
+    far = np.abs(shift) > tolerance_m
+    if far.any():
+        own, other, middle = p[far], q[far], q_mean[far]
+        held, own_mean = shift[far], p_mean[far]
+        for _ in range(12):
+            held *= tolerance_m / np.maximum(np.abs(held), max(tolerance_m, 1e-12))
+            better = np.sum(own.conj() * (other - held[..., None]), axis=-1)
+            better /= np.maximum(np.abs(better), 1e-30)
+            held = middle - better * own_mean
+        held *= tolerance_m / np.maximum(np.abs(held), max(tolerance_m, 1e-12))
+        turn[far], shift[far] = better, held
+    error = turn[..., None] * p + shift[..., None] - q
+    rms = np.sqrt(np.mean(np.abs(error) ** 2, axis=-1))
+    xy = np.stack([shift.real, shift.imag], axis=-1)
+    return rms.reshape(shape), np.angle(turn).reshape(shape), xy.reshape(*shape, 2)
+
+
+def _nearest_pairing(
+    small: NDArray[np.float64], large: NDArray[np.float64], tolerance_m: float
+) -> Pairing:
     from scipy.optimize import linear_sum_assignment
 
     best: Pairing | None = None
@@ -97,38 +154,14 @@ def best_pairing(
             turned = small @ rotation_matrix(angle).T
             gap = np.linalg.norm(turned[:, None] + shift - large[None], axis=2)
             columns = np.asarray(linear_sum_assignment(gap**2)[1])
-            partner = large[columns]
-            angle, shift = _best_place(small, partner, tolerance_m)
-        turned = small @ rotation_matrix(angle).T
-        error = np.linalg.norm(turned + shift - partner, axis=1)
-        rms = float(np.sqrt(np.mean(error**2)))
+            rms, angles, shifts = best_places(small, large[columns], tolerance_m)
+            angle, shift = float(angles), shifts
         if best is None or rms < best.rms_m:
-            best = Pairing(rms, float(error.max()), angle, shift, columns)
+            turned = small @ rotation_matrix(angle).T
+            worst = float(np.linalg.norm(turned + shift - large[columns], axis=1).max())
+            best = Pairing(float(rms), worst, angle, shift, columns)
     assert best is not None
     return best
-
-
-def _best_place(
-    points: NDArray[np.float64], partner: NDArray[np.float64], tolerance_m: float
-) -> tuple[float, NDArray[np.float64]]:
-    """Turn and shift that bring points nearest to their partners (Kabsch 1976), the shift within it."""
-    p, q = points.mean(axis=0), partner.mean(axis=0)
-    angle = _best_angle(points - p, partner - q)
-    shift: NDArray[np.float64] = q - rotation_matrix(angle) @ p
-    if np.linalg.norm(shift) <= tolerance_m:
-        return angle, shift
-    for _ in range(6):
-        shift = shift * min(1.0, tolerance_m / max(float(np.linalg.norm(shift)), 1e-12))
-        angle = _best_angle(points, partner - shift)
-        shift = q - rotation_matrix(angle) @ p
-    return angle, shift * min(1.0, tolerance_m / max(float(np.linalg.norm(shift)), 1e-12))
-
-
-def _best_angle(points: NDArray[np.float64], partner: NDArray[np.float64]) -> float:
-    """Turn about the origin that brings points nearest to their partners."""
-    p = points[:, 0] + 1j * points[:, 1]
-    q = partner[:, 0] + 1j * partner[:, 1]
-    return float(np.angle(np.sum(p.conj() * q)))
 
 
 def confusable(

@@ -31,7 +31,8 @@ SYMMETRY_TOLERANCE_M = 1e-3
 MAX_FILE_BYTES = 64 * 1024
 MAX_TEXT = 2000
 _SLUG = re.compile(r"[a-z0-9](?:[a-z0-9._-]{0,62}[a-z0-9])?")
-_FIELDS = ("name", "kind", "positions_m", "symmetry", "notes", "label")
+MAX_HEIGHT_M = 1.0
+_FIELDS = ("name", "kind", "positions_m", "heights_m", "symmetry", "notes", "label")
 
 
 def rotation_matrix(angle_rad: float | NDArray[np.floating]) -> NDArray[np.float64]:
@@ -42,13 +43,14 @@ def rotation_matrix(angle_rad: float | NDArray[np.floating]) -> NDArray[np.float
 
 
 def rotational_symmetry(positions: NDArray[np.float64], tolerance_m: float = SYMMETRY_TOLERANCE_M) -> int:
-    """Largest n for which a turn by 360/n degrees about the origin maps the points (K, 2) onto themselves.
+    """Largest n for which a turn by 360/n degrees about z maps the points (K, 2) or (K, 3) onto themselves.
 
     >>> rotational_symmetry(np.array([[0.1, 0.0], [-0.1, 0.0]]))
     2
     """
     for order in range(len(positions), 1, -1):
-        turned = positions @ rotation_matrix(2 * np.pi / order).T
+        turned = positions.copy()
+        turned[:, :2] = positions[:, :2] @ rotation_matrix(2 * np.pi / order).T
         gap = np.linalg.norm(turned[:, None] - positions[None], axis=2)
         if (gap.min(axis=1) <= tolerance_m).all():
             return order
@@ -65,6 +67,7 @@ class Layout:
         kind: "helmet", "container" or "other".
         symmetry: rotational order n (a turn by 360/n degrees changes nothing); 0 asks to compute it.
         notes, label: free text for people.
+        heights: (K,) float64, m, of the reflectors above the object's plane; None for all in it.
     """
 
     name: str
@@ -73,6 +76,7 @@ class Layout:
     symmetry: int = 0
     notes: str = ""
     label: str = ""
+    heights: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not _SLUG.fullmatch(self.name):
@@ -90,7 +94,8 @@ class Layout:
             if not isinstance(text, str) or len(text) > MAX_TEXT:
                 raise UsageError(f"layout {self.name}: {name} is not a text of up to {MAX_TEXT} characters")
         object.__setattr__(self, "positions", self._checked_positions())
-        computed = rotational_symmetry(self.positions)
+        object.__setattr__(self, "heights", self._checked_heights())
+        computed = rotational_symmetry(self._in_space())
         if isinstance(self.symmetry, bool) or not isinstance(self.symmetry, int):
             raise UsageError(f"layout {self.name}: symmetry is not a whole number")
         if self.symmetry not in (0, computed):
@@ -127,6 +132,23 @@ class Layout:
         positions.setflags(write=False)
         return positions
 
+    def _checked_heights(self) -> NDArray[np.float64]:
+        try:
+            given = np.zeros(self.size) if self.heights is None else np.array(self.heights, dtype=np.float64)
+        except (TypeError, ValueError, OverflowError):
+            given = np.full(1, np.nan)
+        if given.shape != (self.size,) or not np.isfinite(given).all() or np.abs(given).max() > MAX_HEIGHT_M:
+            raise UsageError(
+                f"layout {self.name}: heights_m is not one height of up to {MAX_HEIGHT_M:g} m a reflector",
+                "Give as many heights as reflectors, in metres, or leave them out.",
+            )
+        given.setflags(write=False)
+        return given
+
+    def _in_space(self) -> NDArray[np.float64]:
+        """(K, 3) positions with their heights, m."""
+        return np.concatenate([self.positions, np.asarray(self.heights)[:, None]], axis=1)
+
     @property
     def size(self) -> int:
         """Number of reflectors K."""
@@ -143,11 +165,13 @@ class Layout:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain JSON values; `layout_from_dict` takes them back."""
+        heights = [float(h) for h in np.asarray(self.heights)]
         return {
             "name": self.name,
             "kind": self.kind,
             "label": self.label,
             "positions_m": [[float(x), float(y)] for x, y in self.positions],
+            **({"heights_m": heights} if any(heights) else {}),
             "symmetry": self.symmetry,
             "notes": self.notes,
         }
@@ -177,8 +201,16 @@ def layout_from_dict(data: Mapping[str, Any]) -> Layout:
             "the layout's field positions_m is not a list of [x, y] pairs",
             "Give each reflector as [x, y] in metres.",
         )
-    rest = {name: data[name] for name in _FIELDS if name in data and name != "positions_m"}
-    return Layout(positions=rows, **rest)
+    rest = {name: data[name] for name in _FIELDS if name in data and name not in ("positions_m", "heights_m")}
+    heights = data.get("heights_m")
+    if heights is not None and not (
+        isinstance(heights, list)
+        and all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in heights)
+    ):
+        raise UsageError(
+            "the layout's field heights_m is not a list of numbers", "Give one height a reflector, in metres."
+        )
+    return Layout(positions=rows, heights=heights, **rest)  # type: ignore[arg-type]
 
 
 def read_layout(path: Path) -> Layout:

@@ -1,0 +1,101 @@
+"""Words on a ring that no turn makes equal: the combinatorial skeleton of a family of layouts.
+
+An object stands on the table in any turn, so two words that are rotations of one another name one identity.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from math import comb
+
+from tagid.errors import UsageError
+
+MAX_WORDS = 400_000
+"""Words examined at most; 24 slots, 5 reflectors and 2 rings are 283 360."""
+
+Bead = tuple[int, int]
+"""(slots to the next occupied slot, colour): a necklace is a cycle of them."""
+
+
+def _gaps(slots: int, weight: int) -> Iterator[tuple[int, ...]]:
+    """Compositions of `slots` into `weight` positive parts."""
+    if weight == 1:
+        yield (slots,)
+        return
+    for first in range(1, slots - weight + 2):
+        for rest in _gaps(slots - first, weight - 1):
+            yield (first, *rest)
+
+
+def _colourings(weight: int, colours: int) -> Iterator[tuple[int, ...]]:
+    if weight == 0:
+        yield ()
+        return
+    for rest in _colourings(weight - 1, colours):
+        for colour in range(colours):
+            yield (*rest, colour)
+
+
+def _turned(word: tuple[Bead, ...]) -> list[tuple[Bead, ...]]:
+    return [word[i:] + word[:i] for i in range(len(word))]
+
+
+def mirrored(word: tuple[Bead, ...]) -> tuple[Bead, ...]:
+    """The word read the other way round, as its smallest rotation."""
+    weight = len(word)
+    back = tuple((word[(-i - 1) % weight][0], word[-i % weight][1]) for i in range(weight))
+    return min(_turned(back))
+
+
+def necklaces(
+    slots: int, weight: int, colours: int = 1, *, mirror_counts: bool = True
+) -> list[tuple[Bead, ...]]:
+    """All necklaces with `weight` of `slots` occupied, each occupied slot in one of `colours`.
+
+    Args:
+        slots: equal steps of the ring.
+        weight: occupied ones.
+        colours: kinds of occupation (rings or rows that a slot offers).
+        mirror_counts: whether a necklace and its mirror image are two; where the direction of the turn is
+            not known they are one.
+
+    Returns:
+        the smallest rotation of each, sorted.
+
+    Raises:
+        UsageError: there are none, or more than MAX_WORDS words would have to be examined.
+
+    >>> [len(necklaces(12, k)) for k in (2, 3, 4)]
+    [6, 19, 43]
+    """
+    if not (1 <= weight <= slots and colours >= 1):
+        raise UsageError(
+            f"{weight} reflectors in {slots} slots", "Give as many slots as reflectors, or more."
+        )
+    words = comb(slots - 1, weight - 1) * colours**weight
+    if words > MAX_WORDS:
+        raise UsageError(
+            f"{weight} reflectors in {slots} slots and {colours} rows are {words:,} words, too many to compare",
+            "Use fewer slots, reflectors or rows.",
+        )
+    found = []
+    for gaps in _gaps(slots, weight):
+        if min(gaps) < gaps[0]:
+            continue
+        for colouring in _colourings(weight, colours):
+            word = tuple(zip(gaps, colouring, strict=True))
+            if word != min(_turned(word)):
+                continue
+            if not mirror_counts and mirrored(word) < word:
+                continue
+            found.append(word)
+    return sorted(found)
+
+
+def occupied(word: tuple[Bead, ...]) -> list[Bead]:
+    """(slot, colour) of every occupied slot, the first in slot 0."""
+    slot, out = 0, []
+    for gap, colour in word:
+        out.append((slot, colour))
+        slot += gap
+    return out
