@@ -107,7 +107,7 @@ def best_places(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Turns and shifts, within the tolerance, that bring points nearest to their partners.
 
-    The unlimited optimum is Kabsch's (1976); where its shift is too long, shift and turn are improved in turn.
+    The unlimited optimum is Kabsch's (1976); where its shift is too long, both are improved in turn.
 
     Args:
         points, partners: (..., K, 2), broadcast against each other, m.
@@ -142,9 +142,7 @@ def best_places(
     return rms.reshape(shape), np.angle(turn).reshape(shape), xy.reshape(*shape, 2)
 
 
-def _nearest_pairing(
-    small: NDArray[np.float64], large: NDArray[np.float64], tolerance_m: float
-) -> Pairing:
+def _nearest_pairing(small: NDArray[np.float64], large: NDArray[np.float64], tolerance_m: float) -> Pairing:
     from scipy.optimize import linear_sum_assignment
 
     best: Pairing | None = None

@@ -26,7 +26,7 @@ class SearchSettings:
     """Extent and steps of the search.
 
     Attributes:
-        rotation_step_deg, centre_step_m: the coarse grid.
+        arc_step_m, centre_step_m: the coarse grid, at the outermost reflector and of the centre.
         centre_range_m: the object's axis is searched within +- this in x and y of the turntable's axis.
         offsets_m: range offsets (errors of the axis distance) tried coarsely; refined between.
         starts: places a layout that are refined.
@@ -34,10 +34,10 @@ class SearchSettings:
         balance: amplitudes whose smallest is under this share of the largest are charged for.
     """
 
-    rotation_step_deg: float = 3.0
-    centre_step_m: float = 4e-3
+    arc_step_m: float = 6e-3
+    centre_step_m: float = 4.5e-3
     centre_range_m: float = 14e-3
-    offsets_m: tuple[float, ...] = tuple(i * 4e-3 for i in range(-4, 5))
+    offsets_m: tuple[float, ...] = tuple(i * 8e-3 for i in range(-2, 3))
     starts: int = 3
     iterations: int = 7
     balance: float = 0.35
@@ -115,17 +115,17 @@ class _CoarseImage:
         self.distances = field.distances(np.stack([x[self.inside], y[self.inside]], axis=-1))
         self.field = field
 
-        # Static parts depend on the radius alone, as far as views are dense: tabulated along one direction.
-        radii = np.arange(half + 2) * IMAGE_STEP_M
-        static = field.static_part(field.distances(np.stack([radii, 0 * radii], axis=-1)))
-        self.static = (static.conj() @ static.T * field.views).astype(np.complex64)
+        static = field.static_part(self.distances)
+        self.static = np.zeros((*self.inside.shape, static.shape[-1]), dtype=np.complex64)
+        self.static[self.inside] = static
 
     def static_overlap(self, points: NDArray[np.float64]) -> NDArray[np.complex64]:
-        """(..., K, K) part of the Gram matrix that is constant over views, to the nearest pixel of radius."""
-        index = np.rint(np.linalg.norm(points, axis=-1) / IMAGE_STEP_M).astype(np.int32)
-        index = np.minimum(index, len(self.static) - 1)
-        table: NDArray[np.complex64] = self.static
-        return np.asarray(table[index[..., :, None], index[..., None, :]])
+        """(..., K, K) part of the Gram matrix that is constant over views, to the nearest pixel."""
+        index = np.rint(points / IMAGE_STEP_M).astype(np.int32) + self.half
+        index = np.clip(index, 0, 2 * self.half)
+        static = self.static[index[..., 1], index[..., 0]]
+        overlap: NDArray[np.complex64] = np.matmul(static.conj(), np.swapaxes(static, -1, -2))
+        return overlap * self.field.views
 
     def at_offsets(self, offsets_m: Sequence[float]) -> NDArray[np.complex64]:
         """(offsets, pixels, pixels) b, zero outside the disc."""
@@ -167,11 +167,12 @@ def _coarse_starts(
 ) -> NDArray[np.float64]:
     """(starts, 4) rotation, x, y, offset of the best distinct places."""
     turn = 2 * np.pi / layout.symmetry
-    rotations = np.arange(0, turn - 1e-9, np.deg2rad(settings.rotation_step_deg))
+    rotations = np.arange(0, turn - 1e-9, _rotation_step(layout, settings))
     count = int(np.floor(settings.centre_range_m / settings.centre_step_m))
     line = np.linspace(-1, 1, 2 * count + 1) * settings.centre_range_m
     x, y = np.meshgrid(line, line)
     shifts = np.stack([x.ravel(), y.ravel()], axis=-1)
+    shifts = shifts[np.linalg.norm(shifts, axis=1) <= settings.centre_range_m * 1.05]
     placed = layout.positions @ np.swapaxes(rotation_matrix(rotations), -1, -2)
     points = placed[:, None] + shifts[None, :, None]
     gram = field.full_gram(field.distances(placed))[:, None] - coarse.static_overlap(points)
@@ -195,14 +196,19 @@ def _coarse_starts(
     return np.array(starts)
 
 
+def _rotation_step(layout: Layout, settings: SearchSettings) -> float:
+    """Coarse step of the rotation, rad: that of the arc at the outermost reflector, within 3 to 8 degrees."""
+    return float(np.clip(settings.arc_step_m / layout.radius_m, np.deg2rad(3.0), np.deg2rad(8.0)))
+
+
 def _evaluate(
     field: MatchedField, layout: Layout, places: NDArray[np.float64], balance: float
 ) -> tuple[NDArray[np.float64], NDArray[np.complex128], NDArray[np.float64], NDArray[np.float64]]:
     """Charged energy (H,), amplitudes, sizes (H, K), explained energy (H,) at places (H, 4), exactly."""
     points = layout.positions @ np.swapaxes(rotation_matrix(places[:, 0]), -1, -2) + places[:, None, 1:3]
-    d = field.distances(points)
-    b = field.correlate(d + places[:, 3, None])
-    gram = field.gram(d)
+    d = field.distances(points, np.asarray(layout.heights))
+    templates = field.templates(d + places[:, 3, None, None])
+    b, gram = field.correlate(templates), field.gram(templates)
     amplitudes, explained = least_squares(b, gram)
     visibility = np.real(np.diagonal(gram, axis1=-2, axis2=-1)) / field.template_energy
     sizes = visible_sizes(amplitudes, visibility)
@@ -216,9 +222,7 @@ def _refine(
     gap = settings.offsets_m[1] - settings.offsets_m[0] if len(settings.offsets_m) > 1 else 2e-3
     low = np.array([-np.inf, -settings.centre_range_m, -settings.centre_range_m, settings.offsets_m[0] - gap])
     high = np.array([np.inf, settings.centre_range_m, settings.centre_range_m, settings.offsets_m[-1] + gap])
-    step = np.array(
-        [np.deg2rad(settings.rotation_step_deg), settings.centre_step_m, settings.centre_step_m, gap]
-    )
+    step = np.array([_rotation_step(layout, settings), settings.centre_step_m, settings.centre_step_m, gap])
     step = step * 0.5
     places = starts.copy()
     unit = np.eye(4)

@@ -227,7 +227,7 @@ def _explained(
     offset_m: float,
 ) -> float:
     """Energy that points (K, 2) with their least-squares amplitudes (K,) take from the data: Re a^H b."""
-    b = matched.correlate(matched.distances(positions) + offset_m)
+    b = matched.correlate(matched.templates(matched.distances(positions) + offset_m))
     return float(np.vdot(amplitudes, b).real)
 
 

@@ -75,7 +75,7 @@ def necklaces(
     words = comb(slots - 1, weight - 1) * colours**weight
     if words > MAX_WORDS:
         raise UsageError(
-            f"{weight} reflectors in {slots} slots and {colours} rows are {words:,} words, too many to compare",
+            f"{weight} reflectors in {slots} slots and {colours} rows are {words:,} words, too many",
             "Use fewer slots, reflectors or rows.",
         )
     found = []

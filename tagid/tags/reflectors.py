@@ -77,18 +77,18 @@ class SearchDisc:
         self.step_m = step_m
         self.offset_m = offset_m
         self.points = np.stack([x[inside], y[inside]], axis=-1)
-        self.distances = field.distances(self.points)
-        self.image = field.correlate(self.distances + offset_m)
+        self.templates = field.templates(field.distances(self.points) + offset_m)
+        self.image = field.correlate(self.templates)
 
     def residual(
         self, positions: NDArray[np.float64], amplitudes: NDArray[np.complex128]
     ) -> NDArray[np.complex128]:
         """(pixels,) b of the data minus that of points (K, 2) with complex amplitudes (K,)."""
-        left = self.image.copy()
-        for point, amplitude in zip(positions, amplitudes, strict=True):
-            d = self.field.distances(point[None])
-            left -= amplitude * self.field.cross(self.distances, d)
-        return left
+        if not len(positions):
+            return self.image.copy()
+        own = self.field.templates(self.field.distances(positions) + self.offset_m)
+        left = self.field.data - amplitudes.astype(np.complex64) @ own
+        return np.asarray(self.templates.conj() @ left, dtype=np.complex128)
 
     def level(self, residual: NDArray[np.complex128]) -> float:
         """Noise and clutter of |b|^2 / ||s||^2: the median of an exponential is ln 2 times its mean."""
@@ -115,8 +115,8 @@ def refine_positions(
     step = 2e-3
 
     def explained(points: NDArray[np.float64]) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
-        d = field.distances(points)
-        return least_squares(field.correlate(d + offset_m), field.gram(d))
+        templates = field.templates(field.distances(points) + offset_m)
+        return least_squares(field.correlate(templates), field.gram(templates))
 
     for _ in range(6):
         trial = places + np.concatenate([np.zeros((1, k, 2)), unit * step, -unit * step])
@@ -158,12 +158,9 @@ def clean(
         if power[peak] < max(settings.detection_nats * level, floor):
             break
         added = np.concatenate([positions, disc.points[peak][None]])
-        d = field.distances(added)
-        if len(added) > given:
-            free, _, _ = _polish(field, added, given, disc)
-            added, d = free, field.distances(free)
-        amplitudes, _ = least_squares(field.correlate(d + disc.offset_m), field.gram(d))
-        positions = added
+        positions, _, _ = _polish(field, added, given, disc)
+        templates = field.templates(field.distances(positions) + disc.offset_m)
+        amplitudes, _ = least_squares(field.correlate(templates), field.gram(templates))
         residual = disc.residual(positions, amplitudes)
     return positions, amplitudes, disc.level(residual)
 

@@ -30,7 +30,7 @@ def test_the_fit_of_known_points_gives_their_amplitudes() -> None:
     points = np.array([[0.05, 0.02], [-0.03, 0.06]])
     sigma = np.array([1.0, 0.5j])
     field = MatchedField(synthetic_scans(points, amplitudes=sigma), 0.15)
-    d = field.distances(points)
+    d = field.templates(field.distances(points))
     found = np.linalg.solve(field.gram(d), field.correlate(d))
     assert np.allclose(found, sigma, atol=0.01)
     explained = np.vdot(field.correlate(d), found).real
