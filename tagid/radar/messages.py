@@ -12,6 +12,8 @@ from typing import Any, Final
 
 import numpy as np
 
+from tagid.errors import DeviceError
+
 SAMPLES_PER_MESSAGE: Final = 350
 """Samples that one SCAN_INFO holds; the last one of a scan is zero-padded (P440 MRM API)."""
 
@@ -257,15 +259,17 @@ MESSAGES: Final = MappingProxyType(_table())
 """Type number -> layout, for every message of the interface."""
 
 
-class MalformedMessage(ValueError):  # noqa: N818 - it says what the bytes are
-    """Bytes that are not a message; counted and dropped, or answered with INVALID_MESSAGE, never shown.
+class MalformedMessage(DeviceError, ValueError):  # noqa: N818 - it says what the bytes are
+    """Bytes that are not a message; counted and dropped, or answered with INVALID_MESSAGE, hardly ever shown.
 
     Attributes:
         status: `Status.WRONG_SIZE` or `Status.UNRECOGNISED`, as the radar would call it.
     """
 
+    code = "malformed_message"
+
     def __init__(self, text: str, status: Status) -> None:
-        super().__init__(text)
+        super().__init__(text, "Check that a P440 in MRM mode stands at the other end.")
         self.status = status
 
 

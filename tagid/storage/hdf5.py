@@ -55,8 +55,9 @@ _VIEW_ARRAYS = {
 _NUMBERS = ("range_start_m", "range_step_m", "antenna_height_m", "center_frequency_hz", "bandwidth_hz")
 _TEXTS = ("uuid", "created_utc", "tool_version")
 _DICTS = ("radar", "motion", "object")
-_MAX_EXPANSION = 2000
-"""Deflate reaches 1032:1 at most; a dataset that claims more than this was made to fill the memory."""
+_MAX_EXPANSION = 200
+_SMALL_BYTES = 16 << 20
+"""Scans hold noise and deflate 2:1 or so; far more, of something large, was made to fill the memory."""
 
 
 def write_capture(path: Path, capture: Capture) -> None:
@@ -244,7 +245,8 @@ def _check_dataset(dataset: Any, path: Path) -> None:
     if dataset.shape is None or not 1 <= dataset.ndim <= 2:
         raise FileFormatError(f"{where} has shape {dataset.shape}, expected one or two axes")
     stored = dataset.id.get_storage_size()
-    if dataset.nbytes > atomic.MAX_FILE_BYTES or dataset.nbytes > _MAX_EXPANSION * max(stored, 1):
+    believed = max(_MAX_EXPANSION * stored, _SMALL_BYTES if stored else 0)
+    if dataset.nbytes > min(atomic.MAX_FILE_BYTES, believed):
         raise FileFormatError(
             f"{where} claims shape {dataset.shape} ({dataset.nbytes} bytes), but {stored} bytes are stored",
             "The file is damaged or was made to fill the memory.",

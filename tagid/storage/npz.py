@@ -52,7 +52,7 @@ _OTHER = (
 _KEYS = frozenset((*_NUMBERS, *_VECTORS, *_OTHER))
 _TEXTS = ("uuid", "created_utc", "tool_version")
 _DICTS = ("radar", "motion", "object")
-_SMALL_BYTES = 64 << 20
+_SMALL_BYTES = 16 << 20
 _MAX_EXPANSION = 200
 """Scans hold noise and deflate 2:1 or so; far more, of something large, was made to fill the memory."""
 

@@ -160,7 +160,7 @@ def test_recover_turns_a_journal_into_a_capture(tagid, tmp_path: Path) -> None:
     done = tagid("recover", "s.tagid.journal", "--output", "json")
     assert done.code == 0
     assert done.json["data"] == {
-        "path": "s.tagid.h5", "views": 5, "complete": False, "bytes_dropped": 13
+        "path": "s.tagid.h5", "paths": ["s.tagid.h5"], "views": 5, "complete": False, "bytes_dropped": 13
     }  # fmt: skip
     again = tagid("recover", "s.tagid.journal")
     assert again.code == 1

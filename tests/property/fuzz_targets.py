@@ -1,0 +1,211 @@
+"""What the fuzzers drive: each parser of bytes that come from a wire or a file, with seeds to begin from.
+
+A target takes any bytes and must come back, or raise an error of the tree; whatever else happens is a fault.
+"""
+
+from __future__ import annotations
+
+import io
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from tagid.capture import Capture, Pulse
+from tagid.constants import RANGE_STEP_M
+from tagid.errors import TagidError
+from tagid.radar.assembler import MAX_PENDING, ScanAssembler
+from tagid.radar.emulator_core import EmulatorCore, scan_packets
+from tagid.radar.framing import Framing, StreamDecoder, frame
+from tagid.radar.messages import MAX_PACKET_BYTES, MAX_SAMPLES_PER_SCAN, MessageType, decode, encode
+from tagid.radar.settings import RadarConfig
+from tagid.storage.exporters import export
+from tagid.storage.importers import read_any
+from tagid.storage.journal import JournalWriter
+
+CONFIG = RadarConfig(scan_start_ps=10_000, scan_stop_ps=45_000)
+
+
+@dataclass(frozen=True)
+class Target:
+    """One parser.
+
+    Attributes:
+        name: for the report.
+        run: parses the bytes; raises only what is a fault.
+        seeds: well-formed inputs, from which mutation starts.
+        share: of the executions of a long run.
+        longest: bytes of the longest input worth trying.
+    """
+
+    name: str
+    run: Callable[[bytes], None]
+    seeds: Callable[[], list[bytes]]
+    share: float
+    longest: int = 4096
+
+
+def _message(data: bytes) -> None:
+    try:
+        decode(data)
+    except TagidError:
+        return
+
+
+def _messages() -> list[bytes]:
+    plain = [encode(kind, 7) for kind in MessageType]
+    samples = np.arange(576, dtype=np.int32) - 300
+    return plain + scan_packets(samples, CONFIG, 3, 1000)
+
+
+def _framing(framing: Framing) -> Callable[[bytes], None]:
+    def run(data: bytes) -> None:
+        decoder = StreamDecoder(framing)
+        out: list[bytes] = []
+        at, size = 0, 1 + (len(data) * 7 + (data[0] if data else 0)) % 61
+        while at < len(data):
+            out += decoder.feed(data[at : at + size])
+            at += size
+            size = 1 + (size * 5 + 3) % 397
+            assert decoder.buffered <= MAX_PACKET_BYTES + 8 + 397
+        out += decoder.flush()
+        assert sum(map(len, out)) + decoder.skipped + decoder.buffered <= len(data)
+        for packet in out:
+            _message(packet)
+
+    return run
+
+
+def _frames(framing: Framing) -> Callable[[], list[bytes]]:
+    def seeds() -> list[bytes]:
+        frames = [frame(packet, framing) for packet in _messages()]
+        sync = encode(MessageType.SCAN_INFO, 1, samples=np.full(350, -0x5A5A5A5B, np.int32))
+        return [*frames, b"".join(frames[:8]), b"noise" + frames[0] + frames[1][:5] + frames[2],
+                frame(sync, framing) * 2]  # fmt: skip
+
+    return seeds
+
+
+def _scans(data: bytes) -> None:
+    """Fragments with any header: the first 20 bytes of every 32 set the fields that regrouping looks at."""
+    assembler = ScanAssembler(0, clock_ns=lambda: 1)
+    names = ("message_samples", "total_samples", "message_index", "message_count")
+    for at in range(0, len(data) - 12, 13):
+        word = data[at : at + 13]
+        values = [int.from_bytes(word[i : i + 2], "big") for i in (2, 4, 6, 8)]
+        fields = dict(zip(names, values, strict=True), timestamp_ms=word[10] % 3)
+        for scan in assembler.add(decode(encode(MessageType.SCAN_INFO, word[0] << 8 | word[1], **fields))):
+            assert len(scan.samples) <= MAX_SAMPLES_PER_SCAN
+        assert len(assembler._pending) <= MAX_PENDING
+
+
+def _scan_headers() -> list[bytes]:
+    def header(number: int, index: int, total: int = 800) -> bytes:
+        here, count = min(350, total - 350 * index), -(-total // 350)
+        words = (number, here, total, index, count)
+        return b"".join(word.to_bytes(2, "big") for word in words) + bytes([0, 0, 0])
+
+    return [b"".join(header(n, i) for n in range(4) for i in range(3)), header(0, 0, 96) * 3]
+
+
+class _Ramp:
+    def scan(self, index: int, time_s: float, config: RadarConfig) -> np.ndarray:
+        return np.full(config.samples, index, np.int32)
+
+
+def _requests(data: bytes) -> None:
+    """A client that says anything: the emulated radar answers in well-formed messages or not at all."""
+    core = EmulatorCore(_Ramp(), CONFIG)
+    for at in range(0, len(data), 40):
+        for answer in core.handle(data[at : at + 40]) + core.step():
+            decode(answer)
+
+
+def _request_seeds() -> list[bytes]:
+    requests = [encode(kind, 7) for kind in MessageType if len(encode(kind, 7)) <= 40]
+    return [packet.ljust(40, b"\0")[: max(len(packet), 4)] for packet in requests]
+
+
+@cache
+def _folder() -> Path:
+    """A folder in memory where there is one: a fuzzer writes millions of files."""
+    memory = Path("/dev/shm")
+    return Path(tempfile.mkdtemp(prefix="tagid-fuzz-", dir=memory if memory.is_dir() else None))
+
+
+def read_bytes_as_file(data: bytes) -> Capture | None:
+    """The capture that the bytes hold; None where they end in an error of the tree."""
+    path = _folder() / "input"
+    path.write_bytes(data)
+    try:
+        return read_any(path)
+    except TagidError as error:
+        assert error.message
+        return None
+
+
+def _importer(data: bytes) -> None:
+    read_bytes_as_file(data)
+
+
+def example(bins: int = 96, views: int = 4) -> Capture:
+    """A small capture that every format can hold."""
+    rng = np.random.default_rng(5)
+    return Capture(
+        rng.integers(-90_000, 90_000, (views, bins)).astype(np.int32),
+        1.5,
+        RANGE_STEP_M,
+        angles_rad=np.arange(float(views)),
+        axis_distance_m=1.0,
+        host_time_ns=1_700_000_000_000_000_000 + 20_000_000 * np.arange(views),
+        radar_time_ms=20.0 * np.arange(views),
+        scan_id=np.arange(views),
+        pulse=Pulse(np.ones(5), 1e-11),
+        radar={"config": {"base_integration_index": 11}, "detection_lists": ["1: 4 5"], "node_id": 7},
+    )
+
+
+def encoded(suffix: str, capture: Capture | None = None) -> bytes:
+    """A capture as the bytes of a file of that suffix."""
+    capture = capture or example()
+    path = _folder() / f"seed{suffix}"
+    path.unlink(missing_ok=True)
+    if suffix != ".tagid.journal":
+        export(capture, path)
+    else:
+        header = {"range_start_m": 1.5, "range_step_m": RANGE_STEP_M, "radar": capture.radar}
+        with JournalWriter(path, header, sync_every=0) as journal:
+            for number, row in enumerate(capture.samples):
+                journal.append(number, number, float(number), row)
+            journal.close({"radar": {"scans_lost": 0}})
+    return path.read_bytes()
+
+
+def _stored_npz() -> bytes:
+    """Not compressed, so that mutations reach the arrays and not only the deflate stream."""
+    buffer = io.BytesIO()
+    one = example()
+    np.savez(buffer, samples=one.samples, range_start_m=1.5, range_step_m=0.01, timestamps_s=np.arange(4.0))
+    return buffer.getvalue()
+
+
+def _seeds_of(*suffixes: str) -> Callable[[], list[bytes]]:
+    return lambda: [encoded(suffix) for suffix in suffixes] + [encoded(s, example(400, 2)) for s in suffixes]
+
+
+TARGETS = (
+    Target("message", _message, _messages, 0.64, 1600),
+    Target("framing-usb", _framing(Framing.USB), _frames(Framing.USB), 0.10, 3200),
+    Target("framing-uart", _framing(Framing.UART), _frames(Framing.UART), 0.10, 3200),
+    Target("regrouping", _scans, _scan_headers, 0.01, 260),
+    Target("requests", _requests, _request_seeds, 0.05, 240),
+    Target("recording", _importer, _seeds_of(".prd"), 0.03, 14_000),
+    Target("mrm-ret", _importer, _seeds_of(".csv"), 0.015, 8000),
+    Target("journal", _importer, _seeds_of(".tagid.journal"), 0.025, 8000),
+    Target("npz", _importer, lambda: [*_seeds_of(".npz")(), _stored_npz()], 0.025, 8000),
+    Target("hdf5", _importer, _seeds_of(".tagid.h5"), 0.005, 30_000),
+)
+"""Every parser there is; the shares add up to 1 and go by what an execution costs."""
