@@ -1,0 +1,1 @@
+"""The Bluetooth bridge between a computer and a robot's serial port: its firmware and the tools around it."""

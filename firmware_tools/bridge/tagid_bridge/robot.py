@@ -1,0 +1,180 @@
+"""The robot's side: its serial line, the dead-man that stops its wheels, and the BRC pin that wakes it.
+
+Whatever is queued towards the robot waits here and not in the serial driver, because a dead-man must be able
+to throw a stale drive command away.
+"""
+
+from time import ticks_add, ticks_diff, ticks_ms, ticks_us
+
+from machine import UART, Pin
+from micropython import const
+from tagid_bridge.ring import Ring
+
+IDLE = const(0)
+ARMED = const(1)
+TRIPPED = const(2)
+
+SILENCE = const(1)
+FAULT = const(3)
+
+# Roomba Open Interface: the zeros complete a command that was cut in the middle (opcode 0 is none), Drive
+# Direct 0 0 stops the wheels, Safe and a second stop follow for a robot that missed the first, and Start
+# leaves it Passive: motors off, and it may sleep and charge.
+STOP = b"\x00\x00\x00\x00\x91\x00\x00\x00\x00\x83\x91\x00\x00\x00\x00\x80"
+_AGAIN_MS = (30, 150)
+_SLICE_MS = const(4)
+
+
+class Robot:
+    """The serial line to the robot and everything that guards it."""
+
+    def __init__(self, config):
+        self.baud = config["baud"]
+        self._config = config
+        self.uart = None
+        if config["uart_tx"] is not None:
+            self._open()
+        pin = config["brc_pin"]
+        self._released = 0 if config["brc_inverted"] else 1
+        # Open drain where the pin goes straight to BRC; through a transistor the pin's level is inverted.
+        mode = Pin.OUT if config["brc_inverted"] else Pin.OPEN_DRAIN
+        self.brc = None if pin is None else Pin(pin, mode, value=self._released)
+        self._brc_steps = 0
+        self._brc_times = (0, 0)
+        self._brc_next = 0
+        self.to_robot = Ring(1024)
+        self.from_robot = Ring(4096)
+        self.state = IDLE
+        self.timeout_ms = config["deadman_ms"]
+        self._fed = ticks_ms()
+        self._free_at = ticks_us()
+        self._repeats = []
+        self.sent = self.received = self.lost_out = self.lost_in = self.trips = 0
+        self._overflows = [False, False]
+
+    def _open(self):
+        c = self._config
+        self.uart = UART(
+            c["uart_id"],
+            baudrate=self.baud,
+            tx=c["uart_tx"],
+            rx=c["uart_rx"],
+            rxbuf=2048,
+            txbuf=256,
+            timeout=0,
+        )
+
+    def set_baud(self, baud):
+        """Changes the line's speed, after the robot was told or woken into it."""
+        self.baud = baud
+        self.uart.init(baudrate=baud)
+
+    # The dead-man.
+
+    def feed(self):
+        """The host is alive."""
+        self._fed = ticks_ms()
+
+    def arm(self, timeout_ms):
+        """From now on silence longer than `timeout_ms` stops the wheels."""
+        self.timeout_ms = timeout_ms or self._config["deadman_ms"]
+        self.state = ARMED
+        self._repeats = []
+        self.feed()
+
+    def disarm(self):
+        """The host has left the robot stopped: silence means nothing any more."""
+        self.state = IDLE
+
+    def silent_ms(self):
+        """How long the host has said nothing, ms."""
+        return ticks_diff(ticks_ms(), self._fed)
+
+    def overdue(self):
+        """Whether an armed host has been silent for too long."""
+        return self.state == ARMED and self.silent_ms() >= self.timeout_ms
+
+    def trip(self, next_state):
+        """Throws away what waits for the robot and stops it, now and twice again."""
+        self.to_robot.clear()
+        self.state = next_state
+        self.trips += 1
+        now = ticks_ms()
+        self._repeats = [ticks_add(now, wait) for wait in _AGAIN_MS]
+        self.stop()
+
+    def stop(self):
+        """Writes the stop bytes past every queue."""
+        if self.uart is not None:
+            self.uart.write(STOP)
+            self.sent += len(STOP)
+
+    # The byte stream.
+
+    def from_host(self, data):
+        """Bytes of the host for the robot, called from the radio's interrupt."""
+        if self.state == TRIPPED or not self.to_robot.put(data):
+            self.lost_out += len(data)
+            self._overflows[0] = True
+            return
+        if self.state == IDLE:
+            self.arm(0)
+        self.feed()
+
+    def move(self, keep):
+        """Moves bytes along; without `keep` nobody listens and what the robot says is dropped."""
+        if self.uart is None:
+            return
+        now = ticks_us()
+        if len(self.to_robot) and ticks_diff(now, self._free_at) >= 0:
+            # Only what the line carries in a few milliseconds leaves the queue: see the module's docstring.
+            data = self.to_robot.peek(max(1, self.baud * _SLICE_MS // 10000))
+            self.uart.write(data)
+            self.to_robot.drop(len(data))
+            self.sent += len(data)
+            self._free_at = ticks_add(now, len(data) * 10000000 // self.baud)
+        waiting = self.uart.any()
+        while waiting:
+            data = self.uart.read(min(waiting, 256))
+            if not data:
+                break
+            self.received += len(data)
+            if keep and not self.from_robot.put(data):
+                self.lost_in += len(data)
+                self._overflows[1] = True
+            waiting -= len(data)
+
+    def overflows(self):
+        """(direction, bytes lost so far) of each direction that lost some since the last call."""
+        found = []
+        for direction, lost in enumerate((self.lost_out, self.lost_in)):
+            if self._overflows[direction]:
+                self._overflows[direction] = False
+                found.append((direction, lost))
+        return found
+
+    # What runs beside it.
+
+    def pulse(self, width_ms, count, gap_ms):
+        """Starts `count` low pulses on BRC."""
+        self._brc_times = (width_ms, gap_ms)
+        self._brc_steps = 2 * count
+        self._brc_next = ticks_ms()
+
+    def pulsing(self):
+        """Whether pulses are still under way."""
+        return self._brc_steps > 0
+
+    def tick(self):
+        """Does what is due: repeats of the stop bytes, edges on BRC."""
+        now = ticks_ms()
+        if self._repeats and ticks_diff(now, self._repeats[0]) >= 0:
+            self._repeats.pop(0)
+            self.stop()
+        if self._brc_steps and ticks_diff(now, self._brc_next) >= 0:
+            low = self._brc_steps % 2 == 0
+            self.brc.value(1 - self._released if low else self._released)
+            self._brc_next = ticks_add(now, self._brc_times[0 if low else 1])
+            self._brc_steps -= 1
+            if self._brc_steps == 0:
+                self._brc_next = now

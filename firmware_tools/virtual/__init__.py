@@ -1,0 +1,1 @@
+"""The bridge without a board: its unmodified firmware between a pty and a virtual Bluetooth controller."""

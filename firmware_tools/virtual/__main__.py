@@ -1,0 +1,138 @@
+"""One board as a process: `python -m firmware_tools.virtual --config bridge.json --uart /dev/pts/7`.
+
+Prints one JSON line when a host may connect, then one for every change of a pin; reads commands on stdin.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import json
+import logging
+import os
+import shutil
+import sys
+import tempfile
+import threading
+import time
+import traceback
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from bumble import hci
+from bumble.device import Device
+from bumble.host import Host
+
+from firmware_tools.virtual.air import Air, HciServer, make_controller
+from firmware_tools.virtual.ble import VirtualBle
+from firmware_tools.virtual.board import Board
+from firmware_tools.virtual.modules import install
+
+_FIRMWARE = Path(__file__).resolve().parent.parent / "bridge"
+_WATCHDOG_RESET = 3
+_REPORTS = sys.stdout
+COMMANDS = "cut: the link vanishes; drop: it closes; index: a pulse; stall MS: the firmware hangs; quit"
+
+
+def report(document: dict[str, Any]) -> None:
+    """One JSON line on stdout."""
+    _REPORTS.write(json.dumps(document) + "\n")
+    _REPORTS.flush()
+
+
+def arguments(words: list[str]) -> argparse.Namespace:
+    """The command line."""
+    parser = argparse.ArgumentParser(
+        prog="python -m firmware_tools.virtual", description=__doc__, epilog=COMMANDS
+    )
+    parser.add_argument(
+        "--config", type=Path, help="configuration file; without one the bridge is not provisioned"
+    )
+    parser.add_argument(
+        "--uart", default="loop", help="tty of the robot, or 'loop': TX wired to RX (default)"
+    )
+    parser.add_argument("--hci", default="tcp-server:127.0.0.1:0", help="where a host finds its controller")
+    parser.add_argument("--address", default="F0:F1:F2:F3:F4:01", help="the bridge's Bluetooth address")
+    parser.add_argument("--folder", type=Path, help="the board's file system, kept; default: a temporary one")
+    parser.add_argument(
+        "--interval-ms", type=float, default=0.0, help="connection interval, bounds the throughput"
+    )
+    parser.add_argument(
+        "--supervision-ms", type=float, default=2000.0, help="link loss is noticed after this"
+    )
+    parser.add_argument("--after-watchdog", action="store_true", help="boot as after a watchdog reset")
+    return parser.parse_args(words)
+
+
+def run_firmware(board: Board) -> None:
+    """The unmodified main.py, in this thread."""
+    try:
+        source = (_FIRMWARE / "main.py").read_text()
+        exec(compile(source, "main.py", "exec"), {"__name__": "__main__"})
+    except BaseException:
+        traceback.print_exc()
+        board.end(1)
+
+
+async def serve(options: argparse.Namespace) -> None:
+    """Sets up the air, starts the firmware and follows commands."""
+    loop = asyncio.get_running_loop()
+    air = Air(options.interval_ms / 1000, options.supervision_ms / 1000)
+    controller = make_controller("bridge", air)
+    host = Host()
+    host.controller = controller
+    device = Device(name="bridge", address=hci.Address(options.address), host=host)
+    board = Board(options.uart, report, os._exit, _WATCHDOG_RESET if options.after_watchdog else 1)
+    advertising = asyncio.Event()
+    ble = VirtualBle(board, device, loop, air)
+    ble.on_advertise = advertising.set
+    install(board, ble, str(_FIRMWARE))
+    _, _, address = options.hci.partition("tcp-server:")
+    host_name, _, port_text = address.rpartition(":")
+    port = await HciServer(air, controller).start(host_name or "127.0.0.1", int(port_text))
+    threading.Thread(target=run_firmware, args=(board,), daemon=True).start()
+    board.start_guard()
+    await advertising.wait()
+    report(
+        {"ready": True, "hci": f"tcp-client:{host_name or '127.0.0.1'}:{port}", "address": options.address}
+    )
+    reader = asyncio.StreamReader()
+    await loop.connect_read_pipe(lambda: asyncio.StreamReaderProtocol(reader), sys.stdin)
+    while line := (await reader.readline()).decode().split():
+        if line[0] == "cut":
+            air.cut()
+        elif line[0] == "drop":
+            for connection in list(device.connections.values()):
+                await connection.disconnect()
+        elif line[0] == "index":
+            for pin in board.pins.values():
+                pin.pulse()
+        elif line[0] == "stall":
+            board.interrupt(partial(time.sleep, float(line[1]) / 1000))
+        elif line[0] == "quit":
+            return
+        report({"done": line[0], "us": time.monotonic_ns() // 1000})
+
+
+def main() -> None:
+    """Entry point; ends with stdin."""
+    options = arguments(sys.argv[1:])
+    folder = Path(options.folder or tempfile.mkdtemp(prefix="bridge-"))
+    folder.mkdir(parents=True, exist_ok=True)
+    if options.config is not None:
+        shutil.copyfile(options.config, folder / "bridge.json")
+    os.chdir(folder)
+    sys.stdout = sys.stderr  # what the firmware prints is for its console
+    # A refused write without response has nobody to be told; bumble would print its traceback.
+    logging.getLogger("bumble.gatt_server").setLevel(logging.CRITICAL)
+    try:
+        asyncio.run(serve(options))
+    finally:
+        if options.folder is None:
+            shutil.rmtree(folder, ignore_errors=True)
+        os._exit(0)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,140 @@
+"""The air between two virtual controllers: the bridge's, and one for whichever host connects over TCP.
+
+Unlike the real thing it can be cut at a chosen moment; like the real thing each side then finds out only when
+its supervision timeout has passed.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+from bumble import hci, ll
+from bumble.controller import Controller
+from bumble.core import PhysicalTransport
+from bumble.link import LocalLink
+from bumble.transport.common import StreamPacketSink, StreamPacketSource
+
+_DATA_LENGTH = 251
+"""Bytes of an LE data packet with the length extension, which ESP32 and today's computers have."""
+
+
+class Air(LocalLink):
+    """A link that can be cut.
+
+    Args:
+        interval_s: time between connection events, s; bounds what the bridge can notify.
+        supervision_s: silence after which a side takes the link for lost, s.
+    """
+
+    def __init__(self, interval_s: float, supervision_s: float) -> None:
+        super().__init__()  # type: ignore[no-untyped-call]
+        self.interval_s = interval_s
+        self.supervision_s = supervision_s
+        self.is_cut = False
+        self._responses: dict[str, bytes] = {}
+
+    def set_scan_response(self, address: hci.Address, data: bytes) -> None:
+        """Virtual controllers answer scans with the advertisement alone; this joins the response to it."""
+        self._responses[str(address)] = data
+
+    def send_advertising_pdu(self, sender_controller: Controller, packet: ll.AdvertisingPdu) -> None:
+        """Passes an advertisement on, with the scan response of its sender."""
+        if self.is_cut:
+            return
+        if isinstance(packet, (ll.AdvInd, ll.AdvExtInd)):
+            more = self._responses.get(str(packet.advertiser_address), b"")
+            packet = dataclasses.replace(packet, data=packet.data + more)
+        super().send_advertising_pdu(sender_controller, packet)
+
+    def send_acl_data(
+        self,
+        sender_controller: Controller,
+        destination_address: hci.Address,
+        transport: PhysicalTransport,
+        data: bytes,
+    ) -> None:
+        """Passes data on."""
+        if not self.is_cut:
+            super().send_acl_data(sender_controller, destination_address, transport, data)
+
+    def send_ll_control_pdu(
+        self, sender_address: hci.Address, receiver_address: hci.Address, packet: ll.ControlPdu
+    ) -> None:
+        """Passes link control on."""
+        if not self.is_cut and self.find_le_controller(receiver_address) is not None:
+            super().send_ll_control_pdu(sender_address, receiver_address, packet)
+
+    def cut(self) -> None:
+        """Nothing passes any more; after the supervision timeout both sides are told and the air is back."""
+        if self.is_cut:
+            return
+        self.is_cut = True
+        asyncio.get_running_loop().call_later(self.supervision_s, self._timed_out)
+
+    def _timed_out(self) -> None:
+        for controller in list(self.controllers):
+            lose_links(controller)
+        self.is_cut = False
+
+
+def lose_links(controller: Controller) -> None:
+    """Tells a controller that its connections are gone by supervision timeout."""
+    for connection in list(controller.le_connections.values()):
+        controller.on_le_disconnected(connection, hci.HCI_ErrorCode.CONNECTION_TIMEOUT_ERROR)
+
+
+def make_controller(name: str, air: Air, **ends: Any) -> Controller:
+    """A controller on the air with today's packet length."""
+    controller = Controller(name, link=air, **ends)
+    controller.le_acl_data_packet_length = _DATA_LENGTH
+    controller.supported_max_tx_octets = controller.supported_max_rx_octets = _DATA_LENGTH
+    return controller
+
+
+class HciServer:
+    """Gives every host that connects over TCP a controller of its own; at its end the controller is gone."""
+
+    def __init__(self, air: Air, bridge: Controller) -> None:
+        self._air = air
+        self._bridge = bridge
+        self._server: asyncio.Server | None = None
+
+    async def start(self, host: str, port: int) -> int:
+        """Listens; returns the port."""
+        server = await asyncio.get_running_loop().create_server(
+            lambda: _HostLink(self._air, self._bridge), host, port
+        )
+        self._server = server
+        return int(server.sockets[0].getsockname()[1])
+
+
+class _HostLink(asyncio.Protocol):
+    """One host's TCP connection and its controller."""
+
+    def __init__(self, air: Air, bridge: Controller) -> None:
+        self._air = air
+        self._bridge = bridge
+        self._source = StreamPacketSource()
+        self._controller: Controller | None = None
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        assert isinstance(transport, asyncio.Transport)
+        sink = StreamPacketSink(transport)
+        self._controller = make_controller("host", self._air, host_source=self._source, host_sink=sink)
+
+    def data_received(self, data: bytes) -> None:
+        self._source.data_received(data)
+
+    def connection_lost(self, error: Exception | None) -> None:
+        """The host's process is gone, perhaps killed: the bridge notices by silence only."""
+        if self._controller is None:
+            return
+        with contextlib.suppress(KeyError):
+            self._air.remove_controller(self._controller)
+        if self._controller.le_connections:
+            later: Callable[[], None] = lambda: lose_links(self._bridge)  # noqa: E731
+            asyncio.get_running_loop().call_later(self._air.supervision_s, later)

@@ -1,0 +1,157 @@
+"""The board under the firmware: interrupts, pins, serial line and watchdog, as MicroPython would offer them.
+
+The firmware runs in a thread of its own; everything that is an interrupt on a board is queued and served
+whenever the firmware sleeps, so that interrupt and loop never run at once, as on the board.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+import queue
+import struct
+import termios
+import threading
+import time
+import tty
+from collections.abc import Callable
+from typing import Any
+
+Report = Callable[[dict[str, Any]], None]
+_SPEEDS = {
+    int(name[1:]): getattr(termios, name) for name in dir(termios) if name[1:].isdigit() and name[0] == "B"
+}
+
+
+class Board:
+    """What the modules `machine` and `time` stand on.
+
+    Args:
+        uart: path of the tty of the robot, or "loop" for TX wired to RX.
+        report: called with {"pin": ..., "value": ..., "us": ...} when an output changes.
+        end: called with an exit code where the board resets.
+        reset_cause: what `machine.reset_cause()` answers.
+    """
+
+    def __init__(self, uart: str, report: Report, end: Callable[[int], None], reset_cause: int = 1) -> None:
+        self.uart_path = uart
+        self.report = report
+        self.end = end
+        self.reset_cause = reset_cause
+        self.pins: dict[int, VirtualPin] = {}
+        self.watchdog_due: float | None = None
+        self._interrupts: queue.Queue[Callable[[], None]] = queue.Queue()
+
+    def interrupt(self, handler: Callable[[], None]) -> None:
+        """Queue a handler for the firmware's thread; from any thread."""
+        self._interrupts.put(handler)
+
+    def sleep_ms(self, duration: int) -> None:
+        """The firmware's sleep: interrupts are served as they come."""
+        deadline = time.monotonic() + duration / 1000
+        while True:
+            try:
+                handler = self._interrupts.get(timeout=max(deadline - time.monotonic(), 0.0))
+            except queue.Empty:
+                return
+            handler()
+
+    def feed(self, timeout_ms: float) -> None:
+        """The watchdog is satisfied for another while."""
+        self.watchdog_due = time.monotonic() + timeout_ms / 1000
+
+    def guard(self) -> None:
+        """Ends the board where the watchdog was not fed; runs in a thread of its own."""
+        while True:
+            time.sleep(0.05)
+            if self.watchdog_due is not None and time.monotonic() > self.watchdog_due:
+                self.report({"watchdog": True})
+                self.end(70)
+
+    def start_guard(self) -> None:
+        """Starts the watchdog."""
+        threading.Thread(target=self.guard, daemon=True).start()
+
+
+class VirtualPin:
+    """`machine.Pin`: an output reports its changes, an input is moved by `pulse`."""
+
+    IN, OUT, OPEN_DRAIN = 1, 3, 7
+    PULL_UP = 2
+    IRQ_RISING, IRQ_FALLING = 1, 2
+
+    def __init__(
+        self, board: Board, number: int, mode: int = 1, pull: int | None = None, *, value: int = 1
+    ) -> None:
+        self._board = board
+        self._number = number
+        self._value = value
+        self._handler: Callable[[Any], None] | None = None
+        board.pins[number] = self
+
+    def value(self, value: int | None = None) -> int:
+        """Reads, or sets and reports."""
+        if value is not None and value != self._value:
+            self._value = value
+            self._board.report({"pin": self._number, "value": value, "us": time.monotonic_ns() // 1000})
+        return self._value
+
+    def irq(self, handler: Callable[[Any], None], trigger: int) -> None:
+        """Calls `handler` on an edge."""
+        self._handler = handler
+
+    def pulse(self) -> None:
+        """The edge that the interrupt waits for."""
+        handler = self._handler
+        if handler is not None:
+            self._board.interrupt(lambda: handler(self))
+
+
+class VirtualUart:
+    """`machine.UART` on a tty, or wired to itself."""
+
+    def __init__(self, board: Board, number: int, baudrate: int, **pins: Any) -> None:
+        self._loop: bytearray | None = None
+        if board.uart_path == "loop":
+            self._loop = bytearray()
+            return
+        self._tty = os.open(board.uart_path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        tty.setraw(self._tty)
+        self.init(baudrate)
+
+    def init(self, baudrate: int) -> None:
+        """Sets the speed of the line; on a pty the other end can read it back."""
+        if self._loop is None:
+            settings = termios.tcgetattr(self._tty)
+            settings[4] = settings[5] = _SPEEDS.get(baudrate, termios.B115200)
+            termios.tcsetattr(self._tty, termios.TCSANOW, settings)
+
+    def any(self) -> int:
+        """Bytes waiting."""
+        if self._loop is not None:
+            return len(self._loop)
+        try:
+            return int(struct.unpack("i", fcntl.ioctl(self._tty, termios.FIONREAD, b"\0\0\0\0"))[0])
+        except OSError:  # the robot's side of the pty is closed: an unplugged robot says nothing
+            return 0
+
+    def read(self, count: int) -> bytes | None:
+        """Up to `count` bytes, or None."""
+        if self._loop is not None:
+            data = bytes(self._loop[:count])
+            del self._loop[:count]
+            return data or None
+        try:
+            return os.read(self._tty, count) or None
+        except OSError:
+            return None
+
+    def write(self, data: bytes) -> int:
+        """Bytes go out; where nobody takes them they are lost, as on a wire."""
+        if self._loop is not None:
+            self._loop += data
+            return len(data)
+        with contextlib.suppress(OSError):
+            os.write(self._tty, data)
+        return len(data)

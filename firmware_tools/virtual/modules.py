@@ -1,0 +1,66 @@
+"""The modules that MicroPython has and CPython has not, put where `import` finds them.
+
+Each process is one board, because the modules are the process's."""
+
+from __future__ import annotations
+
+import sys
+import time
+import types
+from functools import partial
+from typing import Any
+
+from firmware_tools.virtual.ble import MicroUUID
+from firmware_tools.virtual.board import Board, VirtualPin, VirtualUart
+
+_PERIOD = 1 << 30
+"""The ticks of an ESP32 wrap at 2^30."""
+
+
+def ticks_diff(later: int, earlier: int) -> int:
+    """Signed difference of two readings of a clock that wraps."""
+    return ((later - earlier + _PERIOD // 2) % _PERIOD) - _PERIOD // 2
+
+
+def install(board: Board, ble: Any, folder: str) -> None:
+    """Puts `machine`, `bluetooth`, `micropython` and the extensions of `time` and `sys` in place."""
+    machine = types.ModuleType("machine")
+    pin = partial(VirtualPin, board)
+    for name in ("IN", "OUT", "OPEN_DRAIN", "PULL_UP", "IRQ_RISING", "IRQ_FALLING"):
+        setattr(pin, name, getattr(VirtualPin, name))
+
+    class Watchdog:
+        def __init__(self, timeout: int) -> None:
+            self._timeout = timeout
+            board.feed(timeout)
+
+        def feed(self) -> None:
+            board.feed(self._timeout)
+
+    members = {
+        "Pin": pin,
+        "UART": partial(VirtualUart, board),
+        "WDT": Watchdog,
+        "WDT_RESET": 3,
+        "reset_cause": lambda: board.reset_cause,
+        "reset": lambda: board.end(71),
+    }
+    for name, value in members.items():
+        setattr(machine, name, value)
+    bluetooth = types.ModuleType("bluetooth")
+    bluetooth.UUID = MicroUUID  # type: ignore[attr-defined]
+    bluetooth.BLE = lambda: ble  # type: ignore[attr-defined]
+    micropython = types.ModuleType("micropython")
+    micropython.const = lambda value: value  # type: ignore[attr-defined]
+    sys.modules.update(machine=machine, bluetooth=bluetooth, micropython=micropython)
+    clock: dict[str, Any] = {
+        "ticks_us": lambda: (time.monotonic_ns() // 1000) % _PERIOD,
+        "ticks_ms": lambda: (time.monotonic_ns() // 1_000_000) % _PERIOD,
+        "ticks_add": lambda ticks, delta: (ticks + delta) % _PERIOD,
+        "ticks_diff": ticks_diff,
+        "sleep_ms": board.sleep_ms,
+    }
+    for name, value in clock.items():
+        setattr(time, name, value)
+    sys.print_exception = sys.excepthook  # type: ignore[attr-defined]
+    sys.path.insert(0, folder)

@@ -1,0 +1,123 @@
+"""Starts a virtual bridge as a process of its own and talks to it; for emulators and tests.
+
+Two processes, because a firmware that hangs or a host that is killed must not take the other with it.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import queue
+import subprocess
+import sys
+import tempfile
+import threading
+from collections.abc import Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Any, Self
+
+from tagid.errors import DeviceTimeoutError
+
+_ROOT = Path(__file__).resolve().parents[2]
+
+
+class BoardProcess:
+    """One virtual bridge; use it as a context manager.
+
+    Args:
+        config: the configuration file's keys, or None for a bridge that was never provisioned.
+        uart: path of the robot's tty, or "loop".
+        options: further words of the command line, see `python -m firmware_tools.virtual --help`.
+        timeout: for its start and each answer, s.
+
+    Raises DeviceTimeoutError where it does not start.
+    """
+
+    def __init__(
+        self, config: Mapping[str, Any] | None, uart: str = "loop", *options: str, timeout: float = 30.0
+    ) -> None:
+        self._config, self._uart, self._options, self._timeout = config, uart, options, timeout
+        self._lines: queue.Queue[dict[str, Any] | None] = queue.Queue()
+        self._folder: tempfile.TemporaryDirectory[str] | None = None
+        self.changes: list[dict[str, Any]] = []
+        """Everything it reported beside answers: pins and the watchdog."""
+        self.hci = ""
+        """Where a host finds its controller, a bumble transport."""
+        self.address = ""
+
+    def __enter__(self) -> Self:
+        self._folder = tempfile.TemporaryDirectory(prefix="tagid-bridge-")
+        words = [sys.executable, "-m", "firmware_tools.virtual", "--uart", self._uart, *self._options]
+        if self._config is not None:
+            path = Path(self._folder.name) / "config.json"
+            path.write_text(json.dumps(dict(self._config)), encoding="utf-8")
+            words += ["--config", str(path)]
+        paths = os.pathsep.join(filter(None, (str(_ROOT), os.environ.get("PYTHONPATH"))))
+        self.process: subprocess.Popen[str] = subprocess.Popen(
+            words,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            env={**os.environ, "PYTHONPATH": paths},
+            cwd=self._folder.name,
+        )
+        assert self.process.stdout is not None
+        threading.Thread(target=self._read, args=(self.process.stdout,), daemon=True).start()
+        try:
+            ready = self._answer("ready")
+        except BaseException:
+            self.__exit__(None, None, None)
+            raise
+        self.hci, self.address = ready["hci"], ready["address"]
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        assert self.process.stdin is not None and self.process.stdout is not None
+        try:
+            self.process.stdin.close()
+        except OSError:
+            pass
+        try:
+            self.process.wait(self._timeout)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.wait()
+        self.process.stdout.close()
+        if self._folder is not None:
+            self._folder.cleanup()
+
+    def _read(self, stream: IO[str]) -> None:
+        try:
+            for line in stream:
+                self._lines.put(json.loads(line))
+        except ValueError:  # closed under the reader
+            pass
+        self._lines.put(None)
+
+    def _answer(self, key: str) -> dict[str, Any]:
+        while True:
+            try:
+                line = self._lines.get(timeout=self._timeout)
+            except queue.Empty:
+                raise DeviceTimeoutError(
+                    "the virtual bridge does not answer", "Look at its output."
+                ) from None
+            if line is None:
+                raise DeviceTimeoutError("the virtual bridge has ended", "Look at its output.")
+            if key in line:
+                return line
+            self.changes.append(line)
+
+    def wait_for(self, key: str) -> dict[str, Any]:
+        """The next report that has `key`, e.g. "pin" or "watchdog"."""
+        return self._answer(key)
+
+    def command(self, text: str) -> int:
+        """Carries out a command (cut, drop, index, stall MS); returns when, on this machine's clock, us."""
+        assert self.process.stdin is not None
+        self.process.stdin.write(text + "\n")
+        self.process.stdin.flush()
+        return int(self._answer("done")["us"])

@@ -1,0 +1,144 @@
+"""Looking for a bridge in the air: by name and service together, with a clear word where that fails.
+
+Other devices (a Foldio turntable) advertise the same serial service, and two bridges may bear one name.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from tagid.errors import DeviceError, DeviceGoneError, DeviceTimeoutError, UsageError
+from tagid.motion.bridge.protocol import NUS
+
+if TYPE_CHECKING:
+    from bleak.backends.client import BaseBleakClient
+    from bleak.backends.device import BLEDevice
+    from bleak.backends.scanner import BaseBleakScanner
+
+_ADAPTER = (
+    "Switch Bluetooth on (Linux: `bluetoothctl power on`, and the service `bluetooth` must run), or plug in "
+    "an adapter for Bluetooth 4.0 or newer."
+)
+
+
+@dataclass(frozen=True)
+class Backends:
+    """The pair of bleak backends to use; None for the platform's own."""
+
+    scanner: type[BaseBleakScanner] | None = None
+    client: type[BaseBleakClient] | None = None
+
+
+@dataclass(frozen=True)
+class Heard:
+    """A device that advertises the serial service."""
+
+    name: str
+    address: str
+    rssi: int
+    device: Any
+
+
+@contextmanager
+def bluetooth_errors(doing: str) -> Iterator[None]:
+    """Turns what bleak and the system raise into one error of ours, while `doing` something.
+
+    Raises:
+        DeviceError: no adapter, no permission, or anything else that Bluetooth refuses.
+        DeviceTimeoutError: no answer in time.
+    """
+    from bleak.exc import BleakBluetoothNotAvailableError, BleakDeviceNotFoundError, BleakError
+
+    try:
+        yield
+    except BleakBluetoothNotAvailableError as error:
+        raise DeviceError(f"no Bluetooth here while {doing}: {_line(error)}", _ADAPTER) from error
+    except BleakDeviceNotFoundError as error:
+        raise DeviceGoneError(
+            f"the device does not answer while {doing}", "Bring it nearer and check its power."
+        ) from error
+    except BleakError as error:
+        text = _line(error)
+        if "NSUFFICIENT_AUTH" in text.upper() or "NotPermitted" in text or "0x05" in text:
+            raise DeviceError(
+                f"the bridge does not know this computer while {doing}",
+                "Pair with the bridge's pass-key first.",
+            ) from error
+        raise DeviceError(
+            f"Bluetooth failed while {doing}: {text}", "Try again; then power-cycle the bridge."
+        ) from error
+    except TimeoutError as error:
+        raise DeviceTimeoutError(
+            f"no answer over Bluetooth while {doing}", "Bring the bridge nearer and check its power."
+        ) from error
+    except OSError as error:
+        raise DeviceError(f"no Bluetooth here while {doing}: {_line(error)}", _ADAPTER) from error
+
+
+def _line(error: BaseException) -> str:
+    return str(error).partition("\n")[0] or type(error).__name__
+
+
+async def listen(seconds: float, backends: Backends | None = None) -> list[Heard]:
+    """Every device heard within `seconds` that advertises the serial service, strongest first."""
+    from bleak import BleakScanner
+
+    heard: dict[str, Heard] = {}
+
+    def seen(device: BLEDevice, advertisement: Any) -> None:
+        if NUS in [item.lower() for item in advertisement.service_uuids]:
+            name = advertisement.local_name or device.name or ""
+            heard[device.address] = Heard(name, device.address, advertisement.rssi, device)
+
+    with bluetooth_errors("listening for bridges"):
+        async with BleakScanner(seen, backend=(backends or Backends()).scanner):
+            await asyncio.sleep(seconds)
+    return sorted(heard.values(), key=lambda item: -item.rssi)
+
+
+async def find(wanted: str, seconds: float = 5.0, backends: Backends | None = None) -> Heard:
+    """The one device of that name or address.
+
+    The whole time is listened even after a hit, because only then is it known that the name is unique; an
+    address ends the wait.
+
+    Raises:
+        DeviceGoneError: none of that name; the message tells which were heard.
+        UsageError: several bridges of that name.
+        DeviceError: no Bluetooth.
+    """
+    from bleak import BleakScanner
+
+    heard: dict[str, Heard] = {}
+    by_address = asyncio.Event()
+
+    def seen(device: BLEDevice, advertisement: Any) -> None:
+        if NUS not in [item.lower() for item in advertisement.service_uuids]:
+            return
+        name = advertisement.local_name or device.name or ""
+        heard[device.address] = Heard(name, device.address, advertisement.rssi, device)
+        if device.address.lower() == wanted.lower():
+            by_address.set()
+
+    with bluetooth_errors(f"looking for {wanted}"):
+        async with BleakScanner(seen, backend=(backends or Backends()).scanner):
+            with suppress(TimeoutError):
+                await asyncio.wait_for(by_address.wait(), seconds)
+    found = [item for item in heard.values() if wanted.lower() in (item.name.lower(), item.address.lower())]
+    if len(found) > 1:
+        addresses = ", ".join(sorted(item.address for item in found))
+        raise UsageError(
+            f"{len(found)} bridges are called {wanted!r}: {addresses}",
+            "Give the address instead of the name, or provision one of them with another name.",
+        )
+    if not found:
+        others = ", ".join(sorted(f"{item.name or '?'} ({item.address})" for item in heard.values()))
+        raise DeviceGoneError(
+            f"no bridge called {wanted!r} within {seconds:g} s; heard: {others or 'none at all'}",
+            "Check the bridge's power and name, and that no other computer is connected to it.",
+        )
+    return found[0]

@@ -1,0 +1,87 @@
+"""A robot's wire on a pty and the unmodified firmware behind a virtual controller, in a process of its own."""
+
+from __future__ import annotations
+
+import os
+import select
+import time
+import tty
+from collections.abc import AsyncIterator, Iterator
+from contextlib import asynccontextmanager
+from typing import Any
+
+import pytest
+
+pytest.importorskip(
+    "bumble", reason="the virtual Bluetooth controllers come with bumble: pip install 'tagid[virtual]'"
+)
+
+from firmware_tools.virtual.backend import open_backend
+from firmware_tools.virtual.process import BoardProcess
+from tagid.motion.bridge.client import Bridge
+from tagid.motion.bridge.find import Backends, find
+
+PASSKEY = "482913"
+CONFIG: dict[str, Any] = {
+    "name": "robot-7",
+    "passkey": PASSKEY,
+    "uart_tx": 4,
+    "uart_rx": 5,
+    "brc_pin": 6,
+    "index_pin": 7,
+}
+
+
+class Wire:
+    """The robot's end of the serial line."""
+
+    def __init__(self) -> None:
+        self.master, self.slave = os.openpty()
+        tty.setraw(self.master)
+        tty.setraw(self.slave)
+        self.path = os.ttyname(self.slave)
+
+    def read(self, count: int, timeout: float = 20.0) -> bytes:
+        """`count` bytes, or what came before the timeout."""
+        data = b""
+        deadline = time.monotonic() + timeout
+        while (
+            len(data) < count and select.select([self.master], [], [], max(deadline - time.monotonic(), 0))[0]
+        ):
+            data += os.read(self.master, count - len(data))
+        return data
+
+    def waiting(self) -> bytes:
+        """What is there now."""
+        return os.read(self.master, 65536) if select.select([self.master], [], [], 0)[0] else b""
+
+    def write(self, data: bytes) -> None:
+        os.write(self.master, data)
+
+    def close(self) -> None:
+        os.close(self.master)
+        os.close(self.slave)
+
+
+@pytest.fixture
+def wire() -> Iterator[Wire]:
+    made = Wire()
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def board(wire: Wire) -> Iterator[BoardProcess]:
+    """A provisioned bridge whose robot is `wire`."""
+    with BoardProcess(CONFIG, wire.path) as process:
+        yield process
+
+
+@asynccontextmanager
+async def host(board: BoardProcess, passkey: str | None = PASSKEY, **callbacks: Any) -> AsyncIterator[Bridge]:
+    """A host that found and paired with the bridge."""
+    async with open_backend(board.hci, passkey) as pair:
+        backends = Backends(*pair)
+        heard = await find(board.address, 20.0, backends)
+        async with Bridge(heard, passkey=passkey, backends=backends, timeout=20.0, **callbacks) as bridge:
+            yield bridge

@@ -1,0 +1,266 @@
+"""The unmodified firmware over virtual Bluetooth: who may drive, and that bytes arrive, all and in order."""
+
+from __future__ import annotations
+
+import asyncio
+import random
+import termios
+
+import pytest
+
+from firmware_tools.virtual.backend import open_backend
+from firmware_tools.virtual.process import BoardProcess
+from tagid.errors import DeviceGoneError, DeviceRejectedError, UsageError
+from tagid.motion.bridge.find import Backends, find
+from tagid.motion.bridge.protocol import (
+    COMMAND,
+    NUS_RX,
+    Event,
+    Flag,
+    IndexPulse,
+    Op,
+    Overflow,
+    Status,
+    encode,
+)
+from tests.firmware.conftest import CONFIG, PASSKEY, Wire, host
+
+
+def test_bytes_cross_both_ways_unchanged_and_in_order(board: BoardProcess, wire: Wire) -> None:
+    random.seed(4)
+    to_robot, from_robot = random.randbytes(900), random.randbytes(3000)
+    received = bytearray()
+
+    async def run() -> None:
+        async with host(board, on_bytes=received.extend) as bridge:
+            await bridge.write(to_robot)
+            assert await asyncio.to_thread(wire.read, len(to_robot)) == to_robot
+            await asyncio.to_thread(wire.write, from_robot)
+            async with asyncio.timeout(20):
+                while len(received) < len(from_robot):
+                    await asyncio.sleep(0.01)
+            status = await bridge.status()
+            assert (status.to_robot, status.from_robot) == (900, 3000)
+            assert (status.lost_to_robot, status.lost_from_robot) == (0, 0)
+            assert status.state == "armed"  # by the first byte: nobody can drive unguarded
+            await bridge.disarm()
+
+    asyncio.run(run())
+    assert bytes(received) == from_robot
+
+
+def test_a_stranger_can_read_the_version_and_nothing_else(board: BoardProcess, wire: Wire) -> None:
+    async def attempt(passkey: str | None) -> None:
+        async with open_backend(board.hci, passkey) as pair:
+            backends = Backends(*pair)
+            heard = await find(board.address, 20.0, backends)
+            from bleak import BleakClient
+            from bleak.exc import BleakError
+
+            async with BleakClient(heard.device, backend=backends.client, timeout=20) as client:
+                assert b"robot-7" in bytes(
+                    await client.read_gatt_char("7d1c0004-3a6e-4f52-9b0d-7461676964b1")
+                )
+                # Without a keyboard the pairing itself succeeds, but proves nothing.
+                if passkey is None:
+                    await client.pair()
+                else:
+                    with pytest.raises(BleakError):
+                        await client.pair()
+                for uuid, data in ((COMMAND, encode(Op.BRC, 1, 100, 1, 0)), (NUS_RX, b"\x80\x83\x89")):
+                    with pytest.raises(BleakError, match="AUTHENTICATION|broke|Not connected"):
+                        await client.write_gatt_char(uuid, data, response=True)
+                if client.is_connected:
+                    await client.write_gatt_char(NUS_RX, b"\x80\x83\x89", response=False)
+
+    async def wrong() -> None:
+        with pytest.raises(DeviceRejectedError, match="refused the pairing"):
+            async with host(board, "111111"):
+                pass
+
+    asyncio.run(attempt(None))
+    asyncio.run(attempt("111111"))
+    asyncio.run(wrong())
+    asyncio.run(_owner(board))
+    assert wire.waiting() == b"" and not [line for line in board.changes if "pin" in line]
+
+
+async def _owner(board: BoardProcess) -> None:
+    async with host(board) as bridge:
+        assert Flag.TRUSTED in (await bridge.read_info()).flags
+
+
+def test_guessing_the_passkey_ends_after_five_tries(board: BoardProcess) -> None:
+    async def run(passkey: str) -> None:
+        async with host(board, passkey):
+            pass
+
+    for guess in range(5):
+        with pytest.raises(DeviceRejectedError):
+            asyncio.run(run(f"{100000 + guess}"))
+    with pytest.raises(DeviceRejectedError):
+        asyncio.run(run(PASSKEY))
+
+
+def test_a_bond_survives_the_boards_restart(wire: Wire, tmp_path_factory: pytest.TempPathFactory) -> None:
+    folder = str(tmp_path_factory.mktemp("board"))
+
+    async def run() -> None:
+        from bumble.keys import MemoryKeyStore
+
+        store = MemoryKeyStore()
+        for passkey in (PASSKEY, None):  # the second time no key is typed
+            with BoardProcess(CONFIG, wire.path, "--folder", folder) as board:
+                async with open_backend(board.hci, passkey, store=store, address="F2:00:00:00:00:09") as pair:
+                    backends = Backends(*pair)
+                    heard = await find(board.address, 20.0, backends)
+                    from tagid.motion.bridge.client import Bridge
+
+                    async with Bridge(heard, passkey=passkey, backends=backends, timeout=20.0) as bridge:
+                        await bridge.request(Op.TIME)
+
+    asyncio.run(run())
+
+
+def test_notifications_that_the_radio_refuses_are_sent_again(wire: Wire) -> None:
+    """At a connection interval of 300 ms the stack's dozen buffers are full most of the time."""
+    random.seed(5)
+    data = random.randbytes(4000)
+    received = bytearray()
+
+    async def run() -> None:
+        with BoardProcess(CONFIG, wire.path, "--interval-ms", "300") as board:
+            async with host(board, on_bytes=received.extend) as bridge:
+                for start in range(0, len(data), 20):
+                    wire.write(data[start : start + 20])
+                    await asyncio.sleep(0.001)
+                async with asyncio.timeout(30):
+                    while len(received) < len(data):
+                        await asyncio.sleep(0.01)
+                status = await bridge.status()
+                assert status.notify_retries > 0 and status.lost_from_robot == 0
+
+    asyncio.run(run())
+    assert bytes(received) == data
+
+
+def test_what_is_lost_is_counted_and_told(wire: Wire) -> None:
+    events: list[Event] = []
+    received = bytearray()
+
+    async def run() -> None:
+        with BoardProcess({**CONFIG, "baud": 300}, wire.path) as board:
+            async with host(board, on_bytes=received.extend, on_event=events.append) as bridge:
+                # At 300 Bd a second carries 30 bytes: the queue of 1024 is full at the fifth packet.
+                for _ in range(8):
+                    await bridge.write(bytes(240))
+                status = await bridge.status()
+                assert 4 * 240 <= 8 * 240 - status.lost_to_robot <= 1024 + 64
+                assert status.lost_to_robot % 240 == 0, "a packet is lost whole, or a command would be cut"
+                async with asyncio.timeout(20):
+                    while not [
+                        e for e in events if isinstance(e, Overflow) and e.lost == status.lost_to_robot
+                    ]:
+                        await asyncio.sleep(0.01)
+
+    asyncio.run(run())
+
+
+def test_brc_pulses_have_the_width_and_number_asked_for(board: BoardProcess) -> None:
+    async def run() -> None:
+        async with host(board) as bridge:
+            await bridge.request(Op.BRC, 80, 3, 40)
+            busy = [bridge.ask(Op.BRC, 200, 1, 0), bridge.ask(Op.BRC, 200, 1, 0)]
+            assert sorted(reply.status for reply in await asyncio.gather(*busy)) == [Status.OK, Status.BUSY]
+            with pytest.raises(DeviceRejectedError, match="out of range"):
+                await bridge.request(Op.BRC, 2001, 1, 0)
+
+    asyncio.run(run())
+    board.command("index")
+    edges = [line for line in board.changes if "pin" in line]
+    assert [edge["value"] for edge in edges] == [1, 0] * 4  # through the transistor: high pulls BRC low
+    widths = [(b["us"] - a["us"]) / 1000 for a, b in zip(edges[:6], edges[1:6], strict=False)]
+    for width, wanted in zip(widths, (80, 40, 80, 40, 80), strict=True):
+        assert wanted - 1 <= width <= wanted + 60
+
+
+def test_index_pulses_are_stamped_on_the_clock_that_the_host_can_read(board: BoardProcess) -> None:
+    pulses: list[IndexPulse] = []
+
+    async def run() -> None:
+        async with host(board, on_event=pulses.append) as bridge:
+            before = int.from_bytes(await bridge.request(Op.TIME), "little")
+            for number in range(3):
+                await asyncio.to_thread(board.command, "index")
+                await asyncio.sleep(0.08)  # longer than the bounce that is ignored
+                async with asyncio.timeout(20):
+                    while len(pulses) <= number:
+                        await asyncio.sleep(0.01)
+            after = int.from_bytes(await bridge.request(Op.TIME), "little")
+            stamps = [pulse.stamp_us for pulse in pulses]
+            assert before <= stamps[0] < stamps[1] < stamps[2] <= after
+            assert [pulse.number for pulse in pulses] == [1, 2, 3]
+            assert (await bridge.status()).index_count == 3
+
+    asyncio.run(run())
+
+
+def test_self_tests_and_baud(board: BoardProcess, wire: Wire) -> None:
+    async def run() -> None:
+        async with host(board) as bridge:
+            payload = bytes(range(bridge.mtu - 6))
+            assert await bridge.request(Op.ECHO, data=payload) == payload
+            with pytest.raises(DeviceRejectedError, match="no echo"):  # this wire ends at a robot
+                await bridge.request(Op.LOOPBACK, 64)
+            pattern = wire.waiting()
+            assert pattern and all(0x40 <= byte < 0x80 for byte in pattern), "no opcode of a robot"
+            await bridge.request(Op.BAUD, 19200)
+            assert termios.tcgetattr(wire.master)[4] == termios.B19200
+            reply = await bridge.ask(Op.VERSION, data=b"too much")
+            assert reply.status == Status.BAD_ARGUMENT
+
+    asyncio.run(run())
+
+
+def test_loopback_of_joined_pins() -> None:
+    async def run() -> None:
+        with BoardProcess(CONFIG) as board:
+            async with host(board) as bridge:
+                reply = await bridge.request(Op.LOOPBACK, 512)
+                assert reply[:4] == bytes((0, 2, 0, 2))
+
+    asyncio.run(run())
+
+
+def test_a_bridge_without_configuration_drives_nothing() -> None:
+    async def run() -> None:
+        with BoardProcess(None) as board:
+            async with open_backend(board.hci) as pair:
+                backends = Backends(*pair)
+                heard = await find(board.address, 20.0, backends)
+                from tagid.motion.bridge.client import Bridge
+
+                assert heard.name == "tagid-setup"
+                async with Bridge(heard, backends=backends, timeout=20.0) as bridge:
+                    assert Flag.PROVISIONED not in bridge.info.flags
+                    with pytest.raises(DeviceRejectedError, match="no valid configuration"):
+                        await bridge.request(Op.ARM, 0)
+
+    asyncio.run(run())
+
+
+def test_names_that_are_absent_or_ambiguous(board: BoardProcess) -> None:
+    async def run() -> None:
+        async with open_backend(board.hci) as pair, open_backend(board.hci) as twin:
+            backends = Backends(*pair)
+            with pytest.raises(DeviceGoneError, match=r"robot-7 \(F0:F1"):
+                await find("robot-8", 1.0, backends)
+            impostor = twin[1].device  # type: ignore[attr-defined]
+            service = bytes.fromhex("11079ecadc240ee5a9e093f3a3b50100406e")
+            await impostor.start_advertising(advertising_data=service + b"\x08\x09robot-7")
+            with pytest.raises(UsageError, match="2 bridges are called 'robot-7'"):
+                await find("robot-7", 1.0, backends)
+            assert (await find("ROBOT-7", 1.0, Backends(*twin))).address == board.address
+            assert (await find(board.address, 20.0, backends)).address == board.address
+
+    asyncio.run(run())

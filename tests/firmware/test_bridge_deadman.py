@@ -1,0 +1,183 @@
+"""The dead-man, watched from the robot's end of the wire: whatever ends the host, the wheels stop."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from firmware_tools.virtual.process import BoardProcess
+from tagid.motion.bridge.protocol import Event, Op, Reply, Status, Tripped
+from tests.firmware.conftest import CONFIG, PASSKEY, Wire, host
+
+# Roomba Open Interface: Start, Safe, Drive Direct 100 -100.
+DRIVE = bytes((128, 131, 145, 0, 100, 0xFF, 0x9C))
+STOP_WHEELS = bytes((145, 0, 0, 0, 0))
+PASSIVE = 128
+LIMIT_S = 5.0
+"""Generous, because this machine may be busy; test_bridge_vm holds the 500 ms in the firmware's own time."""
+
+
+def stops(data: bytes) -> bool:
+    """Whether bytes end with stopped wheels and a robot in Passive."""
+    return STOP_WHEELS in data and data.endswith(bytes((PASSIVE,)))
+
+
+def read_until_stopped(wire: Wire) -> tuple[bytes, float]:
+    """What came, and when the last stop byte of the first sequence did, on the monotonic clock."""
+    data = b""
+    while not stops(data):
+        piece = wire.read(1)
+        assert piece, f"the robot was not stopped; it heard {data.hex()}"
+        data += piece
+    return data, time.monotonic()
+
+
+def test_a_link_cut_at_any_moment_stops_the_wheels(wire: Wire) -> None:
+    random.seed(7)
+
+    async def run(board: BoardProcess) -> float:
+        async with host(board) as bridge:
+            await bridge.arm()
+            await bridge.write(DRIVE)
+            assert await asyncio.to_thread(wire.read, len(DRIVE)) == DRIVE
+            await asyncio.sleep(random.uniform(0.0, 0.3))
+            cut = await asyncio.to_thread(board.command, "cut") / 1e6
+            data, at = await asyncio.to_thread(read_until_stopped, wire)
+            # The zeros in front complete a command that the cut may have torn.
+            assert data.startswith(bytes(4) + STOP_WHEELS)
+            return at - cut
+
+    # The radio itself would notice only after a minute, so it is the silence that stops the wheels.
+    with BoardProcess(CONFIG, wire.path, "--supervision-ms", "60000") as board:
+        assert asyncio.run(run(board)) <= LIMIT_S
+
+
+def test_a_killed_host_stops_the_wheels(board: BoardProcess, wire: Wire) -> None:
+    code = (
+        "import asyncio\n"
+        "from tests.firmware.conftest import host\n"
+        f"class Board: hci, address = {board.hci!r}, {board.address!r}\n"
+        "async def run():\n"
+        "    async with host(Board) as bridge:\n"
+        "        await bridge.arm()\n"
+        "        await bridge.write(bytes((128, 131, 145, 0, 100, 255, 156)))\n"
+        "        await asyncio.sleep(600)\n"
+        "asyncio.run(run())\n"
+    )
+    root = str(Path(__file__).resolve().parents[2])
+    process = subprocess.Popen([sys.executable, "-c", code], env={**os.environ, "PYTHONPATH": root})
+    try:
+        assert wire.read(len(DRIVE)) == DRIVE
+        process.send_signal(signal.SIGKILL)
+        killed = time.monotonic()
+        _, at = read_until_stopped(wire)
+        assert at - killed <= LIMIT_S
+    finally:
+        process.kill()
+        process.wait()
+
+
+def test_silence_trips_and_nothing_drives_until_armed_again(board: BoardProcess, wire: Wire) -> None:
+    events: list[Event] = []
+
+    async def run() -> None:
+        async with host(board, on_event=events.append) as bridge:
+            # Without a heartbeat: a plain terminal program that only writes.
+            await bridge.write(DRIVE)
+            data = await asyncio.to_thread(wire.read, len(DRIVE))
+            assert data == DRIVE
+            await asyncio.to_thread(read_until_stopped, wire)
+            async with asyncio.timeout(20):
+                while not events:
+                    await asyncio.sleep(0.01)
+            assert isinstance(events[0], Tripped) and events[0].cause == "silence of the host"
+            assert 400 <= events[0].silent_ms < 500
+            await asyncio.sleep(0.3)  # the two repeats of the stop bytes
+            repeats = wire.waiting()
+            assert repeats.count(STOP_WHEELS) == 4 and stops(repeats)
+            await bridge.write(DRIVE)
+            reply: Reply = await bridge.ask(Op.HEARTBEAT)
+            assert reply.status == Status.TRIPPED and wire.waiting() == b""
+            assert (await bridge.status()).lost_to_robot == len(DRIVE)
+            await bridge.arm(1000)
+            await bridge.write(DRIVE)
+            assert await asyncio.to_thread(wire.read, len(DRIVE)) == DRIVE
+            await bridge.disarm()
+
+    asyncio.run(run())
+
+
+def test_heartbeats_keep_the_wheels_turning(board: BoardProcess, wire: Wire) -> None:
+    async def run() -> None:
+        async with host(board) as bridge:
+            await bridge.arm(400)
+            await bridge.write(DRIVE)
+            await asyncio.sleep(1.5)
+            assert wire.waiting() == DRIVE and (await bridge.status()).state == "armed"
+            await bridge.disarm()
+
+    asyncio.run(run())
+    time.sleep(0.3)
+    assert wire.waiting() == b"", "a host that said goodbye leaves nothing to stop"
+
+
+@pytest.mark.parametrize("how", ["drop", "close"])
+def test_a_closed_link_stops_the_wheels_at_once(board: BoardProcess, wire: Wire, how: str) -> None:
+    async def run() -> float:
+        async with host(board) as bridge:
+            await bridge.arm(5000)  # silence alone would take five seconds
+            await bridge.write(DRIVE)
+            assert await asyncio.to_thread(wire.read, len(DRIVE)) == DRIVE
+            if how == "drop":
+                await asyncio.to_thread(board.command, "drop")
+            return time.monotonic()
+
+    closed = asyncio.run(run())
+    _, at = read_until_stopped(wire)
+    assert at - closed <= LIMIT_S
+
+
+def test_a_stale_drive_command_does_not_follow_the_stop(wire: Wire) -> None:
+    """At 300 Bd a hundred commands wait in the bridge when the link is cut: none may reach the robot."""
+
+    async def run(board: BoardProcess) -> None:
+        async with host(board) as bridge:
+            await bridge.arm()
+            for _ in range(100):
+                await bridge.write(bytes((145, 0, 100, 0xFF, 0x9C)))
+            await asyncio.to_thread(board.command, "cut")
+            data, _ = await asyncio.to_thread(read_until_stopped, wire)
+            await asyncio.sleep(0.4)
+            assert len(data) < 60 and b"\x91\x00\x64" not in wire.waiting()
+
+    with BoardProcess({**CONFIG, "baud": 300}, wire.path) as board:
+        asyncio.run(run(board))
+
+
+def test_a_hung_firmware_is_restarted_and_stops_the_robot_first(wire: Wire) -> None:
+    with BoardProcess({**CONFIG, "watchdog_ms": 1000}, wire.path) as board:
+        board.command("stall 20000")
+        board.wait_for("watchdog")
+        assert board.process.wait(20) == 70
+    with BoardProcess(CONFIG, wire.path, "--after-watchdog"):
+        data, _ = read_until_stopped(wire)
+        assert data.startswith(bytes(4) + STOP_WHEELS)
+
+
+def test_no_passkey_means_open_and_says_so(wire: Wire) -> None:
+    async def run() -> None:
+        with BoardProcess({**CONFIG, "passkey": None}, wire.path) as board:
+            async with host(board, None) as bridge:
+                assert bridge.info.flags & 6 == 4
+                await bridge.request(Op.TIME)
+
+    asyncio.run(run())
+    assert PASSKEY
