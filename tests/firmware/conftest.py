@@ -1,4 +1,4 @@
-"""A robot's wire on a pty and the unmodified firmware behind a virtual controller, in a process of its own."""
+"""A robot's wire on a pty, and the unmodified firmware behind a virtual controller in its own process."""
 
 from __future__ import annotations
 
@@ -11,10 +11,6 @@ from contextlib import asynccontextmanager
 from typing import Any
 
 import pytest
-
-pytest.importorskip(
-    "bumble", reason="the virtual Bluetooth controllers come with bumble: pip install 'tagid[virtual]'"
-)
 
 from firmware_tools.virtual.backend import open_backend
 from firmware_tools.virtual.process import BoardProcess

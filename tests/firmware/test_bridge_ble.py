@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
 import random
 import termios
 
@@ -68,7 +69,7 @@ def test_a_stranger_can_read_the_version_and_nothing_else(board: BoardProcess, w
                     with pytest.raises(BleakError):
                         await client.pair()
                 for uuid, data in ((COMMAND, encode(Op.BRC, 1, 100, 1, 0)), (NUS_RX, b"\x80\x83\x89")):
-                    with pytest.raises(BleakError, match="AUTHENTICATION|broke|Not connected"):
+                    with pytest.raises(BleakError, match=r"AUTHENTICATION|broke|Not connected"):
                         await client.write_gatt_char(uuid, data, response=True)
                 if client.is_connected:
                     await client.write_gatt_char(NUS_RX, b"\x80\x83\x89", response=False)
@@ -179,7 +180,7 @@ def test_brc_pulses_have_the_width_and_number_asked_for(board: BoardProcess) -> 
     board.command("index")
     edges = [line for line in board.changes if "pin" in line]
     assert [edge["value"] for edge in edges] == [1, 0] * 4  # through the transistor: high pulls BRC low
-    widths = [(b["us"] - a["us"]) / 1000 for a, b in zip(edges[:6], edges[1:6], strict=False)]
+    widths = [(b["us"] - a["us"]) / 1000 for a, b in itertools.pairwise(edges[:6])]
     for width, wanted in zip(widths, (80, 40, 80, 40, 80), strict=True):
         assert wanted - 1 <= width <= wanted + 60
 
