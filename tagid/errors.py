@@ -108,6 +108,12 @@ class DeviceGoneError(DeviceError):
     code = "device_gone"
 
 
+class DeviceRestartedError(DeviceError):
+    """A device restarted by itself in the middle of its work; it answers again after its boot."""
+
+    code = "device_restarted"
+
+
 class DeviceRejectedError(DeviceError):
     """A device answered a request with an error status."""
 

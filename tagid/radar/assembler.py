@@ -8,24 +8,29 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tagid.radar.messages import (
-    MAX_MESSAGES_PER_SCAN,
-    MAX_SAMPLES_PER_SCAN,
-    SAMPLES_PER_MESSAGE,
-    Message,
-)
+from tagid.radar.messages import SAMPLES_PER_MESSAGE
+from tagid.radar.scan_info import Fragment
 
 WINDOW: Final = 8
-"""Scans that may be overtaken by later ones before an unfinished scan is given up."""
+"""Scans that may always be overtaken by later ones before an unfinished scan is given up."""
 
-MAX_PENDING: Final = 32
-"""Unfinished scans kept at a time; bounds the memory that hostile fragments can take to about 1 MB."""
+HOLD_MS: Final = 100
+"""Time that later scans wait for an unfinished one, ms of the radar's clock: twice the 50 ms that a network
+may delay a packet. At a thousand scans a second that is a hundred scans; at seven the window is longer."""
+
+MAX_PENDING: Final = 512
+"""Unfinished scans kept at a time; bounds what hostile fragments can take to 17 MB."""
+
+MAX_READY: Final = 512
+"""Complete scans held back at a time, at most."""
+
+_SLACK_SCANS: Final = 64
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +44,7 @@ class Scan:
         samples: (N,) int32, counts.
         scan_start_ps, scan_stop_ps: two-way time of the scan window, ps.
         antenna_id: the antenna mode it was taken with.
+        node_id: the radar's number.
     """
 
     scan_id: int
@@ -48,6 +54,7 @@ class Scan:
     scan_start_ps: int
     scan_stop_ps: int
     antenna_id: int
+    node_id: int = 0
 
 
 @dataclass
@@ -57,7 +64,8 @@ class Statistics:
     Attributes:
         received: packets from the radar, malformed ones included.
         foreign: packets from another sender, dropped.
-        malformed: packets that were no message, or a fragment that contradicts itself or its scan, dropped.
+        malformed: packets that were no message, or a fragment that contradicts itself, its scan or the clock,
+            dropped.
         unexpected: well-formed messages that nothing waited for (late confirms), dropped.
         duplicate: fragments that had arrived before, dropped.
         late: fragments of scans already given up, or of an earlier run, dropped.
@@ -77,14 +85,15 @@ class Statistics:
     retries: int = 0
 
 
-@dataclass(eq=False)
 class _Partial:
     """Fragments of one scan so far."""
 
-    layout: tuple[int, ...]
-    samples: NDArray[np.int32]
-    missing: set[int]
-    scan: Scan | None = field(default=None)
+    __slots__ = ("layout", "missing", "samples")
+
+    def __init__(self, layout: tuple[int, ...]) -> None:
+        self.layout = layout
+        self.samples = np.zeros(layout[0], np.int32)
+        self.missing = set(range(layout[1]))
 
 
 def unwrap(value: int, reference: int, bits: int) -> int:
@@ -104,6 +113,8 @@ class ScanAssembler:
         first_id: id of the run's first scan, which is that of the CONTROL request; None takes the first seen.
         statistics: counters to add to.
         clock_ns: host clock, ns since the epoch.
+        period_s: shortest time between scans, s. With it, an id that runs ahead of the radar's clock counts
+            as damaged and cannot make all that really follows look late.
     """
 
     def __init__(
@@ -111,13 +122,17 @@ class ScanAssembler:
         first_id: int | None = None,
         statistics: Statistics | None = None,
         clock_ns: Callable[[], int] = time.time_ns,
+        period_s: float | None = None,
     ) -> None:
         self.statistics = statistics or Statistics()
         self._clock_ns = clock_ns
+        self._period_ms = period_s * 1e3 if period_s else None
         self._next = first_id
+        self._start: tuple[int, int] | None = None
         self._time_reference: int | None = None
         self._pending: dict[tuple[int, int], _Partial] = {}
         self._ready: dict[int, Scan] = {}
+        self._newest_ready = -1
         self.newest_id: int | None = None
 
     @property
@@ -125,104 +140,108 @@ class ScanAssembler:
         """Unwrapped id of the scan that is waited for; None before the first fragment."""
         return self._next
 
-    def add(self, message: Message) -> list[Scan]:
-        """Takes one SCAN_INFO; returns the scans that are complete and in turn now (often none)."""
-        layout = _checked_layout(message)
-        if layout is None:
-            self.statistics.malformed += 1
-            return []
+    def add(self, fragment: Fragment) -> list[Scan]:
+        """Takes one fragment; returns the scans that are complete and in turn now (often none)."""
         if self._next is None:
-            self._next = message.id
-        scan_id = unwrap(message.id, self._next, 16)
+            self._next = fragment.id
+        scan_id = unwrap(fragment.id, self._next, 16)
         if scan_id < self._next:
             self.statistics.late += 1
             return []
         if scan_id in self._ready:
             self.statistics.duplicate += 1
             return []
-        key = (scan_id, message["timestamp_ms"])
-        partial = self._pending.get(key)
-        if partial is None:
-            if len(self._pending) >= MAX_PENDING:
-                del self._pending[next(iter(self._pending))]
-            total, count = layout[0], layout[1]
-            partial = _Partial(layout, np.zeros(total, np.int32), set(range(count)))
-            self._pending[key] = partial
-        if partial.layout != layout:
+        if not self._plausible(scan_id, fragment.timestamp_ms):
             self.statistics.malformed += 1
             return []
-        index = message["message_index"]
-        if index not in partial.missing:
+        partial = self._partial((scan_id, fragment.timestamp_ms), fragment.layout)
+        if partial.layout != fragment.layout:
+            self.statistics.malformed += 1
+            return []
+        if fragment.part not in partial.missing:
             self.statistics.duplicate += 1
             return []
-        partial.missing.discard(index)
-        start = index * SAMPLES_PER_MESSAGE
-        stop = start + message["message_samples"]
-        partial.samples[start:stop] = message["samples"][: stop - start]
+        partial.missing.discard(fragment.part)
+        start = fragment.part * SAMPLES_PER_MESSAGE
+        partial.samples[start : start + len(fragment.samples)] = fragment.samples
         self.newest_id = scan_id if self.newest_id is None else max(self.newest_id, scan_id)
         if partial.missing:
             return []
-        del self._pending[key]
-        self._complete(key, partial)
-        return self._in_turn(WINDOW)
+        self._complete(scan_id, fragment.timestamp_ms, partial)
+        return self._in_turn(held=True)
 
     def flush(self) -> list[Scan]:
         """The complete scans still held back, in order; what is unfinished before them is lost."""
-        return self._in_turn(0)
+        return self._in_turn(held=False)
 
     def give_up_until(self, end_id: int) -> None:
         """Counts as lost every scan before `end_id` that has not been handed out: the run is over."""
         if self._next is not None and end_id > self._next:
-            self.statistics.lost_scans += end_id - self._next
-            self._next = end_id
-            self._drop_old()
+            self._lose_until(end_id)
 
-    def _complete(self, key: tuple[int, int], partial: _Partial) -> None:
-        scan_id, timestamp = key
-        reference = self._time_reference if self._time_reference is not None else timestamp
-        radar_time = unwrap(timestamp, reference, 32)
+    def _plausible(self, scan_id: int, timestamp_ms: int) -> bool:
+        """Whether the radar can have got as far as this id at this time; late packets always can."""
+        if self._period_ms is None:
+            return True
+        if self._start is None:
+            self._start = (self._next or 0, timestamp_ms)
+        first_id, first_ms = self._start
+        elapsed_ms = (timestamp_ms - first_ms + 2**31) % 2**32 - 2**31
+        most = first_id + _SLACK_SCANS + 2 * max(elapsed_ms, 0) / self._period_ms
+        return elapsed_ms < 0 or scan_id <= most
+
+    def _partial(self, key: tuple[int, int], layout: tuple[int, ...]) -> _Partial:
+        partial = self._pending.get(key)
+        if partial is None:
+            if len(self._pending) >= MAX_PENDING:
+                del self._pending[next(iter(self._pending))]
+            self._pending[key] = partial = _Partial(layout)
+        return partial
+
+    def _complete(self, scan_id: int, timestamp_ms: int, partial: _Partial) -> None:
+        del self._pending[scan_id, timestamp_ms]
+        reference = self._time_reference if self._time_reference is not None else timestamp_ms
+        radar_time = unwrap(timestamp_ms, reference, 32)
         self._time_reference = max(radar_time, reference)
         partial.samples.flags.writeable = False
-        _, _, scan_start, scan_stop, antenna = partial.layout
+        _, _, scan_start, scan_stop, antenna, node = partial.layout
         self._ready[scan_id] = Scan(
-            scan_id, radar_time, self._clock_ns(), partial.samples, scan_start, scan_stop, antenna
+            scan_id, radar_time, self._clock_ns(), partial.samples, scan_start, scan_stop, antenna, node
         )
+        self._newest_ready = max(self._newest_ready, scan_id)
 
-    def _in_turn(self, window: int) -> list[Scan]:
-        """Hands out what is next; an unfinished scan is lost once the scan `window` ids on is complete."""
+    def _in_turn(self, held: bool) -> list[Scan]:
+        """Hands out what is next; with `held`, only what no younger unfinished scan must be waited for."""
         out: list[Scan] = []
         while self._ready and self._next is not None:
-            if self._next not in self._ready:
-                if max(self._ready) - self._next < window:
-                    break
-                first = min(self._ready)
-                # Within the window the ids before `first` may still come, as far as they are young enough.
-                lost_until = min(first, max(self._ready) - window + 1) if window else first
-                self.statistics.lost_scans += lost_until - self._next
-                self._next = lost_until
-                self._drop_old()
+            scan = self._ready.pop(self._next, None)
+            if scan is not None:
+                out.append(scan)
+                self._next += 1
                 continue
-            out.append(self._ready.pop(self._next))
-            self._next += 1
+            until = self._given_up() if held else min(self._ready)
+            if until is None:
+                break
+            self._lose_until(until)
         self.statistics.complete_scans += len(out)
-        if out:
-            self._drop_old()
         return out
 
-    def _drop_old(self) -> None:
-        if self._next is not None:
-            for key in [k for k in self._pending if k[0] < self._next]:
-                del self._pending[key]
+    def _given_up(self) -> int | None:
+        """Id up to which scans that have not come are given up now; None while they may still come."""
+        first = min(self._ready)
+        if len(self._ready) >= MAX_READY:
+            return first
+        newest = self._ready[self._newest_ready]
+        if newest.scan_id - (self._next or 0) < WINDOW:
+            return None
+        # The missing scans left the radar before `first` did.
+        if newest.radar_time_ms - self._ready[first].radar_time_ms < HOLD_MS:
+            return None
+        return min(first, newest.scan_id - WINDOW + 1)
 
-
-def _checked_layout(message: Message) -> tuple[int, ...] | None:
-    """(samples, messages, start, stop, antenna) of a fragment, or None where its numbers disagree."""
-    total, count = message["total_samples"], message["message_count"]
-    index, here = message["message_index"], message["message_samples"]
-    if not (1 <= total <= MAX_SAMPLES_PER_SCAN and 1 <= count <= MAX_MESSAGES_PER_SCAN):
-        return None
-    if count != -(-total // SAMPLES_PER_MESSAGE) or index >= count:
-        return None
-    if here != min(SAMPLES_PER_MESSAGE, total - index * SAMPLES_PER_MESSAGE):
-        return None
-    return total, count, message["scan_start_ps"], message["scan_stop_ps"], message["antenna_id"]
+    def _lose_until(self, scan_id: int) -> None:
+        assert self._next is not None
+        self.statistics.lost_scans += scan_id - self._next
+        self._next = scan_id
+        for key in [k for k in self._pending if k[0] < scan_id]:
+            del self._pending[key]

@@ -25,6 +25,9 @@ class Link(Protocol):
     foreign: int
     """Packets dropped because another sender sent them."""
 
+    packet_time_s: float
+    """Time that the longest packet takes on the wire, s; 0 where that is nothing beside all else."""
+
     @property
     def exhausted(self) -> bool:
         """True once no packet can ever come again (the end of a replay)."""
@@ -36,6 +39,10 @@ class Link(Protocol):
 
     def receive(self, timeout: float) -> bytes | None:
         """The next packet, or None where none came within `timeout` seconds."""
+        ...
+
+    def reopen(self) -> None:
+        """Makes the link usable again after the device was gone. Raises DeviceGoneError while it is."""
         ...
 
     def close(self) -> None:
@@ -95,6 +102,7 @@ class UdpLink:
     """
 
     exhausted = False
+    packet_time_s = 0.0
 
     def __init__(self, host: str, port: int = DEFAULT_PORT, local_port: int = 0) -> None:
         self.address = resolve(host, port)
@@ -138,6 +146,9 @@ class UdpLink:
             self.foreign += 1
             if time.monotonic() >= deadline:
                 return None
+
+    def reopen(self) -> None:
+        """Nothing to do: the port outlives the radar."""
 
     def close(self) -> None:
         """Frees the port."""

@@ -26,6 +26,7 @@ class MemoryLink:
         self, core: EmulatorCore, rate: float = 0.0, faults: Faults | None = None, name: str = "memory"
     ) -> None:
         self.foreign = 0
+        self.packet_time_s = 0.0
         self._core = core
         self._rate = rate
         self._path = FaultyPath(faults)
@@ -64,6 +65,10 @@ class MemoryLink:
             due = self._core.next_due_s
             until = deadline if due is None else min(deadline, self._origin + due / self._rate)
             time.sleep(min(max(until - now, 0.0), 0.05))
+
+    def reopen(self) -> None:
+        """Forgets what was not received; this radar is never gone."""
+        self.close()
 
     def close(self) -> None:
         """Forgets what was not received."""

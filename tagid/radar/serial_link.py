@@ -17,6 +17,7 @@ import serial
 
 from tagid.errors import DeviceError, DeviceGoneError, PortInUseError
 from tagid.radar.framing import Framing, StreamDecoder, frame
+from tagid.radar.messages import MAX_PACKET_BYTES
 
 DEFAULT_BAUD: Final = 115_200
 """Baud rate of the P440's UART at delivery, 8N1 (P440 MRM API)."""
@@ -26,6 +27,8 @@ BAUD_RATES: Final = range(9_600, 921_601)
 
 _QUIET_S: Final = 0.05
 """Pause after which a frame that misses its end may be judged; a USB port bundles bytes for up to 16 ms."""
+_FRAME_BITS: Final = 10 * (MAX_PACKET_BYTES + 6)
+"""Bits of the longest frame with start and stop bits (8N1)."""
 _CHUNK: Final = 65_536
 _WRITE_TIMEOUT_S: Final = 5.0
 
@@ -68,6 +71,8 @@ class SerialLink:
 
     def __init__(self, port: SerialPort) -> None:
         self.port = port
+        uart = port.framing is Framing.UART
+        self.packet_time_s = _FRAME_BITS / port.baud if uart else 0.0
         self.decoder = StreamDecoder(port.framing)
         self._packets: deque[bytes] = deque()
         self._serial: serial.Serial | None = _open(port)

@@ -6,10 +6,10 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tagid.radar.assembler import Scan, ScanAssembler
+from tagid.radar.assembler import MAX_PENDING, MAX_READY, Scan, ScanAssembler
 from tagid.radar.emulator_core import EmulatorCore
 from tagid.radar.messages import MAX_SAMPLES_PER_SCAN, MalformedMessage, MessageType, decode, encode
-from tagid.radar.scan_info import scan_packets
+from tagid.radar.scan_info import Fragment, read_fragment, scan_packets
 from tagid.radar.settings import RadarConfig
 
 CONFIG = RadarConfig(scan_start_ps=10_000, scan_stop_ps=60_000)
@@ -26,8 +26,14 @@ def packets_of(count: int, first_id: int, first_ms: int = 1000) -> list[list[byt
     ]
 
 
+def fragment(packet: bytes) -> Fragment:
+    found = read_fragment(packet)
+    assert found is not None
+    return found
+
+
 def feed(assembler: ScanAssembler, packets: list[bytes]) -> list[Scan]:
-    out = [scan for packet in packets for scan in assembler.add(decode(packet))]
+    out = [scan for packet in packets for scan in assembler.add(fragment(packet))]
     return out + assembler.flush()
 
 
@@ -76,7 +82,7 @@ def test_a_lost_scan_holds_the_others_back_only_for_the_window() -> None:
     assembler = ScanAssembler(0)
     scans = packets_of(12, 0)
     out = [
-        len(feed_one) for s in scans[1:] for feed_one in [[x for p in s for x in assembler.add(decode(p))]]
+        len(feed_one) for s in scans[1:] for feed_one in [[x for p in s for x in assembler.add(fragment(p))]]
     ]
     assert out == [0] * 7 + [8, 1, 1, 1]
     assert assembler.statistics.lost_scans == 1
@@ -104,10 +110,11 @@ FRAGMENT = {
 def test_fragments_that_lie_cannot_crash_or_grow_it(lies: list[tuple[int, dict[str, int]]]) -> None:
     assembler = ScanAssembler(0)
     for message_id, fields in lies:
-        for scan in assembler.add(decode(encode(MessageType.SCAN_INFO, message_id, **fields))):
+        found = read_fragment(encode(MessageType.SCAN_INFO, message_id, **fields))
+        for scan in assembler.add(found) if found else ():
             assert len(scan.samples) <= MAX_SAMPLES_PER_SCAN
-    assert len(assembler._pending) <= 32
-    assert len(assembler._ready) <= 8
+    assert len(assembler._pending) <= MAX_PENDING
+    assert len(assembler._ready) <= MAX_READY
 
 
 class Ramp:

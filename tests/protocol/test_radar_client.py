@@ -72,7 +72,7 @@ def test_a_whole_session_sends_exactly_these_bytes() -> None:
 def test_scans_carry_the_ids_of_their_run_over_the_wrap() -> None:
     radar, _ = client()
     with radar:
-        radar._next_id = 65_534
+        radar._talk.next_id = 65_534
         ids = [s.scan_id for s in radar.scans(5)]
         assert ids == [65_534, 65_535, 65_536, 65_537, 65_538]
         assert radar.statistics.lost_scans == 0
@@ -114,7 +114,7 @@ def test_a_radar_left_scanning_is_taken_over() -> None:
         got = list(second.scans(4))
         assert [s.samples[0] for s in got] == [0, 1, 2, 3]
         assert second.statistics.lost_scans == 0
-    first._scanning = False
+    first._talk.scanning = False
 
 
 def test_silence_in_the_middle_ends_in_a_timeout_after_the_scans_so_far() -> None:
@@ -137,7 +137,7 @@ def test_the_last_scans_of_a_count_may_be_lost() -> None:
     radar, link = client()
     with radar:
         took = radar.config
-        last = (radar._next_id + 19) & 0xFFFF
+        last = (radar._talk.next_id + 19) & 0xFFFF
         link.change = lambda p: [] if decode(p).type is T.SCAN_INFO and decode(p).id >= last - 2 else [p]
         assert len(list(radar.scans(20))) == 17
         assert radar.statistics.lost_scans == 3

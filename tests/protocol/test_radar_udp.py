@@ -183,7 +183,7 @@ def test_answers_go_to_the_port_that_asked_and_a_new_client_takes_over() -> None
         killed.connect()
         next(killed.scans())
         killed._link.close()  # as if killed: no stop was sent
-        killed._scanning = False
+        killed._talk.scanning = False
         with P440(UdpLink(*device.address)) as radar:
             assert len(list(radar.scans(30))) == 30
             assert radar.statistics.lost_scans == 0

@@ -1,0 +1,175 @@
+"""One request, one confirm: what is sent again, what is dropped while waiting, and what ends the wait.
+
+The client above thinks in commands and scans; here packets are lost, late, damaged or of an earlier run.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from typing import Any, Final
+
+from tagid.errors import DeviceRejectedError, DeviceRestartedError, DeviceTimeoutError, UsageError
+from tagid.radar.assembler import WINDOW, Statistics
+from tagid.radar.links import Link
+from tagid.radar.messages import (
+    MalformedMessage,
+    Message,
+    MessageType,
+    Status,
+    decode,
+    encode,
+    status_text,
+)
+from tagid.radar.scan_info import SCAN_INFO_BYTES, SCAN_INFO_HEAD, Fragment, read_fragment
+
+_T = MessageType
+_QUIET_S: Final = 0.05
+_BACKLOG: Final = 4
+"""Fragments that may stand before an answer on a slow line."""
+NO_ANSWER: Final = (
+    "Check power, cable and the address (kit units: 192.168.1.100 to 103, this computer 192.168.1.1/24), and "
+    "that no firewall drops the answers from UDP port 21210; `tagid doctor` tries each."
+)
+
+
+class Exchange:
+    """Requests and their confirms over one link.
+
+    Args:
+        link: carries the packets.
+        timeout: wait for one answer, s.
+        attempts: how often a request is sent before the radar counts as silent.
+
+    Attributes:
+        statistics: counters of everything.
+        next_id: id of the next request, u16.
+        scanning: whether a run of ours is under way, so that its fragments are kept while asking.
+        started: whether READY_INFO is a surprise.
+        early: fragments of the run that came while a confirm was waited for.
+    """
+
+    def __init__(self, link: Link, timeout: float, attempts: int) -> None:
+        self.link = link
+        self.timeout = timeout
+        self.attempts = attempts
+        self.statistics = Statistics()
+        self.next_id = 1
+        self.scanning = False
+        self.started = False
+        self.early: deque[Fragment] = deque(maxlen=1024)
+
+    @property
+    def patience_s(self) -> float:
+        """Wait for an answer that queues behind fragments on a slow line, s."""
+        return self.timeout + _BACKLOG * self.link.packet_time_s
+
+    def request(self, request: MessageType, **fields: Any) -> Message:
+        """The confirm of a request that does not start a run."""
+        confirm = self.exchange(request, fields, self.patience_s)
+        assert isinstance(confirm, Message)
+        return confirm
+
+    def exchange(
+        self, request: MessageType, fields: dict[str, Any], patience: float, attempts: int | None = None
+    ) -> Message | Fragment:
+        """Sends a request until its confirm comes (requests are idempotent, so repeats carry the same id).
+
+        For the start of a run, the run's first fragment is returned as well as kept for the assembler.
+        """
+        message_id, self.next_id = self.next_id, (self.next_id + 1) & 0xFFFF
+        try:
+            packet = encode(request, message_id, **fields)
+        except ValueError as error:
+            raise UsageError(
+                f"the radar cannot be sent this: {error}", "Give a value within the limits."
+            ) from error
+        starts = request is _T.CONTROL_REQUEST and fields.get("scan_count", 0) > 0
+        attempts = attempts or self.attempts
+        for attempt in range(attempts):
+            self.statistics.retries += attempt > 0
+            self.link.send(packet)
+            deadline = time.monotonic() + patience
+            while (left := deadline - time.monotonic()) > 0:
+                message = self.receive(left)
+                if message is None:
+                    if self.link.exhausted:
+                        break
+                    continue
+                if isinstance(message, Fragment):
+                    if starts and (message.id - message_id) & 0xFFFF < 2 * WINDOW:
+                        self.early.append(message)
+                        return message
+                    if self.scanning and request is _T.GET_CONFIG_REQUEST:
+                        self.early.append(message)
+                    else:
+                        self._left_over(message)
+                elif message.id == message_id and message.type == request + 0x100:
+                    return message
+                else:
+                    self._refused(message, request, message_id)
+        raise DeviceTimeoutError(
+            f"the radar at {self.link} did not answer {request.name} ({attempts} tries)", NO_ANSWER
+        )
+
+    def drain(self) -> None:
+        """Drops what still arrives after a stop, until it has been quiet for a moment."""
+        deadline = time.monotonic() + self.timeout
+        while time.monotonic() < deadline:
+            message = self.receive(_QUIET_S)
+            if message is None:
+                return
+            self._left_over(message)
+
+    def _left_over(self, message: Message | Fragment) -> None:
+        """Moves our ids past those of an old run's scans: stragglers can only be behind the next run."""
+        if isinstance(message, Fragment) and (message.id - self.next_id) & 0xFFFF < 0x8000:
+            self.next_id = (message.id + 1) & 0xFFFF
+
+    def receive(self, timeout: float) -> Message | Fragment | None:
+        """The next message, or None where none came in time; what is no message is counted and dropped."""
+        deadline = time.monotonic() + timeout
+        while (packet := self.link.receive(max(deadline - time.monotonic(), 0.0))) is not None:
+            self.statistics.received += 1
+            if len(packet) == SCAN_INFO_BYTES and packet.startswith(SCAN_INFO_HEAD):
+                fragment = read_fragment(packet)
+                if fragment is not None:
+                    return fragment
+                self.statistics.malformed += 1
+            else:
+                try:
+                    return decode(packet)
+                except MalformedMessage:
+                    self.statistics.malformed += 1
+            if time.monotonic() >= deadline:
+                break
+        return None
+
+    def _refused(self, message: Message, request: MessageType, message_id: int) -> None:
+        """Raises where a message ends the wait for a confirm; a late confirm of something else is dropped."""
+        if message.type is _T.INVALID_MESSAGE_CONFIRM and message["bad_id"] == message_id:
+            raise DeviceRejectedError(
+                f"the radar does not accept {request.name}: {status_text(message['status'])}",
+                "Its firmware is another one, or the device is no P440 in MRM mode; see `tagid doctor`.",
+            )
+        if message.type is _T.READY_INFO and self.started:
+            raise restarted()
+        self.statistics.unexpected += 1
+
+
+def accept(confirm: Message, action: str) -> None:
+    """Raises DeviceRejectedError unless the confirm's status is ok."""
+    status = confirm["status"]
+    if status != Status.OK:
+        raise DeviceRejectedError(
+            f"the radar refused to {action}: {status_text(status)}",
+            "Check the setting against the P440's limits; a reboot of the radar clears a wrong mode.",
+        )
+
+
+def restarted() -> DeviceRestartedError:
+    """What to raise where READY_INFO came unasked."""
+    return DeviceRestartedError(
+        "the radar rebooted in the middle (READY_INFO arrived)",
+        "Check its power supply, then run the command again; the scans that arrived before are kept.",
+    )

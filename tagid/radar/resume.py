@@ -1,0 +1,151 @@
+"""Scans that go on after the radar was away: a plug pulled and put back, a restart, a cable out for a moment.
+
+A recording of ten minutes must not be lost because a plug was loose for two seconds; but what is missing is
+marked, and numbers and clock go on as if the radar had scanned all the while.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from typing import Final
+
+from tagid.errors import (
+    DeviceError,
+    DeviceGoneError,
+    DeviceRejectedError,
+    DeviceRestartedError,
+    DeviceTimeoutError,
+)
+from tagid.radar.assembler import Scan, unwrap
+from tagid.radar.messages import SCAN_FOREVER
+from tagid.radar.p440 import P440
+
+RESUME_S: Final = 20.0
+"""How long a radar that is gone or boots is waited for: it boots for 7 to 11 s (measured)."""
+
+_POLL_S: Final = 0.2
+_SAME_CLOCK_MS: Final = 1500
+"""A clock that is further from where it should be has started anew."""
+
+
+@dataclass(frozen=True)
+class Gap:
+    """A time without scans inside a recording.
+
+    Attributes:
+        after_scan: number of the last scan before it.
+        seconds: how long it took, on the radar's clock where that went on, else on the host's.
+        reason: what happened.
+        restarted: whether the radar's clock began anew.
+    """
+
+    after_scan: int
+    seconds: float
+    reason: str
+    restarted: bool
+
+
+def steady_scans(
+    radar: P440,
+    count: int = SCAN_FOREVER,
+    interval_us: int = 0,
+    resume_s: float = RESUME_S,
+    on_gap: Callable[[Gap], None] = lambda gap: None,
+) -> Iterator[Scan]:
+    """The scans of a run as `P440.scans` gives them, and those after the radar came back.
+
+    After a gap, scan numbers have moved on by the scans that would have come, and the radar's clock is
+    carried on, by the host's where the radar restarted. A radar that is only silent is asked once more; one
+    that lost its plug or its power is waited for.
+
+    Args:
+        radar: connected and set.
+        count, interval_us: as for `P440.scans`; scans that would have come in a gap do not count.
+        resume_s: how long a radar that is gone or boots is waited for, s; 0 never waits.
+        on_gap: told before the first scan after a gap.
+
+    Raises what `P440.scans` raises where the radar does not come back, or comes back with other settings.
+    """
+    last: Scan | None = None
+    shift_ms = done = 0
+    reason = ""
+    while True:
+        before, join = last, None
+        first_id = newest_id = 0
+        try:
+            for scan in radar.scans(count if count == SCAN_FOREVER else count - done, interval_us):
+                if join is None:
+                    first_id = scan.scan_id
+                    join = _Join(0, shift_ms)
+                    if before is not None:
+                        period_s = max(radar.config.scan_period_s, interval_us * 1e-6)
+                        join, gap = _joined(before, scan, period_s, shift_ms)
+                        on_gap(replace(gap, reason=reason))
+                newest_id = scan.scan_id
+                last = join.shifted(scan)
+                yield last
+            return
+        except (DeviceGoneError, DeviceRestartedError, DeviceTimeoutError) as error:
+            if resume_s <= 0 or last is None:
+                raise
+            if join is not None:
+                done += newest_id - first_id + 1
+                shift_ms = join.time_ms
+            if count != SCAN_FOREVER and done >= count:
+                return
+            reason = error.message
+            _come_back(radar, error, resume_s)
+
+
+@dataclass(frozen=True)
+class _Join:
+    """What a run's numbers and clock are moved by, to continue those before it."""
+
+    scans: int
+    time_ms: int
+
+    def shifted(self, scan: Scan) -> Scan:
+        if not (self.scans or self.time_ms):
+            return scan
+        return replace(
+            scan, scan_id=scan.scan_id + self.scans, radar_time_ms=scan.radar_time_ms + self.time_ms
+        )
+
+
+def _joined(before: Scan, first: Scan, period_s: float, shift_ms: int) -> tuple[_Join, Gap]:
+    """How a run that starts with `first` continues after `before`, whose clock is shifted by `shift_ms`."""
+    elapsed_ms = max((first.host_time_ns - before.host_time_ns) / 1e6, 0.0)
+    expected = round(before.radar_time_ms + elapsed_ms)
+    now_ms = unwrap(first.radar_time_ms + shift_ms, expected, 32)
+    restarted = abs(now_ms - expected) > _SAME_CLOCK_MS or now_ms <= before.radar_time_ms
+    if restarted:
+        now_ms = max(expected, before.radar_time_ms + 1)
+    gap_ms = now_ms - before.radar_time_ms
+    # At least one scan is missing, so that the gap shows in the numbers, too.
+    step = max(2, round(gap_ms / (period_s * 1e3)))
+    join = _Join(before.scan_id + step - first.scan_id, now_ms - first.radar_time_ms)
+    return join, Gap(before.scan_id, gap_ms * 1e-3, "", restarted)
+
+
+def _come_back(radar: P440, error: DeviceError, resume_s: float) -> None:
+    """Waits for the radar and sets it as before. Raises `error` where it stays away."""
+    asked, taken = replace(radar.asked, persist=0), radar.config
+    deadline = time.monotonic() + resume_s
+    while True:
+        try:
+            radar.reconnect()
+            back = radar.set_config(asked)
+            break
+        except DeviceRejectedError:
+            raise
+        except DeviceError as still:
+            if isinstance(error, DeviceTimeoutError) or time.monotonic() >= deadline:
+                raise error from still
+        time.sleep(_POLL_S)
+    if replace(back, persist=taken.persist) != taken:
+        raise DeviceError(
+            "the radar came back with another scan window or other settings",
+            "The scans up to then are kept; run the command again.",
+        )
