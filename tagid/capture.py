@@ -27,6 +27,7 @@ class ViewFlag(enum.IntFlag):
     CLIPPED = 1
     AFTER_LOSS = 2
     FIRST = 4
+    AFTER_GAP = 8
 
 
 @dataclass(frozen=True, eq=False)

@@ -47,6 +47,7 @@ SETTINGS: tuple[Setting, ...] = (
     Setting("radar.antenna_mode", int, 2, "0 A/A, 1 B/B, 2 TxA-RxB, 3 TxB-RxA", 0, 3),
     Setting("radar.cable_delay_ps", float, 0.0, "cable and antenna delay, two-way, ps", -1e6, 1e6),
     Setting("radar.timeout_s", float, 2.0, "longest silence before the radar counts as gone, s", 0.05, 60),
+    Setting("radar.resume_s", float, 20.0, "longest wait for a radar that went away, s", 0, 3600),
     Setting("motion.url", str, "free", "what turns the object, e.g. free?rpm=2"),
     Setting("motion.axis_distance_m", float, None, "radar to rotation axis, m", 0.05, 100),
     Setting("motion.antenna_height_m", float, 0.0, "antenna above the object's plane, m", -10, 10),

@@ -16,18 +16,24 @@ from typing import Any
 import numpy as np
 
 from tagid import __version__
-from tagid.capture import Capture, ViewFlag
+from tagid.capture import Capture
 from tagid.constants import RANGE_STEP_M, SPEED_OF_LIGHT
 from tagid.errors import CaptureInterrupted, ConfigError, DataError, StorageError, TagidError
+from tagid.intake import Intake
 from tagid.motion.turntable import OVERLAP_TURNS, Motion
 from tagid.radar.assembler import Scan
+from tagid.radar.messages import SCAN_FOREVER
 from tagid.radar.p440 import P440
+from tagid.radar.resume import RESUME_S, Gap
 from tagid.radar.settings import RadarConfig
 from tagid.storage.hdf5 import write_capture
 from tagid.storage.journal import SUFFIX as JOURNAL_SUFFIX
 from tagid.storage.journal import JournalWriter, read_journal
 from tagid.storage.journal_capture import journal_to_capture
+from tagid.storage.journal_queue import JournalQueue
 
+SYNC_S = 0.5
+"""The disk is synced no more often than this, s: what a power cut may cost."""
 CAPTURE_SUFFIX = ".tagid.h5"
 _MARGIN_M = 0.35
 """Kept on both sides of the image: the pulse's length, the autofocus and clutter-free bins for the noise."""
@@ -51,6 +57,7 @@ class RecordingPlan:
         max_seconds: longest recording, s.
         motion: URL of what turns the object, kept with the capture.
         object: what is known of the object, plain JSON values.
+        resume_s: how long a radar that went away is waited for, s.
     """
 
     config: RadarConfig | None
@@ -61,6 +68,7 @@ class RecordingPlan:
     max_seconds: float = 180.0
     motion: str = "free"
     object: dict[str, Any] = field(default_factory=dict)
+    resume_s: float = RESUME_S
 
 
 def plan_window(
@@ -93,6 +101,7 @@ class Watch:
 
     Attributes:
         progress: told after every half second of scans.
+        gap: told when scans arrive again after the radar was gone.
         resolve: gives a capture its angles, from the motion's URL; asked when the motion believes that a turn
             is complete (imaging knows whether the shortest repetition is a turn, the motion does not), and
             at the end. It raises DataError where it cannot.
@@ -100,6 +109,7 @@ class Watch:
 
     progress: Progress | None = None
     resolve: Callable[[Capture, str], Capture] | None = None
+    gap: Callable[[Gap], None] = lambda gap: None
 
 
 def record(
@@ -129,47 +139,41 @@ def record(
         status = radar.status()
         taken = radar.config if plan.config is None else radar.set_config(plan.config)
         header = _header(plan, taken, {"serial": status.serial, "package": status.package})
-        with JournalWriter(journal_path, header) as journal:
+        with JournalWriter(journal_path, header, sync_seconds=SYNC_S) as journal:
             try:
-                _receive(radar, motion, (plan, header), journal, watch or Watch())
-            except KeyboardInterrupt:
-                stopped = CaptureInterrupted(f"stopped by the user after {journal.scans} scans")
+                with JournalQueue(journal) as queue:
+                    intake = Intake(radar, queue, plan.resume_s, (watch or Watch()).gap)
+                    try:
+                        _receive(intake, motion, (plan, header), radar.config, watch or Watch())
+                    except KeyboardInterrupt:
+                        text = f"stopped by the user after {intake.scans_taken} scans"
+                        stopped = CaptureInterrupted(text)
+                    except StorageError:
+                        raise
+                    except TagidError as error:
+                        stopped = error
             except StorageError as error:
                 raise _with_remedy(error, f"Free space, then `tagid recover {journal_path}`.") from error
-            except TagidError as error:
-                stopped = error
-            statistics = asdict(radar.statistics)
-            summary = {
-                "radar": {"statistics": statistics, "scans_lost": statistics["lost_scans"]},
-            }
+            summary = {"radar": intake.summary()}
             if stopped is None:
                 journal.close(summary)
     return _finish(journal_path, path, (summary, watch or Watch()), stopped)
 
 
 def _receive(
-    radar: P440,
+    intake: Intake,
     motion: Motion,
     plan_and_header: tuple[RecordingPlan, dict[str, Any]],
-    journal: JournalWriter,
+    config: RadarConfig,
     watch: Watch,
 ) -> None:
     plan, header = plan_and_header
-    config = radar.config
     needed = 0.0
     scans: list[Scan] = []
     check_every = max(1, round(0.5 / config.scan_period_s))
     motion.start()
     try:
-        for scan in radar.scans(plan.scans or 65535):
-            flags = ViewFlag.CLIPPED if int(np.abs(scan.samples).max()) >= config.clip_counts else 0
-            if not scans:
-                flags |= ViewFlag.FIRST
-            elif scan.scan_id != scans[-1].scan_id + 1:
-                flags |= ViewFlag.AFTER_LOSS
-            journal.append(
-                scan.scan_id, scan.host_time_ns, float(scan.radar_time_ms), scan.samples, int(flags)
-            )
+        for scan in intake.scans(plan.scans or SCAN_FOREVER):
             scans.append(scan)
             if len(scans) % check_every:
                 continue

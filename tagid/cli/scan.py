@@ -73,6 +73,7 @@ def _scan(
     from rich.text import Text
 
     from tagid.cli import imaging
+    from tagid.intake import notes
     from tagid.motion.urls import open_motion
     from tagid.pipeline import identify, prepare
     from tagid.radar.devices import open_radar
@@ -132,9 +133,16 @@ def _scan(
     else:
         drawn.append(imaging.describe(answer, ""))
     drawn += [Text(f"{name:<8} {where}") for name, where in files.items() if where]
-    lost = capture.radar.get("scans_lost") or 0
-    facts = {"views": capture.views, "bins": capture.bins, "scans_lost": lost, "files": files}
-    messages = (f"{lost} scans were lost on the way from the radar",) if lost else ()
+    lost, dropped = (capture.radar.get(f"scans_{how}") or 0 for how in ("lost", "dropped"))
+    facts = {
+        "views": capture.views,
+        "bins": capture.bins,
+        "scans_lost": lost,
+        "scans_dropped": dropped,
+        "gaps": capture.radar.get("gaps") or [],
+        "files": files,
+    }
+    messages = tuple(notes(capture.radar))
     data = {"items": [{"file": str(path), **answer.to_dict()}], **facts}
     status = "error" if result_errors else "success"
     return Result("scan", data, Group(*drawn), status, code, messages, result_errors)  # type: ignore[arg-type]
@@ -157,6 +165,7 @@ def _plan(config: Config, url: str, limits: tuple[int | None, float], about: dic
         max_seconds,
         config["motion.url"],
         about,
+        config["radar.resume_s"],
     )
 
 

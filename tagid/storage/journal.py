@@ -12,7 +12,8 @@ from __future__ import annotations
 
 import os
 import struct
-from collections.abc import Iterator
+import time
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -22,7 +23,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from tagid.errors import DataError, FileFormatError, StorageError
+from tagid.errors import DataError, DiskFullError, FileFormatError, StorageError
 from tagid.storage import atomic
 from tagid.storage.assembly import decode_settings, encode_settings
 from tagid.storage.journal_records import MAX_PAYLOAD, PREAMBLE, intact_records, pack_record, record_bytes
@@ -35,6 +36,18 @@ SUFFIX = ".tagid.journal"
 _SCAN = struct.Struct("<qqdBBHI")
 _HEADER, _SCAN_KIND, _END = 1, 2, 3
 _DTYPES = (np.dtype("<i4"), np.dtype("<f4"))
+_CODES = {("i", 4): 0, ("f", 4): 1}
+
+
+@dataclass(frozen=True, eq=False)
+class JournalScan:
+    """One scan as it was appended; see `JournalWriter.append` for the fields."""
+
+    scan_id: int
+    host_time_ns: int
+    radar_time_ms: float
+    flags: int
+    samples: NDArray[Any]
 
 
 class JournalWriter:
@@ -47,15 +60,20 @@ class JournalWriter:
             `created_utc`, `tool_version` and the dicts `radar`, `motion`, `object`.
         sync_every: records after which the disk is synced: what a power cut may cost at most (a kill of the
             process costs nothing); 0 leaves it to the operating system.
+        sync_seconds: the disk is synced no more often than this, s, however many records come.
 
     Raises:
         DiskFullError, StorageError: the file cannot be created or written.
     """
 
-    def __init__(self, path: Path, header: dict[str, Any], sync_every: int = 50) -> None:
+    def __init__(
+        self, path: Path, header: dict[str, Any], sync_every: int = 50, sync_seconds: float = 0.0
+    ) -> None:
         self.path = Path(path)
         self.scans = 0
         self._sync_every = sync_every
+        self._sync_seconds = sync_seconds
+        self._synced_at = 0.0
         self._unsynced = 0
         self._layout: tuple[int, int] | None = None
         flags = os.O_WRONLY | os.O_CREAT | os.O_APPEND
@@ -98,7 +116,30 @@ class JournalWriter:
             DiskFullError: no space; the record is taken off again, all before it stays.
             DataError: samples of another shape or dtype.
         """
-        code = {("i", 4): 0, ("f", 4): 1}.get((samples.dtype.kind, samples.dtype.itemsize))
+        self.append_all((JournalScan(scan_id, host_time_ns, radar_time_ms, flags, samples),))
+
+    def append_all(self, scans: Sequence[JournalScan]) -> None:
+        """Add scans with one write; raises as `append` does. Where space ends, as many as fit stay."""
+        records = [self._packed(scan) for scan in scans]
+        try:
+            self._write(b"".join(records))
+        except DiskFullError:
+            if len(records) > 1:
+                for record in records:
+                    self._write(record)
+                    self.scans += 1
+            raise
+        self.scans += len(records)
+        self._unsynced += len(records)
+        if self._sync_every and self._unsynced >= self._sync_every:
+            now = time.monotonic()
+            if now - self._synced_at >= self._sync_seconds:
+                self._sync()
+                self._synced_at = now
+
+    def _packed(self, scan: JournalScan) -> bytes:
+        samples, scan_id = scan.samples, scan.scan_id
+        code = _CODES.get((samples.dtype.kind, samples.dtype.itemsize))
         if code is None or samples.ndim != 1 or not 0 < samples.nbytes <= MAX_PAYLOAD - _SCAN.size:
             raise DataError(
                 f"scan {scan_id} has shape {samples.shape} and dtype {samples.dtype}, expected (bins,)"
@@ -107,13 +148,9 @@ class JournalWriter:
             raise DataError(
                 f"scan {scan_id} has {len(samples)} samples ({samples.dtype}), unlike those before it"
             )
-        head = _SCAN.pack(scan_id, host_time_ns, radar_time_ms, flags, code, 0, len(samples))
-        self._write(pack_record(_SCAN_KIND, head + samples.astype(_DTYPES[code], copy=False).tobytes()))
         self._layout = (code, len(samples))
-        self.scans += 1
-        self._unsynced += 1
-        if self._sync_every and self._unsynced >= self._sync_every:
-            self._sync()
+        head = _SCAN.pack(scan_id, scan.host_time_ns, scan.radar_time_ms, scan.flags, code, 0, len(samples))
+        return pack_record(_SCAN_KIND, head + samples.astype(_DTYPES[code], copy=False).tobytes())
 
     def close(self, summary: dict[str, Any] | None = None) -> None:
         """Write the end record, which marks the recording as complete, and close. Raises DiskFullError."""
@@ -172,17 +209,6 @@ class JournalWriter:
         if self._descriptor >= 0:
             os.close(self._descriptor)
             self._descriptor = -1
-
-
-@dataclass(frozen=True, eq=False)
-class JournalScan:
-    """One scan as it was appended; see `JournalWriter.append` for the fields."""
-
-    scan_id: int
-    host_time_ns: int
-    radar_time_ms: float
-    flags: int
-    samples: NDArray[Any]
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,7 +17,7 @@ LEVELS = (
     {"errors", "constants", "__init__"},
     {"geometry", "capture", "config", "waveform"},
     {"imaging", "tags", "storage", "radar", "motion", "simulate"},
-    {"pipeline", "report", "doctor", "result", "recorder", "sources", "inspection", "turn"},
+    {"pipeline", "report", "doctor", "result", "recorder", "intake", "sources", "inspection", "turn"},
     {"cli", "__main__"},
 )
 LEVEL_OF = {name: level for level, names in enumerate(LEVELS) for name in names}
