@@ -20,7 +20,8 @@ from tagid.capture import Capture
 from tagid.constants import RANGE_STEP_M, SPEED_OF_LIGHT
 from tagid.errors import CaptureInterrupted, ConfigError, DataError, StorageError, TagidError
 from tagid.intake import Intake
-from tagid.motion.turntable import OVERLAP_TURNS, Motion
+from tagid.motion.device import Motion
+from tagid.motion.turntable import OVERLAP_TURNS
 from tagid.radar.assembler import Scan
 from tagid.radar.messages import SCAN_FOREVER
 from tagid.radar.p440 import P440
@@ -144,7 +145,7 @@ def record(
                 with JournalQueue(journal) as queue:
                     intake = Intake(radar, queue, plan.resume_s, (watch or Watch()).gap)
                     try:
-                        _receive(intake, motion, (plan, header), radar.config, watch or Watch())
+                        _receive((intake, queue), motion, (plan, header), radar.config, watch or Watch())
                     except KeyboardInterrupt:
                         text = f"stopped by the user after {intake.scans_taken} scans"
                         stopped = CaptureInterrupted(text)
@@ -161,20 +162,25 @@ def record(
 
 
 def _receive(
-    intake: Intake,
+    intake_and_queue: tuple[Intake, JournalQueue],
     motion: Motion,
     plan_and_header: tuple[RecordingPlan, dict[str, Any]],
     config: RadarConfig,
     watch: Watch,
 ) -> None:
     plan, header = plan_and_header
+    intake, queue = intake_and_queue
     needed = 0.0
     scans: list[Scan] = []
     check_every = max(1, round(0.5 / config.scan_period_s))
-    motion.start()
+    told = 0
     try:
+        motion.start()
         for scan in intake.scans(plan.scans or SCAN_FOREVER):
             scans.append(scan)
+            motion.check()
+            if len(scans) % max(1, check_every // 5) == 0:
+                told = _note_motion(queue, motion, told)
             if len(scans) % check_every:
                 continue
             seconds = (scan.radar_time_ms - scans[0].radar_time_ms) * 1e-3
@@ -184,12 +190,36 @@ def _receive(
                 return
             if plan.scans is not None or seconds < needed:
                 continue
-            if needed or motion.finished([s.samples for s in scans], [s.radar_time_ms * 1e-3 for s in scans]):
+            if motion.measures:
+                if motion.finished([], []):
+                    return
+            elif needed or motion.finished(
+                [s.samples for s in scans], [s.radar_time_ms * 1e-3 for s in scans]
+            ):
                 needed = _needed(watch, scans, header, plan)
                 if seconds >= needed:
                     return
     finally:
-        motion.stop()
+        try:
+            motion.stop()
+        finally:
+            _note_motion(queue, motion, told)
+
+
+def _note_motion(queue: JournalQueue, motion: Motion, told: int) -> int:
+    """Keep the motion's new readings; returns how many are kept now."""
+    track = motion.track()
+    if track is None or len(track) <= told:
+        return told
+    queue.put_motion(
+        {
+            "host_time_ns": track.host_time_ns[told:].tolist(),
+            "angle_rad": track.angles_rad[told:].tolist(),
+            "sigma_rad": track.sigma_rad[told:].tolist(),
+            "info": track.info,
+        }
+    )
+    return len(track)
 
 
 def _needed(watch: Watch, scans: list[Scan], header: dict[str, Any], plan: RecordingPlan) -> float:
@@ -248,11 +278,12 @@ def _finish(
     summary, watch = end
     if stopped is not None:
         capture = replace(capture, radar={**capture.radar, **summary["radar"]})
-    if watch.resolve and stopped is None:
+    if watch.resolve and (stopped is None or "track" in capture.motion):
         try:
             capture = watch.resolve(capture, capture.motion["url"])
         except DataError as error:
-            capture = replace(capture, motion={**capture.motion, "not_resolved": error.message})
+            kept = {key: value for key, value in capture.motion.items() if key != "track"}
+            capture = replace(capture, motion={**kept, "not_resolved": error.message})
     try:
         write_capture(path, capture)
     except StorageError as error:

@@ -45,10 +45,10 @@ def resolve_turn(capture: Capture, motion: str | None = None) -> Capture:
     known = capture.angles_rad is not None or capture.antenna_positions_m is not None
     if motion is None and known:
         return capture
-    url = motion or "free"
-    first = with_angles(capture, url)
+    first = with_angles(capture, motion)
+    url = str(first.motion["url"])
     table = open_motion(url)
-    if table.nominal_s is not None or capture.axis_distance_m is None:
+    if table.measures or table.nominal_s is not None or capture.axis_distance_m is None:
         return first
     shortest = float(first.motion["resolved"]["period_s"])
     turns = float(first.motion["resolved"]["turns"])

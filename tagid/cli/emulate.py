@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tagid.cli import options
+from tagid.cli import emulate_motion, options
 from tagid.cli.frame import Output, Terminal, command
 from tagid.errors import UsageError
 from tagid.result import Result
@@ -29,6 +29,8 @@ def register(app: typer.Typer) -> None:
     def _group() -> None:
         """Emulate a device on a real wire."""
 
+    emulate_motion.register(group)
+
     @command(group, "emulate p440")
     def p440(
         terminal: Terminal,
@@ -44,6 +46,10 @@ def register(app: typer.Typer) -> None:
         ),
         replay: Annotated[str | None, typer.Option("--replay", help="Replay a recording instead.")] = None,
         rpm: Annotated[float, typer.Option("--rpm", help="Turns a minute of the emulated table.")] = 2.0,
+        turned_by: Annotated[
+            str | None,
+            typer.Option("--turned-by", help="HOST:PORT of an emulated robot that turns it."),
+        ] = None,
         axis_distance: Annotated[float, typer.Option("--axis-distance", help="Radar to axis, metres.")] = 1.0,
         snr: Annotated[float, typer.Option("--snr", help="dB a sample of a reflector on the axis.")] = 20.0,
         rate: Annotated[float, typer.Option("--rate", help="Speed of time; 0 as fast as taken.")] = 1.0,
@@ -79,7 +85,8 @@ def register(app: typer.Typer) -> None:
             source = Sources().recording(Path(replay), loop)
         else:
             wanted = {"seed": seed, "rpm": rpm, "axis_distance": axis_distance, "snr": snr}
-            source = Sources().scene(scene, {key: str(value) for key, value in wanted.items()})
+            given = {key: str(value) for key, value in wanted.items()}
+            source = Sources().scene(scene, given | ({"turned_by": turned_by} if turned_by else {}))
         core = EmulatorCore(source, firmware=firmware)
         stop = threading.Event()
         for number in (signal.SIGINT, signal.SIGTERM):

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from tagid.cli import options
+from tagid.cli.consent import Yes, agree_to
 from tagid.cli.frame import Terminal, command
 from tagid.config import Config, load_config
 from tagid.errors import ConfigError, StorageError, TagidError
@@ -37,6 +38,7 @@ def register(app: typer.Typer) -> None:
         demo_scene: Annotated[str, typer.Option("--demo-scene", help="What the demo turns.")] = "helmet-120",
         preview: options.Preview = False,
         note: Annotated[str, typer.Option("--note", help="Kept in the capture, e.g. a name.")] = "",
+        yes: Yes = False,
     ) -> Result:
         """Record one turn of the object, image it and name it.
 
@@ -54,7 +56,9 @@ def register(app: typer.Typer) -> None:
         about = {"note": note} if note else {}
         limits = (scans, max_seconds)
         if not demo:
-            return _scan(terminal, load_config(overrides), limits, about, preview)
+            config = load_config(overrides)
+            agree_to(config["motion.url"], yes)
+            return _scan(terminal, config, limits, about, preview)
         from tagid.cli.demo import emulated_radar
 
         with emulated_radar(demo_scene) as there:
@@ -141,6 +145,7 @@ def _scan(
         "scans_dropped": dropped,
         "gaps": capture.radar.get("gaps") or [],
         "files": files,
+        "motion": capture.motion.get("resolved", {}),
     }
     messages = tuple(notes(capture.radar))
     data = {"items": [{"file": str(path), **answer.to_dict()}], **facts}

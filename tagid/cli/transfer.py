@@ -107,6 +107,8 @@ def register(app: typer.Typer) -> None:
 
         target = _target(journal, out, CAPTURE_SUFFIX, force)
         written = write_captures(journal, lambda part: part_path(target, part))
+        if len(written.paths) == 1:
+            _add_measured_angles(journal, target)
         state = "complete" if written.complete else "cut short"
         lines = [f"{written.views} scans recovered, the recording was {state}", *map(str, written.paths)]
         dropped = written.bytes_dropped
@@ -119,6 +121,17 @@ def register(app: typer.Typer) -> None:
             "bytes_dropped": dropped,
         }
         return Result("recover", data, Text("\n".join(lines)), messages=messages if dropped else ())
+
+
+def _add_measured_angles(journal: Path, target: Path) -> None:
+    """Write the capture once more with its angles, where the motion measured them while recording."""
+    from tagid.motion.resolve import with_measured_angles
+    from tagid.storage.hdf5 import write_capture
+    from tagid.storage.journal_capture import read_journal_capture
+
+    capture = read_journal_capture(journal)
+    if "track" in capture.motion:
+        write_capture(target, with_measured_angles(capture))
 
 
 def part_path(target: Path, part: int) -> Path:

@@ -32,11 +32,11 @@ class Angles:
 
 
 def _one_turn(angles_rad: NDArray[np.floating]) -> tuple[NDArray[np.float64], NDArray[np.bool_], float]:
-    """Turned angle since the outermost view, which views lie in the first turn, and the angle between views."""
+    """Turned angle since the outermost view, which views lie in the first turn, and the angle between."""
     a = np.asarray(angles_rad, dtype=np.float64)
     if a.ndim != 1 or len(a) == 0 or not np.isfinite(a).all():
         raise DataError(f"angles have shape {a.shape}, expected (views,), finite")
-    # From the lowest or highest angle, not from the first scan: imported angles may be in any order or wrapped.
+    # From the lowest or highest angle, not from the first scan: imported ones come in any order or wrapped.
     turned = a - a.min() if a[-1] >= a[0] else a.max() - a
     # Half of a view's step is left open at the end: the view after a full turn is the first one again.
     step = float(np.ptp(turned)) / max(1, len(a) - 1)

@@ -11,6 +11,7 @@ from tagid.capture import Capture
 from tagid.errors import DataError
 from tagid.motion.angles import average_into_views, select_views
 from tagid.motion.clock import UniformClock, fit_clock
+from tagid.motion.measured import measured_angles, track_of
 from tagid.motion.urls import open_motion
 
 
@@ -37,7 +38,8 @@ def with_angles(capture: Capture, motion: str | None = None) -> Capture:
     Args:
         capture: any capture.
         motion: device URL of what turned the object. None keeps angles or antenna positions that are there,
-            and else takes the period from the data.
+            and else takes the period from the data. Of a device that measures, the angles are those of the
+            recording.
 
     Raises:
         UsageError: the URL makes no sense. DataError: no times, or no period in the data and no speed given.
@@ -46,16 +48,38 @@ def with_angles(capture: Capture, motion: str | None = None) -> Capture:
     if motion is None and known:
         return capture
     device = open_motion(motion or "free")
+    track = track_of(capture)
+    if device.measures and track is None and known:
+        return capture
     clock = clock_of(capture)
-    angles = device.resolve(capture.samples, clock.times_s, clock.sigma_s)
+    if track is not None and capture.host_time_ns is not None and (motion is None or device.measures):
+        angles = measured_angles(capture.samples, clock, capture.host_time_ns, track)
+        motion = motion or capture.motion.get("url")
+    else:
+        angles = device.resolve(capture.samples, clock.times_s, clock.sigma_s)
     info = {**angles.info, "scan_period_s": clock.period_s, "clock_residual_ms": clock.residual_ms}
     return replace(
         capture,
         angles_rad=angles.angles_rad,
         angle_sigma_rad=angles.sigma_rad,
         antenna_positions_m=None,
-        motion={**capture.motion, "url": motion or "free", "resolved": info},
+        motion={
+            **{key: value for key, value in capture.motion.items() if key != "track"},
+            "url": motion or "free",
+            "resolved": info,
+        },
     )
+
+
+def with_measured_angles(capture: Capture) -> Capture:
+    """A recovered capture with the angles that its motion measured, where it did; else as it is."""
+    if "track" not in capture.motion:
+        return capture
+    try:
+        return with_angles(capture)
+    except DataError as error:
+        kept = {key: value for key, value in capture.motion.items() if key != "track"}
+        return replace(capture, motion={**kept, "not_resolved": error.message})
 
 
 def one_turn(capture: Capture, max_views: int) -> Capture:

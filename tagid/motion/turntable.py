@@ -1,13 +1,12 @@
 """A turntable that runs freely: nothing to command, its angle follows from the time and its period.
 
-It is the plainest motion device and sets what every other must offer: when enough was recorded, and an angle
-with a sigma for every scan.
+It is the plainest motion device: nothing to open, nothing to watch, an angle with a sigma for every scan.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,32 +25,6 @@ MAX_SEARCH_SCANS = 2000
 """Scans that the running search looks at; more are thinned."""
 
 
-class Motion(Protocol):
-    """What turns the object, as the capture sees it."""
-
-    def start(self) -> None:
-        """Begin to turn; nothing where it turns by itself."""
-        ...
-
-    def stop(self) -> None:
-        """Stop turning; safe to call twice."""
-        ...
-
-    def needed_seconds(self) -> float | None:
-        """Seconds to record, None where only the data can tell."""
-        ...
-
-    def finished(self, samples: Sequence[NDArray[Any]] | NDArray[Any], times_s: Sequence[float]) -> bool:
-        """Whether the scans so far (one array a scan) cover a full turn and the overlap that is needed."""
-        ...
-
-    def resolve(
-        self, samples: NDArray[Any], times_s: NDArray[np.floating], clock_sigma_s: float = 0.0
-    ) -> Angles:
-        """Angle and sigma of every scan."""
-        ...
-
-
 class FreeTurntable:
     """A free-running turntable.
 
@@ -59,9 +32,20 @@ class FreeTurntable:
         rpm: nominal speed, turns a minute, believed to 15 %; None to take it from the data alone.
         direction: +1 counter-clockwise from above, -1 clockwise.
         max_seconds: when to give up waiting for a period.
+        marker: a reflector off the axis was put on the table, so that a symmetric object is alike only after
+            a full turn: the best repetition is taken, not the first good one.
     """
 
-    def __init__(self, rpm: float | None = None, direction: int = 1, max_seconds: float = 120.0) -> None:
+    moves = False
+    measures = False
+
+    def __init__(
+        self,
+        rpm: float | None = None,
+        direction: int = 1,
+        max_seconds: float = 120.0,
+        marker: bool = False,
+    ) -> None:
         if rpm is not None and not (np.isfinite(rpm) and 0 < rpm <= 1000):
             raise UsageError(
                 f"the table's speed is {rpm} rpm", "Give more than 0 and up to 1000 turns a minute."
@@ -70,7 +54,7 @@ class FreeTurntable:
             raise UsageError(f"direction is {direction}", "Use +1 (counter-clockwise) or -1 (clockwise).")
         if not (np.isfinite(max_seconds) and 0 < max_seconds <= 3600):
             raise UsageError(f"max_seconds is {max_seconds}", "Give more than 0 and up to 3600 seconds.")
-        self.rpm, self.direction, self.max_seconds = rpm, direction, max_seconds
+        self.rpm, self.direction, self.max_seconds, self.marker = rpm, direction, max_seconds, marker
         self._tested_s = 0.0
         self._last: PeriodEstimate | None = None
 
@@ -82,6 +66,12 @@ class FreeTurntable:
     def start(self) -> None:
         """Forget an earlier recording; the table turns by itself."""
         self._tested_s, self._last = 0.0, None
+
+    def check(self) -> None:
+        """Nothing to watch."""
+
+    def track(self) -> None:
+        """Nothing is measured."""
 
     def stop(self) -> None:
         """Nothing: the table turns by itself."""
@@ -115,7 +105,9 @@ class FreeTurntable:
         every = -(-len(times_s) // MAX_SEARCH_SCANS)
         try:
             found = find_period(
-                np.stack(list(samples[::every])), np.asarray(times_s[::every], dtype=np.float64)
+                np.stack(list(samples[::every])),
+                np.asarray(times_s[::every], dtype=np.float64),
+                marker=self.marker,
             )
         except DataError:
             self._last = None
@@ -123,7 +115,8 @@ class FreeTurntable:
         last, self._last = self._last, found
         if last is None or abs(found.period_s - last.period_s) > 0.02 * last.period_s:
             return False
-        return found.turns >= (AMBIGUOUS_TURNS if found.harmonic_ambiguous else OVERLAP_TURNS)
+        doubtful = found.harmonic_ambiguous or self.marker
+        return found.turns >= (AMBIGUOUS_TURNS if doubtful else OVERLAP_TURNS)
 
     def resolve(
         self, samples: NDArray[Any], times_s: NDArray[np.floating], clock_sigma_s: float = 0.0
@@ -144,13 +137,14 @@ class FreeTurntable:
         times = np.asarray(times_s, dtype=np.float64)
         info: dict[str, Any] = {"kind": "free", "direction": self.direction, "nominal_rpm": self.rpm}
         try:
-            found = find_period(samples, times, self.nominal_s)
+            found = find_period(samples, times, self.nominal_s, marker=self.marker)
             period, sigma = found.period_s, found.sigma_s
             info |= {
                 "source": "data",
                 "quality": found.quality,
                 "harmonic_ambiguous": found.harmonic_ambiguous,
                 "rivals_s": list(found.rivals_s),
+                "marker": self.marker,
                 "decided_by_nominal": found.harmonic_ambiguous and self.rpm is not None,
             }
         except DataError as error:

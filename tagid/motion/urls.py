@@ -1,67 +1,160 @@
 """Motion devices by URL, as the command line and the configuration name them.
 
-One table of what works, so that an unknown name is answered with it.
+A device with a wire is one file and one line of the entry-point table `tagid.motion` in pyproject.toml; what
+needs no wire is here.
 """
 
 from __future__ import annotations
 
-from urllib.parse import parse_qsl, urlsplit
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from importlib import metadata
+from typing import Any, Final, cast
+from urllib.parse import parse_qsl, unquote, urlsplit
 
 from tagid.errors import UsageError
+from tagid.motion.device import Motion
 from tagid.motion.turntable import FreeTurntable
 
-SUPPORTED = ("free", "free?rpm=2", "free?rpm=2&direction=cw", "emulator://helmet-120?rpm=2")
-_PLANNED = ("roomba", "roomba+serial", "roomba+ble", "comxim+serial", "revopoint+ble")
-_DIRECTIONS = {"ccw": 1, "cw": -1}
+ENTRY_POINTS: Final = "tagid.motion"
+"""Group of entry points: URL scheme = "module:function" of a function (Options) -> Motion."""
+EXAMPLES: Final = (
+    "free",
+    "free?rpm=2",
+    "free?rpm=2&direction=cw",
+    "roomba+serial:///dev/ttyUSB1",
+    "roomba+ble://NAME",
+    "index+ble://NAME",
+    "comxim+serial:///dev/ttyUSB1",
+    "revopoint+ble",
+    "emulator://helmet-120?rpm=2",
+)
+_DIRECTIONS: Final = {"ccw": 1, "cw": -1}
 
 
-def _bad(url: str, why: str) -> UsageError:
-    return UsageError(f"motion {url[:200]!r}: {why}", f"Use one of {', '.join(SUPPORTED)}.")
+@dataclass
+class Options:
+    """A device URL taken apart; each option is taken once, and `done` refuses what is left over.
+
+    Attributes:
+        url: as given.
+        scheme: before "://".
+        target: device file, name or address; "" where none is given.
+        given: options not taken yet.
+    """
+
+    url: str
+    scheme: str
+    target: str
+    given: dict[str, str]
+
+    def wrong(self, why: str) -> UsageError:
+        """The error for this URL."""
+        return bad_url(self.url, why)
+
+    def number(self, name: str, default: float | None, low: float, high: float) -> float | None:
+        """A number within bounds; the default where it is not given."""
+        text = self.given.pop(name, None)
+        if text is None:
+            return default
+        try:
+            value = float(text)
+        except ValueError:
+            raise self.wrong(f"{name} is {text[:50]!r}, not a number") from None
+        if not (math.isfinite(value) and low <= value <= high):
+            raise self.wrong(f"{name} is {text[:50]}, expected {low:g} to {high:g}")
+        return value
+
+    def text(self, name: str, default: str | None = None) -> str | None:
+        """A text."""
+        return self.given.pop(name, default)
+
+    def direction(self) -> int:
+        """The option `direction`: +1 for ccw (the default), -1 for cw."""
+        text = self.given.pop("direction", "ccw")
+        if text not in _DIRECTIONS:
+            raise self.wrong(f"direction is {text[:50]!r}, not cw or ccw")
+        return _DIRECTIONS[text]
+
+    def done(self) -> None:
+        """Raise UsageError for an option that nobody took."""
+        if self.given:
+            raise self.wrong(f"option {min(self.given)[:50]!r} is unknown")
 
 
-def _number(url: str, name: str, text: str) -> float:
+def bad_url(url: str, why: str) -> UsageError:
+    """The error for a motion URL, with what works."""
+    return UsageError(f"motion {url[:200]!r}: {why}", f"Use one of {', '.join(EXAMPLES)}.")
+
+
+def parse_motion_url(url: str) -> Options:
+    """Take a motion URL apart. Raises UsageError.
+
+    >>> parse_motion_url("roomba+serial:///dev/ttyUSB1?step=2").target
+    '/dev/ttyUSB1'
+    """
     try:
-        return float(text)
+        parts = urlsplit(url)
+        pairs = parse_qsl(parts.query, keep_blank_values=True, strict_parsing=bool(parts.query))
     except ValueError:
-        raise _bad(url, f"{name} is {text[:50]!r}, not a number") from None
+        raise bad_url(url, "is malformed") from None
+    names = [name for name, _ in pairs]
+    if len(set(names)) != len(names):
+        raise bad_url(url, "names an option twice")
+    if not parts.scheme:
+        if parts.netloc or not parts.path:
+            raise bad_url(url, "is unknown")
+        return Options(url, unquote(parts.path), "", dict(pairs))
+    # The part before the path keeps its case here: it may be a Bluetooth name.
+    return Options(url, parts.scheme, unquote(parts.netloc + parts.path), dict(pairs))
 
 
-def open_motion(url: str) -> FreeTurntable:
+def schemes() -> dict[str, metadata.EntryPoint]:
+    """Devices of the entry-point table, by URL scheme."""
+    return {entry.name: entry for entry in metadata.entry_points(group=ENTRY_POINTS)}
+
+
+def open_motion(url: str) -> Motion:
     """The motion device of a URL; nothing is connected yet.
 
-    `free` takes rpm (turns a minute), direction (ccw, the default, or cw) and max_seconds (how long to wait
-    for a period where rpm is not given). `emulator://SCENE?rpm=...` is the emulated radar's own table, which
-    runs freely; options of the scene are ignored here.
+    `free` takes rpm (turns a minute), direction (ccw, the default, or cw), max_seconds (how long to wait for
+    a period where rpm is not given) and marker=1 (a reflector off the axis breaks the object's symmetry).
+    `emulator://SCENE?rpm=...` is the emulated radar's own table, which runs freely; options of the scene are
+    ignored here. All others are told in docs/motion.md.
 
     >>> open_motion("free?rpm=2&direction=cw").needed_seconds()
     39.0
 
     Raises:
-        UsageError: malformed, unknown, or not supported yet.
+        UsageError: malformed or unknown. MissingExtraError: a package that it needs is not installed.
     """
-    try:
-        parts = urlsplit(url)
-        options = parse_qsl(parts.query, keep_blank_values=True, strict_parsing=bool(parts.query))
-    except ValueError:
-        raise _bad(url, "is malformed") from None
-    names = [name for name, _ in options]
-    if len(set(names)) != len(names):
-        raise _bad(url, "names an option twice")
-    if parts.scheme in _PLANNED:
-        raise _bad(url, f"{parts.scheme} is not supported yet")
-    if parts.scheme == "emulator":
-        if not parts.netloc:
-            raise _bad(url, "names no scene")
-        given = {k: v for k, v in options if k in ("rpm", "direction", "max_seconds")}
-    elif not parts.scheme and not parts.netloc and parts.path == "free":
-        given = dict(options)
-    else:
-        raise _bad(url, "is unknown")
-    if unknown := sorted(set(given) - {"rpm", "direction", "max_seconds"}):
-        raise _bad(url, f"option {unknown[0][:50]!r} is unknown")
-    direction = given.get("direction", "ccw")
-    if direction not in _DIRECTIONS:
-        raise _bad(url, f"direction is {direction[:50]!r}, not cw or ccw")
-    rpm = _number(url, "rpm", given["rpm"]) if "rpm" in given else None
-    seconds = _number(url, "max_seconds", given["max_seconds"]) if "max_seconds" in given else 120.0
-    return FreeTurntable(rpm, _DIRECTIONS[direction], seconds)
+    options = parse_motion_url(url)
+    if options.scheme == "emulator":
+        if not options.target:
+            raise options.wrong("names no scene")
+        known = ("rpm", "direction", "max_seconds", "marker")
+        return _free(Options(url, "free", "", {k: v for k, v in options.given.items() if k in known}))
+    if options.scheme == "free" and not options.target:
+        return _free(options)
+    entry = schemes().get(options.scheme)
+    if entry is None:
+        raise options.wrong("is unknown")
+    factory = cast(Callable[[Options], Motion], entry.load())
+    device = factory(options)
+    options.done()
+    return device
+
+
+def _free(options: Options) -> FreeTurntable:
+    rpm = options.number("rpm", None, 0.0, 1000.0)
+    seconds = options.number("max_seconds", 120.0, 0.0, 3600.0)
+    marker = options.number("marker", 0, 0, 1)
+    table = FreeTurntable(rpm, options.direction(), seconds or 0.0, marker=bool(marker))
+    options.done()
+    return table
+
+
+def settings_of(url: str) -> Mapping[str, Any]:
+    """The options of a URL as plain values, for messages and calibration. Raises UsageError."""
+    return parse_motion_url(url).given

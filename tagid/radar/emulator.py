@@ -94,6 +94,8 @@ class Server:
         self._path = FaultyPath(options.faults)
         self._origin = time.monotonic() - (core.now_s / options.rate if options.rate else 0.0)
         self._orders: queue.SimpleQueue[Callable[[], Any]] = queue.SimpleQueue()
+        if options.rate:
+            core.follow(lambda emulated_s: self._origin + emulated_s / options.rate)
 
     def order(self, what: Callable[[], Any]) -> None:
         """Has something done between two packets, by the thread that serves."""

@@ -28,7 +28,7 @@ from tagid.radar.messages import (
 )
 from tagid.radar.scan_info import RAW_FILTER, scan_packets
 from tagid.radar.settings import RadarConfig
-from tagid.radar.sources import FixedSource, ScanSource
+from tagid.radar.sources import FixedSource, FollowingSource, ScanSource
 
 _T = MessageType
 _BAUD_RATES: Final = range(9_600, 921_601)
@@ -110,6 +110,11 @@ class EmulatorCore:
             _T.GET_SLEEPMODE_REQUEST: lambda m: self._firmware.sleep_mode(m.id, self._state.sleep),
             _T.SET_BAUD_REQUEST: self._set_baud,
         }
+
+    def follow(self, monotonic: Callable[[float], float]) -> None:
+        """Tell a source that needs it what moment of time.monotonic() an emulated time is."""
+        if isinstance(self._source, FollowingSource):
+            self._source.follow(monotonic)
 
     @property
     def config(self) -> RadarConfig:

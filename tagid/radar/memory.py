@@ -33,6 +33,8 @@ class MemoryLink:
         self._queue: deque[bytes] = deque()
         self._name = name
         self._origin = time.monotonic() - core.now_s / rate if rate else 0.0
+        if rate:
+            core.follow(lambda emulated_s: self._origin + emulated_s / rate)
 
     def __repr__(self) -> str:
         return self._name

@@ -6,16 +6,15 @@ the first can be opened again when the plug is back.
 
 from __future__ import annotations
 
-import errno
 import time
 from collections import deque
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Final
 
 import serial
 
-from tagid.errors import DeviceError, DeviceGoneError, PortInUseError
+from tagid.errors import DeviceError, DeviceGoneError
+from tagid.ports import open_port
 from tagid.radar.framing import Framing, StreamDecoder, frame
 from tagid.radar.messages import MAX_PACKET_BYTES
 
@@ -147,28 +146,5 @@ class SerialLink:
 
 
 def _open(port: SerialPort) -> serial.Serial:
-    try:
-        line = serial.Serial(port.path, port.baud, timeout=0, write_timeout=_WRITE_TIMEOUT_S, exclusive=True)
-        line.reset_input_buffer()
-        return line
-    except (OSError, ValueError) as error:
-        number = getattr(error, "errno", None)
-        text = str(error)
-        if number in (errno.EAGAIN, errno.EBUSY) or "exclusively lock" in text:
-            raise PortInUseError(
-                f"{port.path} is held by another program",
-                "Close the other program (a terminal, another tagid, ModemManager) and try again.",
-            ) from error
-        if number in (errno.ENOENT, errno.ENODEV, errno.ENXIO, errno.EIO) or not Path(port.path).exists():
-            raise DeviceGoneError(
-                f"there is no serial port {port.path}",
-                "Plug the radar in; `tagid radar find` lists the ports that look like one.",
-            ) from error
-        if number in (errno.EACCES, errno.EPERM):
-            raise DeviceError(
-                f"no permission to open {port.path}",
-                "Add yourself to the group dialout (sudo usermod -aG dialout $USER) and log in again.",
-            ) from error
-        raise DeviceError(
-            f"cannot open {port.path}: {text}", "Give the device file of a serial port."
-        ) from error
+    find = "`tagid radar find` lists the ports that look like a radar's"
+    return open_port(port.path, port.baud, _WRITE_TIMEOUT_S, find)

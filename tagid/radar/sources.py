@@ -5,6 +5,7 @@ The emulator knows only these protocols, so that the radar part needs neither si
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -19,6 +20,15 @@ class ScanSource(Protocol):
 
     def scan(self, index: int, time_s: float, config: RadarConfig) -> NDArray[np.int32]:
         """(config.samples,) counts of scan `index` of this run, taken `time_s` after the radar's boot."""
+        ...
+
+
+@runtime_checkable
+class FollowingSource(Protocol):
+    """A source that another program on this machine turns: it must know its times on a shared clock."""
+
+    def follow(self, monotonic: Callable[[float], float]) -> None:
+        """Take the function from the radar's time since boot to time.monotonic()."""
         ...
 
 

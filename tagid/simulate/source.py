@@ -6,6 +6,7 @@ the same moment hold the same echo.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Protocol
 
@@ -56,6 +57,7 @@ class TurningScene:
             period, turns and recording are not used: the radar's configuration and rpm say those. Its snr_db
             (20 where it says nothing) is what a unit reflector at the axis has at integration index 11.
         cable_delay_s: two-way delay that the radar sees on top of the way through the air, s.
+        true_angle: what turns the scene instead of rpm: the angle in rad at a moment of time.monotonic().
     """
 
     def __init__(
@@ -65,6 +67,7 @@ class TurningScene:
         seed: int = 0,
         acquisition: Acquisition | None = None,
         cable_delay_s: float = 0.0,
+        true_angle: Callable[[float], float] | None = None,
     ) -> None:
         if not (np.isfinite(rpm) and 0 <= rpm <= 1000):
             raise UsageError(f"the emulated table turns at {rpm} rpm", "Give 0 to 1000 turns a minute.")
@@ -74,11 +77,29 @@ class TurningScene:
         self._table = PulseTable.of(acq.pulse)
         self._turn = Turn.random(acq.wobble, acq.direction, np.random.default_rng(seed))
         self._snr = 10 ** ((20.0 if acq.snr_db is None else acq.snr_db) / 20)
+        self._true_angle = true_angle
+        self._monotonic: Callable[[float], float] | None = None
         self._room: tuple[RangeWindow, NDArray[np.complex128]] | None = None
+
+    def follow(self, monotonic: Callable[[float], float]) -> None:
+        """Learn from the emulator what moment of time.monotonic() a time since the start is."""
+        self._monotonic = monotonic
+
+    def _turns(self, time_s: float) -> float:
+        """Turns since the start."""
+        if self._true_angle is None:
+            return time_s * self.rpm / 60
+        if self._monotonic is None:
+            raise UsageError(
+                "a scene that another device turns needs an emulated radar in real time", "Give rate=1."
+            )
+        # The turn's direction is in the angle already.
+        angle = self._true_angle(self._monotonic(time_s))
+        return self._turn.direction * angle / (2 * np.pi)
 
     def angle(self, time_s: float) -> float:
         """True object angle at a time since the start, rad."""
-        return float(self._turn.angles(np.array([time_s * self.rpm / 60]))[0])
+        return float(self._turn.angles(np.array([self._turns(time_s)]))[0])
 
     def window(self, config: ScanConfig) -> RangeWindow:
         """The range bins of a configuration, cable delay taken off."""
@@ -95,7 +116,7 @@ class TurningScene:
         acq = replace(self._acquisition, window=window, views=1, turns=1.0)
         if self._room is None or self._room[0] != window:
             self._room = window, render_room(self.scene, window, self._table)
-        turns = np.array([time_s * self.rpm / 60])
+        turns = np.array([self._turns(time_s)])
         distance = acq.axis_distance_m + self._turn.radial(turns)
         antenna = antennas(self._turn.angles(turns), distance, acq.antenna_height_m)
         out = self._room[1][None].copy()

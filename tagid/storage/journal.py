@@ -3,7 +3,8 @@
 After a kill or a power cut at any moment everything but the record in flight can be read back.
 
 Layout, little-endian: magic `TAGIDJNL`, version u32; then records of marker `REC\\x1e`, kind u32, payload
-length u32, CRC-32 u32 (over kind, length and payload), payload. Kinds: 1 header (JSON), 2 scan, 3 end (JSON).
+length u32, CRC-32 u32 (over kind, length and payload), payload. Kinds: 1 header (JSON), 2 scan, 3 end (JSON),
+4 readings of the motion (JSON: lists host_time_ns, angle_rad, sigma_rad, and info, what is known of them).
 The payload of a scan is scan_id i64, host_time_ns i64, radar_time_ms f64, flags u8, dtype u8 (0 int32,
 1 float32), two zero bytes, bins u32, samples.
 """
@@ -34,7 +35,8 @@ SUFFIX = ".tagid.journal"
 """Usual ending of a journal's name."""
 
 _SCAN = struct.Struct("<qqdBBHI")
-_HEADER, _SCAN_KIND, _END = 1, 2, 3
+_HEADER, _SCAN_KIND, _END, _MOTION = 1, 2, 3, 4
+_READINGS = ("host_time_ns", "angle_rad", "sigma_rad")
 _DTYPES = (np.dtype("<i4"), np.dtype("<f4"))
 _CODES = {("i", 4): 0, ("f", 4): 1}
 
@@ -152,6 +154,13 @@ class JournalWriter:
         head = _SCAN.pack(scan_id, scan.host_time_ns, scan.radar_time_ms, scan.flags, code, 0, len(samples))
         return pack_record(_SCAN_KIND, head + samples.astype(_DTYPES[code], copy=False).tobytes())
 
+    def append_motion(self, readings: dict[str, Any]) -> None:
+        """Add readings of the motion: lists of one length host_time_ns, angle_rad, sigma_rad; and info.
+
+        Raises DiskFullError: no space; all before it stays.
+        """
+        self._write(pack_record(_MOTION, encode_settings(readings).encode()))
+
     def close(self, summary: dict[str, Any] | None = None) -> None:
         """Write the end record, which marks the recording as complete, and close. Raises DiskFullError."""
         if self._descriptor < 0:
@@ -221,6 +230,7 @@ class Journal:
         scans: all intact scans, in the order of the file.
         summary: of the end record; None where that is missing (killed, power cut, disk full).
         bytes_dropped: bytes that belong to no intact record.
+        motion: all readings of the motion, None where there are none.
     """
 
     path: Path
@@ -228,6 +238,7 @@ class Journal:
     scans: tuple[JournalScan, ...]
     summary: dict[str, Any] | None
     bytes_dropped: int
+    motion: dict[str, Any] | None = None
 
 
 @dataclass
@@ -239,6 +250,7 @@ class JournalStream:
         header: as given to the writer.
         summary: of the end record; None before the end, and where it is missing.
         bytes_dropped: bytes that belong to no intact record; known at the end.
+        motion: readings of the motion so far; None where there are none.
     """
 
     path: Path
@@ -247,6 +259,7 @@ class JournalStream:
     header: dict[str, Any] = field(default_factory=dict)
     summary: dict[str, Any] | None = None
     bytes_dropped: int = 0
+    motion: dict[str, Any] | None = None
 
     def scans(self) -> Iterator[JournalScan]:
         """Every intact scan, in the order of the file; once. Raises FileFormatError."""
@@ -256,6 +269,18 @@ class JournalStream:
                 yield _parse_scan(self.path, payload)
             elif kind == _END:
                 self.summary = decode_settings(payload, f"{self.path} (end record)")
+            elif kind == _MOTION:
+                self._add_motion(decode_settings(payload, f"{self.path} (motion record)"))
+
+    def _add_motion(self, part: dict[str, Any]) -> None:
+        if not all(isinstance(part.get(name), list) for name in _READINGS):
+            raise FileFormatError(
+                f"{self.path}: a motion record of the journal is not what its version defines"
+            )
+        joined: dict[str, Any] = self.motion or {name: [] for name in _READINGS}
+        for name in _READINGS:
+            joined[name] += part[name]
+        self.motion = {**joined, "info": part.get("info") or {}}
 
 
 @contextmanager
@@ -299,7 +324,9 @@ def read_journal(path: Path) -> Journal:
                 f"`tagid recover {path}` makes capture files of it, in parts that can be read.",
             )
         scans = tuple(stream.scans())
-        return Journal(path, stream.header, scans, stream.summary, stream.bytes_dropped)
+        return Journal(
+            path, stream.header, scans, stream.summary, stream.bytes_dropped, stream.motion
+        )
 
 
 def _parse_scan(path: Path, payload: bytes) -> JournalScan:

@@ -34,7 +34,8 @@ def journal_to_capture(journal: Journal) -> Capture:
     """The capture that a journal holds; `complete` is False where its end record is missing.
 
     The dicts `radar`, `motion` and `object` of the end record add to those of the header; bytes that were
-    dropped are noted as `radar["journal_bytes_dropped"]`.
+    dropped are noted as `radar["journal_bytes_dropped"]`, readings of the motion are `motion["track"]`
+    (`tagid.motion.resolve.with_measured_angles` makes angles of them).
 
     Raises:
         FileFormatError: no scan is intact, scans differ in shape or dtype, or the header lacks a value.
@@ -64,7 +65,9 @@ def read_journal_capture(path: Path) -> Capture:
                 yield scan
 
         layout = common_layout(path, counted())
-        found = Journal(path, stream.header, (), stream.summary, stream.bytes_dropped)
+        found = Journal(
+            path, stream.header, (), stream.summary, stream.bytes_dropped, stream.motion
+        )
     with open_journal(path) as stream:
         arrays = ScanArrays.empty(count, *layout)
         for row, scan in zip(range(count), stream.scans(), strict=False):
@@ -136,6 +139,8 @@ def capture_fields(
 
 def _to_capture(journal: Journal, arrays: ScanArrays) -> Capture:
     fields = capture_fields(journal.path, journal.header, journal.summary, journal.bytes_dropped)
+    if journal.motion is not None:
+        fields["motion"]["track"] = journal.motion
     return build_capture(journal.path, **vars(arrays), **fields)
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import threading
 from collections import deque
 from types import TracebackType
-from typing import Final, Self
+from typing import Any, Final, Self
 
 from tagid.errors import TagidError
 from tagid.storage.journal import JournalScan, JournalWriter
@@ -38,6 +38,7 @@ class JournalQueue:
         self._writer = writer
         self._limit = limit_bytes
         self._waiting: deque[JournalScan] = deque()
+        self._readings: deque[dict[str, Any]] = deque()
         self._bytes = 0
         self._changed = threading.Condition()
         self._ending = False
@@ -63,6 +64,14 @@ class JournalQueue:
                 self._changed.notify_all()
         return True
 
+    def put_motion(self, readings: dict[str, Any]) -> None:
+        """Adds readings of the motion, see `JournalWriter.append_motion`; never dropped. Raises as `put`."""
+        with self._changed:
+            self._raise_failure()
+            self._readings.append(readings)
+            if not self._busy:
+                self._changed.notify_all()
+
     def __enter__(self) -> Self:
         return self
 
@@ -85,14 +94,18 @@ class JournalQueue:
             with self._changed:
                 self._busy = False
                 self._changed.notify_all()
-                while not self._waiting and not self._ending:
+                while not self._waiting and not self._readings and not self._ending:
                     self._changed.wait()
-                if not self._waiting:
+                if not self._waiting and not self._readings:
                     return
+                readings = list(self._readings)
+                self._readings.clear()
                 batch = [self._waiting.popleft() for _ in range(min(len(self._waiting), _BATCH))]
                 self._busy = True
             try:
                 self._writer.append_all(batch)
+                for reading in readings:
+                    self._writer.append_motion(reading)
             except TagidError as error:
                 with self._changed:
                     self._error = error

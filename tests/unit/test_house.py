@@ -15,7 +15,7 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 
 LEVELS = (
     {"errors", "constants", "__init__"},
-    {"geometry", "capture", "config", "waveform"},
+    {"geometry", "capture", "config", "waveform", "ports"},
     {"imaging", "tags", "storage", "radar", "motion", "simulate"},
     {"pipeline", "report", "doctor", "result", "recorder", "intake", "sources", "inspection", "turn"},
     {"cli", "__main__"},

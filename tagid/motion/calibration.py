@@ -1,0 +1,80 @@
+"""What is remembered of a robot: its effective wheel base, as the radar saw it turn.
+
+A wheel base depends on tyres and floor by some per cent, so it belongs to one robot, not to a type.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Final
+
+from tagid.config import data_folder
+from tagid.errors import ConfigError, StorageError
+
+_FILE: Final = "robots.toml"
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """An effective wheel base.
+
+    Attributes:
+        wheel_base_mm: that makes the odometry right.
+        sigma: its relative standard deviation.
+        turns: turns that it rests on.
+        date_utc: when.
+    """
+
+    wheel_base_mm: float
+    sigma: float
+    turns: float
+    date_utc: str = ""
+
+    def __post_init__(self) -> None:
+        if not (100 <= self.wheel_base_mm <= 1000 and 0 < self.sigma < 0.5 and self.turns > 0):
+            raise ConfigError(
+                f"a wheel base of {self.wheel_base_mm} mm, sigma {self.sigma}, makes no sense",
+                "Calibrate again: tagid motion calibrate.",
+            )
+
+
+def calibrations_path() -> Path:
+    """Where they are kept."""
+    return data_folder() / _FILE
+
+
+def _load() -> dict[str, Calibration]:
+    path = calibrations_path()
+    try:
+        tables = tomllib.loads(path.read_text(encoding="utf-8"))
+        return {name: Calibration(**table) for name, table in tables.items()}
+    except FileNotFoundError:
+        return {}
+    except OSError as error:
+        raise StorageError(f"cannot read {path}: {error.strerror}", "Check its permissions.") from None
+    except (ValueError, TypeError, AttributeError):
+        raise ConfigError(f"{path} is damaged", "Delete it and calibrate again.") from None
+
+
+def recall(robot: str) -> Calibration | None:
+    """What is remembered of a robot; None where nothing is. Raises ConfigError, StorageError."""
+    return _load().get(robot)
+
+
+def remember(robot: str, calibration: Calibration) -> Path:
+    """Keep a robot's calibration; returns the file. Raises StorageError."""
+    import tomli_w
+
+    from tagid.storage.atomic import write_bytes
+
+    known = _load()
+    stamp = datetime.now(UTC).isoformat(timespec="seconds")
+    known[robot] = Calibration(**{**asdict(calibration), "date_utc": stamp})
+    path = calibrations_path()
+    path.parent.mkdir(parents=True, exist_ok=True)
+    text = tomli_w.dumps({name: asdict(one) for name, one in sorted(known.items())})
+    write_bytes(path, text.encode())
+    return path

@@ -1,0 +1,193 @@
+"""What every commanded device shares: a thread that reads and watches, and that always ends with a halt.
+
+A driver adds four steps (begin, poll, halt, close); whatever happens in them, the halt is run.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import threading
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tagid.errors import DataError, DeviceError, TagidError, UsageError
+from tagid.motion.angles import Angles
+from tagid.motion.device import MotionStoppedError, Track
+
+_JOIN_S: Final = 5.0
+MEASURED_TURNS: Final = 1.15
+"""Turns to record where angles are measured: one, and enough overlap to hold them against the scans' own
+period (`find_period` needs 1.1)."""
+Reading = tuple[int, float, float]
+"""host_time_ns, angle_rad, sigma_rad."""
+
+
+class DrivenMotion(ABC):
+    """A device that turns on command and measures its angle.
+
+    Args:
+        name: what messages call it.
+        direction: +1 counter-clockwise from above, -1 clockwise.
+        nominal_s: seconds a turn.
+        scale_sigma: relative standard deviation of a factor common to all its angles.
+        turns: turns to record; None for one and the overlap that scale_sigma asks for.
+        max_seconds: longest time it turns without being stopped.
+    """
+
+    moves = True
+    measures = True
+    kind = "driven"
+
+    def __init__(
+        self,
+        name: str,
+        direction: int,
+        nominal_s: float,
+        scale_sigma: float = 0.0,
+        turns: float | None = None,
+        max_seconds: float = 300.0,
+    ) -> None:
+        if turns is not None and not 0 < turns <= 20:
+            raise UsageError(f"{turns} turns are asked of {name}", "Give more than 0 and up to 20.")
+        if not 0 < max_seconds <= 3600:
+            raise UsageError(f"max_seconds is {max_seconds}", "Give more than 0 and up to 3600 seconds.")
+        self.name, self.direction, self.nominal_s = name, direction, nominal_s
+        self.scale_sigma, self.max_seconds = scale_sigma, max_seconds
+        # Three sigma more, so that a turn is complete also where the device overstates its angle.
+        self.turns = turns if turns is not None else MEASURED_TURNS * (1 + 3 * scale_sigma)
+        self._readings: list[Reading] = []
+        self._error: TagidError | None = None
+        self._thread: threading.Thread | None = None
+        self._stopping = threading.Event()
+        self._lock = threading.Lock()
+
+    @abstractmethod
+    def _begin(self) -> None:
+        """Open, arm what stops it when this program dies, set in motion."""
+
+    @abstractmethod
+    def _poll(self) -> list[Reading]:
+        """Wait a moment for readings; raise what has to stop the motion."""
+
+    @abstractmethod
+    def _halt(self) -> None:
+        """Stop, and make sure of it; harmless where nothing moves or nothing is open."""
+
+    @abstractmethod
+    def _close(self) -> None:
+        """Let go of the link."""
+
+    def _facts(self) -> dict[str, Any]:
+        """What a Track tells besides its readings."""
+        return {}
+
+    def start(self) -> None:
+        """Begin to turn. Raises DeviceError and its kinds; then nothing moves."""
+        if self._thread is not None:
+            raise UsageError(f"{self.name} is turning already", "Stop it first.")
+        self._readings, self._error = [], None
+        self._stopping.clear()
+        try:
+            self._begin()
+        except BaseException:
+            self._end()
+            raise
+        self._thread = threading.Thread(target=self._work, name=f"motion-{self.kind}", daemon=True)
+        self._thread.start()
+
+    def _work(self) -> None:
+        until = time.monotonic() + self.max_seconds
+        try:
+            while not self._stopping.is_set():
+                new = self._poll()
+                with self._lock:
+                    self._readings += new
+                if time.monotonic() > until:
+                    raise MotionStoppedError(
+                        f"{self.name} has turned for {self.max_seconds:.0f} s and was stopped",
+                        "Ask for fewer turns, or give a larger max_seconds.",
+                    )
+        except TagidError as error:
+            self._error = error
+        except Exception as error:
+            # Whatever breaks here, the wheels must stop and the recording must hear of it.
+            logging.getLogger("tagid").debug("motion thread", exc_info=True)
+            self._error = DeviceError(f"{self.name}: {type(error).__name__}: {error}")
+        finally:
+            self._safely_halt()
+
+    def _safely_halt(self) -> None:
+        try:
+            self._halt()
+        except (TagidError, OSError) as error:
+            if self._error is None:
+                self._error = error if isinstance(error, TagidError) else DeviceError(str(error))
+
+    def _end(self) -> None:
+        self._safely_halt()
+        try:
+            self._close()
+        except (TagidError, OSError):
+            logging.getLogger("tagid").debug("closing %s", self.name, exc_info=True)
+
+    def check(self) -> None:
+        """Raise what has stopped the motion."""
+        if self._error is not None:
+            raise self._error
+
+    def stop(self) -> None:
+        """Stop turning and let go; safe to call twice.
+
+        Raises:
+            DeviceError: it did not confirm that it stands, and nothing had gone wrong before.
+        """
+        before = self._error
+        self._stopping.set()
+        thread, self._thread = self._thread, None
+        if thread is not None:
+            thread.join(_JOIN_S)
+        self._end()
+        if before is None and self._error is not None:
+            raise self._error
+
+    def track(self) -> Track:
+        """The readings so far."""
+        with self._lock:
+            readings = list(self._readings)
+        info = {
+            "kind": self.kind,
+            "direction": self.direction,
+            "nominal_s": self.nominal_s,
+            "scale_sigma": self.scale_sigma,
+            **self._facts(),
+        }
+        return Track.of(readings, info)
+
+    @property
+    def turned_rad(self) -> float:
+        """The newest angle, rad."""
+        with self._lock:
+            return self._readings[-1][1] if self._readings else 0.0
+
+    def needed_seconds(self) -> float:
+        """As long as the wanted turns take at the nominal speed."""
+        return self.turns * self.nominal_s
+
+    def finished(self, samples: Sequence[NDArray[Any]] | NDArray[Any], times_s: Sequence[float]) -> bool:
+        """Whether the wanted turns are there, by the device's own angle."""
+        return abs(self.turned_rad) >= self.turns * 2 * math.pi
+
+    def resolve(
+        self, samples: NDArray[Any], times_s: NDArray[np.floating], clock_sigma_s: float = 0.0
+    ) -> Angles:
+        """Not possible from scans: the angles are measured while recording. Raises DataError."""
+        raise DataError(
+            f"the angles of {self.name} are measured while recording; this capture holds none",
+            "Take the period from the scans: --motion free, or 'free?rpm=...'.",
+        )

@@ -1,0 +1,127 @@
+"""An emulated device on a pseudo-terminal: a serial port that pyserial, or anything else, can open.
+
+A pty carries no rate, but it remembers which one the client chose: at another than the device's, both sides
+see garbage, as on a wire.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import termios
+import threading
+import time
+from pathlib import Path
+from typing import Final, Protocol
+
+_TICK_S: Final = 0.005
+_BAUDS: Final = {
+    getattr(termios, f"B{rate}"): rate
+    for rate in (300, 600, 1200, 2400, 4800, 9600, 19200, 38400, 57600, 115200)
+}
+
+
+class SerialCore(Protocol):
+    """A device behind a serial port; times are of time.monotonic()."""
+
+    @property
+    def baud(self) -> int:
+        """Rate it listens at."""
+        ...
+
+    def handle(self, data: bytes, now_s: float) -> bytes:
+        """Bytes that arrived; returns what it sends."""
+        ...
+
+    def advance(self, now_s: float) -> bytes:
+        """Let time pass; returns what it sends by itself."""
+        ...
+
+
+def garbled(data: bytes) -> bytes:
+    """What is read of bytes at the wrong rate: fewer, with most bits stuck."""
+    return bytes((byte * 7 & 0x78) | 0x80 for byte in data[::3])
+
+
+class PtyPort:
+    """Serves a core on a pty from a thread; a context manager.
+
+    Args:
+        core: the device.
+        link: a name for the port, made as a symbolic link to it; None for none.
+        enforce_baud: garble what comes and goes at another rate than the core's.
+
+    Attributes:
+        path: the port to open.
+        lock: held while the core is used; hold it to look into the core.
+    """
+
+    def __init__(self, core: SerialCore, link: Path | None = None, enforce_baud: bool = True) -> None:
+        self._core = core
+        self._enforce = enforce_baud
+        self._master, slave = os.openpty()
+        attributes = termios.tcgetattr(slave)
+        attributes[0] = attributes[1] = attributes[3] = 0  # raw: no echo, no translation
+        attributes[2] = termios.CS8 | termios.CREAD | termios.CLOCAL
+        attributes[4] = attributes[5] = termios.B115200
+        termios.tcsetattr(slave, termios.TCSANOW, attributes)
+        self.path = os.ttyname(slave)
+        # Kept open: with no slave at all a master reads EIO for ever.
+        self._slave = slave
+        os.set_blocking(self._master, False)
+        self._link = link
+        if link is not None:
+            link.unlink(missing_ok=True)
+            link.symlink_to(self.path)
+        self.lock = threading.Lock()
+        self._stop = threading.Event()
+        self._cut = threading.Event()
+        self._thread = threading.Thread(target=self._serve, name="pty-port", daemon=True)
+
+    def __enter__(self) -> PtyPort:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stop.set()
+        self._thread.join(timeout=5)
+        for descriptor in (self._master, self._slave):
+            with contextlib.suppress(OSError):
+                os.close(descriptor)
+        if self._link is not None:
+            self._link.unlink(missing_ok=True)
+
+    def cut(self) -> None:
+        """Cut the cable: no byte passes any more, while the device lives on."""
+        self._cut.set()
+
+    def wrong_rate(self) -> bool:
+        """Whether the client chose another rate than the device's."""
+        if not self._enforce:
+            return False
+        try:
+            chosen = termios.tcgetattr(self._master)[4]
+        except termios.error:
+            return False
+        return _BAUDS.get(chosen) != self._core.baud
+
+    def _serve(self) -> None:
+        while not self._stop.is_set():
+            try:
+                readable, _, _ = select.select([self._master], [], [], _TICK_S)
+                data = os.read(self._master, 4096) if readable else b""
+            except OSError:
+                data = b""
+                self._stop.wait(_TICK_S)
+            if self._cut.is_set():
+                data = b""
+            wrong = self.wrong_rate()
+            with self.lock:
+                now = time.monotonic()
+                out = self._core.handle(garbled(data) if wrong else data, now) if data else b""
+                out += self._core.advance(now)
+            if out and not self._cut.is_set():
+                # A client that does not read loses bytes, as at a real port.
+                with contextlib.suppress(OSError):
+                    os.write(self._master, garbled(out) if wrong else out)

@@ -1,0 +1,100 @@
+"""The true angle of an emulated robot, asked for over loopback: how an emulated radar sees it turn.
+
+The radar and the robot may run in different processes; both share this machine's monotonic clock.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import socket
+import threading
+import time
+from collections.abc import Callable
+from typing import Final
+
+from tagid.errors import DeviceError, UsageError
+from tagid.radar.links import bind_udp
+
+_LONGEST: Final = 512
+_TRIES: Final = 3
+_WAIT_S: Final = 0.5
+
+
+class TruthServer:
+    """Answers `{"at": monotonic seconds}` with what `state` knows of that moment; a context manager.
+
+    Args:
+        state: from a moment (time.monotonic) to JSON values; `angle_rad` is the true angle.
+        port: of 127.0.0.1; 0 takes any free one.
+    """
+
+    def __init__(self, state: Callable[[float], dict[str, float | int | bool]], port: int = 0) -> None:
+        self._state = state
+        self._socket = bind_udp("127.0.0.1", port)
+        self._thread = threading.Thread(target=self._serve, name="true-angle", daemon=True)
+        self.address = f"127.0.0.1:{self._socket.getsockname()[1]}"
+
+    def __enter__(self) -> TruthServer:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._socket.close()
+        with contextlib.suppress(OSError), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as waker:
+            waker.sendto(b"", (self.address.split(":")[0], int(self.address.split(":")[1])))
+
+    def _serve(self) -> None:
+        while True:
+            try:
+                asked, sender = self._socket.recvfrom(_LONGEST)
+            except OSError:
+                return
+            try:
+                moment = float(json.loads(asked)["at"])
+            except (ValueError, KeyError, TypeError):
+                continue
+            with contextlib.suppress(OSError):
+                self._socket.sendto(json.dumps(self._state(moment)).encode(), sender)
+
+
+class TrueAngle:
+    """Asks a TruthServer.
+
+    Args:
+        address: HOST:PORT on this machine.
+
+    Raises UsageError for an address that makes no sense.
+    """
+
+    def __init__(self, address: str) -> None:
+        host, _, port = address.rpartition(":")
+        if not host.startswith("127.") or not port.isdecimal() or not 0 < int(port) < 65536:
+            raise UsageError(
+                f"the turning robot's address is {address!r}",
+                "Give what `tagid emulate roomba` prints as truth, e.g. 127.0.0.1:40123.",
+            )
+        self._address = (host, int(port))
+
+    def state(self, moment_s: float | None = None) -> dict[str, float]:
+        """What is known of a moment of the monotonic clock; now where none is given. Raises DeviceError."""
+        moment = time.monotonic() if moment_s is None else moment_s
+        asked = json.dumps({"at": moment}).encode()
+        for _ in range(_TRIES):
+            try:
+                with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as wire:
+                    wire.settimeout(_WAIT_S)
+                    wire.sendto(asked, self._address)
+                    answer = json.loads(wire.recv(_LONGEST))
+            except (OSError, ValueError):
+                continue
+            if isinstance(answer, dict) and isinstance(answer.get("angle_rad"), int | float):
+                return answer
+        raise DeviceError(
+            f"the emulated robot at {self._address[0]}:{self._address[1]} does not tell its angle",
+            "Start `tagid emulate roomba` first.",
+        )
+
+    def at(self, moment_s: float) -> float:
+        """True angle, rad."""
+        return float(self.state(moment_s)["angle_rad"])

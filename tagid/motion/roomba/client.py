@@ -1,0 +1,182 @@
+"""The client side of the Open Interface over any byte link: wake, ask, drive, leave.
+
+It keeps no thread and no policy; what turns an object safely is `device`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from tagid.errors import DeviceError, DeviceRejectedError, DeviceTimeoutError
+from tagid.motion.links import ByteLink
+from tagid.motion.roomba import messages as oi
+from tagid.motion.roomba.messages import Mode, Op, Packet
+from tagid.motion.roomba.stream import StreamDecoder
+
+_ANSWER_S: Final = 0.4
+_SETTLE_S: Final = 0.05
+"""The OI wants 20 ms between mode commands; a bridge adds some."""
+_STATUS: Final = (
+    Packet.MODE,
+    Packet.CHARGER,
+    Packet.CHARGING_STATE,
+    Packet.VOLTAGE,
+    Packet.CURRENT,
+    Packet.TEMPERATURE,
+    Packet.CHARGE,
+    Packet.CAPACITY,
+    Packet.BUMPS_AND_DROPS,
+)
+
+FAREWELL: Final = oi.HALT + oi.pause_stream(False) + oi.simple(Op.START)
+"""Wheels to zero, stream off, Passive: what a robot is left with."""
+
+
+@dataclass(frozen=True)
+class RobotStatus:
+    """What a robot says of itself.
+
+    Attributes:
+        mode: as it is, whatever the firmware's off-by-one says.
+        on_charger: home base or internal charger connected.
+        voltage_v, current_a, temperature_c: of the battery.
+        charge: 0..1 of the capacity; None where the robot does not know.
+        wheel_dropped: a wheel hangs free.
+        mode_offset: what the firmware adds to the mode it reports.
+    """
+
+    mode: Mode
+    on_charger: bool
+    voltage_v: float
+    current_a: float
+    temperature_c: int
+    charge: float | None
+    wheel_dropped: bool
+    mode_offset: int
+
+
+class OpenInterface:
+    """A robot behind a byte link."""
+
+    def __init__(self, link: ByteLink) -> None:
+        self.link = link
+        self.mode_offset = 0
+        self.decoder = StreamDecoder()
+
+    def wake(self) -> RobotStatus:
+        """Bring the robot to Passive, waking it where it sleeps, and ask for its state.
+
+        The robot stands in Passive then, so what it reports as its mode tells the firmware's off-by-one.
+
+        Raises:
+            DeviceTimeoutError: no sensible answer, with what to check.
+        """
+        for attempt in range(4):
+            # Streaming may still be on from a user who was cut off; its frames are no answers.
+            self.link.write(oi.simple(Op.START) + oi.pause_stream(False))
+            self._drain()
+            with contextlib.suppress(DeviceTimeoutError, DeviceRejectedError):
+                return self.status()
+            if attempt == 1:
+                self.link.wake()
+        raise DeviceTimeoutError(
+            f"the robot at {self.link} does not answer",
+            "Switch it on (press Clean once), check the plug, and the rate: 115200 baud, or ?baud=19200 "
+            "after a long press on Clean.",
+        )
+
+    def status(self) -> RobotStatus:
+        """Ask for the state; the robot must be in Passive."""
+        values = self.query(_STATUS)
+        offset = values[Packet.MODE] - Mode.PASSIVE
+        temperature = values[Packet.TEMPERATURE]
+        if offset not in (-1, 0, 1) or not 5_000 <= values[Packet.VOLTAGE] <= 30_000:
+            raise DeviceRejectedError(
+                f"the robot at {self.link} answers nonsense",
+                "Check the rate (?baud=115200 or 19200) and that this port is the robot's.",
+            )
+        self.mode_offset = offset
+        capacity = values[Packet.CAPACITY]
+        return RobotStatus(
+            Mode.PASSIVE,
+            bool(values[Packet.CHARGER] & 3) or values[Packet.CHARGING_STATE] in (1, 2, 3),
+            values[Packet.VOLTAGE] * 1e-3,
+            values[Packet.CURRENT] * 1e-3,
+            temperature,
+            values[Packet.CHARGE] / capacity if capacity else None,
+            bool(values[Packet.BUMPS_AND_DROPS] & 0b1100),
+            offset,
+        )
+
+    def query(self, packets: Sequence[int]) -> dict[int, int]:
+        """Ask once; no stream may be on, because answers carry no header.
+
+        Raises DeviceTimeoutError where the answer does not come or is not as long as it must be.
+        """
+        sizes = [oi.packet_size(packet) for packet in packets]
+        self.link.write(oi.query(packets))
+        answer = b""
+        deadline = time.monotonic() + _ANSWER_S
+        while len(answer) < sum(sizes) and (left := deadline - time.monotonic()) > 0:
+            answer += self.link.read(left)
+        # Without a header an answer that is too long is as useless as one too short.
+        answer += self.link.read(_SETTLE_S) if len(answer) == sum(sizes) else b""
+        if len(answer) != sum(sizes):
+            self._drain()
+            raise DeviceTimeoutError(
+                f"the robot at {self.link} answered {len(answer)} bytes, expected {sum(sizes)}",
+                "Check the rate and the plug.",
+            )
+        values: dict[int, int] = {}
+        for packet, size in zip(packets, sizes, strict=True):
+            values |= oi.unpack_packet(packet, answer[:size])
+            answer = answer[size:]
+        return values
+
+    def safe(self) -> None:
+        """Enter Safe mode and make sure of it. Raises DeviceRejectedError with the likely cause."""
+        self.link.write(oi.simple(Op.SAFE))
+        time.sleep(_SETTLE_S)
+        mode = self.query([Packet.MODE])[Packet.MODE] - self.mode_offset
+        if mode != Mode.SAFE:
+            raise DeviceRejectedError(
+                f"the robot does not enter Safe mode (it reports {mode})",
+                "Take it off the charger and put it on the floor with all wheels down.",
+            )
+
+    def stream(self, packets: Sequence[int]) -> None:
+        """Begin to stream; read with `frames`."""
+        self.decoder = StreamDecoder(packets)
+        self.link.write(oi.stream(packets))
+
+    def frames(self, timeout: float) -> list[tuple[int, dict[int, int]]]:
+        """Stream frames that arrived, as (host time ns, values)."""
+        data = self.link.read(timeout)
+        now = time.time_ns()
+        return [(now, values) for values in self.decoder.feed(data)]
+
+    def spin(self, direction: int, speed_mm_s: int) -> None:
+        """Turn in place; +1 is counter-clockwise from above."""
+        self.link.write(oi.drive_direct(direction * speed_mm_s, -direction * speed_mm_s))
+
+    def leave(self) -> None:
+        """Wheels to zero, stream off, Passive; asked for until the robot says so. Raises DeviceError."""
+        for _ in range(3):
+            self.link.write(FAREWELL)
+            self._drain()
+            with contextlib.suppress(DeviceTimeoutError):
+                if self.query([Packet.MODE])[Packet.MODE] - self.mode_offset <= Mode.PASSIVE:
+                    return
+        raise DeviceError(
+            f"the robot at {self.link} was told to stop, but does not confirm it",
+            "Look whether it stands; press its Clean button if not.",
+        )
+
+    def _drain(self) -> None:
+        deadline = time.monotonic() + 0.5
+        while time.monotonic() < deadline and self.link.read(_SETTLE_S):
+            pass

@@ -1,0 +1,249 @@
+"""A Roomba as a turntable: it spins in place at a step it really has, and stops when anything looks wrong.
+
+Everything that can hurt is bounded here: speed, time, silence; and the robot is always left in Passive.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Final
+
+from tagid.errors import DeviceRejectedError, DeviceTimeoutError, TagidError
+from tagid.motion.device import MotionStoppedError
+from tagid.motion.driven import DrivenMotion, Reading
+from tagid.motion.links import ByteLink
+from tagid.motion.roomba.client import FAREWELL, OpenInterface, RobotStatus
+from tagid.motion.roomba.messages import FRAME_S, Mode, Packet
+from tagid.motion.roomba.odometry import NOMINAL_SCALE_SIGMA, WHEEL_BASE_MM, SpinOdometry
+
+SPEED_STEP_MM_S: Final = 28.5
+"""The wheels' speed moves in steps of about this (seen on Create 2 robots): 13.9 deg/s a step in place."""
+MAX_STEP: Final = 3
+"""41.7 deg/s, 8.6 s a turn: fast enough, and an object on top does not slide."""
+DEAD_MAN_S: Final = 0.4
+_FEED_S: Final = 0.1
+_SILENCE_S: Final = 0.4
+_STALL_S: Final = 1.5
+_LOW_CHARGE: Final = 0.08
+_HOT_C: Final = 60
+HALT: Final = bytes(4) + FAREWELL
+"""For whoever has to stop a robot amid an unknown command: zeros complete it, and are no opcode."""
+
+WATCHED: Final = (
+    Packet.BUMPS_AND_DROPS,
+    Packet.CLIFF_LEFT,
+    Packet.CLIFF_FRONT_LEFT,
+    Packet.CLIFF_FRONT_RIGHT,
+    Packet.CLIFF_RIGHT,
+    Packet.CHARGER,
+    Packet.MODE,
+    Packet.LEFT_ENCODER,
+    Packet.RIGHT_ENCODER,
+)
+"""26 bytes a frame: fits 15 ms also at 19200 baud (28 bytes)."""
+WATCHED_FAST: Final = (*WATCHED, Packet.TEMPERATURE, Packet.CHARGE, Packet.CAPACITY)
+"""34 bytes a frame, for 115200 baud."""
+
+
+def step_period_s(step: int, wheel_base_mm: float = WHEEL_BASE_MM) -> float:
+    """Seconds a turn at a speed step.
+
+    >>> [round(step_period_s(step), 1) for step in (1, 2, 3)]
+    [25.9, 13.0, 8.6]
+    """
+    return math.pi * wheel_base_mm / (step * SPEED_STEP_MM_S)
+
+
+@dataclass(frozen=True)
+class RoombaSettings:
+    """How a robot turns.
+
+    Attributes:
+        step: speed step, 1..3.
+        direction: +1 counter-clockwise from above, -1 clockwise.
+        wheel_base_mm: effective wheel base.
+        scale_sigma: relative standard deviation of it.
+        calibrated: whether it was calibrated.
+        fast: 115200 baud, which leaves room for the battery in every frame.
+        turns: turns to record; None for one and the overlap needed.
+        max_seconds: longest time it turns.
+    """
+
+    step: int = 2
+    direction: int = 1
+    wheel_base_mm: float = WHEEL_BASE_MM
+    scale_sigma: float = NOMINAL_SCALE_SIGMA
+    calibrated: bool = False
+    fast: bool = True
+    turns: float | None = None
+    max_seconds: float = 300.0
+
+
+class Roomba(DrivenMotion):
+    """A robot on the floor with the object on top.
+
+    Args:
+        open_link: opens the link; called by `start` and `inspect`.
+        settings: how it turns.
+        name: what messages call it.
+    """
+
+    kind = "roomba"
+
+    def __init__(
+        self, open_link: Callable[[], ByteLink], settings: RoombaSettings | None = None, name: str = "robot"
+    ) -> None:
+        s = settings or RoombaSettings()
+        super().__init__(
+            f"the robot at {name}",
+            s.direction,
+            step_period_s(s.step, s.wheel_base_mm),
+            s.scale_sigma,
+            s.turns,
+            s.max_seconds,
+        )
+        self.settings = s
+        self.robot = name
+        self.first_angle_s: float | None = None
+        """Seconds from `start` to the first angle."""
+        self._open_link = open_link
+        self._oi: OpenInterface | None = None
+        self._driven = False
+
+    def inspect(self) -> RobotStatus:
+        """Wake the robot and ask how it is, without moving it; the link is let go of."""
+        try:
+            return self._interface().wake()
+        finally:
+            self._close()
+
+    def halt_now(self) -> None:
+        """Stop whatever it does and leave it in Passive. Raises DeviceError where it does not confirm."""
+        try:
+            oi = self._interface()
+            oi.link.write(HALT)
+            oi.wake()
+            oi.leave()
+        finally:
+            self._close()
+
+    def _interface(self) -> OpenInterface:
+        if self._oi is None:
+            self._oi = OpenInterface(self._open_link())
+        return self._oi
+
+    def _begin(self) -> None:
+        asked = time.monotonic()
+        s = self.settings
+        oi = self._interface()
+        self._fit_to_turn(oi.wake())
+        oi.link.arm(DEAD_MAN_S)
+        self._driven = True
+        oi.safe()
+        oi.stream(WATCHED_FAST if s.fast else WATCHED)
+        self._odometry = SpinOdometry(s.direction, s.wheel_base_mm)
+        self._fed = self._heard = self._moved = time.monotonic()
+        self._counts = (0, 0)
+        first = self._poll()
+        while not first:
+            first = self._poll()
+        self._readings = first
+        oi.spin(s.direction, round(s.step * SPEED_STEP_MM_S))
+        self.first_angle_s = time.monotonic() - asked
+
+    def _fit_to_turn(self, status: RobotStatus) -> None:
+        if status.on_charger:
+            raise DeviceRejectedError(f"{self.name} is on its charger", "Take it off; it cannot turn there.")
+        if status.wheel_dropped:
+            raise DeviceRejectedError(f"{self.name} hangs with a wheel in the air", "Put it on the floor.")
+        if status.charge is not None and status.charge < _LOW_CHARGE:
+            raise DeviceRejectedError(
+                f"the battery of {self.name} is at {status.charge:.0%}", "Charge it for an hour."
+            )
+        if status.temperature_c > _HOT_C:
+            raise DeviceRejectedError(
+                f"the battery of {self.name} has {status.temperature_c} degC", "Let it cool."
+            )
+
+    def _poll(self) -> list[Reading]:
+        oi = self._interface()
+        now = time.monotonic()
+        if now - self._fed >= _FEED_S:
+            # Said again and again: this is what keeps the dead-man from stopping the wheels.
+            oi.spin(self.direction, round(self.settings.step * SPEED_STEP_MM_S) if self._readings else 0)
+            self._fed = now
+        found: list[Reading] = []
+        for stamp, values in oi.frames(0.02):
+            self._watch(values)
+            angle = self._odometry.add(values[Packet.LEFT_ENCODER], values[Packet.RIGHT_ENCODER])
+            found.append((stamp, angle, self._odometry.sigma_rad))
+        now = time.monotonic()
+        if found:
+            self._heard = now
+        elif now - self._heard > _SILENCE_S:
+            raise DeviceTimeoutError(
+                f"{self.name} has been silent for {_SILENCE_S} s: the link is lost",
+                "Check the plug or the distance to the bridge.",
+            )
+        if self._odometry.counts != self._counts or not self._readings:
+            self._counts, self._moved = self._odometry.counts, now
+        elif now - self._moved > _STALL_S:
+            raise MotionStoppedError(
+                f"the wheels of {self.name} do not turn", "Look whether they are blocked; then try again."
+            )
+        return found
+
+    def _watch(self, values: dict[int, int]) -> None:
+        """Raise what has to stop the motion; the cause before its consequence, the fall back to Passive."""
+        bits = values[Packet.BUMPS_AND_DROPS]
+        capacity = values.get(Packet.CAPACITY, 0)
+        cliffs = any(values[packet] for packet in range(Packet.CLIFF_LEFT, Packet.CLIFF_RIGHT + 1))
+        mode = values[Packet.MODE] - self._interface().mode_offset
+        for wrong, cause, remedy in (
+            (bits & 0b1100, "lost the floor under a wheel", "Put it back on level ground."),
+            (cliffs, "sees a cliff", "Move it away from the edge, or clean its cliff sensors."),
+            (bits & 0b0011, "was bumped", "Clear its surroundings."),
+            (values[Packet.CHARGER] & 3, "was put on a charger", "Take it off the charger."),
+            (mode != Mode.SAFE, "fell back from Safe mode", "Its Clean button, or a sensor; then try again."),
+            (
+                capacity and values[Packet.CHARGE] < 0.5 * _LOW_CHARGE * capacity,
+                "has an empty battery",
+                "Charge it.",
+            ),
+            (values.get(Packet.TEMPERATURE, 0) > _HOT_C, "has a hot battery", "Let it cool."),
+        ):
+            if wrong:
+                raise MotionStoppedError(f"{self.name} {cause} and was stopped", remedy)
+
+    def _halt(self) -> None:
+        if self._oi is None or not self._driven:
+            return
+        self._driven = False
+        try:
+            self._oi.leave()
+        except TagidError:
+            # The robot's own guard is still armed and fires now.
+            raise
+        else:
+            self._oi.link.disarm()
+
+    def _close(self) -> None:
+        oi, self._oi = self._oi, None
+        if oi is not None:
+            oi.link.close()
+
+    def _facts(self) -> dict[str, Any]:
+        s = self.settings
+        decoder = self._oi.decoder if self._oi else None
+        return {
+            "robot": self.robot,
+            "wheel_base_mm": s.wheel_base_mm,
+            "calibrated": s.calibrated,
+            "step": s.step,
+            "step_s": FRAME_S,
+            "bytes_dropped": decoder.dropped if decoder else 0,
+            "first_angle_s": self.first_angle_s,
+        }

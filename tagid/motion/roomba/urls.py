@@ -1,0 +1,57 @@
+"""`roomba+serial://PORT`: from a URL to a robot that can be started.
+
+Options are taken and checked here, before anything is opened.
+"""
+
+from __future__ import annotations
+
+from tagid.motion.calibration import recall
+from tagid.motion.links import ByteLink, SerialLink
+from tagid.motion.roomba.device import HALT, MAX_STEP, Roomba, RoombaSettings, step_period_s
+from tagid.motion.roomba.messages import BAUD_CODES
+from tagid.motion.roomba.odometry import NOMINAL_SCALE_SIGMA, WHEEL_BASE_MM
+from tagid.motion.urls import Options
+
+
+def _settings(options: Options, robot: str, fast: bool) -> RoombaSettings:
+    step = options.number("step", None, 1, MAX_STEP)
+    rpm = options.number("rpm", None, 0.1, 60 / step_period_s(MAX_STEP) + 0.5)
+    if step is not None and rpm is not None:
+        raise options.wrong("gives both step and rpm")
+    if rpm is not None:
+        # The nearest speed that the wheels really have.
+        step = min(range(1, MAX_STEP + 1), key=lambda n: abs(60 / step_period_s(n) - rpm))
+    if step is not None and step != int(step):
+        raise options.wrong(f"step is {step:g}, expected 1, 2 or 3")
+    base = options.number("base_mm", None, 100, 1000)
+    known = recall(robot) if base is None else None
+    if known is not None:
+        base, sigma = known.wheel_base_mm, known.sigma
+    else:
+        sigma = NOMINAL_SCALE_SIGMA
+    return RoombaSettings(
+        step=int(step or 2),
+        direction=options.direction(),
+        wheel_base_mm=base or WHEEL_BASE_MM,
+        scale_sigma=sigma,
+        calibrated=known is not None,
+        fast=fast,
+        turns=options.number("turns", None, 0.01, 20),
+        max_seconds=options.number("max_seconds", 300.0, 1, 3600) or 300.0,
+    )
+
+
+def open_serial(options: Options) -> Roomba:
+    """A robot on a cable. Options: baud, step or rpm, direction, base_mm, turns, max_seconds."""
+    port = options.target
+    if not port:
+        raise options.wrong("names no port")
+    baud = int(options.number("baud", 115200, 300, 115200) or 115200)
+    if baud not in BAUD_CODES:
+        raise options.wrong(f"baud is {baud}, expected 115200 or 19200")
+    settings = _settings(options, port, fast=baud == 115200)
+
+    def link() -> ByteLink:
+        return SerialLink(port, baud, HALT)
+
+    return Roomba(link, settings, port)

@@ -1,0 +1,101 @@
+"""A scan with an emulated radar that sees what an emulated robot truly turns, in processes of their own."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tagid.motion.emulator.truth import TrueAngle
+from tagid.storage.importers import read_any
+
+TAGID = [sys.executable, "-m", "tagid"]
+
+
+@contextmanager
+def robot(home: dict[str, str], *options: str) -> Iterator[dict[str, Any]]:
+    process = subprocess.Popen(
+        [*TAGID, "emulate", "roomba", "--pty", *options, "--output", "json"],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=home,
+    )  # fmt: skip
+    try:
+        yield json.loads(process.stdout.readline())["data"]
+    finally:
+        process.terminate()
+        process.communicate(timeout=10)
+
+
+def scan_words(there: dict[str, Any], folder: Path, *options: str) -> list[str]:
+    radar = f"emulator://helmet-120?rate=1&turned_by={there['truth']}"
+    return [
+        *TAGID, "scan", "--radar", radar, "--motion", there["url"] + "?step=3", "--axis-distance", "1",
+        "--save-dir", str(folder), "--method", "bp", "--output", "json", *options,
+    ]  # fmt: skip
+
+
+def wait_until(what: Any, timeout: float = 20.0) -> None:
+    deadline = time.monotonic() + timeout
+    while not what():
+        assert time.monotonic() < deadline, "waited in vain"
+        time.sleep(0.01)
+
+
+def test_the_helmet_on_a_robot_is_named(home: dict[str, str], tmp_path: Path) -> None:
+    with robot(home, "--wheel-base", "250", "--slip", "0.02", "--seed", "3") as there:
+        done = subprocess.run(
+            scan_words(there, tmp_path, "--yes"), capture_output=True, text=True, env=home, timeout=120
+        )
+        assert "Traceback" not in done.stderr
+        document = json.loads(done.stdout)
+        assert done.returncode == 0, document
+        (item,) = document["data"]["items"]
+        assert (item["status"], item["layout"]) == ("identified", "helmet-120")
+        motion = document["data"]["motion"]
+        # 250 mm and 2 % slip: a true turn is 6.4 % + 2 % more of the robot's own radians.
+        assert motion["scale"] == pytest.approx(235 / 250 * 0.98, rel=5e-3)
+        assert motion["checked_by_radar"] and motion["clock_sigma_ms"] < 20
+        truth = TrueAngle(there["truth"])
+        wait_until(lambda: not truth.state()["moving"])
+        assert truth.state()["mode"] == 1
+    capture = read_any(Path(document["data"]["files"]["capture"]))
+    assert capture.complete and "track" not in capture.motion
+    assert np.all(capture.angle_sigma_rad < np.radians(3))
+
+
+def test_nothing_moves_without_a_yes(home: dict[str, str], tmp_path: Path) -> None:
+    with robot(home) as there:
+        done = subprocess.run(
+            scan_words(there, tmp_path), capture_output=True, text=True, env=home, timeout=60,
+            stdin=subprocess.DEVNULL,
+        )  # fmt: skip
+        document = json.loads(done.stdout)
+        assert (done.returncode, document["errors"][0]["code"]) == (2, "usage")
+        assert "--yes" in document["errors"][0]["remedy"]
+        state = TrueAngle(there["truth"]).state()
+        assert (state["angle_rad"], state["moving"], state["mode"]) == (0.0, False, 0)
+
+
+def test_a_killed_scan_leaves_a_robot_that_stands(home: dict[str, str], tmp_path: Path) -> None:
+    with robot(home) as there:
+        truth = TrueAngle(there["truth"])
+        scan = subprocess.Popen(
+            scan_words(there, tmp_path, "--yes"), stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=home
+        )
+        wait_until(lambda: abs(truth.state()["angle_rad"]) > 0.3)
+        killed = time.monotonic()
+        scan.kill()
+        wait_until(lambda: not truth.state()["moving"])
+        assert truth.state()["still_since_s"] - killed < 0.5
+        scan.communicate()
+        wait_until(lambda: truth.state()["mode"] == 1)
+        (journal,) = tmp_path.glob("*.journal")
+        recovered = read_any(journal)
+        assert recovered.views > 50 and "track" in recovered.motion

@@ -1,0 +1,196 @@
+"""The robot's driver over a real pty against the emulated robot: what it says, and what makes it stop."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import serial
+
+from tagid.errors import DeviceError, DeviceGoneError, DeviceTimeoutError, PortInUseError
+from tagid.motion.device import MotionStoppedError
+from tagid.motion.emulator.body import BodySettings
+from tagid.motion.emulator.host import RoombaHost, happen, wait_until_still
+from tagid.motion.emulator.roomba import World
+from tagid.motion.roomba.device import Roomba
+from tagid.motion.roomba.messages import Mode
+from tagid.motion.urls import open_motion
+from tagid.radar.devices import open_radar
+from tagid.recorder import RecordingPlan, record
+from tagid.sources import Sources
+from tagid.storage.importers import read_any
+from tagid.turn import resolve_turn
+
+
+@pytest.fixture
+def host(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[RoombaHost]:
+    monkeypatch.setenv("TAGID_DATA", str(tmp_path / "data"))
+    with RoombaHost(BodySettings(seed=1, first_count=32_700)) as there:
+        yield there
+
+
+def robot_at(host: RoombaHost, options: str = "") -> Roomba:
+    motion = open_motion(f"roomba+serial://{host.port.path}{options}")
+    assert isinstance(motion, Roomba)
+    return motion
+
+
+def turned(motion: Roomba, radians: float) -> None:
+    deadline = time.monotonic() + 20
+    while abs(motion.turned_rad) < radians:
+        motion.check()
+        assert time.monotonic() < deadline
+        time.sleep(0.005)
+
+
+def truth_at_last_reading(host: RoombaHost, motion: Roomba) -> float:
+    ago = (time.time_ns() - motion.track().host_time_ns[-1]) * 1e-9
+    with host.port.lock:
+        return host.core.body.heading_at(time.monotonic() - ago)
+
+
+@pytest.mark.parametrize("direction", ["ccw", "cw"])
+def test_it_turns_the_way_it_was_told_and_says_how_far(host: RoombaHost, direction: str) -> None:
+    motion = robot_at(host, f"?step=3&direction={direction}")
+    motion.start()
+    turned(motion, 0.5)
+    motion.stop()
+    assert np.sign(host.core.body.heading_rad) == (1 if direction == "ccw" else -1)
+    assert motion.turned_rad == pytest.approx(truth_at_last_reading(host, motion), abs=np.radians(1))
+    assert host.core.mode is Mode.PASSIVE and wait_until_still(host, 2) is not None
+    track = motion.track()
+    assert np.all(np.diff(track.host_time_ns) >= 0) and track.sigma_rad.max() < np.radians(1)
+    assert np.median(np.abs(np.diff(track.angles_rad))) == pytest.approx(np.radians(41.7) * 0.015, rel=0.2)
+    motion.stop()  # a second time is harmless
+
+
+@pytest.mark.parametrize(
+    ("event", "cause"),
+    [("wheel-drop", "lost the floor"), ("bump", "bumped"), ("cliff", "cliff"), ("charger", "charger")],
+)
+def test_what_happens_to_it_ends_the_recording_with_its_cause(
+    host: RoombaHost, tmp_path: Path, event: str, cause: str
+) -> None:
+    motion = robot_at(host, "?step=3")
+    radar = open_radar(f"emulator://helmet-120?rate=1&turned_by={host.truth.address}", Sources())
+
+    def later() -> None:
+        turned(motion, 0.3)
+        with host.port.lock:
+            happen(host.core.world, event)
+
+    threading.Thread(target=later, daemon=True).start()
+    path = tmp_path / "scan.tagid.h5"
+    plan = RecordingPlan(None, 1.0, motion="roomba+serial://" + host.port.path)
+    with pytest.raises(MotionStoppedError, match=cause) as error:
+        record(radar, motion, plan, path, _watch())
+    assert error.value.exit_code == 4 and str(path) in error.value.remedy
+    assert host.core.mode is Mode.PASSIVE and wait_until_still(host, 2) is not None
+    kept = read_any(path)
+    assert not kept.complete
+    assert kept.angles_rad is not None and np.ptp(kept.angles_rad) > 0.25
+
+
+def _watch() -> object:
+    from tagid.recorder import Watch
+
+    return Watch(resolve=resolve_turn)
+
+
+def test_a_cable_that_falls_silent_is_told_within_half_a_second(host: RoombaHost) -> None:
+    motion = robot_at(host)
+    motion.start()
+    turned(motion, 0.1)
+    host.port.cut()
+    cut = time.monotonic()
+    with pytest.raises(DeviceTimeoutError, match="link is lost"):
+        while time.monotonic() < cut + 5:
+            motion.check()
+            time.sleep(0.005)
+    motion.stop()
+
+
+def test_falling_back_to_passive_is_noticed_also_where_the_firmware_counts_from_one(tmp_path: Path) -> None:
+    with RoombaHost(world=World(mode_offset=1)) as host:
+        motion = robot_at(host)
+        motion.start()
+        turned(motion, 0.1)
+        motion.check()
+        with host.port.lock:
+            host.core.handle(bytes([128]), time.monotonic())
+        with pytest.raises(MotionStoppedError, match="fell back"):
+            turned(motion, 3)
+        motion.stop()
+
+
+@pytest.mark.parametrize(
+    ("world", "cause"),
+    [
+        (World(on_charger=True), "on its charger"),
+        (World(wheel_drop=1), "wheel in the air"),
+        (World(charge=100), "battery"),
+        (World(temperature_c=70), "degC"),
+    ],
+)
+def test_a_robot_that_may_not_turn_is_not_moved(world: World, cause: str) -> None:
+    with RoombaHost(world=world) as host:
+        motion = robot_at(host)
+        with pytest.raises(DeviceError, match=cause) as error:
+            motion.start()
+        assert error.value.remedy
+        assert host.core.mode is Mode.PASSIVE
+        assert host.core.body.heading_rad == 0
+
+
+def test_garbage_before_and_between_frames_costs_nothing(host: RoombaHost) -> None:
+    """Another program's leftovers, text of a robot that wakes, and a stream that nobody stopped."""
+    with serial.Serial(host.port.path, 115200) as wire:
+        wire.write(bytes([128, 148, 2, 43, 44]) + b"\x00\xff garbage \x13\x05")
+    motion = robot_at(host)
+    motion.start()
+    turned(motion, 0.2)
+    motion.stop()
+    assert motion.turned_rad == pytest.approx(truth_at_last_reading(host, motion), abs=np.radians(1))
+
+
+def test_the_wrong_rate_is_told_with_its_remedy(host: RoombaHost) -> None:
+    with pytest.raises(DeviceError) as error:
+        robot_at(host, "?baud=19200").start()
+    assert "baud" in error.value.remedy
+
+
+def test_19200_baud_works_where_the_robot_has_it() -> None:
+    with RoombaHost(baud=19200) as host:
+        motion = robot_at(host, "?baud=19200")
+        motion.start()
+        turned(motion, 0.2)
+        motion.stop()
+        assert motion.track().info["bytes_dropped"] == 0
+
+
+def test_ports_that_cannot_be_opened(host: RoombaHost, tmp_path: Path) -> None:
+    with pytest.raises(DeviceGoneError, match="no serial port"):
+        open_motion("roomba+serial:///dev/ttyNOWHERE").start()
+    plain = tmp_path / "file"
+    plain.touch()
+    with pytest.raises(DeviceError):
+        open_motion(f"roomba+serial://{plain}").start()
+    motion = robot_at(host)
+    motion.start()
+    with pytest.raises(PortInUseError, match="another program"):
+        robot_at(host).start()
+    motion.stop()
+    assert wait_until_still(host, 2) is not None
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may open every port")
+def test_no_permission(host: RoombaHost) -> None:
+    Path(host.port.path).chmod(0)
+    with pytest.raises(DeviceError, match="permission") as error:
+        robot_at(host).start()
+    assert "dialout" in error.value.remedy

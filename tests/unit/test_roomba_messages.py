@@ -1,0 +1,92 @@
+"""The Open Interface byte for byte, frames out of noise, and odometry with the right sign."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tagid.errors import UsageError
+from tagid.motion.roomba import messages as oi
+from tagid.motion.roomba.messages import Op, Packet
+from tagid.motion.roomba.odometry import MM_PER_COUNT, SpinOdometry
+from tagid.motion.roomba.stream import StreamDecoder
+
+WATCHED = (Packet.BUMPS_AND_DROPS, Packet.MODE, Packet.LEFT_ENCODER, Packet.RIGHT_ENCODER)
+
+
+def test_commands_are_those_of_the_document() -> None:
+    # Create 2 OI specification: Drive Direct example, stream example, checksum rule.
+    assert oi.drive_direct(-200, 500) == bytes([145, 255, 56, 1, 244])
+    assert oi.stream([29, 13]) == bytes([148, 2, 29, 13])
+    assert oi.query([7, 43]) == bytes([149, 2, 7, 43])
+    assert bytes([19, 5, 29, 2, 25, 13, 0, 163]) == oi.stream_frame([29, 13], {29: 537})
+    assert [oi.packet_size(group) for group in (0, 1, 2, 3, 4, 5, 6, 100, 101, 106, 107)] == [
+        26, 10, 6, 10, 14, 12, 52, 80, 28, 12, 9,
+    ]  # fmt: skip
+    assert oi.simple(Op.STOP) == b"\xad"
+    with pytest.raises(UsageError):
+        oi.drive_direct(501, 0)
+
+
+def test_the_frame_for_turning_has_13_bytes() -> None:
+    assert len(oi.stream_frame(WATCHED, {})) == 13
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    values=st.lists(
+        st.tuples(st.integers(-32768, 32767), st.integers(-32768, 32767)), min_size=1, max_size=8
+    ),
+    noise=st.lists(st.binary(max_size=40), min_size=9, max_size=9),
+    cut=st.integers(1, 7),
+)
+def test_frames_are_found_among_any_bytes(
+    values: list[tuple[int, int]], noise: list[bytes], cut: int
+) -> None:
+    """Two frames after each noise: it may swallow the first by claiming its length, never the second."""
+    wire = b""
+    for index, (left, right) in enumerate(values):
+        frame = oi.stream_frame(WATCHED, {43: left, 44: right, 35: 2})
+        wire += noise[index] + frame + frame
+    wire += bytes(32)
+    decoder = StreamDecoder(WATCHED)
+    found = []
+    for at in range(0, len(wire), cut):
+        found += decoder.feed(wire[at : at + cut])
+    places = [(frame[43], frame[44]) for frame in found]
+    position = -1
+    for pair in values:
+        assert pair in places[position + 1 :] or pair in places[: position + 1]
+        position = places.index(pair)
+    assert decoder.frames * 13 + decoder.dropped <= len(wire)
+
+
+def test_nothing_is_a_frame_that_was_not_asked_for() -> None:
+    decoder = StreamDecoder(WATCHED)
+    other = oi.stream_frame([7, 35, 44, 43], {})
+    assert decoder.feed(other + b"\x13" * 50) == []
+    assert decoder.feed(oi.stream_frame(WATCHED, {43: 7}))[-1][43] == 7
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+@pytest.mark.parametrize("signed", [True, False])
+def test_the_angle_follows_the_command_whatever_the_firmware_counts(direction: int, signed: bool) -> None:
+    odometry = SpinOdometry(direction)
+    per_turn = math.pi * 235 / MM_PER_COUNT
+    for step in range(0, int(3 * per_turn), 7):
+        left = -direction * step if signed else step
+        right = direction * step if signed else step
+        wrap = [((32_700 + way + 32768) & 0xFFFF) - 32768 for way in (left, right)]
+        odometry.add(*wrap)
+    assert odometry.angle_rad == pytest.approx(direction * 3 * 2 * math.pi, rel=2e-3)
+    assert odometry.sigma_rad < math.radians(0.1)
+
+
+def test_wheels_that_disagree_widen_the_sigma() -> None:
+    odometry = SpinOdometry(1)
+    odometry.add(0, 0)
+    odometry.add(-1000, 1100)
+    assert odometry.sigma_rad > 40 * MM_PER_COUNT / 235
