@@ -324,9 +324,7 @@ def read_journal(path: Path) -> Journal:
                 f"`tagid recover {path}` makes capture files of it, in parts that can be read.",
             )
         scans = tuple(stream.scans())
-        return Journal(
-            path, stream.header, scans, stream.summary, stream.bytes_dropped, stream.motion
-        )
+        return Journal(path, stream.header, scans, stream.summary, stream.bytes_dropped, stream.motion)
 
 
 def _parse_scan(path: Path, payload: bytes) -> JournalScan:

@@ -65,9 +65,7 @@ def read_journal_capture(path: Path) -> Capture:
                 yield scan
 
         layout = common_layout(path, counted())
-        found = Journal(
-            path, stream.header, (), stream.summary, stream.bytes_dropped, stream.motion
-        )
+        found = Journal(path, stream.header, (), stream.summary, stream.bytes_dropped, stream.motion)
     with open_journal(path) as stream:
         arrays = ScanArrays.empty(count, *layout)
         for row, scan in zip(range(count), stream.scans(), strict=False):

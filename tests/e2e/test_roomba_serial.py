@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 import time
@@ -18,6 +19,13 @@ from tagid.motion.emulator.truth import TrueAngle
 from tagid.storage.importers import read_any
 
 TAGID = [sys.executable, "-m", "tagid"]
+
+
+@pytest.fixture
+def home(tmp_path: Path) -> dict[str, str]:
+    environment = {k: v for k, v in os.environ.items() if not k.startswith("TAGID_")}
+    folder = {"TAGID_CONFIG": str(tmp_path / "config.toml"), "TAGID_DATA": str(tmp_path / "data")}
+    return {**environment, **folder, "OMP_NUM_THREADS": "1"}
 
 
 @contextmanager
