@@ -14,6 +14,7 @@ from tagid.radar.assembler import Scan
 from tagid.radar.messages import SCAN_FOREVER
 from tagid.radar.p440 import P440
 from tagid.radar.resume import RESUME_S, Gap, steady_scans
+from tagid.radar.settings import RadarConfig
 from tagid.storage.journal import JournalScan
 from tagid.storage.journal_queue import JournalQueue, drop_note
 
@@ -50,6 +51,16 @@ class Intake:
         self._queue = queue
         self._resume_s = resume_s
         self._on_gap = on_gap
+
+    @property
+    def config(self) -> RadarConfig:
+        """The radar's settings."""
+        return self._radar.config
+
+    @property
+    def scans_lost(self) -> int:
+        """Scans that did not come whole."""
+        return self._radar.statistics.lost_scans
 
     def scans(self, count: int = SCAN_FOREVER, interval_us: int = 0) -> Iterator[Scan]:
         """The scans of a run, each on its way to the disk when it is handed out; a dropped one is not.

@@ -139,7 +139,7 @@ def record(
     with radar:
         status = radar.status()
         taken = radar.config if plan.config is None else radar.set_config(plan.config)
-        header = _header(plan, taken, {"serial": status.serial, "package": status.package})
+        header = journal_header(plan, taken, {"serial": status.serial, "package": status.package})
         with JournalWriter(journal_path, header, sync_seconds=SYNC_S) as journal:
             try:
                 with JournalQueue(journal) as queue:
@@ -154,7 +154,7 @@ def record(
                     except TagidError as error:
                         stopped = error
             except StorageError as error:
-                raise _with_remedy(error, f"Free space, then `tagid recover {journal_path}`.") from error
+                raise with_remedy(error, f"Free space, then `tagid recover {journal_path}`.") from error
             summary = {"radar": intake.summary()}
             if stopped is None:
                 journal.close(summary)
@@ -243,7 +243,8 @@ def _needed(watch: Watch, scans: list[Scan], header: dict[str, Any], plan: Recor
         return 0.0
 
 
-def _header(plan: RecordingPlan, taken: RadarConfig, radar: dict[str, Any]) -> dict[str, Any]:
+def journal_header(plan: RecordingPlan, taken: RadarConfig, radar: dict[str, Any]) -> dict[str, Any]:
+    """What a journal says of its scans; `radar` is what the radar says of itself."""
     asked = None if plan.config is None else asdict(plan.config)
     return {
         "range_start_m": taken.range_start_m(plan.cable_delay_ps),
@@ -287,14 +288,15 @@ def _finish(
     try:
         write_capture(path, capture)
     except StorageError as error:
-        raise _with_remedy(error, f"Free space, then `tagid recover {journal_path}`.") from error
+        raise with_remedy(error, f"Free space, then `tagid recover {journal_path}`.") from error
     journal_path.unlink(missing_ok=True)
     if stopped is not None:
-        raise _with_remedy(stopped, f"The {capture.views} scans that arrived are in {path}.") from stopped
+        raise with_remedy(stopped, f"The {capture.views} scans that arrived are in {path}.") from stopped
     return capture
 
 
-def _with_remedy(error: TagidError, remedy: str) -> TagidError:
+def with_remedy(error: TagidError, remedy: str) -> TagidError:
+    """The same error with more to do next."""
     return type(error)(error.message, f"{error.remedy} {remedy}".strip())
 
 

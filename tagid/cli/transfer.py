@@ -103,6 +103,7 @@ def register(app: typer.Typer) -> None:
         """
         from rich.text import Text
 
+        from tagid.long_recording import part_path
         from tagid.storage.journal_capture import write_captures
 
         target = _target(journal, out, CAPTURE_SUFFIX, force)
@@ -132,17 +133,6 @@ def _add_measured_angles(journal: Path, target: Path) -> None:
     capture = read_journal_capture(journal)
     if "track" in capture.motion:
         write_capture(target, with_measured_angles(capture))
-
-
-def part_path(target: Path, part: int) -> Path:
-    """The path of part 1, 2, ... of a recording that is too long for one file."""
-    if part == 1:
-        return target
-    stem = target.name.removesuffix(CAPTURE_SUFFIX)
-    path = target.with_name(f"{stem}.part{part}{CAPTURE_SUFFIX}")
-    if path.exists():
-        raise StorageError(f"{path} exists already", "Move it away; captures are never overwritten.")
-    return path
 
 
 def _target(source: Path, out: Path | None, suffix: str, force: bool) -> Path:

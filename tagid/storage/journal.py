@@ -97,6 +97,11 @@ class JournalWriter:
                 self.path.unlink(missing_ok=True)
             raise
 
+    @property
+    def size(self) -> int:
+        """Bytes in the file."""
+        return self._size
+
     def append(
         self,
         scan_id: int,

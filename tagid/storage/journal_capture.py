@@ -23,7 +23,7 @@ from tagid.storage.journal import Journal, JournalScan, open_journal, read_journ
 PART_BYTES = 1 << 30
 """Samples in one file of a long recording, bytes: half of what a command reads at most."""
 
-_BLOCK_BYTES = 4 << 20
+_BLOCK_BYTES = 1 << 19
 _NUMBERS = ("range_start_m", "range_step_m", "axis_distance_m", "antenna_height_m")
 _BAND = ("center_frequency_hz", "bandwidth_hz")
 _TEXTS = ("uuid", "created_utc", "tool_version")

@@ -197,15 +197,15 @@ def _seeds_of(*suffixes: str) -> Callable[[], list[bytes]]:
 
 
 TARGETS = (
-    Target("message", _message, _messages, 0.64, 1600),
-    Target("framing-usb", _framing(Framing.USB), _frames(Framing.USB), 0.10, 3200),
-    Target("framing-uart", _framing(Framing.UART), _frames(Framing.UART), 0.10, 3200),
-    Target("regrouping", _scans, _scan_headers, 0.01, 260),
-    Target("requests", _requests, _request_seeds, 0.05, 240),
-    Target("recording", _importer, _seeds_of(".prd"), 0.03, 14_000),
-    Target("mrm-ret", _importer, _seeds_of(".csv"), 0.015, 8000),
-    Target("journal", _importer, _seeds_of(".tagid.journal"), 0.025, 8000),
-    Target("npz", _importer, lambda: [*_seeds_of(".npz")(), _stored_npz()], 0.025, 8000),
-    Target("hdf5", _importer, _seeds_of(".tagid.h5"), 0.005, 30_000),
+    Target("message", _message, _messages, 0.88, 1600),
+    Target("framing-usb", _framing(Framing.USB), _frames(Framing.USB), 0.03, 3200),
+    Target("framing-uart", _framing(Framing.UART), _frames(Framing.UART), 0.03, 3200),
+    Target("regrouping", _scans, _scan_headers, 0.005, 260),
+    Target("requests", _requests, _request_seeds, 0.02, 240),
+    Target("recording", _importer, _seeds_of(".prd"), 0.008, 14_000),
+    Target("mrm-ret", _importer, _seeds_of(".csv"), 0.006, 8000),
+    Target("journal", _importer, _seeds_of(".tagid.journal"), 0.01, 8000),
+    Target("npz", _importer, lambda: [*_seeds_of(".npz")(), _stored_npz()], 0.008, 8000),
+    Target("hdf5", _importer, _seeds_of(".tagid.h5"), 0.003, 30_000),
 )
 """Every parser there is; the shares add up to 1 and go by what an execution costs."""

@@ -17,7 +17,8 @@ LEVELS = (
     {"errors", "constants", "__init__"},
     {"geometry", "capture", "config", "waveform", "ports"},
     {"imaging", "tags", "storage", "radar", "motion", "simulate"},
-    {"pipeline", "report", "doctor", "result", "recorder", "intake", "sources", "inspection", "turn"},
+    {"pipeline", "report", "doctor", "result", "sources", "inspection", "turn"}
+    | {"recorder", "long_recording", "intake"},
     {"cli", "__main__"},
 )
 LEVEL_OF = {name: level for level, names in enumerate(LEVELS) for name in names}
