@@ -24,6 +24,7 @@ from tagid.radar.settings import RadarConfig
 from tagid.recorder import RecordingPlan
 from tagid.storage import journal as journal_module
 from tagid.storage.importers import read_any
+from tagid.storage.journal_capture import write_captures
 
 SMALL = RadarConfig(scan_start_ps=10_000, scan_stop_ps=15_000, base_integration_index=6)
 
@@ -102,17 +103,30 @@ def test_a_long_recording_becomes_parts_that_join_without_a_seam(tmp_path: Path)
 
 
 def test_memory_does_not_grow_with_the_scans(tmp_path: Path) -> None:
+    held: list[int] = []
+    watch = RecordingWatch(lambda state: held.append(tracemalloc.get_traced_memory()[0]))
+    tracemalloc.start()
+    record_long(radar(), PLAN, RecordingLimits(scans=3000), tmp_path / "a.tagid.h5", watch)
+    tracemalloc.stop()
+    assert len(held) >= 4
+    assert held[-1] - held[0] < 20_000  # 2000 scans of 384 bytes in between
+
+
+def test_memory_does_not_grow_with_the_journal(tmp_path: Path) -> None:
     def peak(scans: int) -> int:
+        journal = tmp_path / f"{scans}.tagid.journal"
+        header = {"range_start_m": 0.0, "range_step_m": 0.01}
+        with journal_module.JournalWriter(journal, header, sync_every=0) as writer:
+            for number in range(scans):
+                writer.append(number, number, float(number), np.full(96, number, np.int32))
+            writer.close({})
         tracemalloc.start()
-        record_long(radar(), PLAN, RecordingLimits(scans=scans), tmp_path / f"{scans}.tagid.h5")
+        write_captures(journal, lambda part: tmp_path / f"{scans}.tagid.h5")
         worst = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
         return worst
 
-    peak(50)  # what is imported late
-    # Blocks of half a megabyte, so from three of them (1.2 MB, 3300 scans) on nothing more may be needed.
-    small, large = peak(4000), peak(9000)
-    assert large - small < 200_000
+    assert peak(24_000) - peak(8_000) < 50_000  # 6 MB of samples more
 
 
 def test_the_users_stop_ends_in_good_order(tmp_path: Path) -> None:
