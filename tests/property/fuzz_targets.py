@@ -17,10 +17,11 @@ import numpy as np
 from tagid.capture import Capture, Pulse
 from tagid.constants import RANGE_STEP_M
 from tagid.errors import TagidError
-from tagid.radar.assembler import MAX_PENDING, ScanAssembler
-from tagid.radar.emulator_core import EmulatorCore, scan_packets
+from tagid.radar.assembler import MAX_PENDING, MAX_READY, ScanAssembler
+from tagid.radar.emulator_core import EmulatorCore
 from tagid.radar.framing import Framing, StreamDecoder, frame
 from tagid.radar.messages import MAX_PACKET_BYTES, MAX_SAMPLES_PER_SCAN, MessageType, decode, encode
+from tagid.radar.scan_info import read_fragment, scan_packets
 from tagid.radar.settings import RadarConfig
 from tagid.storage.exporters import export
 from tagid.storage.importers import read_any
@@ -50,9 +51,12 @@ class Target:
 
 def _message(data: bytes) -> None:
     try:
-        decode(data)
+        message = decode(data)
     except TagidError:
         return
+    if message.type is MessageType.SCAN_INFO:
+        fragment = read_fragment(data)
+        assert fragment is None or len(fragment.samples) == message["message_samples"]
 
 
 def _messages() -> list[bytes]:
@@ -90,16 +94,18 @@ def _frames(framing: Framing) -> Callable[[], list[bytes]]:
 
 
 def _scans(data: bytes) -> None:
-    """Fragments with any header: the first 20 bytes of every 32 set the fields that regrouping looks at."""
+    """Fragments with any header: every 13 bytes set the fields that regrouping looks at."""
     assembler = ScanAssembler(0, clock_ns=lambda: 1)
     names = ("message_samples", "total_samples", "message_index", "message_count")
     for at in range(0, len(data) - 12, 13):
         word = data[at : at + 13]
         values = [int.from_bytes(word[i : i + 2], "big") for i in (2, 4, 6, 8)]
         fields = dict(zip(names, values, strict=True), timestamp_ms=word[10] % 3)
-        for scan in assembler.add(decode(encode(MessageType.SCAN_INFO, word[0] << 8 | word[1], **fields))):
+        fragment = read_fragment(encode(MessageType.SCAN_INFO, word[0] << 8 | word[1], **fields))
+        for scan in assembler.add(fragment) if fragment else ():
             assert len(scan.samples) <= MAX_SAMPLES_PER_SCAN
         assert len(assembler._pending) <= MAX_PENDING
+        assert len(assembler._ready) <= MAX_READY
 
 
 def _scan_headers() -> list[bytes]:
