@@ -108,7 +108,7 @@ def register(app: typer.Typer) -> None:
 
         target = _target(journal, out, CAPTURE_SUFFIX, force)
         written = write_captures(journal, lambda part: part_path(target, part))
-        if len(written.paths) == 1:
+        if written.has_track and len(written.paths) == 1:
             _add_measured_angles(journal, target)
         state = "complete" if written.complete else "cut short"
         lines = [f"{written.views} scans recovered, the recording was {state}", *map(str, written.paths)]

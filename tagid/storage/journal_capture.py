@@ -152,6 +152,7 @@ class WrittenCaptures:
         complete: whether the journal has its end record.
         bytes_dropped: bytes of the journal that belong to no intact record.
         radar: the settings and counters that the files hold.
+        has_track: whether the journal holds readings of the motion, which the files do not.
     """
 
     paths: tuple[Path, ...]
@@ -160,6 +161,7 @@ class WrittenCaptures:
     complete: bool
     bytes_dropped: int
     radar: dict[str, Any]
+    has_track: bool
 
 
 def write_captures(
@@ -192,6 +194,7 @@ def write_captures(
         bins, dtype = common_layout(journal, counted())
         fields = capture_fields(journal, stream.header, stream.summary, stream.bytes_dropped)
         complete, dropped = stream.summary is not None, stream.bytes_dropped
+        has_track = stream.motion is not None
     fields["radar"] = {**fields["radar"], **(radar or {})}
     row_bytes = bins * dtype.itemsize
     rows_a_part = max(1, part_bytes // row_bytes)
@@ -215,4 +218,4 @@ def write_captures(
                     append(build_capture(journal, **vars(arrays), **fields))
                     left -= len(arrays.samples)
             paths.append(path)
-    return WrittenCaptures(tuple(paths), views, bins, complete, dropped, fields["radar"])
+    return WrittenCaptures(tuple(paths), views, bins, complete, dropped, fields["radar"], has_track)
