@@ -84,12 +84,14 @@ class P440:
     def connect(self) -> RadarConfig:
         """Stops whatever runs, drains it, wakes the radar into MRM mode; returns its settings."""
         confirm = self._stop()
-        if confirm["status"] == Status.INVALID_DURING_SLEEP:
-            self.set_sleep_mode(SLEEP_ACTIVE)
-            confirm = self._stop()
-        if confirm["status"] == Status.WRONG_OPMODE:
-            self.set_opmode(OPMODE_MRM)
-            confirm = self._stop()
+        # Both may be wrong, and which one a radar names first is its own affair.
+        for _ in range(2):
+            if confirm["status"] == Status.INVALID_DURING_SLEEP:
+                self.set_sleep_mode(SLEEP_ACTIVE)
+                confirm = self._stop()
+            elif confirm["status"] == Status.WRONG_OPMODE:
+                self.set_opmode(OPMODE_MRM)
+                confirm = self._stop()
         accept(confirm, "stop")
         # Fragments overtaken by the confirm must not reach the next run.
         self._talk.drain()

@@ -70,7 +70,7 @@ def steady_scans(
     """
     last: Scan | None = None
     shift_ms = done = 0
-    reason = ""
+    reason, rebooted = "", False
     while True:
         before, join = last, None
         first_id = newest_id = 0
@@ -81,7 +81,7 @@ def steady_scans(
                     join = _Join(0, shift_ms)
                     if before is not None:
                         period_s = max(radar.config.scan_period_s, interval_us * 1e-6)
-                        join, gap = _joined(before, scan, period_s, shift_ms)
+                        join, gap = _joined(before, scan, period_s, None if rebooted else shift_ms)
                         on_gap(replace(gap, reason=reason))
                 newest_id = scan.scan_id
                 last = join.shifted(scan)
@@ -95,7 +95,7 @@ def steady_scans(
                 shift_ms = join.time_ms
             if count != SCAN_FOREVER and done >= count:
                 return
-            reason = error.message
+            reason, rebooted = error.message, isinstance(error, DeviceRestartedError)
             _come_back(radar, error, resume_s)
 
 
@@ -114,12 +114,16 @@ class _Join:
         )
 
 
-def _joined(before: Scan, first: Scan, period_s: float, shift_ms: int) -> tuple[_Join, Gap]:
-    """How a run that starts with `first` continues after `before`, whose clock is shifted by `shift_ms`."""
+def _joined(before: Scan, first: Scan, period_s: float, shift_ms: int | None) -> tuple[_Join, Gap]:
+    """How a run that starts with `first` continues after `before`.
+
+    `shift_ms` is what the clock of `before` is moved by; None where the radar's clock surely restarted.
+    """
     elapsed_ms = max((first.host_time_ns - before.host_time_ns) / 1e6, 0.0)
     expected = round(before.radar_time_ms + elapsed_ms)
-    now_ms = unwrap(first.radar_time_ms + shift_ms, expected, 32)
-    restarted = abs(now_ms - expected) > _SAME_CLOCK_MS or now_ms <= before.radar_time_ms
+    now_ms = unwrap(first.radar_time_ms + (shift_ms or 0), expected, 32)
+    off_ms = abs(now_ms - expected)
+    restarted = shift_ms is None or off_ms > _SAME_CLOCK_MS or now_ms <= before.radar_time_ms
     if restarted:
         now_ms = max(expected, before.radar_time_ms + 1)
     gap_ms = now_ms - before.radar_time_ms

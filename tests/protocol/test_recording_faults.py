@@ -1,0 +1,188 @@
+"""A recording when the plug is pulled, the disk is slow, or the disk is full; radar and files are real."""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+from radar_ends import core, numbered, pty, udp
+
+from tagid.capture import ViewFlag
+from tagid.errors import DiskFullError
+from tagid.intake import Intake, notes
+from tagid.motion.urls import open_motion
+from tagid.radar.assembler import Scan
+from tagid.radar.devices import open_radar
+from tagid.radar.settings import RadarConfig
+from tagid.recorder import RecordingPlan, Watch, record
+from tagid.sources import Sources
+from tagid.storage.importers import read_any
+from tagid.storage.journal import JournalScan, JournalWriter, open_journal, read_journal
+from tagid.storage.journal_queue import JournalQueue
+
+HEADER = {"range_start_m": 1.0, "range_step_m": 0.009}
+FAST = RadarConfig(12_000, 17_000, base_integration_index=6)
+
+
+def test_a_recording_goes_on_after_the_plug_was_out_and_marks_the_gap(tmp_path: Path) -> None:
+    link = tmp_path / "radar"
+    with pty(link=link, rate=1.0) as device:
+        pulled = threading.Event()
+
+        def progress(count: int, seconds: float) -> None:
+            if not pulled.is_set():
+                pulled.set()
+                device.unplug()
+                threading.Timer(0.2, device.plug).start()
+
+        plan = RecordingPlan(FAST, 1.0, scans=1100)
+        path = tmp_path / "x.tagid.h5"
+        radar = open_radar(device.url, Sources(), 0.5)
+        capture = record(radar, open_motion("free?rpm=6"), plan, path, Watch(progress))
+    assert pulled.is_set()
+    assert capture.complete
+    assert capture.radar["gap_count"] == 1
+    (gap,) = capture.radar["gaps"]
+    (at,) = np.flatnonzero(capture.flags & ViewFlag.AFTER_GAP)
+    assert capture.flags[at] & ViewFlag.AFTER_LOSS
+    assert gap["seconds"] >= 0.2
+    assert capture.scan_id[at - 1] == gap["after_scan"]
+    assert capture.radar_time_ms[at] - capture.radar_time_ms[at - 1] == pytest.approx(
+        gap["seconds"] * 1e3, abs=1
+    )
+    for k in (0, at - 1):
+        np.testing.assert_array_equal(capture.samples[k], numbered(k, 96))
+    for k in (at, capture.views - 1):
+        np.testing.assert_array_equal(capture.samples[k], numbered(k - at, 96))
+    assert "was gone once" in notes(capture.radar)[0]
+    assert read_any(path).radar["gaps"] == capture.radar["gaps"]
+
+
+def scan_of(index: int, samples: int = 1000) -> JournalScan:
+    return JournalScan(index, index, float(index), 0, numbered(index, samples))
+
+
+class SlowDisk:
+    """A pipe in the journal's place: nothing is written unless it is read here."""
+
+    def __init__(self, path: Path) -> None:
+        os.mkfifo(path)
+        self.path = path
+        self.data = bytearray()
+        self._open = threading.Event()
+        self._go = threading.Event()
+        self._thread = threading.Thread(target=self._read)
+        self._thread.start()
+
+    def _read(self) -> None:
+        with self.path.open("rb", buffering=0) as stream:
+            self.data += stream.read(65_536)  # the journal's header
+            self._open.set()
+            self._go.wait(30)
+            while chunk := stream.read(65_536):
+                self.data += chunk
+
+    def recover(self) -> None:
+        """The disk is fast again."""
+        self._go.set()
+
+    def journal(self, path: Path) -> Path:
+        self._thread.join(30)
+        path.write_bytes(self.data)
+        return path
+
+
+def test_a_slow_disk_costs_counted_scans_and_never_memory(tmp_path: Path) -> None:
+    """The disk stands still: the queue fills, then scans are dropped and counted; the rest is there."""
+    with udp() as device, open_radar(device.url, Sources()) as radar:
+        radar.set_config(FAST)
+        disk = SlowDisk(tmp_path / "pipe")
+        with JournalWriter(disk.path, HEADER) as journal:
+            with JournalQueue(journal, limit_bytes=200_000) as queue:
+                intake = Intake(radar, queue)
+                arrived: list[Scan] = []
+                for scan in intake.scans(2000):
+                    arrived.append(scan)
+                    assert queue._bytes <= 200_000
+                disk.recover()
+            summary = intake.summary()
+            journal.close({"radar": summary})
+    read = read_journal(disk.journal(tmp_path / "copy.tagid.journal"))
+    assert summary["scans_lost"] == 0
+    assert summary["scans_dropped"] == 2000 - len(read.scans) > 1000
+    assert len(arrived) == len(read.scans) == intake.scans_taken > 200
+    assert read.summary is not None
+    assert read.summary["radar"]["scans_dropped"] == summary["scans_dropped"]
+    ids = [scan.scan_id for scan in read.scans]
+    assert ids == sorted(set(ids))
+    first = radar.statistics.complete_scans - 2000 + ids[0]
+    for scan in read.scans:
+        np.testing.assert_array_equal(scan.samples, numbered(scan.scan_id - first, 96))
+    assert any("disk was too slow" in note for note in notes(summary))
+
+
+def test_a_disk_that_is_slow_for_a_moment_costs_nothing(tmp_path: Path) -> None:
+    disk = SlowDisk(tmp_path / "pipe")
+    with JournalWriter(disk.path, HEADER) as journal, JournalQueue(journal) as queue:
+        for index in range(2000):
+            assert queue.put(scan_of(index))
+        disk.recover()
+    read = read_journal(disk.journal(tmp_path / "copy.tagid.journal"))
+    assert [scan.scan_id for scan in read.scans] == list(range(2000))
+    assert queue.dropped == 0
+
+
+def test_a_disk_that_fills_keeps_what_fits_and_says_so(tmp_path: Path) -> None:
+    """The file may not grow beyond 100 kB: as many whole scans as fit are kept, batch or not."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    path = tmp_path / "x.tagid.journal"
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, hard))
+    try:
+        with (
+            pytest.raises(DiskFullError, match="full"),
+            JournalWriter(path, HEADER) as journal,
+            JournalQueue(journal) as queue,
+        ):
+            for index in range(200):
+                queue.put(scan_of(index))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    with open_journal(path) as stream:
+        kept = [scan.scan_id for scan in stream.scans()]
+        assert stream.bytes_dropped == 0
+    assert kept == list(range(len(kept)))
+    assert len(kept) == (100_000 - 200) // 4050
+    assert journal.scans == len(kept)
+
+
+def test_a_full_disk_in_the_middle_of_a_scan_is_one_clear_error_and_nothing_is_lost(tmp_path: Path) -> None:
+    environment = {k: v for k, v in os.environ.items() if not k.startswith("TAGID_")}
+    environment |= {"TAGID_CONFIG": str(tmp_path / "c.toml"), "TAGID_DATA": str(tmp_path / "data")}
+    run = [sys.executable, "-m", "tagid"]
+    with udp(core()) as device:
+        done = subprocess.run(
+            [*run, "scan", "--radar", device.url, "--axis-distance", "1", "--save-dir", str(tmp_path),
+             "--scans", "2000", "--output", "json"],
+            capture_output=True, text=True, env=environment, timeout=60,
+            preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (300_000, 300_000)),
+        )  # fmt: skip
+        assert not device.core.scanning
+    assert "Traceback" not in done.stderr
+    (error,) = json.loads(done.stdout)["errors"]
+    (journal,) = tmp_path.glob("*.journal")
+    assert (done.returncode, error["code"]) == (1, "disk_full")
+    assert f"tagid recover {journal}" in error["remedy"]
+    assert not list(tmp_path.glob("*.h5"))
+    recovered = subprocess.run(
+        [*run, "recover", str(journal), "--output", "json"], capture_output=True, text=True, env=environment
+    )
+    assert recovered.returncode == 0, recovered.stdout
+    (capture,) = tmp_path.glob("*.h5")
+    assert read_any(capture).views > 50
