@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from tagid.radar.framing import SYNC, Framing, StreamDecoder, crc16, frame
@@ -127,7 +127,10 @@ def test_a_cut_frame_costs_itself_alone(
     start = data.draw(st.integers(0, len(frames[hit]) - 1))
     stop = data.draw(st.integers(start + 1, len(frames[hit])))
     frames[hit] = frames[hit][:start] + frames[hit][stop:]
-    got = decoded(framing, chunked(b"".join(frames), cuts))
+    stream = b"".join(frames)
+    got = decoded(framing, chunked(stream, cuts))
+    # One time in 65536 the CRC fits bytes that nobody sent together; a decoder cannot know.
+    assume(framing is Framing.USB or all(p in sent or frame(p, framing) not in stream for p in got))
     others = sent[:hit] + sent[hit + 1 :]
     assert [packet for packet in got if packet in others] == others
     assert all(packet in sent for packet in got if len(packet) == MAX_PACKET_BYTES)
