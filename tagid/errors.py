@@ -15,6 +15,21 @@ EXIT_BATCH = 5
 EXIT_INTERRUPTED = 130
 
 
+def displayable(text: str) -> str:
+    """Text that can be written as UTF-8: bytes of a file name that are none stand as \\xNN.
+
+    >>> displayable("caf\\udce9.npz")
+    'caf\\\\xe9.npz'
+    """
+    if text.isascii():
+        return text
+    try:
+        raw = text.encode("utf-8", "surrogateescape")
+    except UnicodeEncodeError:  # half a surrogate pair, from JSON perhaps: it stands for no byte
+        raw = text.encode("utf-8", "backslashreplace")
+    return raw.decode("utf-8", "backslashreplace")
+
+
 class TagidError(Exception):
     """Base of all errors that `tagid` raises on purpose.
 
@@ -27,9 +42,9 @@ class TagidError(Exception):
     exit_code = EXIT_FAILED
 
     def __init__(self, message: str, remedy: str = "") -> None:
-        super().__init__(message)
-        self.message = message
-        self.remedy = remedy
+        self.message = displayable(message)
+        self.remedy = displayable(remedy)
+        super().__init__(self.message)
 
 
 class UsageError(TagidError):
@@ -124,6 +139,12 @@ class PortInUseError(DeviceError):
     """A network or serial port is held by another program."""
 
     code = "port_in_use"
+
+
+class ClusterError(TagidError):
+    """A cluster that was to do the work is not there, or not fit for it."""
+
+    code = "cluster"
 
 
 class CaptureInterrupted(TagidError):  # noqa: N818 - it is an event, not a fault

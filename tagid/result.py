@@ -34,6 +34,7 @@ class Result:
         exit_code: exit code of the process.
         messages: remarks that are not errors, one sentence each.
         errors: [{code, message, remedy}].
+        csv: the same as a table, for commands that offer it.
     """
 
     command: str
@@ -43,6 +44,7 @@ class Result:
     exit_code: int = EXIT_OK
     messages: tuple[str, ...] = ()
     errors: tuple[dict[str, str], ...] = ()
+    csv: str = ""
 
     @classmethod
     def from_error(cls, command: str, error: TagidError) -> Result:
@@ -79,7 +81,7 @@ def _plain(value: Any) -> Any:
 
 
 def render(result: Result, output: str, quiet: bool = False) -> None:
-    """Write a result: one JSON document on stdout, or text on stdout with errors and remarks on stderr."""
+    """Write a result: one JSON document on stdout, or text or CSV there with errors and remarks on stderr."""
     if output == "json":
         json.dump(result.envelope(), sys.stdout, indent=2, allow_nan=False)
         sys.stdout.write("\n")
@@ -89,7 +91,10 @@ def render(result: Result, output: str, quiet: bool = False) -> None:
     from rich.text import Text
 
     err = Console(stderr=True, highlight=False)
-    if result.human is not None:
+    if output == "csv":
+        sys.stdout.write(result.csv)
+        sys.stdout.flush()
+    elif result.human is not None:
         Console(highlight=False).print(result.human)
     if not quiet:
         for message in result.messages:

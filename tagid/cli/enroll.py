@@ -105,15 +105,15 @@ def parse_point(option: str, text: str) -> tuple[float, float]:
 def _from_captures(
     name: str, captures: list[Path], config: Config, about: tuple[str, str]
 ) -> tuple[Layout, list[float]]:
-    from tagid.cli import imaging
+    from tagid.defaults import complete, motion_of
     from tagid.pipeline import locate_reflectors, prepare
     from tagid.storage.importers import read_any
     from tagid.tags.enrolment import layout_from_readings
 
     found = []
     for path in captures:
-        capture = imaging.complete(read_any(path), config)
-        capture = prepare(capture, imaging.motion_of(config, capture))
+        capture = complete(read_any(path), config)
+        capture = prepare(capture, motion_of(config, capture))
         found.append(locate_reflectors(capture))
     estimate = layout_from_readings(found, name, about[0], about[1])
     return estimate.layout, [float(value) for value in estimate.spread_m]

@@ -32,7 +32,7 @@ class Output(StrEnum):
 class Terminal:
     """How this run talks to its user."""
 
-    output: Output = Output.human
+    output: StrEnum = Output.human
     quiet: bool = False
     verbose: int = 0
 
@@ -63,15 +63,20 @@ class Terminal:
 
 
 _COMMON = {
-    "output": Annotated[Output, typer.Option("--output", help="Text for people or one JSON document.")],
     "quiet": Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no remarks.")],
     "verbose": Annotated[int, typer.Option("--verbose", "-v", count=True, help="Say more; twice: debug.")],
 }
-_DEFAULTS: dict[str, Any] = {"output": Output.human, "quiet": False, "verbose": 0}
+_DEFAULTS: dict[str, Any] = {"quiet": False, "verbose": 0}
+_OUTPUT_HELP = "Text for people or one JSON document."
 
 
-def command(app: typer.Typer, name: str) -> Callable[[Callable[..., Result]], Callable[..., Result]]:
-    """Register a function `(terminal, ...) -> Result` as a command with the common options added."""
+def command(
+    app: typer.Typer, name: str, formats: type[StrEnum] = Output
+) -> Callable[[Callable[..., Result]], Callable[..., Result]]:
+    """Register a function `(terminal, ...) -> Result` as a command with the common options added.
+
+    `formats` are what --output takes: "human", "json" and, where the result has it, "csv".
+    """
 
     def decorate(function: Callable[..., Result]) -> Callable[..., Result]:
         hints = typing.get_type_hints(function, include_extras=True)
@@ -80,7 +85,12 @@ def command(app: typer.Typer, name: str) -> Callable[[Callable[..., Result]], Ca
             for parameter in inspect.signature(function).parameters.values()
             if parameter.name != "terminal"
         ]
+        output = Annotated[formats, typer.Option("--output", help=_OUTPUT_HELP)]  # type: ignore[valid-type]
         common = [
+            inspect.Parameter(
+                "output", inspect.Parameter.KEYWORD_ONLY, default=formats("human"), annotation=output
+            )
+        ] + [
             inspect.Parameter(key, inspect.Parameter.KEYWORD_ONLY, default=_DEFAULTS[key], annotation=kind)
             for key, kind in _COMMON.items()
         ]

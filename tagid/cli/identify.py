@@ -10,10 +10,11 @@ import typer
 from tagid.cli import options
 from tagid.cli.frame import Terminal, command
 from tagid.config import load_config
-from tagid.errors import EXIT_BATCH, EXIT_FAILED, TagidError
+from tagid.errors import EXIT_BATCH, EXIT_FAILED, TagidError, displayable
 from tagid.result import Result, Status
 
 if TYPE_CHECKING:
+    from tagid.defaults import complete, motion_of
     from tagid.pipeline import Identification
 
 
@@ -71,8 +72,8 @@ def run(
     settings = imaging.settings_from(config, background)
     for path in files:
         try:
-            capture = imaging.complete(read_any(path), config)
-            capture = prepare(capture, imaging.motion_of(config, capture))
+            capture = complete(read_any(path), config)
+            capture = prepare(capture, motion_of(config, capture))
             answer = identify(capture, layouts, settings, version)
             if (preview or png) and len(files) == 1:
                 result = imaging.image_with_progress(terminal, capture, settings)
@@ -87,18 +88,24 @@ def run(
             )
             exit_code = error.exit_code
         answers.append(answer)
-        items.append({"file": str(path), **answer.to_dict()})
+        items.append({"file": displayable(str(path)), **answer.to_dict()})
         if answer.status != "failed":
-            drawn.append(imaging.describe(answer, path.name))
+            drawn.append(imaging.describe(answer, displayable(path.name)))
     code = imaging.exit_code_of(answers)
     if code == EXIT_FAILED:
         code = exit_code
     status: Status = "success" if not errors else "partial" if len(errors) < len(items) else "error"
     if status == "error" and len(files) > 1:
         code = EXIT_BATCH
+    notes = imaging.remember("identify", items, {"background": background, **_given(overrides)})
     data = {"items": items, "png": str(png) if png else None}
-    return Result("identify", data, Group(*drawn) if drawn else None, status, code, (), tuple(errors))
+    return Result("identify", data, Group(*drawn) if drawn else None, status, code, notes, tuple(errors))
+
+
+def _given(overrides: dict[str, object]) -> dict[str, object]:
+    return {name: value for name, value in overrides.items() if value is not None}
 
 
 def _named(path: Path, message: str) -> str:
-    return message if str(path) in message else f"{path}: {message}"
+    name = displayable(str(path))
+    return message if name in message else f"{name}: {message}"

@@ -5,7 +5,6 @@ Kept apart from the commands so that the same capture gives the same words whoev
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +17,7 @@ if TYPE_CHECKING:
 
     from tagid.capture import Capture
     from tagid.pipeline import Identification, ImagingSettings, Reconstruction
+    from tagid.storage.history import History
     from tagid.storage.registry import Registry
 
 
@@ -26,6 +26,32 @@ def open_registry() -> Registry:
     from tagid.storage.registry import Registry
 
     return Registry(data_folder() / "registry.sqlite")
+
+
+def begin_history(
+    command: str, settings: dict[str, Any]
+) -> tuple[tuple[History, int] | None, tuple[str, ...]]:
+    """The history of identifications beside the registry with a new run in it; None and a remark where it
+    cannot be kept, which is no reason to withhold an answer."""
+    from tagid.storage.history import FILE_NAME, History
+
+    try:
+        history = History(data_folder() / FILE_NAME)
+        return (history, history.begin(command, settings)), ()
+    except TagidError as error:
+        return None, (f"not kept in the history: {error.message}",)
+
+
+def remember(command: str, items: list[dict[str, Any]], settings: dict[str, Any]) -> tuple[str, ...]:
+    """Keep answers in the history; returns remarks where that failed."""
+    history, remarks = begin_history(command, settings)
+    if history is None:
+        return remarks
+    try:
+        history[0].add(history[1], items)
+    except TagidError as error:
+        return (f"not kept in the history: {error.message}",)
+    return ()
 
 
 def settings_from(config: Config, background: str = "mean", focus_m: float = 0.03) -> ImagingSettings:
@@ -41,34 +67,6 @@ def settings_from(config: Config, background: str = "mean", focus_m: float = 0.0
         background=background,  # type: ignore[arg-type]
         focus_m=focus_m,
     )
-
-
-def complete(capture: Capture, config: Config) -> Capture:
-    """The capture with the configuration's geometry where it has none, or where the command line insists."""
-    changes: dict[str, Any] = {}
-    for field, name in (
-        ("axis_distance_m", "motion.axis_distance_m"),
-        ("antenna_height_m", "motion.antenna_height_m"),
-    ):
-        given = config.values[name]
-        lacking = field == "axis_distance_m" and capture.axis_distance_m is None
-        if given.value is not None and (given.source == "command line" or lacking):
-            changes[field] = given.value
-    return replace(capture, **changes)
-
-
-def motion_of(config: Config, capture: Capture) -> str | None:
-    """Motion to apply to a file: what the command line says, else, where it has no angles, what it was
-    recorded with, else the configuration."""
-    given = config.values["motion.url"]
-    if given.source == "command line":
-        return str(given.value)
-    if capture.angles_rad is not None or capture.antenna_positions_m is not None:
-        return None
-    recorded_with = capture.motion.get("url")
-    if given.source == "default" and isinstance(recorded_with, str):
-        return recorded_with
-    return str(given.value)
 
 
 def image_with_progress(terminal: Terminal, capture: Capture, settings: ImagingSettings) -> Reconstruction:

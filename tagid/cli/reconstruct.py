@@ -45,6 +45,7 @@ def register(app: typer.Typer) -> None:
         from rich.text import Text
 
         from tagid.cli import imaging
+        from tagid.defaults import complete, motion_of
         from tagid.pipeline import prepare
         from tagid.storage.image import write_image
         from tagid.storage.importers import read_any
@@ -64,8 +65,8 @@ def register(app: typer.Typer) -> None:
             }
         )
         settings = imaging.settings_from(config, background, 0.03 if focus else 0.0)
-        capture = imaging.complete(read_any(file), config)
-        capture = prepare(capture, imaging.motion_of(config, capture))
+        capture = complete(read_any(file), config)
+        capture = prepare(capture, motion_of(config, capture))
         result = imaging.image_with_progress(terminal, capture, replace(settings, seed=seed))
         if out:
             write_image(out, result.image)

@@ -147,8 +147,10 @@ def _scan(
         "files": files,
         "motion": capture.motion.get("resolved", {}),
     }
-    messages = tuple(notes(capture.radar))
-    data = {"items": [{"file": str(path), **answer.to_dict()}], **facts}
+    items = [{"file": str(path), **answer.to_dict()}]
+    kept = imaging.remember("scan", items, {"radar": url, "motion": config["motion.url"]})
+    messages = (*notes(capture.radar), *kept)
+    data = {"items": items, **facts}
     status = "error" if result_errors else "success"
     return Result("scan", data, Group(*drawn), status, code, messages, result_errors)  # type: ignore[arg-type]
 

@@ -38,7 +38,7 @@ def register(app: typer.Typer) -> None:
         """
         from rich.text import Text
 
-        from tagid.cli.imaging import complete
+        from tagid.defaults import complete
         from tagid.storage.hdf5 import write_capture
         from tagid.storage.importers import read_any, remarks
 

@@ -5,8 +5,11 @@ A file is not trusted, so whatever does not fit ends here in an error that names
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
+import uuid
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -74,11 +77,30 @@ def unwrap(counter: NDArray[Any], modulus: int) -> NDArray[np.int64]:
 
 
 def build_capture(path: Path, **fields: Any) -> Capture:
-    """A validated Capture from the fields of a file. Raises FileFormatError naming the file."""
+    """A validated Capture from the fields of a file. Raises FileFormatError naming the file.
+
+    A file that names no capture gets a UUID of its scans (RFC 9562, version 5): read again, here or on
+    another computer, it is the same capture.
+    """
     try:
-        return Capture(**fields)
+        capture = Capture(**fields)
     except DataError as error:
         raise FileFormatError(f"{path}: {error.message}", error.remedy) from error
+    if "uuid" in fields:
+        return capture
+    return replace(capture, uuid=str(uuid.uuid5(_SCANS, _digest(capture))))
+
+
+_SCANS = uuid.UUID("0a4f3a9b-6f0e-5d0c-9f43-5c0b7a1d2e68")
+
+
+def _digest(capture: Capture) -> str:
+    digest = hashlib.sha256(np.ascontiguousarray(capture.samples).data)
+    for values in (capture.angles_rad, capture.antenna_positions_m, capture.host_time_ns):
+        if values is not None:
+            digest.update(np.ascontiguousarray(values).data)
+    digest.update(repr((capture.samples.shape, capture.range_start_m, capture.range_step_m)).encode())
+    return digest.hexdigest()
 
 
 def _plain(value: Any) -> Any:

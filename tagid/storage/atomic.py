@@ -13,7 +13,7 @@ import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, TextIO
 
 from tagid.errors import DiskFullError, FileFormatError, StorageError
 
@@ -161,6 +161,17 @@ def replacing(path: Path) -> Iterator[PatientFile]:
         if isinstance(error, OSError):
             raise storage_error(error, path, "writing") from error
         raise
+
+
+@contextmanager
+def replacing_text(path: Path) -> Iterator[TextIO]:
+    """As `replacing`, for text in UTF-8 with line ends as written; what is no text stands as an escape."""
+    with replacing(path) as stream:
+        text = io.TextIOWrapper(io.BufferedWriter(stream, 1 << 20), "utf-8", "backslashreplace", newline="")
+        try:
+            yield text
+        finally:
+            text.detach().detach()  # flushes both and leaves the stream open
 
 
 def write_all(descriptor: int, data: bytes | memoryview) -> None:

@@ -5,20 +5,18 @@ A reading names the registry's version, so that it can be told later which layou
 
 from __future__ import annotations
 
-import contextlib
 import json
 import sqlite3
-from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-from tagid.errors import DiskFullError, RegistryError, TagidError
+from tagid.errors import RegistryError, TagidError
+from tagid.storage.database import Database, Schema
 from tagid.tags.layout import Layout, builtin_layouts, layout_from_dict
 
 APPLICATION_ID = 0x74616764
 """Marks the file as ours ("tagd"), sqlite header, offset 68."""
-BUSY_SECONDS = 10.0
 MAX_DEFINITION = 64 * 1024
 
 _MIGRATIONS = (
@@ -29,7 +27,12 @@ _MIGRATIONS = (
         " action TEXT NOT NULL, name TEXT NOT NULL, source TEXT NOT NULL, definition TEXT NOT NULL)",
     ),
 )
-SCHEMA_VERSION = len(_MIGRATIONS)
+_SCHEMA = Schema(
+    "registry",
+    APPLICATION_ID,
+    _MIGRATIONS,
+    "Restore a backup, remove the file to begin with the built-in layouts, or give another path.",
+)
 
 
 @dataclass(frozen=True)
@@ -63,32 +66,24 @@ class Registry:
     """
 
     def __init__(self, path: Path) -> None:
-        self.path = Path(path)
-        try:
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise RegistryError(
-                f"cannot make the folder of the registry {self.path}: {error.strerror}",
-                "Give a registry path in a folder that you can write to.",
-            ) from error
-        with self._transaction() as connection:
-            self._prepare(connection)
+        self._database = Database(path, _SCHEMA, self._fill)
+        self.path = self._database.path
 
     @property
     def version(self) -> int:
         """Number of changes made so far; grows by one with each."""
-        with self._connection() as connection:
+        with self._database.connection() as connection:
             return int(connection.execute("SELECT COALESCE(MAX(version), 0) FROM change").fetchone()[0])
 
     def layouts(self) -> list[Layout]:
         """All enrolled layouts, by name."""
-        with self._connection() as connection:
+        with self._database.connection() as connection:
             rows = connection.execute("SELECT name, definition FROM layout ORDER BY name").fetchall()
         return [self._decode(name, text) for name, text in rows]
 
     def get(self, name: str) -> Layout:
         """The layout of that name; RegistryError lists the names where there is none."""
-        with self._connection() as connection:
+        with self._database.connection() as connection:
             row = connection.execute("SELECT definition FROM layout WHERE name = ?", (name,)).fetchone()
         if row is None:
             raise self._missing(name)
@@ -101,7 +96,7 @@ class Registry:
         with another is for `tagid.tags.enrolment` to say.
         """
         text = json.dumps(layout.to_dict(), sort_keys=True)
-        with self._transaction() as connection:
+        with self._database.transaction() as connection:
             taken = connection.execute("SELECT 1 FROM layout WHERE name = ?", (layout.name,)).fetchone()
             if taken and not replace:
                 raise RegistryError(
@@ -117,7 +112,7 @@ class Registry:
 
     def remove(self, name: str, source: str = "") -> int:
         """Take a layout out (its history stays) and return the new version."""
-        with self._transaction() as connection:
+        with self._database.transaction() as connection:
             row = connection.execute("SELECT definition FROM layout WHERE name = ?", (name,)).fetchone()
             if row is not None:
                 connection.execute("DELETE FROM layout WHERE name = ?", (name,))
@@ -127,38 +122,19 @@ class Registry:
     def history(self, name: str | None = None) -> list[Change]:
         """Every change, oldest first; of one layout where a name is given."""
         query = "SELECT version, time_utc, action, name, source, definition FROM change"
-        with self._connection() as connection:
+        with self._database.connection() as connection:
             if name is None:
                 rows = connection.execute(f"{query} ORDER BY version").fetchall()
             else:
                 rows = connection.execute(f"{query} WHERE name = ? ORDER BY version", (name,)).fetchall()
         return [Change(v, t, a, n, s, self._decode(n, d)) for v, t, a, n, s, d in rows]
 
-    def _prepare(self, connection: sqlite3.Connection) -> None:
-        """Bring an empty or older file to the present schema."""
-        schema = int(connection.execute("PRAGMA user_version").fetchone()[0])
-        tables = connection.execute("SELECT COUNT(*) FROM sqlite_master").fetchone()[0]
-        owner = int(connection.execute("PRAGMA application_id").fetchone()[0])
-        if tables and owner != APPLICATION_ID:
-            raise RegistryError(
-                f"{self.path} is a database of another program", "Give another path for the registry."
-            )
-        if schema > SCHEMA_VERSION:
-            raise RegistryError(
-                f"{self.path} has schema {schema}, this tagid knows up to {SCHEMA_VERSION}",
-                "Use the newer tagid that wrote it, or another registry.",
-            )
-        for step in _MIGRATIONS[schema:]:
-            for statement in step:
-                connection.execute(statement)
-        if schema < SCHEMA_VERSION:
-            connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
-            connection.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
-        if schema == 0:
-            for layout in builtin_layouts().values():
-                text = json.dumps(layout.to_dict(), sort_keys=True)
-                version = self._log(connection, "add", layout.name, "built-in", text)
-                connection.execute("INSERT INTO layout VALUES (?, ?, ?)", (layout.name, text, version))
+    def _fill(self, connection: sqlite3.Connection) -> None:
+        """Begin a new file with the built-in layouts."""
+        for layout in builtin_layouts().values():
+            text = json.dumps(layout.to_dict(), sort_keys=True)
+            version = self._log(connection, "add", layout.name, "built-in", text)
+            connection.execute("INSERT INTO layout VALUES (?, ?, ?)", (layout.name, text, version))
 
     @staticmethod
     def _log(connection: sqlite3.Connection, action: str, name: str, source: str, text: str) -> int:
@@ -183,31 +159,3 @@ class Registry:
     def _missing(self, name: str) -> RegistryError:
         names = ", ".join(layout.name for layout in self.layouts())
         return RegistryError(f"no layout is named {name[:80]!r}", f"Enrolled are: {names or 'none'}.")
-
-    @contextlib.contextmanager
-    def _connection(self) -> Iterator[sqlite3.Connection]:
-        """A connection whose faults are RegistryErrors; sqlite opens lazily, they come with the first use."""
-        try:
-            with contextlib.closing(
-                sqlite3.connect(self.path, timeout=BUSY_SECONDS, isolation_level=None)
-            ) as connection:
-                yield connection
-        except sqlite3.Error as error:
-            if getattr(error, "sqlite_errorcode", 0) & 0xFF == sqlite3.SQLITE_FULL:
-                raise DiskFullError(f"no space left to change {self.path}", "Free some space.") from error
-            raise RegistryError(
-                f"cannot use the registry {self.path}: {error}",
-                "Restore a backup, remove the file to begin with the built-in layouts, or give another path.",
-            ) from error
-
-    @contextlib.contextmanager
-    def _transaction(self) -> Iterator[sqlite3.Connection]:
-        """One immediate transaction, undone on any exception."""
-        with self._connection() as connection:
-            connection.execute("BEGIN IMMEDIATE")
-            try:
-                yield connection
-            except BaseException:
-                connection.execute("ROLLBACK")
-                raise
-            connection.execute("COMMIT")

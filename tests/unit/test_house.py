@@ -19,6 +19,7 @@ LEVELS = (
     {"imaging", "tags", "storage", "radar", "motion", "simulate"},
     {"pipeline", "report", "doctor", "result", "sources", "inspection", "turn"}
     | {"recorder", "long_recording", "intake"},
+    {"batch", "defaults"},
     {"cli", "__main__"},
 )
 LEVEL_OF = {name: level for level, names in enumerate(LEVELS) for name in names}

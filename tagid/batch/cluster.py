@@ -1,0 +1,168 @@
+"""The same batch on a Dask cluster: items go out over the network, results come back as from local cores.
+
+A worker that dies is the scheduler's business: its items go to another one. One thread at a time works on an
+item's linear algebra, so that numbers are the same as here.
+"""
+
+from __future__ import annotations
+
+import logging
+import queue
+from typing import Any
+
+from tagid import __version__
+from tagid.batch.inputs import Source
+from tagid.batch.job import Job, Outcome
+from tagid.batch.local import AHEAD, TICK_S, Results, Tasks
+from tagid.batch.work import failed_record, work
+from tagid.errors import ClusterError, MissingExtraError, TagidError
+
+CONNECT_S = 10.0
+WORKERS_S = 30.0
+"""How long to wait for the scheduler, and for a first worker, s."""
+RETRIES = 3
+"""Workers an item may lose before it counts as failed; the scheduler's own default."""
+
+
+def run_cluster(tasks: Tasks, job: Job, address: str, verbose: bool = False) -> Results:
+    """Work on all tasks on a cluster and give each result as it comes; close the iterator to stop.
+
+    At most `AHEAD` tasks a thread of the workers are taken from `tasks` before their results are given.
+
+    Args:
+        tasks: what to do; the workers must reach the files under the same absolute paths or URLs.
+        job: settings, sent once to each worker.
+        address: of the scheduler, e.g. tcp://10.0.0.1:8786.
+        verbose: let Dask's own log through.
+
+    Raises:
+        MissingExtraError: `distributed` is not installed.
+        ClusterError: no scheduler, no worker, another tagid on the workers, or the scheduler went away.
+    """
+    try:
+        import distributed
+    except ImportError:
+        raise MissingExtraError(
+            "--dask needs distributed, which is not installed",
+            "Install it with `pip install 'tagid[cluster]'`.",
+        ) from None
+    if not verbose:
+        for name in ("distributed", "distributed.core", "distributed.client", "tornado.application"):
+            logging.getLogger(name).setLevel(logging.CRITICAL)
+    client = _connect(distributed, address)
+    try:
+        yield from _Remote(distributed, client, address).run(tasks, job)
+    finally:
+        client.close(timeout=5)
+
+
+def _connect(distributed: Any, address: str) -> Any:
+    try:
+        client = distributed.Client(address, timeout=CONNECT_S, set_as_default=False, name="tagid-report")
+    except (OSError, ValueError, TimeoutError) as error:
+        raise ClusterError(
+            f"no Dask scheduler answers at {address}: {str(error)[:200]}",
+            "Start one with `dask scheduler`, and give the address that it prints, e.g. tcp://10.0.0.1:8786.",
+        ) from None
+    try:
+        client.wait_for_workers(1, timeout=WORKERS_S)
+        versions = client.run(_version)
+    except TimeoutError:
+        client.close(timeout=5)
+        raise ClusterError(
+            f"the cluster at {address} has no workers",
+            f"Start some with `dask worker {address} --nthreads 1`.",
+        ) from None
+    except Exception as error:  # whatever a worker answers where tagid is missing comes as its own exception
+        client.close(timeout=5)
+        raise ClusterError(
+            f"the workers at {address} cannot run tagid: {type(error).__name__}: {str(error)[:200]}",
+            f"Install tagid {__version__} with the extra `cluster` on each of them.",
+        ) from None
+    others = {worker: version for worker, version in versions.items() if version != __version__}
+    if others:
+        client.close(timeout=5)
+        worker, version = next(iter(others.items()))
+        raise ClusterError(
+            f"worker {worker} has tagid {version}, here is {__version__}", "Install the same on all of them."
+        )
+    return client
+
+
+class _Remote:
+    def __init__(self, distributed: Any, client: Any, address: str) -> None:
+        self._distributed, self._client, self._address = distributed, client, address
+        self._finished: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        self._under_way: dict[Any, tuple[int, Source, Any]] = {}
+
+    def run(self, tasks: Tasks, job: Job) -> Results:
+        # A task, not scattered data: should the worker that holds it die, the scheduler makes it again.
+        shared = self._client.submit(_same, job, pure=False)
+        more = True
+        while more or self._under_way:
+            idle = False
+            while more and not idle and len(self._under_way) < AHEAD * self._threads():
+                task = next(tasks, _END)
+                more = task is not _END
+                idle = task is None
+                if isinstance(task, tuple):
+                    self._submit(task, shared)
+            if not more and not self._under_way:
+                return
+            try:
+                key = self._finished.get(timeout=TICK_S)
+            except queue.Empty:
+                self._check()
+                yield None
+                continue
+            position, source, future = self._under_way.pop(key)
+            yield position, source, self._outcome(source, future)
+
+    def _threads(self) -> int:
+        workers = self._client.scheduler_info(n_workers=-1)["workers"]
+        return max(1, sum(int(worker["nthreads"]) for worker in workers.values()))
+
+    def _submit(self, task: tuple[int, Source], shared: Any) -> None:
+        future = self._client.submit(_work, task[1], shared, pure=False)
+        self._under_way[future.key] = (*task, future)
+        future.add_done_callback(lambda done: self._finished.put(done.key))
+
+    def _outcome(self, source: Source, future: Any) -> Outcome:
+        try:
+            return future.result(timeout=CONNECT_S)  # type: ignore[no-any-return]
+        except self._distributed.scheduler.KilledWorker:
+            error = TagidError(
+                f"{RETRIES + 1} workers died with this file (out of memory, or a fault in a library)",
+                "Look into the file with `tagid show`; the others are not affected.",
+            )
+            return Outcome(failed_record(source, error))
+        except (self._distributed.client.FutureCancelledError, TimeoutError, OSError) as fault:
+            raise self._gone() from fault
+
+    def _check(self) -> None:
+        if self._client.status not in ("running", "connecting"):
+            raise self._gone()
+
+    def _gone(self) -> ClusterError:
+        return ClusterError(
+            f"the Dask scheduler at {self._address} went away",
+            "What was finished is kept: start the cluster again and add --resume.",
+        )
+
+
+_END = object()
+
+
+def _same(job: Job) -> Job:
+    return job
+
+
+def _version() -> str:
+    return __version__
+
+
+def _work(source: Source, job: Job) -> Outcome:
+    from threadpoolctl import threadpool_limits
+
+    with threadpool_limits(1):
+        return work(source, job)

@@ -1,0 +1,215 @@
+"""What each file should be, from a manifest, and how well the answers fit: accuracy, confusion, misses.
+
+A manifest that names what is not there ends the run before it starts: an accuracy over other files is none.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import os
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from tagid.batch.inputs import Source, is_url
+from tagid.errors import UsageError, displayable
+from tagid.storage import atomic
+
+MAX_BYTES = 64 << 20
+NO_LAYOUT = ("no_tag", "unknown", "ambiguous")
+"""Answers that can be expected instead of a layout."""
+_WANTED = "Write lines of file,expected_layout."
+_FILE_HEADS = ("file", "path", "filename", "name")
+_LAYOUT_HEADS = ("expected_layout", "expected layout", "expected", "layout")
+
+
+@dataclass(frozen=True)
+class Expectations:
+    """The manifest: expected answer by location of the file."""
+
+    path: str
+    by_location: Mapping[str, str]
+
+    def of(self, source: Source) -> str | None:
+        """The expected answer of an input; None where the manifest does not name it."""
+        return self.by_location.get(source.location)
+
+
+def read_manifest(
+    path: Path, sources: Sequence[Source], layouts: Iterable[str], *, may_come: bool = False
+) -> Expectations:
+    """Read a manifest: CSV with the columns `file` and `expected_layout` (or the first two, without a head).
+
+    A file is named as the report names it, relative to the manifest's or the current folder, or by its bare
+    name where only one input has it.
+
+    Args:
+        path: the manifest.
+        sources: the inputs.
+        layouts: enrolled names; `no_tag`, `unknown` and `ambiguous` can be expected, too.
+        may_come: files that are not there yet are no error (a watched folder).
+
+    Raises:
+        StorageError: it cannot be read. FileFormatError: larger than 64 MiB.
+        UsageError: no table; it names files that are not among the inputs, unknown layouts, or a file twice.
+    """
+    rows = _rows(path)
+    known = {*layouts, *NO_LAYOUT}
+    finder = _Finder(path, sources)
+    by_location: dict[str, str] = {}
+    missing, strange, doubled = [], [], []
+    for line, name, layout in rows:
+        if layout not in known:
+            strange.append(f"line {line}: {layout!r}")
+        location = finder.find(name)
+        if location is None:
+            missing.append(f"line {line}: {name}")
+            if not may_come:
+                continue
+            location = finder.later(name)
+        if by_location.setdefault(location, layout) != layout:
+            doubled.append(f"line {line}: {name}")
+    names = ", ".join(sorted(known))
+    for found, what, remedy in (
+        (strange, "names layouts that are not enrolled", f"Known are {names}."),
+        ([] if may_come else missing, "names files that are not among the inputs",
+         "Correct the names, give the folder that holds them, or take the lines out."),
+        (doubled, "expects different answers of one file", "Keep one line a file."),
+    ):  # fmt: skip
+        if found:
+            more = f" and {len(found) - 5} more" if len(found) > 5 else ""
+            raise UsageError(f"{path} {what}: {'; '.join(found[:5])}{more}", remedy)
+    return Expectations(displayable(str(path)), by_location)
+
+
+def _rows(path: Path) -> list[tuple[int, str, str]]:
+    """(line, file, layout) of a manifest."""
+    raw = atomic.read_bytes(path, MAX_BYTES)
+    try:
+        # Names that are not UTF-8 come back as the operating system writes them.
+        text = raw.decode("utf-8-sig", "surrogateescape")
+        first = text.partition("\n")[0]
+        separator = ";" if first.count(";") > first.count(",") else ","
+        table = [
+            (i, row) for i, row in enumerate(csv.reader(io.StringIO(text), delimiter=separator), 1) if row
+        ]
+    except csv.Error as error:
+        raise UsageError(
+            f"{path} is not a CSV table: {error}", "Write lines of file,expected_layout."
+        ) from None
+    if not table:
+        raise UsageError(f"{path} is empty", "Write lines of file,expected_layout.")
+    heads = [cell.strip().lower() for cell in table[0][1]]
+    file_at = next((heads.index(name) for name in _FILE_HEADS if name in heads), None)
+    layout_at = next((heads.index(name) for name in _LAYOUT_HEADS if name in heads), None)
+    if file_at is not None and layout_at is not None:
+        table = table[1:]
+    else:
+        file_at, layout_at = 0, 1
+    rows = []
+    for line, row in table:
+        if len(row) <= max(file_at, layout_at) or not row[file_at].strip() or not row[layout_at].strip():
+            raise UsageError(f"{path}, line {line}: a file and its expected layout are needed", _WANTED)
+        rows.append((line, row[file_at].strip(), row[layout_at].strip()))
+    return rows
+
+
+class _Finder:
+    def __init__(self, manifest: Path, sources: Sequence[Source]) -> None:
+        self._folders = (manifest.absolute().parent, Path.cwd())
+        self._locations = {source.location for source in sources}
+        self._by_name: dict[str, list[str]] = {}
+        for source in sources:
+            self._by_name.setdefault(source.location.rpartition("/")[2], []).append(source.location)
+
+    def find(self, name: str) -> str | None:
+        if name in self._locations:
+            return name
+        if not is_url(name):
+            for folder in self._folders:
+                place = os.path.normpath(folder / name)
+                if place in self._locations:
+                    return place
+        alike = self._by_name.get(name, [])
+        return alike[0] if len(alike) == 1 else None
+
+    def later(self, name: str) -> str:
+        """Where a file is expected that is not there yet."""
+        return name if is_url(name) else os.path.normpath(self._folders[0] / name)
+
+
+def answer_of(record: Mapping[str, Any]) -> str:
+    """The answer as one word: the layout where identified, else the status."""
+    return str(record["layout"] if record["status"] == "identified" else record["status"])
+
+
+@dataclass
+class Comparison:
+    """Answers against expectations, counted as they come.
+
+    Attributes:
+        counts: items by (expected, answer).
+        misses: the first of the items that were not as expected.
+        not_expected: items that the manifest does not name.
+    """
+
+    counts: Counter[tuple[str, str]] = field(default_factory=Counter)
+    misses: list[dict[str, Any]] = field(default_factory=list)
+    not_expected: int = 0
+
+    def add(self, record: Mapping[str, Any]) -> None:
+        """Count one record with its `expected` and `correct`."""
+        expected = record.get("expected")
+        if expected is None:
+            self.not_expected += 1
+            return
+        answer = answer_of(record)
+        self.counts[expected, answer] += 1
+        if answer != expected:
+            self.misses.append(
+                {"file": record["file"], "expected": expected, "answer": answer, "reason": record["reason"]}
+            )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Accuracy with its 95 % interval (Wilson 1927), confusion matrix and misses, plain JSON values."""
+        total = self.counts.total()
+        hits = sum(count for (expected, answer), count in self.counts.items() if expected == answer)
+        low, high = wilson(hits, total)
+        rows = sorted({expected for expected, _ in self.counts})
+        columns = sorted({answer for _, answer in self.counts} | set(rows), key=_names_first)
+        return {
+            "items": total,
+            "correct": hits,
+            "accuracy": hits / total if total else None,
+            "accuracy_low": low,
+            "accuracy_high": high,
+            "not_in_manifest": self.not_expected,
+            "confusion": {
+                "expected": rows,
+                "answers": columns,
+                "counts": [[self.counts[row, column] for column in columns] for row in rows],
+            },
+            "misses": self.misses,
+        }
+
+
+def _names_first(answer: str) -> tuple[bool, str]:
+    return answer in (*NO_LAYOUT, "failed"), answer
+
+
+def wilson(hits: int, total: int) -> tuple[float, float]:
+    """95 % interval of a proportion (E. B. Wilson, 1927); (0, 1) of nothing.
+
+    >>> [round(v, 3) for v in wilson(9, 10)]
+    [0.596, 0.982]
+    """
+    if total == 0:
+        return 0.0, 1.0
+    z = 1.959964
+    p, w = hits / total, z * z / total
+    middle, half = (p + w / 2) / (1 + w), z * math.sqrt(p * (1 - p) / total + w / (4 * total)) / (1 + w)
+    return max(0.0, middle - half), min(1.0, middle + half)

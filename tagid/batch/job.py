@@ -1,0 +1,84 @@
+"""What all items of a batch have in common, and what makes two answers the same answer.
+
+A worker on another computer gets exactly this, and `--resume` compares its fingerprint.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+from tagid import __version__
+from tagid.config import Config
+from tagid.pipeline import ImagingSettings
+from tagid.tags.layout import Layout
+
+MAX_CAPTURE_BYTES = 512 << 20
+"""Largest file that a worker takes: hours of scans. A batch must not be ended by one file."""
+
+
+@dataclass(frozen=True, eq=False)
+class Job:
+    """Settings of a batch.
+
+    Attributes:
+        settings: of imaging; its method draws the page's pictures.
+        layouts, registry_version: what to choose from.
+        config: geometry and motion for captures that lack them.
+        pictures: whether to make the page's pictures.
+        known: sha256 of contents whose answer is kept from an earlier run with the same fingerprint.
+    """
+
+    settings: ImagingSettings
+    layouts: tuple[Layout, ...]
+    registry_version: int
+    config: Config
+    pictures: bool = True
+    known: frozenset[str] = field(default_factory=frozenset)
+
+    def described(self) -> dict[str, Any]:
+        """Everything an answer depends on, the capture aside, as plain JSON values."""
+        names = ("motion.url", "motion.axis_distance_m", "motion.antenna_height_m")
+        given: dict[str, Any] = {}
+        for name in names:
+            value = self.config.values[name]
+            given[name] = {"value": value.value, "from the command line": value.source == "command line"}
+        return {
+            "imaging": asdict(self.settings),
+            "given": given,
+            "registry_version": self.registry_version,
+            "layouts_sha256": _sha256([layout.to_dict() for layout in self.layouts]),
+            "tool_version": __version__,
+            "pictures": self.pictures,
+        }
+
+    def fingerprint(self) -> str:
+        """sha256 of `described`."""
+        return _sha256(self.described())
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of one item.
+
+    Attributes:
+        record: the identification as plain JSON values (`report.items.RECORD_VERSION`).
+        image, sinogram: small pictures as PNG; empty where there is none.
+        drawing: scales of the pictures and the places of the layout's reflectors, plain JSON values.
+        reused: the answer of an earlier run stands; `record` then names the content alone.
+        cpu_s: processor time it took, s.
+    """
+
+    record: Mapping[str, Any]
+    image: bytes = b""
+    sinogram: bytes = b""
+    drawing: Mapping[str, Any] = field(default_factory=dict)
+    reused: bool = False
+    cpu_s: float = 0.0
+
+
+def _sha256(value: Any) -> str:
+    return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()

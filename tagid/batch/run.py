@@ -1,0 +1,242 @@
+"""A batch from its inputs to its report: what is to be done goes out, what comes back is kept at once.
+
+It may be stopped or killed at any moment; what was found stays, and the next run goes on from there.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from tagid.batch.expected import Comparison, Expectations, answer_of
+from tagid.batch.inputs import Collected, Source
+from tagid.batch.job import Job
+from tagid.batch.local import Runner, Tasks
+from tagid.batch.spool import FILE_NAME, Spool
+from tagid.batch.tally import SUMMARY_VERSION, Tally
+from tagid.batch.watch import FolderWatch
+from tagid.errors import TagidError
+from tagid.report.lines import GrowingLines
+from tagid.report.page import PageSettings, write_page
+from tagid.report.tables import line_of, total_s, write_csv, write_json, write_jsonl, write_junit
+from tagid.storage import atomic
+from tagid.storage.history import History, utc_text
+
+FILES = ("report.html", "items.csv", "items.jsonl", "junit.xml", "summary.json")
+_MOST_TO_REMEMBER = 100
+_PAGE_SHARE = 10
+"""While a folder is watched, writing reports takes at most one part in this many of the time."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What to do.
+
+    Attributes:
+        inputs: the captures that are there.
+        watch: a folder whose arrivals are identified, too; None to end with the inputs.
+        out: the report's folder.
+        page: of the page.
+        expectations: the manifest, if any.
+        resume: keep earlier answers about the same contents with the same settings.
+        fail_fast: stop at the first item that fails.
+    """
+
+    inputs: Collected
+    out: Path
+    watch: FolderWatch | None = None
+    page: PageSettings = field(default_factory=PageSettings)
+    expectations: Expectations | None = None
+    resume: bool = False
+    fail_fast: bool = False
+
+
+@dataclass(frozen=True)
+class Hooks:
+    """Who is told meanwhile.
+
+    Attributes:
+        progress: called with (finished, of so many, items a second of this run, seconds left or None).
+        stopped: asked often; True ends the run and leaves a report of what is finished.
+        history: where new answers are kept, and the number of the run there.
+    """
+
+    progress: Callable[[int, int, float, float | None], None] = lambda done, total, rate, left: None
+    stopped: Callable[[], bool] = lambda: False
+    history: tuple[History, int] | None = None
+
+
+@dataclass(frozen=True)
+class Finished:
+    """What became of a batch.
+
+    Attributes:
+        summary: content of summary.json.
+        exit_code: by the contract; of an interrupted run, too.
+        interrupted: the user stopped it.
+        reused: answers taken over from an earlier run.
+    """
+
+    summary: dict[str, Any]
+    exit_code: int
+    interrupted: bool
+    reused: int
+
+
+def run_batch(plan: Plan, job: Job, runner: Runner, hooks: Hooks | None = None) -> Finished:
+    """Identify all inputs and write the report's files into `plan.out`.
+
+    `items.jsonl` grows line by line while the run goes on, in the order of finishing; at the end all files
+    are written whole, in the order of the inputs.
+
+    Raises:
+        StorageError: the folder cannot be made or written, or another report is being written there.
+        DiskFullError: no space left; what was finished is kept for `resume`.
+    """
+    hooks = hooks or Hooks()
+    try:
+        plan.out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise atomic.storage_error(error, plan.out, "making the report's folder") from error
+    with Spool(plan.out / FILE_NAME, fresh=not plan.resume) as spool:
+        return _Run(plan, job, spool, hooks).go(runner)
+
+
+class _Run:
+    def __init__(self, plan: Plan, job: Job, spool: Spool, hooks: Hooks) -> None:
+        self._plan, self._spool, self._hooks = plan, spool, hooks
+        self._fingerprint = job.fingerprint()
+        self._job = replace(job, known=spool.take_over(self._fingerprint))
+        self._sources: list[Source] = list(plan.inputs.sources)
+        self._started = utc_text()
+        self._clock = time.monotonic()
+        self._reused = 0
+        self._to_remember: list[dict[str, Any]] = []
+        self._written = (0.0, 0.0)
+        self._count_written = 0
+
+    def go(self, runner: Runner) -> Finished:
+        interrupted = False
+        done = 0
+        lines = GrowingLines(self._plan.out / "items.jsonl")
+        with closing(lines), closing(runner(self._tasks(), self._job)) as results:
+            for result in results:
+                if result is not None:
+                    position, source, outcome = result
+                    record = self._spool.put(position, source.name, self._fingerprint, outcome)
+                    lines.add(line_of(self._judged(record, position)))
+                    self._keep(record, outcome.reused)
+                    done += 1
+                    self._tell(done)
+                    if self._plan.fail_fast and record["status"] == "failed":
+                        break
+                elif self._plan.watch is not None and self._due(done):
+                    lines.close()
+                    self._write(done, interrupted=False)
+                    lines.reopen()
+                if self._hooks.stopped():
+                    interrupted = True
+                    break
+        return self._write(done, interrupted)
+
+    def _tasks(self) -> Tasks:
+        yield from enumerate(list(self._sources))
+        watch = self._plan.watch
+        if watch is None:
+            return
+        for source in watch.arrivals(self._sources):
+            if source is None:
+                yield None
+                continue
+            self._sources.append(source)
+            yield len(self._sources) - 1, source
+
+    def _keep(self, record: dict[str, Any], reused: bool) -> None:
+        if reused:
+            self._reused += 1
+        elif self._hooks.history is not None:
+            history, run = self._hooks.history
+            self._to_remember.append(record)
+            try:
+                history.add(run, self._to_remember)
+            except TagidError:
+                # Another process is at it for long, or the disk is full: the answers stay in the spool.
+                if len(self._to_remember) > _MOST_TO_REMEMBER:
+                    raise
+            else:
+                self._to_remember.clear()
+
+    def _tell(self, done: int) -> None:
+        fresh = done - self._reused
+        seconds = time.monotonic() - self._clock
+        rate = fresh / seconds if seconds > 0 else 0.0
+        left = (len(self._sources) - done) / rate if rate > 0 else None
+        self._hooks.progress(done, len(self._sources), rate, left)
+
+    def _judged(self, record: dict[str, Any], position: int) -> dict[str, Any]:
+        """The record with what was expected of it."""
+        expectations = self._plan.expectations
+        expected = None if expectations is None else expectations.of(self._sources[position])
+        correct = None if expected is None else answer_of(record) == expected
+        return {**record, "expected": expected, "correct": correct}
+
+    def _records(self) -> Iterator[dict[str, Any]]:
+        for position, record, _, _ in self._spool.items():
+            yield self._judged(record, position)
+
+    def _due(self, done: int) -> bool:
+        """Whether a watched folder's report should be written again."""
+        at, took = self._written
+        return time.monotonic() - at > _PAGE_SHARE * took and done != self._count_written
+
+    def _write(self, done: int, interrupted: bool) -> Finished:
+        began = time.monotonic()
+        tally = Tally(comparison=Comparison() if self._plan.expectations else None)
+        longest = []
+        for record in self._records():
+            tally.add(record)
+            longest.append(total_s(record))
+        summary = self._summary(tally, sorted(longest), done, interrupted)
+        out = self._plan.out
+        write_csv(out / "items.csv", self._records())
+        write_jsonl(out / "items.jsonl", self._records())
+        write_junit(out / "junit.xml", self._records(), summary)
+        write_page(out / "report.html", self._spool, self._judged, summary, self._plan.page)
+        # The last one says that the others are there.
+        write_json(out / "summary.json", summary)
+        self._written = (time.monotonic(), time.monotonic() - began)
+        self._count_written = done
+        return Finished(summary, tally.exit_code(), interrupted, self._reused)
+
+    def _summary(self, tally: Tally, seconds: list[float], done: int, interrupted: bool) -> dict[str, Any]:
+        wall = time.monotonic() - self._clock
+        fresh = done - self._reused
+        inputs = self._plan.inputs
+        return {
+            "schema": "tagid.report.summary",
+            "schema_version": SUMMARY_VERSION,
+            "title": self._plan.page.title,
+            "started_utc": self._started,
+            "written_utc": utc_text(),
+            "complete": tally.items == len(self._sources) and not interrupted,
+            "interrupted": interrupted,
+            "inputs": len(self._sources),
+            **tally.to_dict(),
+            "reused": self._reused,
+            "seconds": {
+                "wall_s": round(wall, 3),
+                "items_s": round(tally.items_s, 3),
+                "median_item_s": seconds[len(seconds) // 2] if seconds else None,
+                "longest_item_s": seconds[-1] if seconds else None,
+            },
+            "items_per_s": round(fresh / wall, 4) if wall > 0 else None,
+            "manifest": self._plan.expectations.path if self._plan.expectations else None,
+            "passed_over": {"count": len(inputs.passed_over), "first": list(inputs.passed_over[:50])},
+            "unreadable_folders": list(inputs.unreadable),
+            "settings": self._job.described(),
+            "settings_sha256": self._fingerprint,
+        }

@@ -1,0 +1,195 @@
+"""The working file of a report: every result as soon as it is there, to be continued and turned into pages.
+
+It is a sqlite file in the report's folder, so that a report of any size needs little memory, and a run that
+was stopped or killed goes on where it was.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import sqlite3
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from tagid.batch.job import Outcome
+from tagid.errors import DiskFullError, StorageError, TagidError
+
+FILE_NAME = ".tagid-report.sqlite"
+_VERSION = 1
+_APPLICATION_ID = 0x74616773  # "tags"
+_KEPT_FAILURES = ("bad_file", "bad_data")
+"""Failures that the same content will always give; others, such as a lost worker, are tried again."""
+
+
+class Pictures(NamedTuple):
+    """The pictures of an item, PNG; empty where there is none."""
+
+    image: bytes
+    sinogram: bytes
+
+
+class Spool:
+    """Results of one report, by position among its items.
+
+    Only one process may have it open.
+
+    Args:
+        path: the file.
+        fresh: begin anew, whatever was there.
+
+    Raises:
+        StorageError: not a working file of tagid, in use by another report, or not writable.
+        DiskFullError: no space left.
+    """
+
+    def __init__(self, path: Path, fresh: bool) -> None:
+        self.path = path
+        with self._told():
+            self._db = sqlite3.connect(path, timeout=0.2, isolation_level=None)
+            try:
+                self._open(fresh)
+            except BaseException:
+                self._db.close()
+                raise
+
+    def __enter__(self) -> Spool:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        with contextlib.suppress(sqlite3.Error):
+            self._db.close()
+
+    def _open(self, fresh: bool) -> None:
+        db = self._db
+        # Exclusive from the first statement on: two reports in one folder would mix their items.
+        db.execute("PRAGMA locking_mode = EXCLUSIVE")
+        db.execute("BEGIN EXCLUSIVE")
+        owner = int(db.execute("PRAGMA application_id").fetchone()[0])
+        version = int(db.execute("PRAGMA user_version").fetchone()[0])
+        if owner not in (0, _APPLICATION_ID):
+            raise StorageError(f"{self.path} is a database of another program", "Choose another --out.")
+        if fresh or version != _VERSION:
+            for table in ("item", "kept"):
+                db.execute(f"DROP TABLE IF EXISTS {table}")
+            columns = (
+                "content TEXT, job TEXT NOT NULL, status TEXT NOT NULL, record TEXT NOT NULL,"
+                " drawing TEXT NOT NULL, image BLOB NOT NULL, sinogram BLOB NOT NULL"
+            )
+            db.execute(f"CREATE TABLE item (position INTEGER PRIMARY KEY, name TEXT NOT NULL, {columns})")
+            db.execute(f"CREATE TABLE kept (number INTEGER PRIMARY KEY, {columns})")
+            db.execute("CREATE INDEX kept_content ON kept (content, job)")
+            db.execute(f"PRAGMA application_id = {_APPLICATION_ID}")
+            db.execute(f"PRAGMA user_version = {_VERSION}")
+        db.execute("COMMIT")
+        # A power cut may cost the last results, never the file; they are identified again.
+        db.execute("PRAGMA journal_mode = WAL")
+        db.execute("PRAGMA synchronous = NORMAL")
+
+    def take_over(self, job: str) -> frozenset[str]:
+        """Set aside what earlier runs with this fingerprint found, empty the list of items, and name the
+        contents (sha256) whose answers need not be found again."""
+        with self._told():
+            self._db.execute("BEGIN")
+            columns = "content, job, status, record, drawing, image, sinogram"
+            self._db.execute(f"INSERT INTO kept ({columns}) SELECT {columns} FROM item ORDER BY position")
+            self._db.execute("DELETE FROM kept WHERE job <> ? OR content IS NULL", (job,))
+            self._db.execute(
+                "DELETE FROM kept WHERE number NOT IN (SELECT MAX(number) FROM kept GROUP BY content)"
+            )
+            self._db.execute("DELETE FROM item")
+            self._db.execute("COMMIT")
+            rows = self._db.execute("SELECT content, status, record FROM kept").fetchall()
+        return frozenset(content for content, status, record in rows if _final(status, record))
+
+    def put(self, position: int, name: str, job: str, outcome: Outcome) -> dict[str, Any]:
+        """Keep a result; returns its record, which for a reused answer is the earlier one under this name."""
+        record = dict(outcome.record)
+        drawing, image, sinogram = json.dumps(dict(outcome.drawing)), outcome.image, outcome.sinogram
+        with self._told():
+            if outcome.reused:
+                text, drawing, image, sinogram = self._db.execute(
+                    "SELECT record, drawing, image, sinogram FROM kept WHERE content = ? AND job = ?",
+                    (record["content_sha256"], job),
+                ).fetchone()
+                record = _renamed(json.loads(text), name)
+            self._db.execute(
+                "INSERT OR REPLACE INTO item VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)",
+                (
+                    position,
+                    name,
+                    record["content_sha256"],
+                    job,
+                    record["status"],
+                    json.dumps(record, sort_keys=False, allow_nan=False),
+                    drawing,
+                    image,
+                    sinogram,
+                ),
+            )
+        return record
+
+    def records(self) -> Iterator[dict[str, Any]]:
+        """Every record in the order of the inputs, read as it is taken."""
+        for _, record, _, _ in self.items():
+            yield record
+
+    def items(self) -> Iterator[tuple[int, dict[str, Any], dict[str, Any], int]]:
+        """(position, record, drawing, bytes of its pictures) in the order of the inputs."""
+        with self._told():
+            query = (
+                "SELECT position, record, drawing, length(image) + length(sinogram)"
+                " FROM item ORDER BY position"
+            )
+            for position, record, drawing, size in self._db.execute(query):
+                yield position, json.loads(record), json.loads(drawing), size
+
+    def pictures(self, position: int) -> Pictures:
+        """The pictures of one item."""
+        with self._told():
+            row = self._db.execute("SELECT image, sinogram FROM item WHERE position = ?", (position,))
+            return Pictures(*row.fetchone())
+
+    def count(self) -> int:
+        """Number of items finished."""
+        with self._told():
+            return int(self._db.execute("SELECT COUNT(*) FROM item").fetchone()[0])
+
+    @contextlib.contextmanager
+    def _told(self) -> Iterator[None]:
+        try:
+            yield
+        except sqlite3.Error as error:
+            raise _clear(error, self.path) from error
+
+
+def _clear(error: sqlite3.Error, path: Path) -> TagidError:
+    code = getattr(error, "sqlite_errorcode", 0) & 0xFF
+    if code == sqlite3.SQLITE_FULL:
+        return DiskFullError(
+            f"{path}: the disk is full; the results so far are kept", "Free some space and add --resume."
+        )
+    if code in (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED):
+        return StorageError(
+            f"another tagid report is writing to {path.parent}", "Wait for it, or choose another --out."
+        )
+    if code in (sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_READONLY, sqlite3.SQLITE_PERM):
+        return StorageError(f"{path}: cannot be written: {error}", "Check the rights of the folder.")
+    return StorageError(
+        f"{path}: {error}", "Remove the file, or choose another --out; its results are lost for --resume."
+    )
+
+
+def _final(status: str, record: str) -> bool:
+    if status != "failed":
+        return True
+    return (json.loads(record).get("error") or {}).get("code") in _KEPT_FAILURES
+
+
+def _renamed(record: dict[str, Any], name: str) -> dict[str, Any]:
+    error: dict[str, str] | None = record.get("error")
+    if error:
+        error = {**error, "message": error["message"].replace(str(record["file"]), name)}
+        record = {**record, "error": error, "reason": error["message"]}
+    return {**record, "file": name}

@@ -1,0 +1,95 @@
+"""What a report says of all its items together, counted as they pass so that none has to be kept.
+
+The page's head, summary.json and the exit code all come from here.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from tagid.batch.expected import Comparison
+from tagid.errors import EXIT_BATCH, EXIT_OK, EXIT_UNCERTAIN
+from tagid.report.tables import total_s, verdict
+from tagid.storage.history import STATUSES
+
+SUMMARY_VERSION = 1
+
+
+@dataclass
+class Tally:
+    """Counts over the records of a report.
+
+    Attributes:
+        items: records seen.
+        status, layout: how often each.
+        verdicts: test cases by "failure" and "error".
+        items_s: seconds of work, all items together.
+        comparison: answers against the manifest; None without one.
+        uuids: files and contents by capture UUID.
+        models: sha256 of models that had a part.
+    """
+
+    items: int = 0
+    status: Counter[str] = field(default_factory=Counter)
+    layout: Counter[str] = field(default_factory=Counter)
+    verdicts: Counter[str] = field(default_factory=Counter)
+    items_s: float = 0.0
+    comparison: Comparison | None = None
+    uuids: dict[str, list[tuple[str, str]]] = field(default_factory=dict)
+    models: set[str] = field(default_factory=set)
+
+    def add(self, record: Mapping[str, Any]) -> None:
+        """Count one record."""
+        self.items += 1
+        self.status[record["status"]] += 1
+        if record["status"] == "identified":
+            self.layout[record["layout"]] += 1
+        found = verdict(record)
+        if found:
+            self.verdicts[found[0]] += 1
+        self.items_s += total_s(record)
+        if self.comparison is not None:
+            self.comparison.add(record)
+        if record["capture_uuid"]:
+            where = self.uuids.setdefault(record["capture_uuid"], [])
+            where.append((record["file"], record["content_sha256"]))
+        if record["model_sha256"]:
+            self.models.add(record["model_sha256"])
+
+    def duplicates(self) -> list[dict[str, Any]]:
+        """Captures that came in several files: copies, or different scans under one UUID."""
+        return [
+            {
+                "capture_uuid": uuid,
+                "files": [name for name, _ in where],
+                "same_content": len({content for _, content in where}) == 1,
+            }
+            for uuid, where in self.uuids.items()
+            if len(where) > 1
+        ]
+
+    def exit_code(self) -> int:
+        """5 where items failed, 3 where an answer is not a name or not the expected one, else 0."""
+        if self.status["failed"]:
+            return EXIT_BATCH
+        missed = self.comparison is not None and bool(self.comparison.misses)
+        return EXIT_OK if self.status["identified"] == self.items and not missed else EXIT_UNCERTAIN
+
+    def to_dict(self) -> dict[str, Any]:
+        """Its part of summary.json."""
+        return {
+            "items": self.items,
+            "by_status": {status: self.status[status] for status in STATUSES},
+            "by_layout": dict(sorted(self.layout.items())),
+            "expected": None if self.comparison is None else self.comparison.to_dict(),
+            "duplicate_uuids": self.duplicates(),
+            "model_sha256": sorted(self.models),
+            "junit": {
+                "tests": self.items,
+                "failures": self.verdicts["failure"],
+                "errors": self.verdicts["error"],
+            },
+        }

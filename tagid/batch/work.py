@@ -1,0 +1,161 @@
+"""One item from its file to its record and pictures: what a worker does, wherever it runs.
+
+Nothing that happens to one item may end the batch, so every fault becomes a record that says what to do.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import os
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from tagid.batch.inputs import Source, filesystem
+from tagid.batch.job import MAX_CAPTURE_BYTES, Job, Outcome
+from tagid.capture import Capture
+from tagid.defaults import complete, motion_of
+from tagid.errors import FileFormatError, StorageError, TagidError, displayable
+from tagid.pipeline import Identification, Stopwatch, identify, prepare, reconstruct
+from tagid.report.thumbnails import draw_pictures
+from tagid.storage import atomic
+from tagid.storage.history import utc_text
+from tagid.storage.importers import read_any
+
+RECORD_VERSION = 1
+"""Version of an item's record; it changes only when a field changes its meaning or goes."""
+_CHUNK = 1 << 20
+
+
+def work(source: Source, job: Job) -> Outcome:
+    """Identify one item; never raises for what its file holds."""
+    watch = Stopwatch()
+    began = time.process_time()
+    facts: dict[str, Any] = {"sha256": None, "size": None}
+    image = sinogram = b""
+    drawing: dict[str, Any] = {}
+    try:
+        with watch.stage("load"), local_copy(source) as path:
+            facts["sha256"], facts["size"] = content_sha256(path)
+            if facts["sha256"] in job.known:
+                record = {"file": source.name, "content_sha256": facts["sha256"]}
+                return Outcome(record, reused=True, cpu_s=time.process_time() - began)
+            capture = complete(read_any(path), job.config)
+        with watch.stage("prepare"):
+            capture = prepare(capture, motion_of(job.config, capture))
+        answer = identify(capture, job.layouts, job.settings, job.registry_version)
+        for name, seconds in answer.seconds.items():
+            watch.seconds[name] = watch.seconds.get(name, 0.0) + seconds
+        if job.pictures:
+            with watch.stage("pictures"):
+                image, sinogram, drawing = _pictures(capture, answer, job)
+    except TagidError as error:
+        answer = _failed(source, error)
+    except (ArithmeticError, LookupError, MemoryError, OSError, RuntimeError, TypeError, ValueError) as error:
+        logging.getLogger("tagid").debug("unexpected error in %s", source.name, exc_info=True)
+        fault = TagidError(
+            f"{source.name}: unexpected {type(error).__name__}: {error}",
+            "This is a fault in tagid: run `tagid identify` on the file with -vv and report what it prints.",
+        )
+        answer = _failed(source, fault)
+    record = make_record(source, answer, watch.seconds, facts["sha256"], facts["size"])
+    return Outcome(record, image, sinogram, drawing, cpu_s=time.process_time() - began)
+
+
+def make_record(
+    source: Source,
+    answer: Identification,
+    seconds: dict[str, float],
+    sha256: str | None = None,
+    size: int | None = None,
+) -> dict[str, Any]:
+    """An item's record: the contract's Identification, with file, content and time."""
+    return {
+        "schema": "tagid.report.item",
+        "schema_version": RECORD_VERSION,
+        "file": source.name,
+        "content_sha256": sha256,
+        "size_bytes": size,
+        **answer.to_dict(),
+        "seconds": {name: round(value, 4) for name, value in seconds.items()},
+        "time_utc": utc_text(),
+    }
+
+
+def failed_record(source: Source, error: TagidError) -> dict[str, Any]:
+    """The record of an item that no worker could finish."""
+    return make_record(source, _failed(source, error), {})
+
+
+def content_sha256(path: Path) -> tuple[str, int]:
+    """Hex sha256 and size of a file, read in pieces. Raises StorageError, FileFormatError where too large."""
+    digest = hashlib.sha256()
+    size = 0
+    try:
+        if path.is_dir():
+            raise StorageError(f"{path}: is a folder, not a file", "Give the path of a file.")
+        if path.exists() and not path.is_file():
+            raise StorageError(f"{path}: is not a regular file", "Give the path of a file.")
+        with path.open("rb") as file:
+            while piece := file.read(_CHUNK):
+                digest.update(piece)
+                size += len(piece)
+                _check_size(size, str(path))
+    except OSError as error:
+        raise atomic.storage_error(error, path, "reading") from error
+    return digest.hexdigest(), size
+
+
+@contextmanager
+def local_copy(source: Source) -> Iterator[Path]:
+    """The item's file as a path: itself, or a copy of what a URL holds, gone afterwards."""
+    if not source.is_url:
+        yield Path(source.location)
+        return
+    files, place = filesystem(source.location)
+    handle, name = tempfile.mkstemp(suffix=Path(place).name[-40:])
+    copy = Path(name)
+    try:
+        with os.fdopen(handle, "wb") as target:
+            try:
+                with files.open(place, "rb") as stream:
+                    while piece := stream.read(_CHUNK):
+                        target.write(piece)
+                        _check_size(target.tell(), source.name)
+            except (OSError, ValueError, NotImplementedError) as error:
+                raise StorageError(
+                    f"{source.name}: cannot be read: {error}", "Check the URL, the network and your rights."
+                ) from error
+        yield copy
+    except TagidError as error:
+        # The user never saw the copy's name.
+        error.message = error.message.replace(str(copy), source.name)
+        raise
+    finally:
+        copy.unlink(missing_ok=True)
+
+
+def _check_size(size: int, name: str) -> None:
+    if size > MAX_CAPTURE_BYTES:
+        raise FileFormatError(
+            f"{name}: has more than the limit of {MAX_CAPTURE_BYTES >> 20} MiB for an item of a batch",
+            "Identify it alone with `tagid identify`.",
+        )
+
+
+def _failed(source: Source, error: TagidError) -> Identification:
+    # The same file has the same message wherever it is read from.
+    message = error.message.replace(displayable(source.location), source.name)
+    named = message if source.name in message else f"{source.name}: {message}"
+    entry = {"code": error.code, "message": named, "remedy": error.remedy}
+    return Identification("failed", None, None, None, error=entry)
+
+
+def _pictures(capture: Capture, answer: Identification, job: Job) -> tuple[bytes, bytes, dict[str, Any]]:
+    result = reconstruct(capture, job.settings)
+    layout = next((one for one in job.layouts if one.name == answer.to_dict()["layout"]), None)
+    return draw_pictures(capture, result, answer, layout)

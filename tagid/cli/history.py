@@ -1,0 +1,115 @@
+"""`tagid history`: what was identified on this computer, listed, filtered, exported."""
+
+from __future__ import annotations
+
+import csv
+import io
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from tagid.cli.frame import Terminal, command
+from tagid.errors import UsageError
+from tagid.result import Result
+
+_SHOWN = 20
+
+
+class HistoryOutput(StrEnum):
+    """How the list is written."""
+
+    human = "human"
+    json = "json"
+    csv = "csv"
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+
+    @command(app, "history", HistoryOutput)
+    def history(
+        terminal: Terminal,
+        action: Annotated[str, typer.Argument(help="list or export.")] = "list",
+        file: Annotated[
+            Path | None, typer.Argument(help="Of export: a .parquet or .csv file.", show_default=False)
+        ] = None,
+        status: Annotated[
+            str | None, typer.Option("--status", help="identified, unknown, ambiguous, no_tag, failed.")
+        ] = None,
+        layout: Annotated[str | None, typer.Option("--layout", help="Name of a layout.")] = None,
+        uuid: Annotated[str | None, typer.Option("--uuid", help="UUID of a capture.")] = None,
+        part: Annotated[str | None, typer.Option("--file", help="A part of the file's name.")] = None,
+        made_by: Annotated[
+            str | None, typer.Option("--command", help="scan, identify or report made it.")
+        ] = None,
+        since: Annotated[str | None, typer.Option("--since", help="From this date or time on, UTC.")] = None,
+        until: Annotated[str | None, typer.Option("--until", help="Before this date or time, UTC.")] = None,
+        limit: Annotated[
+            int | None, typer.Option("--limit", help="The newest so many; 20 on a terminal, else all.")
+        ] = None,
+    ) -> Result:
+        """List the identifications made on this computer, newest first, or export them.
+
+        Example: tagid history --status unknown --since 2026-11-01
+        Example: tagid history export answers.parquet
+        """
+        from tagid.config import data_folder
+        from tagid.storage.history import FILE_NAME, Filter, History
+
+        wanted = Filter(status, layout, uuid, made_by, part, since, until, limit)
+        store = History(data_folder() / FILE_NAME)
+        if action == "export":
+            return _export(store, file, wanted)
+        if action != "list" or file is not None:
+            raise UsageError(
+                f"there is no action {action!r}", "Use `tagid history` or `tagid history export FILE`."
+            )
+        return _list(terminal, store, wanted)
+
+
+def _export(store: Any, file: Path | None, wanted: Any) -> Result:
+    from rich.text import Text
+
+    from tagid.storage.history_export import export
+
+    if file is None:
+        raise UsageError("export needs a file", "Give e.g. `tagid history export answers.parquet`.")
+    rows = export(store, wanted, file)
+    return Result("history", {"path": str(file), "rows": rows}, Text(f"{rows} identifications in {file}"))
+
+
+def _list(terminal: Terminal, store: Any, wanted: Any) -> Result:
+    from dataclasses import replace
+
+    from rich.table import Table
+    from rich.text import Text
+
+    from tagid.storage.history import FIELDS
+
+    total = store.count(wanted)
+    if terminal.output == "human" and wanted.limit is None:
+        wanted = replace(wanted, limit=_SHOWN)
+    rows = list(store.find(wanted))
+    data = {"history": str(store.path), "total": total, "items": rows}
+    text = io.StringIO()
+    table = csv.DictWriter(text, FIELDS)
+    table.writeheader()
+    table.writerows(rows)
+    shown = Table("time (UTC)", "file", "answer", "score", "margin", "by", box=None)
+    colours = {"identified": "green", "failed": "red"}
+    for row in rows:
+        answer = row["layout"] if row["status"] == "identified" else row["status"].replace("_", " ")
+        shown.add_row(
+            row["time_utc"][:19].replace("T", " "),
+            Text(row["file"]),
+            Text(answer, style=colours.get(row["status"], "yellow")),
+            f"{row['score']:.2f}",
+            f"{row['margin']:.2f}",
+            row["command"],
+        )
+    notes = (f"the newest {len(rows)} of {total}; --limit shows more",) if total > len(rows) else ()
+    if not total:
+        notes = ("nothing in the history fits",)
+    return Result("history", data, shown, messages=notes, csv=text.getvalue())

@@ -1,0 +1,237 @@
+"""`tagid report`: identify many captures and write what people and programs keep of it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from tagid.cli import options
+from tagid.cli.frame import Output, Terminal, command
+from tagid.config import Config, load_config
+from tagid.errors import EXIT_INTERRUPTED, CaptureInterrupted, UsageError
+from tagid.result import Result, Status
+
+if TYPE_CHECKING:
+    from tagid.batch.job import Job
+    from tagid.batch.local import Runner
+    from tagid.batch.run import Finished, Plan
+
+_SHOWN_ERRORS = 10
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+
+    @command(app, "report")
+    def report(
+        terminal: Terminal,
+        inputs: Annotated[
+            list[str] | None,
+            typer.Argument(
+                help="Folders, files or URLs of captures.", show_default=False, metavar="INPUT..."
+            ),
+        ] = None,
+        out: Annotated[Path, typer.Option("--out", help="Folder for the report.")] = Path("report"),
+        expect: Annotated[
+            Path | None, typer.Option("--expect", help="CSV with file,expected_layout to compare with.")
+        ] = None,
+        resume: Annotated[bool, typer.Option("--resume", help="Go on without redoing what is done.")] = False,
+        fail_fast: Annotated[bool, typer.Option("--fail-fast", help="Stop at the first failure.")] = False,
+        watch: Annotated[
+            Path | None, typer.Option("--watch", help="Keep identifying what arrives in this folder.")
+        ] = None,
+        idle_stop: Annotated[
+            float | None, typer.Option("--idle-stop", help="With --watch: end after so many idle seconds.")
+        ] = None,
+        jobs: Annotated[int, typer.Option("--jobs", "-j", help="Processes; 0 takes every core.")] = 0,
+        dask: Annotated[
+            str | None, typer.Option("--dask", help="Scheduler of a Dask cluster, tcp://HOST:PORT.")
+        ] = None,
+        pictures: Annotated[bool, typer.Option("--pictures/--no-pictures", help="Draw each object.")] = True,
+        page_megabytes: Annotated[
+            float, typer.Option("--page-megabytes", help="All pictures of the page together, MB.")
+        ] = 32.0,
+        title: Annotated[str, typer.Option("--title", help="The page's headline.")] = "",
+        method: options.Method = None,
+        motion: options.MotionUrl = None,
+        axis_distance: options.AxisDistance = None,
+        antenna_height: options.AntennaHeight = None,
+        background: options.Background = "mean",
+    ) -> Result:
+        """Identify many captures: a page, tables and a test report.
+
+        Pictures are drawn by backprojection unless --method or the configuration says otherwise. Ctrl-C
+        leaves a report of what is finished; --resume goes on from there.
+
+        Example: tagid report captures/ --out report --expect manifest.csv
+        """
+        from tagid.batch.inputs import Collected, collect
+        from tagid.batch.run import Plan
+        from tagid.report.page import PageSettings
+
+        if not inputs and watch is None:
+            raise UsageError("nothing to identify", "Name folders, files or URLs, or give --watch FOLDER.")
+        if idle_stop is not None and (watch is None or not idle_stop > 0):
+            raise UsageError(
+                f"--idle-stop {idle_stop:g} needs --watch and more than 0 seconds", "See `tagid report -h`."
+            )
+        config = load_config(
+            {
+                "imaging.method": method,
+                "motion.url": motion,
+                "motion.axis_distance_m": axis_distance,
+                "motion.antenna_height_m": antenna_height,
+            }
+        )
+        page = PageSettings(title or PageSettings.title, page_megabytes)
+        runner = _runner(terminal, jobs, dask)
+        found = collect(inputs, out) if inputs else Collected(())
+        job = _job(config, background, pictures)
+        plan = Plan(found, out, _watch(watch, out, idle_stop), page, None, resume, fail_fast)
+        if expect is not None:
+            plan = _expecting(plan, expect, job)
+        return _run(terminal, plan, job, runner)
+
+
+def _runner(terminal: Terminal, jobs: int, dask: str | None) -> Runner:
+    from functools import partial
+
+    from tagid.batch.local import cores, run_local
+
+    if dask is not None:
+        from tagid.batch.cluster import run_cluster
+
+        return partial(run_cluster, address=dask, verbose=terminal.verbose > 0)
+    if not 0 <= jobs <= 1024:
+        raise UsageError(f"--jobs is {jobs}", "Give 1 to 1024, or 0 for every core.")
+    return partial(run_local, workers=jobs or cores())
+
+
+def _job(config: Config, background: str, pictures: bool) -> Job:
+    from dataclasses import replace
+
+    from tagid.batch.job import Job
+    from tagid.cli import imaging
+
+    settings = imaging.settings_from(config, background)
+    # A picture by the slower methods takes as long as ten identifications: only where it is asked for.
+    method = "bp" if settings.method == "auto" else settings.method
+    registry = imaging.open_registry()
+    return Job(
+        replace(settings, method=method), tuple(registry.layouts()), registry.version, config, pictures
+    )
+
+
+def _watch(folder: Path | None, out: Path, idle_stop: float | None) -> Any:
+    from tagid.batch.watch import FolderWatch
+
+    if folder is None:
+        return None
+    if not folder.is_dir():
+        raise UsageError(f"--watch {folder} is not a folder", "Give the folder in which captures arrive.")
+    return FolderWatch(folder, out, idle_stop_s=idle_stop)
+
+
+def _expecting(plan: Plan, manifest: Path, job: Job) -> Plan:
+    from dataclasses import replace
+
+    from tagid.batch.expected import read_manifest
+
+    names = [layout.name for layout in job.layouts]
+    may_come = plan.watch is not None
+    expectations = read_manifest(manifest, plan.inputs.sources, names, may_come=may_come)
+    return replace(plan, expectations=expectations)
+
+
+def _run(terminal: Terminal, plan: Plan, job: Job, runner: Runner) -> Result:
+    from tagid.batch.run import Hooks, run_batch
+    from tagid.cli.imaging import begin_history
+    from tagid.cli.stopping import stop_signals
+
+    total = None if plan.watch else float(len(plan.inputs.sources))
+    history, notes = begin_history("report", job.described())
+    with stop_signals() as stopped, terminal.progress("identify", total) as advance:
+
+        def progress(done: int, of: int, rate: float, left: float | None) -> None:
+            advance(float(done), _remark(done, of, rate, None if plan.watch else left))
+
+        finished = run_batch(plan, job, runner, Hooks(progress, stopped, history))
+    return _result(terminal, plan, finished, notes)
+
+
+def _remark(done: int, of: int, rate: float, left: float | None) -> str:
+    words = f"{done}/{of}, {rate:.1f}/s"
+    if left is None:
+        return words
+    minutes, seconds = divmod(round(left), 60)
+    hours, minutes = divmod(minutes, 60)
+    return (
+        f"{words}, {hours}:{minutes:02}:{seconds:02} left"
+        if hours
+        else f"{words}, {minutes}:{seconds:02} left"
+    )
+
+
+def _result(terminal: Terminal, plan: Plan, finished: Finished, notes: tuple[str, ...]) -> Result:
+    import json
+
+    from rich.text import Text
+
+    from tagid.batch.run import FILES
+
+    summary = finished.summary
+    files = {name: str(plan.out / name) for name in FILES}
+    data: dict[str, Any] = {"summary": summary, "files": files}
+    failed = summary["by_status"]["failed"]
+    errors: list[dict[str, str]] = []
+    if failed or terminal.output is Output.json:
+        items = []
+        with (plan.out / "items.jsonl").open(encoding="utf-8") as lines:
+            for line in lines:
+                record = json.loads(line)
+                if record["error"] and (terminal.output is Output.json or len(errors) < _SHOWN_ERRORS):
+                    errors.append(record["error"])
+                if terminal.output is Output.json:
+                    items.append(record)
+        data["items"] = items
+    messages = [*notes, *_remarks(plan, finished)]
+    if failed > len(errors):
+        messages.append(f"{failed - len(errors)} more items failed; the report lists them")
+    code = finished.exit_code
+    status: Status = "partial" if failed else "success"
+    if finished.interrupted:
+        stop = CaptureInterrupted(
+            f"stopped by the user after {summary['items']} of {summary['inputs']} items",
+            f"The report in {plan.out} holds them; add --resume to go on.",
+        )
+        errors.append({"code": stop.code, "message": stop.message, "remedy": stop.remedy})
+        code, status = EXIT_INTERRUPTED, "partial"
+    counts = ", ".join(f"{n} {name.replace('_', ' ')}" for name, n in summary["by_status"].items() if n)
+    lines_out = [Text.assemble((f"{summary['items']} objects: ", "bold"), counts or "none")]
+    if summary["expected"]:
+        e = summary["expected"]
+        accuracy = "-" if e["accuracy"] is None else f"{e['accuracy']:.1%}"
+        lines_out.append(Text(f"as expected: {e['correct']} of {e['items']} ({accuracy})"))
+    lines_out.append(Text(f"report       {files['report.html']}"))
+    return Result("report", data, Text("\n").join(lines_out), status, code, tuple(messages), tuple(errors))
+
+
+def _remarks(plan: Plan, finished: Finished) -> list[str]:
+    remarks = []
+    if finished.reused:
+        remarks.append(f"{finished.reused} answers were taken over from the earlier run")
+    for twin in finished.summary["duplicate_uuids"][:5]:
+        what = "copies of one capture" if twin["same_content"] else "different files with one capture UUID"
+        remarks.append(f"{what}, {twin['capture_uuid']}: {', '.join(twin['files'][:4])}")
+    more = len(finished.summary["duplicate_uuids"]) - 5
+    if more > 0:
+        remarks.append(f"{more} more captures come in several files; summary.json lists them")
+    if plan.inputs.passed_over:
+        remarks.append(f"{len(plan.inputs.passed_over)} files in the folders are no recordings")
+    remarks += [f"could not look into {folder}" for folder in plan.inputs.unreadable[:5]]
+    expected = finished.summary["expected"]
+    if expected and expected["not_in_manifest"]:
+        remarks.append(f"{expected['not_in_manifest']} items are not in the manifest")
+    return remarks

@@ -1,0 +1,195 @@
+"""The report as one HTML file that needs nothing else: totals, a table to sort and filter, pictures.
+
+It is written in pieces, and its pictures share a budget, so that ten thousand objects make a page that opens.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+from tagid.errors import UsageError
+from tagid.report.tables import total_s
+from tagid.report.thumbnails import smaller
+from tagid.storage.atomic import replacing_text
+
+if TYPE_CHECKING:
+    from markupsafe import Markup
+
+Record = dict[str, Any]
+SMALL_SIDE = 32
+SMALL_BYTES = 900
+"""A picture reduced to `SMALL_SIDE` px takes about so much."""
+_FULL_SHARE = 0.75
+"""Part of the budget for pictures in full size; the rest shows the others small."""
+_BASE64 = 4 / 3
+_SHOWN_MISSES = 500
+
+
+@dataclass(frozen=True)
+class PageSettings:
+    """Of the page.
+
+    Attributes:
+        title: its headline.
+        megabytes: all pictures together take at most so much of the page.
+    """
+
+    title: str = "Radar tag identification"
+    megabytes: float = 32.0
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.megabytes <= 1000:
+            raise UsageError(f"the page's pictures may take {self.megabytes} MB", "Give 0 to 1000 MB.")
+
+
+class Items(Protocol):
+    """Where records and pictures come from, e.g. `tagid.batch.spool.Spool`."""
+
+    def items(self) -> Iterator[tuple[int, Record, dict[str, Any], int]]:
+        """(position, record, drawing, bytes of its pictures) in the order of the inputs."""
+        ...
+
+    def pictures(self, position: int) -> tuple[bytes, bytes]:
+        """Image and sinogram of one item, PNG."""
+        ...
+
+
+def write_page(
+    path: Path,
+    items: Items,
+    judged: Callable[[Record, int], Record],
+    summary: Mapping[str, Any],
+    settings: PageSettings,
+) -> None:
+    """Write report.html, whole or not at all.
+
+    Args:
+        path: the file.
+        items: records with their pictures.
+        judged: adds `expected` and `correct` to the record of a position.
+        summary: content of summary.json.
+        settings: of the page.
+
+    Raises StorageError, DiskFullError.
+    """
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+    folder = resources.files("tagid.report") / "page_files"
+    with resources.as_file(folder) as place:
+        environment = Environment(
+            loader=FileSystemLoader(place),
+            autoescape=True,
+            undefined=StrictUndefined,
+            trim_blocks=True,
+            lstrip_blocks=True,
+        )
+        environment.filters |= {"number": _number, "percent": _percent}
+        template = environment.get_template("report.html.j2")
+        style, script = ((place / name).read_text("utf-8") for name in ("page.css", "page.js"))
+    content = _Content(items, judged, settings)
+    pieces = template.generate(
+        summary=summary,
+        settings=settings,
+        content=content,
+        style=_verbatim(style),
+        script=_verbatim(script),
+        style_hash=_hash(style),
+        script_hash=_hash(script),
+        shown_misses=_SHOWN_MISSES,
+    )
+    with replacing_text(path) as file:
+        for piece in pieces:
+            file.write(piece)
+
+
+class _Content:
+    """What the template takes one by one."""
+
+    def __init__(self, items: Items, judged: Callable[[Record, int], Record], settings: PageSettings) -> None:
+        self._items, self._judged = items, judged
+        self._size = _allot(((p, judged(r, p), n) for p, r, _, n in items.items()), settings.megabytes)
+        self.left_out = sum(1 for size in self._size.values() if size == 0)
+        self.small = sum(1 for size in self._size.values() if size == 1)
+
+    def rows(self) -> Iterator[Markup]:
+        """The table's cells of each item, in the order that page.js expects."""
+        from jinja2.utils import htmlsafe_json_dumps
+
+        for position, record, _, _ in self._items.items():
+            r = self._judged(record, position)
+            measured = round(r["score"], 4), round(r["margin"], 4), total_s(r)
+            who = position, r["file"], r["status"], r["layout"] or "", r["label"]
+            size = self._size.get(position, -1)
+            yield htmlsafe_json_dumps([*who, *measured, r["expected"], r["correct"], size])
+
+    def details(self) -> Iterator[tuple[int, Markup]]:
+        """What opens with an item: its record and how its pictures are drawn."""
+        from jinja2.utils import htmlsafe_json_dumps
+
+        for position, record, drawing, _ in self._items.items():
+            yield position, htmlsafe_json_dumps({**self._judged(record, position), "drawing": drawing})
+
+    def pictures(self) -> Iterator[tuple[int, str, str]]:
+        """(position, image, sinogram) in base64; those that find no room are not among them."""
+        for position, size in self._size.items():
+            if size == 0:
+                continue
+            image, sinogram = self._items.pictures(position)
+            if size == 1:
+                image, sinogram = smaller(image, SMALL_SIDE), b""
+            yield position, base64.b64encode(image).decode(), base64.b64encode(sinogram).decode()
+
+
+def _allot(items: Iterator[tuple[int, Record, int]], megabytes: float) -> dict[int, int]:
+    """Position -> 2 full pictures, 1 a small one, 0 none, by who will be looked at first; only those that
+    have pictures."""
+    wanted = [(_interest(record), position, size) for position, record, size in items if size]
+    wanted.sort()
+    budget = megabytes * 1e6
+    total = sum(size * _BASE64 for _, _, size in wanted)
+    full = budget if total <= budget else budget * _FULL_SHARE
+    used = 0.0
+    allotted: dict[int, int] = {}
+    for _, position, size in wanted:
+        need = size * _BASE64
+        if used + need <= full:
+            allotted[position] = 2
+        elif used + (need := SMALL_BYTES * _BASE64) <= budget:
+            allotted[position], full = 1, 0.0
+        else:
+            allotted[position], need = 0, 0.0
+        used += need
+    return allotted
+
+
+def _interest(record: Record) -> tuple[int, float]:
+    """The lower, the sooner somebody will open it: misses, then what is no name, then narrow decisions."""
+    if record["correct"] is False:
+        return 0, record["margin"]
+    return (2 if record["status"] == "identified" else 1), record["margin"]
+
+
+def _verbatim(text: str) -> Markup:
+    """A file of the package for a style or script element, as it is."""
+    from markupsafe import Markup
+
+    return Markup(text)
+
+
+def _hash(text: str) -> str:
+    """How a content security policy names an inline style or script (W3C CSP 3, section 2.3.1)."""
+    return "sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
+
+
+def _number(value: float | None, digits: int = 2) -> str:
+    return "-" if value is None else f"{value:,.{digits}f}".replace(",", "\u202f")
+
+
+def _percent(value: float | None) -> str:
+    return "-" if value is None else f"{100 * value:.1f}\u202f%"

@@ -1,0 +1,113 @@
+"""The small pictures of a report's page: bare rasters, a few kilobytes each.
+
+Axes, scale bar and markers are drawn by the page itself, so one raster serves in small and in large.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from tagid.capture import Capture
+from tagid.pipeline import Identification, Reconstruction
+from tagid.report.charts import resample_views
+from tagid.report.colours import to_decibels, viridis
+from tagid.report.curves import RecordingCurves
+from tagid.tags.layout import Layout
+
+IMAGE_SIDE = 96
+"""Pixels of an image's side: 5 mm for the usual 0.5 m, a quarter of what the method resolves."""
+SINOGRAM_ROWS, SINOGRAM_COLUMNS = 72, 128
+IMAGE_DB, SINOGRAM_DB = 30.0, 30.0
+LEVELS = 32
+"""Colours in a picture, about 1 dB apart: more make noise expensive without showing more."""
+
+
+def draw_pictures(
+    capture: Capture, result: Reconstruction, answer: Identification, layout: Layout | None
+) -> tuple[bytes, bytes, dict[str, Any]]:
+    """Image and sinogram as PNG, and what the page needs to draw around them.
+
+    Args:
+        capture: prepared, as it was identified.
+        result: its image.
+        answer: its identification.
+        layout: the layout of the answer; None where there is none.
+
+    Returns:
+        (image, sinogram, drawing): drawing has `method`, `extent_m`, `image_db`, `layout_m` (places of the
+        layout's reflectors), `range_m` (first, last), `angle_deg` (first, last; None without angles),
+        `views`, `sinogram_db`.
+    """
+    image = _png(to_decibels(_fitted(np.abs(result.image.values)), IMAGE_DB)[::-1], IMAGE_DB)
+    sinogram = _png(_sinogram(capture), SINOGRAM_DB)
+    reading = answer.reading
+    placed: list[list[float]] = []
+    if layout is not None and reading is not None:
+        points = layout.placed(math.radians(reading.rotation_deg), np.array(reading.centre_m))
+        placed = [[round(float(x), 5), round(float(y), 5)] for x, y in points]
+    angles = capture.angles_rad
+    ranges = capture.ranges_m
+    return (
+        image,
+        sinogram,
+        {
+            "method": result.method,
+            "extent_m": result.image.grid.extent,
+            "image_db": IMAGE_DB,
+            "layout_m": placed,
+            "range_m": [round(float(ranges[0]), 4), round(float(ranges[-1]), 4)],
+            "angle_deg": None
+            if angles is None
+            else [round(math.degrees(float(angles[i])), 1) for i in (0, -1)],
+            "views": capture.views,
+            "sinogram_db": SINOGRAM_DB,
+        },
+    )
+
+
+def smaller(png: bytes, side: int) -> bytes:
+    """A picture of this module reduced to at most `side` px, in the same colours."""
+    with Image.open(io.BytesIO(png)) as picture:
+        levels = np.asarray(picture)
+    step = -(-max(levels.shape) // side)
+    rows, columns = (n // step * step for n in levels.shape)
+    blocks = levels[:rows, :columns].reshape(rows // step, step, columns // step, step)
+    return _encode(blocks.max(axis=(1, 3)))
+
+
+def _fitted(magnitude: NDArray[np.floating]) -> NDArray[np.floating]:
+    """At most `IMAGE_SIDE` pixels a side; the largest of each block, so that no point is lost."""
+    step = -(-max(magnitude.shape) // IMAGE_SIDE)
+    rows, columns = (n // step * step for n in magnitude.shape)
+    blocks = magnitude[:rows, :columns].reshape(rows // step, step, columns // step, step)
+    return np.asarray(blocks.max(axis=(1, 3)))
+
+
+def _sinogram(capture: Capture) -> NDArray[np.float64]:
+    """(rows, columns) dB of what changes from view to view, first view on top."""
+    envelope = RecordingCurves.of(capture, changing_only=True).envelope
+    order = np.arange(capture.views, dtype=np.float64)
+    if capture.angles_rad is not None and np.all(np.diff(capture.angles_rad) > 0):
+        order = np.asarray(capture.angles_rad, dtype=np.float64)
+    picture, _ = resample_views(envelope, order, min(SINOGRAM_ROWS, capture.views), SINOGRAM_COLUMNS)
+    reference = float(np.percentile(envelope, 99.9)) or None
+    return to_decibels(picture, SINOGRAM_DB, reference)
+
+
+def _png(decibels: NDArray[np.float64], dynamic_range_db: float) -> bytes:
+    levels = np.rint((decibels / dynamic_range_db + 1) * (LEVELS - 1))
+    return _encode(np.clip(levels, 0, LEVELS - 1).astype(np.uint8))
+
+
+def _encode(levels: NDArray[np.uint8]) -> bytes:
+    picture = Image.fromarray(np.ascontiguousarray(levels))
+    picture.putpalette(viridis(LEVELS).tobytes())
+    buffer = io.BytesIO()
+    picture.save(buffer, format="PNG", optimize=True)
+    return buffer.getvalue()

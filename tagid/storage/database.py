@@ -1,0 +1,159 @@
+"""What every sqlite file of the house does alike: owner's mark, migrations, transactions, clear errors.
+
+The registry of layouts and the history of identifications stand on it and hold only their own tables.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import sqlite3
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from tagid.errors import DiskFullError, RegistryError, TagidError
+
+BUSY_SECONDS = 10.0
+"""How long a process waits for another one's transaction, s."""
+
+Migration = tuple[str, ...]
+"""The statements that lead from one schema version to the next."""
+
+
+@dataclass(frozen=True)
+class Schema:
+    """What a file must be.
+
+    Attributes:
+        what: the file's name for people, e.g. "registry".
+        application_id: the owner's mark in the file (sqlite header, offset 68).
+        migrations: one step a version, oldest first; their number is the present version.
+        restore: what to do when the file is damaged, one sentence.
+        error: class of the errors.
+        write_ahead: keep a write-ahead log, so that readers and one writer do not wait for each other.
+    """
+
+    what: str
+    application_id: int
+    migrations: tuple[Migration, ...]
+    restore: str
+    error: type[TagidError] = RegistryError
+    write_ahead: bool = False
+
+    @property
+    def version(self) -> int:
+        """The present version."""
+        return len(self.migrations)
+
+
+class Database:
+    """A sqlite file brought to its schema's present version.
+
+    Every change is one immediate transaction, so several processes may use it at once.
+
+    Args:
+        path: the file; it and its folder are made where they do not exist.
+        schema: what it must be.
+        fill: called in the transaction that makes a new file, with its connection.
+
+    Raises:
+        the schema's error: another program's file, damaged, from a newer tagid, locked or not writable.
+        DiskFullError: no space left.
+    """
+
+    def __init__(
+        self, path: Path, schema: Schema, fill: Callable[[sqlite3.Connection], None] | None = None
+    ) -> None:
+        self.path = Path(path)
+        self.schema = schema
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise schema.error(
+                f"cannot make the folder of the {schema.what} {self.path}: {error.strerror}",
+                f"Give a {schema.what} path in a folder that you can write to.",
+            ) from error
+        with self.transaction() as connection:
+            self._prepare(connection, fill)
+        if schema.write_ahead:
+            with self.connection() as connection:
+                _write_ahead(connection)
+
+    @contextlib.contextmanager
+    def connection(self) -> Iterator[sqlite3.Connection]:
+        """A connection whose faults are clear errors; sqlite opens lazily, they come with the first use."""
+        try:
+            with contextlib.closing(
+                sqlite3.connect(self.path, timeout=BUSY_SECONDS, isolation_level=None)
+            ) as connection:
+                connection.execute("PRAGMA foreign_keys = ON")
+                yield connection
+        except sqlite3.Error as error:
+            raise self._told(error) from error
+
+    @contextlib.contextmanager
+    def transaction(self) -> Iterator[sqlite3.Connection]:
+        """One immediate transaction, undone on any exception."""
+        with self.connection() as connection:
+            connection.execute("BEGIN IMMEDIATE")
+            try:
+                yield connection
+            except BaseException:
+                # sqlite has rolled back by itself where the disk was full.
+                if connection.in_transaction:
+                    connection.execute("ROLLBACK")
+                raise
+            connection.execute("COMMIT")
+
+    def _prepare(
+        self, connection: sqlite3.Connection, fill: Callable[[sqlite3.Connection], None] | None
+    ) -> None:
+        schema = self.schema
+        version = int(connection.execute("PRAGMA user_version").fetchone()[0])
+        tables = connection.execute("SELECT COUNT(*) FROM sqlite_master").fetchone()[0]
+        owner = int(connection.execute("PRAGMA application_id").fetchone()[0])
+        if tables and owner != schema.application_id:
+            raise schema.error(
+                f"{self.path} is a database of another program", f"Give another path for the {schema.what}."
+            )
+        if version > schema.version:
+            raise schema.error(
+                f"{self.path} has schema {version}, this tagid knows up to {schema.version}",
+                f"Use the newer tagid that wrote it, or another {schema.what}.",
+            )
+        for step in schema.migrations[version:]:
+            for statement in step:
+                connection.execute(statement)
+        if version < schema.version:
+            connection.execute(f"PRAGMA application_id = {schema.application_id}")
+            connection.execute(f"PRAGMA user_version = {schema.version}")
+        if version == 0 and fill is not None:
+            fill(connection)
+
+    def _told(self, error: sqlite3.Error) -> TagidError:
+        if getattr(error, "sqlite_errorcode", 0) & 0xFF == sqlite3.SQLITE_FULL:
+            return DiskFullError(f"no space left to change {self.path}", "Free some space.")
+        return self.schema.error(
+            f"cannot use the {self.schema.what} {self.path}: {error}", self.schema.restore
+        )
+
+
+def _write_ahead(connection: sqlite3.Connection) -> None:
+    """Turn the write-ahead log on; it stays on for the file.
+
+    sqlite does not wait for other processes here, whatever the timeout, so this does.
+    """
+    end = time.monotonic() + BUSY_SECONDS
+    while True:
+        try:
+            connection.execute("PRAGMA journal_mode = WAL")
+            return
+        except sqlite3.OperationalError as error:
+            busy = getattr(error, "sqlite_errorcode", 0) & 0xFF in (
+                sqlite3.SQLITE_BUSY,
+                sqlite3.SQLITE_LOCKED,
+            )
+            if not busy or time.monotonic() > end:
+                raise
+            time.sleep(0.01)

@@ -1,0 +1,237 @@
+"""Every identification that was ever made on this computer, in a sqlite file beside the registry.
+
+An answer given last month can be found again with the settings, the registry version and the tool behind it.
+"""
+
+from __future__ import annotations
+
+import json
+import platform
+import sqlite3
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from tagid import __version__
+from tagid.errors import StorageError, UsageError
+from tagid.storage.database import Database, Schema
+
+FILE_NAME = "history.sqlite"
+STATUSES = ("identified", "unknown", "ambiguous", "no_tag", "failed")
+
+_COLUMNS: dict[str, str] = {
+    "time_utc": "TEXT NOT NULL",
+    "file": "TEXT NOT NULL",
+    "content_sha256": "TEXT",
+    "capture_uuid": "TEXT",
+    "status": f"TEXT NOT NULL CHECK (status IN {STATUSES})",
+    "layout": "TEXT",
+    "label": "TEXT NOT NULL",
+    "score": "REAL NOT NULL",
+    "margin": "REAL NOT NULL",
+    "rotation_deg": "REAL",
+    "centre_x_m": "REAL",
+    "centre_y_m": "REAL",
+    "missing": "INTEGER NOT NULL",
+    "extra": "INTEGER NOT NULL",
+    "registry_version": "INTEGER",
+    "model_sha256": "TEXT",
+    "tool_version": "TEXT NOT NULL",
+    "total_s": "REAL NOT NULL",
+    "reason": "TEXT NOT NULL",
+    "error_code": "TEXT",
+    "error_message": "TEXT",
+}
+FIELDS = ("id", "command", *_COLUMNS)
+"""Columns of a row of `History.find`."""
+TYPES = {"id": int, "command": str} | {
+    name: {"TEXT": str, "REAL": float, "INTEGER": int}[kind.split()[0]] for name, kind in _COLUMNS.items()
+}
+"""Type of each column; any but `id` may also be None."""
+
+_SCHEMA = Schema(
+    what="history",
+    application_id=0x74616768,  # "tagh"
+    migrations=(
+        # 1: runs of a command, their identifications, and the reflectors of each.
+        (
+            "CREATE TABLE run (id INTEGER PRIMARY KEY AUTOINCREMENT, started_utc TEXT NOT NULL,"
+            " command TEXT NOT NULL, tool_version TEXT NOT NULL, host TEXT NOT NULL, settings TEXT NOT NULL)",
+            "CREATE TABLE identification (id INTEGER PRIMARY KEY AUTOINCREMENT,"
+            " run_id INTEGER NOT NULL REFERENCES run (id) ON DELETE CASCADE, "
+            + ", ".join(f"{name} {kind}" for name, kind in _COLUMNS.items())
+            + ")",
+            "CREATE TABLE reflector (identification_id INTEGER NOT NULL"
+            " REFERENCES identification (id) ON DELETE CASCADE, number INTEGER NOT NULL,"
+            " x_m REAL NOT NULL, y_m REAL NOT NULL, amplitude_db REAL, matched INTEGER NOT NULL,"
+            " PRIMARY KEY (identification_id, number)) WITHOUT ROWID",
+            "CREATE INDEX identification_run ON identification (run_id)",
+            "CREATE INDEX identification_time ON identification (time_utc)",
+            "CREATE INDEX identification_capture ON identification (capture_uuid)",
+            "CREATE INDEX identification_layout ON identification (layout, status)",
+        ),
+    ),
+    restore="Restore a backup, or move the file away to begin a new history.",
+    error=StorageError,
+    write_ahead=True,
+)
+
+
+@dataclass(frozen=True)
+class Filter:
+    """Which identifications are wanted; a field that is None or empty asks nothing.
+
+    Attributes:
+        status, layout, capture_uuid, command: exact.
+        file: a part of the file's name.
+        since, until: ISO 8601 date or time, UTC where no zone is given; from `since` on, before `until`.
+        limit: at most so many.
+    """
+
+    status: str | None = None
+    layout: str | None = None
+    capture_uuid: str | None = None
+    command: str | None = None
+    file: str | None = None
+    since: str | None = None
+    until: str | None = None
+    limit: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.status and self.status not in STATUSES:
+            raise UsageError(f"there is no status {self.status!r}", f"Use one of {', '.join(STATUSES)}.")
+        if self.limit is not None and self.limit < 1:
+            raise UsageError(f"the limit is {self.limit}", "Give 1 or more.")
+
+
+def utc_text(moment: datetime | None = None) -> str:
+    """A moment (now, where None) as the history writes it, so that text compares as time does."""
+    return (moment or datetime.now(UTC)).astimezone(UTC).isoformat(timespec="milliseconds")
+
+
+class History:
+    """The identifications in a sqlite file, made where it does not exist; safe with several processes.
+
+    Raises:
+        StorageError: another program's file, damaged, from a newer tagid, locked or not writable.
+        DiskFullError: no space left.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._database = Database(path, _SCHEMA)
+        self.path = self._database.path
+
+    def begin(self, command: str, settings: Mapping[str, Any]) -> int:
+        """Note a run of a command with its settings (plain JSON values); returns its number."""
+        row = (utc_text(), command, __version__, platform.node(), json.dumps(settings, sort_keys=True))
+        with self._database.transaction() as connection:
+            return int(
+                connection.execute(
+                    "INSERT INTO run (started_utc, command, tool_version, host, settings)"
+                    " VALUES (?, ?, ?, ?, ?)",
+                    row,
+                ).lastrowid
+                or 0
+            )
+
+    def add(self, run: int, records: Iterable[Mapping[str, Any]]) -> list[int]:
+        """Keep identifications of a run, all or none; returns their numbers.
+
+        A record has the fields of the contract's Identification, with `file` and, where known, `time_utc`
+        and `content_sha256`.
+        """
+        names = ("run_id", *_COLUMNS)
+        insert = f"INSERT INTO identification ({', '.join(names)}) VALUES ({', '.join('?' for _ in names)})"
+        numbers = []
+        with self._database.transaction() as connection:
+            for record in records:
+                number = int(connection.execute(insert, (run, *_row(record))).lastrowid or 0)
+                connection.executemany(
+                    "INSERT INTO reflector VALUES (?, ?, ?, ?, ?, ?)", _reflectors(number, record)
+                )
+                numbers.append(number)
+        return numbers
+
+    def find(self, wanted: Filter | None = None, *, oldest_first: bool = False) -> Iterator[dict[str, Any]]:
+        """Rows with `FIELDS`, newest first unless told otherwise, read as they are taken."""
+        where, values = _conditions(wanted or Filter())
+        order = "ASC" if oldest_first else "DESC"
+        limit = f" LIMIT {int(wanted.limit)}" if wanted and wanted.limit else ""
+        columns = ", ".join(f"run.{name}" if name == "command" else f"i.{name}" for name in FIELDS)
+        query = (
+            f"SELECT {columns} FROM identification i JOIN run ON run.id = i.run_id{where}"
+            f" ORDER BY i.id {order}{limit}"
+        )
+        with self._database.connection() as connection:
+            for row in connection.execute(query, values):
+                yield dict(zip(FIELDS, row, strict=True))
+
+    def count(self, wanted: Filter | None = None) -> int:
+        """How many there are, the limit aside."""
+        where, values = _conditions(wanted or Filter())
+        query = f"SELECT COUNT(*) FROM identification i JOIN run ON run.id = i.run_id{where}"
+        with self._database.connection() as connection:
+            return int(connection.execute(query, values).fetchone()[0])
+
+    def reflectors(self, number: int) -> list[dict[str, Any]]:
+        """The reflectors of one identification, strongest first as the reader gave them."""
+        query = (
+            "SELECT x_m, y_m, amplitude_db, matched FROM reflector"
+            " WHERE identification_id = ? ORDER BY number"
+        )
+        with self._database.connection() as connection:
+            rows: list[sqlite3.Row] = connection.execute(query, (number,)).fetchall()
+        return [{"x_m": x, "y_m": y, "amplitude_db": db, "matched": bool(m)} for x, y, db, m in rows]
+
+
+def _row(record: Mapping[str, Any]) -> tuple[Any, ...]:
+    centre = record.get("centre_m") or (None, None)
+    error = record.get("error") or {}
+    own = {
+        "time_utc": record.get("time_utc") or utc_text(),
+        "centre_x_m": centre[0],
+        "centre_y_m": centre[1],
+        "total_s": sum((record.get("seconds") or {}).values()),
+        "error_code": error.get("code"),
+        "error_message": error.get("message"),
+    }
+    return tuple(own[name] if name in own else record.get(name) for name in _COLUMNS)
+
+
+def _reflectors(number: int, record: Mapping[str, Any]) -> Iterator[tuple[Any, ...]]:
+    for index, r in enumerate(record.get("reflectors") or ()):
+        yield number, index, r["x_m"], r["y_m"], r["amplitude_db"], int(r["matched"])
+
+
+def _conditions(wanted: Filter) -> tuple[str, list[Any]]:
+    tests: list[str] = []
+    values: list[Any] = []
+    for column, value in (
+        ("i.status", wanted.status),
+        ("i.layout", wanted.layout),
+        ("i.capture_uuid", wanted.capture_uuid),
+        ("run.command", wanted.command),
+    ):
+        if value:
+            tests.append(f"{column} = ?")
+            values.append(value)
+    if wanted.file:
+        tests.append("instr(i.file, ?) > 0")
+        values.append(wanted.file)
+    for name, sign, text in (("since", ">=", wanted.since), ("until", "<", wanted.until)):
+        if text:
+            tests.append(f"i.time_utc {sign} ?")
+            values.append(_moment(name, text))
+    return (" WHERE " + " AND ".join(tests) if tests else ""), values
+
+
+def _moment(name: str, text: str) -> str:
+    try:
+        moment = datetime.fromisoformat(text)
+    except ValueError:
+        raise UsageError(
+            f"--{name} {text!r} is not a date or a time", f"Give e.g. --{name} 2026-11-21T08:00 (UTC)."
+        ) from None
+    return utc_text(moment if moment.tzinfo else moment.replace(tzinfo=UTC))

@@ -1,0 +1,109 @@
+"""The history as one table for other programs: Parquet with its types, or CSV.
+
+Rows go through one batch at a time, so that a history of years needs little memory.
+"""
+
+from __future__ import annotations
+
+import csv
+import itertools
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, BinaryIO
+
+from tagid.errors import MissingExtraError, UsageError
+from tagid.storage import atomic
+from tagid.storage.history import FIELDS, TYPES, Filter, History
+
+_BATCH = 10_000
+
+
+def export(history: History, wanted: Filter, path: Path) -> int:
+    """Write the rows that fit, oldest first, as .parquet or .csv by the name; returns their number.
+
+    Parquet keeps the types of `tagid.storage.history.TYPES`; `time_utc` becomes a UTC timestamp.
+
+    Raises:
+        UsageError: another suffix. MissingExtraError: Parquet without pyarrow.
+        StorageError, DiskFullError: the file cannot be written; nothing is left under its name then.
+    """
+    rows = history.find(wanted, oldest_first=True)
+    suffix = path.suffix.lower()
+    if suffix == ".csv":
+        return _csv(rows, path)
+    if suffix in (".parquet", ".pq"):
+        return _parquet(rows, path)
+    raise UsageError(f"cannot tell the format from {path.name!r}", "Name it .parquet or .csv.")
+
+
+def _csv(rows: Iterator[dict[str, Any]], path: Path) -> int:
+    count = 0
+    with atomic.replacing_text(path) as file:
+        table = csv.DictWriter(file, FIELDS)
+        table.writeheader()
+        for row in rows:
+            table.writerow(row)
+            count += 1
+    return count
+
+
+def _parquet(rows: Iterator[dict[str, Any]], path: Path) -> int:
+    try:
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+    except ImportError:
+        raise MissingExtraError(
+            "Parquet needs pyarrow, which is not installed",
+            "Install it with `pip install 'tagid[parquet]'`, or export to .csv.",
+        ) from None
+    kinds = {str: pa.string(), float: pa.float64(), int: pa.int64()}
+    schema = pa.schema(
+        [
+            (name, pa.timestamp("ms", tz="UTC") if name == "time_utc" else kinds[TYPES[name]])
+            for name in FIELDS
+        ]
+    )
+    count = 0
+    with (
+        atomic.replacing(path) as file,
+        pa.PythonFile(_Sink(file), mode="w") as sink,
+        pq.ParquetWriter(sink, schema) as writer,
+    ):
+        while some := list(itertools.islice(rows, _BATCH)):
+            writer.write_batch(_batch(pa, schema, some))
+            count += len(some)
+    return count
+
+
+class _Sink:
+    """What pyarrow needs of a file that is written once from front to back."""
+
+    closed = False
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._file = file
+        self._at = 0
+
+    def write(self, data: Any) -> int:
+        self._file.write(data)
+        self._at += len(data)
+        return len(data)
+
+    def tell(self) -> int:
+        return self._at
+
+    def flush(self) -> None:
+        self._file.flush()
+
+    def close(self) -> None:
+        """The file is closed by who opened it."""
+
+
+def _batch(pa: Any, schema: Any, rows: list[dict[str, Any]]) -> Any:
+    from datetime import datetime
+
+    columns = {name: [row[name] for row in rows] for name in FIELDS}
+    columns["time_utc"] = [datetime.fromisoformat(text) for text in columns["time_utc"]]
+    return pa.record_batch(
+        [pa.array(columns[name], type=schema.field(name).type) for name in FIELDS], schema=schema
+    )
