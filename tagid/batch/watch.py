@@ -60,6 +60,7 @@ class FolderWatch:
                 yield Source.of(str(path))
             before = now
             first = False
+            yield None
 
     def _files(self, first: bool) -> list[Path]:
         try:
