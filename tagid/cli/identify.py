@@ -14,7 +14,6 @@ from tagid.errors import EXIT_BATCH, EXIT_FAILED, TagidError, displayable
 from tagid.result import Result, Status
 
 if TYPE_CHECKING:
-    from tagid.defaults import complete, motion_of
     from tagid.pipeline import Identification
 
 
@@ -58,6 +57,7 @@ def run(
     from rich.console import Group, RenderableType
 
     from tagid.cli import imaging
+    from tagid.defaults import complete, motion_of
     from tagid.pipeline import identify, prepare
     from tagid.storage.importers import read_any
 
