@@ -22,8 +22,9 @@ USB_PRODUCTS: Final = {0x0005: "P440", 0x0003: "P410"}
 """USB numbers 1027:0005 and 1027:0003, as Linux shows them (hexadecimal)."""
 
 LIMIT_S: Final = 3.0
-_ASKING_S: Final = 2.6
-_ANSWER_S: Final = 0.8
+_ASKING_S: Final = 2.1
+"""Leaves room for the program's own start within the limit."""
+_ANSWER_S: Final = 0.65
 _ATTEMPTS: Final = 3
 _MOST_ADDRESSES: Final = 64
 

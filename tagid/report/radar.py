@@ -14,16 +14,28 @@ from tagid.radar.status import RadarStatus
 _ANTENNAS = {0: "A/A", 1: "B/B", 2: "transmit A, receive B", 3: "transmit B, receive A", 255: "default"}
 
 
-def info_table(url: str, status: RadarStatus, config: RadarConfig, uptime_s: float) -> Table:
-    """Status and settings of one radar, one line each, units named."""
-    start, stop = config.range_start_m(), config.range_start_m() + config.samples * config.range_step_m
+def info_table(url: str, status: RadarStatus, config: RadarConfig | None, uptime_s: float | None) -> Table:
+    """Status and settings of one radar, one line each, units named; settings are None outside MRM mode."""
     rows = {
         "radar": f"{url}, serial {status.serial}" + (f", {status.package}" if status.package else ""),
         "versions": f"MRM {status.mrm_version}, kernel {status.kernel_version}, FPGA {status.fpga_version}"
         + (f", board {status.board_revision}" if status.board_revision else ""),
         "temperature": f"{status.temperature_c:.2f} degC",
         "self test": "passed" if not status.built_in_test else f"FAILED, code {status.built_in_test}",
-        "up for": _duration(uptime_s),
+    }
+    if uptime_s is not None:
+        rows["up for"] = _duration(uptime_s)
+    if config is not None:
+        rows |= _settings_rows(config)
+    table = Table(show_header=False, box=None)
+    for name, text in rows.items():
+        table.add_row(name, Text(text))
+    return table
+
+
+def _settings_rows(config: RadarConfig) -> dict[str, str]:
+    start, stop = config.range_start_m(), config.range_start_m() + config.samples * config.range_step_m
+    return {
         "node": str(config.node_id),
         "window": f"{start:.3f} to {stop:.3f} m with cables, {config.samples} samples "
         f"({config.scan_start_ps} to {config.scan_stop_ps} ps)",
@@ -32,10 +44,6 @@ def info_table(url: str, status: RadarStatus, config: RadarConfig, uptime_s: flo
         "gain": f"{config.transmit_gain} of 63, code channel {config.code_channel}",
         "antennas": _ANTENNAS.get(config.antenna_mode, str(config.antenna_mode)),
     }
-    table = Table(show_header=False, box=None)
-    for name, text in rows.items():
-        table.add_row(name, Text(text))
-    return table
 
 
 def found_table(radars: Sequence[FoundRadar]) -> Table:

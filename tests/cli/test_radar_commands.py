@@ -7,6 +7,8 @@ import pytest
 
 from tagid.radar.emulator import ServeOptions, UdpEmulator
 from tagid.radar.emulator_core import EmulatorCore, Identity
+from tagid.radar.links import UdpLink
+from tagid.radar.p440 import P440
 from tagid.radar.settings import RadarConfig
 
 
@@ -56,6 +58,19 @@ def test_info_decodes_what_the_radar_says(tagid) -> None:
         text = tagid("radar", "info", "--radar", device.url).out
         assert "passed" in text
         assert "-3.25 degC" in text
+
+
+def test_info_asks_without_stopping_a_recording(tagid) -> None:
+    with emulator() as device, P440(UdpLink(*device.address)) as radar:
+        run = radar.scans()
+        next(run)
+        assert tagid("radar", "info", "--radar", device.url).code == 0
+        assert device.core.scanning
+        run.close()
+        radar.set_opmode(0)
+        done = tagid("radar", "info", "--radar", device.url, "--output", "json")
+        assert (done.json["data"]["opmode"], done.json["data"]["config"]) == (0, None)
+        assert "MRM" in done.json["messages"][0]
 
 
 def test_reboot_waits_until_the_radar_is_back(tagid) -> None:
