@@ -20,7 +20,7 @@ from tagid.errors import TagidError
 
 Level = Literal["ok", "warning", "problem"]
 _LOW_DISK_BYTES = 500 * 2**20
-_PACKAGES = ("numpy", "scipy", "h5py", "typer", "rich", "pillow")
+_PACKAGES = ("numpy", "scipy", "h5py", "typer", "rich", "pillow", "pyserial")
 
 
 @dataclass(frozen=True)
@@ -114,6 +114,7 @@ def _axis(config: Config) -> Finding:
 
 def _radar(config: Config) -> Finding:
     from tagid.radar.devices import open_radar
+    from tagid.radar.survey import survey
     from tagid.sources import Sources
 
     url = config["radar.url"]
@@ -121,16 +122,16 @@ def _radar(config: Config) -> Finding:
         remedy = "tagid config set radar.url udp://192.168.1.100 (kit units: .100 to .103)"
         return Finding("radar", "warning", "none configured", remedy)
     try:
-        with open_radar(url, Sources(), config["radar.timeout_s"]) as radar:
-            status = radar.status()
-            taken = radar.config
+        found = survey(open_radar(url, Sources(), config["radar.timeout_s"]))
     except TagidError as error:
         return Finding("radar", "problem", f"{url}: {error.message}", error.remedy)
-    text = (
-        f"{url} answers: serial {status.serial}, MRM {status.mrm_version}, {status.temperature_c:.1f} degC, "
-        f"{taken.samples} samples"
-    )
+    status = found.status
+    text = f"{url} answers: serial {status.serial}, MRM {status.mrm_version}, {status.temperature_c:.1f} degC"
+    if found.config is not None:
+        text += f", {found.config.samples} samples"
     if status.built_in_test:
         remedy = "Power-cycle the radar; if it stays, the unit needs service."
         return Finding("radar", "problem", f"{text}, self test {status.built_in_test}", remedy)
+    if odd := found.warnings():
+        return Finding("radar", "warning", f"{text}; {'; '.join(odd)}", "`tagid radar info` shows more.")
     return Finding("radar", "ok", text)

@@ -22,33 +22,11 @@ def register(group: typer.Typer) -> None:
 
         Example: tagid radar info --radar udp://192.168.1.100
         """
-        from tagid.radar.messages import OPMODE_MRM, SLEEP_ACTIVE
+        from tagid.radar.survey import survey
         from tagid.report.radar import info_table
 
         config = load_config({"radar.url": radar})
-        url = radar_url(config)
-        device = open_configured(config)
-        try:
-            # Only questions, and no connect, which stops a run: somebody may be recording.
-            status, opmode, sleep = device.status(), device.get_opmode(), device.get_sleep_mode()
-            taken, uptime_s = None, None
-            if opmode == OPMODE_MRM:
-                taken, uptime_s = device.get_config(), device.uptime_s()
-        finally:
-            device.close()
-        data = {
-            "url": url,
-            "status": asdict(status),
-            "config": asdict(taken) if taken else None,
-            "opmode": opmode,
-            "sleep_mode": sleep,
-            "uptime_s": uptime_s,
-        }
-        notes = status.warnings()
-        if taken is None:
-            notes.append(
-                f"the radar is in operating mode {opmode}, not MRM: any other command sets it to MRM"
-            )
-        if sleep != SLEEP_ACTIVE:
-            notes.append(f"the radar sleeps (mode {sleep}): any other command wakes it")
-        return Result("radar info", data, info_table(url, status, taken, uptime_s), messages=tuple(notes))
+        found = survey(open_configured(config))
+        data = {"url": radar_url(config), **asdict(found)}
+        table = info_table(radar_url(config), found)
+        return Result("radar info", data, table, messages=tuple(found.warnings()))

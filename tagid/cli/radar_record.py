@@ -74,6 +74,7 @@ def register(group: typer.Typer) -> None:
             config["radar.cable_delay_ps"],
             motion=config["motion.url"],
             object={"note": note} if note else {},
+            resume_s=config["radar.resume_s"],
         )
         limits = RecordingLimits(scans, seconds, interval_us)
         with terminal.progress("record", seconds or scans) as advance, stop_on_signal() as asked_to_stop:

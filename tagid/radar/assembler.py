@@ -72,6 +72,7 @@ class Statistics:
         complete_scans: scans handed out.
         lost_scans: scans of which a fragment never came.
         retries: requests sent again because no answer came.
+        skipped_bytes: bytes on a serial line that belonged to no frame.
     """
 
     received: int = 0
@@ -83,6 +84,7 @@ class Statistics:
     complete_scans: int = 0
     lost_scans: int = 0
     retries: int = 0
+    skipped_bytes: int = 0
 
 
 class _Partial:

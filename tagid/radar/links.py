@@ -25,6 +25,11 @@ class Link(Protocol):
     foreign: int
     """Packets dropped because another sender sent them."""
 
+    @property
+    def skipped_bytes(self) -> int:
+        """Bytes that belonged to no packet: noise on a serial line, frames that were cut."""
+        ...
+
     packet_time_s: float
     """Time that the longest packet takes on the wire, s; 0 where that is nothing beside all else."""
 
@@ -102,6 +107,7 @@ class UdpLink:
     """
 
     exhausted = False
+    skipped_bytes = 0
     packet_time_s = 0.0
 
     def __init__(self, host: str, port: int = DEFAULT_PORT, local_port: int = 0) -> None:

@@ -22,6 +22,8 @@ class MemoryLink:
         name: what messages call the radar.
     """
 
+    skipped_bytes = 0
+
     def __init__(
         self, core: EmulatorCore, rate: float = 0.0, faults: Faults | None = None, name: str = "memory"
     ) -> None:

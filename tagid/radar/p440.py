@@ -59,6 +59,7 @@ class P440:
     def statistics(self) -> Statistics:
         """Counters of everything since the client was made."""
         self._talk.statistics.foreign = self._link.foreign
+        self._talk.statistics.skipped_bytes = self._link.skipped_bytes
         return self._talk.statistics
 
     @property

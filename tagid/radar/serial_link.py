@@ -74,10 +74,16 @@ class SerialLink:
         self.packet_time_s = _FRAME_BITS / port.baud if uart else 0.0
         self.decoder = StreamDecoder(port.framing)
         self._packets: deque[bytes] = deque()
+        self._heard_at = 0.0
         self._serial: serial.Serial | None = _open(port)
 
     def __repr__(self) -> str:
         return self.port.url
+
+    @property
+    def skipped_bytes(self) -> int:
+        """Bytes on the line that belonged to no frame."""
+        return self.decoder.skipped
 
     def send(self, packet: bytes) -> None:
         """Sends one packet. Raises DeviceGoneError where the port is gone, DeviceError where it is stuck."""
@@ -98,7 +104,11 @@ class SerialLink:
         while not self._packets:
             left = deadline - time.monotonic()
             data = self._read(min(max(left, 0.0), _QUIET_S))
-            self._packets.extend(self.decoder.feed(data) if data else self.decoder.flush())
+            if data:
+                self._heard_at = time.monotonic()
+                self._packets.extend(self.decoder.feed(data))
+            elif time.monotonic() - self._heard_at >= _QUIET_S:
+                self._packets.extend(self.decoder.flush())
             if not self._packets and time.monotonic() >= deadline:
                 return None
         return self._packets.popleft()

@@ -9,13 +9,14 @@ from rich.text import Text
 
 from tagid.radar.discovery import FoundRadar
 from tagid.radar.settings import RadarConfig
-from tagid.radar.status import RadarStatus
+from tagid.radar.survey import RadarSurvey
 
 _ANTENNAS = {0: "A/A", 1: "B/B", 2: "transmit A, receive B", 3: "transmit B, receive A", 255: "default"}
 
 
-def info_table(url: str, status: RadarStatus, config: RadarConfig | None, uptime_s: float | None) -> Table:
-    """Status and settings of one radar, one line each, units named; settings are None outside MRM mode."""
+def info_table(url: str, found: RadarSurvey) -> Table:
+    """Status and settings of one radar, one line each, units named."""
+    status = found.status
     rows = {
         "radar": f"{url}, serial {status.serial}" + (f", {status.package}" if status.package else ""),
         "versions": f"MRM {status.mrm_version}, kernel {status.kernel_version}, FPGA {status.fpga_version}"
@@ -23,10 +24,10 @@ def info_table(url: str, status: RadarStatus, config: RadarConfig | None, uptime
         "temperature": f"{status.temperature_c:.2f} degC",
         "self test": "passed" if not status.built_in_test else f"FAILED, code {status.built_in_test}",
     }
-    if uptime_s is not None:
-        rows["up for"] = _duration(uptime_s)
-    if config is not None:
-        rows |= _settings_rows(config)
+    if found.uptime_s is not None:
+        rows["up for"] = _duration(found.uptime_s)
+    if found.config is not None:
+        rows |= _settings_rows(found.config)
     table = Table(show_header=False, box=None)
     for name, text in rows.items():
         table.add_row(name, Text(text))

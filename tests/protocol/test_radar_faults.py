@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import socket
+import time
 from collections import defaultdict
 from contextlib import AbstractContextManager
 
@@ -213,6 +214,23 @@ def test_scans_go_on_after_the_plug_was_out(tmp_path, framing: Framing) -> None:
         assert not gap.restarted  # the radar kept its power and its clock
         assert "gone" in gap.reason
         check_joined(got, gap, config)
+
+
+def test_scans_go_on_after_a_radar_was_silent_for_a_while() -> None:
+    """Nothing for 0.9 s where 0.3 s are too long: asked once more, the radar is there again."""
+    with udp(rate=1.0) as device, P440(UdpLink(*device.address), timeout=0.3) as radar:
+        gaps: list[Gap] = []
+        got = []
+        for scan in steady_scans(radar, on_gap=gaps.append):
+            got.append(scan)
+            if len(got) == 30:
+                device._server.order(lambda: time.sleep(0.9))
+            if gaps and len(got) > 60:
+                break
+        (gap,) = gaps
+        assert "sent nothing" in gap.reason
+        assert (np.diff([scan.scan_id for scan in got]) >= 1).all()
+        assert (np.diff([scan.radar_time_ms for scan in got]) >= 0).all()
 
 
 def test_a_plug_that_stays_out_ends_the_run_with_what_happened(tmp_path) -> None:
