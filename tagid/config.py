@@ -49,6 +49,7 @@ SETTINGS: tuple[Setting, ...] = (
     Setting("radar.timeout_s", float, 2.0, "longest silence before the radar counts as gone, s", 0.05, 60),
     Setting("radar.resume_s", float, 20.0, "longest wait for a radar that went away, s", 0, 3600),
     Setting("motion.url", str, "free", "what turns the object, e.g. free?rpm=2"),
+    Setting("motion.passkey", str, None, "six digits that pair with the Bluetooth bridge"),
     Setting("motion.axis_distance_m", float, None, "radar to rotation axis, m", 0.05, 100),
     Setting("motion.antenna_height_m", float, 0.0, "antenna above the object's plane, m", -10, 10),
     Setting("imaging.method", str, "auto", "bp, sparse, ats, auto", choices=("auto", "bp", "sparse", "ats")),

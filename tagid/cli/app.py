@@ -19,6 +19,7 @@ from tagid.cli import (
     history,
     identify,
     layouts,
+    motion,
     radar,
     reconstruct,
     report,
@@ -51,6 +52,7 @@ for part in (
     simulate,
     emulate,
     radar,
+    motion,
     doctor,
     config,
 ):

@@ -16,6 +16,7 @@ import typer
 
 from tagid.cli import options
 from tagid.cli.frame import Output, Terminal, command
+from tagid.errors import UsageError
 from tagid.result import Result
 
 _Truth = Annotated[int, typer.Option("--truth", help="UDP port that tells the true angle; 0 any free one.")]
@@ -28,7 +29,10 @@ def register(group: typer.Typer) -> None:
     def roomba(
         terminal: Terminal,
         pty: Annotated[bool, typer.Option("--pty", help="On a pseudo-terminal (the default).")] = False,
+        ble: Annotated[bool, typer.Option("--ble", help="Behind an emulated Bluetooth bridge.")] = False,
         link: Annotated[Path | None, typer.Option("--link", help="A name for the port.")] = None,
+        name: Annotated[str, typer.Option("--name", help="Of the bridge.")] = "tagid-bridge",
+        passkey: Annotated[str | None, typer.Option("--passkey", help="Six digits; open without.")] = None,
         baud: Annotated[int, typer.Option("--baud", help="Rate of its port.")] = 115200,
         wheel_base: Annotated[float, typer.Option("--wheel-base", help="True wheel base, mm.")] = 243.0,
         slip: Annotated[float, typer.Option("--slip", help="Share of the way that does not turn it.")] = 0.01,
@@ -54,6 +58,8 @@ def register(group: typer.Typer) -> None:
         from tagid.motion.emulator.host import RoombaHost
         from tagid.motion.emulator.roomba import World
 
+        if pty and ble:
+            raise UsageError("--pty and --ble are both given", "Choose one.")
         body = BodySettings(
             wheel_base_mm=wheel_base,
             slip=slip,
@@ -65,8 +71,15 @@ def register(group: typer.Typer) -> None:
         world = World(on_charger=on_charger, mode_offset=mode_offset)
         world.charge = round(world.capacity * max(0, min(100, charge)) / 100)
         with RoombaHost(body, world, baud, asleep, event, truth, link) as host:
-            facts = {"url": f"roomba+serial://{link or host.port.path}", "truth": host.truth.address}
-            serve(terminal, "emulate roomba", facts)
+            if not ble:
+                facts = {"url": f"roomba+serial://{link or host.port.path}", "truth": host.truth.address}
+                serve(terminal, "emulate roomba", facts)
+            else:
+                from tagid.cli.virtual_bridge import bridge_before
+
+                with bridge_before(host, name, passkey) as hci:
+                    url = f"roomba+ble://{name}?hci={hci}" + (f"&passkey={passkey}" if passkey else "")
+                    serve(terminal, "emulate roomba", {"url": url, "truth": host.truth.address})
         raise typer.Exit(0)
 
 

@@ -98,7 +98,7 @@ def _scan(
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise StorageError(f"cannot make the folder {folder}: {error.strerror}", "Choose another.") from None
-    plan = _plan(config, url, limits, about)
+    plan = plan_of(config, url, limits, about)
     layouts_registry = imaging.open_registry()
     layouts, version = layouts_registry.layouts(), layouts_registry.version
     motion = open_motion(config["motion.url"])
@@ -155,7 +155,11 @@ def _scan(
     return Result("scan", data, Group(*drawn), status, code, messages, result_errors)  # type: ignore[arg-type]
 
 
-def _plan(config: Config, url: str, limits: tuple[int | None, float], about: dict[str, Any]) -> RecordingPlan:
+def plan_of(
+    config: Config, url: str, limits: tuple[int | None, float], about: dict[str, Any]
+) -> RecordingPlan:
+    """What to record: limits are the number of scans and the longest time. Raises ConfigError."""
+    from tagid.motion.urls import public_url
     from tagid.recorder import RecordingPlan
 
     scans, max_seconds = limits
@@ -170,7 +174,7 @@ def _plan(config: Config, url: str, limits: tuple[int | None, float], about: dic
         config["radar.cable_delay_ps"],
         scans,
         max_seconds,
-        config["motion.url"],
+        public_url(config["motion.url"]),
         about,
         config["radar.resume_s"],
     )

@@ -5,16 +5,19 @@ A wheel base depends on tyres and floor by some per cent, so it belongs to one r
 
 from __future__ import annotations
 
+import math
 import tomllib
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from tagid.config import data_folder
-from tagid.errors import ConfigError, StorageError
+from tagid.errors import ConfigError, DataError, StorageError
 
 _FILE: Final = "robots.toml"
+_LEAST_SIGMA: Final = 2e-3
+"""Tyres and floor change from day to day by more than one recording can tell."""
 
 
 @dataclass(frozen=True)
@@ -39,6 +42,28 @@ class Calibration:
                 f"a wheel base of {self.wheel_base_mm} mm, sigma {self.sigma}, makes no sense",
                 "Calibrate again: tagid motion calibrate.",
             )
+
+
+def wheel_base_from(resolved: dict[str, Any]) -> tuple[str, Calibration]:
+    """Robot and wheel base from how a recording was resolved (`measured_angles`).
+
+    The robot took `radar_turn_in_own_rad` for a full turn, so its wheels are that much further apart.
+
+    Raises:
+        DataError: the radar did not see the turn.
+    """
+    if not resolved.get("checked_by_radar"):
+        raise DataError(
+            f"the radar did not see a full turn: {resolved.get('reason', 'no period')}",
+            "Record two turns or more, with a strong reflector off the axis.",
+        )
+    try:
+        turn, sigma = float(resolved["radar_turn_in_own_rad"]), float(resolved["radar_turn_sigma_rad"])
+        base, robot = float(resolved["wheel_base_mm"]), str(resolved["robot"])
+        turns = float(resolved["turns"])
+    except (KeyError, TypeError, ValueError):
+        raise DataError("the capture does not tell how its robot turned", "Record it anew.") from None
+    return robot, Calibration(base * turn / (2 * math.pi), max(sigma / turn, _LEAST_SIGMA), turns)
 
 
 def calibrations_path() -> Path:

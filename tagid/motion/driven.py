@@ -83,6 +83,17 @@ class DrivenMotion(ABC):
     def _close(self) -> None:
         """Let go of the link."""
 
+    @abstractmethod
+    def describe(self) -> dict[str, Any]:
+        """What the device says of itself, as plain values; nothing moves, and it is let go of again.
+
+        Raises DeviceError and its kinds.
+        """
+
+    @abstractmethod
+    def halt_now(self) -> None:
+        """Stop whatever it does, whoever started it. Raises DeviceError where it does not confirm."""
+
     def _facts(self) -> dict[str, Any]:
         """What a Track tells besides its readings."""
         return {}

@@ -7,10 +7,10 @@ needs no wire is here.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import metadata
-from typing import Any, Final, cast
+from typing import Final, cast
 from urllib.parse import parse_qsl, unquote, urlsplit
 
 from tagid.errors import UsageError
@@ -155,6 +155,12 @@ def _free(options: Options) -> FreeTurntable:
     return table
 
 
-def settings_of(url: str) -> Mapping[str, Any]:
-    """The options of a URL as plain values, for messages and calibration. Raises UsageError."""
-    return parse_motion_url(url).given
+def public_url(url: str) -> str:
+    """The URL without its pass-key, as it is kept with a capture.
+
+    >>> public_url("roomba+ble://R2?passkey=123456&step=3")
+    'roomba+ble://R2?step=3'
+    """
+    head, mark, query = url.partition("?")
+    kept = "&".join(part for part in query.split("&") if not part.startswith("passkey="))
+    return f"{head}?{kept}" if mark and kept else head

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any, Final
 
 from tagid.errors import DeviceRejectedError, DeviceTimeoutError, TagidError
@@ -119,6 +119,19 @@ class Roomba(DrivenMotion):
             return self._interface().wake()
         finally:
             self._close()
+
+    def describe(self) -> dict[str, Any]:
+        """Battery, charger, what the next turn would be like, and what is known of its wheel base."""
+        status, s = self.inspect(), self.settings
+        return {
+            "robot": self.robot,
+            **asdict(status),
+            "mode": status.mode.name.lower(),
+            "wheel_base_mm": s.wheel_base_mm,
+            "wheel_base_sigma": s.scale_sigma,
+            "calibrated": s.calibrated,
+            "seconds_a_turn": [round(step_period_s(n, s.wheel_base_mm), 2) for n in range(1, MAX_STEP + 1)],
+        }
 
     def halt_now(self) -> None:
         """Stop whatever it does and leave it in Passive. Raises DeviceError where it does not confirm."""

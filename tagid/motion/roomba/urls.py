@@ -1,4 +1,4 @@
-"""`roomba+serial://PORT`: from a URL to a robot that can be started.
+"""`roomba+serial://PORT` and `roomba+ble://NAME-OR-ADDRESS`: from a URL to a robot that can be started.
 
 Options are taken and checked here, before anything is opened.
 """
@@ -55,3 +55,12 @@ def open_serial(options: Options) -> Roomba:
         return SerialLink(port, baud, HALT)
 
     return Roomba(link, settings, port)
+
+
+def open_ble(options: Options) -> Roomba:
+    """A robot behind the Bluetooth bridge. Options as on a cable but for baud, and passkey, hci, wait."""
+    from tagid.motion.ble import BridgeLink
+    from tagid.motion.ble_urls import ble_address
+
+    address = ble_address(options)
+    return Roomba(lambda: BridgeLink(address), _settings(options, address.target, fast=True), address.target)

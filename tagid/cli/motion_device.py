@@ -1,0 +1,47 @@
+"""What the commands of `tagid motion` share: the device that is meant, and a table of what is known of it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from tagid.config import Config, load_config
+from tagid.errors import UsageError
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from tagid.motion.driven import DrivenMotion
+
+Url = Annotated[
+    str | None,
+    typer.Argument(help="roomba+serial:///dev/ttyUSB1, roomba+ble://NAME, ...; default: motion.url."),
+]
+
+
+def driven(url: str | None) -> tuple[DrivenMotion, Config]:
+    """The device of a URL or of the configuration. Raises UsageError where it takes no commands."""
+    from tagid.motion.driven import DrivenMotion
+    from tagid.motion.urls import EXAMPLES, open_motion
+
+    config = load_config({"motion.url": url})
+    device = open_motion(config["motion.url"])
+    if not isinstance(device, DrivenMotion):
+        raise UsageError(
+            f"{config['motion.url']} takes no commands",
+            f"Give one of {', '.join(name for name in EXAMPLES if '+' in name)}.",
+        )
+    return device, config
+
+
+def facts_table(facts: dict[str, Any]) -> Table:
+    """Two columns."""
+    from rich.table import Table
+
+    table = Table(box=None, show_header=False)
+    for key, value in facts.items():
+        shown = ", ".join(map(str, value)) if isinstance(value, (list, tuple)) else value
+        shown = f"{shown:.4g}" if isinstance(shown, float) else str(shown)
+        table.add_row(key.replace("_", " "), shown)
+    return table

@@ -1,0 +1,349 @@
+"""Bluetooth as a byte link: bleak's event loop on a thread of its own, so that drivers stay plain code.
+
+The bridge in front of a robot and a table with a serial characteristic look alike to a driver.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import threading
+from collections.abc import AsyncIterator, Callable, Coroutine
+from concurrent.futures import Future
+from concurrent.futures import TimeoutError as FutureTimeoutError
+from contextlib import AsyncExitStack, asynccontextmanager
+from dataclasses import dataclass
+from typing import Any, Final, TypeVar
+
+from tagid.errors import (
+    DeviceError,
+    DeviceGoneError,
+    DeviceRejectedError,
+    DeviceTimeoutError,
+    TagidError,
+)
+from tagid.motion.bridge import Event, Op, Tripped
+from tagid.motion.bridge.client import Bridge
+from tagid.motion.bridge.find import Backends, bluetooth_errors, find
+from tagid.motion.links import require
+
+T = TypeVar("T")
+_OPEN_S: Final = 60.0
+_WRITE_S: Final = 2.0
+_RELAXED_MS: Final = 5000
+"""Dead-man's time while nothing is driven: questions may take a while."""
+_WAKE_MS: Final = 1000
+
+
+@dataclass(frozen=True)
+class BleAddress:
+    """Where a Bluetooth device is.
+
+    Attributes:
+        target: name or address; "" takes the only one.
+        passkey: six digits to pair with; None where none is needed.
+        hci: a controller of our own instead of the system's, as a bumble transport, e.g. usb:0.
+        seconds: how long to look for it, s.
+    """
+
+    target: str
+    passkey: str | None = None
+    hci: str | None = None
+    seconds: float = 5.0
+
+
+@asynccontextmanager
+async def backends_of(address: BleAddress) -> AsyncIterator[Backends]:
+    """bleak's backends for an address. Raises MissingExtraError, DeviceError."""
+    if address.hci is None:
+        yield Backends()
+        return
+    require("bumble", "virtual", "a Bluetooth controller of its own (hci=)")
+    from firmware_tools.virtual.backend import open_backend
+
+    async with AsyncExitStack() as stack:
+        try:
+            pair = await stack.enter_async_context(open_backend(address.hci, address.passkey))
+        except (OSError, ValueError, TimeoutError) as error:
+            raise DeviceError(
+                f"no Bluetooth controller at {address.hci}: {error}", "Check hci=, or leave it out."
+            ) from error
+        yield Backends(*pair)
+
+
+class _Loop:
+    """An event loop on a thread."""
+
+    def __init__(self) -> None:
+        self._loop = asyncio.new_event_loop()
+        self._thread = threading.Thread(target=self._loop.run_forever, name="bluetooth", daemon=True)
+        self._thread.start()
+
+    def run(self, work: Coroutine[Any, Any, T], timeout: float, what: str) -> T:
+        """The result of work on the loop. Raises DeviceTimeoutError, and what the work raises."""
+        future: Future[T] = asyncio.run_coroutine_threadsafe(work, self._loop)
+        try:
+            return future.result(timeout)
+        except (FutureTimeoutError, TimeoutError):
+            future.cancel()
+            raise DeviceTimeoutError(f"{what} takes too long", "Bring the device nearer.") from None
+        except BaseException:
+            future.cancel()
+            raise
+
+    def end(self) -> None:
+        """Stop the loop and wait for it."""
+
+        async def cancel_all() -> None:
+            tasks = [task for task in asyncio.all_tasks() if task is not asyncio.current_task()]
+            for task in tasks:
+                task.cancel()
+            await asyncio.gather(*tasks, return_exceptions=True)
+
+        if not self._loop.is_closed():
+            with contextlib.suppress(TagidError):
+                self.run(cancel_all(), _WRITE_S, "ending")
+            self._loop.call_soon_threadsafe(self._loop.stop)
+            self._thread.join(_WRITE_S)
+            if not self._thread.is_alive():
+                self._loop.close()
+
+
+class _Inbox:
+    """Bytes from the loop's thread for the driver's thread."""
+
+    def __init__(self) -> None:
+        self._data = bytearray()
+        self._changed = threading.Condition()
+        self._error: TagidError | None = None
+
+    def put(self, data: bytes) -> None:
+        with self._changed:
+            self._data += data
+            self._changed.notify_all()
+
+    def fail(self, error: TagidError) -> None:
+        with self._changed:
+            self._error = self._error or error
+            self._changed.notify_all()
+
+    def raise_failure(self) -> None:
+        if self._error is not None:
+            raise self._error
+
+    def take(self, timeout: float) -> bytes:
+        with self._changed:
+            if not self._data and self._error is None:
+                self._changed.wait(timeout)
+            data = bytes(self._data)
+            self._data.clear()
+            if not data:
+                self.raise_failure()
+            return data
+
+
+class BridgeLink:
+    """The robot behind a bridge.
+
+    Args:
+        address: of the bridge.
+        on_event: told of index pulses and losses, on the loop's thread.
+
+    Raises:
+        DeviceError and its kinds: no adapter, no such bridge, pairing refused. UsageError: two of one name.
+    """
+
+    def __init__(self, address: BleAddress, on_event: Callable[[Event], None] = lambda event: None) -> None:
+        require("bleak", "motion", "Bluetooth")
+        self._address = address
+        self._on_event = on_event
+        self._inbox = _Inbox()
+        self._armed = False
+        self._relaxed = False
+        self._stack = AsyncExitStack()
+        self._loop = _Loop()
+        try:
+            self.bridge = self._loop.run(self._open(), _OPEN_S, f"connecting to {address.target}")
+        except BaseException:
+            self._shut()
+            raise
+
+    def __repr__(self) -> str:
+        return self._address.target
+
+    async def _open(self) -> Bridge:
+        backends = await self._stack.enter_async_context(backends_of(self._address))
+        heard = await find(self._address.target, self._address.seconds, backends)
+        return await self._stack.enter_async_context(
+            Bridge(
+                heard,
+                on_bytes=self._inbox.put,
+                on_event=self._event,
+                on_lost=self._lost,
+                passkey=self._address.passkey,
+                backends=backends,
+            )
+        )
+
+    def _lost(self) -> None:
+        self._inbox.fail(
+            DeviceGoneError(
+                f"the link to the bridge {self._address.target} is lost", "Bring it nearer; check its power."
+            )
+        )
+
+    def _event(self, event: Event) -> None:
+        if isinstance(event, Tripped):
+            self._relaxed = False
+            if self._armed:
+                self._inbox.fail(
+                    DeviceError(
+                        f"the bridge stopped the robot ({event.cause}, {event.silent_ms} ms)",
+                        "This computer was too slow or too far away; try again.",
+                    )
+                )
+        self._on_event(event)
+
+    def request(self, op: Op, *arguments: int, timeout: float = 5.0) -> bytes:
+        """Ask the bridge itself. Raises DeviceError and its kinds."""
+        self._inbox.raise_failure()
+        return self._loop.run(
+            self.bridge.request(op, *arguments, timeout=timeout), timeout + 1, f"asking {self!r}"
+        )
+
+    def write(self, data: bytes) -> None:
+        """Send to the robot."""
+        self._inbox.raise_failure()
+        if not self._armed and not self._relaxed:
+            # The first byte would arm the bridge with its short default.
+            self.request(Op.ARM, _RELAXED_MS)
+            self._relaxed = True
+        self._loop.run(self.bridge.write(data), _WRITE_S, f"writing to {self!r}")
+
+    def read(self, timeout: float) -> bytes:
+        """What the robot sent."""
+        return self._inbox.take(timeout)
+
+    def arm(self, timeout_s: float) -> None:
+        """Arm the bridge's dead-man; it is fed by writes alone, so a driver that hangs stops the robot, too."""
+        self.request(Op.ARM, round(timeout_s * 1000))
+        self._armed = True
+
+    def disarm(self) -> None:
+        """The robot stands in Passive: nothing is left to stop."""
+        self._armed = self._relaxed = False
+        self.request(Op.DISARM)
+
+    def wake(self) -> None:
+        """A second's low pulse on BRC, where the bridge has that wire."""
+        with contextlib.suppress(DeviceRejectedError):
+            self.request(Op.BRC, _WAKE_MS, 1, 0)
+
+    def close(self) -> None:
+        """End the link; where it is still armed, the bridge then stops the robot."""
+        if self._relaxed and not self._armed:
+            with contextlib.suppress(TagidError):
+                self.disarm()
+        self._shut()
+
+    def _shut(self) -> None:
+        with contextlib.suppress(TagidError, OSError):
+            self._loop.run(self._stack.aclose(), 10, "closing")
+        self._loop.end()
+
+
+class CharacteristicLink:
+    """A device whose serial line is one characteristic, written and notified.
+
+    Args:
+        address: its name or address; the name may be the beginning of one.
+        service, characteristic: UUIDs.
+
+    Raises:
+        DeviceError and its kinds: no adapter, no such device.
+    """
+
+    def __init__(self, address: BleAddress, service: str, characteristic: str) -> None:
+        require("bleak", "motion", "Bluetooth")
+        self._address, self._service, self._characteristic = address, service, characteristic
+        self._inbox = _Inbox()
+        self._stack = AsyncExitStack()
+        self._loop = _Loop()
+        self._closing = False
+        try:
+            self._client = self._loop.run(self._open(), _OPEN_S, f"connecting to {address.target}")
+        except BaseException:
+            self._shut()
+            raise
+
+    def __repr__(self) -> str:
+        return self._address.target
+
+    async def _open(self) -> Any:
+        from bleak import BleakClient, BleakScanner
+
+        backends = await self._stack.enter_async_context(backends_of(self._address))
+        wanted = self._address.target.lower()
+
+        found: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
+
+        def seen(device: Any, advertisement: Any) -> None:
+            name = (advertisement.local_name or device.name or "").lower()
+            if (device.address.lower() == wanted or name.startswith(wanted)) and not found.done():
+                found.set_result(device)
+
+        with bluetooth_errors(f"looking for {self._address.target}"):
+            async with BleakScanner(seen, backend=backends.scanner):
+                await asyncio.wait([found], timeout=self._address.seconds)
+        if not found.done():
+            raise DeviceGoneError(
+                f"no device called {self._address.target!r} within {self._address.seconds:g} s",
+                "Switch it on, and check that no other program or phone is connected to it.",
+            )
+        device = found.result()
+        with bluetooth_errors(f"connecting to {self._address.target}"):
+            client = BleakClient(device, self._lost, backend=backends.client)
+            await self._stack.enter_async_context(client)
+            if self._service not in {one.uuid.lower() for one in client.services}:
+                raise DeviceError(f"{self._address.target} is another device", "Choose another name.")
+            await client.start_notify(self._characteristic, lambda _, data: self._inbox.put(bytes(data)))
+        return client
+
+    def _lost(self, _: Any) -> None:
+        if not self._closing:
+            self._inbox.fail(
+                DeviceGoneError(f"the link to {self._address.target} is lost", "Bring it nearer.")
+            )
+
+    def write(self, data: bytes) -> None:
+        """Send."""
+        self._inbox.raise_failure()
+
+        async def send() -> None:
+            with bluetooth_errors(f"writing to {self!r}"):
+                await self._client.write_gatt_char(self._characteristic, data, response=False)
+
+        self._loop.run(send(), _WRITE_S, f"writing to {self!r}")
+
+    def read(self, timeout: float) -> bytes:
+        """What has arrived."""
+        return self._inbox.take(timeout)
+
+    def arm(self, timeout_s: float) -> None:
+        """Not possible: such a table has no dead-man."""
+
+    def disarm(self) -> None:
+        """Nothing was armed."""
+
+    def wake(self) -> None:
+        """Nothing to wake."""
+
+    def close(self) -> None:
+        """End the link."""
+        self._closing = True
+        self._shut()
+
+    def _shut(self) -> None:
+        with contextlib.suppress(TagidError, OSError):
+            self._loop.run(self._stack.aclose(), 10, "closing")
+        self._loop.end()
