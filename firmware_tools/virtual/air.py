@@ -102,14 +102,26 @@ class HciServer:
         self._air = air
         self._bridge = bridge
         self._server: asyncio.Server | None = None
+        self._links: list[_HostLink] = []
+
+    def _link(self) -> _HostLink:
+        link = _HostLink(self._air, self._bridge)
+        self._links.append(link)
+        return link
 
     async def start(self, host: str, port: int) -> int:
         """Listens; returns the port."""
-        server = await asyncio.get_running_loop().create_server(
-            lambda: _HostLink(self._air, self._bridge), host, port
-        )
+        server = await asyncio.get_running_loop().create_server(self._link, host, port)
         self._server = server
         return int(server.sockets[0].getsockname()[1])
+
+    async def close(self) -> None:
+        """Stops listening and hangs up on the hosts."""
+        if self._server is not None:
+            self._server.close()
+            for link in list(self._links):
+                link.hang_up()
+            await self._server.wait_closed()
 
 
 class _HostLink(asyncio.Protocol):
@@ -120,9 +132,16 @@ class _HostLink(asyncio.Protocol):
         self._bridge = bridge
         self._source = StreamPacketSource()
         self._controller: Controller | None = None
+        self._transport: asyncio.Transport | None = None
+
+    def hang_up(self) -> None:
+        """Ends the connection."""
+        if self._transport is not None:
+            self._transport.abort()
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         assert isinstance(transport, asyncio.Transport)
+        self._transport = transport
         sink = StreamPacketSink(transport)
         self._controller = make_controller("host", self._air, host_source=self._source, host_sink=sink)
 

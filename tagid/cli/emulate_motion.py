@@ -1,4 +1,4 @@
-"""`tagid emulate roomba`: robots and tables that are not there, on real wires.
+"""`tagid emulate roomba | comxim | revopoint`: robots and tables that are not there, on real wires.
 
 They print one line with their port when they listen, and run until stopped.
 """
@@ -9,6 +9,7 @@ import json
 import signal
 import sys
 import threading
+import time
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -80,6 +81,53 @@ def register(group: typer.Typer) -> None:
                 with bridge_before(host, name, passkey) as hci:
                     url = f"roomba+ble://{name}?hci={hci}" + (f"&passkey={passkey}" if passkey else "")
                     serve(terminal, "emulate roomba", {"url": url, "truth": host.truth.address})
+        raise typer.Exit(0)
+
+    @command(group, "emulate comxim")
+    def comxim(
+        terminal: Terminal,
+        link: Annotated[Path | None, typer.Option("--link", help="A name for the port.")] = None,
+        rate_error: Annotated[float, typer.Option("--rate-error", help="Slower than it says.")] = 0.03,
+        fail: Annotated[int | None, typer.Option("--fail", help="Error code of CT+RUN.")] = None,
+        truth: _Truth = 0,
+    ) -> Result:
+        """Be a Comxim turntable on a pseudo-terminal until stopped.
+
+        Example: tagid emulate comxim
+        """
+        from tagid.motion.emulator.comxim import ComximCore
+        from tagid.motion.emulator.pty import PtyPort
+        from tagid.motion.emulator.truth import TruthServer
+
+        core = ComximCore(rate_error, time.monotonic(), fail)
+        with PtyPort(core, link) as port, TruthServer(core.table.state, truth) as told:
+            facts = {"url": f"comxim+serial://{link or port.path}", "truth": told.address}
+            serve(terminal, "emulate comxim", facts)
+        raise typer.Exit(0)
+
+    @command(group, "emulate revopoint")
+    def revopoint(
+        terminal: Terminal,
+        rate_error: Annotated[float, typer.Option("--rate-error", help="Slower than it says.")] = 0.02,
+        truth: _Truth = 0,
+    ) -> Result:
+        """Be a Revopoint dual-axis table on a virtual Bluetooth controller until stopped.
+
+        Example: tagid emulate revopoint
+        """
+        from tagid.motion.discovery import REVOPOINT
+        from tagid.motion.emulator.gatt import GattPort
+        from tagid.motion.emulator.revopoint import RevopointCore
+        from tagid.motion.emulator.truth import TruthServer
+        from tagid.motion.tables.revopoint import CHARACTERISTIC, SERVICE
+
+        core = RevopointCore(rate_error, time.monotonic())
+        with (
+            GattPort(core, REVOPOINT, SERVICE, CHARACTERISTIC) as port,
+            TruthServer(core.table.state, truth) as told,
+        ):
+            facts = {"url": f"revopoint+ble://?hci={port.hci}", "truth": told.address}
+            serve(terminal, "emulate revopoint", facts)
         raise typer.Exit(0)
 
 

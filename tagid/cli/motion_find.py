@@ -45,8 +45,8 @@ def register(group: typer.Typer) -> None:
                 {
                     "code": "device",
                     "message": message,
-                    "remedy": "Plug its cable in, or power the bridge; a free-running table needs no finding: "
-                    "--motion free.",
+                    "remedy": "Plug its cable in, or power the bridge; a table that runs freely needs no "
+                    "finding: --motion free.",
                 },
             )
         table = Table("--motion", "what", "signal", box=None)

@@ -225,7 +225,7 @@ class BridgeLink:
         return self._inbox.take(timeout)
 
     def arm(self, timeout_s: float) -> None:
-        """Arm the bridge's dead-man; it is fed by writes alone, so a driver that hangs stops the robot, too."""
+        """Arm the bridge's dead-man; it is fed by writes alone, so a driver that hangs stops it, too."""
         self.request(Op.ARM, round(timeout_s * 1000))
         self._armed = True
 

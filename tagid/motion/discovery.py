@@ -1,4 +1,4 @@
-"""Which robots and tables are there: serial ports with a likely adapter, and Bluetooth devices that advertise.
+"""Which robots and tables are there: serial ports with a likely adapter, and Bluetooth devices.
 
 Nothing is sent to a port: an unknown device must not be woken, let alone moved, by being looked for.
 """

@@ -23,8 +23,8 @@ SPEED_STEP_MM_S: Final = 28.5
 """The wheels' speed moves in steps of about this (seen on Create 2 robots): 13.9 deg/s a step in place."""
 MAX_STEP: Final = 3
 """41.7 deg/s, 8.6 s a turn: fast enough, and an object on top does not slide."""
-DEAD_MAN_S: Final = 0.4
-_FEED_S: Final = 0.1
+DEAD_MAN_S: Final = 0.3
+_FEED_S: Final = 0.05
 _SILENCE_S: Final = 0.4
 _STALL_S: Final = 1.5
 _LOW_CHARGE: Final = 0.08

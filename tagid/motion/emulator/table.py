@@ -1,0 +1,42 @@
+"""The body of an emulated turntable: a plate, its true angle, and where it was at each moment."""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_right
+from collections import deque
+
+
+class TurningTable:
+    """A plate that turns at the speed it was last told; times are seconds of one clock."""
+
+    def __init__(self, now_s: float = 0.0) -> None:
+        self.now_s = now_s
+        self.angle_deg = 0.0
+        self.speed_deg_s = 0.0
+        self.still_since_s = now_s
+        self._corners: deque[tuple[float, float, float]] = deque([(now_s, 0.0, 0.0)], maxlen=1000)
+
+    def advance(self, now_s: float) -> None:
+        """Let time pass."""
+        if now_s > self.now_s:
+            self.angle_deg += self.speed_deg_s * (now_s - self.now_s)
+            self.now_s = now_s
+
+    def turn(self, speed_deg_s: float) -> None:
+        """Turn at this speed from now on; counter-clockwise from above is positive, 0 stands."""
+        if self.speed_deg_s and not speed_deg_s:
+            self.still_since_s = self.now_s
+        self.speed_deg_s = speed_deg_s
+        self._corners.append((self.now_s, self.angle_deg, speed_deg_s))
+
+    def state(self, moment_s: float) -> dict[str, float | int | bool]:
+        """True angle at a moment, and whether it turns."""
+        corners = list(self._corners)
+        place = bisect_right([corner[0] for corner in corners], moment_s) - 1
+        since, angle, speed = corners[max(place, 0)]
+        return {
+            "angle_rad": math.radians(angle + speed * max(0.0, moment_s - since)),
+            "moving": bool(self.speed_deg_s),
+            "still_since_s": self.still_since_s,
+        }

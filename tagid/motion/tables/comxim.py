@@ -1,0 +1,71 @@
+"""Comxim turntables (also sold as Revopoint TA500) on a serial port: ASCII commands that begin with `CT+`.
+
+`comxim+serial:///dev/ttyUSB1?speed=3`; the words are those of the maker's protocol, its slips included.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Final
+
+from tagid.errors import DeviceRejectedError, DeviceTimeoutError
+from tagid.motion.links import SerialLink
+from tagid.motion.tables.polled import PolledTable
+from tagid.motion.urls import Options
+
+BAUD: Final = 115200
+SECONDS_A_TURN: Final = 20.0
+"""At speed 1, as a guess; higher numbers are slower. Given with `period` where it matters."""
+_ANGLE: Final = re.compile(r"OffsetAngle\s*=\s*([+-]?\d+(?:\.\d+)?)")
+
+
+class Comxim(PolledTable):
+    """A Comxim table; see PolledTable. speed is its own number, 1 the fastest."""
+
+    kind = "comxim"
+    speed = 1
+
+    def _set_going(self) -> None:
+        # A table that was left turning must not take the settings for a new run.
+        self.link().write(b"CT+STARTUP();CT+ACK(1);CT+EVENT(1);")
+        self.answer("OK", 2.0)
+        way = 0 if self.direction > 0 else 1
+        for command in ("SETSTOP()", "SETMODE(0)", f"SETDIR({way})", f"SETSPEED({self.speed})", "RUN()"):
+            self._command(command)
+
+    def _command(self, text: str) -> None:
+        self.forget()
+        self.link().write(f"CT+{text};".encode())
+        self.answer("OK", 2.0)
+
+    def _ask_angle(self) -> float | None:
+        self.link().write(b"CT+GETOFFSETANGLE();")
+        text = self.answer("OffsetAngle")
+        found = _ANGLE.search(text)
+        if found is None:
+            raise DeviceRejectedError(f"{self.name} answers {text[:40]!r}", "Is it a Comxim table?")
+        return float(found[1])
+
+    def _tell_stop(self) -> None:
+        try:
+            self._command("SETSTOP()")
+        except DeviceTimeoutError:
+            self._command("SETSTOP()")
+
+
+def open_serial(options: Options) -> Comxim:
+    """Options: speed (1 and higher, higher is slower), period (seconds a turn), direction, turns."""
+    port = options.target
+    if not port:
+        raise options.wrong("names no port")
+    speed = int(options.number("speed", 1, 1, 1000) or 1)
+    period = options.number("period", SECONDS_A_TURN * speed, 1, 3600) or SECONDS_A_TURN
+    table = Comxim(
+        lambda: SerialLink(port, BAUD),
+        port,
+        options.direction(),
+        period,
+        options.number("turns", None, 0.01, 20),
+    )
+    table.speed = speed
+    return table

@@ -1,0 +1,144 @@
+"""A free-running table with a magnet, and a hall sensor on the bridge: one stamped pulse a turn.
+
+`index+ble://NAME`: a pulse cannot be deceived by symmetry, and two of them are an exact turn.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+import threading
+import time
+from collections.abc import Callable
+from typing import Any, Final
+
+from tagid.errors import DeviceRejectedError
+from tagid.motion.ble import BleAddress, BridgeLink
+from tagid.motion.ble_urls import ble_address
+from tagid.motion.bridge import Event, IndexPulse, Op
+from tagid.motion.driven import DrivenMotion, Reading
+from tagid.motion.urls import Options
+
+_LOOK_S: Final = 0.05
+_CLOCK_EVERY_S: Final = 1.0
+_LONGEST_TURN_S: Final = 300.0
+_TICK_TURNS: Final = 1 / 64
+"""Readings a turn that are filled in between two pulses, so that an angle is there for every scan."""
+
+
+class IndexTable(DrivenMotion):
+    """A table that runs by itself and tells each full turn.
+
+    Args:
+        address: of the bridge.
+        direction: +1 counter-clockwise from above, -1 clockwise.
+        nominal_s: seconds a turn, for the progress line.
+    """
+
+    kind = "index"
+    moves = False
+
+    def __init__(self, address: BleAddress, direction: int, nominal_s: float, turns: float | None) -> None:
+        super().__init__(f"the index sensor at {address.target}", direction, nominal_s, 0.001, turns)
+        self._open_link: Callable[[], BridgeLink] = lambda: BridgeLink(address, self._event)
+        self._link: BridgeLink | None = None
+        self._pulses: list[IndexPulse] = []
+        self._new = threading.Condition()
+        self._offset_ns: int | None = None
+        self._round_trip_ns = 1 << 62
+        self._clock_at = 0.0
+        self._heard = 0.0
+        self._turned = 0
+
+    def _event(self, event: Event) -> None:
+        if isinstance(event, IndexPulse):
+            with self._new:
+                self._pulses.append(event)
+                self._new.notify_all()
+
+    def _begin(self) -> None:
+        self._link = self._open_link()
+        self._pulses.clear()
+        self._turned = 0
+        self._heard = time.monotonic()
+        self._fit_clock()
+
+    def _fit_clock(self) -> None:
+        """Bridge time against host time, from the shortest round trip so far."""
+        assert self._link is not None
+        asked = time.time_ns()
+        (uptime_us,) = struct.unpack("<Q", self._link.request(Op.TIME)[:8])
+        answered = time.time_ns()
+        if answered - asked < self._round_trip_ns:
+            self._round_trip_ns = answered - asked
+            self._offset_ns = (asked + answered) // 2 - uptime_us * 1000
+        self._clock_at = time.monotonic()
+
+    def _poll(self) -> list[Reading]:
+        if time.monotonic() - self._clock_at > _CLOCK_EVERY_S:
+            self._fit_clock()
+        with self._new:
+            if len(self._pulses) < 2:
+                self._new.wait(_LOOK_S)
+            if len(self._pulses) < 2:
+                pulses: list[IndexPulse] = []
+            else:
+                pulses = self._pulses[:2]
+                del self._pulses[0]
+        if not pulses:
+            if time.monotonic() - self._heard > _LONGEST_TURN_S:
+                raise DeviceRejectedError(
+                    f"{self.name} gave no pulse for {_LONGEST_TURN_S:.0f} s",
+                    "Check that the table turns and the magnet passes the sensor within millimetres.",
+                )
+            return []
+        self._heard = time.monotonic()
+        assert self._offset_ns is not None
+        first, second = (pulse.stamp_us * 1000 + self._offset_ns for pulse in pulses)
+        missed = max(1, pulses[1].number - pulses[0].number)
+        steps = round(missed / _TICK_TURNS)
+        begin, self._turned = self._turned, self._turned + missed
+        share = [n / steps for n in range(0 if begin == 0 else 1, steps + 1)]
+        # Half the best round trip, at this turn's speed.
+        sigma = self._round_trip_ns / math.sqrt(12) / max(second - first, 1) * missed * 2 * math.pi
+        return [
+            (
+                round(first + s * (second - first)),
+                self.direction * 2 * math.pi * (begin + s * missed),
+                sigma,
+            )
+            for s in share
+        ]
+
+    def _halt(self) -> None:
+        """Nothing moves on command."""
+
+    def halt_now(self) -> None:
+        """Not possible. Raises DeviceRejectedError."""
+        raise DeviceRejectedError(f"{self.name} cannot stop its table", "Switch the table off.")
+
+    def describe(self) -> dict[str, Any]:
+        """What the bridge says of itself."""
+        try:
+            self._link = self._open_link()
+            info = self._link.bridge.info
+            return {
+                "device": self.name,
+                "firmware": info.version,
+                "chip": info.chip,
+                "flags": str(info.flags),
+            }
+        finally:
+            self._close()
+
+    def _close(self) -> None:
+        link, self._link = self._link, None
+        if link is not None:
+            link.close()
+
+
+def open_ble(options: Options) -> IndexTable:
+    """Options: rpm (nominal), direction, turns, passkey, hci, wait."""
+    address = ble_address(options)
+    rpm = options.number("rpm", 2.0, 0.1, 60) or 2.0
+    return IndexTable(address, options.direction(), 60 / rpm, options.number("turns", None, 0.01, 20))

@@ -1,0 +1,171 @@
+"""A table that is asked for its angle again and again: what Comxim's and Revopoint's have in common.
+
+An answer belongs to the middle between question and answer, and half of that time is how little is known.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from abc import abstractmethod
+from collections.abc import Callable
+from typing import Any, Final
+
+from tagid.errors import DeviceRejectedError, DeviceTimeoutError
+from tagid.motion.device import MotionStoppedError
+from tagid.motion.driven import DrivenMotion, Reading
+from tagid.motion.links import ByteLink
+
+POLL_S: Final = 0.05
+ANSWER_S: Final = 1.0
+_STALL_S: Final = 3.0
+_LONGEST_ANSWER: Final = 512
+
+
+class PolledTable(DrivenMotion):
+    """A table over a byte link with answers that end in a semicolon.
+
+    Args:
+        open_link: opens the link.
+        name: what messages call it.
+        direction: +1 counter-clockwise from above, -1 clockwise.
+        nominal_s: seconds a turn as set; real rates differ.
+        turns: turns to record; None for one and the overlap.
+        resolution_rad: of its angle.
+    """
+
+    resolution_rad = math.radians(0.1)
+
+    def __init__(
+        self,
+        open_link: Callable[[], ByteLink],
+        name: str,
+        direction: int,
+        nominal_s: float,
+        turns: float | None = None,
+    ) -> None:
+        super().__init__(f"the table at {name}", direction, nominal_s, scale_sigma=0.005, turns=turns)
+        self._open_link = open_link
+        self._link: ByteLink | None = None
+        self._running = False
+        self._buffer = b""
+        self._last_deg: float | None = None
+        self._turned_deg = 0.0
+        self._moved = 0.0
+
+    @abstractmethod
+    def _set_going(self) -> None:
+        """Tell it to turn, with its speed and direction."""
+
+    @abstractmethod
+    def _ask_angle(self) -> float | None:
+        """Its angle, degrees; None where it does not tell one now."""
+
+    @abstractmethod
+    def _tell_stop(self) -> None:
+        """Tell it to stop."""
+
+    def link(self) -> ByteLink:
+        """The link, opened where it is not yet."""
+        if self._link is None:
+            self._link = self._open_link()
+            self._buffer = b""
+        return self._link
+
+    def answer(self, wanted: str, timeout: float = ANSWER_S) -> str:
+        """The next answer that holds a text, without its semicolon; others (events, echoes) are passed over.
+
+        Raises:
+            DeviceRejectedError: the table answers an error. DeviceTimeoutError: nothing that fits came.
+        """
+        deadline = time.monotonic() + timeout
+        while True:
+            while b";" in self._buffer:
+                part, self._buffer = self._buffer.split(b";", 1)
+                # The degree sign of some tables is no UTF-8; only ASCII is of interest.
+                text = part.decode("ascii", "ignore").strip()
+                self.refuse(text)
+                if wanted in text:
+                    return text
+            left = deadline - time.monotonic()
+            if left <= 0:
+                raise DeviceTimeoutError(
+                    f"{self.name} does not answer", "Switch it on; check its plug and that it is this device."
+                )
+            self._buffer = (self._buffer + self.link().read(left))[-_LONGEST_ANSWER:]
+
+    def forget(self) -> None:
+        """Drop answers to what was asked before."""
+        deadline = time.monotonic() + ANSWER_S
+        while self.link().read(0.02) and time.monotonic() < deadline:
+            pass
+        self._buffer = b""
+
+    def refuse(self, text: str) -> None:
+        """Raise DeviceRejectedError where an answer is an error."""
+        for mark in ("ERR=", "FAIL"):
+            if mark in text:
+                code = text.rpartition("=")[2].strip()
+                raise DeviceRejectedError(
+                    f"{self.name} answers error {code}", "Switch it off and on; see its manual for the code."
+                )
+
+    def _begin(self) -> None:
+        self._last_deg, self._turned_deg = None, 0.0
+        self.link()
+        self._running = True
+        self._set_going()
+        self._moved = time.monotonic()
+
+    def _poll(self) -> list[Reading]:
+        time.sleep(POLL_S)
+        asked = time.time_ns()
+        degrees = self._ask_angle()
+        answered = time.time_ns()
+        if degrees is None:
+            return []
+        if self._last_deg is not None:
+            step = (degrees - self._last_deg + 180) % 360 - 180
+            if abs(step) > 1e-6:
+                self._moved = time.monotonic()
+            self._turned_deg += step
+        self._last_deg = degrees
+        if time.monotonic() - self._moved > _STALL_S:
+            raise MotionStoppedError(
+                f"{self.name} does not turn", "Look whether it is blocked or overloaded."
+            )
+        spread = 0.5 * (answered - asked) * 1e-9 * 2 * math.pi / self.nominal_s / math.sqrt(3)
+        sigma = math.hypot(self.resolution_rad / math.sqrt(12), spread)
+        # Its own sign tells nothing that is documented alike for all: the direction is the command's.
+        angle = self.direction * math.radians(abs(self._turned_deg))
+        return [((asked + answered) // 2, angle, sigma)]
+
+    def _halt(self) -> None:
+        if self._link is None or not self._running:
+            return
+        self._running = False
+        self._tell_stop()
+
+    def halt_now(self) -> None:
+        """Stop it."""
+        try:
+            self.link()
+            self._tell_stop()
+        finally:
+            self._close()
+
+    def describe(self) -> dict[str, Any]:
+        """Its angle."""
+        try:
+            self.link()
+            return {"device": self.name, "kind": self.kind, "angle_deg": self._ask_angle()}
+        finally:
+            self._close()
+
+    def _close(self) -> None:
+        link, self._link = self._link, None
+        if link is not None:
+            link.close()
+
+    def _facts(self) -> dict[str, Any]:
+        return {"stamp_sigma_s": 0.005, "table": self.name}

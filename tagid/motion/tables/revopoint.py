@@ -1,0 +1,60 @@
+"""Revopoint's dual-axis table over Bluetooth: `+CT,` commands and `+QT,` questions on one characteristic.
+
+`revopoint+ble://?period=30`, or with a name or address; only its turning axis is used.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Final
+
+from tagid.errors import DeviceRejectedError
+from tagid.motion.ble import CharacteristicLink
+from tagid.motion.ble_urls import ble_address
+from tagid.motion.discovery import REVOPOINT
+from tagid.motion.tables.polled import PolledTable
+from tagid.motion.urls import Options
+
+SERVICE: Final = "0000ffe0-0000-1000-8000-00805f9b34fb"
+CHARACTERISTIC: Final = "0000ffe1-0000-1000-8000-00805f9b34fb"
+FASTEST_S, SLOWEST_S = 17.5, 90.0
+_ANGLE: Final = re.compile(r"\+DATA\s*=\s*([+-]?\d+(?:\.\d+)?)")
+
+
+class Revopoint(PolledTable):
+    """A dual-axis table; see PolledTable."""
+
+    kind = "revopoint"
+
+    def _set_going(self) -> None:
+        self._command(f"TURNSPEED={self.nominal_s:.1f}")
+        # A negative turn is the other way round.
+        self._command(f"TURNCONTINUE={self.direction}")
+
+    def _command(self, text: str) -> None:
+        self.forget()
+        self.link().write(f"+CT,{text};".encode())
+        self.answer("+OK")
+
+    def _ask_angle(self) -> float | None:
+        self.link().write(b"+QT,CHANGEANGLE;")
+        text = self.answer("+DATA")
+        found = _ANGLE.search(text)
+        if found is None:
+            raise DeviceRejectedError(f"{self.name} answers {text[:40]!r}", "Check that it is this table.")
+        return float(found[1])
+
+    def _tell_stop(self) -> None:
+        self._command("STOP")
+
+
+def open_ble(options: Options) -> Revopoint:
+    """Options: period (17.5 to 90 seconds a turn), direction, turns, hci, wait."""
+    address = ble_address(options, REVOPOINT)
+    return Revopoint(
+        lambda: CharacteristicLink(address, SERVICE, CHARACTERISTIC),
+        address.target,
+        options.direction(),
+        options.number("period", 30.0, FASTEST_S, SLOWEST_S) or 30.0,
+        options.number("turns", None, 0.01, 20),
+    )
