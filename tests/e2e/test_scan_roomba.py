@@ -29,9 +29,9 @@ def home(tmp_path: Path) -> dict[str, str]:
 
 
 @contextmanager
-def robot(home: dict[str, str], *options: str) -> Iterator[dict[str, Any]]:
+def robot(home: dict[str, str], *options: str, wire: str = "--pty") -> Iterator[dict[str, Any]]:
     process = subprocess.Popen(
-        [*TAGID, "emulate", "roomba", "--pty", *options, "--output", "json"],
+        [*TAGID, "emulate", "roomba", wire, *options, "--output", "json"],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=home,
     )  # fmt: skip
     try:
@@ -43,8 +43,9 @@ def robot(home: dict[str, str], *options: str) -> Iterator[dict[str, Any]]:
 
 def scan_words(there: dict[str, Any], folder: Path, *options: str) -> list[str]:
     radar = f"emulator://helmet-120?rate=1&turned_by={there['truth']}"
+    motion = there["url"] + ("&" if "?" in there["url"] else "?") + "step=3"
     return [
-        *TAGID, "scan", "--radar", radar, "--motion", there["url"] + "?step=3", "--axis-distance", "1",
+        *TAGID, "scan", "--radar", radar, "--motion", motion, "--axis-distance", "1",
         "--save-dir", str(folder), "--method", "bp", "--output", "json", *options,
     ]  # fmt: skip
 
@@ -107,3 +108,23 @@ def test_a_killed_scan_leaves_a_robot_that_stands(home: dict[str, str], tmp_path
         (journal,) = tmp_path.glob("*.journal")
         recovered = read_any(journal)
         assert recovered.views > 50 and "track" in recovered.motion
+
+
+def test_the_helmet_on_a_sleeping_robot_behind_the_bridge_is_named(
+    home: dict[str, str], tmp_path: Path
+) -> None:
+    """The unmodified firmware, paired by pass-key, wakes the robot by BRC and carries its stream."""
+    pytest.importorskip("bumble", reason="needs bumble: pip install 'tagid[virtual]'")
+    options = ("--passkey", "482913", "--asleep", "--wheel-base", "237", "--slip", "0")
+    with robot(home, *options, wire="--ble") as there:
+        there["url"] += "&turns=1.02"
+        words = scan_words(there, tmp_path, "--yes")
+        done = subprocess.run(words, capture_output=True, text=True, env=home, timeout=120)
+        assert "Traceback" not in done.stderr
+        document = json.loads(done.stdout)
+        assert done.returncode == 0, document
+        assert document["data"]["items"][0]["layout"] == "helmet-120"
+        truth = TrueAngle(there["truth"])
+        wait_until(lambda: not truth.state()["moving"])
+        assert truth.state()["mode"] == 1
+    assert "482913" not in json.dumps(read_any(Path(document["data"]["files"]["capture"])).motion)
