@@ -5,6 +5,7 @@ The same scenes feed the capture simulator and the radar emulator's turning obje
 
 from tagid.simulate.acquisition import Acquisition, Placement, RangeWindow, Recording, Wobble
 from tagid.simulate.capture import Truth, simulate_capture
+from tagid.simulate.electromagnetic import ConductingCylinder, Plate, cardboard_box, metal_box
 from tagid.simulate.presets import preset_names, scene_from_layout, scene_from_name
 from tagid.simulate.scattering import Box, Cylinder, Points
 from tagid.simulate.scene import Scene, StaticReturns
@@ -13,8 +14,10 @@ from tagid.simulate.source import TurningScene
 __all__ = [
     "Acquisition",
     "Box",
+    "ConductingCylinder",
     "Cylinder",
     "Placement",
+    "Plate",
     "Points",
     "RangeWindow",
     "Recording",
@@ -23,6 +26,8 @@ __all__ = [
     "Truth",
     "TurningScene",
     "Wobble",
+    "cardboard_box",
+    "metal_box",
     "preset_names",
     "scene_from_layout",
     "scene_from_name",
