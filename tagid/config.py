@@ -20,6 +20,9 @@ Source = Literal["command line", "environment", "file", "default"]
 KIT_ADDRESSES = "192.168.1.100,192.168.1.101,192.168.1.102,192.168.1.103"
 """Addresses of the units of a P440 kit at delivery (P440 MRM documents)."""
 
+METHODS = ("auto", "bp", "bp-raw", "range-doppler", "polar", "sparse", "omp", "ats")
+"""Names that `tagid.imaging.methods` knows, told here so that help needs no numpy."""
+
 
 @dataclass(frozen=True)
 class Setting:
@@ -52,7 +55,7 @@ SETTINGS: tuple[Setting, ...] = (
     Setting("motion.passkey", str, None, "six digits that pair with the Bluetooth bridge"),
     Setting("motion.axis_distance_m", float, None, "radar to rotation axis, m", 0.05, 100),
     Setting("motion.antenna_height_m", float, 0.0, "antenna above the object's plane, m", -10, 10),
-    Setting("imaging.method", str, "auto", "bp, sparse, ats, auto", choices=("auto", "bp", "sparse", "ats")),
+    Setting("imaging.method", str, "auto", "bp, sparse, ats, auto and more", choices=METHODS),
     Setting("imaging.extent_m", float, 0.5, "side of the image, m", 0.05, 5),
     Setting("imaging.pixels", int, 128, "pixels a side", 16, 1024),
     Setting("storage.folder", str, None, "where captures are written (default: current folder)"),

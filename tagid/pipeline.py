@@ -19,8 +19,11 @@ from tagid.capture import Capture
 from tagid.errors import DataError, MissingExtraError, UsageError
 from tagid.geometry import ImageGrid
 from tagid.imaging.autofocus import AxisFocus, focus_axis_distance
+from tagid.imaging.methods import METHODS as IMAGING_METHODS
+from tagid.imaging.methods import make_image
 from tagid.imaging.preprocess import Background, PreprocessSettings, preprocess
-from tagid.imaging.types import BasebandScans, Image
+from tagid.imaging.region import Region, choose_region
+from tagid.imaging.types import Image
 from tagid.motion.resolve import one_turn
 from tagid.turn import resolve_turn
 
@@ -32,10 +35,13 @@ if TYPE_CHECKING:
 Progress = Callable[[float, float, str], None]
 """Called with (done, total, remark)."""
 
-METHODS = ("auto", "bp", "sparse", "ats")
+METHODS = ("auto", *IMAGING_METHODS)
+PRESETS = ("field", "paper")
 MAX_VIEWS = 360
 """Scans are averaged into at most this many views a turn: 1 degree, the paper's step; it moves a reflector on
 the rim of a 0.25 m object by 4.4 mm, under an eighth of a wavelength."""
+MAX_POSITIONS = 2000
+"""Free antenna positions are not averaged: a path may need every one of them, a long one this many."""
 
 
 @dataclass(frozen=True)
@@ -43,11 +49,17 @@ class ImagingSettings:
     """How a capture becomes an image.
 
     Attributes:
-        method: "bp", "sparse", "ats", or "auto": ats where torch is installed, sparse elsewhere.
+        method: a name of `tagid.imaging.methods.METHODS`, or "auto": ats where torch is installed, sparse
+            elsewhere.
         extent_m, pixels: the image's side, m and pixels.
         background: static background that is removed, "mean", "median" or "none".
         focus_m: how far the axis distance is searched to both sides, m; 0 takes it as given.
         seed: of everything random.
+        preset: what ats is: "field", or "paper", the published method to the letter.
+        centre_m: (x, y) of the image's middle, m; None is the rotation axis or, for free antenna positions,
+            wherever the strong echoes lie.
+        delay_m: how far the path delay of free antenna positions is searched to both sides, one-way m.
+        free_size: whether extent and pixels may follow the echoes of free antenna positions.
     """
 
     method: str = "auto"
@@ -56,8 +68,18 @@ class ImagingSettings:
     background: Background = "mean"
     focus_m: float = 0.03
     seed: int = 0
+    preset: str = "field"
+    centre_m: tuple[float, float] | None = None
+    delay_m: float = 1.0
+    free_size: tuple[bool, bool] = (False, False)
 
     def __post_init__(self) -> None:
+        if self.preset not in PRESETS:
+            raise UsageError(f"there is no preset {self.preset!r}", f"Use {' or '.join(PRESETS)}.")
+        if self.centre_m is not None and not (np.abs(self.centre_m) <= 1000).all():
+            raise UsageError(f"the image's centre is {self.centre_m}", "Give X,Y in metres.")
+        if not (np.isfinite(self.delay_m) and 0 <= self.delay_m <= 2):
+            raise UsageError(f"the delay search is {self.delay_m} m", "Give 0 to 2 m.")
         if self.method not in METHODS:
             raise UsageError(f"there is no imaging method {self.method!r}", f"Use {', '.join(METHODS)}.")
         if not (np.isfinite(self.focus_m) and 0 <= self.focus_m <= 0.03):
@@ -88,6 +110,7 @@ class Reconstruction:
         image: complex reflectivity.
         method: the method used, never "auto".
         focus: result of the search for the axis distance; None where there was none.
+        region: path delay and place of the image for free antenna positions; None for a turntable.
         views: number of views imaged, after averaging.
         seconds: of each stage.
     """
@@ -97,6 +120,7 @@ class Reconstruction:
     focus: AxisFocus | None
     views: int
     seconds: dict[str, float]
+    region: Region | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,7 +197,8 @@ def prepare(capture: Capture, motion: str | None = None) -> Capture:
     Raises:
         DataError: the angles can neither be had nor found.
     """
-    return one_turn(resolve_turn(capture, motion), MAX_VIEWS)
+    turned = resolve_turn(capture, motion)
+    return one_turn(turned, MAX_VIEWS if turned.antenna_positions_m is None else MAX_POSITIONS)
 
 
 def reconstruct(
@@ -189,47 +214,52 @@ def reconstruct(
     method = choose_method(settings.method)
     watch = Stopwatch()
     grid = ImageGrid(settings.extent_m, settings.pixels)
+    region: Region | None = None
+    if capture.antenna_positions_m is not None:
+        with watch.stage("focus"):
+            region = choose_region(
+                capture,
+                grid,
+                settings.centre_m,
+                settings.delay_m,
+                settings.background,
+                settings.free_size,
+            )
+        capture, grid = region.capture, region.grid
+        settings = replace(settings, extent_m=grid.extent, pixels=grid.pixels)
+    elif settings.centre_m is not None:
+        raise UsageError(
+            "an image of a turntable lies about its axis", "Leave --centre away, or give a larger --extent."
+        )
     with watch.stage("preprocess"):
-        scans = preprocess(capture, settings=_preprocessing(settings, matched_filter=method == "bp"))
+        matched = IMAGING_METHODS[method].matched_filter
+        scans = preprocess(capture, settings=_preprocessing(settings, matched_filter=matched))
     focus: AxisFocus | None = None
     if settings.focus_m > 0 and scans.aperture.angles is not None:
         with watch.stage("focus"):
             scans, focus = focus_axis_distance(scans, grid, settings.focus_m)
     with watch.stage("image"):
-        image = _image(scans, grid, method, settings.seed, progress)
-    facts = {
+        image = make_image(scans, grid, method, settings.seed, settings.preset, progress)
+    facts: dict[str, Any] = {
         "tool_version": __version__,
         "capture_uuid": capture.uuid,
         "views": scans.aperture.views,
         "axis_distance_m": scans.aperture.axis_distance,
         "background": settings.background,
     }
+    if region is not None:
+        found = region.focus
+        facts |= {"path_delay_m": found.delay_m if found else 0.0, "mirrored": region.mirrored}
+        facts |= {"centre_m": list(region.centre_m), "extent_m": grid.extent}
+        image = replace(image, centre_m=region.centre_m)
     image = replace(image, settings={**image.settings, **facts})
-    return Reconstruction(image, method, focus, scans.aperture.views, watch.seconds)
+    return Reconstruction(image, method, focus, scans.aperture.views, watch.seconds, region)
 
 
 def _preprocessing(settings: ImagingSettings, matched_filter: bool) -> PreprocessSettings:
     return PreprocessSettings(
         background=settings.background, matched_filter=matched_filter, extent_m=settings.extent_m
     )
-
-
-def _image(scans: BasebandScans, grid: ImageGrid, method: str, seed: int, progress: Progress | None) -> Image:
-    if method == "bp":
-        from tagid.imaging.backprojection import backproject
-
-        return backproject(scans, grid)
-    if method == "sparse":
-        from tagid.imaging.sparse import sparse_recovery
-
-        return sparse_recovery(scans, grid)
-    from tagid.imaging.ats.fit import AtsSettings, fit
-
-    def report(step: int, steps: int, loss: float) -> None:
-        if progress:
-            progress(step, steps, f"loss {loss:.3g}")
-
-    return fit(scans, grid, AtsSettings(seed=seed), report)
 
 
 def identify(

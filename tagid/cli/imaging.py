@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
 
     from tagid.capture import Capture
+    from tagid.imaging.region import Region
     from tagid.pipeline import Identification, ImagingSettings, Reconstruction
     from tagid.storage.history import History
     from tagid.storage.registry import Registry
@@ -69,6 +70,33 @@ def settings_from(config: Config, background: str = "mean", focus_m: float = 0.0
     )
 
 
+def parse_centre(text: str | None) -> tuple[float, float] | None:
+    """X,Y in metres of --centre."""
+    if text is None:
+        return None
+    try:
+        x, y = (float(part) for part in text.split(","))
+    except ValueError:
+        raise UsageError(f"--centre is {text!r}", "Give X,Y in metres, such as --centre 0.5,2.") from None
+    return x, y
+
+
+def region_words(region: Region | None) -> list[str]:
+    """What was found about free antenna positions, a line each."""
+    if region is None:
+        return []
+    x, y = region.centre_m
+    lines = [f"{region.grid.extent:g} m about ({x:g}, {y:g}) m, {region.grid.pixels} pixels a side"]
+    focus = region.focus
+    if focus is not None and focus.reliable:
+        lines.append(f"path delay {focus.delay_m * 1e3:+.0f} mm one way, taken off")
+    elif focus is not None:
+        lines.append("the path delay could not be told from the data; the ranges are taken as given")
+    if region.mirrored:
+        lines.append("the path is straight: what lies on one side shows on the other side, too")
+    return lines
+
+
 def image_with_progress(terminal: Terminal, capture: Capture, settings: ImagingSettings) -> Reconstruction:
     """Reconstruct a prepared capture under a progress line."""
     from tagid.pipeline import reconstruct
@@ -91,7 +119,8 @@ def draw(result: Reconstruction, answer: Identification | None, png: Path) -> No
             markers.append(Marker(reflector.x_m, reflector.y_m, str(offset), reflector.matched))
             offset += 1
     title = result.method.upper() if answer is None else f"{headline(answer)}  ({result.method.upper()})"
-    draw_image(result.image.values, result.image.grid.extent, png, title=title, reflectors=markers)
+    image = result.image
+    draw_image(image.values, image.grid.extent, png, title=title, reflectors=markers, centre_m=image.centre_m)
 
 
 def in_terminal(result: Reconstruction) -> RenderableType:
@@ -100,7 +129,9 @@ def in_terminal(result: Reconstruction) -> RenderableType:
 
     from tagid.report.preview import colour_wanted, preview
 
-    return preview(result.image.values, result.image.grid.extent, colour=colour_wanted(Console()))
+    image = result.image
+    colour = colour_wanted(Console())
+    return preview(image.values, image.grid.extent, colour=colour, centre_m=image.centre_m)
 
 
 def headline(answer: Identification) -> str:

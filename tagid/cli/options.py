@@ -36,7 +36,24 @@ Node = Annotated[
     typer.Option("--node", help="The radar to read, of several in one log.", show_default=False),
 ]
 Method = Annotated[
-    str | None, typer.Option("--method", help="bp, sparse, ats or auto (ats where torch is installed).")
+    str | None,
+    typer.Option(
+        "--method",
+        help="bp, bp-raw, range-doppler, polar, sparse, omp, ats or auto (ats where torch is installed).",
+    ),
+]
+Preset = Annotated[str, typer.Option("--preset", help="What ats is: field, or paper (as published, slow).")]
+Centre = Annotated[
+    str | None,
+    typer.Option(
+        "--centre",
+        help="Middle of the image as X,Y in metres, for captures with antenna positions.",
+        show_default=False,
+    ),
+]
+DelaySearch = Annotated[
+    float,
+    typer.Option("--delay-search", help="Search the path delay so far, metres, with antenna positions."),
 ]
 Extent = Annotated[
     float | None, typer.Option("--extent", help="Side of the image, metres.", show_default=False)

@@ -32,7 +32,12 @@ def register(app: typer.Typer) -> None:
         axis_distance: options.AxisDistance = None,
         antenna_height: options.AntennaHeight = None,
         background: options.Background = "mean",
-        focus: Annotated[bool, typer.Option(help="Search the axis distance within 3 cm.")] = True,
+        focus: Annotated[
+            bool, typer.Option(help="Search the axis distance within 3 cm, or the path delay.")
+        ] = True,
+        preset: options.Preset = "field",
+        centre: options.Centre = None,
+        delay_search: options.DelaySearch = 1.0,
         seed: options.Seed = 0,
     ) -> Result:
         """Make an image of a recorded scan.
@@ -64,10 +69,20 @@ def register(app: typer.Typer) -> None:
                 "motion.antenna_height_m": antenna_height,
             }
         )
-        settings = imaging.settings_from(config, background, 0.03 if focus else 0.0)
+        settings = replace(
+            imaging.settings_from(config, background, 0.03 if focus else 0.0),
+            seed=seed,
+            preset=preset,
+            centre_m=imaging.parse_centre(centre),
+            delay_m=delay_search if focus else 0.0,
+            free_size=(
+                config.values["imaging.extent_m"].source == "default",
+                config.values["imaging.pixels"].source == "default",
+            ),
+        )
         capture = complete(read_any(file), config)
         capture = prepare(capture, motion_of(config, capture))
-        result = imaging.image_with_progress(terminal, capture, replace(settings, seed=seed))
+        result = imaging.image_with_progress(terminal, capture, settings)
         if out:
             write_image(out, result.image)
         if png:
@@ -79,6 +94,7 @@ def register(app: typer.Typer) -> None:
         distance = result.image.settings["axis_distance_m"]
         where = "" if distance is None else f", axis at {distance:.3f} m"
         lines.append(Text(f"{result.method} image of {result.views} views in {took:.2f} s{where}"))
+        lines += [Text(line) for line in imaging.region_words(result.region)]
         lines += [Text(f"{name} {path}") for name, path in (("image", out), ("picture", png)) if path]
         data = {
             "method": result.method,

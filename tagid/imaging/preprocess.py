@@ -194,7 +194,9 @@ def _gate(
     far = float(np.hypot(across + radius, height).max())
     axis = np.hypot(across, height)
     first, last = capture.range_start_m, float(capture.ranges_m[-1])
-    if np.median(axis) < first or np.median(axis) > last:
+    # Free positions may be imaged anywhere, and margin_m says how far the ranges may be off.
+    slack = settings.margin_m + settings.extent_m / 2 if aperture.axis_distance is None else 0.0
+    if np.median(axis) < first - slack or np.median(axis) > last + slack:
         what = "antenna to the origin" if aperture.axis_distance is None else "rotation axis"
         raise DataError(
             f"the recorded range is {first:.3f} to {last:.3f} m, the {what} is at {np.median(axis):.3f} m: "

@@ -87,10 +87,12 @@ class Image:
 
     Attributes:
         values: (pixels, pixels) complex64, index (y, x).
-        grid: where the pixels lie.
+        grid: where the pixels lie, about `centre_m`.
         settings: method and parameters as plain JSON values.
+        centre_m: (x, y) of the image's middle in the object's frame, m; methods work about the origin.
     """
 
     values: NDArray[np.complex64]
     grid: ImageGrid
     settings: dict[str, Any] = field(default_factory=dict)
+    centre_m: tuple[float, float] = (0.0, 0.0)

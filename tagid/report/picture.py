@@ -39,17 +39,19 @@ def draw_image(
     title: str = "",
     reflectors: Sequence[Marker | tuple[float, float, str, bool]] = (),
     dynamic_range_db: float = 30.0,
+    centre_m: tuple[float, float] = (0.0, 0.0),
 ) -> None:
     """Writes a PNG of a reflectivity image, 940 x 900 px.
 
     Args:
         values: (y, x) complex or real reflectivity; row 0 is the lowest y, which is drawn at the bottom.
-        extent_m: side of the image along x, m; the pixels are square and the middle is the rotation axis.
+        extent_m: side of the image along x, m; the pixels are square.
         path: the PNG; it appears complete or not at all.
         title: one line above the image, cut where it is too long.
         reflectors: (x, y, label, matched) each; a circle where matched, a cross where not. Those outside
             the image are not drawn.
         dynamic_range_db: what lies further below the brightest pixel has the darkest colour.
+        centre_m: (x, y) of the image's middle, m; the rotation axis is the origin.
 
     Raises:
         DataError: the image is empty, not two-dimensional or not finite.
@@ -63,7 +65,8 @@ def draw_image(
     box = (_LEFT, _TOP, _LEFT + columns * scale, _TOP + rows * scale)
     half_x, half_y = extent_m / 2, extent_m / 2 * rows / columns
     canvas = Canvas(_WIDTH, _HEIGHT)
-    axes = Axes(canvas, box, (-half_x, half_x), (-half_y, half_y))
+    x, y = centre_m
+    axes = Axes(canvas, box, (x - half_x, x + half_x), (y - half_y, y + half_y))
     # Smoothing is for the eye only; where a pixel is large, its true square is more honest.
     axes.raster(colourise(decibels, dynamic_range_db), smooth=scale < 12)
     for marker in reflectors:

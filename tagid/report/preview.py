@@ -31,6 +31,7 @@ def preview(
     width: int = 60,
     dynamic_range_db: float = 30.0,
     colour: bool | None = None,
+    centre_m: tuple[float, float] = (0.0, 0.0),
 ) -> Text:
     """A reflectivity image as text, +y up, with its extents.
 
@@ -41,6 +42,7 @@ def preview(
         dynamic_range_db: what lies further below the brightest pixel is darkest.
         colour: half blocks in colour, or characters; None decides by the environment (NO_COLOR, TERM).
             Commands pass `colour_wanted(console)`.
+        centre_m: (x, y) of the image's middle, m.
 
     Raises:
         DataError: the image is empty, not two-dimensional or not finite.
@@ -50,7 +52,8 @@ def preview(
     if not 16 <= width <= _LARGEST_WIDTH:
         raise UsageError(f"preview width is {width}", f"Give 16 to {_LARGEST_WIDTH} columns.")
     half_x, half_y = extent_m / 2, extent_m / 2 * magnitude.shape[0] / magnitude.shape[1]
-    labels = {0: f"{half_y:+.2f} m", -1: f"{-half_y:+.2f} m"}
+    x, y = centre_m
+    labels = {0: f"{y + half_y:+.2f} m", -1: f"{y - half_y:+.2f} m"}
     margin = max(len(label) for label in labels.values()) + 1
     columns = width - margin
     cells = max(1, round(columns * magnitude.shape[0] / magnitude.shape[1] / 2))
@@ -61,7 +64,7 @@ def preview(
     for row, line in enumerate(picture):
         label = labels[0] if row == 0 else labels[-1] if row == len(picture) - 1 else ""
         text.append(label.rjust(margin - 1) + " ").append_text(line).append("\n")
-    left, right = f"{-half_x:+.2f} m", f"{half_x:+.2f} m"
+    left, right = f"{x - half_x:+.2f} m", f"{x + half_x:+.2f} m"
     text.append(" " * margin + left + f"{right:>{max(1, columns - len(left))}}\n")
     return text.append(" " * margin).append_text(_scale(dynamic_range_db, coloured))
 

@@ -43,6 +43,11 @@ class GriddedImage(Protocol):
         """Method and parameters."""
         ...
 
+    @property
+    def centre_m(self) -> tuple[float, float]:
+        """(x, y) of the grid's middle, m."""
+        ...
+
 
 def write_image(path: Path, image: GriddedImage) -> None:
     """Write `image` complex64 (y, x), `x_m`, `y_m` and `settings` (JSON), whole or not at all.
@@ -53,8 +58,8 @@ def write_image(path: Path, image: GriddedImage) -> None:
     np.savez_compressed(
         buffer,
         image=image.values.astype(np.complex64),
-        x_m=image.grid.axis,
-        y_m=image.grid.axis,
+        x_m=image.grid.axis + image.centre_m[0],
+        y_m=image.grid.axis + image.centre_m[1],
         settings=np.array(json.dumps(image.settings, default=str)),
     )
     write_bytes(path, buffer.getvalue())

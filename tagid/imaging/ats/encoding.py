@@ -118,6 +118,11 @@ class _SparseProduct(torch.autograd.Function):  # type: ignore[misc]
         return torch.from_numpy(ctx.transposed @ grad.contiguous().numpy()), None, None
 
 
+def interpolate(table: Any, matrix: Any, transposed: Any, settings: EncodingSettings) -> Any:
+    """(P, levels * features) features of the points of an `encoding_matrix`, differentiable by the table."""
+    return _SparseProduct.apply(table, matrix, transposed).view(-1, settings.width)
+
+
 class HashEncoding(torch.nn.Module):  # type: ignore[misc]
     """Trainable features of a fixed set of points.
 
@@ -139,5 +144,4 @@ class HashEncoding(torch.nn.Module):  # type: ignore[misc]
 
     def forward(self) -> Any:
         """(P, levels * features) float32 features, level by level."""
-        product = _SparseProduct.apply(self.table, self._matrix, self._transposed)
-        return product.view(-1, self.settings.width)
+        return interpolate(self.table, self._matrix, self._transposed, self.settings)

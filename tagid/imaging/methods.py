@@ -1,0 +1,94 @@
+"""Every imaging method by its name, so that commands, tests and benchmarks mean the same by it.
+
+Each takes baseband scans and a grid about the origin and gives an image; what it wants of the preprocessing
+stands beside it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from tagid.geometry import ImageGrid
+from tagid.imaging.types import BasebandScans, Image
+
+Progress = Callable[[float, float, str], None]
+"""Called with (done, total, remark)."""
+
+OMP_POINTS = 32
+"""Points of matching pursuit at most: two or three times the reflectors of any tag."""
+OMP_STOP = 4.5
+"""It ends where no correlation exceeds this many standard deviations of noise: the largest of 10^4 pixels of
+pure noise reaches 3.5 to 4."""
+
+
+@dataclass(frozen=True)
+class MethodInfo:
+    """What a method is and wants.
+
+    Attributes:
+        title: for tables and pictures.
+        matched_filter: whether it takes scans correlated with the pulse.
+    """
+
+    title: str
+    matched_filter: bool
+
+
+METHODS = {
+    "bp": MethodInfo("matched-filter BP", True),
+    "bp-raw": MethodInfo("BP", False),
+    "range-doppler": MethodInfo("range-Doppler", True),
+    "polar": MethodInfo("polar format", True),
+    "sparse": MethodInfo("FISTA", False),
+    "omp": MethodInfo("OMP", False),
+    "ats": MethodInfo("ATS", False),
+}
+
+
+def make_image(
+    scans: BasebandScans,
+    grid: ImageGrid,
+    method: str,
+    seed: int = 0,
+    preset: str = "field",
+    progress: Progress | None = None,
+) -> Image:
+    """Image of scans by a method of `METHODS`.
+
+    Args:
+        scans: preprocessed as the method's `MethodInfo` says.
+        grid: pixels about the origin.
+        method: a key of `METHODS`.
+        seed: of everything random.
+        preset: "field" or "paper", for ats.
+        progress: called while the slow ones run.
+    """
+
+    def steps(step: int, of: int, loss: float) -> None:
+        if progress:
+            progress(step, of, f"loss {loss:.3g}")
+
+    if method in ("bp", "bp-raw"):
+        from tagid.imaging.backprojection import backproject
+
+        return backproject(scans, grid)
+    if method == "sparse":
+        from tagid.imaging.sparse import sparse_recovery
+
+        return sparse_recovery(scans, grid)
+    if method == "omp":
+        from tagid.imaging.sparse import omp
+
+        return omp(scans, grid, OMP_POINTS, OMP_STOP)
+    if method in ("range-doppler", "polar"):
+        from tagid.imaging.farfield import polar_format, range_doppler
+
+        return (polar_format if method == "polar" else range_doppler)(scans, grid)
+    if preset == "paper":
+        from tagid.imaging.ats.fit_paper import PaperSettings, fit_paper
+
+        return fit_paper(scans, grid, PaperSettings(seed=seed), steps)
+    from tagid.imaging.ats.fit import AtsSettings, fit
+
+    return fit(scans, grid, AtsSettings(seed=seed), steps)
