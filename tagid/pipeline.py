@@ -23,6 +23,7 @@ from tagid.imaging.methods import METHODS as IMAGING_METHODS
 from tagid.imaging.methods import make_image
 from tagid.imaging.preprocess import Background, PreprocessSettings, preprocess
 from tagid.imaging.region import Region, choose_region
+from tagid.imaging.restore import restore
 from tagid.imaging.types import Image
 from tagid.motion.resolve import one_turn
 from tagid.turn import resolve_turn
@@ -59,6 +60,7 @@ class ImagingSettings:
         centre_m: (x, y) of the image's middle, m; None is the rotation axis or, for free antenna positions,
             wherever the strong echoes lie.
         delay_m: how far the path delay of free antenna positions is searched to both sides, one-way m.
+        restore: show sparse images at the resolution of the data (`tagid.imaging.restore`), or bare pixels.
         free_size: whether extent and pixels may follow the echoes of free antenna positions.
     """
 
@@ -71,6 +73,7 @@ class ImagingSettings:
     preset: str = "field"
     centre_m: tuple[float, float] | None = None
     delay_m: float = 1.0
+    restore: bool = True
     free_size: tuple[bool, bool] = (False, False)
 
     def __post_init__(self) -> None:
@@ -240,6 +243,8 @@ def reconstruct(
             scans, focus = focus_axis_distance(scans, grid, settings.focus_m)
     with watch.stage("image"):
         image = make_image(scans, grid, method, settings.seed, settings.preset, progress)
+        if settings.restore and IMAGING_METHODS[method].sparse and settings.preset != "paper":
+            image = restore(image, scans.wavenumber)
     facts: dict[str, Any] = {
         "tool_version": __version__,
         "capture_uuid": capture.uuid,

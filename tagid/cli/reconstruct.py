@@ -38,6 +38,9 @@ def register(app: typer.Typer) -> None:
         preset: options.Preset = "field",
         centre: options.Centre = None,
         delay_search: options.DelaySearch = 1.0,
+        beam: Annotated[
+            bool, typer.Option(help="Show sparse images at the data's resolution, not as bare pixels.")
+        ] = True,
         seed: options.Seed = 0,
     ) -> Result:
         """Make an image of a recorded scan.
@@ -75,6 +78,7 @@ def register(app: typer.Typer) -> None:
             preset=preset,
             centre_m=imaging.parse_centre(centre),
             delay_m=delay_search if focus else 0.0,
+            restore=beam,
             free_size=(
                 config.values["imaging.extent_m"].source == "default",
                 config.values["imaging.pixels"].source == "default",

@@ -29,10 +29,12 @@ class MethodInfo:
     Attributes:
         title: for tables and pictures.
         matched_filter: whether it takes scans correlated with the pulse.
+        sparse: whether its pixels are reflectivities, finer than the data resolve.
     """
 
     title: str
     matched_filter: bool
+    sparse: bool = False
 
 
 METHODS = {
@@ -40,9 +42,9 @@ METHODS = {
     "bp-raw": MethodInfo("BP", False),
     "range-doppler": MethodInfo("range-Doppler", True),
     "polar": MethodInfo("polar format", True),
-    "sparse": MethodInfo("FISTA", False),
-    "omp": MethodInfo("OMP", False),
-    "ats": MethodInfo("ATS", False),
+    "sparse": MethodInfo("FISTA", False, True),
+    "omp": MethodInfo("OMP", False, True),
+    "ats": MethodInfo("ATS", False, True),
 }
 
 

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy import sparse
 
 from tagid.errors import UsageError
 from tagid.geometry import ImageGrid
@@ -24,8 +25,11 @@ from tagid.imaging.types import BasebandScans, Image
 
 Progress = Callable[[int, int, float], None]
 
-_KEPT_VIEWS = 72
-"""Views whose samples and encoding stay in memory (some 2 MB each); more are made anew for every step."""
+_FIRST_OUTPUT = 0.01
+"""The last layer starts this much smaller, so that the fit starts from an empty scene."""
+
+_KEPT_VIEWS = 360
+"""Views whose samples and encoding stay in memory (some 0.6 MB each); more are made anew for every step."""
 
 
 @dataclass(frozen=True)
@@ -38,24 +42,31 @@ class PaperSettings:
         learning_rate: of Adam (the optimiser is not named), falling exponentially to `decay` of it.
         decay: see there.
         width: units of each of the three hidden layers (four linear layers are said, their width is not).
-        l1: weight of mean |sigma|, relative to the mean square residual of a blank image; the paper speaks of
-            scene priors without naming one, its closest relative has this one.
+        l1: weight of mean |sigma| / output_scale, relative to the squared residual of a blank image; the
+            paper speaks of scene priors without naming one, its closest relative has this one.
         beam_width_rad: full -3 dB width of the beam.
         ray_spacing_wavelengths: rays' distance at the middle of the scene, in wavelengths of the carrier.
         lambert_floor: least value of the Lambertian factor.
+        opacity: factor of |sigma| in the transmission, see `forward_paper`.
+        outside: weight of the residual outside of the pulse's band.
+        output_scale: the network's unit output in 1/m; a reflector that returns the peak of the scans has
+            about 80.
         levels, features, coarsest, log2_entries: of the hash encoding; its finest cell is a pixel.
         seed: of the initial weights and of the order of the views.
     """
 
-    steps: int = 250
-    views_per_step: int = 4
+    steps: int = 200
+    views_per_step: int = 12
     learning_rate: float = 0.02
     decay: float = 0.1
     width: int = 32
-    l1: float = 0.02
+    l1: float = 5.0
     beam_width_rad: float = np.pi / 2
     ray_spacing_wavelengths: float = 1 / 3
     lambert_floor: float = 0.2
+    opacity: float = 0.02
+    outside: float = 0.1
+    output_scale: float = 100.0
     levels: int = 8
     features: int = 2
     coarsest: int = 8
@@ -78,8 +89,8 @@ def fit_paper(
 ) -> Image:
     """Reconstruct by the paper's analysis through synthesis.
 
-    Minimises sum over views of |r_v(sigma(theta)) - y_v|^2 plus the sparsity term, y the real RF samples of the
-    scans divided by their peak, r the model of `forward_paper`.
+    Minimises sum over views of |r_v(sigma(theta)) - y_v|^2 plus the sparsity term, y the real RF samples of
+    the scans divided by their peak, r the model of `forward_paper`.
 
     Args:
         scans: preprocessed without matched filter.
@@ -111,9 +122,20 @@ def _radio_frequency(scans: BasebandScans) -> tuple[NDArray[np.float64], NDArray
     """Radii (bins,) m and real RF samples (views, bins) at four samples a period of the carrier or more."""
     fine, start, step = upsample_at_carrier(scans, slice(None))
     every = max(1, int(np.pi / scans.wavenumber / 4 / step))
-    radii = start + step * np.arange(fine.shape[1])
+    radii: NDArray[np.float64] = start + step * np.arange(fine.shape[1], dtype=np.float64)
     keep = radii > 0
     return radii[keep][::every], np.ascontiguousarray(fine.real[:, keep][:, ::every])
+
+
+def _band_limit(scans: BasebandScans, radii: NDArray[np.float64], outside: float) -> NDArray[np.complex64]:
+    """(bins, bins) matrix by which profiles on `radii` keep the scans' band, the rest times `outside`."""
+    n = 2 * len(radii)
+    step = float(radii[1] - radii[0])
+    wavenumber = np.abs(np.pi * np.fft.fftfreq(n, step))
+    half = np.pi / scans.range_step_m / 2 * 0.9
+    keep = np.where(np.abs(wavenumber - scans.wavenumber) < half, 1.0, outside)
+    spectrum = np.fft.fft(np.eye(len(radii)), n, axis=1) * keep
+    return np.fft.ifft(spectrum, axis=1)[:, : len(radii)].astype(np.complex64)
 
 
 class _Fit:
@@ -137,27 +159,31 @@ class _Fit:
         drawn = torch.rand(sum(level_sizes(self.encoding)), settings.features, generator=generator)
         self.table = torch.nn.Parameter((drawn * 2 - 1) * 1e-2)
         self.network = ReflectivityNetwork(self.encoding.width, settings.width, 3, generator)
-        self.kept: dict[int, tuple[RaySamples, Any, Any]] = {}
+        with torch.no_grad():
+            self.network.weights[-1].mul_(_FIRST_OUTPUT)
+            self.network.biases[-1].zero_()
+        self.band = torch.from_numpy(_band_limit(scans, radii, settings.outside))
+        self.kept: dict[int, tuple[RaySamples, Any]] = {}
         # sigma per metre over the pulse's length that returns the peak: the scale of the output.
-        self.scale = 1 / (scans.range_step_m * 2)
+        self.scale = self.settings.output_scale
 
-    def view(self, view: int) -> tuple[RaySamples, Any, Any]:
-        """Samples of a view with their encoding matrix and its transpose."""
+    def view(self, view: int) -> tuple[RaySamples, Any]:
+        """Samples of a view, and the encoding matrix of those that lie in the scene."""
         if view in self.kept:
             return self.kept[view]
         s = self.settings
         spacing = 2 * np.pi / self.scans.wavenumber * s.ray_spacing_wavelengths
         rays = sample_view(self.scans.aperture, view, self.grid, self.radii, spacing, s.beam_width_rad)
-        unit = rays.points.reshape(-1, 2) / self.grid.extent + 0.5
-        matrix = encoding_matrix(unit, self.encoding)
-        made = (rays, matrix, matrix.T.tocsr())
+        inside = rays.points[rays.weights > 0]
+        made = (rays, encoding_matrix(inside / self.grid.extent + 0.5, self.encoding))
         if len(self.kept) < _KEPT_VIEWS:
             self.kept[view] = made
         return made
 
-    def sigma(self, matrix: Any, transposed: Any) -> Any:
+    def sigma(self, matrix: Any) -> Any:
         """Reflectivity (points,) complex of the points of an encoding matrix, 1/m."""
-        return self.network(interpolate(self.table, matrix, transposed, self.encoding)) * self.scale
+        features = interpolate(self.table, matrix, matrix.T, self.encoding)
+        return self.network(features) * self.scale
 
     def run(self, progress: Progress | None) -> list[float]:
         """Adam; every step's squared residual relative to that of a blank image."""
@@ -165,7 +191,7 @@ class _Fit:
         parameters = [self.table, *self.network.parameters()]
         optimiser = torch.optim.Adam(parameters, lr=s.learning_rate, betas=(0.9, 0.99), eps=1e-15)
         order = np.random.default_rng(s.seed)
-        energy = float((self.samples**2).sum(axis=1).mean())
+        energy = float((np.abs(self.samples @ self.band.numpy()) ** 2).sum(axis=1).mean())
         count = min(s.views_per_step, len(self.samples))
         waiting: list[int] = []
         losses: list[float] = []
@@ -173,17 +199,8 @@ class _Fit:
             if len(waiting) < count:
                 waiting = [int(v) for v in order.permutation(len(self.samples))]
             views, waiting = waiting[:count], waiting[count:]
-            residual = torch.zeros(())
-            density = torch.zeros(())
-            for v in views:
-                rays, matrix, transposed = self.view(v)
-                sigma = self.sigma(matrix, transposed).view(*rays.depths.shape)
-                profile = synthesize_profile(sigma, rays, s.lambert_floor)
-                measured = torch.from_numpy(self.samples[v])
-                error = torch.view_as_real(profile - measured)
-                residual = residual + error.square().sum() / (energy * count)
-                parts = torch.view_as_real(sigma)
-                density = density + (parts.square().sum(-1) + 1e-8).sqrt().mean() / (self.scale * count)
+            residual, density = self.residual(views)
+            residual = residual / (energy * count)
             loss = residual + s.l1 * density
             optimiser.zero_grad()
             loss.backward()
@@ -195,9 +212,29 @@ class _Fit:
                 progress(step + 1, s.steps, losses[-1])
         return losses
 
+    def residual(self, views: list[int]) -> tuple[Any, Any]:
+        """Sum of squared differences over some views, and mean |sigma| of their points over the scale."""
+        parts = [self.view(v) for v in views]
+        everywhere = self.sigma(sparse.vstack([matrix for _, matrix in parts], format="csr"))
+        profiles = []
+        at = 0
+        for rays, matrix in parts:
+            count = matrix.shape[0] // self.encoding.levels
+            inside = torch.from_numpy(rays.weights > 0)
+            sigma = torch.zeros(rays.depths.shape, dtype=everywhere.dtype)
+            sigma = sigma.masked_scatter(inside, everywhere[at : at + count])
+            profiles.append(
+                synthesize_profile(sigma, rays, self.settings.lambert_floor, self.settings.opacity)
+            )
+            at += count
+        difference = torch.stack(profiles) - torch.from_numpy(self.samples[views])
+        error = torch.view_as_real(difference @ self.band).square().sum()
+        magnitude = (torch.view_as_real(everywhere).square().sum(-1) + 1e-8).sqrt()
+        return error, magnitude.mean() / self.scale
+
     def image(self) -> NDArray[np.complex64]:
         """The network at the pixels, (pixels, pixels)."""
         matrix = encoding_matrix(self.grid.points / self.grid.extent + 0.5, self.encoding)
         with torch.no_grad():
-            values = self.sigma(matrix, matrix.T.tocsr()).numpy()
+            values = self.sigma(matrix).numpy()
         return np.asarray(values.reshape(self.grid.pixels, self.grid.pixels), dtype=np.complex64)

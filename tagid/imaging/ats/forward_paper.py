@@ -1,24 +1,29 @@
-"""The published forward model, to the letter: rays, spheres of constant time of flight, transmission, Lambert.
+"""The published forward model: rays, spheres of constant time of flight, transmission, Lambert, beam.
 
-It stands beside the field method so that "as in the paper" is a row of every table and not a matter of memory.
+It stands beside the field method so that "as in the paper" is a row of every table, not a matter of memory.
 Source: Oshim, Reed, Jayasuriya, Rahman, NeRF-enabled Analysis-Through-Synthesis for ISAR Imaging, equations 1
 to 6.
 
 What the paper leaves open, and what is chosen here:
 
-* No pulse: r(2R/c) is an integral over the sphere of radius R alone, so the reflectivity must carry the ripple
-  of the carrier. The measured samples are real RF (eq. 1 is a cosine), and the model is fitted to those, at
-  four samples a period. Fitting the analytic signal instead could not succeed on a full turn: seen from behind,
-  the projection of a reflectivity runs backwards in range, the phase of an echo does not.
+* No pulse: r(2R/c) is an integral over the sphere of radius R alone, so the reflectivity must carry the
+  ripple of the carrier. The measured samples are real RF (eq. 1 is a cosine), and the model is fitted to
+  those, at four samples a period or more. Fitting the analytic signal instead cannot succeed on a full turn:
+  seen from behind, the projection of a reflectivity runs backwards in range, the phase of an echo does not.
+* The loss between synthesized and measured scans has no weight over frequency in the paper. A reflectivity
+  that is constant over a few centimetres is seen a hundred times stronger than one with the carrier's
+  ripple, though the pulse holds nothing of it; what lies outside of the pulse's band is therefore weighted
+  down (`fit_paper.PaperSettings.outside`), without which the fit stays at the blank image.
 * "2T" in r and "2T" again in L: their product is 4 T^2, the two-way transmission squared; the constant 4 goes
   into the scale of sigma, T^2 stays. T multiplies exp(-|sigma_k| |l_(k+1) - l_k|) over the bins before.
-* The unit of sigma, on which T depends: the scans are divided by their peak, lengths are metres, so sigma is
-  per metre, and a reflector of a few centimetres that returns the peak is half opaque.
-* L as printed is a vector (sigma times the line of sight). Following the related sonar work it is
-  sigma max(0, n . (-d)), n = -grad |sigma| / |grad |sigma||, d the ray. The gradient is taken by central
-  differences between neighbouring spheres and rays. Where the gradient vanishes n has no direction; a floor
-  makes the factor fade to `lambert_floor` there instead of 0 / 0, and nothing that is lit from behind is lost
-  for ever, because a factor of exactly zero would stop its gradient.
+* The unit of sigma, on which T depends (-log T is only defined up to it): the scans are divided by their
+  peak and lengths are metres, which makes a lone reflector some 80 per metre, ripple included. As printed it
+  would hide itself (T^2 = 1 %); `opacity` takes that down to some 5 % of loss.
+* L as printed is a vector (sigma times the line of sight). Following the related sonar work it is a
+  Lambertian factor with n = -grad |sigma| / |grad |sigma||, d the ray, the gradient by central differences
+  between neighbouring spheres and rays. It is |n . d|, not max(0, n . -d): with the ripple of the carrier in
+  sigma, |sigma| rises and falls four times a wavelength, and the one-sided factor blanks half of each.
+  It is never less than `lambert_floor`, because n has no direction where the gradient vanishes.
 * dx on the sphere: the arc R dphi between neighbouring rays of a fan in the object's plane (the scene is two-
   dimensional). 1/R^4 is in eq. 2, but not in eq. 3, which is the one that is sampled: it is left out.
 * b_T: 2^-(2 theta / width)^2 about the line to the middle of the scene, one-way power, width 90 degrees.
@@ -84,7 +89,7 @@ def positive_root(start: Floats, directions: Floats, radii: Floats) -> Floats:
 def sample_view(
     aperture: Aperture, view: int, grid: ImageGrid, radii: Floats, ray_spacing_m: float, beam_width_rad: float
 ) -> RaySamples:
-    """The points of one view: a fan of rays towards the scene, cut by spheres of the given radii (bins,), m."""
+    """The points of one view: a fan of rays towards the scene, cut by spheres of radii (bins,), m."""
     antenna = aperture.positions[view]
     foot, height = antenna[:2], float(antenna[2])
     distance = max(float(np.hypot(*foot)), 1e-6)
@@ -103,10 +108,10 @@ def sample_view(
     return RaySamples(points, depths, inside * beam[:, None] * depths * step, step)
 
 
-def synthesize_profile(sigma: Any, samples: RaySamples, lambert_floor: float) -> Any:
+def synthesize_profile(sigma: Any, samples: RaySamples, lambert_floor: float, opacity: float) -> Any:
     """r (bins,) complex of reflectivities sigma (rays, bins) complex at the points of one view.
 
-    r_i = sum_j w_ij T_ij^2 sigma_ij max(floor, n_ij . (-d_j)), differentiable by sigma.
+    r_i = sum_j w_ij T_ij^(2 opacity) sigma_ij max(floor, |n_ij . d_j|), differentiable by sigma.
     """
     depths = torch.from_numpy(samples.depths.astype(np.float32))
     weights = torch.from_numpy(samples.weights.astype(np.float32))
@@ -114,16 +119,16 @@ def synthesize_profile(sigma: Any, samples: RaySamples, lambert_floor: float) ->
     magnitude = (parts.square().sum(-1) + 1e-8).sqrt()
     length = torch.diff(depths, dim=1, append=depths[:, -1:]).clamp_min(0)
     passed = torch.cumsum(magnitude * length, dim=1) - magnitude * length
-    transmission = torch.exp(-2 * passed)
+    transmission = torch.exp(-2 * opacity * passed)
     lambert = _facing(magnitude, depths, samples.ray_step_rad).clamp_min(lambert_floor)
     return (weights * transmission * lambert * sigma).sum(dim=0)
 
 
 def _facing(magnitude: Any, depths: Any, ray_step_rad: float) -> Any:
-    """n . (-d) (rays, bins): the share of the gradient of |sigma| that points away from the antenna."""
+    """|n . d| (rays, bins): the share of the gradient of |sigma| that lies along the ray."""
     step = torch.diff(depths, dim=1).clamp_min(1e-4)
     inner = torch.diff(magnitude, dim=1) / step
-    outward = (torch.nn.functional.pad(inner, (1, 0)) + torch.nn.functional.pad(inner, (0, 1))) / 2
+    outward = ((torch.nn.functional.pad(inner, (1, 0)) + torch.nn.functional.pad(inner, (0, 1))) / 2).abs()
     sideways = torch.diff(magnitude, dim=0)
     across = torch.nn.functional.pad(sideways, (0, 0, 1, 0)) + torch.nn.functional.pad(sideways, (0, 0, 0, 1))
     across = across / 2 / (depths * ray_step_rad).clamp_min(1e-4)

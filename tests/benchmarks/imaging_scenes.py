@@ -1,0 +1,288 @@
+"""Scenes of the imaging benchmarks with their truths, the methods compared, and how an image is scored.
+
+Shared by `bench_imaging.py`'s experiments, so that every table has the same rows and means the same by them.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from tagid.capture import Capture
+from tagid.constants import RANGE_STEP_M, SPEED_OF_LIGHT
+from tagid.geometry import Aperture, ImageGrid
+from tagid.imaging.methods import METHODS, make_image
+from tagid.imaging.metrics import blank, localise, lpips, mse, pick_peaks, psnr, truth_image
+from tagid.imaging.preprocess import PreprocessSettings, preprocess
+from tagid.imaging.restore import restore
+from tagid.imaging.types import BasebandScans, Image
+from tagid.simulate import (
+    Acquisition,
+    ConductingCylinder,
+    Recording,
+    Scene,
+    Wobble,
+    cardboard_box,
+    metal_box,
+    scene_from_name,
+)
+from tagid.simulate import simulate_capture as record_scene
+from tagid.waveform import nominal_pulse, pulse_at
+
+GRID = ImageGrid(0.7, 96)
+AXIS_DISTANCE_M = 1.0
+MOST_PEAKS = 8
+FIRST_SEED = 20_000
+LPIPS_MODEL = Path(__file__).resolve().parents[3] / "shared" / "data" / "lpips" / "lpips_sq.onnx"
+
+ROWS = {
+    "blank": ("", ""),
+    "BP": ("bp-raw", ""),
+    "matched-filter BP": ("bp", ""),
+    "range-Doppler": ("range-doppler", ""),
+    "polar format": ("polar", ""),
+    "FISTA": ("sparse", ""),
+    "OMP": ("omp", ""),
+    "ATS paper": ("ats", "paper"),
+    "ATS field": ("ats", "field"),
+    "FISTA, bare": ("sparse", ""),
+    "OMP, bare": ("omp", ""),
+    "ATS field, bare": ("ats", "field"),
+}
+"""Row of a table -> (method, preset). FISTA, OMP and ATS field are shown with the restoring beam, as
+`tagid reconstruct` does; "bare" is the same image without it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """One scene as every method gets it.
+
+    Attributes:
+        capture: the recording; its axis distance is the true one unless an experiment says otherwise.
+        grid: pixels of all methods.
+        truth: (pixels, pixels) what the magnitude should look like.
+        points: (n, 2) true points, m; empty for extended objects.
+        seed: of methods with random weights.
+        background: what is removed from the scans before imaging; point scenes hold no clutter.
+        made: images made already, before the restoring beam.
+    """
+
+    capture: Capture
+    grid: ImageGrid
+    truth: np.ndarray
+    points: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
+    seed: int = 0
+    background: str = "none"
+    made: dict[tuple[str, str], tuple[Image, float]] = field(default_factory=dict)
+
+    def scans(self, matched: bool) -> BasebandScans:
+        """Scans with or without matched filter."""
+        settings = PreprocessSettings(self.background, matched, extent_m=self.grid.extent)
+        return preprocess(self.capture, settings=settings)
+
+    def image(self, row: str) -> tuple[Image, float]:
+        """Image of a row of `ROWS` and the seconds that it took, preprocessing not counted."""
+        method, preset = ROWS[row]
+        if not method:
+            return blank(self.grid), 0.0
+        scans = self.scans(METHODS[method].matched_filter)
+        if (method, preset) not in self.made:
+            start = time.perf_counter()
+            image = make_image(scans, self.grid, method, self.seed, preset or "field")
+            self.made[method, preset] = image, time.perf_counter() - start
+        image, seconds = self.made[method, preset]
+        if METHODS[method].sparse and preset != "paper" and not row.endswith("bare"):
+            image = restore(image, scans.wavenumber)
+        return image, seconds
+
+
+SCORES = ("PSNR (dB)", "MSE x 1000", "LPIPS", "localisation (mm)", "detected (%)", "false", "seconds")
+
+
+def score(problem: Problem, row: str) -> tuple[float, ...]:
+    """The numbers of `SCORES` for one method on one problem; nan where one does not apply."""
+    image, seconds = problem.image(row)
+    model = LPIPS_MODEL if LPIPS_MODEL.is_file() else None
+    perceptual = lpips(image.values, problem.truth, model) if model else float("nan")
+    where, detected, false = float("nan"), float("nan"), float("nan")
+    if len(problem.points):
+        found = localise(pick_peaks(image, MOST_PEAKS), problem.points)
+        where, false = found.rmse_m * 1e3, float(found.false)
+        detected = 100 * found.detected / len(problem.points)
+    error = mse(image.values, problem.truth) * 1e3
+    return psnr(image.values, problem.truth), error, perceptual, where, detected, false, seconds
+
+
+def echoes(points: np.ndarray, angles: np.ndarray, ranges: np.ndarray) -> np.ndarray:
+    """(n, views, bins) analytic echo of a unit point at each of (n, 2), m."""
+    antenna = Aperture.turntable(angles, AXIS_DISTANCE_M).positions
+    out = []
+    for x, y in points:
+        distance = np.linalg.norm(antenna - np.array([x, y, 0.0]), axis=1)
+        out.append(pulse_at(nominal_pulse(), 2 * (ranges[None] - distance[:, None]) / SPEED_OF_LIGHT))
+    return np.array(out)
+
+
+def window(extent_m: float) -> np.ndarray:
+    """Ranges of the bins that hold a square of that side, m."""
+    reach = extent_m / np.sqrt(2) + 0.25
+    return np.arange(AXIS_DISTANCE_M - reach, AXIS_DISTANCE_M + reach, RANGE_STEP_M)
+
+
+def point_problem(points: np.ndarray, views: int, noise: float, rng: np.random.Generator) -> Problem:
+    """Unit points; the sinogram divided by its peak, then complex noise of that standard deviation added."""
+    angles = np.arange(views) * 2 * np.pi / views
+    ranges = window(GRID.extent)
+    clean = echoes(points, angles, ranges).sum(axis=0)
+    clean /= np.abs(clean).max()
+    drawn = rng.standard_normal((2, *clean.shape))
+    samples = clean + noise / np.sqrt(2) * (drawn[0] + 1j * drawn[1])
+    capture = Capture(
+        samples.astype(np.complex64), float(ranges[0]), RANGE_STEP_M, angles, axis_distance_m=AXIS_DISTANCE_M
+    )
+    return Problem(capture, GRID, truth_image(points, GRID), points)
+
+
+def random_points(count: int, views: int, noise: float, seed: int) -> Problem:
+    """`count` points uniform within +-0.22 m, as in docs/results.md since the first table."""
+    rng = np.random.default_rng([FIRST_SEED + seed, count])
+    return point_problem(rng.uniform(-0.22, 0.22, (count, 2)), views, noise, rng)
+
+
+def close_points(views: int, noise: float, seed: int, apart_m: float = 0.02) -> Problem:
+    """Two points `apart_m` apart in a random direction at a random place within +-0.15 m."""
+    rng = np.random.default_rng([FIRST_SEED + seed, 77])
+    middle, angle = rng.uniform(-0.15, 0.15, 2), rng.uniform(0, np.pi)
+    half = apart_m / 2 * np.array([np.cos(angle), np.sin(angle)])
+    return point_problem(np.array([middle - half, middle + half]), views, noise, rng)
+
+
+def cramer_rao_mm(points: np.ndarray, views: int, noise: float) -> float:
+    """Root of the mean Cramér-Rao bound of the squared distance error over the points, mm.
+
+    Unknown are x, y and the complex amplitude of every point; F = 2 / noise^2 Re(J^H J) with J the derivative
+    of the samples (Kay, Fundamentals of Statistical Signal Processing, 1993, section 15.7).
+    """
+    if noise == 0:
+        return 0.0
+    angles = np.arange(views) * 2 * np.pi / views
+    ranges, step = window(GRID.extent), 1e-5
+    at = echoes(points, angles, ranges)
+    peak = np.abs(at.sum(axis=0)).max()
+    columns = []
+    for i in range(len(points)):
+        for axis in (0, 1):
+            moved = [points.copy(), points.copy()]
+            moved[0][i, axis] += step
+            moved[1][i, axis] -= step
+            plus, minus = (echoes(m[i : i + 1], angles, ranges)[0] for m in moved)
+            columns.append((plus - minus) / (2 * step))
+        columns += [at[i], 1j * at[i]]
+    jacobian = np.stack([c.ravel() for c in columns], axis=1) / peak
+    bound = np.linalg.inv(2 / noise**2 * (jacobian.conj().T @ jacobian).real)
+    each = [bound[4 * i, 4 * i] + bound[4 * i + 1, 4 * i + 1] for i in range(len(points))]
+    return float(1e3 * np.sqrt(np.mean(each)))
+
+
+CAN = {"radius_m": 0.033, "height_m": 0.122}
+"""A 0.33 l drink can."""
+BOTTLE = {"radius_m": 0.033, "height_m": 0.2}
+"""A 400 ml spray bottle."""
+CANS_APART_M = 0.6858
+
+
+@dataclass(frozen=True)
+class Object:
+    """An extended object: bodies, the outline that reflects, and the side of its image.
+
+    Attributes:
+        bodies: for the simulator.
+        circles: (x, y, radius) of cylinders, m.
+        squares: sides of squares about the origin, m.
+        extent_m: side of the image, m.
+    """
+
+    bodies: tuple[object, ...]
+    circles: tuple[tuple[float, float, float], ...] = ()
+    squares: tuple[float, ...] = ()
+    extent_m: float = 0.7
+
+    @property
+    def grid(self) -> ImageGrid:
+        """Pixels as large as those of the point scenes."""
+        return ImageGrid(self.extent_m, round(96 * self.extent_m / 0.7))
+
+    def outline(self, grid: ImageGrid, sigma_m: float = 0.01) -> np.ndarray:
+        """(pixels, pixels) outline drawn as a line of Gaussian profile, as points are."""
+        x, y = np.meshgrid(grid.axis, grid.axis)
+        off = np.full(x.shape, np.inf)
+        for cx, cy, radius in self.circles:
+            off = np.minimum(off, np.abs(np.hypot(x - cx, y - cy) - radius))
+        for side in self.squares:
+            dx, dy = np.abs(x) - side / 2, np.abs(y) - side / 2
+            outside = np.hypot(np.maximum(dx, 0), np.maximum(dy, 0))
+            off = np.minimum(off, np.abs(outside + np.minimum(np.maximum(dx, dy), 0)))
+        return np.exp(-(off**2) / (2 * sigma_m**2))
+
+
+def _cylinder(shape: dict[str, float], x: float = 0.0, y: float = 0.0) -> ConductingCylinder:
+    return ConductingCylinder(shape["radius_m"], shape["height_m"], (x, y))
+
+
+def _pair(shape: dict[str, float], apart_m: float, extent_m: float) -> Object:
+    half = apart_m / 2
+    bodies = (_cylinder(shape, -half), _cylinder(shape, half))
+    circles = ((-half, 0.0, shape["radius_m"]), (half, 0.0, shape["radius_m"]))
+    return Object(bodies, circles, (), extent_m)
+
+
+OBJECTS: dict[str, Callable[[], Object]] = {
+    "can in a cardboard box": lambda: Object(
+        (_cylinder(CAN), *cardboard_box(0.25, 0.25)), ((0.0, 0.0, CAN["radius_m"]),), (0.25,), 0.5
+    ),
+    "two bottles 17.78 cm apart": lambda: _pair(BOTTLE, 0.1778, 0.5),
+    "two cans 68.58 cm apart": lambda: _pair(CAN, CANS_APART_M, 1.0),
+    "metal box of 24.13 cm": lambda: Object(metal_box(0.2413, 0.2413), (), (0.2413,), 0.5),
+}
+
+
+def object_problem(thing: Object, angles_deg: np.ndarray, snr_db: float, seed: int) -> Problem:
+    """A recording of an object at some angles (degrees) of a whole turn of 360 scans."""
+    acquisition = Acquisition(
+        views=360, axis_distance_m=AXIS_DISTANCE_M, snr_db=snr_db, recording=Recording("float32")
+    )
+    capture, truth = record_scene(Scene("object", thing.bodies), acquisition, seed=FIRST_SEED + seed)
+    del truth
+    chosen = capture.select(np.asarray(angles_deg, dtype=np.intp))
+    return Problem(chosen, thing.grid, thing.outline(thing.grid), seed=seed)
+
+
+def wobbling_problem(views: int, error_m: float, wobble: float, seed: int) -> Problem:
+    """Three points, 20 dB SNR, the axis distance wrong by `error_m`, angles as if the turn were even."""
+    rng = np.random.default_rng([FIRST_SEED + seed, 55])
+    points = rng.uniform(-0.15, 0.15, (3, 2))
+    acquisition = Acquisition(
+        views=views,
+        axis_distance_m=AXIS_DISTANCE_M,
+        axis_distance_error_m=error_m,
+        snr_db=20.0,
+        wobble=Wobble(speed=wobble),
+    )
+    capture, _ = record_scene(Scene.of_points(points), acquisition, seed=seed)
+    even = replace(capture, angles_rad=np.arange(views) * 2 * np.pi / views)
+    return Problem(even, GRID, truth_image(points, GRID), points, seed)
+
+
+def field_problem(layout: str, seed: int) -> Problem:
+    """A tag on its object in a room with clutter, 15 dB SNR, 360 views, the mean over angle taken off."""
+    scene = scene_from_name(layout)
+    acquisition = Acquisition(views=360, axis_distance_m=AXIS_DISTANCE_M, snr_db=15.0)
+    capture, truth = record_scene(scene, acquisition, seed=FIRST_SEED + seed)
+    grid = ImageGrid(0.4, 96)
+    points = truth.positions_m[:, :2]
+    drawn = truth_image(points, grid, np.abs(truth.amplitudes) / np.abs(truth.amplitudes).max())
+    return Problem(capture, grid, drawn, points, seed, background="mean")

@@ -1,0 +1,130 @@
+"""Free antenna positions at metre scale: a rail of 3.4 m, two reflectors, a path delay that nobody knows."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tagid.capture import Capture
+from tagid.config import METHODS as CONFIG_METHODS
+from tagid.errors import UsageError
+from tagid.geometry import Aperture, ImageGrid
+from tagid.imaging.farfield import polar_format, range_doppler
+from tagid.imaging.metrics import localise, pick_peaks
+from tagid.imaging.preprocess import PreprocessSettings, preprocess
+from tagid.imaging.rangefocus import focus_delay, is_straight
+from tagid.pipeline import METHODS, ImagingSettings, prepare, reconstruct
+from tests.unit.imaging_scenes import STEP_M, analytic_echo, record, turn
+
+POINTS = np.array([[-0.6, 2.3], [0.5, 3.6]])
+
+
+def rail(delay_m: float, points: np.ndarray = POINTS, views: int = 600, seed: int = 0) -> Capture:
+    """Scans (views, 960) float32 whose ranges are `delay_m` too long, from a rail along x at y = 0."""
+    rng = np.random.default_rng(seed)
+    x = np.linspace(-1.7, 1.7, views)
+    antenna = np.stack([x, np.zeros(views), np.zeros(views)], axis=1)
+    ranges = STEP_M * np.arange(960)
+    samples = 0.05 * rng.standard_normal((views, 960))
+    for amplitude, point in zip((1.0, 0.7), points, strict=True):
+        distance = np.hypot(x - point[0], point[1])
+        samples += amplitude * analytic_echo(ranges - distance[:, None] - delay_m).real
+    return Capture(samples.astype(np.float32), 0.0, STEP_M, antenna_positions_m=antenna)
+
+
+@pytest.mark.parametrize("delay_m", [0.0, 0.42, -0.83])
+def test_the_path_delay_is_found_within_a_metre(delay_m: float) -> None:
+    scans = preprocess(rail(delay_m), settings=PreprocessSettings("none", True, extent_m=12.0, margin_m=1.0))
+    corrected, focus = focus_delay(scans, 1.0)
+    assert focus.reliable
+    assert abs(focus.delay_m - delay_m) < 0.01
+    assert corrected.range_start_m == pytest.approx(scans.range_start_m - focus.delay_m)
+    found = localise(np.array([[p.x_m, p.y_m] for p in focus.points]), POINTS, 0.05)
+    assert found.detected == 2
+
+
+def test_noise_alone_gives_no_delay() -> None:
+    capture = rail(0.0)
+    noise = np.random.default_rng(3).standard_normal(capture.samples.shape).astype(np.float32)
+    silent = Capture(noise, 0.0, STEP_M, antenna_positions_m=capture.antenna_positions_m)
+    scans = preprocess(silent, settings=PreprocessSettings("none", True, extent_m=12.0, margin_m=1.0))
+    unchanged, focus = focus_delay(scans, 1.0)
+    assert not focus.reliable
+    assert unchanged is scans
+    with pytest.raises(UsageError):
+        focus_delay(scans, 5.0)
+
+
+@pytest.mark.parametrize("method", ["bp", "bp-raw", "polar", "omp"])
+def test_methods_image_a_rail_without_being_told_where_to_look(method: str) -> None:
+    settings = ImagingSettings(method=method, free_size=(True, True))
+    result = reconstruct(prepare(rail(0.42, views=300)), settings)
+    assert result.region is not None
+    assert result.region.mirrored
+    assert result.views == 300
+    # A plane wave instead of a sphere moves points off the middle: half a wave at 2.9 m is 0.3 m aside.
+    radius = 0.2 if method == "polar" else 0.03
+    peaks = pick_peaks(result.image, 2, 0.25) + np.array(result.image.centre_m)
+    assert localise(peaks, POINTS, radius).detected == 2
+
+
+def test_a_given_centre_is_imaged_and_the_delay_left_alone() -> None:
+    settings = ImagingSettings(method="bp", extent_m=0.5, pixels=64, centre_m=(0.5, 3.6), delay_m=0.0)
+    result = reconstruct(prepare(rail(0.0, views=300)), settings)
+    peak = pick_peaks(result.image, 1)[0] + np.array(result.image.centre_m)
+    assert np.hypot(*(peak - POINTS[1])) < 0.015
+    assert result.image.grid.extent == 0.5
+
+
+def test_a_turntable_has_no_other_centre() -> None:
+    capture = record([[0.05, 0.0]], [1.0], turn(36))
+    with pytest.raises(UsageError):
+        reconstruct(capture, ImagingSettings(method="bp", centre_m=(0.1, 0.0)))
+
+
+def test_straightness_of_a_path() -> None:
+    assert is_straight(rail(0.0, views=20).antenna_positions_m)
+    assert not is_straight(turn(20).positions)
+
+
+def test_positions_of_a_partial_turn_equal_its_angles() -> None:
+    part = turn(360).select(np.arange(90))
+    free = Aperture(part.positions)
+    points = [[0.05, 0.08], [-0.06, 0.02]]
+    images = []
+    for aperture in (part, free):
+        settings = ImagingSettings(method="bp", pixels=64, focus_m=0.0, delay_m=0.0, centre_m=None)
+        images.append(reconstruct(record(points, [1, 1], aperture), settings).image.values)
+    np.testing.assert_allclose(images[0], images[1], atol=1e-5)
+
+
+@pytest.mark.parametrize("method", [range_doppler, polar_format])
+def test_far_field_methods_find_points_of_a_small_distant_object(method: object) -> None:
+    grid = ImageGrid(0.3, 75)
+    points = np.array([[0.06, 0.03], [-0.05, -0.04]])
+    few = Aperture.turntable(np.deg2rad(np.arange(-30, 30, 0.5)), 8.0)
+    scans = preprocess(
+        record(points, [1, 1], few), settings=PreprocessSettings("none", True, extent_m=grid.extent)
+    )
+    image = method(scans, grid)
+    assert localise(pick_peaks(image, 2, 0.05), points, 0.03).detected == 2
+    assert np.abs(image.values).max() == pytest.approx(1.0, abs=0.35)
+
+
+def test_polar_format_of_a_far_turn_is_the_backprojection() -> None:
+    from tagid.imaging.backprojection import backproject
+
+    grid = ImageGrid(0.3, 75)
+    scans = preprocess(
+        record([[0.06, 0.03]], [1.0], turn(180, 30.0)),
+        settings=PreprocessSettings("none", True, extent_m=grid.extent),
+    )
+    polar, exact = polar_format(scans, grid), backproject(scans, grid)
+    a, b = (np.abs(i.values) / np.abs(i.values).max() for i in (polar, exact))
+    assert np.unravel_index(a.argmax(), a.shape) == np.unravel_index(b.argmax(), b.shape)
+    # Their weights over the band differ (|k| against 1), hence the sidelobes a little.
+    assert np.sqrt(((a - b) ** 2).mean()) < 0.1
+
+
+def test_config_names_the_methods_that_exist() -> None:
+    assert set(CONFIG_METHODS) == set(METHODS)
