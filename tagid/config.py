@@ -49,6 +49,10 @@ SETTINGS: tuple[Setting, ...] = (
     Setting("radar.gain", int, 63, "transmit gain, 0 to 63", 0, 63),
     Setting("radar.antenna_mode", int, 2, "0 A/A, 1 B/B, 2 TxA-RxB, 3 TxB-RxA", 0, 3),
     Setting("radar.cable_delay_ps", float, 0.0, "cable and antenna delay, two-way, ps", -1e6, 1e6),
+    Setting(
+        "radar.cable_delay_sigma_ps", float, None, "its standard deviation, ps (radar calibrate)", 0, 1e5
+    ),
+    Setting("radar.background", str, None, "capture of the empty scene (radar calibrate)"),
     Setting("radar.timeout_s", float, 2.0, "longest silence before the radar counts as gone, s", 0.05, 60),
     Setting("radar.resume_s", float, 20.0, "longest wait for a radar that went away, s", 0, 3600),
     Setting("motion.url", str, "free", "what turns the object, e.g. free?rpm=2"),
@@ -169,14 +173,21 @@ def load_config(overrides: Mapping[str, Any] | None = None) -> Config:
 
 def change_file(name: str, raw: Any | None) -> Path:
     """Set one setting in the file, or take it out where `raw` is None; returns the file's path."""
+    return change_settings({name: raw})
+
+
+def change_settings(changes: Mapping[str, Any | None]) -> Path:
+    """Set several settings in the file at once, or take out those that are None; returns the file's path.
+
+    Raises ConfigError where one of them is unknown or out of range, and then changes nothing.
+    """
     path = config_path()
     found = read_file(path)
-    if name not in _BY_NAME:
-        parse_value(name, raw, "command line")
-    if raw is None:
-        found.pop(name, None)
-    else:
-        found[name] = parse_value(name, raw, "command line")
+    for name, raw in changes.items():
+        if raw is None and name in _BY_NAME:
+            found.pop(name, None)
+        else:
+            found[name] = parse_value(name, raw, "command line")
     _write_file(path, found)
     return path
 

@@ -6,7 +6,10 @@ The commands and the batch ask here, so that a file is completed alike whoever r
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from tagid.errors import ConfigError
 
 if TYPE_CHECKING:
     from tagid.capture import Capture
@@ -39,3 +42,21 @@ def motion_of(config: Config, capture: Capture) -> str | None:
     if given.source == "default" and isinstance(recorded_with, str):
         return recorded_with
     return str(given.value)
+
+
+def without_reference(capture: Capture, config: Config, background: str) -> Capture:
+    """The capture without the empty scene, where `background` is "reference"; else as it is.
+
+    Raises ConfigError where none was taken, DataError where it does not fit.
+    """
+    if background != "reference":
+        return capture
+    if not config["radar.background"]:
+        raise ConfigError(
+            "there is no background reference",
+            "Take one of the empty scene with `tagid radar calibrate --step empty`.",
+        )
+    from tagid.calibration import without_background
+    from tagid.storage.importers import read_any
+
+    return without_background(capture, read_any(Path(config["radar.background"])))

@@ -31,15 +31,15 @@ class Sources:
         return RecordingSource(capture.samples, config, capture.radar_time_ms, loop)
 
     def scene(self, name: str, options: dict[str, str]) -> ScanSource:
-        """A turning scene; options `seed`, `rpm` (6), `axis_distance` (1.0 m), `snr` (20 dB), and
-        `turned_by`: HOST:PORT of an emulated robot that turns it instead, which asks for rate=1.
+        """A turning scene; options `seed`, `rpm` (6), `axis_distance` (1.0 m), `snr` (20 dB),
+        `cable_delay` (0, two-way ps), and `turned_by`: HOST:PORT of an emulated robot that turns it instead, which asks for rate=1.
 
         Raises UsageError for an unknown scene, option or a value that is no number.
         """
         from tagid.motion.emulator.truth import TrueAngle
         from tagid.simulate import Acquisition, TurningScene, scene_from_name
 
-        values = {"seed": 0.0, "rpm": 6.0, "axis_distance": 1.0, "snr": 20.0}
+        values = {"seed": 0.0, "rpm": 6.0, "axis_distance": 1.0, "snr": 20.0, "cable_delay": 0.0}
         turner = TrueAngle(options["turned_by"]).at if "turned_by" in options else None
         for key, text in options.items():
             if key == "turned_by":
@@ -53,5 +53,8 @@ class Sources:
                 raise UsageError(f"scene {name}: {key} is {text!r}", "Give a number.") from None
         seed = int(values["seed"])
         acquisition = Acquisition(axis_distance_m=values["axis_distance"], snr_db=values["snr"])
+        if not abs(values["cable_delay"]) <= 1e6:
+            raise UsageError(f"scene {name}: cable_delay is {values['cable_delay']}", "Give picoseconds.")
+        delay_s = values["cable_delay"] * 1e-12
         scene = scene_from_name(name, seed)
-        return TurningScene(scene, values["rpm"], seed, acquisition, true_angle=turner)
+        return TurningScene(scene, values["rpm"], seed, acquisition, delay_s, true_angle=turner)

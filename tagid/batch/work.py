@@ -44,7 +44,7 @@ def work(source: Source, job: Job) -> Outcome:
             if facts["sha256"] in job.known:
                 record = {"file": source.name, "content_sha256": facts["sha256"]}
                 return Outcome(record, reused=True, cpu_s=time.process_time() - began)
-            capture = complete(read_any(path), job.config)
+            capture = complete(read_any(path, job.config["radar.cable_delay_ps"]), job.config)
         with watch.stage("prepare"):
             capture = prepare(capture, motion_of(job.config, capture))
         answer = identify(capture, job.layouts, job.settings, job.registry_version)

@@ -52,6 +52,9 @@ def register(app: typer.Typer) -> None:
         ] = None,
         axis_distance: Annotated[float, typer.Option("--axis-distance", help="Radar to axis, metres.")] = 1.0,
         snr: Annotated[float, typer.Option("--snr", help="dB a sample of a reflector on the axis.")] = 20.0,
+        cable_delay: Annotated[
+            float, typer.Option("--cable-delay", help="Of the emulated cables, ps.")
+        ] = 0.0,
         rate: Annotated[float, typer.Option("--rate", help="Speed of time; 0 as fast as taken.")] = 1.0,
         loop: Annotated[bool, typer.Option("--loop", help="Replay for ever.")] = False,
         lose: Annotated[float, typer.Option("--lose", help="Share of packets lost.")] = 0.0,
@@ -85,6 +88,7 @@ def register(app: typer.Typer) -> None:
             source = Sources().recording(Path(replay), loop)
         else:
             wanted = {"seed": seed, "rpm": rpm, "axis_distance": axis_distance, "snr": snr}
+            wanted["cable_delay"] = cable_delay
             given = {key: str(value) for key, value in wanted.items()}
             source = Sources().scene(scene, given | ({"turned_by": turned_by} if turned_by else {}))
         core = EmulatorCore(source, firmware=firmware)

@@ -112,7 +112,7 @@ def _from_captures(
 
     found = []
     for path in captures:
-        capture = complete(read_any(path), config)
+        capture = complete(read_any(path, config["radar.cable_delay_ps"]), config)
         capture = prepare(capture, motion_of(config, capture))
         found.append(locate_reflectors(capture))
     estimate = layout_from_readings(found, name, about[0], about[1])

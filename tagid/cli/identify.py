@@ -57,7 +57,7 @@ def run(
     from rich.console import Group, RenderableType
 
     from tagid.cli import imaging
-    from tagid.defaults import complete, motion_of
+    from tagid.defaults import complete, motion_of, without_reference
     from tagid.pipeline import identify, prepare
     from tagid.storage.importers import read_any
 
@@ -72,7 +72,8 @@ def run(
     settings = imaging.settings_from(config, background)
     for path in files:
         try:
-            capture = complete(read_any(path), config)
+            capture = complete(read_any(path, config["radar.cable_delay_ps"]), config)
+            capture = without_reference(capture, config, background)
             capture = prepare(capture, motion_of(config, capture))
             answer = identify(capture, layouts, settings, version)
             if (preview or png) and len(files) == 1:

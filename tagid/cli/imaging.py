@@ -59,8 +59,10 @@ def settings_from(config: Config, background: str = "mean", focus_m: float = 0.0
     """Imaging settings of the configuration and the command line."""
     from tagid.pipeline import ImagingSettings
 
-    if background not in ("mean", "median", "none"):
-        raise UsageError(f"--background is {background!r}", "Use mean, median or none.")
+    if background not in ("mean", "median", "reference", "none"):
+        raise UsageError(f"--background is {background!r}", "Use mean, median, reference or none.")
+    if background == "reference":
+        background = "none"  # it is taken off before, by `without_reference`
     return ImagingSettings(
         method=config["imaging.method"],
         extent_m=config["imaging.extent_m"],

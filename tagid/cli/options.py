@@ -60,7 +60,7 @@ Extent = Annotated[
 ]
 Pixels = Annotated[int | None, typer.Option("--pixels", help="Pixels a side.", show_default=False)]
 Background = Annotated[
-    str, typer.Option("--background", help="Static background to remove: mean, median, none.")
+    str, typer.Option("--background", help="Static background to remove: mean, median, reference, none.")
 ]
 Preview = Annotated[bool, typer.Option("--preview", help="Draw the image in the terminal.")]
 PngFile = Annotated[

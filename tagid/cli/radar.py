@@ -7,9 +7,16 @@ from __future__ import annotations
 
 import typer
 
-from tagid.cli import radar_config, radar_find, radar_info, radar_reboot, radar_record
+from tagid.cli import (
+    radar_calibrate,
+    radar_config,
+    radar_find,
+    radar_info,
+    radar_reboot,
+    radar_record,
+)
 
-PARTS = (radar_find, radar_info, radar_config, radar_record, radar_reboot)
+PARTS = (radar_find, radar_info, radar_config, radar_record, radar_calibrate, radar_reboot)
 """Modules with a `register(group)`, in the order of the help text."""
 
 

@@ -53,7 +53,7 @@ def register(app: typer.Typer) -> None:
         from rich.text import Text
 
         from tagid.cli import imaging
-        from tagid.defaults import complete, motion_of
+        from tagid.defaults import complete, motion_of, without_reference
         from tagid.pipeline import prepare
         from tagid.storage.image import write_image
         from tagid.storage.importers import read_any
@@ -84,7 +84,8 @@ def register(app: typer.Typer) -> None:
                 config.values["imaging.pixels"].source == "default",
             ),
         )
-        capture = complete(read_any(file), config)
+        capture = complete(read_any(file, config["radar.cable_delay_ps"]), config)
+        capture = without_reference(capture, config, background)
         capture = prepare(capture, motion_of(config, capture))
         result = imaging.image_with_progress(terminal, capture, settings)
         if out:

@@ -18,7 +18,7 @@ CAN_RADIUS_M = 0.033
 """A 330 ml drink can is 66 mm wide."""
 BOX_SIDE_M = 0.2
 MAX_POINTS = 64
-_PLAIN = ("can", "box", "empty", "untagged")
+_PLAIN = ("can", "box", "corner", "empty", "untagged")
 
 
 def room_clutter(rng: np.random.Generator, returns: int = 8) -> StaticReturns:
@@ -79,7 +79,7 @@ def preset_names() -> list[str]:
 
 
 def scene_from_name(name: str, seed: int = 0) -> Scene:
-    """A named scene: a built-in layout on its object, or points-N, can, box, empty, untagged.
+    """A named scene: a built-in layout on its object, or points-N, can, box, corner, empty, untagged.
 
     Args:
         name: see `preset_names`.
@@ -101,6 +101,9 @@ def scene_from_name(name: str, seed: int = 0) -> Scene:
     if name == "box":
         box = Box(BOX_SIDE_M, BOX_SIDE_M, rotation_rad=float(rng.uniform(0, 2 * np.pi)))
         return Scene(name, (box,), (), room_clutter(rng), description=about)
+    if name == "corner":
+        # A reflector on the axis, ten times a tag's: what a calibration looks at, in the room of "empty".
+        return Scene(name, (Points(np.zeros((1, 2)), np.array([10.0])),), (), room_clutter(rng), None, about)
     if name == "empty":
         return Scene(name, (), (), room_clutter(rng), reference_amplitude=1.0, description=about)
     if name == "untagged":
