@@ -32,7 +32,8 @@ class Sources:
 
     def scene(self, name: str, options: dict[str, str]) -> ScanSource:
         """A turning scene; options `seed`, `rpm` (6), `axis_distance` (1.0 m), `snr` (20 dB),
-        `cable_delay` (0, two-way ps), and `turned_by`: HOST:PORT of an emulated robot that turns it instead, which asks for rate=1.
+        `cable_delay` (0, two-way ps), and `turned_by`: HOST:PORT of an emulated robot that turns it instead,
+        which asks for rate=1.
 
         Raises UsageError for an unknown scene, option or a value that is no number.
         """
