@@ -111,6 +111,8 @@ def parse_value(name: str, raw: Any, where: str) -> Any:
     setting = _BY_NAME.get(name)
     if setting is None:
         raise ConfigError(f"{where}: there is no setting {name!r}", "`tagid config` lists all settings.")
+    if setting.kind is str and isinstance(raw, list):
+        raw = ",".join(map(str, raw))  # a TOML list, where the command line has commas
     try:
         value: Any = setting.kind(raw)
         if setting.kind is int and float(raw) != value:

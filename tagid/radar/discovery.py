@@ -72,14 +72,15 @@ class Search:
 
 
 def addresses_from(text: str | None) -> tuple[str, ...]:
-    """The addresses of the setting `radar.addresses`: HOST or HOST:PORT, separated by commas.
+    """The addresses of the setting `radar.addresses`: HOST or HOST:PORT, separated by commas or spaces.
 
     Raises ConfigError where there are more than 64.
 
     >>> addresses_from("127.0.0.1:5000, 127.0.0.1:5001")
     ('127.0.0.1:5000', '127.0.0.1:5001')
     """
-    found = tuple(dict.fromkeys(part.strip() for part in (text or "").split(",") if part.strip()))
+    parts = (part.removeprefix("udp://") for part in (text or "").replace(",", " ").split())
+    found = tuple(dict.fromkeys(parts))
     if len(found) > _MOST_ADDRESSES:
         raise ConfigError(
             f"radar.addresses holds {len(found)} addresses",

@@ -30,6 +30,9 @@ class Link(Protocol):
         """Bytes that belonged to no packet: noise on a serial line, frames that were cut."""
         ...
 
+    guarded: bool
+    """Whether a checksum keeps damaged packets out: UDP and UART have one, USB frames have none."""
+
     packet_time_s: float
     """Time that the longest packet takes on the wire, s; 0 where that is nothing beside all else."""
 
@@ -107,6 +110,7 @@ class UdpLink:
     """
 
     exhausted = False
+    guarded = True
     skipped_bytes = 0
     packet_time_s = 0.0
 

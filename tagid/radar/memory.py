@@ -22,6 +22,7 @@ class MemoryLink:
         name: what messages call the radar.
     """
 
+    guarded = True
     skipped_bytes = 0
 
     def __init__(

@@ -204,7 +204,9 @@ class P440:
         patience = self._talk.timeout + 3 * period
         self._talk.early.clear()
         first_id = self._talk.next_id
-        assembler = ScanAssembler(first_id, self._talk.statistics, period_s=self.config.scan_period_s)
+        # Where damage can come through, an id must agree with the clock before it is believed.
+        believed = None if self._link.guarded else self.config.scan_period_s
+        assembler = ScanAssembler(first_id, self._talk.statistics, period_s=believed)
         end_id = None if count == SCAN_FOREVER else first_id + count
         try:
             self._talk.scanning = True

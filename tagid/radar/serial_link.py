@@ -71,6 +71,7 @@ class SerialLink:
     def __init__(self, port: SerialPort) -> None:
         self.port = port
         uart = port.framing is Framing.UART
+        self.guarded = uart
         self.packet_time_s = _FRAME_BITS / port.baud if uart else 0.0
         self.decoder = StreamDecoder(port.framing)
         self._packets: deque[bytes] = deque()

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+from tagid.config import SETTINGS
+from tagid.radar.discovery import addresses_from
 from tagid.radar.emulator import ServeOptions, UdpEmulator
 from tagid.radar.emulator_core import EmulatorCore, Identity
 from tagid.radar.links import UdpLink
 from tagid.radar.p440 import P440
 from tagid.radar.settings import RadarConfig
+
+SETTING_DEFAULTS = {setting.name: setting.default for setting in SETTINGS}
 
 
 class Silence:
@@ -31,6 +37,23 @@ def test_find_asks_all_addresses_at_once_and_names_those_that_answer(tagid) -> N
         assert [(r["url"], r["status"]["serial"]) for r in radars] == [(a.url, 7), (b.url, 8)]
         shown = tagid("radar", "find", TAGID_RADAR_ADDRESSES=listed)
         assert a.url in shown.out
+
+
+def test_find_asks_the_addresses_of_the_configuration_file(tagid, home) -> None:
+    del home["TAGID_RADAR_ADDRESSES"]
+    with emulator(serial=9) as device:
+        config = Path(home["TAGID_CONFIG"])
+        config.parent.mkdir(exist_ok=True)
+        config.write_text(f'[radar]\naddresses = ["127.0.0.1:{device.address[1]}"]\n')
+        done = tagid("radar", "find", "--output", "json")
+        assert [r["status"]["serial"] for r in done.json["data"]["radars"]] == [9]
+        assert done.json["data"]["asked"] == [device.url]
+
+
+def test_the_shipped_addresses_are_the_kit_s() -> None:
+    assert addresses_from(SETTING_DEFAULTS["radar.addresses"]) == tuple(
+        f"192.168.1.{n}" for n in range(100, 104)
+    )
 
 
 def test_find_without_a_radar_says_where_to_look(tagid) -> None:

@@ -142,3 +142,23 @@ def test_random_bytes_crash_neither_decoder_nor_emulator(packets: list[bytes]) -
             assert len(answers) == 0 or decode(answers[0]).type is MessageType.INVALID_MESSAGE_CONFIRM
         for answer in core.handle(packet) + core.step():
             decode(answer)
+
+
+def test_an_id_that_runs_ahead_of_the_clock_is_damage_and_costs_nothing_else() -> None:
+    """USB frames have no checksum: one flipped bit in an id must not make all that follows look late."""
+    assembler = ScanAssembler(0, period_s=CONFIG.scan_period_s)
+    scans = packets_of(40, 0)
+    damaged = bytearray(scans[5][1])
+    damaged[2] ^= 0x40
+    flat = [packet for scan in scans for packet in scan]
+    flat[flat.index(scans[5][1])] = bytes(damaged)
+    got = feed(assembler, flat)
+    assert [scan.scan_id for scan in got] == [i for i in range(40) if i != 5]
+    assert (assembler.statistics.malformed, assembler.statistics.late) == (1, 0)
+
+
+def test_a_gap_in_ids_that_the_clock_confirms_is_a_gap() -> None:
+    assembler = ScanAssembler(0, period_s=CONFIG.scan_period_s)
+    scans = [*packets_of(20, 0)[:2], scan_packets(samples_of(5000), CONFIG, 5000, 1000 + 16 * 5000)]
+    assert [scan.scan_id for scan in feed(assembler, [p for s in scans for p in s])] == [0, 1, 5000]
+    assert assembler.statistics.lost_scans == 4998

@@ -57,15 +57,19 @@ FAULTS = [
     {"reorder": 0.5},
     {"lose": 0.05, "delay": 0.2, "delay_s": 0.05},
     {"lose": 0.3, "duplicate": 0.1, "reorder": 0.2, "delay": 0.2, "delay_s": 0.05},
+    {"lose": 0.3, "reorder": 0.2, "delay": 0.5, "delay_s": 0.05, "rate": 1.0},
+    {"delay": 1.0, "delay_s": 0.05, "rate": 1.0},
 ]
 
 
 @pytest.mark.parametrize("faults", FAULTS, ids=lambda f: " ".join(f"{k}={v}" for k, v in f.items()))
 def test_every_complete_scan_is_delivered_once_and_in_order(faults: dict[str, float]) -> None:
     """Three fragments a scan at 700 scans a second; 50 ms of delay are 35 scans that overtake."""
-    with udp(None, **faults, seed=5) as device:
+    with udp(
+        None, faults.get("rate", 0.0), **{k: v for k, v in faults.items() if k != "rate"}, seed=5
+    ) as device:
         link = Witness(device.address)
-        with P440(link, timeout=0.4, attempts=10) as radar:
+        with P440(link, timeout=0.7, attempts=10) as radar:
             config = radar.set_config(THREE_FRAGMENTS)
             assert config.samples == 864
             link.parts.clear()
