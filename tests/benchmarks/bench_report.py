@@ -129,16 +129,13 @@ def main() -> None:
         page = (out / "report.html").stat().st_size / 1e6
     (first, first_cpu), (last, last_cpu) = meter.rates[0], meter.rates[-1]
     writing = total - sum(arguments.items / PARTS / rate for rate, _ in meter.rates)
-    print(
-        f"\nall {arguments.items} items in {total:.0f} s, of it {writing:.1f} s start and writing the files"
-    )
+    print(f"\nall {arguments.items} items in {total:.0f} s; start and writing the files took {writing:.1f} s")
     print(f"statuses: {finished.summary['by_status']}; page {page:.1f} MB")
-    print(
-        f"rate, last to first part: {last / first:.3f} by the clock, {last_cpu / first_cpu:.3f} by processor time"
-    )
+    by_clock, by_cpu = last / first, last_cpu / first_cpu
+    print(f"rate, last to first part: {by_clock:.3f} by the clock, {by_cpu:.3f} by processor time")
     parent, workers = zip(*meter.memories, strict=True)
-    print(f"memory, last less first part: parent {parent[-1] - parent[0]:+.1f} MB, "
-          f"workers {workers[-1] - workers[0]:+.1f} MB; peak {max(map(sum, meter.memories)):.0f} MB")  # fmt: skip
+    grown = f"parent {parent[-1] - parent[0]:+.1f} MB, workers {workers[-1] - workers[0]:+.1f} MB"
+    print(f"memory, last less first part: {grown}; peak {max(map(sum, meter.memories)):.0f} MB")
 
 
 if __name__ == "__main__":

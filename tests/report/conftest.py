@@ -1,28 +1,21 @@
-"""Captures of known objects, and a batch in this process: pool and cluster have tests of their own."""
+"""Captures of known objects, and reports made of them in this process: pool and cluster have own tests."""
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
+from report_batches import OBJECTS, a_job, copy_captures, in_this_process
 
 from tagid.batch.inputs import collect
 from tagid.batch.job import Job
-from tagid.batch.local import Results, Tasks
 from tagid.batch.run import Finished, Plan, run_batch
-from tagid.batch.work import work
-from tagid.config import load_config
-from tagid.pipeline import ImagingSettings
 from tagid.simulate.acquisition import Acquisition
 from tagid.simulate.capture import simulate_capture
 from tagid.simulate.presets import scene_from_name
 from tagid.storage.hdf5 import write_capture
-from tagid.tags.layout import builtin_layouts
-
-OBJECTS = ("helmet-120", "container-90", "helmet-linear", "empty")
 
 
 @pytest.fixture(scope="session")
@@ -37,23 +30,12 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def captures(recorded: Path, tmp_path: Path) -> Path:
-    """A folder of its own with the captures, one that is damaged, and a note."""
-    folder = tmp_path / "captures"
-    shutil.copytree(recorded, folder)
-    (folder / "bad.tagid.h5").write_bytes(b"not a capture")
-    (folder / "notes.txt").write_text("no capture either")
-    return folder
-
-
-def in_this_process(tasks: Tasks, job: Job) -> Results:
-    for task in tasks:
-        yield None if task is None else (*task, work(task[1], job))
+    return copy_captures(recorded, tmp_path / "captures")
 
 
 @pytest.fixture
 def job() -> Job:
-    settings = ImagingSettings(method="bp", pixels=48)
-    return Job(settings, tuple(builtin_layouts().values()), 4, load_config())
+    return a_job()
 
 
 @pytest.fixture

@@ -166,7 +166,7 @@
   };
   const twice = (svg, tag, attributes, title) => {
     // A dark rim under a light line is seen on any colour.
-    svg.append(draw(tag, { ...attributes, fill: "none", stroke: "#101014", "stroke-width": 4.5 }));
+    svg.append(draw(tag, { ...attributes, class: "rim", fill: "none", stroke: "#101014", "stroke-width": 4.5 }));
     const line = draw(tag, { ...attributes, fill: "none", "stroke-width": 2 });
     line.append(draw("title", {}, title));
     svg.append(line);
@@ -268,7 +268,9 @@
   for (const name of [...new Set(rows.map((row) => row[LAYOUT]).filter(Boolean))].sort(collator.compare))
     byId("f-layout").append(make("option", { value: name }, name));
   let waiting = 0;
-  for (const filter of filters) filter.addEventListener("input", () => { clearTimeout(waiting); waiting = setTimeout(choose, 80); });
+  const soon = () => { clearTimeout(waiting); waiting = setTimeout(choose, 80); };
+  // Not every browser reports a choice from a list as input.
+  for (const filter of filters) for (const kind of ["input", "change"]) filter.addEventListener(kind, soon);
   byId("filters").addEventListener("submit", (event) => event.preventDefault());
   byId("filters").addEventListener("reset", () => setTimeout(() => { state.sort = null; choose(); }));
   byId("p-size").addEventListener("change", () => { state.page = 0; show(); });
