@@ -155,15 +155,16 @@ class History:
         return numbers
 
     def find(self, wanted: Filter | None = None, *, oldest_first: bool = False) -> Iterator[dict[str, Any]]:
-        """Rows with `FIELDS`, newest first unless told otherwise, read as they are taken."""
+        """Rows with `FIELDS`, read as they are taken: the newest ones, newest first unless told otherwise."""
         where, values = _conditions(wanted or Filter())
-        order = "ASC" if oldest_first else "DESC"
         limit = f" LIMIT {int(wanted.limit)}" if wanted and wanted.limit else ""
         columns = ", ".join(f"run.{name}" if name == "command" else f"i.{name}" for name in FIELDS)
         query = (
             f"SELECT {columns} FROM identification i JOIN run ON run.id = i.run_id{where}"
-            f" ORDER BY i.id {order}{limit}"
+            f" ORDER BY i.id DESC{limit}"
         )
+        if oldest_first:
+            query = f"SELECT * FROM ({query}) ORDER BY id"
         with self._database.connection() as connection:
             for row in connection.execute(query, values):
                 yield dict(zip(FIELDS, row, strict=True))

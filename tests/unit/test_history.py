@@ -1,0 +1,152 @@
+"""The history of identifications: kept whole, filtered, exported, safe with several processes."""
+
+from __future__ import annotations
+
+import csv
+import sqlite3
+import subprocess
+import sys
+from datetime import datetime
+from pathlib import Path
+
+import pytest
+
+from tagid.errors import MissingExtraError, StorageError, UsageError
+from tagid.storage.history import FIELDS, Filter, History
+from tagid.storage.history_export import export
+
+
+def record(number: int = 0, **changes: object) -> dict[str, object]:
+    return {
+        "file": f"captures/{number}.tagid.h5",
+        "time_utc": f"2026-11-{number % 28 + 1:02d}T08:00:00.000+00:00",
+        "content_sha256": "ab" * 32,
+        "capture_uuid": f"uuid-{number}",
+        "status": "identified",
+        "reason": "",
+        "layout": "helmet-120",
+        "label": "",
+        "score": 0.9,
+        "margin": 0.5,
+        "rotation_deg": 40.0,
+        "centre_m": [0.001, -0.002],
+        "reflectors": [
+            {"x_m": 0.11, "y_m": 0.0, "amplitude_db": 0.0, "matched": True},
+            {"x_m": -0.05, "y_m": 0.09, "amplitude_db": -3.0, "matched": False},
+        ],
+        "missing": 0,
+        "extra": 1,
+        "registry_version": 4,
+        "model_sha256": None,
+        "tool_version": "0.1.0",
+        "seconds": {"read": 0.25, "load": 0.5},
+        "error": None,
+        **changes,
+    }
+
+
+@pytest.fixture
+def history(tmp_path: Path) -> History:
+    return History(tmp_path / "data" / "history.sqlite")
+
+
+def test_what_is_kept_comes_back(history: History) -> None:
+    run = history.begin("report", {"imaging": {"pixels": 128}})
+    (number,) = history.add(run, [record()])
+    (row,) = history.find()
+    assert tuple(row) == FIELDS
+    assert (row["command"], row["layout"], row["centre_y_m"], row["total_s"]) == (
+        "report", "helmet-120", -0.002, 0.75
+    )  # fmt: skip
+    assert history.reflectors(number) == record()["reflectors"]
+
+
+def test_filters(history: History) -> None:
+    scan, report = history.begin("scan", {}), history.begin("report", {})
+    history.add(scan, [record(n) for n in range(3)])
+    failed = {"code": "bad_file", "message": "damaged", "remedy": ""}
+    history.add(report, [record(9, status="unknown", layout=None), record(12, status="failed", error=failed)])
+
+    def found(**wanted: object) -> list[str]:
+        return [row["capture_uuid"] for row in history.find(Filter(**wanted))]  # type: ignore[arg-type]
+
+    assert found() == ["uuid-12", "uuid-9", "uuid-2", "uuid-1", "uuid-0"]
+    assert found(status="unknown") == ["uuid-9"]
+    assert found(layout="helmet-120", command="scan", limit=2) == ["uuid-2", "uuid-1"]
+    assert found(since="2026-11-03", until="2026-11-13T07:59") == ["uuid-9", "uuid-2"]
+    assert found(since="2026-11-10T09:00+01:00", limit=5) == ["uuid-12", "uuid-9"], "08:00 UTC"
+    assert found(file="/1.tagid") == ["uuid-1"]
+    assert found(capture_uuid="uuid-12") == ["uuid-12"]
+    assert history.count(Filter(command="scan", limit=1)) == 3
+    for wrong in ({"status": "fine"}, {"limit": 0}):
+        with pytest.raises(UsageError):
+            Filter(**wrong)  # type: ignore[arg-type]
+    with pytest.raises(UsageError, match="not a date"):
+        found(since="soon")
+
+
+def test_all_or_none_and_only_with_a_run(history: History) -> None:
+    run = history.begin("identify", {})
+    with pytest.raises(StorageError):
+        history.add(run, [record(1), record(2, status="fine")])
+    with pytest.raises(StorageError, match="FOREIGN KEY"):
+        history.add(run + 1, [record()])
+    assert history.count() == 0
+    with sqlite3.connect(history.path) as connection:
+        assert connection.execute("PRAGMA journal_mode").fetchone()[0] == "wal"
+        assert connection.execute("PRAGMA user_version").fetchone()[0] == 1
+    connection.close()
+
+
+def test_several_processes_lose_nothing(history: History) -> None:
+    code = (
+        "import sys\nfrom pathlib import Path\nfrom tagid.storage.history import History\n"
+        "sys.path.insert(0, sys.argv[2])\nfrom test_history import record\n"
+        "history = History(Path(sys.argv[1]))\nrun = history.begin('scan', {})\n"
+        "for n in range(40): history.add(run, [record(n)])\n"
+    )
+    words = [sys.executable, "-c", code, str(history.path), str(Path(__file__).parent)]
+    processes = [subprocess.Popen(words) for _ in range(3)]
+    assert [process.wait(120) for process in processes] == [0, 0, 0]
+    assert history.count() == 120
+
+
+def test_newer_and_strange_files_are_told(history: History, tmp_path: Path) -> None:
+    connection = sqlite3.connect(history.path)
+    connection.execute("PRAGMA user_version = 9")
+    connection.close()
+    with pytest.raises(StorageError, match="schema 9"):
+        History(history.path)
+    (tmp_path / "noise").write_bytes(b"noise" * 1000)
+    with pytest.raises(StorageError, match="noise"):
+        History(tmp_path / "noise")
+
+
+def test_export_to_csv_and_parquet(history: History, tmp_path: Path) -> None:
+    run = history.begin("report", {})
+    history.add(run, [record(n, file='a,"b"\n' if n == 1 else "c") for n in range(3)])
+    assert export(history, Filter(), tmp_path / "h.csv") == 3
+    with (tmp_path / "h.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["capture_uuid"] for row in rows] == ["uuid-0", "uuid-1", "uuid-2"]
+    assert rows[1]["file"] == 'a,"b"\n'
+    with pytest.raises(UsageError, match="format"):
+        export(history, Filter(), tmp_path / "h.xls")
+    parquet = pytest.importorskip("pyarrow.parquet")
+    assert export(history, Filter(limit=2), tmp_path / "h.parquet") == 2
+    table = parquet.read_table(tmp_path / "h.parquet")
+    assert table.column_names == list(FIELDS)
+    assert str(table.schema.field("time_utc").type) == "timestamp[ms, tz=UTC]"
+    first, last = table.to_pylist()
+    assert (first["capture_uuid"], last["capture_uuid"]) == ("uuid-1", "uuid-2"), "the newest, in order"
+    assert first["score"] == 0.9
+    assert first["time_utc"] == datetime.fromisoformat(str(record(1)["time_utc"]))
+
+
+def test_parquet_without_its_library(
+    history: History, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    with pytest.raises(MissingExtraError, match="pyarrow"):
+        export(history, Filter(), tmp_path / "h.parquet")
+    assert not (tmp_path / "h.parquet").exists()
