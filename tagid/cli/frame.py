@@ -79,34 +79,59 @@ def command(
     """
 
     def decorate(function: Callable[..., Result]) -> Callable[..., Result]:
-        hints = typing.get_type_hints(function, include_extras=True)
-        own = [
-            parameter.replace(annotation=hints[parameter.name])
-            for parameter in inspect.signature(function).parameters.values()
-            if parameter.name != "terminal"
-        ]
-        output = Annotated[formats, typer.Option("--output", help=_OUTPUT_HELP)]  # type: ignore[valid-type]
-        common = [
-            inspect.Parameter(
-                "output", inspect.Parameter.KEYWORD_ONLY, default=formats("human"), annotation=output
-            )
-        ] + [
-            inspect.Parameter(key, inspect.Parameter.KEYWORD_ONLY, default=_DEFAULTS[key], annotation=kind)
-            for key, kind in _COMMON.items()
-        ]
-
-        @functools.wraps(function)
-        def run(**options: Any) -> None:
-            terminal = Terminal(options.pop("output"), options.pop("quiet"), options.pop("verbose"))
-            result = execute(name, terminal, lambda: function(terminal, **options))
-            raise typer.Exit(result.exit_code)
-
-        run.__signature__ = inspect.Signature(own + common)  # type: ignore[attr-defined]
-        run.__annotations__ = {parameter.name: parameter.annotation for parameter in own + common}
-        app.command(name.rpartition(" ")[2])(run)
+        app.command(name.rpartition(" ")[2])(_with_common_options(name, function, formats))
         return function
 
     return decorate
+
+
+def group_command(app: typer.Typer, name: str) -> Callable[[Callable[..., Result]], Callable[..., Result]]:
+    """Register a function as what a group of commands does where none of them is named."""
+
+    def decorate(function: Callable[..., Result]) -> Callable[..., Result]:
+        run = _with_common_options(name, function, Output)
+
+        @functools.wraps(run)
+        def unless_named(context: typer.Context, **options: Any) -> None:
+            if context.invoked_subcommand is None:
+                run(**options)
+
+        own = inspect.Parameter("context", inspect.Parameter.POSITIONAL_OR_KEYWORD, annotation=typer.Context)
+        parameters = [own, *inspect.signature(run).parameters.values()]
+        unless_named.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+        unless_named.__annotations__ = {"context": typer.Context, **run.__annotations__}
+        app.callback(invoke_without_command=True)(unless_named)
+        return function
+
+    return decorate
+
+
+def _with_common_options(
+    name: str, function: Callable[..., Result], formats: type[StrEnum]
+) -> Callable[..., None]:
+    hints = typing.get_type_hints(function, include_extras=True)
+    own = [
+        parameter.replace(annotation=hints[parameter.name])
+        for parameter in inspect.signature(function).parameters.values()
+        if parameter.name != "terminal"
+    ]
+    output = Annotated[formats, typer.Option("--output", help=_OUTPUT_HELP)]  # type: ignore[valid-type]
+    common = [
+        inspect.Parameter("output", inspect.Parameter.KEYWORD_ONLY, default=formats("human"), annotation=output)
+    ] + [
+        inspect.Parameter(key, inspect.Parameter.KEYWORD_ONLY, default=_DEFAULTS[key], annotation=kind)
+        for key, kind in _COMMON.items()
+    ]
+
+    @functools.wraps(function)
+    def run(**options: Any) -> None:
+        terminal = Terminal(options.pop("output"), options.pop("quiet"), options.pop("verbose"))
+        result = execute(name, terminal, lambda: function(terminal, **options))
+        raise typer.Exit(result.exit_code)
+
+    run.__signature__ = inspect.Signature(own + common)  # type: ignore[attr-defined]
+    run.__annotations__ = {parameter.name: parameter.annotation for parameter in own + common}
+    return run
 
 
 def execute(name: str, terminal: Terminal, work: Callable[[], Result]) -> Result:

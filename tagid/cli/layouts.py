@@ -1,4 +1,7 @@
-"""`tagid layouts`: the enrolled identities."""
+"""`tagid layouts`: the enrolled identities, and the group of commands about layouts.
+
+One thin file a command; a new one is added to `PARTS` and nowhere else.
+"""
 
 from __future__ import annotations
 
@@ -6,20 +9,26 @@ from typing import Annotated, Any
 
 import typer
 
-from tagid.cli.frame import Terminal, command
+from tagid.cli import layouts_check, layouts_design, layouts_files, layouts_show
+from tagid.cli.frame import Terminal, group_command
 from tagid.result import Result
+
+PARTS = (layouts_design, layouts_show, layouts_files, layouts_check)
+"""Modules with a `register(group)`, in the order of the help text."""
 
 
 def register(app: typer.Typer) -> None:
-    """Add the command."""
+    """Add the group."""
+    group = typer.Typer()
+    app.add_typer(group, name="layouts")
 
-    @command(app, "layouts")
+    @group_command(group, "layouts")
     def layouts(
         terminal: Terminal,
         history: Annotated[bool, typer.Option("--history", help="Every change ever made.")] = False,
         remove: Annotated[str | None, typer.Option("--remove", help="Take this layout out.")] = None,
     ) -> Result:
-        """List the enrolled layouts, their history, or take one out.
+        """List, design, draw, exchange and check the layouts; alone it lists those enrolled.
 
         Example: tagid layouts --history
         """
@@ -66,3 +75,6 @@ def register(app: typer.Typer) -> None:
             "layouts": [layout.to_dict() for layout in enrolled],
         }
         return Result("layouts", data, table)
+
+    for part in PARTS:
+        part.register(group)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import sqlite3
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -73,7 +74,7 @@ class Registry:
     def version(self) -> int:
         """Number of changes made so far; grows by one with each."""
         with self._database.connection() as connection:
-            return int(connection.execute("SELECT COALESCE(MAX(version), 0) FROM change").fetchone()[0])
+            return self._version(connection)
 
     def layouts(self) -> list[Layout]:
         """All enrolled layouts, by name."""
@@ -103,11 +104,81 @@ class Registry:
                     f"a layout named {layout.name} is enrolled already",
                     "Choose another name, or remove the old one first.",
                 )
-            version = self._log(connection, "replace" if taken else "add", layout.name, source, text)
-            connection.execute(
-                "INSERT OR REPLACE INTO layout (name, definition, version) VALUES (?, ?, ?)",
-                (layout.name, text, version),
+            return self._put(connection, layout.name, text, source)
+
+    def add_all(self, layouts: Sequence[Layout], source: str) -> int:
+        """Enrol layouts, over those of the same names, all or none; returns the new version.
+
+        A layout that is enrolled just so makes no new version.
+        """
+        with self._database.transaction() as connection:
+            now = self._definitions(connection)
+            for layout in layouts:
+                text = json.dumps(layout.to_dict(), sort_keys=True)
+                if now.get(layout.name) != text:
+                    self._put(connection, layout.name, text, source)
+            return self._version(connection)
+
+    def go_back(self, version: int | None = None) -> int:
+        """Restore the layouts as they were at a version, by new changes; returns the new version.
+
+        Args:
+            version: None takes the one before what was done last (an import is one deed of many changes), so
+                that going back twice changes nothing.
+
+        Raises RegistryError where there is no such version.
+        """
+        with self._database.transaction() as connection:
+            last = self._version(connection)
+            target = self._before_last_deed(connection) if version is None else version
+            if not 1 <= target < last:
+                raise RegistryError(
+                    f"there is no version {target} to go back to, the registry is at version {last}",
+                    "`tagid layouts --history` lists the versions.",
+                )
+            rows = connection.execute(
+                "SELECT action, name, definition FROM change WHERE version <= ? ORDER BY version", (target,)
             )
+            then: dict[str, str] = {}
+            for action, name, definition in rows:
+                then.pop(name, None)
+                if action != "remove":
+                    self._decode(name, definition)
+                    then[name] = definition
+            now = self._definitions(connection)
+            source = f"back to version {target}"
+            for name in sorted(now.keys() - then.keys()):
+                connection.execute("DELETE FROM layout WHERE name = ?", (name,))
+                self._log(connection, "remove", name, source, now[name])
+            for name, text in sorted(then.items()):
+                if now.get(name) != text:
+                    self._put(connection, name, text, source)
+            return self._version(connection)
+
+    @staticmethod
+    def _before_last_deed(connection: sqlite3.Connection) -> int:
+        rows = connection.execute("SELECT version, time_utc, source FROM change ORDER BY version DESC")
+        version, *deed = rows.fetchone()
+        for earlier, *other in rows:
+            if other != deed:
+                break
+            version = earlier
+        return int(version) - 1
+
+    def _definitions(self, connection: sqlite3.Connection) -> dict[str, str]:
+        return dict(connection.execute("SELECT name, definition FROM layout").fetchall())
+
+    @staticmethod
+    def _version(connection: sqlite3.Connection) -> int:
+        return int(connection.execute("SELECT COALESCE(MAX(version), 0) FROM change").fetchone()[0])
+
+    def _put(self, connection: sqlite3.Connection, name: str, text: str, source: str) -> int:
+        taken = connection.execute("SELECT 1 FROM layout WHERE name = ?", (name,)).fetchone()
+        version = self._log(connection, "replace" if taken else "add", name, source, text)
+        connection.execute(
+            "INSERT OR REPLACE INTO layout (name, definition, version) VALUES (?, ?, ?)",
+            (name, text, version),
+        )
         return version
 
     def remove(self, name: str, source: str = "") -> int:

@@ -19,6 +19,7 @@ from tagid.tags.codebook import (
     CONFUSABLE_M,
     LayoutDistance,
     best_pairing,
+    confusable,
     rotational_distance,
 )
 from tagid.tags.layout import Layout, rotation_matrix
@@ -37,6 +38,10 @@ class LayoutStore(Protocol):
 
     def add(self, layout: Layout, source: str, *, replace: bool = False) -> int:
         """Enrol and return the registry's version."""
+        ...
+
+    def add_all(self, layouts: Sequence[Layout], source: str) -> int:
+        """Enrol several, all or none, and return the registry's version."""
         ...
 
 
@@ -89,6 +94,41 @@ def enrol(
         )
     version = store.add(layout, source, replace=force)
     return Enrolment(layout, distances, tuple(sorted(near)), version)
+
+
+def merge(
+    store: LayoutStore,
+    layouts: Sequence[Layout],
+    source: str,
+    *,
+    force: bool = False,
+    tolerance_m: float = CONFUSABLE_M,
+) -> int:
+    """Add several layouts to the store, all or none; those enrolled just so are left as they are.
+
+    Raises:
+        LayoutConflictError: a name stands for another layout there, or two layouts could be confused; not
+            with `force`, which replaces the former and lets the latter be.
+    """
+    if not force:
+        known = {layout.name: layout for layout in store.layouts()}
+        for layout in layouts:
+            same = known.get(layout.name)
+            if same is not None and same.to_dict() != layout.to_dict():
+                raise LayoutConflictError(
+                    f"a different layout named {layout.name} is enrolled already",
+                    "Rename one of them, or replace the enrolled one with --force.",
+                )
+        new = [layout for layout in layouts if layout.name not in known]
+        fixed = list(known.values())
+        for i, layout in enumerate(new):
+            for name, distance in confusable(layout, [*fixed, *new[:i]], tolerance_m).items():
+                raise LayoutConflictError(
+                    f"layout {layout.name} could be confused with {name}: its reflectors lie within "
+                    f"{distance.worst_m * 1e3:.1f} mm of it after some turn",
+                    "Leave one of them out, or insist with --force; nothing was stored.",
+                )
+    return store.add_all(layouts, source)
 
 
 @dataclass(frozen=True, eq=False)

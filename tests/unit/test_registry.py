@@ -9,10 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tagid.errors import LayoutConflictError, RegistryError
+from tagid.errors import FileFormatError, LayoutConflictError, RegistryError
 from tagid.storage.registry import Registry
-from tagid.tags.enrolment import enrol
+from tagid.tags.design import DesignRules, design
+from tagid.tags.enrolment import enrol, merge
 from tagid.tags.layout import Layout, builtin_layouts
+from tagid.tags.layout_file import read_layouts, write_layouts
+from tagid.tags.objects import object_named
 
 SCALENE = np.array([[0.1, 0.0], [-0.02, 0.06], [-0.05, -0.04]])
 
@@ -141,3 +144,51 @@ def test_enrolment_refuses_what_could_be_confused(tmp_path: Path) -> None:
     fine = enrol(registry, Layout("fine", SCALENE), "numbers")
     assert not fine.confusable
     assert set(fine.distances) == {*builtin_layouts(), "near"}
+
+
+def test_several_are_added_all_or_none_and_taken_back_as_one(tmp_path: Path) -> None:
+    registry = Registry(tmp_path / "r.sqlite")
+    before = {layout.name: layout.to_dict() for layout in registry.layouts()}
+    family = design(object_named("helmet").with_rows(2), DesignRules(), 4).layouts
+    last = merge(registry, family, "design")
+    assert last == registry.version == 8, last
+    assert merge(registry, family, "again") == last
+    clash = Layout("new", family[0].positions)
+    with pytest.raises(LayoutConflictError, match="new could be confused with helmet"):
+        merge(registry, [Layout("fine", family[1].positions * 0.5), clash], "file")
+    other = Layout("helmet-120", family[0].positions)
+    with pytest.raises(LayoutConflictError, match="different layout named helmet-120"):
+        merge(registry, [other], "file")
+    assert registry.version == last
+    assert merge(registry, [other], "file", force=True) == last + 1
+    registry.go_back()
+    assert registry.get("helmet-120").to_dict() == before["helmet-120"]
+    registry.go_back(4)
+    assert {layout.name: layout.to_dict() for layout in registry.layouts()} == before
+    registry.go_back()
+    assert len(registry.layouts()) == 8
+    with pytest.raises(RegistryError, match="no version 99"):
+        registry.go_back(99)
+
+
+def test_a_file_of_layouts_comes_back_unchanged(tmp_path: Path) -> None:
+    family = design(object_named("mug").with_rows(2), DesignRules(), 5).layouts
+    path = tmp_path / "family.toml"
+    write_layouts(family, path)
+    assert [a.to_dict() for a in read_layouts(path)] == [a.to_dict() for a in family]
+    good = path.read_text()
+    for wrong, words in (
+        (good.replace("version = 1", "version = 9"), "newer"),
+        (good.replace("tagid.layouts", "tagid.images"), "format"),
+        (good.replace("mug-r3s12-02", "mug-r3s12-01"), "twice"),
+        (good.replace("mug-r3s12-02", "../mug"), "layout 2"),
+        (good.replace("mug-r3s12-02", "mug\\u0007"), "layout 2"),
+        (good.replace("heights_m = [", "heights_m = [9.0,", 1), "heights_m"),
+        (good + "]]", "TOML"),
+        ('format = "tagid.layouts"\nversion = 1\n', "no"),
+    ):
+        path.write_text(wrong)
+        with pytest.raises(FileFormatError) as caught:
+            read_layouts(path)
+        assert words in f"{caught.value.message} {caught.value.remedy}"
+        assert path.name in caught.value.message

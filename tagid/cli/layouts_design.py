@@ -1,0 +1,235 @@
+"""`tagid layouts design` and `capacity`: families of layouts for an object, and how large they can be."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from tagid.cli.frame import Terminal, command
+from tagid.errors import UsageError
+from tagid.result import Result
+
+if TYPE_CHECKING:
+    from tagid.tags.design import DesignRules, Family
+    from tagid.tags.objects import TaggedObject
+
+ObjectName = Annotated[str, typer.Option("--object", help="helmet, mug or container.")]
+Radius = Annotated[
+    list[float] | None,
+    typer.Option("--radius", help="Your own object: a row's radius in metres; once for each row."),
+]
+Height = Annotated[
+    list[float] | None, typer.Option("--height", help="Heights of these rows, metres; as many as radii.")
+]
+Rows = Annotated[int | None, typer.Option("--rows", help="Use so many of the object's rows.")]
+Slots = Annotated[int, typer.Option("--slots", help="Equal steps around the object.")]
+Spacing = Annotated[
+    float | None, typer.Option("--spacing", help="Least distance of two reflectors, metres (0.04).")
+]
+Mirror = Annotated[
+    bool,
+    typer.Option(
+        "--mirror/--no-mirror",
+        help="Whether mirror images may both be used; not where the turn's direction is unknown.",
+    ),
+]
+Seed = Annotated[int, typer.Option("--seed", help="Of the search for the best set.")]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands."""
+
+    @command(app, "layouts design")
+    def design(
+        terminal: Terminal,
+        target: ObjectName = "helmet",
+        reflectors: Annotated[int, typer.Option("--reflectors", help="Reflectors on each layout.")] = 3,
+        slots: Slots = 12,
+        count: Annotated[int, typer.Option("--count", help="Layouts wanted.")] = 10,
+        rows: Rows = None,
+        radius: Radius = None,
+        height: Height = None,
+        spacing: Spacing = None,
+        mirror: Mirror = True,
+        seed: Seed = 0,
+        prefix: Annotated[str | None, typer.Option("--prefix", help="Of the names.")] = None,
+        out: Annotated[Path | None, typer.Option("--out", help="Write them as TOML.")] = None,
+        enroll: Annotated[bool, typer.Option("--enroll", help="Enrol them all, or none.")] = False,
+    ) -> Result:
+        """Design layouts that a radar tells apart best in any turn of the object.
+
+        Example: tagid layouts design --object helmet --reflectors 3 --slots 12 --count 10 --out helmets.toml
+        """
+        from tagid.tags.design import design as make
+
+        family = make(
+            object_from(target, rows, radius, height),
+            rules_from(reflectors, slots, spacing, mirror, seed),
+            count,
+            prefix,
+        )
+        return _designed(family, out, enroll)
+
+    @command(app, "layouts capacity")
+    def capacity(
+        terminal: Terminal,
+        target: ObjectName = "helmet",
+        slots: Slots = 12,
+        rows: Rows = None,
+        radius: Radius = None,
+        height: Height = None,
+        spacing: Spacing = None,
+        mirror: Mirror = True,
+        seed: Seed = 0,
+        error_rate: Annotated[
+            float, typer.Option("--error-rate", help="Rate of wrong names allowed.")
+        ] = 0.001,
+        sigma: Annotated[
+            float | None,
+            typer.Option("--sigma", help="Your own measured error of one coordinate, metres."),
+        ] = None,
+    ) -> Result:
+        """Tell how many identities an object carries at a stated rate of wrong names.
+
+        Example: tagid layouts capacity --object mug --error-rate 0.001
+        """
+        return _capacity(
+            object_from(target, rows, radius, height),
+            [rules_from(k, slots, spacing, mirror, seed) for k in (2, 3, 4)],
+            sigma,
+            error_rate,
+        )
+
+
+def object_from(
+    name: str, rows: int | None, radii: list[float] | None, heights: list[float] | None
+) -> TaggedObject:
+    """The built-in object with its rows, or one's own from radii and heights. Raises UsageError."""
+    from tagid.tags.objects import Row, TaggedObject, object_named
+
+    if not radii:
+        if heights:
+            raise UsageError("--height without --radius", "Give a --radius for every --height.")
+        return object_named(name).with_rows(rows if rows is not None else 1)
+    if heights and len(heights) != len(radii):
+        raise UsageError(
+            f"{len(radii)} radii and {len(heights)} heights", "Give as many --height as --radius."
+        )
+    if rows is not None:
+        raise UsageError("--rows with --radius", "Every --radius is a row; leave --rows out.")
+    given = tuple(Row(r, h) for r, h in zip(radii, heights or [0.0] * len(radii), strict=True))
+    return TaggedObject("own", "other", given, "Own object")
+
+
+def rules_from(reflectors: int, slots: int, spacing: float | None, mirror: bool, seed: int) -> DesignRules:
+    """Design rules of the command line. Raises UsageError."""
+    from tagid.tags.design import REFLECTOR_M, DesignRules
+
+    return DesignRules(
+        reflectors, slots, REFLECTOR_M if spacing is None else spacing, mirror_counts=mirror, seed=seed
+    )
+
+
+def _designed(family: Family, out: Path | None, enroll: bool) -> Result:
+    import numpy as np
+    from rich.console import Group
+    from rich.table import Table
+    from rich.text import Text
+
+    from tagid.cli.imaging import open_registry
+    from tagid.tags.codebook import CONFUSABLE_M, confusable
+    from tagid.tags.design import GHOST_M
+    from tagid.tags.enrolment import merge
+    from tagid.tags.layout_file import write_layouts
+
+    messages = []
+    near = sum(len(confusable(a, family.layouts[:i])) for i, a in enumerate(family.layouts))
+    if near:
+        messages.append(
+            f"{near} pairs of them are too near to be told apart in noise (reflectors within "
+            f"{CONFUSABLE_M * 1e3:.0f} mm): ask for fewer, or give more --slots or --rows"
+        )
+    if family.ghost_m < GHOST_M:
+        messages.append(
+            f"reflectors as near as {family.ghost_m * 1e3:.0f} mm can make a ghost (under "
+            f"{GHOST_M * 1e3:.0f} mm); --spacing {GHOST_M:g} avoids it"
+        )
+    version = merge(open_registry(), family.layouts, "design") if enroll else None
+    if out is not None:
+        write_layouts(family.layouts, out)
+    table = Table("layout", "angles deg", "radii mm", "heights mm", box=None)
+    for layout in family.layouts:
+        x, y = layout.positions.T
+        angles = np.rad2deg(np.arctan2(y, x)) % 360
+        table.add_row(
+            layout.name,
+            " ".join(f"{a:.0f}" for a in angles),
+            " ".join(f"{r * 1e3:.0f}" for r in np.hypot(x, y)),
+            " ".join(f"{float(h) * 1e3:.0f}" for h in np.asarray(layout.heights)),
+        )
+    least = "-" if family.distance_m == float("inf") else f"{family.distance_m * 1e3:.1f} mm"
+    lines = [
+        Text(
+            f"{len(family.layouts)} of {family.candidates} possible layouts ({family.necklaces} necklaces), "
+            f"least rotational distance {least}"
+        )
+    ]
+    if out is not None:
+        lines.append(Text(f"written to {out}; enrol them with: tagid layouts import {out}"))
+    if version is not None:
+        lines.append(Text(f"enrolled, registry version {version}"))
+    data = {
+        "layouts": [layout.to_dict() for layout in family.layouts],
+        "distance_m": None if family.distance_m == float("inf") else family.distance_m,
+        "nearest_reflectors_m": family.ghost_m,
+        "candidates": family.candidates,
+        "necklaces": family.necklaces,
+        "path": None if out is None else str(out),
+        "registry_version": version,
+    }
+    return Result("layouts design", data, Group(*lines, table), messages=tuple(messages))
+
+
+def _capacity(
+    target: TaggedObject, rules: list[DesignRules], sigma: float | None, error_rate: float
+) -> Result:
+    from rich.console import Group
+    from rich.table import Table
+    from rich.text import Text
+
+    from tagid.tags.capacity import MEASURED, Localisation, capacity
+
+    known = [Localisation(0, 0, sigma)] if sigma is not None else list(MEASURED)
+    table = Table("recording", "error mm", *(f"{r.reflectors} reflectors" for r in rules), box=None)
+    rows = []
+    for place in known:
+        found = [capacity(target, rule, place.sigma_m, error_rate) for rule in rules]
+        name = f"{place.views} views, {place.snr_db} dB" if place.views else "as given"
+        cells = [
+            f"{c.identities}" + (f" ({c.distance_m * 1e3:.0f} mm)" if c.identities > 1 else "") for c in found
+        ]
+        table.add_row(name, f"{place.sigma_m * 1e3:.2f}", *cells)
+        rows += [
+            {
+                "views": place.views or None,
+                "snr_db": place.snr_db if place.views else None,
+                "sigma_m": place.sigma_m,
+                "reflectors": c.reflectors,
+                "identities": c.identities,
+                "distance_m": c.distance_m if c.identities > 1 else None,
+                "error_rate": c.error_rate,
+            }
+            for c in found
+        ]
+    radii = ", ".join(f"{row.radius_m * 1e3:.0f} mm" for row in target.rows)
+    line = Text(
+        f"{target.label or target.name} (radius {radii}), {rules[0].slots} slots: identities with at most "
+        f"{error_rate:g} wrong names, and the distance they then keep"
+    )
+    return Result(
+        "layouts capacity",
+        {"object": target.name, "error_rate": error_rate, "rows": rows},
+        Group(line, table),
+    )

@@ -1,0 +1,170 @@
+"""Designed families: necklace counts from the table, distances that behave as distances, rules that hold."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tagid.errors import UsageError
+from tagid.tags.capacity import capacity, confusion_rate
+from tagid.tags.codebook import best_pairing, rotational_distance
+from tagid.tags.design import DesignRules, design, distance_matrix
+from tagid.tags.layout import Layout, rotation_matrix
+from tagid.tags.necklaces import mirrored, necklaces, occupied
+from tagid.tags.objects import Row, TaggedObject, object_named
+
+HELMET = object_named("helmet")
+NAMES = st.integers(0, 10**6)
+
+
+def random_layout(seed: int, count: int = 3) -> Layout:
+    rng = np.random.default_rng(seed)
+    while True:
+        points = rng.uniform(-0.11, 0.11, (count, 2))
+        gap = np.linalg.norm(points[:, None] - points[None], axis=2) + np.eye(count)
+        if gap.min() > 0.03:
+            return Layout("random", points)
+
+
+@pytest.mark.parametrize(
+    ("slots", "weight", "count"),
+    [(8, 2, 4), (8, 3, 7), (12, 2, 6), (12, 3, 19), (12, 4, 43), (16, 2, 8), (16, 3, 35), (16, 4, 116)],
+)
+def test_necklaces_are_as_many_as_the_known_table_says(slots: int, weight: int, count: int) -> None:
+    assert len(necklaces(slots, weight)) == count
+
+
+@pytest.mark.parametrize(("slots", "count"), [(12, 10), (16, 22)])
+def test_necklaces_without_neighbours(slots: int, count: int) -> None:
+    assert sum(min(gap for gap, _ in word) > 1 for word in necklaces(slots, 3)) == count
+
+
+@pytest.mark.parametrize(("slots", "weight", "colours"), [(6, 3, 2), (7, 2, 3), (8, 4, 1), (5, 5, 2)])
+def test_necklaces_against_brute_force(slots: int, weight: int, colours: int) -> None:
+    from itertools import product
+
+    def least(word: tuple[int, ...]) -> tuple[int, ...]:
+        return min(word[i:] + word[:i] for i in range(slots))
+
+    words = [w for w in product(range(colours + 1), repeat=slots) if sum(c > 0 for c in w) == weight]
+    assert len(necklaces(slots, weight, colours)) == len({least(w) for w in words})
+    both = {min(least(w), least(w[::-1])) for w in words}
+    assert len(necklaces(slots, weight, colours, mirror_counts=False)) == len(both)
+
+
+@given(st.sampled_from(necklaces(12, 4, 2)))
+def test_a_word_mirrored_twice_is_itself(word: tuple[tuple[int, int], ...]) -> None:
+    assert mirrored(mirrored(word)) == word
+    assert len(occupied(word)) == 4 and occupied(word)[-1][0] + word[-1][0] == 12
+
+
+@settings(deadline=None, max_examples=30)
+@given(NAMES, st.floats(-10, 10), st.integers(2, 5))
+def test_a_turned_layout_is_the_same(seed: int, turn: float, count: int) -> None:
+    a = random_layout(seed, count)
+    b = Layout("turned", a.positions @ rotation_matrix(turn).T)
+    c = random_layout(seed + 1, count)
+    assert rotational_distance(a, b).worst_m < 1e-7
+    assert rotational_distance(a, c).rms_m == pytest.approx(rotational_distance(b, c).rms_m, abs=1e-7)
+
+
+@settings(deadline=None, max_examples=30)
+@given(NAMES, st.sampled_from([0.0, np.inf]))
+def test_rotational_distance_is_a_metric(seed: int, tolerance: float) -> None:
+    a, b, c = (random_layout(seed + i) for i in range(3))
+    ab, ba = (rotational_distance(*pair, tolerance).rms_m for pair in ((a, b), (b, a)))
+    bc, ac = (rotational_distance(*pair, tolerance).rms_m for pair in ((b, c), (a, c)))
+    assert ab == pytest.approx(ba, abs=1e-9) and ab > 0
+    assert ac <= ab + bc + 1e-9
+    assert rotational_distance(a, b, 0.014).rms_m <= rotational_distance(a, b, 0.0).rms_m + 1e-9
+
+
+@settings(deadline=None, max_examples=20)
+@given(NAMES)
+def test_exact_pairing_finds_the_turn_and_the_shift(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    a = random_layout(seed, 4).positions
+    turn, shift, order = rng.uniform(-3, 3), rng.uniform(-0.005, 0.005, 2), rng.permutation(4)
+    found = best_pairing(a, (a @ rotation_matrix(turn).T + shift)[order], 0.01)
+    assert found.worst_m < 1e-7 and np.allclose(found.shift_m, shift, atol=1e-7)
+    assert np.angle(np.exp(1j * (found.rotation_rad - turn))) == pytest.approx(0, abs=1e-7)
+    assert (order[found.partner] == np.arange(4)).all()
+
+
+def test_more_points_than_can_be_tried_are_paired_too() -> None:
+    a = random_layout(3, 8).positions
+    turned = a @ rotation_matrix(2.0).T + np.array([0.003, -0.002])
+    found = best_pairing(a, turned[::-1], 0.01)
+    assert found.worst_m < 1e-6
+
+
+def test_a_family_keeps_its_rules_and_says_its_distance() -> None:
+    family = design(HELMET.with_rows(2), DesignRules(3, 12, seed=1), 8)
+    layouts = family.layouts
+    apart = [rotational_distance(a, b).rms_m for i, a in enumerate(layouts) for b in layouts[:i]]
+    assert family.distance_m == pytest.approx(min(apart), abs=1e-6)
+    assert len({layout.name for layout in layouts}) == 8
+    for layout in layouts:
+        space = np.concatenate([layout.positions, np.asarray(layout.heights)[:, None]], axis=1)
+        gap = np.linalg.norm(space[:, None] - space[None], axis=2) + np.eye(3)
+        assert gap.min() >= 0.04 - 1e-9
+    again = design(HELMET.with_rows(2), DesignRules(3, 12, seed=1), 8)
+    assert [a.to_dict() for a in again.layouts] == [a.to_dict() for a in layouts]
+
+
+def test_a_designed_set_is_the_best_of_all_sets() -> None:
+    from itertools import combinations
+
+    from tagid.tags.design import candidates
+
+    rules = DesignRules(3, 8)
+    points, _, _ = candidates(HELMET.with_rows(1), rules)
+    distance = distance_matrix(points, rules)
+    best = max(
+        min(distance[i, j] for i, j in combinations(chosen, 2))
+        for chosen in combinations(range(len(points)), 4)
+    )
+    assert design(HELMET.with_rows(1), rules, 4).distance_m == pytest.approx(best, abs=1e-9)
+
+
+def test_mirror_images_are_left_out_where_the_direction_is_unknown() -> None:
+    one = design(HELMET.with_rows(1), DesignRules(3, 12, mirror_counts=False), 12)
+    assert one.candidates == 12 and one.necklaces == 12
+    flip = np.array([1.0, -1.0])
+    for i, a in enumerate(one.layouts):
+        for b in one.layouts[:i]:
+            assert rotational_distance(Layout("m", a.positions * flip), b, 0.0).rms_m > 1e-3
+
+
+def test_what_there_is_no_room_for_is_told() -> None:
+    with pytest.raises(UsageError, match="room for 19"):
+        design(HELMET.with_rows(1), DesignRules(3, 12), 20)
+    with pytest.raises(UsageError, match="rows"):
+        HELMET.with_rows(9)
+    with pytest.raises(UsageError, match="radius of 110 m"):
+        TaggedObject("own", "other", (Row(110.0),))
+    with pytest.raises(UsageError, match="helmet"):
+        object_named("../etc")
+    with pytest.raises(UsageError, match="too many"):
+        necklaces(48, 12)
+
+
+def test_capacity_falls_with_the_error_and_rises_with_room() -> None:
+    rules = DesignRules(3, 12)
+    found = [capacity(HELMET.with_rows(1), rules, sigma, 1e-3).identities for sigma in (1e-4, 5e-3, 0.02)]
+    assert found[0] == 19 and found[0] >= found[1] > found[2] >= 1
+    wide = capacity(HELMET.with_rows(2), rules, 5e-3, 1e-3)
+    assert wide.identities >= found[1] and wide.error_rate <= 1e-3
+    assert confusion_rate(0.0, 3, 1e-3) == pytest.approx(0.5)
+
+
+def test_confusion_rate_against_drawn_errors() -> None:
+    a = random_layout(5).positions
+    rng = np.random.default_rng(0)
+    b = a + 0.004 * rng.standard_normal(a.shape)
+    rms = float(np.sqrt(np.mean(np.sum((a - b) ** 2, axis=1))))
+    seen = a + 0.004 * rng.standard_normal((20_000, *a.shape))
+    nearer = np.sum((seen - b) ** 2, axis=(1, 2)) < np.sum((seen - a) ** 2, axis=(1, 2))
+    assert nearer.mean() == pytest.approx(confusion_rate(rms, 3, 0.004), abs=0.01)

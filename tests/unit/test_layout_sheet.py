@@ -1,0 +1,93 @@
+"""Drawings of layouts: millimetres that are millimetres, on screen and on paper."""
+
+from __future__ import annotations
+
+import io
+import re
+import xml.etree.ElementTree as ElementTree
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from tagid.errors import UsageError
+from tagid.report.drafting import Circle, Drawing, Line, Text, page_tiles, to_pdf, to_png, to_svg
+from tagid.report.layout_sheet import in_terminal, plan, stacked, strip, template
+from tagid.tags.layout import builtin_layouts
+
+LAYOUTS = builtin_layouts()
+
+
+def test_svg_is_true_to_scale() -> None:
+    layout = LAYOUTS["helmet-120"]
+    root = ElementTree.fromstring(to_svg(plan(layout)).decode())
+    width, height = (float(root.attrib[key].removesuffix("mm")) for key in ("width", "height"))
+    assert root.attrib["viewBox"] == f"0 0 {width:g} {height:g}"
+    circles = root.findall(".//{*}circle")
+    spots = np.array(
+        [[float(c.attrib["cx"]), -float(c.attrib["cy"])] for c in circles if c.attrib["r"] == "20.000"]
+    )
+    gap = np.linalg.norm(spots[:, None] - spots[None], axis=2)
+    assert np.allclose(gap[~np.eye(3, dtype=bool)], 110 * np.sqrt(3), atol=0.01)
+    assert np.allclose(spots - spots.mean(axis=0), layout.positions * 1e3, atol=0.01)  # x right, y up
+
+
+def test_text_from_a_layout_is_no_markup() -> None:
+    sheet = Drawing(50, 50)
+    sheet.add(Text((1, 1), "<script>&"))
+    assert b"<script>" not in to_svg(sheet)
+
+
+def test_pdf_prints_100_mm_as_100_mm() -> None:
+    sheet = Drawing(150, 60)
+    sheet.add(Line((20, 30), (120, 30), 1.0), Line((20, 20), (20, 40)), Line((120, 20), (120, 40)))
+    pdf = to_pdf([sheet], "a4")
+    box = [float(v) for v in re.search(rb"/MediaBox \[ ?([\d. ]+)\]", pdf)[1].split()]
+    assert box[2:] == pytest.approx([210 / 25.4 * 72, 297 / 25.4 * 72], abs=0.2)
+    start = pdf.index(b"\xff\xd8\xff")
+    page = np.asarray(Image.open(io.BytesIO(pdf[start:])).convert("L"))
+    mm = page.shape[1] / 210
+    dark = page[round((10 + 25) * mm)] < 128  # a row through both upright lines, 25 mm under the margin
+    found = np.flatnonzero(dark)
+    assert (found.max() - found.min()) / mm == pytest.approx(100, abs=0.5)
+    assert found.min() / mm == pytest.approx(30, abs=0.5)
+
+
+def test_a_strip_wider_than_paper_is_tiled_without_loss() -> None:
+    sheet = strip(LAYOUTS["helmet-120"])
+    assert sheet.width == pytest.approx(2 * np.pi * 110 + 20)
+    tiles = page_tiles(sheet, "a4")
+    assert len(tiles) == 4 and tiles[0][2] == tiles[1][0]
+    places = [m for m in sheet.marks if isinstance(m, Circle)]
+    x = np.sort([circle.centre[0] for circle in places])
+    assert np.allclose(np.diff(x), 2 * np.pi * 110 / 3, atol=0.01)
+    wrapped = strip(LAYOUTS["helmet-120"], 0.09)
+    assert wrapped.width == pytest.approx(2 * np.pi * 90 + 20)
+    assert to_pdf([sheet], "a4").count(b"/Type /Page\n") == 4
+
+
+def test_what_cannot_be_unrolled_gets_its_plan_only() -> None:
+    assert len(template(LAYOUTS["helmet-linear"])) == 1
+    assert len(template(LAYOUTS["container-90"])) == 2
+    with pytest.raises(UsageError, match="unrolled"):
+        strip(LAYOUTS["helmet-linear"])
+    with pytest.raises(UsageError, match="paper"):
+        to_pdf([Drawing(10, 10)], "a0")
+    with pytest.raises(UsageError, match="surface"):
+        strip(LAYOUTS["container-90"], 45.0)
+
+
+def test_png_carries_its_resolution_and_stacking_keeps_everything() -> None:
+    sheets = template(LAYOUTS["container-90"])
+    whole = stacked(sheets)
+    assert len(whole.marks) == sum(len(s.marks) for s in sheets)
+    picture = Image.open(io.BytesIO(to_png(sheets[0], 100)))
+    assert picture.width / 100 * 25.4 == pytest.approx(sheets[0].width, abs=0.5)
+    assert picture.info["dpi"][0] == pytest.approx(100, abs=0.1)
+
+
+def test_the_terminal_shows_x_to_the_right_and_y_up() -> None:
+    rows = in_terminal(LAYOUTS["container-90"]).split("\n")
+    (row1,) = (i for i, row in enumerate(rows) if "1" in row)
+    (row2,) = (i for i, row in enumerate(rows) if "2" in row)
+    assert row2 < row1 and rows[row1].index("1") > rows[row2].index("2")
