@@ -117,7 +117,9 @@ def _with_common_options(
     ]
     output = Annotated[formats, typer.Option("--output", help=_OUTPUT_HELP)]  # type: ignore[valid-type]
     common = [
-        inspect.Parameter("output", inspect.Parameter.KEYWORD_ONLY, default=formats("human"), annotation=output)
+        inspect.Parameter(
+            "output", inspect.Parameter.KEYWORD_ONLY, default=formats("human"), annotation=output
+        )
     ] + [
         inspect.Parameter(key, inspect.Parameter.KEYWORD_ONLY, default=_DEFAULTS[key], annotation=kind)
         for key, kind in _COMMON.items()

@@ -54,6 +54,9 @@ def register(app: typer.Typer) -> None:
         spacing: Spacing = None,
         mirror: Mirror = True,
         seed: Seed = 0,
+        alone: Annotated[
+            bool, typer.Option("--alone", help="Take no heed of the layouts that are enrolled.")
+        ] = False,
         prefix: Annotated[str | None, typer.Option("--prefix", help="Of the names.")] = None,
         out: Annotated[Path | None, typer.Option("--out", help="Write them as TOML.")] = None,
         enroll: Annotated[bool, typer.Option("--enroll", help="Enrol them all, or none.")] = False,
@@ -62,14 +65,12 @@ def register(app: typer.Typer) -> None:
 
         Example: tagid layouts design --object helmet --reflectors 3 --slots 12 --count 10 --out helmets.toml
         """
+        from tagid.cli.imaging import open_registry
         from tagid.tags.design import design as make
 
-        family = make(
-            object_from(target, rows, radius, height),
-            rules_from(reflectors, slots, spacing, mirror, seed),
-            count,
-            prefix,
-        )
+        rules = rules_from(reflectors, slots, spacing, mirror, seed)
+        beside = [] if alone else open_registry().layouts()
+        family = make(object_from(target, rows, radius, height), rules, count, prefix, beside)
         return _designed(family, out, enroll)
 
     @command(app, "layouts capacity")

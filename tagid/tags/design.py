@@ -6,13 +6,14 @@ distance in metres; where physics leaves no room, fewer layouts come out and the
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tagid.errors import UsageError
-from tagid.tags.codebook import CENTRE_TOLERANCE_M, best_places
+from tagid.tags.codebook import CENTRE_TOLERANCE_M, CONFUSABLE_M, best_pairing, best_places
 from tagid.tags.layout import MAX_REFLECTORS, MIN_SPACING_M, Layout
 from tagid.tags.necklaces import necklaces, occupied
 from tagid.tags.objects import Row, TaggedObject
@@ -84,7 +85,13 @@ class Family:
     rules: DesignRules = field(default_factory=DesignRules)
 
 
-def design(target: TaggedObject, rules: DesignRules, count: int, prefix: str | None = None) -> Family:
+def design(
+    target: TaggedObject,
+    rules: DesignRules,
+    count: int,
+    prefix: str | None = None,
+    beside: Sequence[Layout] = (),
+) -> Family:
     """The `count` layouts on an object whose least rotational distance is largest.
 
     Args:
@@ -92,6 +99,7 @@ def design(target: TaggedObject, rules: DesignRules, count: int, prefix: str | N
         rules: reflectors, slots and physical limits.
         count: layouts wanted.
         prefix: of the names; None takes the object's and the numbers, as in helmet-r3s12-01.
+        beside: layouts already in use; what could be confused with one of them is left out.
 
     Raises:
         UsageError: fewer than `count` layouts keep the rules; the message says how many do.
@@ -99,10 +107,15 @@ def design(target: TaggedObject, rules: DesignRules, count: int, prefix: str | N
     if not 1 <= count <= MAX_COUNT:
         raise UsageError(f"{count} layouts are wanted", f"Ask for 1 to {MAX_COUNT}.")
     points, heights, total = candidates(target, rules)
+    free = [i for i, p in enumerate(points) if not _taken(p, beside, rules.centre_tolerance_m)]
+    taken = len(points) - len(free)
+    points, heights = points[free], heights[free]
     if len(points) < count:
         raise UsageError(
             f"{target.name} has room for {len(points)} layouts of {rules.reflectors} reflectors in "
-            f"{rules.slots} slots at {rules.spacing_m * 1e3:.0f} mm spacing, not for {count}",
+            f"{rules.slots} slots at {rules.spacing_m * 1e3:.0f} mm spacing"
+            + (f" beside those enrolled, which take {taken}" if taken else "")
+            + f", not for {count}",
             "Ask for fewer, or give more --slots, --reflectors or --rows, or less --spacing.",
         )
     distance = distance_matrix(points, rules)
@@ -158,6 +171,11 @@ def candidates(
         return empty, empty[..., 0], len(words)
     _, points_of, heights_of = zip(*kept.values(), strict=True)
     return np.array(points_of), np.array(heights_of), len(words)
+
+
+def _taken(points: NDArray[np.float64], beside: Sequence[Layout], tolerance_m: float) -> bool:
+    same = [other.positions for other in beside if other.size == len(points)]
+    return any(best_pairing(points, other, tolerance_m).worst_m < CONFUSABLE_M for other in same)
 
 
 def _from_above(slots: list[int], rows: list[Row], count: int) -> tuple[tuple[int, float], ...]:

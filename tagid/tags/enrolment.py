@@ -125,7 +125,7 @@ def merge(
             for name, distance in confusable(layout, [*fixed, *new[:i]], tolerance_m).items():
                 raise LayoutConflictError(
                     f"layout {layout.name} could be confused with {name}: its reflectors lie within "
-                    f"{distance.worst_m * 1e3:.1f} mm of it after some turn",
+                    f"{distance.worst_m * 1e3:.1f} mm of it after a turn",
                     "Leave one of them out, or insist with --force; nothing was stored.",
                 )
     return store.add_all(layouts, source)

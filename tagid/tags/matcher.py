@@ -14,12 +14,11 @@ from numpy.typing import NDArray
 
 from tagid.errors import RegistryError
 from tagid.imaging.types import BasebandScans
-from tagid.tags.decision import DecisionSettings, Evidence, decide
+from tagid.tags.decision import PLACES_PER_METRE, DecisionSettings, Evidence, decide
 from tagid.tags.field import MatchedField
 from tagid.tags.hypotheses import Fit, SearchSettings, search
-from tagid.tags.layout import Layout
+from tagid.tags.layout import MIN_SPACING_M, Layout
 from tagid.tags.reflectors import (
-    NOISE_MARGIN,
     FinderSettings,
     Reflector,
     SearchDisc,
@@ -125,7 +124,8 @@ def read_tag(
     apart = separate(positions, amplitudes, best.layout.size)
     positions, amplitudes = positions[apart], amplitudes[apart]
     runner_up = fits[order[1]] if len(fits) > 1 else None
-    evidence = _evidence(disc, best, runner_up, (amplitudes, level), settings)
+    places = sum(2 * np.pi * one.radius_m / one.symmetry for one in layouts) * PLACES_PER_METRE
+    evidence = _evidence(disc, (best, runner_up), (amplitudes, level), places, settings)
     status, reason = decide(evidence, settings.decision)
     ranked = [fits[i] for i in order]
     signal = _signal_energy(matched, best, level)
@@ -183,41 +183,54 @@ def _score(matched: MatchedField, fit: Fit, signal: float) -> LayoutScore:
 
 def _evidence(
     disc: SearchDisc,
-    best: Fit,
-    runner_up: Fit | None,
+    fits: tuple[Fit, Fit | None],
     cleaned: tuple[NDArray[np.complex128], float],
+    places: float,
     settings: ReaderSettings,
 ) -> Evidence:
+    best, runner_up = fits
     matched, decision = disc.field, settings.decision
     amplitudes, level = np.abs(cleaned[0]), cleaned[1]
     size = best.layout.size
     own, beyond = best.sizes, amplitudes[size:]
-    typical = float(np.median(own)) if size > 2 else float(own.max())
-    moved, _, energy = refine_positions(matched, best.positions, best.offset_m)
-    only = FinderSettings(maximum=size, floor_db=settings.finder.floor_db, detection_nats=EXTRA_NATS)
-    free, heights, _ = clean(disc, np.zeros((0, 2)), np.zeros(0, dtype=np.complex128), only)
-    if len(free) == size:
-        energy = max(energy, _explained(matched, free, heights, best.offset_m))
-    stated = NOISE_MARGIN * matched.noise_variance
-    noise = min(level, stated) if stated > 0 else level
+    moved, _, _ = refine_positions(matched, best.positions, best.offset_m)
+    noise = matched.noise_variance if matched.noise_variance > 0 else level
     each = max(best.explained / level / size, 1.0)
-    missing = max(decision.missing_least, decision.missing_share - 2 / np.sqrt(2 * each))
+    missing = max(
+        decision.missing_least, decision.missing_share - decision.missing_deviations / np.sqrt(2 * each)
+    )
     lead = best.charged - (runner_up.charged if runner_up else 0.0)
     fewer = (best.layout.size - runner_up.layout.size) if runner_up else size
     return Evidence(
         size=size,
         nats=best.explained / level,
+        places=places,
         share=float(min(best.charged / _signal_energy(matched, best, level), 1.0)),
-        weakest=float(own.min() / max(typical, 1e-30)),
-        missing=int(np.count_nonzero(own < missing * typical)),
-        extra=int(np.count_nonzero(beyond > decision.extra_share * typical)),
+        weakest=float(own.min() / max(float(own.max()), 1e-30)),
+        missing=int(np.count_nonzero(own < missing * own.max())),
+        extra=int(np.count_nonzero(beyond > decision.extra_share * np.median(own))),
+        gain_nats=_gain_of_one_more(disc, best) / noise,
+        noise_nats=best.explained / noise,
         displacement_m=rigid_distance(moved, best.positions),
         displacement_sigma_m=float(1 / (2 * matched.wavenumber * np.sqrt(2 * each))),
         margin_share=lead / max(best.charged, 1e-30),
         margin_nats=lead / level - fewer * np.log(matched.independent_samples),
-        free_share=(energy - best.explained) / max(best.explained, 1e-30),
-        free_nats=(energy - best.explained) / noise,
     )
+
+
+def _gain_of_one_more(disc: SearchDisc, best: Fit) -> float:
+    """Energy that one point more than the layout's, all free, explains beyond the layout.
+
+    They are found in two ways: from the layout's places and the strongest peak beyond, and from nothing.
+    """
+    matched = disc.field
+    power = np.abs(disc.residual(best.positions, best.amplitudes)) ** 2
+    gap = np.linalg.norm(disc.points[:, None] - best.positions[None], axis=-1).min(axis=1)
+    peak = disc.points[int(np.argmax(np.where(gap > MIN_SPACING_M, power, 0.0)))]
+    _, _, energy = refine_positions(matched, np.concatenate([best.positions, peak[None]]), best.offset_m)
+    only = FinderSettings(maximum=best.layout.size + 1, floor_db=-30.0, detection_nats=0.0)
+    free, heights, _ = clean(disc, np.zeros((0, 2)), np.zeros(0, dtype=np.complex128), only)
+    return max(energy, _explained(matched, free, heights, best.offset_m)) - best.explained
 
 
 def _explained(

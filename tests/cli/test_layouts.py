@@ -30,7 +30,7 @@ def test_from_a_design_to_a_checked_registry(tagid: Callable[..., Any], tmp_path
 
 def test_mistakes_change_nothing(tagid: Callable[..., Any], tmp_path: Path) -> None:
     too_many = tagid("layouts", "design", "--count", 30, "--enroll", "--output", "json")
-    assert too_many.code == 2 and "room for 19" in too_many.json["errors"][0]["message"]
+    assert too_many.code == 2 and "room for 18" in too_many.json["errors"][0]["message"]
     (tmp_path / "bad.toml").write_text(
         'format = "tagid.layouts"\nversion = 1\n[[layout]]\nname = "fine"\n'
         "positions_m = [[0.1, 0.0], [0.0, 0.05]]\n[[layout]]\n"

@@ -149,7 +149,7 @@ def test_enrolment_refuses_what_could_be_confused(tmp_path: Path) -> None:
 def test_several_are_added_all_or_none_and_taken_back_as_one(tmp_path: Path) -> None:
     registry = Registry(tmp_path / "r.sqlite")
     before = {layout.name: layout.to_dict() for layout in registry.layouts()}
-    family = design(object_named("helmet").with_rows(2), DesignRules(), 4).layouts
+    family = design(object_named("helmet").with_rows(2), DesignRules(), 4, None, registry.layouts()).layouts
     last = merge(registry, family, "design")
     assert last == registry.version == 8, last
     assert merge(registry, family, "again") == last
