@@ -94,7 +94,9 @@ class Bridge:
     @property
     def mtu(self) -> int:
         """Largest packet of the link, bytes; three of them are overhead."""
-        return int(self._client.mtu_size)
+        # Asked of the characteristic: BlueZ tells the client's own value only after a detour.
+        line = self._client.services.get_characteristic(NUS_RX)
+        return 23 if line is None else int(line.max_write_without_response_size) + 3
 
     async def __aenter__(self) -> Self:
         try:

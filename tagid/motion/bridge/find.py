@@ -63,6 +63,8 @@ def bluetooth_errors(doing: str) -> Iterator[None]:
         ) from error
     except BleakError as error:
         text = _line(error)
+        if "ServiceUnknown" in text or "org.bluez was not provided" in text:
+            raise DeviceError(f"no Bluetooth here while {doing}: {text}", _ADAPTER) from error
         if "NSUFFICIENT_AUTH" in text.upper() or "NotPermitted" in text or "0x05" in text:
             raise DeviceError(
                 f"the bridge does not know this computer while {doing}",
