@@ -4,7 +4,6 @@ It plays what BlueZ shows of a bridge with a pass-key: discovery, pairing throug
 """
 
 # No postponed annotations here: dbus-fast reads the signatures of the methods from them.
-# ruff: noqa: N802, F821
 import asyncio
 import os
 import sys
