@@ -28,6 +28,8 @@ _UNSEEN_PACE_S: Final = 2e-3
 """Time between scans where the receiver's queue cannot be seen (another machine, not Linux)."""
 _MOST_FRAMES: Final = 256
 """Frames that wait for a serial line; more are dropped, as a radar's own memory would."""
+_USB_ROOM: Final = 64
+"""Frames that may wait for a reader on USB before the radar waits for it."""
 _CONTROL_HEAD: Final = int(MessageType.CONTROL_REQUEST).to_bytes(2, "big")
 _BITS_PER_BYTE: Final = 10
 """8N1: a start bit, eight data bits, a stop bit."""
@@ -133,6 +135,8 @@ class PtyWire:
         self._frames: deque[bytes] = deque()
         self._rest = b""
         self._free_at = 0.0
+        # A UART is the bottleneck, so the radar waits for it; a USB port is not, only its reader may be late.
+        self._room = 0 if baud else _USB_ROOM
         self._ends: tuple[int, int] | None = None
         self.dropped = 0
         self.path = ""
@@ -202,8 +206,8 @@ class PtyWire:
             self._frames.append(data)
 
     def ready(self) -> bool:
-        """Whether everything sent so far is on the line."""
-        return self._ends is None or not (self._frames or self._rest)
+        """Whether everything sent so far is on the line; without a baud rate, nearly everything."""
+        return self._ends is None or len(self._frames) + bool(self._rest) <= self._room
 
     def close(self) -> None:
         """Frees the port and takes the link away."""
