@@ -5,14 +5,16 @@ It leaves the radar stopped however it ends, because a radar left scanning refus
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Iterator
 from types import TracebackType
-from typing import Self
+from typing import Final, Self
 
 from tagid.errors import (
     ConfigError,
     DeviceError,
+    DeviceGoneError,
     DeviceRejectedError,
     DeviceTimeoutError,
     UsageError,
@@ -34,6 +36,9 @@ from tagid.radar.settings import RadarConfig
 from tagid.radar.status import RadarStatus
 
 _T = MessageType
+BOOT_QUIET_S: Final = 3.0
+"""Time after a reboot in which only READY_INFO counts: before its boot a radar may still answer."""
+_POLL_S: Final = 0.25
 
 
 class P440:
@@ -173,16 +178,31 @@ class P440:
         self._talk.scanning = False
         self._config = None
         self._talk.started = False  # the READY_INFO to come is no surprise now
-        deadline = time.monotonic() + wait_s
-        while not self._link.exhausted:
-            left = deadline - time.monotonic()
-            if left <= 0:
-                break
-            message = self._talk.receive(left)
-            if isinstance(message, Message) and message.type is _T.READY_INFO:
-                return self.connect()
-        # READY_INFO is one packet and may be lost: the radar is asked before it is given up.
+        now = time.monotonic()
+        deadline, ask_from = now + wait_s, now + BOOT_QUIET_S
+        while time.monotonic() < deadline and not self._link.exhausted:
+            try:
+                if self._booted(ask_from):
+                    return self.connect()
+            except DeviceGoneError:
+                # A USB port vanishes while its radar boots.
+                time.sleep(_POLL_S)
+                with contextlib.suppress(DeviceError):
+                    self._link.reopen()
         return self.connect()
+
+    def _booted(self, ask_from: float) -> bool:
+        """Whether READY_INFO came, or, as that is one packet and may be lost, whether the radar answers."""
+        message = self._talk.receive(_POLL_S)
+        if isinstance(message, Message) and message.type is _T.READY_INFO:
+            return True
+        if time.monotonic() < ask_from:
+            return False
+        try:
+            self._talk.exchange(_T.GET_OPMODE_REQUEST, {}, _POLL_S, attempts=1)
+        except DeviceTimeoutError:
+            return False
+        return True
 
     def scans(self, count: int = SCAN_FOREVER, interval_us: int = 0) -> Iterator[Scan]:
         """Starts a run, yields its complete scans in order, and stops the radar however the caller leaves.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import socket
+import threading
 import time
 from collections import defaultdict
 from contextlib import AbstractContextManager
@@ -13,6 +14,7 @@ import pytest
 from radar_ends import THREE_FRAGMENTS, check, core, numbered, pty, udp
 
 from tagid.errors import DeviceError, DeviceGoneError, DeviceRejectedError, DeviceRestartedError
+from tagid.radar import p440
 from tagid.radar.devices import open_link, open_radar
 from tagid.radar.emulator_core import EmulatorCore
 from tagid.radar.firmware import Firmware, Identity
@@ -184,6 +186,26 @@ def test_a_reboot_in_the_middle_is_told_and_the_scans_go_on_after_it(wire: str) 
         assert gap.restarted
         assert "rebooted" in gap.reason
         check_joined(got, gap, config)
+
+
+def test_a_reboot_is_waited_for_where_the_port_vanishes_and_ready_info_is_lost(
+    tmp_path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As on USB: the port goes while the radar boots, and READY_INFO is sent into nothing."""
+    monkeypatch.setattr(p440, "BOOT_QUIET_S", 0.2)
+    the_core = core(identity=Identity(boot_s=0.4))
+    with (
+        pty(link=tmp_path / "radar", the_core=the_core, rate=1.0) as device,
+        open_radar(device.url, Sources(), 0.5) as radar,
+    ):
+        kept = radar.set_config(RadarConfig(12_000, 17_000, base_integration_index=6, persist=1))
+        timers = [threading.Timer(0.1, device.unplug), threading.Timer(0.8, device.plug)]
+        for timer in timers:
+            timer.start()
+        assert radar.reboot(wait_s=20) == kept
+        assert len(list(radar.scans(5))) == 5
+        for timer in timers:
+            timer.join()
 
 
 def check_joined(got: list, gap: Gap, config: RadarConfig) -> None:
