@@ -12,11 +12,12 @@ from tagid.cli import (
     radar_config,
     radar_find,
     radar_info,
+    radar_monitor,
     radar_reboot,
     radar_record,
 )
 
-PARTS = (radar_find, radar_info, radar_config, radar_record, radar_calibrate, radar_reboot)
+PARTS = (radar_find, radar_info, radar_config, radar_monitor, radar_record, radar_calibrate, radar_reboot)
 """Modules with a `register(group)`, in the order of the help text."""
 
 

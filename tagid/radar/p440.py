@@ -30,6 +30,7 @@ from tagid.radar.messages import (
     Message,
     MessageType,
     Status,
+    encode,
 )
 from tagid.radar.scan_info import Fragment
 from tagid.radar.settings import RadarConfig
@@ -59,6 +60,7 @@ class P440:
         self._talk = Exchange(link, timeout, attempts)
         self._config: RadarConfig | None = None
         self._asked: RadarConfig | None = None
+        self.latest_status: RadarStatus | None = None
 
     @property
     def statistics(self) -> Statistics:
@@ -123,6 +125,14 @@ class P440:
         m = self._talk.request(_T.GET_STATUSINFO_REQUEST)
         accept(m, "status")
         return RadarStatus.from_message(m)
+
+    def ask_status(self) -> None:
+        """Asks for the status in the middle of a run and does not wait: a lost answer must cost no scan.
+
+        The answer becomes `latest_status` while scans are taken.
+        """
+        message_id, self._talk.next_id = self._talk.next_id, (self._talk.next_id + 1) & 0xFFFF
+        self._link.send(encode(_T.GET_STATUSINFO_REQUEST, message_id))
 
     def uptime_s(self) -> float:
         """The radar's clock: seconds since its boot, modulo 2^32 ms."""
@@ -316,6 +326,9 @@ class P440:
             raise restarted()
         if message.type is _T.CONTROL_CONFIRM and message["status"] != Status.OK:
             accept(message, "start scanning")
+        if message.type is _T.GET_STATUSINFO_CONFIRM and message["status"] == Status.OK:
+            self.latest_status = RadarStatus.from_message(message)
+            return
         if message.type is not _T.CONTROL_CONFIRM:
             self._talk.statistics.unexpected += 1
 

@@ -18,7 +18,7 @@ LEVELS = (
     {"geometry", "capture", "config", "waveform", "ports"},
     {"imaging", "tags", "storage", "radar", "motion", "simulate"},
     {"pipeline", "report", "doctor", "result", "sources", "inspection", "turn"}
-    | {"recorder", "long_recording", "intake", "calibration"},
+    | {"recorder", "long_recording", "intake", "calibration", "monitoring"},
     {"batch", "defaults"},
     {"cli", "__main__"},
 )

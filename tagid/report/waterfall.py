@@ -1,0 +1,119 @@
+"""The monitor's screen: range to the right, time downwards, and the figures above it, as text.
+
+It is drawn a dozen times a second through a terminal that may be far away, so few colours are used, equal
+neighbours share one escape sequence, and without colours characters stand for strength.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console, ConsoleOptions, Group, RenderableType, RenderResult
+from rich.segment import Segment
+from rich.style import Style
+from rich.text import Text
+
+from tagid.monitoring import Snapshot
+from tagid.report.colours import to_decibels, viridis
+from tagid.report.preview import resample
+
+DEPTH_DB: Final = 40.0
+_LEVELS: Final = 16
+_RAMP: Final = " .:-=+*#%@"
+_COLOURS: Final = [f"#{r:02x}{g:02x}{b:02x}" for r, g, b in viridis(_LEVELS).tolist()]
+_HEAD_LINES: Final = 4
+_TOO_HOT_C: Final = 80.0
+"""Shown in red from here on; the P440 works up to 85 degC."""
+_SILENT_S: Final = 2.0
+
+
+class _Blocks:
+    """Coloured half blocks for rich, as segments: texts with a thousand styles take too long to draw.
+
+    Args:
+        levels: (2 * lines, columns) of 0.._LEVELS - 1.
+    """
+
+    def __init__(self, levels: NDArray[np.intp]) -> None:
+        self._levels = levels
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        columns = self._levels.shape[1]
+        for upper, lower in zip(self._levels[::2], self._levels[1::2], strict=True):
+            edges = np.flatnonzero((np.diff(upper) != 0) | (np.diff(lower) != 0)) + 1
+            for first, last in pairwise([0, *edges.tolist(), columns]):
+                yield Segment("▀" * (last - first), _style(int(upper[first]), int(lower[first])))
+            yield Segment.line()
+
+
+@cache
+def _style(upper: int, lower: int) -> Style:
+    return Style.parse(f"{_COLOURS[upper]} on {_COLOURS[lower]}")
+
+
+def draw(snapshot: Snapshot, title: str, size: tuple[int, int], colour: bool) -> RenderableType:
+    """The whole screen.
+
+    Args:
+        snapshot: what to show.
+        title: first line, e.g. the radar's URL.
+        size: columns and lines of the terminal.
+        colour: coloured half blocks, or characters.
+    """
+    columns, lines = max(size[0] - 1, 20), max(size[1], 8)
+    text = Text(no_wrap=True, overflow="crop", end="")
+    text.append(title[:columns], style="bold").append("\n")
+    text.append_text(_figures(snapshot)).append("\n")
+    text.append_text(_state(snapshot)).append("\n")
+    low, high = (f"{metres:.2f} m" for metres in snapshot.range_m)
+    middle = f"{sum(snapshot.range_m) / 2:.2f} m"
+    gap = max(columns - len(low) - len(high) - len(middle), 2)
+    text.append(low + " " * (gap // 2) + middle + " " * (gap - gap // 2) + high, style="dim").append("\n")
+    height = lines - _HEAD_LINES
+    if not len(snapshot.rows):
+        return text.append("waiting for scans")
+    wanted = 2 * height if colour else height
+    shown = snapshot.rows[:wanted].astype(np.float64)
+    levels = _levels(resample(shown, len(shown), columns))
+    if len(levels) < wanted:
+        levels = np.concatenate([levels, np.zeros((wanted - len(levels), columns), np.intp)])
+    if colour:
+        return Group(text, _Blocks(levels))
+    ramp = levels * (len(_RAMP) - 1) // (_LEVELS - 1)
+    return text.append("\n".join("".join(_RAMP[i] for i in row) for row in ramp.tolist()))
+
+
+def _figures(s: Snapshot) -> Text:
+    """Scan rate, SNR, clipping, loss, temperature; what is wrong in red."""
+    text = Text()
+    rate = "-" if s.scan_rate_hz is None else f"{s.scan_rate_hz:.1f}"
+    text.append(f"{rate} scans/s  ")
+    text.append("SNR - " if s.snr_db is None else f"SNR {s.snr_db:.1f} dB at {s.peak_m:.2f} m")
+    text.append("  ")
+    text.append(f"clipped {s.clipped_fraction:.2%}", style="bold red" if s.clipped_fraction else "")
+    text.append("  ")
+    text.append(f"lost {s.lost_fraction:.1%} ({s.lost})", style="bold yellow" if s.lost else "")
+    text.append("  ")
+    hot = s.temperature_c is not None and s.temperature_c >= _TOO_HOT_C
+    degrees = "-" if s.temperature_c is None else f"{s.temperature_c:.1f}"
+    return text.append(f"{degrees} degC", style="bold red" if hot else "")
+
+
+def _state(s: Snapshot) -> Text:
+    if s.silent_s > _SILENT_S:
+        return Text(f"no scan for {s.silent_s:.0f} s", style="bold red")
+    if s.note:
+        return Text(s.note, style="yellow")
+    return Text(f"{s.scans} scans in {s.seconds:.0f} s; Ctrl-C ends")
+
+
+def _levels(envelope: NDArray[np.float64]) -> NDArray[np.intp]:
+    """0..15 by decibels below the strongest; noise, which says nothing, is level 0 almost everywhere."""
+    decibels = to_decibels(envelope, DEPTH_DB)
+    floor = max(float(np.median(decibels)) + 6.0, -DEPTH_DB)
+    share = (decibels - floor) / max(-floor, 1.0)
+    return np.clip(np.rint(share * (_LEVELS - 1)), 0, _LEVELS - 1).astype(np.intp)

@@ -1,0 +1,183 @@
+"""`tagid radar monitor` on a terminal, and the figures that it shows."""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import pty
+import signal
+import struct
+import subprocess
+import sys
+import termios
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from tagid.monitoring import ROWS, Monitor
+from tagid.radar.assembler import Scan, Statistics
+from tagid.radar.emulator import ServeOptions, UdpEmulator
+from tagid.radar.emulator_core import EmulatorCore, Identity
+from tagid.radar.faults import Faults
+from tagid.radar.settings import RadarConfig
+from tagid.report.waterfall import draw
+from tagid.waveform import nominal_pulse, pulse_at
+
+CONFIG = RadarConfig(scan_start_ps=10_000, scan_stop_ps=21_000, base_integration_index=8)
+CLIP = 127 << 8
+
+
+class Echo:
+    """A pulse at sample 60 that saturates, in noise."""
+
+    def scan(self, index: int, time_s: float, config: RadarConfig) -> np.ndarray:
+        rng = np.random.default_rng(index)
+        t = (np.arange(config.samples) - 60) * 61.035e-12
+        return np.rint(2 * CLIP * pulse_at(nominal_pulse(), t).real + rng.normal(0, 40, config.samples))
+
+
+def watch_on_a_terminal(
+    home: dict[str, str], url: str, *words: str, interrupt_after: int = 0, **environment: str
+) -> tuple[dict, bytes]:
+    """(the JSON result, everything that the terminal was sent)."""
+    master, slave = pty.openpty()
+    fcntl.ioctl(slave, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))
+    child = subprocess.Popen(
+        [sys.executable, "-m", "tagid", "radar", "monitor", "--radar", url, "--output", "json", *words],
+        stdin=slave, stdout=subprocess.PIPE, stderr=slave,
+        env={**{k: v for k, v in home.items() if k not in ("COLUMNS", "NO_COLOR")},
+             "TERM": "xterm-256color", "COLORTERM": "truecolor", "PYTHONUTF8": "1", **environment},
+    )  # fmt: skip
+    os.close(slave)
+    sent = bytearray()
+    asked: list[int] = []
+
+    def read() -> None:
+        try:
+            while data := os.read(master, 65536):
+                sent.extend(data)
+                if interrupt_after and not asked and sent.count(b"scans/s") >= interrupt_after:
+                    asked.append(1)
+                    child.send_signal(signal.SIGINT)
+        except OSError:  # the other end is closed
+            return
+
+    reader = threading.Thread(target=read)
+    reader.start()
+    out, _ = child.communicate(timeout=120)
+    reader.join(timeout=30)
+    os.close(master)
+    assert child.returncode == 0, bytes(sent[-2000:])
+    return json.loads(out)["data"], bytes(sent)
+
+
+def device(**faults: float) -> UdpEmulator:
+    core = EmulatorCore(Echo(), CONFIG, Identity(temperature_c=51.5))
+    return UdpEmulator(core, ServeOptions(port=0, faults=Faults(**faults)))
+
+
+@pytest.mark.parametrize("colour", [True, False])
+def test_it_draws_in_colour_and_without(home: dict[str, str], colour: bool) -> None:
+    with device(lose=0.1, seed=5) as radar:
+        data, sent = watch_on_a_terminal(
+            home, radar.url, "--seconds", "3", **({} if colour else {"NO_COLOR": "1"})
+        )
+    assert data["frames"] > 5
+    assert data["frames_per_second"] > 1
+    assert data["scans"] > 50
+    assert data["lost"] > 0
+    assert data["clipped_fraction"] > 0
+    assert data["temperature_c"] == 51.5
+    assert data["snr_db"] > 30
+    text = sent.decode(errors="replace")
+    for part in ("SNR", "clipped", "lost", "51.5 degC", "scans/s"):
+        assert part in text
+    assert ("▀" in text) is colour
+    assert ("38;2;" in text) is colour
+    assert "Traceback" not in text
+    assert "\x1b[?1049l" in text  # the terminal is given back
+
+
+def test_ctrl_c_is_the_ordinary_end_and_the_radar_stands_still(home: dict[str, str]) -> None:
+    with device() as radar:
+        data, sent = watch_on_a_terminal(home, radar.url, interrupt_after=4)
+        assert data["scans"] > 0
+        again, _ = watch_on_a_terminal(home, radar.url, "--seconds", "0.5")
+        assert again["scans"] > 0
+    assert b"Traceback" not in sent
+
+
+def test_without_a_terminal_it_only_tells_the_end(tagid) -> None:
+    with device() as radar:
+        done = tagid("radar", "monitor", "--radar", radar.url, "--seconds", "0.5")
+    assert done.code == 0
+    assert "\x1b" not in done.err
+    assert "scans in" in done.out
+
+
+def scan(number: int, samples: np.ndarray) -> Scan:
+    return Scan(number, 10 * number, 0, samples.astype(np.int32), 10_000, 21_000, 2)
+
+
+def test_the_figures_are_those_of_the_scans() -> None:
+    now = 0.0
+    view = Monitor(CONFIG, cable_delay_ps=1000.0, clock=lambda: now)
+    statistics = Statistics()
+    for number in range(400):
+        now += 0.1
+        statistics.lost_scans = number // 4
+        view.add(scan(number, Echo().scan(number, 0, CONFIG).clip(-CLIP, CLIP)), statistics)
+    seen = view.snapshot()
+    assert len(seen.rows) == ROWS
+    assert seen.scan_rate_hz == pytest.approx(100)
+    assert (seen.scans, seen.lost) == (400, 99)
+    # Sample 60 is 3.66 ns behind the start at 10 ns; 1 ns is cable.
+    assert seen.peak_m == pytest.approx((10_000 - 1000 + 60 * 61.035) * 1e-12 * 299_792_458 / 2, abs=0.05)
+    assert seen.clipped_fraction == pytest.approx(np.mean(np.abs(Echo().scan(1, 0, CONFIG)) >= CLIP), rel=0.2)
+    now += 30
+    later = view.snapshot()
+    assert later.silent_s == pytest.approx(30)
+    assert later.clipped_fraction == 0
+
+
+def test_what_changes_is_told_from_what_stands() -> None:
+    now = 0.0
+    still, moving = Monitor(CONFIG, clock=lambda: now), Monitor(CONFIG, changing=True, clock=lambda: now)
+    for number in range(200):
+        now += 0.1
+        t = (np.arange(CONFIG.samples) - 100 - 10 * np.sin(number / 3)) * 61.035e-12
+        samples = 500 * pulse_at(nominal_pulse(), t).real
+        samples += Echo().scan(number, 0, CONFIG).clip(-CLIP, CLIP)
+        for view in (still, moving):
+            view.add(scan(number, samples), Statistics())
+    assert abs(int(still.snapshot().rows.mean(axis=0).argmax()) - 60) <= 6
+    assert abs(int(moving.snapshot().rows[:100].mean(axis=0).argmax()) - 100) <= 15
+
+
+@pytest.mark.parametrize("size", [(80, 24), (20, 8), (1, 1), (300, 100)])
+@pytest.mark.parametrize("colour", [True, False])
+def test_the_screen_fits_any_terminal(size: tuple[int, int], colour: bool) -> None:
+    now = 0.0
+    view = Monitor(CONFIG, clock=lambda: now)
+    console = Console(
+        width=400, height=200, color_system="truecolor", force_terminal=True, no_color=not colour
+    )
+    for count in (0, 1, 30):
+        for number in range(count):
+            now += 0.1
+            view.add(scan(number, Echo().scan(number, 0, CONFIG)), Statistics())
+        with console.capture() as capture:
+            console.print(draw(view.snapshot(), "title", size, colour))
+        lines = capture.get().rstrip("\n").split("\n")
+        assert len(lines) <= max(size[1], 8) + 1
+
+
+def test_a_radar_that_is_not_there_is_one_clear_error(tagid, tmp_path: Path) -> None:
+    done = tagid("radar", "monitor", "--radar", "udp://127.0.0.1:9", "--output", "json",
+                 TAGID_RADAR_TIMEOUT_S="0.05")  # fmt: skip
+    assert done.code == 4
+    assert done.json["errors"][0]["code"] == "device_timeout"
