@@ -62,10 +62,20 @@ def _versions() -> list[Finding]:
 
 
 def _engines() -> Finding:
-    if importlib.util.find_spec("torch") is None:
-        remedy = "Nothing to do in the field; for ats: pip install 'tagid[ats]'."
-        return Finding("imaging", "warning", "bp and sparse; ats needs torch, which is not here", remedy)
-    return Finding("imaging", "ok", f"bp, sparse and ats (torch {metadata.version('torch')})")
+    from tagid.imaging.kernel import is_compiled
+    from tagid.models_store import check_all
+
+    engines = [n for n in ("onnxruntime", "torch") if importlib.util.find_spec(n) is not None]
+    ats = " and ".join(f"{name} {metadata.version(name)}" for name in engines) or "nothing"
+    what = f"bp, sparse, and ats on {ats}"
+    try:
+        check_all()
+    except TagidError as error:
+        return Finding("imaging", "problem", error.message, error.remedy)
+    if not is_compiled():
+        remedy = "Install a C compiler, then tagid again; nothing but speed depends on it."
+        return Finding("imaging", "warning", f"{what}; without the compiled kernel, ten times slower", remedy)
+    return Finding("imaging", "ok", f"{what}, compiled kernel")
 
 
 def _disk(folder: Path) -> Finding:

@@ -104,6 +104,12 @@ class LayoutConflictError(RegistryError):
     code = "layout_conflict"
 
 
+class ModelError(TagidError):
+    """A shipped model is damaged, of another release, or fed with another shape than it takes."""
+
+    code = "model"
+
+
 class DeviceError(TagidError):
     """A radar or a motion device is unavailable, silent or misbehaving."""
 

@@ -5,7 +5,6 @@ Commands, reports and tests call these, so that an answer does not depend on who
 
 from __future__ import annotations
 
-import importlib.util
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -16,7 +15,7 @@ import numpy as np
 
 from tagid import __version__
 from tagid.capture import Capture
-from tagid.errors import DataError, MissingExtraError, UsageError
+from tagid.errors import DataError, UsageError
 from tagid.geometry import ImageGrid
 from tagid.imaging.autofocus import AxisFocus, focus_axis_distance
 from tagid.imaging.methods import METHODS as IMAGING_METHODS
@@ -50,8 +49,9 @@ class ImagingSettings:
     """How a capture becomes an image.
 
     Attributes:
-        method: a name of `tagid.imaging.methods.METHODS`, or "auto": ats where torch is installed, sparse
-            elsewhere.
+        method: a name of `tagid.imaging.methods.METHODS`, or "auto", which is ats.
+        engine: what runs ats: "onnx", "torch", or "auto", which is onnx where it can do what is asked.
+        device: where ats runs: "cpu", or "cuda" with torch.
         extent_m, pixels: the image's side, m and pixels.
         background: static background that is removed, "mean", "median" or "none".
         focus_m: how far the axis distance is searched to both sides, m; 0 takes it as given.
@@ -75,6 +75,8 @@ class ImagingSettings:
     delay_m: float = 1.0
     restore: bool = True
     free_size: tuple[bool, bool] = (False, False)
+    engine: str = "auto"
+    device: str = "cpu"
 
     def __post_init__(self) -> None:
         if self.preset not in PRESETS:
@@ -176,19 +178,6 @@ class Identification:
         }
 
 
-def choose_method(method: str) -> str:
-    """What "auto" stands for on this machine; MissingExtraError where ats is wanted without torch."""
-    has_torch = importlib.util.find_spec("torch") is not None
-    if method == "auto":
-        return "ats" if has_torch else "sparse"
-    if method == "ats" and not has_torch:
-        raise MissingExtraError(
-            "--method ats needs torch, which is not installed",
-            "Install it with `pip install 'tagid[ats]'`, or use --method sparse.",
-        )
-    return method
-
-
 def prepare(capture: Capture, motion: str | None = None) -> Capture:
     """The capture as imaging wants it: angles known, one turn, at most 360 views.
 
@@ -211,10 +200,10 @@ def reconstruct(
 
     Raises:
         DataError: too few views or bins, or the object lies outside the range window.
-        MissingExtraError: ats without torch.
+        MissingExtraError: the engine asked for is not installed.
     """
     settings = settings or ImagingSettings()
-    method = choose_method(settings.method)
+    method = "ats" if settings.method == "auto" else settings.method
     watch = Stopwatch()
     grid = ImageGrid(settings.extent_m, settings.pixels)
     region: Region | None = None
@@ -242,7 +231,9 @@ def reconstruct(
         with watch.stage("focus"):
             scans, focus = focus_axis_distance(scans, grid, settings.focus_m)
     with watch.stage("image"):
-        image = make_image(scans, grid, method, settings.seed, settings.preset, progress)
+        image = make_image(
+            scans, grid, method, settings.seed, settings.preset, progress, settings.engine, settings.device
+        )
         if settings.restore and IMAGING_METHODS[method].sparse and settings.preset != "paper":
             image = restore(image, scans.wavenumber)
     facts: dict[str, Any] = {

@@ -39,7 +39,7 @@ Method = Annotated[
     str | None,
     typer.Option(
         "--method",
-        help="bp, bp-raw, range-doppler, polar, sparse, omp, ats or auto (ats where torch is installed).",
+        help="bp, bp-raw, range-doppler, polar, sparse, omp, ats or auto (ats).",
     ),
 ]
 Preset = Annotated[str, typer.Option("--preset", help="What ats is: field, or paper (as published, slow).")]

@@ -22,7 +22,8 @@ def register(app: typer.Typer) -> None:
         terminal: Terminal,
         file: options.CaptureFile,
         method: options.Method = None,
-        engine: Annotated[str, typer.Option("--engine", help="What runs ats: torch.")] = "torch",
+        engine: Annotated[str, typer.Option("--engine", help="What runs ats: onnx, torch or auto.")] = "auto",
+        device: Annotated[str, typer.Option("--device", help="cpu, or cuda with torch.")] = "cpu",
         extent: options.Extent = None,
         pixels: options.Pixels = None,
         out: Annotated[Path | None, typer.Option("--out", help="Write image and axes (NPZ).")] = None,
@@ -58,10 +59,8 @@ def register(app: typer.Typer) -> None:
         from tagid.storage.image import write_image
         from tagid.storage.importers import read_any
 
-        if engine == "onnx":
-            raise UsageError("ats does not run on onnxruntime yet", "Use --engine torch, or --method sparse.")
-        if engine != "torch":
-            raise UsageError(f"there is no engine {engine!r}", "Use --engine torch.")
+        if engine not in ("auto", "onnx", "torch"):
+            raise UsageError(f"there is no engine {engine!r}", "Use onnx, torch or auto.")
         config = load_config(
             {
                 "imaging.method": method,
@@ -76,6 +75,8 @@ def register(app: typer.Typer) -> None:
             imaging.settings_from(config, background, 0.03 if focus else 0.0),
             seed=seed,
             preset=preset,
+            engine=engine,
+            device=device,
             centre_m=imaging.parse_centre(centre),
             delay_m=delay_search if focus else 0.0,
             restore=beam,

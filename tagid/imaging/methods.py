@@ -55,6 +55,8 @@ def make_image(
     seed: int = 0,
     preset: str = "field",
     progress: Progress | None = None,
+    engine: str = "auto",
+    device: str = "cpu",
 ) -> Image:
     """Image of scans by a method of `METHODS`.
 
@@ -65,6 +67,7 @@ def make_image(
         seed: of everything random.
         preset: "field" or "paper", for ats.
         progress: called while the slow ones run.
+        engine, device: what runs ats, and where; see `AtsSettings`.
     """
 
     def steps(step: int, of: int, loss: float) -> None:
@@ -93,4 +96,4 @@ def make_image(
         return fit_paper(scans, grid, PaperSettings(seed=seed), steps)
     from tagid.imaging.ats.fit import AtsSettings, fit
 
-    return fit(scans, grid, AtsSettings(seed=seed), steps)
+    return fit(scans, grid, AtsSettings(seed=seed, engine=engine, device=device), steps).image

@@ -180,7 +180,7 @@ def lpips(image: NDArray[np.generic], truth: NDArray[np.generic], model: Path) -
         import onnxruntime
     except ImportError as error:
         raise MissingExtraError(
-            "LPIPS needs onnxruntime", "Install it with: pip install 'tagid[onnx]'"
+            "LPIPS needs onnxruntime", "Install it with: pip install onnxruntime"
         ) from error
     if not model.is_file():
         raise StorageError(f"the LPIPS model {model} is not there", "Give the path of lpips_sq.onnx.")

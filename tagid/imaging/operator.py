@@ -26,9 +26,9 @@ PHASE_STEP^2 / 8 too small (0.5 %); `interpolation_gain` takes the mean of that 
 class ForwardOperator:
     """y[v, b] = sum_p sigma_p response(R_b - d_vp) exp(-2j k d_vp), d_vp = |antenna_v - point_p|.
 
-    It is applied in two stages, y = S G sigma: the sparse real G writes every point into two neighbours of a
-    fine range grid (geometry only, computed as it goes), the small dense S puts the carrier on, convolves with
-    the response and samples the bins. Both adjoints are exact: <A x, y> = <x, A^H y> to rounding.
+    It is applied in two stages, y = S G sigma: the sparse real G writes every point into two neighbours of
+    a fine range grid (geometry only, computed as it goes), the small dense S puts the carrier on, convolves
+    with the response and samples the bins. Both adjoints are exact: <A x, y> = <x, A^H y> to rounding.
 
     Args:
         scans: where the bins, the response, the wavenumber and the antenna positions come from; the samples

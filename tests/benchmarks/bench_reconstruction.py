@@ -49,7 +49,7 @@ METHODS: dict[str, Method] = {
     "BP": lambda raw, matched: backproject(matched, GRID),
     "FISTA": lambda raw, matched: sparse_recovery(raw, GRID),
     "OMP": lambda raw, matched: omp(raw, GRID, MOST_PEAKS, stop=4.5),
-    "ATS": lambda raw, matched: fit(raw, GRID),
+    "ATS": lambda raw, matched: fit(raw, GRID).image,
 }
 
 

@@ -17,7 +17,6 @@ from tagid.imaging.ats.encoding import (  # noqa: E402
     level_sizes,
     vertex_entry,
 )
-from tagid.imaging.ats.forward import synthesize  # noqa: E402
 from tagid.imaging.ats.network import ReflectivityNetwork  # noqa: E402
 
 
@@ -102,34 +101,3 @@ def test_network_is_the_written_out_product_and_leaves_the_global_random_state()
         h = np.maximum(h, 0) if i < 2 else h
     assert out.dtype == np.complex64
     np.testing.assert_allclose(out, h[:, 0] + 1j * h[:, 1], atol=1e-5)
-
-
-class DenseOperator:
-    """A random complex matrix in double precision, as a forward model of 3 views and 4 bins."""
-
-    def __init__(self) -> None:
-        rng = np.random.default_rng(7)
-        self.matrix = rng.standard_normal((12, 5)) + 1j * rng.standard_normal((12, 5))
-
-    def forward(self, sigma: np.ndarray) -> np.ndarray:
-        return (self.matrix @ sigma).reshape(3, 4)
-
-    def adjoint(self, samples: np.ndarray) -> np.ndarray:
-        return self.matrix.conj().T @ samples.reshape(-1)
-
-
-def test_forward_gradient_matches_numerical_differences() -> None:
-    operator = DenseOperator()
-    rng = np.random.default_rng(8)
-    start = rng.standard_normal(5) + 1j * rng.standard_normal(5)
-    sigma = torch.tensor(start, dtype=torch.complex128, requires_grad=True)
-    assert torch.autograd.gradcheck(lambda s: synthesize(s, operator), (sigma,))
-
-
-def test_forward_gradient_of_least_squares_is_the_normal_equation() -> None:
-    operator = DenseOperator()
-    rng = np.random.default_rng(9)
-    data = rng.standard_normal((3, 4)) + 1j * rng.standard_normal((3, 4))
-    sigma = torch.zeros(5, dtype=torch.complex128, requires_grad=True)
-    (synthesize(sigma, operator) - torch.tensor(data)).abs().square().sum().backward()
-    np.testing.assert_allclose(sigma.grad.numpy(), -2 * operator.adjoint(data))

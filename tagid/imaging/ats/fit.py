@@ -1,152 +1,325 @@
-"""Analysis through synthesis: fit a hash-encoded network until its synthesized scans equal the measured ones.
+"""Analysis through synthesis: fit a neural field until its synthesized scans equal the measured ones.
 
-One network is trained per scene, without any training data; what it cannot know it takes from the sparsity
-prior and from the smoothness of the encoding.
+One field is fitted per scene, without any training data; what it cannot know it takes from the sparsity prior
+and from the smoothness of the encoding.
+
+Model of the "field" preset: sigma(p) = network(grid features at p), synthesized scan
+y[v, b] = gain_v sum_p T_vp sigma_vp response(R_b - d_vp) exp(-2jk d_vp) + static_b, and the loss is the Huber
+sum of |y - measured|^2 with sum |sigma| and the squared difference of neighbours.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import asdict, dataclass
-from typing import Any
+import importlib.util
+import time
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Protocol
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
-from tagid.errors import UsageError
+from tagid.capture import Capture
+from tagid.errors import MissingExtraError
 from tagid.geometry import ImageGrid
-from tagid.imaging.ats.encoding import EncodingSettings, HashEncoding
-from tagid.imaging.ats.forward import LinearOperator, synthesize
-from tagid.imaging.ats.network import ReflectivityNetwork
+from tagid.imaging.ats import calibration
+from tagid.imaging.ats.occlusion import transmission
+from tagid.imaging.ats.problem import (
+    Array,
+    FieldWeights,
+    FineRange,
+    GridArrays,
+    ViewArrays,
+    draw_weights,
+    view_arrays,
+)
+from tagid.imaging.ats.settings import AtsResult, AtsSettings, Calibration, Progress
+from tagid.imaging.memory import require_memory
 from tagid.imaging.operator import ForwardOperator
+from tagid.imaging.preprocess import PreprocessSettings, preprocess, select_views
 from tagid.imaging.sparse import column_norm
 from tagid.imaging.types import BasebandScans, Image
 
-Progress = Callable[[int, int, float], None]
-"""Called after every step with (steps done, steps at most, loss)."""
+__all__ = ["AtsResult", "AtsSettings", "fit"]
+
+_CHECK_EVERY = 10
+_LEARN_AT = (0.25, 0.4, 0.55, 0.7, 0.85)
+"""Parts of the steps after which calibration, robust weights and occlusion are brought up to date."""
+
+_MEAN_OVER = 0.3
+"""Part of the steps, at the end, whose mean is the result: it is smoother than any of them, and the rounding
+of an engine shows less in it."""
+
+_LEAST_HELD_OUT = 18
+"""Fewer views are all needed for the image."""
 
 
-@dataclass(frozen=True)
-class AtsSettings:
-    """Parameters of the fit.
+class Engine(Protocol):
+    """What runs the steps: `torch_engine.TorchEngine` or `runtime.OnnxEngine`."""
 
-    Attributes:
-        steps: optimisation steps at most.
-        learning_rate: Adam's rate for the encoding; the network gets `network_rate` of it.
-        network_rate: see there.
-        decay: what is left of the rates after `steps` steps (exponential decay).
-        l1: weight of the sparsity prior, as a fraction of the weight at which the image would be zero.
-        noise_factor: the weight is never less than this times the standard deviation of A^H noise (where the
-            noise is known), and never more than half of what gives a zero image.
-        views_per_step: views of one step; a capture with more is used in interleaved subsets by turns.
-        width, hidden: units of a hidden layer, and hidden layers of the network.
-        finest_m: edge of the finest cell of the encoding, m; never finer than the pixels.
-        levels, features, coarsest, log2_entries: see `EncodingSettings`.
-        tolerance: stop when the loss of the last `patience` steps is not this fraction lower than before; 0:
-            never.
-        patience: steps that one comparison spans.
-        seed: of the initial weights; the same seed gives the same image on the same machine.
-        threads: torch's threads during the fit. One is the default: the layers are so small that a second
-            thread gains little where the cores are idle, and waits for its slice where they are not.
-    """
+    name: str
 
-    steps: int = 70
-    learning_rate: float = 0.05
-    network_rate: float = 1.0
-    decay: float = 0.3
-    l1: float = 0.03
-    noise_factor: float = 1.5
-    views_per_step: int = 36
-    width: int = 32
-    hidden: int = 2
-    finest_m: float = 0.0073
-    levels: int = 8
-    features: int = 2
-    coarsest: int = 8
-    log2_entries: int = 14
-    tolerance: float = 0.005
-    patience: int = 20
-    seed: int = 0
-    threads: int = 1
+    def step(self, grid: GridArrays, views: ViewArrays, fine: FineRange, numbers: Array) -> float:
+        """One step of Adam on some views; the loss before it."""
+        ...
 
-    def __post_init__(self) -> None:
-        least = {"steps": 1, "views_per_step": 1, "width": 1, "hidden": 0, "levels": 1, "features": 1}
-        for name, low in (
-            least | {"coarsest": 1, "log2_entries": 1, "patience": 1, "seed": 0, "threads": 1}
-        ).items():
-            if not low <= getattr(self, name) <= 10**6:
-                raise UsageError(f"ATS setting {name} is {getattr(self, name)}", f"Give {low} to 1000000.")
-        for name in ("learning_rate", "network_rate", "decay", "finest_m"):
-            if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0):
-                raise UsageError(f"ATS setting {name} is {getattr(self, name)}", "Give a positive number.")
-        for name in ("l1", "noise_factor", "tolerance"):
-            if not (np.isfinite(getattr(self, name)) and getattr(self, name) >= 0):
-                raise UsageError(f"ATS setting {name} is {getattr(self, name)}", "Give zero or more.")
-
-    def encoding(self, grid: ImageGrid) -> EncodingSettings:
-        """The encoding's size for a grid: the finest cell is `finest_m`, or a pixel where that is larger."""
-        finest = min(grid.pixels, max(self.coarsest, round(grid.extent / self.finest_m)))
-        coarsest = min(self.coarsest, finest)
-        return EncodingSettings(self.levels, self.features, coarsest, finest, self.log2_entries)
-
-
-@dataclass(frozen=True, eq=False)
-class _Problem:
-    """What one fit works on: operators and data by subset, and what makes the loss dimensionless."""
-
-    operators: list[LinearOperator]
-    samples: list[Any]
-    energy: list[float]
-    output_scale: float
-    l1_weight: float
+    def weights(self) -> FieldWeights:
+        """The parameters as they are now."""
+        ...
 
 
 def fit(
-    scans: BasebandScans,
+    capture_or_problem: Capture | BasebandScans,
     grid: ImageGrid,
     settings: AtsSettings | None = None,
     progress: Progress | None = None,
-) -> Image:
-    """Reconstruct by analysis through synthesis (the paper's pipeline; see `forward` for the model).
-
-    Minimises sum |A sigma(theta) - y|^2 / sum |y|^2 + w sum |sigma(theta)| over the parameters theta of
-    encoding and network with Adam, on interleaved subsets of the views by turns.
+) -> AtsResult:
+    """Reconstruct by analysis through synthesis.
 
     Args:
-        scans: preprocessed scans.
+        capture_or_problem: preprocessed scans, best without matched filter; or a capture, which is
+            preprocessed that way with its background kept as it is.
         grid: pixels wanted.
         settings: parameters; the defaults are for 12 to 360 views of an object of up to a metre.
         progress: called after every step.
 
     Returns:
-        Image with the reflectivity, in the units of the scans. Scans that are all zero give a zero image.
+        Image in the units of the scans, with how it came about. Scans that are all zero give a zero image.
+
+    Raises:
+        DataError: the capture cannot be preprocessed.
+        UsageError: settings that exclude each other, or sizes that do not fit into memory.
+        MissingExtraError: the engine asked for is not installed.
     """
+    begun = time.perf_counter()
     settings = settings or AtsSettings()
-    chosen: dict[str, Any] = {"method": "ats", "engine": "torch", **asdict(settings)}
+    scans = capture_or_problem
+    if isinstance(scans, Capture):
+        scans = preprocess(scans, settings=PreprocessSettings("none", False, extent_m=grid.extent))
+    return _Fit(scans, grid, settings).run(progress, begun)
+
+
+@dataclass(frozen=True)
+class _Scales:
+    """What makes the loss dimensionless: energy of the data, size of the output, weights of the priors."""
+
+    energy: float
+    output: float
+    sparsity: float
+    smoothness: float
+
+
+class _Fit:
+    """One fit from set-up to result."""
+
+    def __init__(self, scans: BasebandScans, grid: ImageGrid, settings: AtsSettings) -> None:
+        self.grid, self.settings, self.all = grid, settings, scans
+        _foresee(scans, grid, settings)
+        views = np.arange(scans.aperture.views)
+        self.unseen = _held_out(len(views), settings.held_out)
+        self.scans = select_views(scans, np.setdiff1d(views, self.unseen))
+        self.known = calibration.Unknowns.none(self.scans, settings.wobble_harmonics)
+        self.confidence: NDArray[np.floating] = np.ones(self.scans.samples.shape, dtype=np.float32)
+        self.shadow: NDArray[np.float32] | None = None
+        self.losses: list[float] = []
+
+    def run(self, progress: Progress | None, begun: float) -> AtsResult:
+        scales = _scales(self.scans, self.grid, self.settings)
+        shape = self.settings.shape(self.grid)
+        if scales is None:
+            blank = np.zeros((self.grid.pixels, self.grid.pixels), dtype=np.complex64)
+            return self._result(blank, None, float("nan"), "none", begun)
+        start = draw_weights(shape, self.grid, scales.output, self.settings.seed)
+        engine = make_engine(start, self.settings)
+        field, held_out = self._optimise(engine, scales, shape.cells, progress)
+        values = field.on(self.grid)
+        return self._result(values[len(values) // 2], field, held_out, engine.name, begun)
+
+    def _optimise(
+        self, engine: Engine, scales: _Scales, cells: tuple[int, ...], progress: Progress | None
+    ) -> tuple[FieldWeights, float]:
+        """All steps; the mean field over the last of them, and its held-out residual."""
+        settings, steps = self.settings, self.settings.steps
+        fine = FineRange.of(self.all, self.grid.points, self._margin())
+        grid = GridArrays.of(self.grid, cells, fine.step)
+        learn = {int(part * steps) for part in _LEARN_AT} if self._learns() else set()
+        subsets = self._subsets(fine)
+        best, worse, mean, since = np.inf, 0, engine.weights(), 0
+        for step in range(steps):
+            views = subsets[step % len(subsets)]
+            numbers = self._numbers(scales, step, len(views.antenna))
+            self.losses.append(engine.step(grid, views, fine, numbers))
+            if progress is not None:
+                progress(step + 1, steps, self.losses[-1])
+            if step + 1 in learn:
+                self._learn(engine.weights(), late=step + 1 >= steps / 2)
+                subsets = self._subsets(fine)
+            if step + 1 > steps * (1 - _MEAN_OVER):
+                since += 1
+                mean = mean.mean_with(engine.weights(), 1 / since)
+            if len(self.unseen) and settings.patience and (step + 1) % _CHECK_EVERY == 0:
+                residual = self._held_out_residual(engine.weights())
+                worse = worse + 1 if residual > best else 0
+                best = min(best, residual)
+                if worse >= settings.patience and step + 1 > max(learn, default=0):
+                    break
+        field = mean if since else engine.weights()
+        return field, self._held_out_residual(field) if len(self.unseen) else float("nan")
+
+    def _numbers(self, scales: _Scales, step: int, views: int) -> Array:
+        """The step's scalars in the order of `step.Step.numbers`."""
+        s = self.settings
+        rate = s.learning_rate * s.decay ** (step / s.steps)
+        data = self.scans.aperture.views / views / scales.energy
+        corrections = (1 / (1 - _BETA1 ** (step + 1)), 1 / (1 - _BETA2 ** (step + 1)))
+        numbers = (rate, rate * s.network_rate, *corrections, scales.output, data)
+        return np.array([*numbers, scales.sparsity, scales.smoothness, _EPSILON], dtype=np.float32)
+
+    def _subsets(self, fine: FineRange) -> list[ViewArrays]:
+        """Interleaved subsets of the views under the present calibration."""
+        aperture = self.known.aperture(self.scans.aperture)
+        data = np.asarray(self.scans.samples - self.known.static, dtype=np.complex64)
+        now = replace(self.scans, samples=data, aperture=aperture)
+        aspect = _aspect(aperture.positions, self.settings.aspect_harmonics) * self.known.gain[:, None]
+        arrays = view_arrays(now, fine.step, self.confidence, aspect, self.shadow)
+        stride = max(1, round(len(data) / self.settings.views_per_step))
+        return [arrays.select(slice(k, None, stride)) for k in range(stride)]
+
+    def _learns(self) -> bool:
+        s = self.settings
+        return bool(s.calibrate) or s.robust > 0 or s.occlusion > 0
+
+    def _margin(self) -> float:
+        """Range that the calibration may move the points by, m."""
+        return 0.06 if {"axis", "wobble"} & set(self.settings.calibrate) else 0.0
+
+    def _learn(self, field: FieldWeights, late: bool) -> None:
+        """Bring calibration, shadows and, once the scene stands, the weights of the samples up to date."""
+        settings, values = self.settings, field.on(self.grid)
+        image = values[len(values) // 2].ravel()
+        if settings.calibrate:
+            self.known = calibration.improve(
+                self.scans, self.grid.points, image, self.known, settings.calibrate
+            )
+        aperture = self.known.aperture(self.scans.aperture)
+        if settings.occlusion > 0:
+            magnitude = np.sqrt((np.abs(values) ** 2).sum(axis=0))
+            self.shadow = transmission(magnitude, self.grid, aperture.positions, settings.occlusion)
+        if settings.robust > 0 and late:
+            residual = np.abs(self.scans.samples - self.known.static - self._seen(self.scans, values, True))
+            sigma = max(self.scans.noise_std, float(np.median(residual)) / np.sqrt(np.log(2)), 1e-30)
+            self.confidence = np.minimum(1, settings.robust * sigma / np.maximum(residual, 1e-30))
+
+    def _seen(
+        self, scans: BasebandScans, values: NDArray[np.complex64], fitted: bool
+    ) -> NDArray[np.complex64]:
+        """Synthesized scans of the field's channels; the gain is known for the views that were fitted."""
+        aperture = self.known.aperture(scans.aperture)
+        operator = ForwardOperator(scans.with_aperture(aperture), self.grid)
+        aspect = _aspect(aperture.positions, self.settings.aspect_harmonics)
+        if fitted:
+            aspect = aspect * self.known.gain[:, None]
+        parts = [operator.forward(v.ravel()) * aspect[:, i, None] for i, v in enumerate(values)]
+        return np.asarray(np.sum(parts, axis=0), dtype=np.complex64)
+
+    def _held_out_residual(self, field: FieldWeights) -> float:
+        unseen = select_views(self.all, self.unseen)
+        data = unseen.samples - self.known.static
+        residual = data - self._seen(unseen, field.on(self.grid), False)
+        energy = float(np.vdot(data, data).real)
+        return float(np.vdot(residual, residual).real) / energy if energy > 0 else float("nan")
+
+    def _result(
+        self,
+        values: NDArray[np.complex64],
+        field: FieldWeights | None,
+        held_out: float,
+        engine: str,
+        begun: float,
+    ) -> AtsResult:
+        nominal, known = self.all.aperture.axis_distance, self.known
+        learned = Calibration(
+            None if nominal is None else nominal + known.offset_m,
+            known.offset_m,
+            known.sigma_m,
+            known.wobble,
+            known.gain,
+            known.static,
+        )
+        facts: dict[str, Any] = {"method": "ats", **asdict(self.settings), "engine": engine}
+        facts |= {"calibrate": list(self.settings.calibrate), "axis_distance_m": learned.axis_distance_m}
+        facts |= {"steps_done": len(self.losses), "loss": self.losses[-1] if self.losses else 0.0}
+        facts |= {"held_out_residual": None if np.isnan(held_out) else held_out}
+        image = Image(values, self.grid, facts)
+        return AtsResult(image, tuple(self.losses), learned, held_out, time.perf_counter() - begun, field)
+
+
+_BETA1, _BETA2 = 0.9, 0.95
+"""Those of `step`, which cannot be imported here: it needs torch."""
+
+_EPSILON = 1e-5
+"""Adam's, of the order of the smallest gradients of the dimensionless loss: a parameter that hardly matters
+then hardly moves, which makes fits converge alike from scene to scene and engine to engine."""
+
+
+def make_engine(start: FieldWeights, settings: AtsSettings) -> Engine:
+    """The engine that the settings ask for.
+
+    Raises:
+        MissingExtraError: it is not installed.
+        UsageError: it cannot do what is asked.
+    """
+    name = settings.engine
+    if name == "auto":
+        from tagid.imaging.ats.runtime import HIDDEN, LEVELS
+
+        shipped = (settings.levels, settings.hidden, settings.device) == (LEVELS, HIDDEN, "cpu")
+        name = "onnx" if shipped and importlib.util.find_spec("onnxruntime") else "torch"
+    if importlib.util.find_spec("torch" if name == "torch" else "onnxruntime") is None:
+        raise MissingExtraError(
+            f"ATS with --engine {name} needs {'torch' if name == 'torch' else 'onnxruntime'}, "
+            "which is not installed",
+            "Install it with `pip install 'tagid[ats]'`." if name == "torch" else "Install tagid again.",
+        )
+    if name == "onnx":
+        from tagid.imaging.ats.runtime import OnnxEngine
+
+        return OnnxEngine(start, settings.threads)
+    from tagid.imaging.ats.torch_engine import TorchEngine
+
+    return TorchEngine(start, settings.device, settings.threads)
+
+
+def _foresee(scans: BasebandScans, grid: ImageGrid, settings: AtsSettings) -> None:
+    """Refuse sizes that will not fit before anything is allocated."""
+    points, views = grid.pixels**2, min(scans.aperture.views, 2 * settings.views_per_step)
+    per_pair = 8 + 4 * 6
+    per_point = 4 * (6 * settings.width + 4 * settings.levels * settings.features)
+    shadows = 4 * scans.aperture.views * points if settings.occlusion > 0 else 0
+    require_memory(
+        points * (views * per_pair + per_point) + shadows,
+        f"steps of {views} views and {grid.pixels} x {grid.pixels} pixels",
+        "Use fewer pixels (--pixels), or fewer views a step.",
+    )
+
+
+def _held_out(views: int, share: float) -> NDArray[np.intp]:
+    """Views that the fit does not see, spread over the turn."""
+    count = round(views * share) if views >= _LEAST_HELD_OUT else 0
+    if share > 0 and views >= _LEAST_HELD_OUT:
+        count = max(1, count)
+    return np.asarray((np.arange(count) + 0.5) * views / max(count, 1), dtype=np.intp)
+
+
+def _aspect(positions: NDArray[np.float64], harmonics: int) -> NDArray[np.complex128]:
+    """(views, 2M + 1) exp(j m bearing of the antenna), m = -M..M."""
+    bearing = np.arctan2(positions[:, 1], positions[:, 0])
+    return np.exp(1j * np.outer(bearing, np.arange(-harmonics, harmonics + 1)))
+
+
+def _scales(scans: BasebandScans, grid: ImageGrid, settings: AtsSettings) -> _Scales | None:
+    """Scales and weights; None where nothing is to be fitted (zero data, or none within the grid's reach)."""
     operator = ForwardOperator(scans, grid)
-    problem = _prepare(scans, operator, settings)
-    if problem is None:
-        empty = np.zeros((grid.pixels, grid.pixels), dtype=np.complex64)
-        return Image(empty, grid, {**chosen, "steps_done": 0, "loss": 0.0})
-    generator = torch.Generator().manual_seed(settings.seed)
-    encoding = HashEncoding(grid.points / grid.extent + 0.5, settings.encoding(grid), generator)
-    network = ReflectivityNetwork(encoding.settings.width, settings.width, settings.hidden, generator)
-    threads_before = torch.get_num_threads()
-    torch.set_num_threads(settings.threads)
-    try:
-        losses = _optimise(problem, encoding, network, settings, progress)
-        with torch.no_grad():
-            values = (network(encoding()) * problem.output_scale).numpy()
-    finally:
-        torch.set_num_threads(threads_before)
-    values = values.reshape(grid.pixels, grid.pixels).astype(np.complex64)
-    return Image(values, grid, {**chosen, "steps_done": len(losses), "loss": losses[-1]})
-
-
-def _prepare(scans: BasebandScans, operator: Any, settings: AtsSettings) -> _Problem | None:
-    """Subsets and scales; None where nothing is to be fitted (zero data, or none within the grid's reach)."""
-    data: NDArray[np.complex64] = np.ascontiguousarray(scans.samples, dtype=np.complex64)
+    data = np.ascontiguousarray(scans.samples, dtype=np.complex64)
     back = operator.adjoint(data)
     energy = float(np.vdot(data, data).real)
     peak = float(np.abs(back).max(initial=0.0))
@@ -155,61 +328,7 @@ def _prepare(scans: BasebandScans, operator: Any, settings: AtsSettings) -> _Pro
     # Least-squares amplitude of the backprojection image: the order of magnitude to start from.
     seen = operator.forward(back)
     blurred = float(np.vdot(seen, data).real / np.vdot(seen, seen).real) * peak
-    floor = settings.noise_factor * scans.noise_std * column_norm(scans)
+    norm = column_norm(scans)
+    floor = settings.noise_factor * scans.noise_std * norm
     weight = min(max(settings.l1 * peak, floor), 0.5 * peak)
-    stride = max(1, round(scans.samples.shape[0] / settings.views_per_step))
-    subsets = [slice(k, None, stride) for k in range(stride)]
-    operators = [operator.select(s) for s in subsets] if stride > 1 else [operator]
-    parts = [np.ascontiguousarray(data[s]) for s in subsets]
-    return _Problem(
-        operators=operators,
-        samples=[torch.from_numpy(part) for part in parts],
-        energy=[max(float(np.vdot(part, part).real), energy / stride * 1e-3) for part in parts],
-        output_scale=3 * blurred,
-        l1_weight=2 * weight / energy,
-    )
-
-
-def _optimise(
-    problem: _Problem,
-    encoding: HashEncoding,
-    network: ReflectivityNetwork,
-    settings: AtsSettings,
-    progress: Progress | None,
-) -> list[float]:
-    """Adam with decaying rates until the loss stops falling or the steps are done; every step's loss."""
-    groups = [
-        {"params": list(encoding.parameters()), "lr": settings.learning_rate},
-        {"params": list(network.parameters()), "lr": settings.learning_rate * settings.network_rate},
-    ]
-    optimiser = torch.optim.Adam(groups, betas=(0.9, 0.95), eps=1e-15)
-    factor = settings.decay ** (1 / settings.steps)
-    losses: list[float] = []
-    for step in range(settings.steps):
-        k = step % len(problem.operators)
-        sigma = network(encoding()) * problem.output_scale
-        residual = torch.view_as_real(synthesize(sigma, problem.operators[k]) - problem.samples[k])
-        # The small constant keeps the gradient of |sigma| finite at zero.
-        parts = torch.view_as_real(sigma)
-        magnitude = (parts.square().sum(1) + 1e-12 * abs(problem.output_scale) ** 2).sqrt()
-        loss = residual.square().sum() / problem.energy[k] + problem.l1_weight * magnitude.sum()
-        optimiser.zero_grad()
-        loss.backward()
-        optimiser.step()
-        for group in optimiser.param_groups:
-            group["lr"] *= factor
-        losses.append(float(loss.item()))
-        if progress is not None:
-            progress(step + 1, settings.steps, losses[-1])
-        if _stalled(losses, settings):
-            break
-    return losses
-
-
-def _stalled(losses: list[float], settings: AtsSettings) -> bool:
-    """True where the last `patience` steps are on average not `tolerance` better than those before."""
-    span = settings.patience
-    if settings.tolerance == 0 or len(losses) < 2 * span:
-        return False
-    before, now = float(np.mean(losses[-2 * span : -span])), float(np.mean(losses[-span:]))
-    return now > before * (1 - settings.tolerance)
+    return _Scales(energy, 3 * blurred, 2 * weight / energy, settings.smoothness * norm**2 / energy)

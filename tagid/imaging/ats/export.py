@@ -1,0 +1,127 @@
+"""The optimisation step as an ONNX graph: what torch runs in the laboratory, onnxruntime runs in the field.
+
+Run `python -m tagid.imaging.ats.export` in a checkout with the extra `export` to write `models/` anew.
+"""
+
+from __future__ import annotations
+
+import itertools
+from typing import Any
+
+import torch
+
+from tagid import __version__
+from tagid.imaging.ats.runtime import HIDDEN, LEVELS, MODEL, input_names, state_names
+from tagid.imaging.ats.step import Step, optimise
+from tagid.models_store import FOLDER, OPSET, Entry, Tensor, entry_of, write_entry
+
+
+class _Module(torch.nn.Module):  # type: ignore[misc]
+    """`optimise` with its lists as arguments of their own, as the exporter wants them."""
+
+    def forward(self, *parts: Any) -> Any:
+        """Parts in the order of `Step`."""
+        return optimise(Step(*parts))
+
+
+def export_step() -> tuple[bytes, Entry]:
+    """The graph with named, dynamic dimensions, and its manifest entry."""
+    import onnx
+
+    parts = _example()
+    shapes = [_dynamic(part) for part in parts]
+    with torch.no_grad():
+        program = torch.export.export(_Module(), tuple(parts), dynamic_shapes={"parts": tuple(shapes)})
+    names = input_names()
+    outputs = ["loss", *state_names()]
+    exported = torch.onnx.export(
+        program, dynamo=True, opset_version=OPSET, input_names=names, output_names=outputs, verbose=False
+    )
+    graph = exported.model_proto
+    tensors = dimensions()
+    for side in (graph.graph.input, graph.graph.output):
+        for value in side:
+            _rename(value, tensors[value.name])
+    del graph.graph.value_info[:]
+    for node in graph.graph.node:
+        node.ClearField("metadata_props")
+        node.ClearField("doc_string")
+    graph.ClearField("metadata_props")
+    graph.graph.ClearField("metadata_props")
+    for value in (*graph.graph.input, *graph.graph.output):
+        value.ClearField("metadata_props")
+    graph.producer_name, graph.producer_version = "tagid", __version__
+    onnx.checker.check_model(graph, full_check=True)
+    content = graph.SerializeToString(deterministic=True)
+    facts = {
+        "purpose": "one step of analysis through synthesis: field, forward model, gradient, Adam",
+        "source": "tagid/imaging/ats/step.py",
+        "levels": LEVELS,
+        "hidden": HIDDEN,
+    }
+    sides = [{name: tensors[name] for name in side} for side in (names, outputs)]
+    return content, entry_of(MODEL, content, sides[0], sides[1], facts)
+
+
+def dimensions() -> dict[str, Tensor]:
+    """Dtype and named shape of every input and output of the graph."""
+    table = [("features", f"vertices_{i}", f"vertices_{i}") for i in range(LEVELS)]
+    inner: list[tuple[int | str, ...]] = [("width", "inputs")]
+    inner += [("width", "width") for _ in range(HIDDEN - 1)]
+    layers: list[tuple[int | str, ...]] = [*inner, ("parts", "width")]
+    biases: list[tuple[int | str, ...]] = [*(("width", 1) for _ in range(HIDDEN)), ("parts", 1)]
+    state: list[tuple[int | str, ...]] = [*table, *layers, *biases]
+    shapes: list[tuple[int | str, ...]] = [*state * 3]
+    shapes += [("pixels", f"vertices_{i}") for i in range(LEVELS)]
+    shapes += [("pixels", "pixels"), (2, "points"), ("views", 3), ("views", "parts"), ("views", "parts")]
+    shapes += [("seen_views", "seen_points")]
+    shapes += [("fine", "spread"), (2, "views", "bins"), ("views", "bins"), (9,), (1,)]
+    found = {name: Tensor("float32", shape) for name, shape in zip(input_names(), shapes, strict=True)}
+    found["loss"] = Tensor("float32", (1,))
+    found |= {name: Tensor("float32", shape) for name, shape in zip(state_names(), state * 3, strict=True)}
+    return found
+
+
+def _example() -> list[Any]:
+    """Arguments of one step, every dynamic size another one so that none is taken for another."""
+    pixels, views, bins, fine, features, width, parts = 11, 7, 13, 97, 5, 6, 8
+    vertices = [4 + 3 * i for i in range(LEVELS)]
+    layers = [features * LEVELS] + [width] * HIDDEN + [parts]
+    tables = [torch.zeros(features, n, n) for n in vertices]
+    weights = [torch.zeros(b, a) for a, b in itertools.pairwise(layers)]
+    biases = [torch.zeros(b, 1) for b in layers[1:]]
+    moments = [[torch.zeros_like(p) for p in (*tables, *weights, *biases)] for _ in range(2)]
+    grid = [[torch.zeros(pixels, n) for n in vertices], torch.zeros(pixels, pixels)]
+    rest: list[tuple[int, ...]] = [
+        (2, pixels**2),
+        (views, 3),
+        (views, parts),
+        (views, parts),
+        (fine, 2 * bins),
+    ]
+    rest[4:4] = [(views, pixels**2)]
+    rest += [(2, views, bins), (views, bins), (9,), (1,)]
+    return [tables, weights, biases, *moments, *grid, *(torch.zeros(*shape) for shape in rest)]
+
+
+def _dynamic(part: Any) -> Any:
+    """Every dimension of a tensor or of the tensors of a list left open, those that never vary fixed."""
+    if isinstance(part, list):
+        return [_dynamic(item) for item in part]
+    auto, static = torch.export.Dim.AUTO, torch.export.Dim.STATIC
+    return {i: static if size in (1, 2, 3, 9) else auto for i, size in enumerate(part.shape)}
+
+
+def _rename(value: Any, tensor: Tensor) -> None:
+    """Write our names over the exporter's symbols."""
+    for dimension, name in zip(value.type.tensor_type.shape.dim, tensor.shape, strict=True):
+        dimension.Clear()
+        if isinstance(name, int):
+            dimension.dim_value = name
+        else:
+            dimension.dim_param = name
+
+
+if __name__ == "__main__":
+    step, about = export_step()
+    write_entry(about, step, FOLDER)

@@ -1,0 +1,55 @@
+"""What is left of an echo after the scene has stood in its way: the paper's transmission, two ways.
+
+It is computed between steps from the current image, so that the step itself stays linear in the scene.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tagid.geometry import ImageGrid
+
+
+def transmission(
+    magnitude: NDArray[np.floating], grid: ImageGrid, positions: NDArray[np.float64], nepers: float
+) -> NDArray[np.float32]:
+    """exp(-sum over the pixels crossed of nepers |sigma| / max |sigma|) for every view and pixel.
+
+    The sum runs along the straight line from the antenna's foot to the pixel and leaves out the last pixel,
+    so that nothing hides itself. It is taken on a polar grid about the antenna, whose step is a pixel.
+
+    Args:
+        magnitude: (pixels, pixels) |sigma|, index (y, x).
+        grid: its grid.
+        positions: (views, 3) antenna positions, m.
+        nepers: attenuation of the amplitude, two ways, by one pixel as bright as the brightest.
+
+    Returns:
+        (views, pixels^2) float32 in 0..1, row-major pixels.
+    """
+    from scipy.ndimage import map_coordinates
+
+    top = float(magnitude.max(initial=0))
+    out = np.ones((len(positions), grid.pixels**2), dtype=np.float32)
+    if top == 0 or nepers == 0:
+        return out
+    density = (magnitude * (nepers / top)).astype(np.float32)
+    reach = grid.extent / np.sqrt(2)
+    for row, (x, y, _) in zip(out, positions, strict=True):
+        distance, bearing = np.hypot(x, y), np.arctan2(-y, -x)
+        near = max(distance - reach, grid.step)
+        ranges = np.arange(near, distance + reach + grid.step, grid.step)
+        half = float(np.arcsin(min(1.0, reach / distance))) if distance > reach else np.pi
+        angles = np.linspace(-half, half, max(3, int(np.ceil(2 * half * (distance + reach) / grid.step))))
+        px = x + ranges * np.cos(bearing + angles[:, None])
+        py = y + ranges * np.sin(bearing + angles[:, None])
+        at = [(v / grid.extent + 0.5) * grid.pixels - 0.5 for v in (py, px)]
+        crossed = np.cumsum(map_coordinates(density, at, order=1, mode="constant"), axis=1)
+        dx, dy = grid.points[:, 0] - x, grid.points[:, 1] - y
+        turned = (np.arctan2(dy, dx) - bearing + np.pi) % (2 * np.pi) - np.pi
+        # A point is itself spread over two range steps: what counts lies at least two before it.
+        place = (np.hypot(dx, dy) - near) / grid.step - 2
+        line = (turned + half) / (2 * half) * (len(angles) - 1)
+        row[:] = np.exp(-map_coordinates(crossed, [line, place], order=1, mode="nearest") * (place > -1))
+    return out

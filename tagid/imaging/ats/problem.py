@@ -1,0 +1,252 @@
+"""What one fit works on, as plain arrays: the field's parameters, the geometry of the grid and of the views.
+
+Both engines read the same arrays, so that an image does not depend on which of them was installed.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tagid.geometry import ImageGrid
+from tagid.imaging.types import BasebandScans
+
+Array = NDArray[np.float32]
+
+PHASE_STEP = 0.05
+"""Phase of the carrier between fine range bins, rad; a point goes to the nearest, at most 0.025 rad off."""
+
+_TABLE_INIT = 1e-2
+"""Features start uniform in +-1e-2, small beside the network's weights, so that a fit starts near zero."""
+
+
+@dataclass(frozen=True, eq=False)
+class FieldShape:
+    """Sizes of the neural field.
+
+    Attributes:
+        cells: cells along a side of the imaged square, one number a level, coarse to fine.
+        features: features of a vertex.
+        width, hidden: units of a hidden layer, and how many of those.
+        channels: complex values of a point: 1, or 2M + 1 harmonics of the aspect angle.
+    """
+
+    cells: tuple[int, ...]
+    features: int
+    width: int
+    hidden: int
+    channels: int = 1
+
+
+@dataclass(eq=False)
+class FieldWeights:
+    """Parameters of the field, and the evaluation that needs neither engine.
+
+    Attributes:
+        tables: (features, cells + 1, cells + 1) vertex features of every level.
+        weights, biases: (out, in) and (out, 1) of every layer.
+        scale: what the network's output is multiplied with at `pixels` pixels a side.
+        extent, pixels: the square that the field covers, m, and the grid it was fitted on.
+    """
+
+    tables: list[Array]
+    weights: list[Array]
+    biases: list[Array]
+    scale: float
+    extent: float
+    pixels: int
+
+    def evaluate(self, points: NDArray[np.floating]) -> NDArray[np.complex64]:
+        """Reflectivity at any points (n, 2) in m, (channels, n) complex64, per pixel of the fitted grid.
+
+        Points outside the square get the value of its rim.
+        """
+        unit = np.clip(np.asarray(points, dtype=np.float64) / self.extent + 0.5, 0, 1)
+        parts = []
+        for table in self.tables:
+            cells = table.shape[1] - 1
+            corner = np.minimum((unit * cells).astype(np.intp), cells - 1)
+            fx, fy = (unit * cells - corner).astype(np.float32).T
+            x, y = corner.T
+            low = table[:, y, x] * (1 - fx) + table[:, y, x + 1] * fx
+            high = table[:, y + 1, x] * (1 - fx) + table[:, y + 1, x + 1] * fx
+            parts.append(low * (1 - fy) + high * fy)
+        return self._network(np.concatenate(parts))
+
+    def on(self, grid: ImageGrid) -> NDArray[np.complex64]:
+        """Reflectivity of the pixels of a grid of the same extent, (channels, pixels, pixels) complex64.
+
+        A finer grid divides each pixel's reflectivity among its parts, so that the sum stays.
+        """
+        if grid.extent != self.extent:
+            share = (grid.step * self.pixels / self.extent) ** 2
+            values = self.evaluate(grid.points) * np.float32(share)
+        else:
+            at = [interpolation(grid.pixels, table.shape[1] - 1) for table in self.tables]
+            parts = [
+                (w @ table @ w.T).reshape(len(table), -1) for w, table in zip(at, self.tables, strict=True)
+            ]
+            values = self._network(np.concatenate(parts)) * np.float32((self.pixels / grid.pixels) ** 2)
+        return values.reshape(-1, grid.pixels, grid.pixels)
+
+    def mean_with(self, other: FieldWeights, share: float) -> FieldWeights:
+        """Parameters (1 - share) of these and share of the other's."""
+
+        def mix(a: list[Array], b: list[Array]) -> list[Array]:
+            return [x + np.float32(share) * (y - x) for x, y in zip(a, b, strict=True)]
+
+        return replace(
+            self,
+            tables=mix(self.tables, other.tables),
+            weights=mix(self.weights, other.weights),
+            biases=mix(self.biases, other.biases),
+        )
+
+    def _network(self, inputs: Array) -> NDArray[np.complex64]:
+        layer = inputs
+        for i, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
+            layer = weight @ layer + bias
+            if i < len(self.weights) - 1:
+                np.maximum(layer, 0, out=layer)
+        real, imaginary = np.split(layer * np.float32(self.scale), 2)
+        return np.asarray(real + 1j * imaginary, dtype=np.complex64)
+
+
+def draw_weights(shape: FieldShape, grid: ImageGrid, scale: float, seed: int) -> FieldWeights:
+    """Initial parameters from a seed: the same on every machine and for every engine.
+
+    Layers are uniform with variance 1 / (3 fan-in).
+    """
+    rng = np.random.default_rng(seed)
+
+    def uniform(bound: float, *size: int) -> Array:
+        return ((rng.random(size, dtype=np.float32) * 2 - 1) * np.float32(bound)).astype(np.float32)
+
+    tables = [uniform(_TABLE_INIT, shape.features, n + 1, n + 1) for n in shape.cells]
+    sizes = [shape.features * len(shape.cells)] + [shape.width] * shape.hidden + [2 * shape.channels]
+    weights, biases = [], []
+    for fan_in, fan_out in itertools.pairwise(sizes):
+        bound = 1 / np.sqrt(fan_in)
+        weights.append(uniform(bound, fan_out, fan_in))
+        biases.append(uniform(bound, fan_out, 1))
+    return FieldWeights(tables, weights, biases, scale, grid.extent, grid.pixels)
+
+
+def interpolation(pixels: int, cells: int) -> Array:
+    """(pixels, cells + 1) weights of the vertices at the pixel centres along one axis."""
+    at = (np.arange(pixels) + 0.5) / pixels * cells
+    corner = np.minimum(at.astype(np.intp), cells - 1)
+    out = np.zeros((pixels, cells + 1), dtype=np.float32)
+    out[np.arange(pixels), corner] = 1 - (at - corner)
+    out[np.arange(pixels), corner + 1] = at - corner
+    return out
+
+
+def neighbours(pixels: int) -> Array:
+    """(pixels, pixels) K = D^T D of the first differences D: sum x (K x) = sum |x_i+1 - x_i|^2."""
+    k = 2 * np.eye(pixels, dtype=np.float32) - np.eye(pixels, k=1, dtype=np.float32)
+    k -= np.eye(pixels, k=-1, dtype=np.float32)
+    k[0, 0] = k[-1, -1] = 1
+    return k
+
+
+@dataclass(frozen=True, eq=False)
+class GridArrays:
+    """What a step reads of the grid: see `Step` for the members of the same names."""
+
+    interpolation: list[Array]
+    neighbours: Array
+    points: Array
+
+    @classmethod
+    def of(cls, grid: ImageGrid, cells: tuple[int, ...], fine_step: float) -> GridArrays:
+        """Arrays of a grid for levels of so many cells and fine range bins of `fine_step` m."""
+        x, y = (grid.points / fine_step).T
+        points = np.stack([x, y]).astype(np.float32)
+        return cls([interpolation(grid.pixels, n) for n in cells], neighbours(grid.pixels), points)
+
+
+@dataclass(frozen=True, eq=False)
+class ViewArrays:
+    """What a step reads of some views: see `Step` for the members of the same names."""
+
+    antenna: Array
+    real: Array
+    imaginary: Array
+    samples: Array
+    confidence: Array
+    transmission: Array
+
+    def select(self, views: NDArray[np.integer] | slice) -> ViewArrays:
+        """The same of some views only."""
+        return ViewArrays(
+            np.ascontiguousarray(self.antenna[views]),
+            np.ascontiguousarray(self.real[views]),
+            np.ascontiguousarray(self.imaginary[views]),
+            np.ascontiguousarray(self.samples[:, views]),
+            np.ascontiguousarray(self.confidence[views]),
+            np.ascontiguousarray(self.transmission[views if len(self.transmission) > 1 else slice(None)]),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class FineRange:
+    """The fine range grid of the step.
+
+    Attributes:
+        step: m.
+        offset: (1,) range of the first bin in steps, less the half that makes a cut a rounding.
+        spread: (fine bins, 2B) carrier and range response, real part before imaginary part.
+    """
+
+    step: float
+    offset: Array
+    spread: Array
+
+    @classmethod
+    def of(cls, scans: BasebandScans, points: NDArray[np.float64], margin_m: float = 0.0) -> FineRange:
+        """Fine grid that holds the points for all views even where the antennas move by the margin."""
+        antenna = scans.aperture.positions
+        radius = float(np.hypot(points[:, 0], points[:, 1]).max())
+        across = np.hypot(antenna[:, 0], antenna[:, 1])
+        near = float(np.hypot(np.maximum(across - radius, 0), antenna[:, 2]).min()) - margin_m
+        far = float(np.hypot(across + radius, antenna[:, 2]).max()) + margin_m
+        step = PHASE_STEP / (2 * scans.wavenumber)
+        start = near - 2 * step
+        fine = start + step * np.arange(int(np.ceil((far - near) / step)) + 5, dtype=np.float64)
+        carrier = np.exp(-2j * scans.wavenumber * fine)
+        matrix = scans.response(scans.ranges_m[None, :] - fine[:, None]) * carrier[:, None]
+        offset = np.array([start / step - 0.5], dtype=np.float32)
+        return cls(step, offset, np.concatenate([matrix.real, matrix.imag], axis=1).astype(np.float32))
+
+
+def view_arrays(
+    scans: BasebandScans,
+    fine_step: float,
+    confidence: NDArray[np.floating],
+    aspect: NDArray[np.complexfloating],
+    transmission: NDArray[np.floating] | None = None,
+) -> ViewArrays:
+    """Arrays of all views.
+
+    Args:
+        scans: samples and antenna positions.
+        fine_step: m.
+        confidence: (views, bins) weight of every sample.
+        aspect: (views, channels) complex, what a view sees of every channel (its gain included).
+        transmission: (views, points) what is left of each point's echo; None: all.
+    """
+    x, y, z = scans.aperture.positions.T / fine_step
+    antenna = np.stack([x, y, z * z], axis=1)
+    samples = np.stack([scans.samples.real, scans.samples.imag]).astype(np.float32)
+    return ViewArrays(
+        antenna.astype(np.float32),
+        np.concatenate([aspect.real, -aspect.imag], axis=1).astype(np.float32),
+        np.concatenate([aspect.imag, aspect.real], axis=1).astype(np.float32),
+        samples,
+        np.asarray(confidence, dtype=np.float32),
+        np.ones((1, 1), np.float32) if transmission is None else np.asarray(transmission, dtype=np.float32),
+    )

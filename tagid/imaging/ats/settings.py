@@ -1,0 +1,168 @@
+"""What a fit by analysis through synthesis takes and gives, whatever runs it.
+
+Commands, benchmarks and both presets mean the same by a setting and by a result.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tagid.errors import UsageError
+from tagid.geometry import ImageGrid
+from tagid.imaging.ats.problem import FieldShape, FieldWeights
+from tagid.imaging.types import Image
+
+Progress = Callable[[int, int, float], None]
+"""Called after every step with (steps done, steps at most, loss)."""
+
+PRESETS = ("field",)
+ENGINES = ("auto", "onnx", "torch")
+CALIBRATIONS = ("axis", "wobble", "gain", "static")
+
+
+@dataclass(frozen=True)
+class AtsSettings:
+    """Parameters of the fit.
+
+    Attributes:
+        preset: "field", this project's method.
+        engine: "onnx", "torch", or "auto": onnx where it can do what is asked, torch else.
+        device: "cpu", or "cuda" (torch only).
+        steps: optimisation steps at most.
+        learning_rate: Adam's rate for the encoding; the network gets `network_rate` of it.
+        network_rate: see there.
+        decay: what is left of the rates after `steps` steps (exponential decay).
+        l1: weight of the sparsity prior, as a fraction of the weight at which the image would be zero.
+        noise_factor: the weight is never less than this times the standard deviation of A^H noise (where the
+            noise is known), and never more than half of what gives a zero image.
+        smoothness: weight of the neighbourhood prior sum |sigma_i - sigma_j|^2, relative to the weight of the
+            data in one pixel.
+        robust: residuals beyond this many standard deviations are weighed down (Huber); 0: never.
+        calibrate: what is learned together with the scene, of `CALIBRATIONS`: the axis distance, the
+            harmonics of the rotation's wobble, a gain of every scan, a static component that no turn changes.
+        wobble_harmonics: harmonics of the angle error over a turn.
+        aspect_harmonics: M; a point's reflectivity is a sum of exp(j m aspect), |m| <= M. 0: isotropic.
+        occlusion: what lies behind bright pixels is dimmed: attenuation of the brightest pixel, in nepers; 0:
+            nothing hides behind anything.
+        views_per_step: views of one step; a capture with more is used in interleaved subsets by turns.
+        held_out: share of the views that the fit does not see, which tell when to stop; none under 18 views.
+        patience: checks (every 10 steps) without a lower held-out residual before the fit stops; 0: never.
+        width, hidden: units of a hidden layer, and hidden layers of the network.
+        finest_m: edge of the finest cell of the encoding, m; never finer than the pixels.
+        levels, features, coarsest: resolutions, features of each, cells a side of the coarsest.
+        seed: of the initial weights; the same seed gives the same image on the same machine and engine.
+        threads: of the engine. One is the default: the layers are so small that a second thread gains little
+            where the cores are idle, and waits for its slice where they are not.
+    """
+
+    preset: str = "field"
+    engine: str = "auto"
+    device: str = "cpu"
+    steps: int = 70
+    learning_rate: float = 0.05
+    network_rate: float = 1.0
+    decay: float = 0.3
+    l1: float = 0.03
+    noise_factor: float = 1.5
+    smoothness: float = 0.0
+    robust: float = 0.0
+    calibrate: tuple[str, ...] = ()
+    wobble_harmonics: int = 3
+    aspect_harmonics: int = 0
+    occlusion: float = 0.0
+    views_per_step: int = 12
+    held_out: float = 0.04
+    patience: int = 2
+    width: int = 16
+    hidden: int = 1
+    finest_m: float = 0.0073
+    levels: int = 8
+    features: int = 2
+    coarsest: int = 8
+    seed: int = 0
+    threads: int = 1
+
+    def __post_init__(self) -> None:
+        for name, value, known in (("preset", self.preset, PRESETS), ("engine", self.engine, ENGINES)):
+            if value not in known:
+                raise UsageError(f"there is no ATS {name} {value!r}", f"Use {', '.join(known)}.")
+        for what in self.calibrate:
+            if what not in CALIBRATIONS:
+                raise UsageError(f"ATS cannot learn {what!r}", f"Use {', '.join(CALIBRATIONS)}.")
+        if self.device != "cpu" and self.engine == "onnx":
+            raise UsageError(f"--engine onnx does not run on {self.device}", "Use --engine torch.")
+        whole = {"steps": 1, "views_per_step": 1, "width": 1, "hidden": 0, "levels": 1, "features": 1}
+        whole |= {"coarsest": 1, "patience": 0, "seed": 0, "threads": 1}
+        whole |= {"wobble_harmonics": 0, "aspect_harmonics": 0}
+        for name, low in whole.items():
+            if not low <= getattr(self, name) <= 10**6:
+                raise UsageError(f"ATS setting {name} is {getattr(self, name)}", f"Give {low} to 1000000.")
+        for name in ("learning_rate", "network_rate", "decay", "finest_m"):
+            if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0):
+                raise UsageError(f"ATS setting {name} is {getattr(self, name)}", "Give a positive number.")
+        for name in ("l1", "noise_factor", "smoothness", "robust", "occlusion"):
+            if not (np.isfinite(getattr(self, name)) and getattr(self, name) >= 0):
+                raise UsageError(f"ATS setting {name} is {getattr(self, name)}", "Give zero or more.")
+        if not 0 <= self.held_out <= 0.5:
+            raise UsageError(f"held-out share is {self.held_out}", "Give 0 to 0.5.")
+
+    def shape(self, grid: ImageGrid) -> FieldShape:
+        """Sizes of the field for a grid: the finest cell is `finest_m`, or a pixel where that is larger."""
+        finest = min(grid.pixels, max(self.coarsest, round(grid.extent / self.finest_m)))
+        coarsest = min(self.coarsest, finest)
+        series = np.geomspace(coarsest, finest, self.levels) if self.levels > 1 else np.array([finest])
+        cells = tuple(int(n) for n in np.floor(series + 1e-9))
+        return FieldShape(cells, self.features, self.width, self.hidden, 2 * self.aspect_harmonics + 1)
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """What was learned of the recording beside the scene.
+
+    Attributes:
+        axis_distance_m: distance to the rotation axis; None for free antenna positions.
+        axis_offset_m: its difference from the one given.
+        axis_sigma_m: its standard error, from the curvature of the fit; nan where it was not learned.
+        wobble_rad: (harmonics,) complex w: the angle error over a turn is Re sum w_k exp(j k angle), k = 1..
+        gain: (views,) of every scan.
+        static: (bins,) complex component that no turn changes.
+    """
+
+    axis_distance_m: float | None
+    axis_offset_m: float
+    axis_sigma_m: float
+    wobble_rad: NDArray[np.complex128]
+    gain: NDArray[np.float64]
+    static: NDArray[np.complex64]
+
+
+@dataclass(frozen=True, eq=False)
+class AtsResult:
+    """What a fit gives.
+
+    Attributes:
+        image: complex reflectivity on the grid asked for.
+        losses: loss of every step.
+        calibration: what was learned beside the scene.
+        held_out: energy of the residual on views that the fit did not see, over their energy; nan without.
+        seconds: of the whole fit, set-up included.
+        field: the fitted field, to be evaluated at any resolution; None for blank data.
+    """
+
+    image: Image
+    losses: tuple[float, ...]
+    calibration: Calibration
+    held_out: float
+    seconds: float
+    field: FieldWeights | None = field(default=None, repr=False)
+
+    def on(self, grid: ImageGrid) -> Image:
+        """The same field on another grid; its mean over aspects where it has several channels."""
+        if self.field is None:
+            return Image(np.zeros((grid.pixels, grid.pixels), np.complex64), grid, self.image.settings)
+        values = self.field.on(grid)
+        return Image(values[len(values) // 2], grid, self.image.settings)

@@ -1,0 +1,251 @@
+"""The shipped networks and graphs, and the only way to open them: by name, checked against the manifest.
+
+A model file that is damaged, of another release or of another shape gives wrong names to objects without any
+error; so everything about it is compared with what the manifest says before it runs.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from numpy.typing import NDArray
+
+from tagid.errors import ModelError
+from tagid.storage.atomic import read_bytes, write_bytes
+
+FOLDER = Path(__file__).parent / "models"
+"""In a checkout a link to the folder `models/` at its top; in a wheel the files themselves."""
+
+OPSET = 20
+"""The one version of the ONNX operator set that graphs are exported with and accepted in."""
+
+MAX_BYTES = 1 << 28
+_MAX_MANIFEST_BYTES = 1 << 20
+MANIFEST_VERSION = 1
+_DTYPES = {"float32": "tensor(float)", "int64": "tensor(int64)"}
+_REINSTALL = "Install tagid again; in a checkout, restore the folder models/."
+
+Shape = tuple[int | str, ...]
+
+
+@dataclass(frozen=True)
+class Tensor:
+    """An input or output: numpy dtype name and shape; a named dimension has one size wherever it occurs."""
+
+    dtype: str
+    shape: Shape
+
+
+@dataclass(frozen=True)
+class Entry:
+    """What the manifest says of a model.
+
+    Attributes:
+        name: what `open_model` is asked for.
+        file: file in the folder of the manifest.
+        sha256, size: of the file.
+        opset: ONNX operator set.
+        inputs, outputs: by name, in order.
+        facts: anything else: what it was made from, its measured quality.
+    """
+
+    name: str
+    file: str
+    sha256: str
+    size: int
+    opset: int
+    inputs: Mapping[str, Tensor]
+    outputs: Mapping[str, Tensor]
+    facts: Mapping[str, Any]
+
+    @classmethod
+    def from_json(cls, name: str, item: Mapping[str, Any]) -> Entry:
+        """Parse one entry. Raises KeyError, TypeError or ValueError where it is none."""
+        file = str(item["file"])
+        if Path(file).name != file:
+            raise ValueError(f"file {file!r} is not a plain name")
+        sides = [
+            {str(n): Tensor(str(t["dtype"]), _shape(t["shape"])) for n, t in item[side].items()}
+            for side in ("inputs", "outputs")
+        ]
+        size, opset = int(item["size"]), int(item["opset"])
+        return cls(name, file, str(item["sha256"]), size, opset, sides[0], sides[1], item.get("facts", {}))
+
+    def to_json(self) -> dict[str, Any]:
+        """The entry as plain JSON values."""
+        sides = [
+            {name: {"dtype": t.dtype, "shape": list(t.shape)} for name, t in side.items()}
+            for side in (self.inputs, self.outputs)
+        ]
+        about = {"file": self.file, "sha256": self.sha256, "size": self.size, "opset": self.opset}
+        return {**about, "inputs": sides[0], "outputs": sides[1], "facts": dict(self.facts)}
+
+
+class Model:
+    """An opened model.
+
+    Attributes:
+        entry: what the manifest says of it.
+    """
+
+    def __init__(self, entry: Entry, session: Any) -> None:
+        self.entry = entry
+        self._session = session
+        self._outputs = list(entry.outputs)
+
+    def check(self, feeds: Mapping[str, NDArray[Any]]) -> None:
+        """Compare inputs with the manifest.
+
+        Raises:
+            ModelError: a name, dtype, rank or size differs; the message says what is given and wanted.
+        """
+        wanted = self.entry.inputs
+        if set(feeds) != set(wanted):
+            odd = sorted(set(feeds) ^ set(wanted))
+            raise ModelError(f"model {self.entry.name} takes {', '.join(wanted)}; {', '.join(odd)} differ")
+        sizes: dict[str, int] = {}
+        for name, tensor in wanted.items():
+            given = feeds[name]
+            fits = given.dtype.name == tensor.dtype and given.ndim == len(tensor.shape)
+            for dimension, size in zip(tensor.shape, given.shape, strict=False):
+                want = sizes.setdefault(dimension, size) if isinstance(dimension, str) else dimension
+                fits = fits and size == want
+            if not fits:
+                known = ", ".join(
+                    f"{k} = {sizes[k]}" for k in tensor.shape if isinstance(k, str) and k in sizes
+                )
+                raise ModelError(
+                    f"model {self.entry.name}: input {name} is {given.dtype.name}{list(given.shape)}, "
+                    f"wanted is {tensor.dtype}{list(tensor.shape)}" + (f" with {known}" if known else "")
+                )
+
+    def run(self, feeds: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+        """Outputs by name. Inputs are not checked again here: see `check`."""
+        return dict(zip(self._outputs, self._session.run(self._outputs, dict(feeds)), strict=True))
+
+
+@cache
+def manifest(folder: Path = FOLDER) -> Mapping[str, Entry]:
+    """Every shipped model by name.
+
+    Raises:
+        ModelError: the manifest is not one.
+        StorageError: it is missing.
+    """
+    path = folder / "manifest.json"
+    try:
+        found = json.loads(read_bytes(path, _MAX_MANIFEST_BYTES))
+        if found["manifest_version"] != MANIFEST_VERSION:
+            version = found["manifest_version"]
+            raise ModelError(f"{path} has version {version}, wanted is {MANIFEST_VERSION}", _REINSTALL)
+        return {str(name): Entry.from_json(str(name), item) for name, item in found["models"].items()}
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise ModelError(f"{path} is not a manifest of models: {error!r}", _REINSTALL) from None
+
+
+def model_bytes(name: str, folder: Path = FOLDER) -> tuple[bytes, Entry]:
+    """Content of a model file, after its size, sha256 and opset were found to be the manifest's.
+
+    Raises:
+        ModelError: there is no such model, or the file is another one; the message gives both values.
+        StorageError: the file is missing.
+    """
+    known = manifest(folder)
+    if name not in known:
+        raise ModelError(f"there is no model {name!r}; there are: {', '.join(sorted(known))}", _REINSTALL)
+    entry, path = known[name], folder / known[name].file
+    if entry.opset != OPSET:
+        raise ModelError(f"model {name} has opset {entry.opset}, wanted is {OPSET}", _REINSTALL)
+    content = read_bytes(path, MAX_BYTES)
+    if len(content) != entry.size:
+        raise ModelError(f"{path} has {len(content)} bytes, the manifest says {entry.size}", _REINSTALL)
+    found = hashlib.sha256(content).hexdigest()
+    if found != entry.sha256:
+        raise ModelError(f"{path} has sha256 {found}, the manifest says {entry.sha256}", _REINSTALL)
+    return content, entry
+
+
+def open_model(name: str, threads: int = 1, folder: Path = FOLDER) -> Model:
+    """A model ready to run on the processor.
+
+    Args:
+        name: in the manifest.
+        threads: onnxruntime's threads.
+        folder: where manifest and files are.
+
+    Raises:
+        ModelError: file or graph differ from the manifest (hash, opset, names, dtypes, shapes).
+        StorageError: it is missing.
+    """
+    import onnxruntime
+
+    content, entry = model_bytes(name, folder)
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = threads
+    options.inter_op_num_threads = 1
+    options.log_severity_level = 3
+    # The arena keeps the largest working set for good; plain allocations cost little beside the sums.
+    options.enable_cpu_mem_arena = False
+    try:
+        session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
+    except Exception as error:  # onnxruntime's exceptions have no common base
+        raise ModelError(f"onnxruntime cannot run model {name}: {error}", _REINSTALL) from None
+    for side, wanted in ((session.get_inputs(), entry.inputs), (session.get_outputs(), entry.outputs)):
+        found = {item.name: (item.type, _shape(item.shape)) for item in side}
+        said = {n: (_DTYPES.get(tensor.dtype, tensor.dtype), tensor.shape) for n, tensor in wanted.items()}
+        odd = [n for n in {**found, **said} if found.get(n) != said.get(n)]
+        if odd:
+            raise ModelError(
+                f"model {name}: {odd[0]} is {found.get(odd[0])}, the manifest says {said.get(odd[0])}",
+                _REINSTALL,
+            )
+    return Model(entry, session)
+
+
+def check_all(folder: Path = FOLDER) -> None:
+    """Raises ModelError or StorageError where any shipped file is not what the manifest says."""
+    for name in manifest(folder):
+        model_bytes(name, folder)
+
+
+def sha256_of(name: str) -> str:
+    """Hash of a shipped model, for an answer's provenance."""
+    return manifest()[name].sha256
+
+
+def write_entry(entry: Entry, content: bytes, folder: Path = FOLDER) -> None:
+    """Put a model and its manifest entry into a folder, replacing one of the same name."""
+    path = folder / "manifest.json"
+    found: dict[str, Any] = {"manifest_version": MANIFEST_VERSION, "models": {}}
+    if path.exists():
+        found["models"] = {name: old.to_json() for name, old in manifest(folder).items()}
+    found["models"][entry.name] = entry.to_json()
+    write_bytes(folder / entry.file, content)
+    write_bytes(path, (json.dumps(found, indent=1, sort_keys=True) + "\n").encode())
+    manifest.cache_clear()
+
+
+def entry_of(
+    name: str,
+    content: bytes,
+    inputs: Mapping[str, Tensor],
+    outputs: Mapping[str, Tensor],
+    facts: Mapping[str, Any],
+) -> Entry:
+    """The manifest entry of a graph with these inputs and outputs."""
+    digest = hashlib.sha256(content).hexdigest()
+    return Entry(name, f"{name}.onnx", digest, len(content), OPSET, inputs, outputs, facts)
+
+
+def _shape(dimensions: Any) -> Shape:
+    """A shape from JSON or from onnxruntime: whole numbers and names."""
+    shape = tuple(dimensions)
+    if not all(isinstance(d, (int, str)) and not isinstance(d, bool) for d in shape):
+        raise ValueError(f"shape {dimensions!r} is not made of numbers and names")
+    return shape
