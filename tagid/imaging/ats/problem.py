@@ -85,10 +85,7 @@ class FieldWeights:
             share = (grid.step * self.pixels / self.extent) ** 2
             values = self.evaluate(grid.points) * np.float32(share)
         else:
-            at = [interpolation(grid.pixels, table.shape[1] - 1) for table in self.tables]
-            parts = [
-                (w @ table @ w.T).reshape(len(table), -1) for w, table in zip(at, self.tables, strict=True)
-            ]
+            parts = [_sample(table, grid.pixels) for table in self.tables]
             values = self._network(np.concatenate(parts)) * np.float32((self.pixels / grid.pixels) ** 2)
         return values.reshape(-1, grid.pixels, grid.pixels)
 
@@ -113,6 +110,16 @@ class FieldWeights:
                 np.maximum(layer, 0, out=layer)
         real, imaginary = np.split(layer * np.float32(self.scale), 2)
         return np.asarray(real + 1j * imaginary, dtype=np.complex64)
+
+
+def _sample(table: Array, pixels: int) -> Array:
+    """(features, pixels^2) of a table (features, vertices, vertices), first along y, then along x."""
+    cells = table.shape[1] - 1
+    at = (np.arange(pixels) + 0.5) / pixels * cells
+    corner = np.minimum(at.astype(np.intp), cells - 1)
+    part = (at - corner).astype(np.float32)
+    rows = table[:, corner] * (1 - part)[:, None] + table[:, corner + 1] * part[:, None]
+    return (rows[:, :, corner] * (1 - part) + rows[:, :, corner + 1] * part).reshape(len(table), -1)
 
 
 def draw_weights(shape: FieldShape, grid: ImageGrid, scale: float, seed: int) -> FieldWeights:
