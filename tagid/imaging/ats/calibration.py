@@ -46,6 +46,14 @@ class Unknowns:
         wobble = np.zeros(harmonics, dtype=np.complex128)
         return cls(0.0, float("nan"), wobble, np.ones(views), np.zeros(bins, dtype=np.complex64))
 
+    def phase(self, wavenumber: float) -> complex:
+        """exp(2jk offset): keeps the phase of the scene as it is while the distance is learned.
+
+        In the far field a range offset is nearly that one phase, which the complex scene could take just as
+        well; with it the two do not pull at each other, and the offset is learned from the envelopes alone.
+        """
+        return complex(np.exp(2j * wavenumber * self.offset_m))
+
     def aperture(self, nominal: Aperture) -> Aperture:
         """Antenna positions under this estimate; free positions stay."""
         if nominal.angles is None or nominal.axis_distance is None:
@@ -108,7 +116,8 @@ def _synthesize(
     scans: BasebandScans, points: NDArray[np.float64], sigma: NDArray[np.complex64], now: Unknowns
 ) -> NDArray[np.complex64]:
     operator = ForwardOperator(scans.with_aperture(now.aperture(scans.aperture)), points)
-    return np.asarray(operator.forward(sigma) * now.gain[:, None], dtype=np.complex64)
+    factor = now.gain[:, None] * now.phase(scans.wavenumber)
+    return np.asarray(operator.forward(sigma) * factor, dtype=np.complex64)
 
 
 def _geometry(
@@ -135,21 +144,23 @@ def _geometry(
             prior += [_PRIOR_WOBBLE_RAD] * 2
     seen = _synthesize(scans, points, sigma, now)
     residual = (scans.samples - now.static - seen).ravel()
-    # The scene is still shrunk by its prior: its best common factor keeps that from biasing the geometry.
+    # The scene is still shrunk by its prior, and its phase is free: its best common factor goes first, and
+    # small changes of it are solved for together with the geometry, so that neither biases it.
     seen = seen.ravel()
     factor = complex(np.vdot(seen, residual + seen) / max(float(np.vdot(seen, seen).real), 1e-30))
     residual = residual + seen - factor * seen
-    jacobian = np.stack([factor * column.ravel() for column in columns], axis=1)
+    jacobian = np.stack([factor * column.ravel() for column in (*columns, seen, 1j * seen)], axis=1)
+    prior += [1.0, 1.0]
     real = np.concatenate([jacobian.real, jacobian.imag]).astype(np.float64)
     target = np.concatenate([residual.real, residual.imag]).astype(np.float64)
     variance = float((target**2).mean())
-    old = np.array(([now.offset_m] if "axis" in what else []) + _pairs(now.wobble, what))
+    old = np.array(([now.offset_m] if "axis" in what else []) + _pairs(now.wobble, what) + [0.0, 0.0])
     weight = variance / np.square(prior)
     normal = real.T @ real + np.diag(weight)
     change = np.linalg.solve(normal, real.T @ target - weight * old)
     # No step turns the phase by more than about one radian: further the derivatives do not reach.
     limit = np.where(np.arange(len(change)) == (0 if "axis" in what else -1), 0.006, 0.02)
-    new = old + np.clip(change, -limit, limit)
+    new = (old + np.clip(change, -limit, limit))[:-2]
     if "axis" in what:
         error = float(np.sqrt(variance * np.linalg.inv(normal)[0, 0]))
         now = replace(now, offset_m=float(new[0]), sigma_m=error)
@@ -174,4 +185,5 @@ def _by_angle(
         assert aperture.angles is not None and aperture.axis_distance is not None
         turned = Aperture.turntable(aperture.angles + sign * step, aperture.axis_distance, aperture.height)
         both.append(ForwardOperator(scans.with_aperture(turned), points).forward(sigma))
-    return np.asarray((both[0] - both[1]) / (2 * step) * now.gain[:, None], dtype=np.complex64)
+    factor = now.gain[:, None] * now.phase(scans.wavenumber)
+    return np.asarray((both[0] - both[1]) / (2 * step) * factor, dtype=np.complex64)

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.capture import Capture
-from tagid.errors import MissingExtraError
+from tagid.errors import DataError, MissingExtraError
 from tagid.geometry import ImageGrid
 from tagid.imaging.ats import calibration
 from tagid.imaging.ats.occlusion import transmission
@@ -95,6 +95,8 @@ def fit(
     scans = capture_or_problem
     if isinstance(scans, Capture):
         scans = preprocess(scans, settings=PreprocessSettings("none", False, extent_m=grid.extent))
+    if not np.isfinite(scans.samples).all():
+        raise DataError("the scans hold samples that are not finite", "Leave out the broken scans.")
     return _Fit(scans, grid, settings).run(progress, begun)
 
 
@@ -180,6 +182,7 @@ class _Fit:
         data = np.asarray(self.scans.samples - self.known.static, dtype=np.complex64)
         now = replace(self.scans, samples=data, aperture=aperture)
         aspect = _aspect(aperture.positions, self.settings.aspect_harmonics) * self.known.gain[:, None]
+        aspect = aspect * self.known.phase(self.scans.wavenumber)
         arrays = view_arrays(now, fine.step, self.confidence, aspect, self.shadow)
         stride = max(1, round(len(data) / self.settings.views_per_step))
         return [arrays.select(slice(k, None, stride)) for k in range(stride)]
@@ -216,6 +219,7 @@ class _Fit:
         aperture = self.known.aperture(scans.aperture)
         operator = ForwardOperator(scans.with_aperture(aperture), self.grid)
         aspect = _aspect(aperture.positions, self.settings.aspect_harmonics)
+        aspect = aspect * self.known.phase(scans.wavenumber)
         if fitted:
             aspect = aspect * self.known.gain[:, None]
         parts = [operator.forward(v.ravel()) * aspect[:, i, None] for i, v in enumerate(values)]

@@ -119,7 +119,8 @@ def _sample(table: Array, pixels: int) -> Array:
     corner = np.minimum(at.astype(np.intp), cells - 1)
     part = (at - corner).astype(np.float32)
     rows = table[:, corner] * (1 - part)[:, None] + table[:, corner + 1] * part[:, None]
-    return (rows[:, :, corner] * (1 - part) + rows[:, :, corner + 1] * part).reshape(len(table), -1)
+    both = rows[:, :, corner] * (1 - part) + rows[:, :, corner + 1] * part
+    return np.asarray(both.reshape(len(table), -1), dtype=np.float32)
 
 
 def draw_weights(shape: FieldShape, grid: ImageGrid, scale: float, seed: int) -> FieldWeights:

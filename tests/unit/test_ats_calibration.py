@@ -1,0 +1,146 @@
+"""What is learned beside the scene: distance, wobble, gain and static component come out as put in."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from imaging_scenes import record, turn
+
+from tagid.capture import Capture
+from tagid.errors import DataError, UsageError
+from tagid.geometry import Aperture, ImageGrid
+from tagid.imaging import memory
+from tagid.imaging.ats.calibration import Unknowns, angle_error, improve
+from tagid.imaging.ats.fit import AtsSettings, fit
+from tagid.imaging.ats.occlusion import transmission
+from tagid.imaging.preprocess import PreprocessSettings, preprocess
+from tagid.imaging.types import BasebandScans
+
+GRID = ImageGrid(0.4, 48)
+POINTS = np.array([[0.12, -0.05], [-0.08, 0.11], [0.02, 0.15]])
+WOBBLE = np.array([0.015 + 0.01j, -0.006j])
+VIEWS = 48
+
+
+def scans_of(wobble=WOBBLE, offset_m=0.004, noise=0.05, gain=None, static=0.0) -> BasebandScans:
+    """Scans that claim an even turn at 1 m; the truth is `wobble` and `offset_m`."""
+    nominal = np.arange(VIEWS) * 2 * np.pi / VIEWS
+    truth = Aperture.turntable(nominal + angle_error(nominal, wobble), 1.0 + offset_m)
+    capture = record(POINTS, [1.0, 0.8, 0.9], truth, analytic=True, noise=noise, seed=3)
+    scans = preprocess(capture, settings=PreprocessSettings("none", False, extent_m=0.4))
+    samples = scans.samples * (1 if gain is None else gain[:, None]) + static
+    kept = {**scans.__dict__, "aperture": turn(VIEWS), "samples": samples.astype(np.complex64)}
+    return BasebandScans(**kept)
+
+
+def test_distance_and_wobble_of_a_known_scene() -> None:
+    """With the scene given, Gauss-Newton finds what moved the antenna."""
+    scans = scans_of()
+    sigma = np.array([1.0, 0.8, 0.9], dtype=np.complex64)
+    now = Unknowns.none(scans, 2)
+    for _ in range(6):
+        now = improve(scans, POINTS, sigma, now, ("axis", "wobble"))
+    assert now.offset_m == pytest.approx(0.004, abs=3 * now.sigma_m)
+    assert now.sigma_m < 5e-4
+    assert np.abs(now.wobble - WOBBLE).max() < 1e-3
+
+
+def test_gain_and_static_component_of_a_known_scene() -> None:
+    gain = 1 + 0.2 * np.sin(np.arange(VIEWS))
+    scans = scans_of(np.zeros(2), 0.0, gain=gain, static=0.3 - 0.2j)
+    sigma = np.array([1.0, 0.8, 0.9], dtype=np.complex64)
+    now = Unknowns.none(scans, 2)
+    for _ in range(5):
+        now = improve(scans, POINTS, sigma, now, ("gain", "static"))
+    assert np.corrcoef(now.gain, gain)[0, 1] > 0.98
+    assert np.abs(now.static - (0.3 - 0.2j)).max() < 0.05
+
+
+def test_scene_and_calibration_are_learned_together() -> None:
+    scans = scans_of()
+    plain = fit(scans, GRID, AtsSettings())
+    joint = fit(scans, GRID, AtsSettings(calibrate=("axis", "wobble"), wobble_harmonics=2))
+    assert joint.held_out < 0.5 * plain.held_out
+    assert joint.calibration.axis_offset_m == pytest.approx(0.004, abs=0.001)
+    assert np.abs(joint.calibration.wobble_rad - WOBBLE).max() < 5e-3
+    assert joint.calibration.axis_sigma_m < 0.001
+
+
+def test_aspect_harmonics_explain_what_only_half_the_views_see() -> None:
+    facing = np.clip(np.cos(np.arange(VIEWS) * 2 * np.pi / VIEWS - 1.0), 0.05, None)
+    scans = scans_of(np.zeros(1), 0.0, gain=facing)
+    isotropic = fit(scans, GRID, AtsSettings())
+    aspect = fit(scans, GRID, AtsSettings(aspect_harmonics=2))
+    assert aspect.held_out < 0.7 * isotropic.held_out
+    assert aspect.field is not None
+    assert aspect.field.evaluate(POINTS).shape == (5, 3)
+
+
+def test_robust_weights_resist_a_few_wild_scans() -> None:
+    scans = scans_of(np.zeros(1), 0.0)
+    wild = scans.samples.copy()
+    rng = np.random.default_rng(0)
+    wild[5::16] += 3 * (rng.standard_normal(wild[5::16].shape) + 1j * rng.standard_normal(wild[5::16].shape))
+    broken = BasebandScans(**{**scans.__dict__, "samples": wild})
+    clean = fit(scans, GRID).image.values
+    plain = fit(broken, GRID, AtsSettings(held_out=0.0)).image.values
+    robust = fit(broken, GRID, AtsSettings(held_out=0.0, robust=3.0)).image.values
+    assert np.linalg.norm(robust - clean) < 0.9 * np.linalg.norm(plain - clean)
+
+
+def test_the_field_is_one_image_at_any_resolution() -> None:
+    result = fit(scans_of(np.zeros(1), 0.0), GRID)
+    assert result.field is not None
+    same = result.on(GRID).values
+    np.testing.assert_allclose(same, result.image.values, atol=1e-5 * np.abs(same).max())
+    there = result.field.evaluate(GRID.points)[0].reshape(48, 48)
+    np.testing.assert_allclose(there, same, atol=1e-4 * np.abs(same).max())
+    fine = result.on(ImageGrid(0.4, 144)).values
+    blocks = fine.reshape(48, 3, 48, 3).sum(axis=(1, 3))
+    assert np.linalg.norm(blocks - same) < 0.2 * np.linalg.norm(same)
+
+
+def test_nothing_hides_in_front_and_half_hides_behind() -> None:
+    """A wall across the middle: seen from +x, what lies at -x is dimmed, what lies at +x is not."""
+    wall = np.zeros((48, 48))
+    wall[:, 24] = 1.0
+    left = transmission(wall, GRID, np.array([[1.0, 0.0, 0.0]]), nepers=0.7)[0].reshape(48, 48)
+    assert left[20:28, :20].max() < 0.6
+    assert left[20:28, 30:].min() > 0.95
+    assert left[20:28, 10] == pytest.approx(np.exp(-0.7), abs=0.08)
+
+
+def test_occlusion_runs_and_stays_finite() -> None:
+    result = fit(scans_of(np.zeros(1), 0.0), GRID, AtsSettings(occlusion=0.3, steps=20))
+    assert np.isfinite(result.image.values).all()
+
+
+def test_a_capture_is_taken_too_and_an_empty_one_is_refused() -> None:
+    capture = record(POINTS, [1.0, 0.8, 0.9], turn(18), noise=0.05)
+    assert fit(capture, GRID, AtsSettings(steps=5)).image.values.any()
+    silent = Capture(np.zeros((18, 130), np.float32), 0.4, 0.0091, np.arange(18.0), axis_distance_m=1.0)
+    with pytest.raises(DataError, match="zero"):
+        fit(silent, GRID)
+    broken = np.ones((18, 130), np.float32)
+    broken[3, 4] = np.nan
+    with pytest.raises(DataError, match="finite"):
+        Capture(broken, 0.4, 0.0091, np.arange(18.0), axis_distance_m=1.0)
+    scans = scans_of()
+    with pytest.raises(DataError, match="finite"):
+        fit(BasebandScans(**{**scans.__dict__, "samples": scans.samples * np.float32(np.nan)}), GRID)
+
+
+def test_too_little_memory_is_foreseen_with_advice(monkeypatch) -> None:
+    monkeypatch.setattr(memory, "free_memory", lambda: 3_000_000)
+    with pytest.raises(UsageError, match="GB") as caught:
+        fit(scans_of(), ImageGrid(0.4, 512))
+    assert "pixels" in caught.value.remedy
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"preset": "x"}, {"engine": "x"}, {"calibrate": ("x",)}, {"held_out": 0.9}, {"robust": -1.0}],
+)
+def test_senseless_settings_are_refused(wrong: dict[str, object]) -> None:
+    with pytest.raises(UsageError):
+        AtsSettings(**wrong)  # type: ignore[arg-type]

@@ -1,0 +1,145 @@
+"""The written-out step against autograd and against the operator, and onnxruntime against torch."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch", reason="the reference engine needs the extra 'ats'")
+
+from imaging_scenes import record, turn  # noqa: E402
+
+from tagid.errors import MissingExtraError, UsageError  # noqa: E402
+from tagid.geometry import ImageGrid  # noqa: E402
+from tagid.imaging.ats import fit as fit_module  # noqa: E402
+from tagid.imaging.ats import step as step_module  # noqa: E402
+from tagid.imaging.ats.fit import AtsSettings, fit  # noqa: E402
+from tagid.imaging.ats.problem import (  # noqa: E402
+    FieldShape,
+    FineRange,
+    GridArrays,
+    draw_weights,
+    view_arrays,
+)
+from tagid.imaging.ats.torch_engine import TorchEngine  # noqa: E402
+from tagid.imaging.operator import ForwardOperator  # noqa: E402
+from tagid.imaging.preprocess import PreprocessSettings, preprocess  # noqa: E402
+
+GRID = ImageGrid(0.3, 20)
+SHAPE = FieldShape((4, 9), features=3, width=5, hidden=2, channels=3)
+RNG = np.random.default_rng(4)
+
+
+@pytest.fixture(scope="module")
+def scans():
+    points, amplitudes = [[0.05, -0.08], [-0.1, 0.02]], [1.0, 0.6j]
+    capture = record(points, amplitudes, turn(24), analytic=True, noise=0.05, seed=1)
+    return preprocess(capture, settings=PreprocessSettings("none", False, extent_m=0.3))
+
+
+def problem(scans):
+    weights = draw_weights(SHAPE, GRID, 3.0, seed=2)
+    for bias in weights.biases:  # away from the kinks of ReLU at zero
+        bias += 0.1
+    fine = FineRange.of(scans, GRID.points)
+    aspect = np.exp(1j * RNG.uniform(0, 6, (24, 3)))
+    confidence = RNG.uniform(0.2, 1, scans.samples.shape)
+    shadow = RNG.uniform(0.3, 1, (24, GRID.pixels**2))
+    return weights, GridArrays.of(GRID, SHAPE.cells, fine.step), fine, aspect, confidence, shadow
+
+
+def test_the_gradient_is_that_of_the_loss_by_autograd(scans) -> None:
+    weights, grid, fine, aspect, confidence, shadow = problem(scans)
+    views = view_arrays(scans, fine.step, confidence, aspect, shadow)
+    numbers = np.array([0, 0, 1, 1, 3.0, 2e-3, 1e-3, 5e-3, 1e-8], dtype=np.float32)
+    engine = TorchEngine(weights)
+    loss = engine.step(grid, views, fine, numbers)
+    count = len(engine._state) // 3
+    written_out = [m / (1 - step_module.BETA1) for m in engine._state[count : 2 * count]]
+
+    leaves = [
+        torch.tensor(a, requires_grad=True) for a in (*weights.tables, *weights.weights, *weights.biases)
+    ]
+    tables, layers, biases = leaves[:2], leaves[2:5], leaves[5:]
+    features = step_module.features(tables, [torch.from_numpy(a) for a in grid.interpolation])
+    sigma = step_module.activations(features, layers, biases)[-1] * 3.0
+    channels = torch.complex(sigma[:3], sigma[3:])
+    seen = torch.complex(*(torch.zeros(24, GRID.pixels**2) for _ in range(2)))
+    seen = torch.from_numpy(aspect.astype(np.complex64)) @ channels * torch.from_numpy(shadow).float()
+    rows = matrix_of_nearest_bins(scans, fine) @ seen.reshape(24, -1, 1)
+    residual = rows[:, :, 0] - torch.from_numpy(scans.samples)
+    data = (torch.from_numpy(confidence).float() * 2e-3 * residual.abs().square()).sum()
+    sparsity = 1e-3 * (sigma.square().sum(0) + (3e-6) ** 2).sqrt().sum()
+    image = sigma.reshape(6, 20, 20)
+    rough = (image[:, 1:] - image[:, :-1]).square().sum() + (
+        image[:, :, 1:] - image[:, :, :-1]
+    ).square().sum()
+    total = data + sparsity + 5e-3 * rough
+    total.backward()
+    assert loss == pytest.approx(float(total.detach()), rel=1e-4)
+    for mine, leaf in zip(written_out, leaves, strict=True):
+        assert float((mine - leaf.grad).norm()) < 2e-3 * float(leaf.grad.norm()), leaf.shape
+
+
+def matrix_of_nearest_bins(scans, fine):
+    """(views, bins, points) complex: every point in the nearest fine bin, written out view by view."""
+    points = np.column_stack([GRID.points, np.zeros(GRID.pixels**2)])
+    real, imaginary = np.split(fine.spread, 2, axis=1)
+    out = []
+    for antenna in scans.aperture.positions:
+        place = np.linalg.norm(points - antenna, axis=1) / fine.step - fine.offset[0]
+        out.append((real + 1j * imaginary)[place.astype(int)].T)
+    return torch.from_numpy(np.stack(out).astype(np.complex64))
+
+
+def test_nearest_bins_are_the_operator_to_a_percent_and_a_half(scans) -> None:
+    fine = FineRange.of(scans, GRID.points)
+    x = (RNG.standard_normal(400) + 1j * RNG.standard_normal(400)).astype(np.complex64)
+    mine = (matrix_of_nearest_bins(scans, fine) @ torch.from_numpy(x)).numpy()
+    truth = ForwardOperator(scans, GRID).forward(x)
+    assert np.linalg.norm(mine - truth) < 0.02 * np.linalg.norm(truth)
+
+
+def test_onnxruntime_gives_the_image_of_torch(scans) -> None:
+    same = {"seed": 3, "finest_m": 0.015}
+    torch_image = fit(scans, GRID, AtsSettings(engine="torch", **same)).image
+    onnx_image = fit(scans, GRID, AtsSettings(engine="onnx", **same)).image
+    difference = np.linalg.norm(torch_image.values - onnx_image.values)
+    assert difference < 0.01 * np.linalg.norm(torch_image.values)
+    assert (torch_image.settings["engine"], onnx_image.settings["engine"]) == ("torch", "onnx")
+
+
+def test_auto_is_onnx_where_it_can_and_torch_else(scans) -> None:
+    assert fit(scans, GRID, AtsSettings(steps=2)).image.settings["engine"] == "onnx"
+    assert fit(scans, GRID, AtsSettings(steps=2, hidden=2)).image.settings["engine"] == "torch"
+    with pytest.raises(UsageError, match="8 levels and 1 hidden"):
+        fit(scans, GRID, AtsSettings(steps=2, hidden=2, engine="onnx"))
+
+
+def test_a_device_that_is_not_there_and_a_missing_engine_are_named(scans, monkeypatch) -> None:
+    if not torch.cuda.is_available():
+        with pytest.raises(UsageError, match="cuda"):
+            fit(scans, GRID, AtsSettings(steps=2, device="cuda"))
+    with pytest.raises(UsageError, match="device"):
+        fit(scans, GRID, AtsSettings(steps=2, device="abacus"))
+    monkeypatch.setattr(fit_module.importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(MissingExtraError, match="torch"):
+        fit(scans, GRID, AtsSettings(steps=2, engine="torch"))
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="there is no CUDA device")
+def test_cuda_gives_the_image_of_the_processor(scans) -> None:
+    images = [fit(scans, GRID, AtsSettings(engine="torch", device=d)).image.values for d in ("cpu", "cuda")]
+    assert np.linalg.norm(images[0] - images[1]) < 0.02 * np.linalg.norm(images[0])
+
+
+def test_the_manifest_has_the_shapes_of_the_step() -> None:
+    """A step that was changed without exporting it again shows here, and in the image compared above."""
+    from tagid.imaging.ats.export import dimensions
+    from tagid.models_store import manifest
+
+    entry = manifest()["ats_step"]
+    shapes = dimensions()
+    assert {**entry.inputs, **entry.outputs} == {
+        name: shapes[name] for name in (*entry.inputs, *entry.outputs)
+    }
