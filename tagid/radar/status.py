@@ -59,5 +59,10 @@ class RadarStatus:
             board_revision=chr(m["board_revision"]) if 32 < m["board_revision"] < 127 else "",
             built_in_test=m["bit_result"],
             temperature_c=m["temperature_quarter_c"] / 4,
-            package=bytes(m["package"]).split(b"\0")[0].decode("ascii", "replace"),
+            package=_printable(bytes(m["package"]).split(b"\0")[0]),
         )
+
+
+def _printable(name: bytes) -> str:
+    """A name as text without control characters: what a radar says must not steer a terminal."""
+    return "".join(c if c.isprintable() else "?" for c in name.decode("ascii", "replace"))
