@@ -18,6 +18,7 @@ from rich.style import Style
 from rich.text import Text
 
 from tagid.monitoring import Snapshot
+from tagid.radar.status import WARM_C
 from tagid.report.colours import to_decibels, viridis
 from tagid.report.preview import resample
 
@@ -26,8 +27,6 @@ _LEVELS: Final = 16
 _RAMP: Final = " .:-=+*#%@"
 _COLOURS: Final = [f"#{r:02x}{g:02x}{b:02x}" for r, g, b in viridis(_LEVELS).tolist()]
 _HEAD_LINES: Final = 4
-_TOO_HOT_C: Final = 80.0
-"""Shown in red from here on; the P440 works up to 85 degC."""
 _SILENT_S: Final = 2.0
 
 
@@ -98,7 +97,7 @@ def _figures(s: Snapshot) -> Text:
     text.append("  ")
     text.append(f"lost {s.lost_fraction:.1%} ({s.lost})", style="bold yellow" if s.lost else "")
     text.append("  ")
-    hot = s.temperature_c is not None and s.temperature_c >= _TOO_HOT_C
+    hot = s.temperature_c is not None and s.temperature_c > WARM_C
     degrees = "-" if s.temperature_c is None else f"{s.temperature_c:.1f}"
     return text.append(f"{degrees} degC", style="bold red" if hot else "")
 
