@@ -8,7 +8,6 @@ from __future__ import annotations
 import os
 import select
 import socket
-import termios
 import time
 import tty
 from collections import deque
@@ -224,10 +223,8 @@ class PtyWire:
             limit = max(1, round(0.01 / self._byte_s)) if self._byte_s else len(self._rest)
             try:
                 written = os.write(self._ends[0], self._rest[:limit])
-            except (BlockingIOError, termios.error):
-                return
             except OSError:
-                return  # the client's end is gone; the port stays
+                return  # the line is full for now, or the client's end is gone; the port stays
             self._rest = self._rest[written:]
             self._free_at = max(self._free_at, now - 0.01) + written * self._byte_s
             if written == 0:
