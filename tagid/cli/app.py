@@ -28,8 +28,7 @@ from tagid.cli import (
     simulate,
     transfer,
 )
-from tagid.errors import EXIT_INTERRUPTED, EXIT_USAGE, UsageError
-from tagid.result import Result, render
+from tagid.cli.frame import serve
 
 app = typer.Typer(
     name="tagid",
@@ -76,16 +75,4 @@ def _root(
 
 def main() -> None:
     """Entry point: run the command line, with every wrong command line answered in the wanted format."""
-    try:
-        code = app(standalone_mode=False)
-    except typer.TyperException as error:
-        as_json = any(word == "json" or word == "--output=json" for word in sys.argv[1:])
-        words = [word for word in sys.argv[1:] if not word.startswith("-")]
-        usage = UsageError(error.format_message(), "`tagid --help` and `tagid COMMAND -h` show what fits.")
-        if not usage.message:
-            sys.exit(EXIT_USAGE)
-        render(Result.from_error(words[0] if words else "tagid", usage), "json" if as_json else "human")
-        sys.exit(EXIT_USAGE)
-    except (KeyboardInterrupt, typer.Abort):
-        sys.exit(EXIT_INTERRUPTED)
-    sys.exit(code if isinstance(code, int) else 0)
+    sys.exit(serve(app))

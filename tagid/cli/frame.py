@@ -8,6 +8,7 @@ from __future__ import annotations
 import functools
 import inspect
 import logging
+import sys
 import typing
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -17,7 +18,7 @@ from typing import Annotated, Any
 
 import typer
 
-from tagid.errors import EXIT_FAILED, EXIT_INTERRUPTED, CaptureInterrupted, TagidError
+from tagid.errors import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_USAGE, CaptureInterrupted, TagidError, UsageError
 from tagid.result import Result, render
 
 
@@ -172,6 +173,26 @@ def execute(name: str, terminal: Terminal, work: Callable[[], Result]) -> Result
         logging.getLogger("tagid").info("interrupted")
     render(result, terminal.output.value, terminal.quiet)
     return result
+
+
+def serve(app: typer.Typer) -> int:
+    """Run the command line of a program; every wrong one is answered in the wanted format.
+
+    Returns the exit code.
+    """
+    name = app.info.name or "tagid"
+    try:
+        code = app(standalone_mode=False)
+    except typer.TyperException as error:
+        as_json = any(word == "json" or word == "--output=json" for word in sys.argv[1:])
+        words = [word for word in sys.argv[1:] if not word.startswith("-")]
+        usage = UsageError(error.format_message(), f"`{name} --help` and `{name} COMMAND -h` show what fits.")
+        if usage.message:
+            render(Result.from_error(words[0] if words else name, usage), "json" if as_json else "human")
+        return EXIT_USAGE
+    except (KeyboardInterrupt, typer.Abort):
+        return EXIT_INTERRUPTED
+    return code if isinstance(code, int) else 0
 
 
 def _set_up_logging(terminal: Terminal) -> None:

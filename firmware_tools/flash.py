@@ -1,0 +1,174 @@
+"""Writes a checked image with esptool and reads it back; a half-written flash is told as that.
+
+esptool prints and raises in its own way; here it reports progress and ends in one of our errors.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any, Final
+
+from firmware_tools.build import EXTRA
+from firmware_tools.image import Image
+from tagid.errors import DeviceError, DeviceGoneError, DeviceRejectedError, MissingExtraError
+from tagid.ports import open_port
+
+_BAUD: Final = 115200
+Progress = Callable[[float, str], None]
+
+
+@dataclass(frozen=True)
+class Connection:
+    """How to reach the chip's loader.
+
+    Attributes:
+        port: device file.
+        baud: while writing.
+        before: how esptool brings the chip into its loader; "no-reset" where BOOT is held by hand.
+        stub: whether to load esptool's faster helper into the chip.
+    """
+
+    port: str
+    baud: int = 460800
+    before: str = "default-reset"
+    stub: bool = True
+
+
+@dataclass(frozen=True)
+class Flashed:
+    """What was done: chip, its address, offset, bytes, and that reading back gave the same."""
+
+    chip: str
+    mac: str
+    offset: int
+    size: int
+    verified: bool
+
+
+def flash(image: Image, connection: Connection, progress: Progress, erase: bool = False) -> Flashed:
+    """Writes the image and verifies it.
+
+    Args:
+        erase: the whole flash first: bonds, configuration and files of an earlier life go.
+
+    Raises:
+        PortInUseError, DeviceGoneError, DeviceError: the port.
+        DeviceGoneError: no board answers in its loader.
+        DeviceRejectedError: the chip is not the image's.
+        DeviceError: the flash is half written, or reads back differently.
+    """
+    open_port(connection.port, _BAUD, 1.0, "`tagid-firmware verify` without --port lists the ports").close()
+    with _esptool(progress) as tool:
+        esp = _connect(tool, connection)
+        try:
+            return _write(tool, esp, image, connection, progress, erase)
+        finally:
+            with contextlib.suppress(Exception):
+                esp._port.close()
+
+
+def _connect(tool: Any, connection: Connection) -> Any:
+    try:
+        esp = tool.detect_chip(connection.port, _BAUD, connection.before, connect_attempts=3)
+    except Exception as error:
+        raise DeviceGoneError(
+            f"no board answers on {connection.port}: {_line(error)}",
+            "Hold BOOT while pressing RESET (EN), let go of RESET first, and run this again; "
+            "check that the cable carries data.",
+        ) from error
+    return esp
+
+
+def _write(
+    tool: Any, esp: Any, image: Image, connection: Connection, progress: Progress, erase: bool
+) -> Flashed:
+    if image.chip.name != esp.CHIP_NAME:
+        raise DeviceRejectedError(
+            f"the board on {connection.port} is an {esp.CHIP_NAME}, the image is for an {image.chip.name}",
+            f"Take the image for the {esp.CHIP_NAME}, or another board.",
+        )
+    mac = ":".join(f"{byte:02x}" for byte in esp.read_mac())
+    if connection.stub:
+        with _half(connection, touched=False):
+            esp = tool.run_stub(esp)
+            if connection.baud != _BAUD:
+                esp.change_baud(connection.baud)
+    offset = image.chip.offset
+    with _half(connection, touched=False):
+        tool.attach_flash(esp)
+    with _half(connection, touched=True):
+        if erase:
+            progress(0, "erasing")
+            tool.erase_flash(esp)
+        tool.write_flash(esp, [(offset, image.data)], no_compress=not connection.stub)
+    progress(len(image.data), "reading back")
+    with _half(connection, touched=True):
+        tool.verify_flash(esp, [(offset, image.data)])
+    with contextlib.suppress(Exception):
+        tool.reset_chip(esp, "hard-reset" if connection.before != "no-reset" else "no-reset")
+    return Flashed(esp.CHIP_NAME, mac, offset, len(image.data), True)
+
+
+@contextmanager
+def _half(connection: Connection, touched: bool) -> Iterator[None]:
+    """Failures of a chip that answered: what state its flash is in then."""
+    try:
+        yield
+    except (KeyboardInterrupt, Exception) as error:
+        if not touched:
+            if isinstance(error, KeyboardInterrupt):
+                raise
+            raise DeviceError(
+                f"the board on {connection.port} stopped answering: {_line(error)}; nothing was written",
+                "Try a slower --baud, another cable or port, or --no-stub.",
+            ) from error
+        raise DeviceError(
+            f"the flash of the board on {connection.port} is half written: {_line(error)}",
+            "Run the same command again (hold BOOT while pressing RESET if the board does not answer); "
+            "it starts from the beginning and no earlier state can hurt.",
+        ) from error
+
+
+def _line(error: BaseException) -> str:
+    if isinstance(error, KeyboardInterrupt):
+        return "stopped by the user"
+    return str(error).strip().partition("\n")[0] or type(error).__name__
+
+
+@contextmanager
+def _esptool(progress: Progress) -> Iterator[Any]:
+    """esptool's functions, its output turned into progress. Raises MissingExtraError."""
+    try:
+        from esptool import cmds
+        from esptool.logger import EsptoolLogger, TemplateLogger
+    except ImportError as error:
+        raise MissingExtraError("flashing needs esptool", EXTRA) from error
+
+    class Quiet(TemplateLogger):  # type: ignore[misc]
+        """Progress goes on, text is dropped: what matters comes as an exception."""
+
+        def print(self, *words: Any, **options: Any) -> None: ...
+
+        def note(self, message: str) -> None: ...
+
+        def warning(self, message: str) -> None: ...
+
+        def error(self, message: str) -> None: ...
+
+        def stage(self, finish: bool = False) -> None: ...
+
+        def progress_bar(
+            self, cur_iter: int, total_iters: int, prefix: str = "", suffix: str = "", bar_length: int = 30
+        ) -> None:
+            progress(cur_iter, f"{100 * cur_iter // max(total_iters, 1)} %")
+
+        def set_verbosity(self, verbosity: str) -> None: ...
+
+    # Of the class, because an installed logger has no way to be replaced by the next.
+    EsptoolLogger.set_logger(None, Quiet())
+    with contextlib.redirect_stdout(io.StringIO()):
+        yield cmds

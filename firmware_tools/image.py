@@ -1,0 +1,93 @@
+"""Checks a MicroPython image before a board is touched: its hash, its kind, its chip.
+
+Images come from micropython.org; their hash is what tells a download that broke off or was tampered with.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from firmware_tools.boards import CHIPS, Chip
+from tagid.errors import FileFormatError, UsageError
+from tagid.storage.atomic import read_bytes
+
+_LARGEST: Final = 16 << 20
+_SMALLEST: Final = 512 << 10
+_MAGIC: Final = 0xE9
+_APP_DESCRIPTION: Final = struct.pack("<I", 0xABCD5432)
+"""Magic word of an application's description, behind the 24 + 8 byte headers (ESP-IDF `esp_app_desc_t`)."""
+_NAMES: Final = {0: "ESP32", 2: "ESP32-S2", 5: "ESP32-C3", 9: "ESP32-S3", 12: "ESP32-C2", 13: "ESP32-C6"}
+_VERSION: Final = re.compile(rb"MicroPython v?(\d+\.\d+(?:\.\d+)?)|v(1\.\d{2}\.\d+)(?:-\w+)*\x00")
+
+
+@dataclass(frozen=True)
+class Image:
+    """A checked image: its bytes, its hash (hex), its chip, and MicroPython's version where it tells."""
+
+    data: bytes
+    sha256: str
+    chip: Chip
+    version: str
+
+
+def wanted_hash(path: Path, given: str | None) -> str:
+    """The hash to expect: the one given, or that of the file IMAGE.sha256 beside the image.
+
+    Raises:
+        UsageError: none is known, or it is no SHA-256.
+        StorageError: the image is missing.
+    """
+    beside = path.with_name(path.name + ".sha256")
+    text = given
+    if text is None and beside.is_file():
+        text = (read_bytes(beside, 4096).decode("utf-8", "replace").split() or [""])[0]
+    if text is None:
+        actual = hashlib.sha256(read_bytes(path, _LARGEST)).hexdigest()
+        raise UsageError(
+            f"{path}: there is no hash to check it against (it has sha256 {actual})",
+            "Compare with the one you were given and pass it with --sha256, or put it into a file "
+            f"{beside.name} beside the image.",
+        )
+    if not re.fullmatch(r"[0-9a-fA-F]{64}", text):
+        raise UsageError(f"{text[:80]!r} is no SHA-256", "Give 64 hexadecimal digits.")
+    return text.lower()
+
+
+def check_image(path: Path, sha256: str) -> Image:
+    """The image, if it is what its hash says and a whole MicroPython for a chip that the bridge runs on.
+
+    Raises:
+        StorageError: cannot be read.
+        FileFormatError: wrong hash, no image, an application without its bootloader, another chip.
+    """
+    data = read_bytes(path, _LARGEST)
+    actual = hashlib.sha256(data).hexdigest()
+    if actual != sha256:
+        raise FileFormatError(
+            f"{path}: is not the image that was meant: sha256 {actual}, expected {sha256}",
+            "Download it again from micropython.org; a download that broke off looks like this.",
+        )
+    source = "Take the .bin for ESP32_GENERIC or ESP32_GENERIC_C3 from micropython.org."
+    if len(data) < 48 or data[0] != _MAGIC or not 1 <= data[1] <= 16:
+        raise FileFormatError(f"{path}: is no ESP32 image", source)
+    if data[32:36] == _APP_DESCRIPTION:
+        raise FileFormatError(
+            f"{path}: has no bootloader: it would run on the board's old one, or not at all",
+            "Take the complete .bin, not the .app-bin for updates over the air. " + source,
+        )
+    chip_id = struct.unpack_from("<H", data, 12)[0]
+    chip = next((chip for chip in CHIPS.values() if chip.image_id == chip_id), None)
+    if chip is None:
+        raise FileFormatError(f"{path}: is for an {_NAMES.get(chip_id, f'unknown chip ({chip_id})')}", source)
+    if b"MicroPython" not in data and b"micropython" not in data:
+        raise FileFormatError(f"{path}: is an image for the {chip.name}, but not MicroPython", source)
+    if len(data) < _SMALLEST:
+        raise FileFormatError(f"{path}: has only {len(data)} bytes", "Download it again; it is cut off.")
+    found = _VERSION.search(data)
+    version = (found.group(1) or found.group(2)).decode() if found else ""
+    return Image(data, actual, chip, version)

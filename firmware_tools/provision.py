@@ -1,0 +1,167 @@
+"""Puts build and configuration on a board, and compares a board with a build.
+
+main.py is written last and taken away first, so that a board never starts half of a firmware.
+"""
+
+from __future__ import annotations
+
+import json
+import secrets
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+from firmware_tools.board import Board, Python
+from firmware_tools.boards import CHIPS
+from firmware_tools.bridge.tagid_bridge import settings
+from firmware_tools.build import Build
+from tagid.errors import ConfigError
+from tagid.storage.atomic import read_bytes
+
+CONFIG: Final = settings.PATH
+BONDS: Final = "bonds.json"
+_LARGEST: Final = 4096
+
+
+def make_config(chip: str, given: Mapping[str, Any], path: Path | None = None) -> dict[str, Any]:
+    """A whole configuration: the chip's pins, then a file's keys, then single ones.
+
+    Args:
+        chip: "esp32" or "esp32c3".
+        given: keys that override; None values are left out.
+        path: a JSON file of keys.
+
+    Raises:
+        ConfigError: a key is unknown or out of bounds; the same rule as on the board.
+        StorageError: the file cannot be read.
+    """
+    if chip not in CHIPS:
+        raise ConfigError(f"there is no chip {chip!r}", f"Choose one of {', '.join(CHIPS)}.")
+    keys: dict[str, Any] = {"name": "tagid-bridge", **CHIPS[chip].pins}
+    where = "the configuration"
+    if path is not None:
+        where = str(path)
+        try:
+            read = json.loads(read_bytes(path, _LARGEST))
+        except ValueError as error:
+            raise ConfigError(
+                f"{path}: is no JSON ({error})", "See docs/bridge.md for an example."
+            ) from error
+        if not isinstance(read, dict):
+            raise ConfigError(f"{path}: holds no table of keys", "See docs/bridge.md for an example.")
+        keys.update(read)
+    keys.update({key: value for key, value in given.items() if value is not None})
+    try:
+        return dict(settings.check(keys))
+    except ValueError as error:
+        raise ConfigError(f"{where}: {error}", "See docs/bridge.md for keys and bounds.") from error
+
+
+def new_passkey() -> str:
+    """Six random digits; never 000000, which some systems take for none."""
+    return f"{secrets.randbelow(999_999) + 1:06d}"
+
+
+@dataclass(frozen=True)
+class Provisioned:
+    """What was written, and on what."""
+
+    python: Python
+    written: list[str]
+    kept: list[str]
+    config: dict[str, Any]
+
+
+def provision(
+    board: Board, build: Build, config: dict[str, Any], progress: Callable[[float, str], None]
+) -> Provisioned:
+    """Writes what differs, each file checked by its hash, and restarts the board.
+
+    Raises DeviceError, DeviceRejectedError (MicroPython too old).
+    """
+    python = board.python()
+    text = (json.dumps(config, indent=1) + "\n").encode()
+    old = _config_of(board)
+    names = [*[name for name in build.files if name != "main.py"], CONFIG, "main.py"]
+    contents = {**build.files, CONFIG: text}
+    hashes = build.hashes
+    kept = [name for name in build.files if board.hash_of(name) == hashes[name]]
+    if old == config:
+        kept.append(CONFIG)
+    changed = [name for name in names if name not in kept]
+    if changed and "main.py" in kept:
+        kept.remove("main.py")
+        changed.append("main.py")
+    if changed:
+        board.remove("main.py")
+    done = 0
+    for name in changed:
+        start = done
+        board.write(name, contents[name], lambda count, start=start, name=name: progress(start + count, name))  # type: ignore[misc]
+        done += len(contents[name])
+    # Computers that paired with an old pass-key must show that they know the new one.
+    if old is None or old.get("passkey") != config["passkey"]:
+        board.remove(BONDS)
+    board.restart()
+    return Provisioned(python, changed, kept, config)
+
+
+def _config_of(board: Board) -> dict[str, Any] | None:
+    data = board.read(CONFIG)
+    if data is None:
+        return None
+    try:
+        return dict(settings.check(json.loads(data)))
+    except (ValueError, TypeError):
+        return None
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A board against a build.
+
+    Attributes:
+        python: the board's MicroPython.
+        files: "same", "differs" or "missing" for each file of the build.
+        config: the configuration without its pass-key, or None.
+        passkey: whether one is set.
+        problem: why the configuration is not valid, or "".
+    """
+
+    python: Python
+    files: dict[str, str]
+    config: dict[str, Any] | None
+    passkey: bool
+    problem: str
+    strangers: list[str] = field(default_factory=list)
+
+    @property
+    def good(self) -> bool:
+        """Whether everything is as built and the configuration is valid."""
+        return not self.problem and set(self.files.values()) <= {"same"}
+
+
+def compare(board: Board, build: Build, progress: Callable[[float, str], None]) -> Comparison:
+    """Compares by hash. Raises DeviceError, DeviceRejectedError (MicroPython too old)."""
+    python = board.python()
+    files = {}
+    for done, (name, digest) in enumerate(build.hashes.items()):
+        progress(done, name)
+        found = board.hash_of(name)
+        files[name] = "missing" if found is None else "same" if found == digest else "differs"
+    data = board.read(CONFIG)
+    config, passkey, problem = None, False, ""
+    if data is None:
+        problem = "there is no configuration file"
+    else:
+        try:
+            config = dict(settings.check(json.loads(data)))
+            passkey = config.pop("passkey") is not None
+        except (ValueError, TypeError) as error:
+            problem = str(error)
+    folder = (
+        board.evaluate("__import__('os').listdir('tagid_bridge')") if "missing" not in files.values() else []
+    )
+    strangers = [f"tagid_bridge/{name}" for name in folder if f"tagid_bridge/{name}" not in files]
+    return Comparison(python, files, config, passkey, problem, strangers)

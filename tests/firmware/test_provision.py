@@ -1,0 +1,197 @@
+"""mpremote, driven by `tagid-firmware provision` and `verify`, against the real MicroPython on a pty."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import subprocess
+import threading
+import tty
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from firmware_tools.board import open_board
+from firmware_tools.build import compile_firmware, read_build, write_build
+from firmware_tools.cli.app import app
+from tagid.cli.frame import serve
+from tagid.errors import DeviceError, DeviceRejectedError, FileFormatError, StorageError
+from tests.firmware.microvm import FOLDER, needs_vm
+
+Run = Callable[..., tuple[int, dict[str, Any]]]
+
+
+@pytest.fixture
+def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
+    """Exit code and JSON document of a command line."""
+
+    def go(*words: str) -> tuple[int, dict[str, Any]]:
+        monkeypatch.setattr("sys.argv", ["tagid-firmware", *words, "--output", "json"])
+        code = serve(app)
+        return code, json.loads(capsys.readouterr().out)
+
+    return go
+
+
+class Pty:
+    """A board's USB port, with the process behind it."""
+
+    def __init__(self, *command: str) -> None:
+        self._master, self._slave = os.openpty()
+        tty.setraw(self._master)
+        tty.setraw(self._slave)
+        self.path = os.ttyname(self._slave)
+        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+        self._threads = [threading.Thread(target=f, daemon=True) for f in (self._to_board, self._from_board)]
+        for thread in self._threads:
+            thread.start()
+
+    def _to_board(self) -> None:
+        assert self._process.stdin is not None
+        while (data := os.read(self._master, 4096)) != b"\0\0":
+            self._process.stdin.write(data)
+            self._process.stdin.flush()
+
+    def _from_board(self) -> None:
+        assert self._process.stdout is not None
+        while data := os.read(self._process.stdout.fileno(), 4096):
+            os.write(self._master, data)
+
+    def close(self) -> None:
+        os.write(self._slave, b"\0\0")
+        self._threads[0].join(10)
+        self._process.kill()
+        self._process.wait()
+        self._threads[1].join(10)
+        for stream in (self._process.stdin, self._process.stdout):
+            assert stream is not None
+            with contextlib.suppress(OSError):
+                stream.close()
+        os.close(self._slave)
+        os.close(self._master)
+
+
+@pytest.fixture
+def board() -> Iterator[Pty]:
+    port = Pty("node", str(FOLDER / "repl.mjs"))
+    yield port
+    port.close()
+
+
+@needs_vm
+def test_a_bare_board_becomes_a_bridge_and_is_the_same_as_the_build(board: Pty, run: Run) -> None:
+    code, document = run("verify", "--port", board.path)
+    assert code == 1 and document["data"]["files"]["main.py"] == "missing"
+    assert "no configuration file" in document["data"]["problem"]
+
+    code, document = run("provision", "--name", "robot-7", "--chip", "esp32c3", "--port", board.path)
+    assert code == 0, document["errors"]
+    data = document["data"]
+    assert data["written"][-1] == "main.py" and len(data["written"]) == 9
+    assert data["config"]["passkey"].isdigit() and len(data["config"]["passkey"]) == 6
+    assert data["config"]["uart_tx"] == 6 and data["python"]["version"] == "1.27.0"
+
+    code, document = run("verify", "--port", board.path)
+    assert code == 0 and set(document["data"]["files"].values()) == {"same"}
+    # The pass-key is not for everyone who can plug in a cable and read a log.
+    assert data["config"]["passkey"] not in json.dumps(document)
+    assert document["data"]["passkey"] and document["data"]["config"]["name"] == "robot-7"
+
+    # Another name: only the configuration is written, and main.py around it.
+    words = ("provision", "--name", "robot-8", "--passkey", "123456", "--port", board.path)
+    code, document = run(*words)
+    assert document["data"]["written"] == ["bridge.json", "main.py"]
+    assert run(*words)[1]["data"]["written"] == []
+
+    with open_board(board.path) as raw:
+        raw.write("bonds.json", b"[]")
+        raw.write("tagid_bridge/ring.mpy", b"M\x06damaged")
+    code, document = run("verify", "--port", board.path)
+    assert code == 1 and document["data"]["files"]["tagid_bridge/ring.mpy"] == "differs"
+    # Who paired under the old pass-key must pair again under the new one.
+    code, document = run(*[word.replace("123456", "654321") for word in words])
+    assert code == 0 and "tagid_bridge/ring.mpy" in document["data"]["written"]
+    with open_board(board.path) as raw:
+        assert raw.read("bonds.json") is None
+
+
+@needs_vm
+def test_an_old_micropython_is_told(board: Pty, run: Run) -> None:
+    with open_board(board.path) as raw:
+        # As a board with MicroPython 1.18 would answer.
+        raw.run("import sys\nclass I:\n def __getitem__(s, i): return (1, 18, 0)\n _mpy = 5\nclass S: pass")
+        raw.run("old = S()\nold.implementation = I()\nold.platform = 'esp32'\nsys.modules['sys'] = old")
+        with pytest.raises(DeviceRejectedError, match=r"MicroPython 1\.18\.0 .*too old"):
+            raw.python()
+
+
+def test_a_half_written_flash_and_a_foreign_device_are_told_apart() -> None:
+    loops = "import sys, time\nwhile True: print('invalid header: 0xffffffff', flush=True); time.sleep(0.05)"
+    for code, words in (
+        (loops, "empty or half written"),
+        ("import time; time.sleep(600)", "does not answer"),
+    ):
+        import sys
+
+        port = Pty(sys.executable, "-c", code)
+        try:
+            with pytest.raises(DeviceError, match=words), open_board(port.path, timeout=1.5):
+                pass
+        finally:
+            port.close()
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("--name", "x" * 21), "name must have 1 to 20"),
+        (("--name", "two words"), "name must have 1 to 20"),
+        (("--name", "a", "--passkey", "12345"), "passkey must be six digits"),
+        (("--name", "a", "--baud", "12"), "baud must be a whole number from 300 to 115200"),
+        (("--name", "a", "--chip", "esp8266"), "there is no chip 'esp8266'"),
+    ],
+)
+def test_configurations_that_the_board_would_refuse(run: Run, words: tuple[str, ...], message: str) -> None:
+    code, document = run("provision", *words, "--port", "/dev/null")
+    assert code == 2 and message in document["errors"][0]["message"]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("{", "is no JSON"),
+        ("[1]", "no table of keys"),
+        ('{"uart_pin": 3}', "unknown key 'uart_pin'"),
+        ('{"uart_tx": 5}', "must be different pins"),
+        ('{"deadman_ms": 99}', "deadman_ms must be a whole number from 100 to 5000"),
+        ('{"brc_inverted": 1}', "brc_inverted must be true or false"),
+    ],
+)
+def test_configuration_files_with_mistakes(run: Run, tmp_path: Path, text: str, message: str) -> None:
+    path = tmp_path / "bridge.json"
+    path.write_text(text)
+    code, document = run("provision", "--name", "a", "--config", str(path), "--port", "/dev/null")
+    assert code == 2 and message in document["errors"][0]["message"]
+
+
+def test_a_build_is_the_same_every_time_and_checked_when_read(run: Run, tmp_path: Path) -> None:
+    folder = tmp_path / "bridge"
+    code, document = run("build", "--out", str(folder))
+    assert code == 0 and document["data"]["version"] == "1.0.0"
+    build = read_build(folder)
+    assert build.hashes == compile_firmware().hashes
+    assert all(data[:2] == b"M\x06" for name, data in build.files.items() if name.endswith(".mpy"))
+    assert b"/tagid_bridge" not in b"".join(build.files.values()), "no path of the machine that built it"
+    (folder / "tagid_bridge" / "robot.mpy").write_bytes(b"M\x06")
+    with pytest.raises(FileFormatError, match=r"robot\.mpy: is not the file that was built"):
+        read_build(folder)
+    (folder / "manifest.json").write_text('{"version": 1}')
+    with pytest.raises(FileFormatError, match="no manifest"):
+        read_build(folder)
+    write_build(build, folder)
+    assert read_build(folder).files == build.files
+    with pytest.raises(StorageError):
+        read_build(tmp_path / "nowhere")
