@@ -2,7 +2,7 @@
 
     python tests/benchmarks/bench_bridge.py [--short] [--seeds 3]
 
-The virtual air has no radio; its connection events are 0 or 30 ms apart, the latter as on a real link. The last
+The virtual air has no radio; its connection events are 0 or 30 ms apart, as on real links. The last
 figure is the time from the cut to the last byte of the first stop sequence at the robot's end of the wire.
 """
 

@@ -51,9 +51,10 @@ class Pty:
 
     def _to_board(self) -> None:
         assert self._process.stdin is not None
-        while (data := os.read(self._master, 4096)) != b"\0\0":
-            self._process.stdin.write(data)
-            self._process.stdin.flush()
+        with contextlib.suppress(OSError):  # the process has ended
+            while not (data := os.read(self._master, 4096)).endswith(b"\0\0"):
+                self._process.stdin.write(data)
+                self._process.stdin.flush()
 
     def _from_board(self) -> None:
         assert self._process.stdout is not None
