@@ -78,6 +78,7 @@ def _scan(
 
     from tagid.cli import imaging
     from tagid.intake import notes
+    from tagid.motion.resolve import turn_line
     from tagid.motion.urls import open_motion
     from tagid.pipeline import identify, prepare
     from tagid.radar.devices import open_radar
@@ -136,6 +137,8 @@ def _scan(
         code = error.exit_code
     else:
         drawn.append(imaging.describe(answer, ""))
+    if turn := turn_line(capture.motion.get("resolved", {})):
+        drawn.append(Text(f"turn     {turn}"))
     drawn += [Text(f"{name:<8} {where}") for name, where in files.items() if where]
     lost, dropped = (capture.radar.get(f"scans_{how}") or 0 for how in ("lost", "dropped"))
     facts = {

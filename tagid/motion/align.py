@@ -23,6 +23,8 @@ _WINDOW: Final = 33
 """Readings to both sides that the local edge of the motion's arrival times is taken from."""
 _MIN_SIGMA_S: Final = 1e-3
 """Whole-millisecond stamps of the radar and of host clocks."""
+_UNEVEN: Final = 0.01
+"""How far the speed of a table that runs by itself may change from turn to turn, relative."""
 _GAP_S: Final = 0.1
 """Beyond the first or last reading by more than this, an angle is a guess and its sigma says so."""
 
@@ -121,10 +123,14 @@ def align(clock: UniformClock, host_time_ns: NDArray[np.int64], track: Track) ->
         offset, slope = float(np.min(arrivals - clock.times_s)), 1.0
     scan_times = offset + slope * clock.times_s
     heard = np.asarray((track.host_time_ns - zero) * 1e-9, dtype=np.float64)
-    order = np.argsort(heard, kind="stable")
-    heard, angles, spread = heard[order], track.angles_rad[order], track.sigma_rad[order]
+    angles, spread = track.angles_rad, track.sigma_rad
     step = track.info.get("step_s")
-    taken = even_times(heard, float(step)) if isinstance(step, int | float) and step > 0 else heard
+    if isinstance(step, int | float) and step > 0:
+        taken = even_times(heard, float(step))
+    else:
+        order = np.argsort(heard, kind="stable")
+        heard, angles, spread = heard[order], angles[order], spread[order]
+        taken = heard
     if scan_times[-1] < taken[0] or scan_times[0] > taken[-1]:
         raise DataError(
             "no scan was recorded while the motion was measured", "Check the clock of this computer."
@@ -141,6 +147,13 @@ def align(clock: UniformClock, host_time_ns: NDArray[np.int64], track: Track) ->
     fastest = float(np.percentile(speed, 95)) if len(speed) else 0.0
     beyond = np.maximum(np.maximum(taken[0] - scan_times, scan_times - taken[-1]), 0.0)
     at = np.interp(scan_times, taken, angles)
+    if track.info.get("runs_on") and len(taken) > 2:
+        # A table that turns by itself was turning before the first reading, too, and goes on after the last.
+        first = (angles[1] - angles[0]) / (taken[1] - taken[0])
+        last = (angles[-1] - angles[-2]) / (taken[-1] - taken[-2])
+        at += np.minimum(scan_times - taken[0], 0) * first + np.maximum(scan_times - taken[-1], 0) * last
+        beyond = beyond * _UNEVEN
+    outside = int(np.count_nonzero(beyond > _GAP_S))
     sigma = np.hypot(np.interp(scan_times, taken, spread), fastest * (clock_sigma + beyond))
     return Alignment(
         at,
@@ -149,5 +162,5 @@ def align(clock: UniformClock, host_time_ns: NDArray[np.int64], track: Track) ->
         radar_residual * 1e3,
         motion_residual * 1e3,
         clock_sigma,
-        int(np.count_nonzero(beyond > _GAP_S)),
+        outside,
     )

@@ -97,8 +97,8 @@ def _enough(ac: Autocorrelation) -> NDArray[np.float64]:
     return np.maximum(ACCEPT * ac.coherence, np.tanh(SIGNIFICANT * ac.noise))
 
 
-def _first_turn(ac: Autocorrelation, rho: NDArray[np.float64], within: tuple[int, int], like: float) -> int:
-    """The smallest lag that is a peak nearly (`like`) as high as the highest one; 0 where none is enough."""
+def _first_turn(ac: Autocorrelation, rho: NDArray[np.float64], within: tuple[int, int], marker: bool) -> int:
+    """The smallest lag that is a peak nearly as high as the highest one; 0 where none is high enough."""
     low, high = within
     enough = _enough(ac)
     inner = rho[low : high + 1]
@@ -110,7 +110,10 @@ def _first_turn(ac: Autocorrelation, rho: NDArray[np.float64], within: tuple[int
         return 0
     best = float(rho[peaks].max())
     slack = 2 * np.hypot(ac.noise[peaks], ac.noise[peaks[np.argmax(rho[peaks])]])
-    return int(peaks[rho[peaks] >= like * best - slack][0])
+    if marker:
+        # True turns are alike to half a per cent; what misses a weak marker is so by some per cent.
+        return int(peaks[rho[peaks] >= MARKED * best][0])
+    return int(peaks[rho[peaks] >= ALIKE * best - slack][0])
 
 
 def _peak_place(
@@ -177,8 +180,7 @@ def find_period(
     else:
         lobe = _lobe(rho, 0.5 * ac.coherence)
         low = max(2 * lobe, int(min_s / ac.step_s), 2)
-        like = MARKED if marker else ALIKE
-        peak = _first_turn(ac, rho, (low, min(longest, int(max_s / ac.step_s))), like)
+        peak = _first_turn(ac, rho, (low, min(longest, int(max_s / ac.step_s))), marker)
     if peak == 0:
         raise DataError(
             f"the scans do not repeat within {duration:.1f} s: no rotation period found",

@@ -5,7 +5,9 @@ It joins the clock, the motion device and the thinning of views, so that scannin
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 from tagid.capture import Capture
 from tagid.errors import DataError
@@ -80,6 +82,26 @@ def with_measured_angles(capture: Capture) -> Capture:
     except DataError as error:
         kept = {key: value for key, value in capture.motion.items() if key != "track"}
         return replace(capture, motion={**kept, "not_resolved": error.message})
+
+
+def turn_line(resolved: Mapping[str, Any]) -> str:
+    """How the angles were found, in one line; "" where nothing is known of it.
+
+    >>> turn_line({"turns": 1.312, "period_s": 8.63, "quality": 0.97, "kind": "free"})
+    '1.31 turns of 8.63 s (free), period quality 0.97'
+    """
+    if not resolved.get("turns") or not resolved.get("period_s"):
+        return ""
+    line = f"{resolved['turns']:.2f} turns of {resolved['period_s']:.2f} s ({resolved.get('kind', 'free')})"
+    if "quality" in resolved:
+        line += f", period quality {resolved['quality']:.2f}"
+    if resolved.get("source") == "measured":
+        line += f", clocks aligned to {resolved['clock_sigma_ms']:.1f} ms"
+        if not resolved.get("checked_by_radar"):
+            line += ", not checked by the radar"
+    if resolved.get("kind") == "roomba" and not resolved.get("calibrated"):
+        line += "; `tagid motion calibrate` remembers the wheel base"
+    return line
 
 
 def one_turn(capture: Capture, max_views: int) -> Capture:

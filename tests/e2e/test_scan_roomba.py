@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -16,6 +17,7 @@ import numpy as np
 import pytest
 
 from tagid.motion.emulator.truth import TrueAngle
+from tagid.motion.resolve import with_measured_angles
 from tagid.storage.importers import read_any
 
 TAGID = [sys.executable, "-m", "tagid"]
@@ -92,22 +94,32 @@ def test_nothing_moves_without_a_yes(home: dict[str, str], tmp_path: Path) -> No
         assert (state["angle_rad"], state["moving"], state["mode"]) == (0.0, False, 0)
 
 
-def test_a_killed_scan_leaves_a_robot_that_stands(home: dict[str, str], tmp_path: Path) -> None:
+@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGINT])
+def test_a_scan_that_is_ended_leaves_a_robot_that_stands(
+    home: dict[str, str], tmp_path: Path, how: signal.Signals
+) -> None:
     with robot(home) as there:
         truth = TrueAngle(there["truth"])
         scan = subprocess.Popen(
             scan_words(there, tmp_path, "--yes"), stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=home
         )
         wait_until(lambda: abs(truth.state()["angle_rad"]) > 0.3)
-        killed = time.monotonic()
-        scan.kill()
+        ended = time.monotonic()
+        scan.send_signal(how)
         wait_until(lambda: not truth.state()["moving"])
-        assert truth.state()["still_since_s"] - killed < 0.5
-        scan.communicate()
+        assert truth.state()["still_since_s"] - ended < 0.5
+        out, err = scan.communicate(timeout=30)
         wait_until(lambda: truth.state()["mode"] == 1)
+    if how is signal.SIGINT:
+        assert scan.returncode == 130, err
+        assert json.loads(out)["errors"][0]["code"] == "interrupted"
+        (path,) = tmp_path.glob("*.tagid.h5")
+        kept = read_any(path)
+    else:
         (journal,) = tmp_path.glob("*.journal")
-        recovered = read_any(journal)
-        assert recovered.views > 50 and "track" in recovered.motion
+        kept = with_measured_angles(read_any(journal))
+    assert kept.views > 5 and not kept.complete
+    assert kept.angles_rad is not None and np.ptp(kept.angles_rad) > 0.02
 
 
 def test_the_helmet_on_a_sleeping_robot_behind_the_bridge_is_named(

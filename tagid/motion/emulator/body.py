@@ -69,6 +69,7 @@ class Body:
         self._speed = [0.0, 0.0]
         self._way = [0.0, 0.0]
         self._slip = 0.0
+        self._rate_rad_s = 0.0
         self.heading_rad = 0.0
         """True heading, counter-clockwise from above, not wrapped."""
         self.still_since_s: float = now_s
@@ -97,6 +98,7 @@ class Body:
             if not self.moving and not any(self._wanted):
                 # A robot at rest needs no steps.
                 self._now = now_s
+                self._rate_rad_s = 0.0
                 self._note()
                 return
             gain = 1 - math.exp(-step / s.lag_s) if s.lag_s else 1.0
@@ -110,7 +112,9 @@ class Body:
             if s.slip_noise:
                 self._slip += -self._slip * step + s.slip_noise * math.sqrt(2 * step) * self._rng.normal()
             turned = (self._speed[1] - self._speed[0]) * step / s.wheel_base_mm
-            self.heading_rad += turned * (1 - s.slip - self._slip)
+            turned *= 1 - s.slip - self._slip
+            self.heading_rad += turned
+            self._rate_rad_s = turned / step if self.moving else 0.0
             self._note()
 
     def _note(self) -> None:
@@ -121,10 +125,10 @@ class Body:
             self._headings.popleft()
 
     def heading_at(self, time_s: float) -> float:
-        """True heading at a moment of the last 30 s, rad; the nearest known one outside of it."""
+        """True heading at a moment of the last 30 s, rad; a moment to come goes on as it turns now."""
         times = self._times
         if time_s >= times[-1]:
-            return self._headings[-1]
+            return self._headings[-1] + self._rate_rad_s * (time_s - times[-1])
         right = bisect_right(times, time_s)
         if right == 0:
             return self._headings[0]

@@ -97,8 +97,6 @@ class RoombaHost:
 
     def _state(self, moment_s: float) -> dict[str, float | int | bool]:
         with self.port.lock:
-            if moment_s > time.monotonic() - 1e-3:
-                self.core.body.advance(time.monotonic())
             body = self.core.body
             return {
                 "angle_rad": body.heading_at(moment_s),

@@ -23,9 +23,10 @@ SPEED_STEP_MM_S: Final = 28.5
 """The wheels' speed moves in steps of about this (seen on Create 2 robots): 13.9 deg/s a step in place."""
 MAX_STEP: Final = 3
 """41.7 deg/s, 8.6 s a turn: fast enough, and an object on top does not slide."""
-DEAD_MAN_S: Final = 0.3
+DEAD_MAN_S: Final = 0.35
 _FEED_S: Final = 0.05
 _SILENCE_S: Final = 0.4
+_STARVED_S: Final = 0.1
 _STALL_S: Final = 1.5
 _LOW_CHARGE: Final = 0.08
 _HOT_C: Final = 60
@@ -158,7 +159,7 @@ class Roomba(DrivenMotion):
         oi.safe()
         oi.stream(WATCHED_FAST if s.fast else WATCHED)
         self._odometry = SpinOdometry(s.direction, s.wheel_base_mm)
-        self._fed = self._heard = self._moved = time.monotonic()
+        self._fed = self._heard = self._moved = self._looked = time.monotonic()
         self._counts = (0, 0)
         first = self._poll()
         while not first:
@@ -184,6 +185,11 @@ class Roomba(DrivenMotion):
     def _poll(self) -> list[Reading]:
         oi = self._interface()
         now = time.monotonic()
+        if now - self._looked > _STARVED_S:
+            # This computer did not look; that is not the robot's silence.
+            self._heard += now - self._looked
+            self._moved += now - self._looked
+        self._looked = now
         if now - self._fed >= _FEED_S:
             # Said again and again: this is what keeps the dead-man from stopping the wheels.
             oi.spin(self.direction, round(self.settings.step * SPEED_STEP_MM_S) if self._readings else 0)

@@ -39,7 +39,8 @@ class IndexTable(DrivenMotion):
     moves = False
 
     def __init__(self, address: BleAddress, direction: int, nominal_s: float, turns: float | None) -> None:
-        super().__init__(f"the index sensor at {address.target}", direction, nominal_s, 0.001, turns)
+        # Two pulses are a full turn, exactly; the scans around them continue at its speed.
+        super().__init__(f"the index sensor at {address.target}", direction, nominal_s, 0.001, turns or 1.0)
         self._open_link: Callable[[], BridgeLink] = lambda: BridgeLink(address, self._event)
         self._link: BridgeLink | None = None
         self._pulses: list[IndexPulse] = []
@@ -130,6 +131,9 @@ class IndexTable(DrivenMotion):
             }
         finally:
             self._close()
+
+    def _facts(self) -> dict[str, Any]:
+        return {"runs_on": True, "pulses": self._turned + 1}
 
     def _close(self) -> None:
         link, self._link = self._link, None

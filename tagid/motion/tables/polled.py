@@ -19,6 +19,9 @@ from tagid.motion.links import ByteLink
 POLL_S: Final = 0.05
 ANSWER_S: Final = 1.0
 _STALL_S: Final = 3.0
+_SLOW_S: Final = 0.06
+_PATIENCE_S: Final = 0.5
+"""An answer that took longer than _SLOW_S is left out, unless none was quicker for so long."""
 _LONGEST_ANSWER: Final = 512
 
 
@@ -52,6 +55,7 @@ class PolledTable(DrivenMotion):
         self._last_deg: float | None = None
         self._turned_deg = 0.0
         self._moved = 0.0
+        self._told = 0.0
 
     @abstractmethod
     def _set_going(self) -> None:
@@ -124,6 +128,11 @@ class PolledTable(DrivenMotion):
         answered = time.time_ns()
         if degrees is None:
             return []
+        late = (answered - asked) * 1e-9 > _SLOW_S and time.monotonic() - self._told < _PATIENCE_S
+        if late:
+            # Nobody knows when in that time it looked at its angle.
+            return []
+        self._told = time.monotonic()
         if self._last_deg is not None:
             step = (degrees - self._last_deg + 180) % 360 - 180
             if abs(step) > 1e-6:

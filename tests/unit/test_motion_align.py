@@ -1,0 +1,151 @@
+"""Two clocks on one axis, angles at the scans, the radar's own turn, and what is remembered of a robot."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tagid.errors import ConfigError, DataError
+from tagid.motion.align import align, even_times, lower_edge
+from tagid.motion.calibration import Calibration, recall, remember, wheel_base_from
+from tagid.motion.clock import fit_clock
+from tagid.motion.device import Track
+from tagid.motion.measured import measured_angles, turn_in_own_angle
+from tagid.motion.period import find_period
+from tagid.radar.settings import RadarConfig
+from tagid.simulate import Acquisition, TurningScene, scene_from_name
+from tagid.simulate.scene import Scene
+
+EPOCH_NS = 1_750_000_000_000_000_000
+SPEED = np.radians(41.7)
+
+
+def late(times: np.ndarray, rng: np.random.Generator, mean_s: float) -> np.ndarray:
+    """Arrivals in ns of what was sent at these times."""
+    return EPOCH_NS + ((times + rng.exponential(mean_s, len(times))) * 1e9).astype(np.int64)
+
+
+def test_the_lower_edge_is_the_true_clock() -> None:
+    rng = np.random.default_rng(1)
+    times = np.arange(0, 20, 0.02)
+    offset, slope = lower_edge(times, 3.0 + (1 + 50e-6) * times + rng.exponential(0.02, len(times)))
+    assert slope - 1 == pytest.approx(50e-6, abs=30e-6)
+    assert offset == pytest.approx(3.0, abs=1e-3)
+
+
+def test_late_readings_move_back_to_their_place() -> None:
+    rng = np.random.default_rng(2)
+    taken = np.arange(0, 10, 0.015)
+    arrivals = np.maximum.accumulate(taken + rng.exponential(0.02, len(taken)))
+    found = even_times(arrivals, 0.015)
+    assert np.std(found - taken) < 1e-3
+    assert np.std(arrivals - taken) > 5e-3
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+def test_angles_are_those_of_the_scans_moments(direction: int) -> None:
+    rng = np.random.default_rng(3)
+    scans, frames = np.arange(0, 12, 0.0216), np.arange(-0.5, 13, 0.015)
+
+    def angle(times: np.ndarray) -> np.ndarray:
+        return direction * SPEED * np.maximum(times - 0.4, 0)
+
+    track = Track(
+        late(frames, rng, 0.012), angle(frames), np.full(len(frames), 1e-3), {"step_s": 0.015, "kind": "test"}
+    )
+    drifting = 1 + 80e-6
+    clock = fit_clock(np.floor(scans * drifting * 1e3))
+    found = align(clock, late(scans, rng, 0.004), track)
+    error = np.degrees(found.angles_rad - angle(scans))
+    assert np.abs(error - np.median(error)).max() < 0.15
+    assert np.abs(np.median(error)) < 0.1
+    assert found.drift == pytest.approx(-80e-6, abs=60e-6)
+    assert 1 < found.radar_residual_ms < 12 and 5 < found.motion_residual_ms < 30
+    assert np.all(found.sigma_rad < np.radians(2)) and found.outside == 0
+
+
+def test_angles_beyond_the_last_reading_say_that_they_are_guesses() -> None:
+    scans, frames = np.arange(0, 10, 0.02), np.arange(0, 5, 0.015)
+    track = Track(
+        EPOCH_NS + (frames * 1e9).astype(np.int64),
+        SPEED * frames,
+        np.full(len(frames), 1e-3),
+        {"step_s": 0.015},
+    )
+    clock = fit_clock(np.floor(scans * 1e3))
+    arrivals = EPOCH_NS + (scans * 1e9).astype(np.int64)
+    found = align(clock, arrivals, track)
+    assert found.sigma_rad[-1] == pytest.approx(SPEED * 5, rel=0.02)
+    assert found.outside == pytest.approx(245, abs=2)
+    # A table that turns by itself did not stop there.
+    runs_on = Track(track.host_time_ns, track.angles_rad, track.sigma_rad, {"runs_on": True})
+    assert align(clock, arrivals, runs_on).angles_rad[-1] == pytest.approx(SPEED * scans[-1], rel=1e-3)
+    with pytest.raises(DataError):
+        align(clock, arrivals, Track.of([], {}))
+
+
+def scans_over(angles: np.ndarray, snr_db: float = 20.0) -> np.ndarray:
+    """Scans of the helmet at these angles."""
+    known = dict(enumerate(angles))
+    scene = TurningScene(
+        scene_from_name("helmet-120", 1),
+        0,
+        1,
+        Acquisition(snr_db=snr_db),
+        true_angle=lambda i: known[round(i)],
+    )
+    scene.follow(lambda moment: moment)
+    config = RadarConfig(scan_start_ps=3_336, scan_stop_ps=10_006)
+    return np.stack([scene.scan(i, float(i), config) for i in range(len(angles))])
+
+
+def test_the_radar_sees_how_far_a_turn_is_whatever_the_speed_does() -> None:
+    """The device overstates its angle by 7 % and swings its speed by 30 %; its direction is clockwise."""
+    turns = np.linspace(0, 2 * np.pi * 1.4, 500)
+    true = -(turns + 0.3 * np.sin(turns))
+    found = turn_in_own_angle(scans_over(true), 1.07 * true, 0.06)
+    assert found.period_s == pytest.approx(1.07 * 2 * np.pi, rel=2e-3)
+
+
+def test_a_scan_scales_its_own_angles() -> None:
+    times = np.arange(0, 12, 0.024)
+    true = SPEED * times
+    track = Track(
+        EPOCH_NS + (times * 1e9).astype(np.int64), 0.92 * true, np.zeros(len(times)),
+        {"scale_sigma": 0.06, "step_s": 0.024, "robot": "r", "wheel_base_mm": 235.0},
+    )  # fmt: skip
+    arrivals = EPOCH_NS + (times * 1e9).astype(np.int64)
+    angles = measured_angles(scans_over(true), fit_clock(np.floor(times * 1e3)), arrivals, track)
+    assert np.abs(angles.angles_rad - true).max() < np.radians(1.5)
+    assert angles.info["checked_by_radar"] and angles.info["quality"] > 0.8
+    robot, found = wheel_base_from(angles.info)
+    # The robot thinks that it turned less than it did: its wheels are nearer together than it thinks.
+    assert (robot, found.wheel_base_mm) == ("r", pytest.approx(0.92 * 235, rel=2e-3))
+
+
+def test_a_marker_breaks_a_symmetry() -> None:
+    """Two equal reflectors repeat after half a turn; a third one off the axis, 9 dB weaker, does not."""
+    places = np.array([[0.1, 0.0], [-0.1, 0.0], [0.0, 0.15]])
+    times = np.arange(0, 2.5, 1 / 200) * 20
+    scene = Scene.of_points(places, np.array([1.0, 1.0, 0.35]))
+    config = RadarConfig(scan_start_ps=3_336, scan_stop_ps=10_006)
+    turning = TurningScene(scene, 3.0, 1, Acquisition(snr_db=20))
+    samples = np.stack([turning.scan(i, float(moment), config) for i, moment in enumerate(times)])
+    assert find_period(samples, times).period_s == pytest.approx(10, rel=5e-3)
+    assert find_period(samples, times, marker=True).period_s == pytest.approx(20, rel=5e-3)
+
+
+def test_a_robot_is_remembered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TAGID_DATA", str(tmp_path))
+    assert recall("/dev/x") is None
+    remember("/dev/x", Calibration(250.0, 0.002, 2.0))
+    remember("other", Calibration(240.0, 0.003, 2.0))
+    known = recall("/dev/x")
+    assert known is not None and known.wheel_base_mm == 250.0 and known.date_utc
+    (tmp_path / "robots.toml").write_text("nonsense =")
+    with pytest.raises(ConfigError, match="damaged"):
+        recall("/dev/x")
+    with pytest.raises(DataError, match="did not see"):
+        wheel_base_from({"checked_by_radar": False, "reason": "no period"})
