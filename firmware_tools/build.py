@@ -16,7 +16,7 @@ from typing import Any, Final
 
 from firmware_tools.bridge.tagid_bridge import PROTOCOL, VERSION
 from tagid.errors import FileFormatError, MissingExtraError, TagidError
-from tagid.storage.atomic import read_bytes, write_bytes
+from tagid.storage.atomic import read_bytes, storage_error, write_bytes
 
 SOURCE: Final = Path(__file__).resolve().parent / "bridge"
 MANIFEST: Final = "manifest.json"
@@ -106,9 +106,11 @@ def write_build(build: Build, folder: Path) -> None:
 
     Raises StorageError.
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    (folder / "tagid_bridge").mkdir(exist_ok=True)
-    (folder / MANIFEST).unlink(missing_ok=True)
+    try:
+        (folder / "tagid_bridge").mkdir(parents=True, exist_ok=True)
+        (folder / MANIFEST).unlink(missing_ok=True)
+    except OSError as error:
+        raise storage_error(error, folder, "making the folder") from error
     for path, data in build.files.items():
         write_bytes(folder / path, data)
     write_bytes(folder / MANIFEST, (json.dumps(build.manifest(), indent=2) + "\n").encode())

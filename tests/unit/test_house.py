@@ -55,6 +55,27 @@ def test_devices_never_import_imaging(name: str) -> None:
         assert "imaging" not in imported_parts(ast.parse(path.read_text())), path
 
 
+def test_the_firmware_and_its_tools_are_imported_late() -> None:
+    """They need packages of the extras; what runs on the board needs nothing of the host at all."""
+    for path in FILES:
+        for node in ast.parse(path.read_text()).body:
+            names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
+            names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+            assert not any(name.split(".")[0] == "firmware_tools" for name in names), path
+    board = {"time", "struct", "json", "sys", "array", "binascii", "machine", "bluetooth", "micropython"}
+    for path in (ROOT / "firmware_tools" / "bridge" / "tagid_bridge").glob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
+            names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+            assert {name.split(".")[0] for name in names} <= board | {"tagid_bridge"}, path
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "firmware_tools").rglob("*.py")), ids=lambda p: p.name)
+def test_every_file_of_the_firmware_says_why_it_exists(path: Path) -> None:
+    text = path.read_text()
+    assert ast.get_docstring(ast.parse(text)) and text.count("\n") <= 400
+
+
 def test_torch_is_imported_only_where_it_belongs() -> None:
     allowed = {f"imaging/ats/{name}.py" for name in ("encoding", "network", "step", "torch_engine", "export")}
     allowed |= {f"imaging/ats/{name}_paper.py" for name in ("forward", "fit")}
