@@ -17,6 +17,8 @@ from firmware_tools.virtual.process import BoardProcess
 from tagid.motion.bridge.client import Bridge
 from tagid.motion.bridge.find import Backends, find
 
+collect_ignore = ["vm/scenario.py"]  # runs in MicroPython
+
 PASSKEY = "482913"
 CONFIG: dict[str, Any] = {
     "name": "robot-7",
