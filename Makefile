@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --constraint constraints.txt
 DEMO_DIR ?= demo
 
-.PHONY: demo test lint types check clean
+.PHONY: demo test lint types check browser clean
 
 $(VENV)/.base: pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
@@ -29,7 +29,16 @@ lint: $(VENV)/.dev
 types: $(VENV)/.dev
 	$(BIN)/mypy
 
-check: $(VENV)/.dev
+# The page of `tagid report` is tested in a real Chromium. Where it is not there and may not be installed, those
+# tests are skipped and say why.
+browser:
+	@if ! command -v chromedriver >/dev/null && [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
+	  echo "installing Chromium for the tests of the page"; \
+	  { apt-get update -qq && apt-get install -qq -y --no-install-recommends chromium chromium-driver; } \
+	    >/dev/null 2>&1 || echo "Chromium could not be installed"; \
+	fi
+
+check: $(VENV)/.dev browser
 	OMP_NUM_THREADS=1 $(BIN)/pytest
 
 clean:

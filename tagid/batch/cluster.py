@@ -8,18 +8,22 @@ from __future__ import annotations
 
 import logging
 import queue
+import time
 from typing import Any
 
 from tagid import __version__
 from tagid.batch.inputs import Source
 from tagid.batch.job import Job, Outcome
-from tagid.batch.local import AHEAD, TICK_S, Results, Tasks
+from tagid.batch.local import TICK_S, Results, Tasks
 from tagid.batch.work import failed_record, work
 from tagid.errors import ClusterError, MissingExtraError, TagidError
 
 CONNECT_S = 10.0
 WORKERS_S = 30.0
 """How long to wait for the scheduler, and for a first worker, s."""
+WORKERS_EVERY_S = 2.0
+AHEAD = 6
+"""Items handed out for each thread: enough that none waits for the network, few enough to bound memory."""
 RETRIES = 3
 """Workers an item may lose before it counts as failed; the scheduler's own default."""
 
@@ -94,6 +98,7 @@ class _Remote:
         self._distributed, self._client, self._address = distributed, client, address
         self._finished: queue.SimpleQueue[Any] = queue.SimpleQueue()
         self._under_way: dict[Any, tuple[int, Source, Any]] = {}
+        self._count, self._count_until = 1, 0.0
 
     def run(self, tasks: Tasks, job: Job) -> Results:
         # A task, not scattered data: should the worker that holds it die, the scheduler makes it again.
@@ -101,7 +106,8 @@ class _Remote:
         more = True
         while more or self._under_way:
             idle = False
-            while more and not idle and len(self._under_way) < AHEAD * self._threads():
+            room = AHEAD * self._threads()
+            while more and not idle and len(self._under_way) < room:
                 task = next(tasks, _END)
                 more = task is not _END
                 idle = task is None
@@ -119,8 +125,12 @@ class _Remote:
             yield position, source, self._outcome(source, future)
 
     def _threads(self) -> int:
-        workers = self._client.scheduler_info(n_workers=-1)["workers"]
-        return max(1, sum(int(worker["nthreads"]) for worker in workers.values()))
+        """Threads of all workers; asked anew every few seconds, as workers come and go."""
+        if time.monotonic() > self._count_until:
+            workers = self._client.scheduler_info(n_workers=-1)["workers"]
+            self._count = max(1, sum(int(worker["nthreads"]) for worker in workers.values()))
+            self._count_until = time.monotonic() + WORKERS_EVERY_S
+        return self._count
 
     def _submit(self, task: tuple[int, Source], shared: Any) -> None:
         future = self._client.submit(_work, task[1], shared, pure=False)

@@ -1,0 +1,132 @@
+"""Items a second of `tagid report` with 1 and 2 workers, here and on a Dask cluster, and the overhead.
+
+The overhead is measured on files that end at once (they are no captures): all the time is then spent on
+handing items out and taking results back. Real items are counted from the first result on, so that starting
+the processes is left out. Each figure is the best of `--repeats` runs: other load can only slow a run down.
+
+Run: python tests/benchmarks/bench_scaling.py
+Short: python tests/benchmarks/bench_scaling.py --items 20 --repeats 1
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import os
+import platform
+import re
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator
+from datetime import UTC, datetime
+from functools import partial
+from pathlib import Path
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import numpy as np
+
+from tagid.batch.cluster import run_cluster
+from tagid.batch.inputs import Source
+from tagid.batch.job import Job
+from tagid.batch.local import Results, Tasks, run_local
+from tagid.config import load_config
+from tagid.pipeline import ImagingSettings
+from tagid.simulate.acquisition import Acquisition
+from tagid.simulate.capture import simulate_capture
+from tagid.simulate.presets import scene_from_name
+from tagid.storage.hdf5 import write_capture
+from tagid.tags.layout import builtin_layouts
+
+OBJECTS = ("helmet-120", "container-90", "helmet-linear", "container-180")
+Runner = Callable[[Tasks, Job], Results]
+
+
+@contextlib.contextmanager
+def dask(*words: str, ready: str) -> Iterator[str]:
+    """A Dask process; yields what it says when it is ready."""
+    command = [sys.executable, "-m", f"distributed.cli.{words[0]}", *words[1:]]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True) as process:
+        assert process.stderr is not None
+        found = next(match for line in process.stderr if (match := re.search(ready, line)))
+        reader = threading.Thread(target=process.stderr.read)
+        reader.start()
+        try:
+            yield found[1]
+        finally:
+            process.kill()
+            reader.join()
+
+
+@contextlib.contextmanager
+def cluster(workers: int, folder: Path) -> Iterator[Runner]:
+    """A scheduler and workers of one thread each on loopback."""
+    where = ("--host", "127.0.0.1", "--no-dashboard")
+    with contextlib.ExitStack() as stack:
+        address = stack.enter_context(
+            dask("dask_scheduler", *where, "--port", "0", ready=r"Scheduler at:\s+(tcp://\S+)")
+        )
+        for number in range(workers):
+            options = ("--nthreads", "1", "--no-nanny", "--local-directory", str(folder / str(number)))
+            stack.enter_context(dask("dask_worker", address, *where, *options, ready=r"(Registered) to:"))
+        yield partial(run_cluster, address=address)
+
+
+def rate(runner: Runner, sources: list[Source], job: Job) -> tuple[float, float]:
+    """(items a second from the first result to the last, processor seconds of the work of an item)."""
+    times, cpu = [], 0.0
+    for result in runner(iter(list(enumerate(sources))), job):
+        if result is not None:
+            times.append(time.perf_counter())
+            cpu += result[2].cpu_s
+    # The first results of all workers come together; the clock runs from a moment when all are at work.
+    start = len(times) // 10
+    return (len(times) - 1 - start) / (times[-1] - times[start]), cpu / len(times)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--items", type=int, default=80)
+    parser.add_argument("--views", type=int, default=36)
+    parser.add_argument("--repeats", type=int, default=3)
+    arguments = parser.parse_args()
+    print(
+        f"Machine: {platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}, "
+        f"numpy {np.__version__}. Date: {datetime.now(UTC):%Y-%m-%d}."
+    )
+    print(f"Command: `python {' '.join(sys.argv)}`\n")
+    job = Job(ImagingSettings(method="bp"), tuple(builtin_layouts().values()), 1, load_config())
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        real = []
+        for seed in range(arguments.items):
+            scene = scene_from_name(OBJECTS[seed % 4], seed)
+            capture, _ = simulate_capture(scene, Acquisition(views=arguments.views, snr_db=20.0), seed)
+            write_capture(folder / f"{seed}.tagid.h5", capture)
+            real.append(Source.of(str(folder / f"{seed}.tagid.h5")))
+        (folder / "none.npz").write_bytes(b"no capture")
+        empty = [Source.of(str(folder / "none.npz"))] * (10 * arguments.items)
+        print("| | workers | items/s | work of an item, ms of one core | overhead of an item, ms |")
+        print("|---|---|---|---|---|")
+        for kind in ("local", "dask"):
+            for workers in (1, 2):
+                with contextlib.ExitStack() as stack:
+                    runner: Runner = partial(run_local, workers=workers)
+                    if kind == "dask":
+                        runner = stack.enter_context(cluster(workers, folder))
+                    rates = [rate(runner, real, job) for _ in range(arguments.repeats)]
+                    idle = [rate(runner, empty, job) for _ in range(arguments.repeats)]
+                work = min(cpu for _, cpu in rates)
+                overhead = 1 / max(r for r, _ in idle)
+                print(
+                    f"| {kind} | {workers} | {max(r for r, _ in rates):.2f} | {1e3 * work:.0f} "
+                    f"| {1e3 * overhead:.2f} |",
+                    flush=True,
+                )
+
+
+if __name__ == "__main__":
+    main()
