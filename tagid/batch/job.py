@@ -13,6 +13,7 @@ from typing import Any
 
 from tagid import __version__
 from tagid.config import Config
+from tagid.models_store import manifest
 from tagid.pipeline import ImagingSettings
 from tagid.tags.layout import Layout
 
@@ -52,6 +53,7 @@ class Job:
             "registry_version": self.registry_version,
             "layouts_sha256": _sha256([layout.to_dict() for layout in self.layouts]),
             "tool_version": __version__,
+            "models_sha256": {name: entry.sha256 for name, entry in sorted(manifest().items())},
             "pictures": self.pictures,
         }
 

@@ -40,7 +40,7 @@ def draw_pictures(
         layout: the layout of the answer; None where there is none.
 
     Returns:
-        (image, sinogram, drawing): drawing has `method`, `extent_m`, `image_db`, `layout_m` (places of the
+        (image, sinogram, drawing): drawing has `method`, `extent_m`, `centre_m`, `image_db`, `layout_m` (places of the
         layout's reflectors), `range_m` (first, last), `angle_deg` (first, last; None without angles),
         `views`, `sinogram_db`.
     """
@@ -59,6 +59,7 @@ def draw_pictures(
         {
             "method": result.method,
             "extent_m": result.image.grid.extent,
+            "centre_m": [round(float(value), 5) for value in result.image.centre_m],
             "image_db": IMAGE_DB,
             "layout_m": placed,
             "range_m": [round(float(ranges[0]), 4), round(float(ranges[-1]), 4)],

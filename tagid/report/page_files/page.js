@@ -172,8 +172,8 @@
     svg.append(line);
   };
   const image = (item, source) => {
-    const d = item.drawing, half = d.extent_m / 2;
-    const { svg, at } = plot(source, { from: -half, to: half, label: "x, m" }, { from: half, to: -half, label: "y, m" },
+    const d = item.drawing, half = d.extent_m / 2, [mx, my] = d.centre_m;
+    const { svg, at } = plot(source, { from: mx - half, to: mx + half, label: "x, m" }, { from: my + half, to: my - half, label: "y, m" },
       d.image_db, `Radar image of ${item.file}: ${item.reflectors.length} reflectors`);
     const mm = (x, y) => `(${(1000 * x).toFixed(1)}, ${(1000 * y).toFixed(1)}) mm`;
     for (const [x, y] of d.layout_m) {
