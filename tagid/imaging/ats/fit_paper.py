@@ -55,12 +55,12 @@ class PaperSettings:
         seed: of the initial weights and of the order of the views.
     """
 
-    steps: int = 200
-    views_per_step: int = 12
+    steps: int = 120
+    views_per_step: int = 36
     learning_rate: float = 0.02
     decay: float = 0.1
     width: int = 32
-    l1: float = 5.0
+    l1: float = 7.0
     beam_width_rad: float = np.pi / 2
     ray_spacing_wavelengths: float = 1 / 3
     lambert_floor: float = 0.2
