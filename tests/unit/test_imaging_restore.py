@@ -1,4 +1,4 @@
-"""The restoring beam keeps a point's amplitude and place, and has the width of the full-turn point response."""
+"""The restoring beam keeps a point's amplitude and place, and is as wide as the full-turn point response."""
 
 from __future__ import annotations
 

@@ -42,8 +42,9 @@ class PaperSettings:
         learning_rate: of Adam (the optimiser is not named), falling exponentially to `decay` of it.
         decay: see there.
         width: units of each of the three hidden layers (four linear layers are said, their width is not).
-        l1: weight of mean |sigma| / output_scale, relative to the squared residual of a blank image; the
-            paper speaks of scene priors without naming one, its closest relative has this one.
+        l1: weight of mean |sigma| / output_scale, relative to the squared residual of a blank image, growing
+            from zero over the first half of the steps; the paper speaks of scene priors without naming one,
+            its closest relative has this one.
         beam_width_rad: full -3 dB width of the beam.
         ray_spacing_wavelengths: rays' distance at the middle of the scene, in wavelengths of the carrier.
         lambert_floor: least value of the Lambertian factor.
@@ -55,12 +56,12 @@ class PaperSettings:
         seed: of the initial weights and of the order of the views.
     """
 
-    steps: int = 120
-    views_per_step: int = 36
-    learning_rate: float = 0.02
+    steps: int = 100
+    views_per_step: int = 24
+    learning_rate: float = 0.03
     decay: float = 0.1
     width: int = 32
-    l1: float = 7.0
+    l1: float = 1.5
     beam_width_rad: float = np.pi / 2
     ray_spacing_wavelengths: float = 1 / 3
     lambert_floor: float = 0.2
@@ -201,7 +202,8 @@ class _Fit:
             views, waiting = waiting[:count], waiting[count:]
             residual, density = self.residual(views)
             residual = residual / (energy * count)
-            loss = residual + s.l1 * density
+            # The prior comes in slowly: at full weight from the start the empty scene is a trap.
+            loss = residual + s.l1 * min(1.0, 2 * step / s.steps) * density
             optimiser.zero_grad()
             loss.backward()
             optimiser.step()

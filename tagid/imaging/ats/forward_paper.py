@@ -23,7 +23,9 @@ What the paper leaves open, and what is chosen here:
   Lambertian factor with n = -grad |sigma| / |grad |sigma||, d the ray, the gradient by central differences
   between neighbouring spheres and rays. It is |n . d|, not max(0, n . -d): with the ripple of the carrier in
   sigma, |sigma| rises and falls four times a wavelength, and the one-sided factor blanks half of each.
-  It is never less than `lambert_floor`, because n has no direction where the gradient vanishes.
+  It is never less than `lambert_floor`, because n has no direction where the gradient vanishes. A plain
+  division by |grad| would give the faintest texture full strength: the fit then writes the carrier's ripple
+  into n instead of into sigma, reaches a small loss, and shows nothing; hence `LEAST_GRADIENT`.
 * dx on the sphere: the arc R dphi between neighbouring rays of a fan in the object's plane (the scene is two-
   dimensional). 1/R^4 is in eq. 2, but not in eq. 3, which is the one that is sampled: it is left out.
 * b_T: 2^-(2 theta / width)^2 about the line to the middle of the scene, one-way power, width 90 degrees.
@@ -46,6 +48,9 @@ from numpy.typing import NDArray
 from tagid.geometry import Aperture, ImageGrid
 
 Floats = NDArray[np.float64]
+
+LEAST_GRADIENT = 1000.0
+"""Gradient of |sigma|, 1/m^2, of which half counts as a surface; a reflector has 80 / m within 1 cm."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,5 +137,4 @@ def _facing(magnitude: Any, depths: Any, ray_step_rad: float) -> Any:
     sideways = torch.diff(magnitude, dim=0)
     across = torch.nn.functional.pad(sideways, (0, 0, 1, 0)) + torch.nn.functional.pad(sideways, (0, 0, 0, 1))
     across = across / 2 / (depths * ray_step_rad).clamp_min(1e-4)
-    # The floor in the root is a gradient of 1 / m over a metre: nothing beside that of a reflector.
-    return outward / (outward.square() + across.square() + 1.0).sqrt()
+    return outward / (outward.square() + across.square() + LEAST_GRADIENT**2).sqrt()
