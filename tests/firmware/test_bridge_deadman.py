@@ -99,9 +99,8 @@ def test_silence_trips_and_nothing_drives_until_armed_again(board: BoardProcess,
                 while not events:
                     await asyncio.sleep(0.01)
             assert isinstance(events[0], Tripped) and events[0].cause == "silence of the host"
-            assert 400 <= events[0].silent_ms < 500
-            await asyncio.sleep(0.3)  # the two repeats of the stop bytes
-            repeats = wire.waiting()
+            assert events[0].silent_ms >= 400
+            repeats = await asyncio.to_thread(wire.read, 2 * 16)
             assert repeats.count(STOP_WHEELS) == 4 and stops(repeats)
             await bridge.write(DRIVE)
             reply: Reply = await bridge.ask(Op.HEARTBEAT)
@@ -118,9 +117,9 @@ def test_silence_trips_and_nothing_drives_until_armed_again(board: BoardProcess,
 def test_heartbeats_keep_the_wheels_turning(board: BoardProcess, wire: Wire) -> None:
     async def run() -> None:
         async with host(board) as bridge:
-            await bridge.arm(400)
+            await bridge.arm(2000)  # a busy machine may be late with a heartbeat, but not by three of them
             await bridge.write(DRIVE)
-            await asyncio.sleep(1.5)
+            await asyncio.sleep(3.0)
             assert wire.waiting() == DRIVE and (await bridge.status()).state == "armed"
             await bridge.disarm()
 
