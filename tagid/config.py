@@ -62,6 +62,9 @@ SETTINGS: tuple[Setting, ...] = (
     Setting("imaging.method", str, "auto", "bp, sparse, ats, auto and more", choices=METHODS),
     Setting("imaging.extent_m", float, 0.5, "side of the image, m", 0.05, 5),
     Setting("imaging.pixels", int, 128, "pixels a side", 16, 1024),
+    Setting(
+        "tags.false_accept", float, 1e-3, "chance of naming an object without an enrolled tag", 1e-9, 0.5
+    ),
     Setting("storage.folder", str, None, "where captures are written (default: current folder)"),
 )
 """Every setting there is."""

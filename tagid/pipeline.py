@@ -29,7 +29,7 @@ from tagid.turn import resolve_turn
 
 if TYPE_CHECKING:
     from tagid.tags.layout import Layout
-    from tagid.tags.matcher import Reading
+    from tagid.tags.matcher import ReaderSettings, Reading
     from tagid.tags.reflectors import Reflector
 
 Progress = Callable[[float, float, str], None]
@@ -62,6 +62,7 @@ class ImagingSettings:
         delay_m: how far the path delay of free antenna positions is searched to both sides, one-way m.
         restore: show sparse images at the resolution of the data (`tagid.imaging.restore`), or bare pixels.
         free_size: whether extent and pixels may follow the echoes of free antenna positions.
+        false_accept: probability of naming what is no tag, or a tag that nobody enrolled.
     """
 
     method: str = "auto"
@@ -77,6 +78,7 @@ class ImagingSettings:
     free_size: tuple[bool, bool] = (False, False)
     engine: str = "auto"
     device: str = "cpu"
+    false_accept: float = 1e-3
 
     def __post_init__(self) -> None:
         if self.preset not in PRESETS:
@@ -284,9 +286,48 @@ def identify(
     with watch.stage("preprocess"):
         scans = preprocess(capture, settings=_preprocessing(settings, matched_filter=False))
     with watch.stage("read"):
-        reading = read_tag(scans, layouts)
+        reading = read_tag(scans, layouts, _reading(settings))
     label = next((layout.label for layout in layouts if layout.name == reading.layout), "")
     return Identification(reading.status, reading, capture.uuid, registry_version, label, dict(watch.seconds))
+
+
+def identify_together(
+    captures: Sequence[Capture],
+    layouts: Sequence[Layout],
+    settings: ImagingSettings | None = None,
+    registry_version: int | None = None,
+) -> tuple[Identification, list[Identification]]:
+    """Name the object of several prepared captures at once, and of each alone (see `tags.vote`).
+
+    Raises as `identify` does.
+    """
+    from tagid.tags.vote import read_together
+
+    settings = settings or ImagingSettings()
+    watch = Stopwatch()
+    recordings = []
+    for capture in captures:
+        if capture.views < 3:
+            raise DataError(f"a capture has {capture.views} views, too few to read a tag", "Leave it out.")
+        with watch.stage("preprocess"):
+            recordings.append(preprocess(capture, settings=_preprocessing(settings, matched_filter=False)))
+    with watch.stage("read"):
+        joint, alone = read_together(recordings, layouts, _reading(settings))
+    labels = {layout.name: layout.label for layout in layouts}
+
+    def answer(reading: Reading, uuid: str | None) -> Identification:
+        label = labels.get(reading.layout or "", "")
+        return Identification(reading.status, reading, uuid, registry_version, label, dict(watch.seconds))
+
+    each = [answer(reading, c.uuid) for reading, c in zip(alone, captures, strict=True)]
+    return answer(joint, captures[0].uuid if len(captures) == 1 else None), each
+
+
+def _reading(settings: ImagingSettings) -> ReaderSettings:
+    from tagid.tags.decision import DecisionSettings
+    from tagid.tags.matcher import ReaderSettings
+
+    return ReaderSettings(decision=DecisionSettings(false_accept=settings.false_accept))
 
 
 def locate_reflectors(capture: Capture, settings: ImagingSettings | None = None) -> tuple[Reflector, ...]:

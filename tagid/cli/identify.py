@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from tagid.cli import options
 from tagid.cli.frame import Terminal, command
-from tagid.config import load_config
-from tagid.errors import EXIT_BATCH, EXIT_FAILED, TagidError, displayable
+from tagid.config import Config, load_config
+from tagid.errors import EXIT_BATCH, EXIT_FAILED, TagidError, UsageError, displayable
 from tagid.result import Result, Status
 
 if TYPE_CHECKING:
@@ -30,11 +30,24 @@ def register(app: typer.Typer) -> None:
         background: options.Background = "mean",
         preview: options.Preview = False,
         png: options.PngFile = None,
+        vote: Annotated[
+            bool,
+            typer.Option("--vote", help="All files are of one object: give one answer from all of them."),
+        ] = False,
     ) -> Result:
         """Name the object in one or more recorded scans.
 
         Example: tagid identify helmet.tagid.h5
         """
+        if vote:
+            if preview or png:
+                raise UsageError("--vote draws no image", "Leave --preview and --png out.")
+            overrides = {
+                "motion.url": motion,
+                "motion.axis_distance_m": axis_distance,
+                "motion.antenna_height_m": antenna_height,
+            }
+            return vote_on(files, load_config(overrides), background, "identify")
         return run(
             terminal,
             files,
@@ -101,6 +114,31 @@ def run(
     notes = imaging.remember("identify", items, {"background": background, **_given(overrides)})
     data = {"items": items, "png": str(png) if png else None}
     return Result("identify", data, Group(*drawn) if drawn else None, status, code, notes, tuple(errors))
+
+
+def vote_on(files: list[Path], config: Config, background: str, command_name: str) -> Result:
+    """One answer from files that are recordings of one object. Raises what reading any of them raises."""
+    from tagid.cli import imaging
+    from tagid.cli.voting import joint_item, joint_text
+    from tagid.defaults import complete, motion_of, without_reference
+    from tagid.pipeline import identify_together, prepare
+    from tagid.storage.importers import read_any
+
+    registry = imaging.open_registry()
+    captures = []
+    for path in files:
+        capture = complete(read_any(path, config["radar.cable_delay_ps"]), config)
+        capture = without_reference(capture, config, background)
+        known = command_name == "scan" and capture.angles_rad is not None
+        captures.append(prepare(capture, None if known else motion_of(config, capture)))
+    settings = imaging.settings_from(config, background)
+    joint, alone = identify_together(captures, registry.layouts(), settings, registry.version)
+    names = [displayable(str(path)) for path in files]
+    items = [joint_item(joint, names, alone)]
+    notes = imaging.remember(command_name, items, {"background": background, "vote": len(files)})
+    code = imaging.exit_code_of([joint])
+    human = joint_text(joint, names, alone)
+    return Result(command_name, {"items": items, "png": None}, human, exit_code=code, messages=notes)
 
 
 def _given(overrides: dict[str, object]) -> dict[str, object]:

@@ -19,6 +19,9 @@ if TYPE_CHECKING:
     from tagid.recorder import RecordingPlan
 
 
+MAX_REPEAT = 100
+
+
 def register(app: typer.Typer) -> None:
     """Add the command."""
 
@@ -38,6 +41,9 @@ def register(app: typer.Typer) -> None:
         demo_scene: Annotated[str, typer.Option("--demo-scene", help="What the demo turns.")] = "helmet-120",
         preview: options.Preview = False,
         note: Annotated[str, typer.Option("--note", help="Kept in the capture, e.g. a name.")] = "",
+        repeat: Annotated[
+            int, typer.Option("--repeat", help="Record so many turns and answer from all of them.")
+        ] = 1,
         yes: Yes = False,
     ) -> Result:
         """Record one turn of the object, image it and name it.
@@ -55,15 +61,40 @@ def register(app: typer.Typer) -> None:
         }
         about = {"note": note} if note else {}
         limits = (scans, max_seconds)
+        if not 1 <= repeat <= MAX_REPEAT:
+            raise ConfigError(f"--repeat is {repeat}", f"Give 1 to {MAX_REPEAT}.")
         if not demo:
             config = load_config(overrides)
             agree_to(config["motion.url"], yes)
-            return _scan(terminal, config, limits, about, preview)
+            return _scans(terminal, config, limits, about, preview, repeat)
         from tagid.cli.demo import emulated_radar
 
         with emulated_radar(demo_scene) as there:
             demo_config = load_config({**overrides, **there})
-            return _scan(terminal, demo_config, limits, {**about, "demo": True}, preview)
+            return _scans(terminal, demo_config, limits, {**about, "demo": True}, preview, repeat)
+
+
+def _scans(
+    terminal: Terminal,
+    config: Config,
+    limits: tuple[int | None, float],
+    about: dict[str, Any],
+    preview: bool,
+    repeat: int,
+) -> Result:
+    """One turn, or several and one answer from all of them; what was recorded before a failure is kept."""
+    from dataclasses import replace
+
+    from tagid.cli.identify import vote_on
+
+    turns = [_scan(terminal, config, limits, about, preview) for _ in range(repeat)]
+    if repeat == 1 or any(turn.errors for turn in turns):
+        return next((turn for turn in turns if turn.errors), turns[-1])
+    files = [Path(turn.data["files"]["capture"]) for turn in turns]
+    joint = vote_on(files, config, "mean", "scan")
+    facts = [{key: value for key, value in turn.data.items() if key != "items"} for turn in turns]
+    messages = tuple(dict.fromkeys(m for turn in turns for m in turn.messages)) + joint.messages
+    return replace(joint, data={"items": joint.data["items"], "turns": facts}, messages=messages)
 
 
 def _scan(

@@ -34,10 +34,10 @@ class Localisation:
 
 
 MEASURED = (
-    Localisation(36, 20, 0.0003),
-    Localisation(36, 10, 0.0005),
-    Localisation(36, 0, 0.0012),
-    Localisation(12, 10, 0.0009),
+    Localisation(36, 20, 0.00016),
+    Localisation(36, 10, 0.00033),
+    Localisation(36, 0, 0.00105),
+    Localisation(12, 10, 0.00073),
 )
 """Printed by `tests/benchmarks/identification.py --only localisation`; docs/results.md shows the run."""
 

@@ -30,9 +30,9 @@ class DecisionSettings:
         false_accept: probability of naming what is no tag, or a tag that nobody enrolled; it sets how much
             energy over noise a tag needs, and how strong an echo must be to rule out another object.
         explained_share: least share of the energy above noise that the layout explains.
-        gain_nats, gain_share: one reflector more, all placed freely, may explain so many noise levels plus
-            this share of the layout's energy more. Tags in noise reach 13 nats in one of a hundred, and up
-            to 10 % by wobble and aspect at 12 views; other tags leave 23 % or more.
+        gain_nats, gain_spread_nats, gain_share: one reflector more, all placed freely, may explain so many
+            noise levels plus this share of the layout's energy more. Tags in noise gain 8 in the mean and 13
+            in one of a hundred, and up to 10 % by wobble and aspect; other tags leave 23 % or more.
         missing_share: a reflector weaker than this share of the strongest is missing; less
             `missing_deviations` of a measured amplitude, but never under `missing_least`.
         extra_share: an unexplained point stronger than this share of the layout's median counts as extra.
@@ -47,7 +47,8 @@ class DecisionSettings:
 
     false_accept: float = 1e-3
     explained_share: float = 0.45
-    gain_nats: float = 13.0
+    gain_nats: float = 8.0
+    gain_spread_nats: float = 5.0
     gain_share: float = 0.12
     missing_share: float = 0.65
     missing_deviations: float = 1.5
@@ -81,6 +82,7 @@ class Evidence:
         displacement_m: RMS distance of freely fitted reflectors from the layout's places.
         displacement_sigma_m: standard deviation of one measured position.
         margin_share, margin_nats: the best's lead over the runner-up, of its energy and in noise levels.
+        scans: recordings of one object that the energies are sums of.
     """
 
     size: int
@@ -96,20 +98,24 @@ class Evidence:
     displacement_sigma_m: float
     margin_share: float
     margin_nats: float
+    scans: int = 1
 
 
-def chance(nats: float, size: int, places: float) -> float:
-    """Probability that noise alone, searched at so many places, is explained so well by `size` points.
+def chance(nats: float, size: int, places: float, scans: int = 1) -> float:
+    """Probability that noise alone, searched at so many places a scan, is explained so well by `size` points.
 
     At one place the energy is Gamma(K) distributed: Q(K, x) = exp(-x) sum_{j<K} x^j / j!.
     """
     if nats <= 0:
         return 1.0
-    tail = sum(exp(j * log(nats) - lgamma(j + 1) - nats) for j in range(size))
-    return min(places * tail, 1.0)
+    degrees = size * scans
+    terms = [j * log(nats) - lgamma(j + 1) - nats for j in range(degrees)]
+    largest = max(terms)
+    tail = largest + log(sum(exp(t - largest) for t in terms)) + scans * log(places)
+    return exp(min(tail, 0.0))
 
 
-def strongest_gain(nats: float, size: int, false_accept: float) -> float:
+def strongest_gain(nats: float, size: int, false_accept: float, scans: int = 1) -> float:
     """The largest gain of a further point at which another object is ruled out, in nats.
 
     A further reflector, as strong as the layout's own of e = nats / K each, would gain about e + 6 with a
@@ -117,26 +123,27 @@ def strongest_gain(nats: float, size: int, false_accept: float) -> float:
     """
     each = max(nats, 0.0) / size
     z = NormalDist().inv_cdf(1 - min(false_accept / CHANCE_MATCH, 0.5))
-    return each - z * sqrt(2 * each) + SEARCH_GAIN_NATS
+    return each - z * sqrt(2 * each) + SEARCH_GAIN_NATS * scans
 
 
 def decide(evidence: Evidence, settings: DecisionSettings) -> tuple[str, str]:
     """Status (identified, unknown, ambiguous or no_tag) and the reason in words."""
     e, s = evidence, settings
-    if chance(e.nats, e.size, e.places) > s.false_accept:
+    if chance(e.nats, e.size, e.places, e.scans) > s.false_accept:
         return "no_tag", "nothing stands out of noise and clutter"
     if e.share < s.explained_share:
         return "unknown", f"the nearest layout explains {e.share:.0%} of the echo"
     if e.missing:
         return "unknown", f"{e.missing} reflector(s) of the nearest layout are missing"
-    if e.gain_nats > s.gain_nats + s.gain_share * e.noise_nats:
+    by_chance = s.gain_nats * e.scans + s.gain_spread_nats * sqrt(e.scans)
+    if e.gain_nats > by_chance + s.gain_share * e.noise_nats:
         if e.extra:
             return "unknown", f"{e.extra} strong reflector(s) beyond the nearest layout"
         more = e.gain_nats / max(e.noise_nats, 1e-9)
         return "unknown", f"points elsewhere explain {more:.0%} more than the nearest layout"
     if e.displacement_m > s.displacement_m + 4 * e.displacement_sigma_m:
         return "unknown", f"reflectors lie {e.displacement_m * 1e3:.1f} mm from the nearest layout's"
-    if e.gain_nats > strongest_gain(e.noise_nats, e.size, s.false_accept):
+    if e.gain_nats > strongest_gain(e.noise_nats, e.size, s.false_accept, e.scans):
         return "unknown", "the echo is too weak to rule out that another object made it"
     if e.margin_share < s.ambiguous_share or e.margin_nats < s.ambiguous_nats:
         return "ambiguous", "two layouts explain the echo almost equally well"

@@ -93,6 +93,10 @@ class Layout:
             text = getattr(self, name)
             if not isinstance(text, str) or len(text) > MAX_TEXT:
                 raise UsageError(f"layout {self.name}: {name} is not a text of up to {MAX_TEXT} characters")
+            if not all(character.isprintable() or character == "\n" for character in text):
+                raise UsageError(
+                    f"layout {self.name}: {name} holds control characters", "Use letters, digits and signs."
+                )
         object.__setattr__(self, "positions", self._checked_positions())
         object.__setattr__(self, "heights", self._checked_heights())
         computed = rotational_symmetry(self._in_space())

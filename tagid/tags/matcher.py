@@ -110,41 +110,62 @@ def read_tag(
     Raises:
         RegistryError: no layouts. DataError: the scans do not hold the object's range.
     """
-    if not layouts:
-        raise RegistryError("no layout is enrolled", "Enrol one with tagid enroll.")
-    settings = settings or ReaderSettings()
-    reach = max(layout.radius_m for layout in layouts) + settings.search.centre_range_m * np.sqrt(2)
-    radius = max(reach, settings.finder.radius_m) + 0.02
-    matched = MatchedField(fold_views(scans, radius), radius)
-    fits = search(matched, layouts, settings.search)
-    order = np.argsort([_criterion(matched, fit) for fit in fits])
-    best = fits[order[0]]
-    disc = SearchDisc(matched, radius - 0.02, settings.finder.step_m, best.offset_m)
-    positions, amplitudes, level = clean(disc, best.positions, best.amplitudes, settings.finder)
-    apart = separate(positions, amplitudes, best.layout.size)
-    positions, amplitudes = positions[apart], amplitudes[apart]
-    runner_up = fits[order[1]] if len(fits) > 1 else None
-    places = sum(2 * np.pi * one.radius_m / one.symmetry for one in layouts) * PLACES_PER_METRE
-    evidence = _evidence(disc, (best, runner_up), (amplitudes, level), places, settings)
-    status, reason = decide(evidence, settings.decision)
-    ranked = [fits[i] for i in order]
-    signal = _signal_energy(matched, best, level)
-    return Reading(
-        status=status,
-        reason=reason,
-        layout=best.layout.name if status in ("identified", "ambiguous") else None,
-        nearest=best.layout.name,
-        score=0.0 if status == "no_tag" else _certain_share(matched, best, level),
-        margin=float(np.clip(evidence.margin_share, 0, 1)),
-        rotation_deg=float(np.rad2deg(best.rotation_rad)),
-        centre_m=(float(best.centre_m[0]), float(best.centre_m[1])),
-        offset_m=best.offset_m,
-        reflectors=as_reflectors(positions, amplitudes, level, matched.template_energy, best.layout.size),
-        missing=evidence.missing,
-        extra=evidence.extra,
-        scores=tuple(_score(matched, fit, signal) for fit in ranked),
-        evidence=evidence,
-    )
+    scan = MatchedScan(scans, layouts, settings or ReaderSettings())
+    return scan.read(np.argsort(scan.criteria))
+
+
+class MatchedScan:
+    """One recording with the best place of every layout in it.
+
+    Args:
+        scans, layouts, settings: see `read_tag`.
+
+    Attributes:
+        criteria: (layouts,) J of `LayoutScore`, lower is better; of several recordings they add up.
+
+    Raises:
+        RegistryError: no layouts. DataError: the scans do not hold the object's range.
+    """
+
+    def __init__(self, scans: BasebandScans, layouts: Sequence[Layout], settings: ReaderSettings) -> None:
+        if not layouts:
+            raise RegistryError("no layout is enrolled", "Enrol one with tagid enroll.")
+        reach = max(layout.radius_m for layout in layouts) + settings.search.centre_range_m * np.sqrt(2)
+        self._radius = max(reach, settings.finder.radius_m)
+        self._settings = settings
+        self._field = MatchedField(fold_views(scans, self._radius + 0.02), self._radius + 0.02)
+        self._fits = search(self._field, layouts, settings.search)
+        self._places = sum(2 * np.pi * one.radius_m / one.symmetry for one in layouts) * PLACES_PER_METRE
+        self.criteria = np.array([_criterion(self._field, fit) for fit in self._fits])
+
+    def read(self, order: NDArray[np.intp]) -> Reading:
+        """What this recording says if the layouts rank in this order."""
+        settings, matched = self._settings, self._field
+        ranked = [self._fits[i] for i in order]
+        best, runner_up = ranked[0], ranked[1] if len(ranked) > 1 else None
+        disc = SearchDisc(matched, self._radius, settings.finder.step_m, best.offset_m)
+        positions, amplitudes, level = clean(disc, best.positions, best.amplitudes, settings.finder)
+        apart = separate(positions, amplitudes, best.layout.size)
+        positions, amplitudes = positions[apart], amplitudes[apart]
+        evidence = _evidence(disc, (best, runner_up), (amplitudes, level), self._places, settings)
+        status, reason = decide(evidence, settings.decision)
+        signal = _signal_energy(matched, best, level)
+        return Reading(
+            status=status,
+            reason=reason,
+            layout=best.layout.name if status in ("identified", "ambiguous") else None,
+            nearest=best.layout.name,
+            score=0.0 if status == "no_tag" else _certain_share(matched, best, level),
+            margin=float(np.clip(evidence.margin_share, 0, 1)),
+            rotation_deg=float(np.rad2deg(best.rotation_rad)),
+            centre_m=(float(best.centre_m[0]), float(best.centre_m[1])),
+            offset_m=best.offset_m,
+            reflectors=as_reflectors(positions, amplitudes, level, matched.template_energy, best.layout.size),
+            missing=evidence.missing,
+            extra=evidence.extra,
+            scores=tuple(_score(matched, fit, signal) for fit in ranked),
+            evidence=evidence,
+        )
 
 
 def _criterion(matched: MatchedField, fit: Fit) -> float:

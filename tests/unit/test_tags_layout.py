@@ -54,6 +54,12 @@ def test_a_layout_takes_back_its_own_dict() -> None:
         ({"positions_m": "no"}, "positions_m"),
         ({"colour": "red"}, "colour"),
         ({"notes": 5}, "notes"),
+        ({"label": "red\x1b[31m"}, "label"),
+        ({"name": "../x"}, "name"),
+        ({"name": "a\x07b"}, "name"),
+        ({"heights_m": [0.1]}, "heights_m"),
+        ({"heights_m": [0.1, 2.0]}, "heights_m"),
+        ({"heights_m": "high"}, "heights_m"),
         ({"notes": "x" * 5000}, "notes"),
     ],
 )

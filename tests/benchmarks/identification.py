@@ -1,0 +1,269 @@
+"""How often the reader is right: layouts, views, SNR, other objects, imperfections, and the limit.
+
+Run `python tests/benchmarks/identification.py --jobs 2` for what docs/results.md shows, `--short` for a check
+of some minutes, `--only grid` (roc, methods, robustness, localisation) for a part.
+"""
+
+from __future__ import annotations
+
+import argparse
+import multiprocessing
+import os
+import platform
+import sys
+import time
+from collections import Counter
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import numpy as np
+from identification_scenes import SETS, TWISTS, Condition, Recorded, record
+
+from tagid.geometry import ImageGrid
+from tagid.imaging.autofocus import focus_axis_distance
+from tagid.imaging.backprojection import backproject
+from tagid.tags.codebook import best_pairing
+from tagid.tags.decision import DecisionSettings, Evidence, decide
+from tagid.tags.field import MatchedField
+from tagid.tags.hypotheses import SearchSettings, search
+from tagid.tags.matcher import read_tag
+
+VIEWS = (360, 36, 18, 12)
+SNRS_DB = (20, 10, 5, 0)
+OUTCOMES = ("correct", "ambiguous", "unknown", "no_tag", "wrong")
+PARTS = ("grid", "roc", "methods", "robustness", "localisation")
+HARD = ((36, 10), (36, 0), (12, 10), (18, 0))
+FALSE_ACCEPTS = (1e-4, 1e-3, 1e-2, 1e-1)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of one scene."""
+
+    condition: Condition
+    method: str
+    outcome: str
+    seconds: float
+    size: int = 0
+    displacement_m: float = 0.0
+    evidence: Evidence | None = None
+    right: bool = False
+
+
+def by_reader(recorded: Recorded, enrolled: str) -> tuple[str, str, Evidence | None]:
+    """The product: (status, layout, evidence)."""
+    reading = read_tag(recorded.scans, SETS[enrolled])
+    return reading.status, reading.nearest, reading.evidence
+
+
+def by_limit(recorded: Recorded, enrolled: str) -> tuple[str, str, Evidence | None]:
+    """Likelihood ratio of templates with rotation and centre free; distance, pulse and noise are known."""
+    matched = MatchedField(recorded.scans, 0.16)
+    settings = SearchSettings(
+        offsets_m=(recorded.range_offset_m,), arc_step_m=4e-3, centre_step_m=3.4e-3, starts=5, balance=1e-9
+    )
+    fits = search(matched, SETS[enrolled], settings)
+    n = matched.independent_samples
+    gain = [fit.explained / matched.noise_variance - fit.layout.size * np.log(n) for fit in fits]
+    return "identified", fits[int(np.argmax(gain))].layout.name, None
+
+
+def by_estimated_limit(recorded: Recorded, enrolled: str) -> tuple[str, str, Evidence | None]:
+    """The same with distance and noise estimated: the reader's best layout, without its right to refuse."""
+    return "identified", read_tag(recorded.scans, SETS[enrolled]).nearest, None
+
+
+def by_image_peaks(recorded: Recorded, enrolled: str) -> tuple[str, str, Evidence | None]:
+    """Backprojection and its local maxima within 6 dB, paired with every layout."""
+    grid = ImageGrid(0.36, 96)
+    scans, _ = focus_axis_distance(recorded.scans, grid, 0.03)
+    values = np.abs(backproject(scans, grid, 1).values)
+    inner = values[1:-1, 1:-1]
+    around = [values[1 + i : 95 + i, 1 + j : 95 + j] for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j]
+    top = (inner >= np.max(around, axis=0)) & (inner > 0.5 * values.max())
+    rows, columns = np.nonzero(top)
+    order = np.argsort(-inner[rows, columns])[:5]
+    peaks = np.stack([grid.axis[columns[order] + 1], grid.axis[rows[order] + 1]], axis=-1)
+    costs = {}
+    for layout in SETS[enrolled]:
+        if layout.size <= len(peaks):
+            pair = best_pairing(layout.positions, peaks, 0.02)
+            costs[layout.name] = pair.rms_m / 0.01 + (len(peaks) - layout.size)
+        else:
+            costs[layout.name] = 10.0 * (layout.size - len(peaks))
+    return "identified", min(costs, key=lambda name: costs[name]), None
+
+
+METHODS: dict[str, Callable[[Recorded, str], tuple[str, str, Evidence | None]]] = {
+    "reader": by_reader,
+    "limit, known": by_limit,
+    "limit, estimated": by_estimated_limit,
+    "BP + local maxima": by_image_peaks,
+}
+"""Rows by method; further ones (images read by a network) are functions of the same kind, added here."""
+
+
+def one(task: tuple[Condition, str, int]) -> Outcome:
+    """One scene, recorded and read."""
+    condition, method, number = task
+    recorded = record(condition, number)
+    start = time.perf_counter()
+    status, name, evidence = METHODS[method](recorded, condition.enrolled)
+    seconds = time.perf_counter() - start
+    right = name == recorded.name
+    outcome = status if status != "identified" else "correct" if right else "wrong"
+    shape = (evidence.size, evidence.displacement_m) if evidence else (0, 0.0)
+    return Outcome(condition, method, outcome, seconds, *shape, evidence, right)
+
+
+def wilson(hits: int, total: int) -> tuple[float, float]:
+    """95 % interval of a proportion (Wilson 1927)."""
+    z = 1.959964
+    p, w = hits / total, z * z / total
+    middle, half = (p + w / 2) / (1 + w), z * np.sqrt(p * (1 - p) / total + w / (4 * total)) / (1 + w)
+    return max(0.0, middle - half), min(1.0, middle + half)
+
+
+def cell(hits: int, total: int) -> str:
+    low, high = wilson(hits, total)
+    return f"{100 * hits / total:.1f} ({100 * low:.1f}..{100 * high:.1f})"
+
+
+def table(head: str, rows: Iterable[tuple[str, list[Outcome]]], columns: tuple[str, ...] = OUTCOMES) -> None:
+    """A markdown table of outcomes in per cent, one line a row."""
+    names = f"{head} | scenes | {' | '.join(columns)} | seconds"
+    print(f"| {names} |\n|" + "---|" * (names.count("|") + 1))
+    for name, some in rows:
+        if some:
+            count = Counter(o.outcome for o in some)
+            cells = " | ".join(cell(count[c], len(some)) for c in columns)
+            print(f"| {name} | {len(some)} | {cells} | {np.median([o.seconds for o in some]):.2f} |")
+    print(flush=True)
+
+
+class Runner:
+    """Runs scenes in parallel and keeps what was asked for twice."""
+
+    def __init__(self, jobs: int) -> None:
+        self.pool = multiprocessing.get_context("fork").Pool(jobs)
+        self.known: dict[tuple[Condition, str, int], list[Outcome]] = {}
+
+    def run(self, condition: Condition, scenes: int, method: str = "reader") -> list[Outcome]:
+        key = condition, method, scenes
+        if key not in self.known:
+            tasks = [(condition, method, i) for i in range(scenes)]
+            self.known[key] = list(self.pool.imap(one, tasks, chunksize=4))
+            wrong = [i for i, o in enumerate(self.known[key]) if o.outcome == "wrong"]
+            print(condition, method, f"wrong: {wrong}" if wrong else "", file=sys.stderr, flush=True)
+        return self.known[key]
+
+
+def grid(runner: Runner, arguments: argparse.Namespace) -> None:
+    for enrolled in SETS:
+        print(f"Tagged, {enrolled} ({len(SETS[enrolled])} layouts)\n")
+        rows = []
+        for views in arguments.views:
+            for snr in arguments.snr:
+                condition = Condition("tagged", enrolled, views, snr)
+                rows.append((f"{views} | {snr}", runner.run(condition, arguments.scenes)))
+        table("views | SNR dB", rows)
+    for group in ("unenrolled", "untagged"):
+        print(f"{group.capitalize()} objects, the paper's four enrolled\n")
+        rows = [
+            (f"{v} | {s}", runner.run(Condition(group, "paper", v, s), arguments.scenes)) for v, s in HARD
+        ]
+        table("views | SNR dB", rows, OUTCOMES[1:])
+    print("SNR as `tagid simulate --snr` means it: at the peak of the summed echo, up to 6 dB less each\n")
+    rows = []
+    for views, snr in HARD:
+        condition = Condition("tagged", "paper", views, snr, "SNR of the summed echo")
+        rows.append((f"{views} | {snr}", runner.run(condition, arguments.scenes)))
+    table("views | SNR dB", rows)
+
+
+def roc(runner: Runner, arguments: argparse.Namespace) -> None:
+    print("Named, in per cent, at a false-accept setting (the paper's four enrolled)\n")
+    head = "views | SNR dB | false accept | tagged, right | unenrolled, named | untagged, named"
+    print(f"| {head} |\n|" + "---|" * 6)
+    for views, snr in HARD:
+        groups = [
+            runner.run(Condition(group, "paper", views, snr), arguments.scenes)
+            for group in ("tagged", "unenrolled", "untagged")
+        ]
+        for rate in FALSE_ACCEPTS:
+            settings = replace(DecisionSettings(), false_accept=rate)
+            cells = []
+            for group in groups:
+                named = [
+                    o.evidence is not None and decide(o.evidence, settings)[0] == "identified" for o in group
+                ]
+                tagged = group[0].condition.group == "tagged"
+                hits = sum(n and (o.right or not tagged) for n, o in zip(named, group, strict=True))
+                cells.append(cell(hits, len(group)))
+            print(f"| {views} | {snr} | {rate:g} | {' | '.join(cells)} |")
+    print(flush=True)
+
+
+def methods(runner: Runner, arguments: argparse.Namespace) -> None:
+    print("By method, the paper's four (all but the reader must name a layout)\n")
+    rows = []
+    for views, snr in HARD:
+        for method in METHODS:
+            condition = Condition("tagged", "paper", views, snr)
+            rows.append((f"{views} | {snr} | {method}", runner.run(condition, arguments.scenes, method)))
+    table("views | SNR dB | method", rows)
+
+
+def robustness(runner: Runner, arguments: argparse.Namespace) -> None:
+    print(
+        "Imperfections, the paper's four, 36 views a turn, 10 dB (one missing or extra: `unknown` is right)\n"
+    )
+    rows = [(t, runner.run(Condition("tagged", "paper", 36, 10, t), arguments.scenes)) for t in TWISTS]
+    table("what", rows)
+
+
+def localisation(runner: Runner, arguments: argparse.Namespace) -> None:
+    print("Error of one coordinate of a reflector, turn and place fitted, three reflectors, RMS\n")
+    print("| views | SNR dB | scenes | error mm |\n|---|---|---|---|")
+    for views, snr in ((36, 20), (36, 10), (36, 0), (12, 10)):
+        some = runner.run(Condition("tagged", "helmet-16", views, snr), arguments.scenes)
+        kept = [o for o in some if o.right]
+        # 2 K coordinates less turn and shift leave 2 K - 3; the displacement is RMS over K points.
+        square = [o.displacement_m**2 * o.size / (2 * o.size - 3) for o in kept]
+        print(f"| {views} | {snr} | {len(kept)} | {1e3 * np.sqrt(np.mean(square)):.2f} |")
+    print(flush=True)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--scenes", type=int, default=400, help="scenes a cell")
+    parser.add_argument("--short", action="store_true", help="24 scenes a cell, 36 and 12 views, 10 and 0 dB")
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--views", type=int, nargs="*", default=VIEWS)
+    parser.add_argument("--snr", type=int, nargs="*", default=SNRS_DB)
+    parser.add_argument("--only", nargs="*", choices=PARTS, default=PARTS)
+    arguments = parser.parse_args()
+    if arguments.short:
+        arguments.scenes, arguments.views, arguments.snr = 24, (36, 12), (10, 0)
+    print(
+        f"Machine: {platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}, "
+        f"numpy {np.__version__}. Date: {datetime.now(UTC):%Y-%m-%d}."
+    )
+    print(f"Command: `python {' '.join(sys.argv)}`; {arguments.scenes} scenes a cell, one seed each.\n")
+    runner = Runner(arguments.jobs)
+    parts = {
+        "grid": grid,
+        "roc": roc,
+        "methods": methods,
+        "robustness": robustness,
+        "localisation": localisation,
+    }
+    for name in arguments.only:
+        parts[name](runner, arguments)
+
+
+if __name__ == "__main__":
+    main()
