@@ -65,6 +65,13 @@ SETTINGS: tuple[Setting, ...] = (
     Setting(
         "tags.false_accept", float, 1e-3, "chance of naming an object without an enrolled tag", 1e-9, 0.5
     ),
+    Setting(
+        "tags.direction",
+        str,
+        "known",
+        "of the turn",
+        choices=("known", "unknown"),
+    ),
     Setting("storage.folder", str, None, "where captures are written (default: current folder)"),
 )
 """Every setting there is."""

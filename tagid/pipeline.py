@@ -63,6 +63,7 @@ class ImagingSettings:
         restore: show sparse images at the resolution of the data (`tagid.imaging.restore`), or bare pixels.
         free_size: whether extent and pixels may follow the echoes of free antenna positions.
         false_accept: probability of naming what is no tag, or a tag that nobody enrolled.
+        direction_known: see `tags.matcher.ReaderSettings`.
     """
 
     method: str = "auto"
@@ -79,6 +80,7 @@ class ImagingSettings:
     engine: str = "auto"
     device: str = "cpu"
     false_accept: float = 1e-3
+    direction_known: bool = True
 
     def __post_init__(self) -> None:
         if self.preset not in PRESETS:
@@ -327,7 +329,8 @@ def _reading(settings: ImagingSettings) -> ReaderSettings:
     from tagid.tags.decision import DecisionSettings
     from tagid.tags.matcher import ReaderSettings
 
-    return ReaderSettings(decision=DecisionSettings(false_accept=settings.false_accept))
+    decision = DecisionSettings(false_accept=settings.false_accept)
+    return ReaderSettings(decision=decision, direction_known=settings.direction_known)
 
 
 def locate_reflectors(capture: Capture, settings: ImagingSettings | None = None) -> tuple[Reflector, ...]:

@@ -70,6 +70,7 @@ def settings_from(config: Config, background: str = "mean", focus_m: float = 0.0
         background=background,  # type: ignore[arg-type]
         focus_m=focus_m,
         false_accept=config["tags.false_accept"],
+        direction_known=config["tags.direction"] == "known",
     )
 
 

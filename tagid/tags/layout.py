@@ -10,7 +10,7 @@ import json
 import re
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib import resources
 from pathlib import Path
@@ -166,6 +166,10 @@ class Layout:
     def placed(self, rotation_rad: float, centre_m: NDArray[np.floating]) -> NDArray[np.float64]:
         """(K, 2) positions after a counter-clockwise turn about the origin and a shift, m."""
         return self.positions @ rotation_matrix(rotation_rad).T + np.asarray(centre_m)
+
+    def mirrored(self) -> Layout:
+        """The layout as it looks where the object is taken to turn the other way: y changes its sign."""
+        return replace(self, positions=self.positions * np.array([1.0, -1.0]))
 
     def to_dict(self) -> dict[str, Any]:
         """Plain JSON values; `layout_from_dict` takes them back."""

@@ -36,11 +36,18 @@ they only count where they are as strong as the layout's own."""
 
 @dataclass(frozen=True)
 class ReaderSettings:
-    """Search, finder and decision in one value."""
+    """Search, finder and decision in one value.
+
+    Attributes:
+        search, finder, decision: see there.
+        direction_known: whether angles rise as the object turns counter-clockwise. Where that is not known,
+            every layout is tried as its mirror image too; of two that mirror each other none wins.
+    """
 
     search: SearchSettings = field(default_factory=SearchSettings)
     finder: FinderSettings = field(default_factory=lambda: FinderSettings(detection_nats=EXTRA_NATS))
     decision: DecisionSettings = field(default_factory=DecisionSettings)
+    direction_known: bool = True
 
 
 @dataclass(frozen=True)
@@ -135,7 +142,12 @@ class MatchedScan:
         self._settings = settings
         self._field = MatchedField(fold_views(scans, self._radius + 0.02), self._radius + 0.02)
         self._fits = search(self._field, layouts, settings.search)
+        if not settings.direction_known:
+            turned = search(self._field, [layout.mirrored() for layout in layouts], settings.search)
+            pairs = zip(self._fits, turned, strict=True)
+            self._fits = [max(pair, key=lambda fit: fit.charged) for pair in pairs]
         self._places = sum(2 * np.pi * one.radius_m / one.symmetry for one in layouts) * PLACES_PER_METRE
+        self._places *= 1 if settings.direction_known else 2
         self.criteria = np.array([_criterion(self._field, fit) for fit in self._fits])
 
     def read(self, order: NDArray[np.intp]) -> Reading:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from tags_synthetic import synthetic_scans
@@ -11,7 +13,7 @@ from tagid.geometry import Aperture
 from tagid.tags.enrolment import layout_from_readings
 from tagid.tags.field import MatchedField
 from tagid.tags.layout import Layout, builtin_layouts
-from tagid.tags.matcher import Reading, read_tag
+from tagid.tags.matcher import ReaderSettings, Reading, read_tag
 from tagid.tags.reflectors import find_reflectors
 from tagid.tags.views import fold_views
 
@@ -209,3 +211,14 @@ def test_bad_input_is_told() -> None:
     scans.samples[:] = 0
     with pytest.raises(DataError, match="zero"):
         read_tag(scans, ALL)
+
+
+def test_without_the_direction_of_the_turn_mirror_images_read_alike() -> None:
+    scalene = Layout("left", np.array([[0.1, 0.0], [-0.02, 0.07], [-0.06, -0.03]]))
+    scans = synthetic_scans(scalene.mirrored().placed(0.7, np.zeros(2)), noise=0.1)
+    either = ReaderSettings(direction_known=False)
+    assert read_tag(scans, [*ALL, scalene]).layout != "left"
+    assert read_tag(scans, [*ALL, scalene], either).layout == "left"
+    right = replace(scalene.mirrored(), name="right")
+    assert read_tag(scans, [scalene, right]).layout == "right"
+    assert read_tag(scans, [scalene, right], either).status == "ambiguous"
