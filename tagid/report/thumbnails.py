@@ -40,9 +40,9 @@ def draw_pictures(
         layout: the layout of the answer; None where there is none.
 
     Returns:
-        (image, sinogram, drawing): drawing has `method`, `extent_m`, `centre_m`, `image_db`, `layout_m` (places of the
-        layout's reflectors), `range_m` (first, last), `angle_deg` (first, last; None without angles),
-        `views`, `sinogram_db`.
+        (image, sinogram, drawing): drawing has `method`, `extent_m`, `centre_m`, `image_db`, `layout_m`
+        (places of the layout's reflectors), `range_m` (first, last), `angle_deg` (first, last; None without
+        angles), `views`, `sinogram_db`.
     """
     image = _png(to_decibels(_fitted(np.abs(result.image.values)), IMAGE_DB)[::-1], IMAGE_DB)
     sinogram = _png(_sinogram(capture), SINOGRAM_DB)

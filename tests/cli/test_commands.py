@@ -9,7 +9,7 @@ import pytest
 
 COMMANDS = (
     "scan", "identify", "enroll", "layouts", "reconstruct", "show", "import", "export", "recover", "simulate",
-    "doctor", "config",
+    "doctor", "config", "report", "history",
 )  # fmt: skip
 ENVELOPE = {"tagid_result_version", "command", "status", "exit_code", "data", "messages", "errors"}
 IDENTIFICATION = {

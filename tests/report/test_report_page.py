@@ -252,8 +252,10 @@ def test_thousands_of_items_stay_responsive(show, tmp_path: Path, report: Path) 
     """5000 objects: a page of bounded size, few elements in the table, and work in well under a second."""
     with (report / "items.jsonl").open() as file:
         models = [{**json.loads(line), "expected": None, "correct": None} for line in file]
-    drawing = {"extent_m": 0.5, "centre_m": [0, 0], "image_db": 30.0, "layout_m": [], "range_m": [0, 1], "angle_deg": None,
-               "views": 12, "sinogram_db": 30.0, "method": "bp"}  # fmt: skip
+    drawing = {
+        "extent_m": 0.5, "centre_m": [0, 0], "image_db": 30.0, "layout_m": [], "range_m": [0, 1],
+        "angle_deg": None, "views": 12, "sinogram_db": 30.0, "method": "bp",
+    }  # fmt: skip
     raster = io.BytesIO()
     noise = np.random.default_rng(0).integers(0, 32, (96, 96), dtype=np.uint8)
     Image.fromarray(noise).convert("P").save(raster, "PNG")
