@@ -6,9 +6,11 @@ stands beside it.
 
 from __future__ import annotations
 
+import importlib.util
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from tagid.errors import MissingExtraError
 from tagid.geometry import ImageGrid
 from tagid.imaging.types import BasebandScans, Image
 
@@ -91,6 +93,11 @@ def make_image(
 
         return (polar_format if method == "polar" else range_doppler)(scans, grid)
     if preset == "paper":
+        if importlib.util.find_spec("torch") is None:
+            raise MissingExtraError(
+                "--preset paper needs torch",
+                "Install it with `pip install 'tagid[ats]'`, or use --preset field.",
+            )
         from tagid.imaging.ats.fit_paper import PaperSettings, fit_paper
 
         return fit_paper(scans, grid, PaperSettings(seed=seed), steps)
