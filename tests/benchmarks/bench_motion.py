@@ -284,16 +284,26 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--short", action="store_true", help="one robot, one table, few scenes")
     parser.add_argument("--seeds", type=int, default=25, help="scenes a layout")
+    parser.add_argument("--part", choices=("start", "angles", "reading"), help="only one of the three tables")
     options = parser.parse_args()
     os.environ["TAGID_DATA"], os.environ["TAGID_CONFIG"] = str(FOLDER), str(FOLDER / "config.toml")
     print(f"Python {sys.version.split()[0]}, numpy {np.__version__}, {os.cpu_count()} cores")
-    turns = 1.3 if options.short else 3.0
-    first_angles(2 if options.short else 10)
+    if options.part in (None, "start"):
+        first_angles(2 if options.short else 10)
+    if options.part in (None, "angles"):
+        angle_errors(options.short)
+    if options.part in (None, "reading"):
+        identification(2 if options.short else options.seeds, 10.0)
+
+
+def angle_errors(short: bool) -> None:
+    """Every source over real wires, two robots or four tables at a time."""
+    turns = 1.3 if short else 3.0
     rows = Rows()
     rounds: list[list[tuple[Callable[..., None], tuple[object, ...]]]] = [
-        [(roomba, ("cable", n)), (roomba, ("bridge", n))] for n in range(1 if options.short else 5)
+        [(roomba, ("cable", n)), (roomba, ("bridge", n))] for n in range(1 if short else 5)
     ]
-    tables = ["Comxim"] if options.short else ["Comxim", "Revopoint", "index pulse", "free"]
+    tables = ["Comxim"] if short else ["Comxim", "Revopoint", "index pulse", "free"]
     rounds.append([(table, (kind, number)) for number, kind in enumerate(tables)])
     for together in rounds:
         threads = [
@@ -304,7 +314,6 @@ def main() -> None:
         for thread in threads:
             thread.join()
     rows.show()
-    identification(2 if options.short else options.seeds, 10.0)
 
 
 if __name__ == "__main__":

@@ -194,3 +194,21 @@ def test_no_permission(host: RoombaHost) -> None:
     with pytest.raises(DeviceError, match="permission") as error:
         robot_at(host).start()
     assert "dialout" in error.value.remedy
+
+
+def test_a_radar_that_fails_leaves_a_robot_that_stands(host: RoombaHost, tmp_path: Path) -> None:
+    """The radar's packets stop in the middle of the turn."""
+    radar = open_radar(f"emulator://helmet-120?rate=1&turned_by={host.truth.address}", Sources(), 0.3)
+    motion = robot_at(host, "?step=3")
+
+    def silence() -> None:
+        turned(motion, 0.2)
+        radar._link.receive = lambda timeout: time.sleep(min(timeout, 0.05))  # type: ignore[attr-defined]
+
+    threading.Thread(target=silence, daemon=True).start()
+    plan = RecordingPlan(None, 1.0, motion="roomba+serial://" + host.port.path, resume_s=0.2)
+    with pytest.raises(DeviceError) as error:
+        record(radar, motion, plan, tmp_path / "scan.tagid.h5", _watch())
+    assert "radar" in error.value.message
+    assert wait_until_still(host, 2) is not None
+    assert host.core.mode is Mode.PASSIVE

@@ -205,7 +205,7 @@ class Roomba(DrivenMotion):
         elif now - self._heard > _SILENCE_S:
             raise DeviceTimeoutError(
                 f"{self.name} has been silent for {_SILENCE_S} s: the link is lost",
-                "Check the plug or the distance to the bridge.",
+                "Look whether it stands, press its Clean button if not; then check the plug or the distance.",
             )
         if self._odometry.counts != self._counts or not self._readings:
             self._counts, self._moved = self._odometry.counts, now
