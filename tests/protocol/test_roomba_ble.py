@@ -98,6 +98,8 @@ class Cutter(threading.Thread):
         self.cut_s = self.board.command("cut") * 1e-6
 
 
+# bumble leaves a write to a link that is cut unfinished; it ends with the loop.
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 def test_links_cut_at_random_moments(host: RoombaHost, board: BoardProcess, tmp_path: Path) -> None:
     rng = random.Random(4)
     slowest = 0.0
