@@ -161,6 +161,8 @@ def open_board(port: str, timeout: float = 10.0) -> Iterator[Board]:
     try:
         with contextlib.redirect_stdout(said):
             transport = SerialTransport(port, _BAUD, timeout=_READ_S)
+            # On a pty mpremote would wait for ever for a board that never falls silent.
+            transport.is_pty = False
             heard = _listen(transport)
             if _ROM.search(heard):
                 raise TransportError("the loader speaks")

@@ -45,6 +45,7 @@ class Pty:
         tty.setraw(self._slave)
         self.path = os.ttyname(self._slave)
         self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+        self.spoke = threading.Event()
         self._threads = [threading.Thread(target=f, daemon=True) for f in (self._to_board, self._from_board)]
         for thread in self._threads:
             thread.start()
@@ -60,6 +61,7 @@ class Pty:
         assert self._process.stdout is not None
         while data := os.read(self._process.stdout.fileno(), 4096):
             os.write(self._master, data)
+            self.spoke.set()
 
     def close(self) -> None:
         os.write(self._slave, b"\0\0")
@@ -139,6 +141,8 @@ def test_a_half_written_flash_and_a_foreign_device_are_told_apart() -> None:
 
         port = Pty(sys.executable, "-c", code)
         try:
+            if code == loops:
+                assert port.spoke.wait(30)
             with pytest.raises(DeviceError, match=words), open_board(port.path, timeout=1.5):
                 pass
         finally:
