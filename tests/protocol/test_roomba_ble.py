@@ -69,11 +69,18 @@ def turned(motion: Roomba, radians: float) -> None:
 
 
 def test_it_turns_and_is_left_in_passive(host: RoombaHost, board: BoardProcess) -> None:
-    motion = robot(board)
-    before = host.core.body.heading_rad
-    motion.start()
-    turned(motion, 0.4)
-    motion.stop()
+    for attempt in range(4):
+        motion = robot(board)
+        before = host.core.body.heading_rad
+        try:
+            motion.start()
+            turned(motion, 0.4)
+            break
+        except DeviceError as error:
+            # A machine too busy to write every 350 ms is what the dead-man is for; any other error is one.
+            assert "stopped the robot" in error.message and attempt < 3
+        finally:
+            motion.stop()
     ago = (time.time_ns() - motion.track().host_time_ns[-1]) * 1e-9
     truth = host.core.body.heading_at(time.monotonic() - ago) - before
     # A reading is up to a connection interval old when it arrives.
