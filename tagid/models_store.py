@@ -191,7 +191,7 @@ def open_model(name: str, threads: int = 1, folder: Path = FOLDER) -> Model:
     options.inter_op_num_threads = 1
     options.log_severity_level = 3
     # The arena keeps the largest working set for good; plain allocations cost little beside the sums.
-    options.enable_cpu_mem_arena = False
+    options.enable_cpu_mem_arena = options.enable_mem_pattern = False
     try:
         session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
     except Exception as error:  # onnxruntime's exceptions have no common base

@@ -9,14 +9,16 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
 
 from tagid.errors import UsageError
 from tagid.imaging.memory import require_memory
+
+if TYPE_CHECKING:
+    from scipy import sparse
 
 _compiled: Any
 try:
@@ -145,6 +147,8 @@ class RangeGeometry:
         Raises:
             UsageError: it would not fit in memory.
         """
+        from scipy import sparse
+
         return sparse.csc_array(sparse.vstack([block for _, block in self._blocks()], format="csc"))
 
     def _threads(self, parts: int) -> int:
@@ -168,6 +172,8 @@ class RangeGeometry:
 
     def _block(self, antenna: NDArray[np.float32]) -> sparse.csc_array[np.float32]:
         """Matrix of some views; by columns, so that nothing needs sorting."""
+        from scipy import sparse
+
         views, points = len(antenna), self.points
         index = np.empty((points, views, 2), dtype=np.int32)
         weight = np.empty((points, views, 2), dtype=np.float32)

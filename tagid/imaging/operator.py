@@ -7,16 +7,19 @@ that a turntable and a free path are the same thing to them.
 from __future__ import annotations
 
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
 
 from tagid.errors import UsageError
 from tagid.geometry import ImageGrid
 from tagid.imaging.kernel import RangeGeometry
 from tagid.imaging.memory import require_memory
 from tagid.imaging.types import BasebandScans
+
+if TYPE_CHECKING:
+    from scipy import sparse
 
 PHASE_STEP = 0.2
 """Phase of the carrier between fine range bins, rad. Between them the interpolated carrier is at most
@@ -96,11 +99,15 @@ class ForwardOperator:
     @property
     def stages(self) -> tuple[sparse.csr_array, NDArray[np.complex64]]:
         """G (views * fine bins, points) and S^T (fine bins, bins): y = (G x).reshape(views, -1) @ S^T."""
+        from scipy import sparse
+
         return sparse.csr_array(self.geometry.matrix()), self._spread
 
     @cached_property
     def matrix(self) -> sparse.csr_array:
         """A itself, CSR complex64 (views * bins, points); for checks: far larger than the two stages."""
+        from scipy import sparse
+
         gather, _ = self.stages
         spread = sparse.csr_array(self._spread.T)
         fine = self.geometry.bins

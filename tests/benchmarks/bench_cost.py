@@ -1,0 +1,272 @@
+"""What imaging costs: seconds of BP, FISTA and ATS, how they grow, what they are spent on, and both engines.
+
+Run `python tests/benchmarks/bench_cost.py` for everything (`--write` puts it into docs/results.md and
+docs/pictures), `--quick` for fewer repetitions and sizes. One scene of 4 points with noise 0.316, 0.7 m,
+radar at 1 m. "wall" is the best of the repetitions; "CPU" is the processor time of that process, which other load
+disturbs less; set-up is in all of them, preprocessing is not. The engines run in processes of their own, from
+the same seed, and report their peak resident memory.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import pickle
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from bench_reconstruction import simulate
+from imaging_report import PICTURES, curves, table, write_block
+
+from tagid.geometry import ImageGrid
+from tagid.imaging.ats.fit import AtsSettings, fit
+from tagid.imaging.ats.problem import FineRange, GridArrays, draw_weights, view_arrays
+from tagid.imaging.ats.runtime import OnnxEngine
+from tagid.imaging.backprojection import backproject
+from tagid.imaging.preprocess import PreprocessSettings, preprocess
+from tagid.imaging.sparse import sparse_recovery
+from tagid.imaging.types import BasebandScans
+
+EXTENT_M = 0.7
+VIEWS, PIXELS, OVERSAMPLINGS = (12, 36, 120, 360), (48, 96, 128, 192), (1.5, 3.0, 6.0)
+
+
+def scans(views: int, oversampling: float = 1.5, matched: bool = False) -> BasebandScans:
+    """Scans of 4 points, the same for every call."""
+    rng = np.random.default_rng(77)
+    capture = simulate(rng.uniform(-0.22, 0.22, (4, 2)), views, 0.316, rng)
+    how = PreprocessSettings("none", matched, extent_m=EXTENT_M, oversampling=oversampling)
+    return preprocess(capture, settings=how)
+
+
+def best(work: Callable[[], object], repeats: int) -> tuple[float, float]:
+    """Least wall and least CPU seconds of some repetitions, after one that is not counted."""
+    work()
+    wall, cpu = [], []
+    for _ in range(repeats):
+        start, used = time.perf_counter(), time.process_time()
+        work()
+        wall.append(time.perf_counter() - start)
+        cpu.append(time.process_time() - used)
+    return min(wall), min(cpu)
+
+
+def targets(repeats: int) -> str:
+    """The sizes that the targets of speed are stated for."""
+    rows = []
+    for name, views, pixels in (("BP", 360, 128), ("FISTA", 36, 96), ("ATS", 36, 96), ("ATS", 360, 96)):
+        grid, raw = ImageGrid(EXTENT_M, pixels), scans(views, matched=name == "BP")
+        work = {"BP": backproject, "FISTA": sparse_recovery, "ATS": fit}[name]
+        wall, cpu = best(lambda w=work, r=raw, g=grid: w(r, g), repeats)  # type: ignore[misc]
+        rows.append([name, str(views), f"{pixels} x {pixels}", f"{wall * 1e3:.1f}", f"{cpu * 1e3:.1f}"])
+    rows.append(["BP, error", "360", "128 x 128", f"{backprojection_error() * 100:.2f} %", ""])
+    return table(("method", "views", "pixels", "wall (ms)", "CPU (ms)"), rows)
+
+
+def backprojection_error() -> float:
+    """Largest error of an image of 360 views against the sum written out in double precision."""
+    grid, raw = ImageGrid(EXTENT_M, 128), scans(360, matched=True)
+    image = backproject(raw, grid).values.ravel()
+    antenna = raw.aperture.positions
+    from scipy.signal import resample
+
+    factor = 64
+    fine = resample(raw.samples.astype(complex), raw.samples.shape[1] * factor, axis=1)
+    total = np.zeros(len(grid.points), dtype=complex)
+    for row, (x, y, z) in zip(fine, antenna, strict=True):
+        distance = np.sqrt((grid.points[:, 0] - x) ** 2 + (grid.points[:, 1] - y) ** 2 + z**2)
+        at = (distance - raw.range_start_m) / raw.range_step_m * factor
+        bins = np.arange(len(row))
+        value = np.interp(at, bins, row.real) + 1j * np.interp(at, bins, row.imag)
+        total += value * np.exp(2j * raw.wavenumber * distance)
+    inside = np.hypot(*grid.points.T) < 0.4
+    return float(np.abs(image - total / len(fine))[inside].max() / np.abs(total / len(fine)).max())
+
+
+def shares(views: int, pixels: int, oversampling: float, repeats: int) -> tuple[float, float, float]:
+    """CPU seconds of one ATS step: network and Adam, sums over views and pixels, products over range bins."""
+    raw, settings = scans(views, oversampling), AtsSettings()
+    grid = ImageGrid(EXTENT_M, pixels)
+    shape = settings.shape(grid)
+    fine = FineRange.of(raw, grid.points)
+    arrays = GridArrays.of(grid, shape.cells, fine.step)
+    whole = view_arrays(raw, fine.step, np.ones(raw.samples.shape), np.ones((views, 1)))
+    numbers = np.array([1e-4, 1e-4, 1, 1, 1, 1e-3, 1e-4, 0, 1e-5], dtype=np.float32)
+    engine = OnnxEngine(draw_weights(shape, grid, 1.0, 0))
+    count = min(views, settings.views_per_step)
+
+    def step(views_of_it: int, grid_of_it: GridArrays = arrays) -> float:
+        part = whole.select(slice(0, views_of_it))
+        return best(lambda: engine.step(grid_of_it, part, fine, numbers), repeats)[1]
+
+    all_of_it, one_view = step(count), step(1)
+    sums = (all_of_it - one_view) * count / max(count - 1, 1)
+    few = GridArrays.of(ImageGrid(EXTENT_M, 4), shape.cells, fine.step)
+    products = (step(count, few) - step(1, few)) * count / max(count - 1, 1)
+    products = float(np.clip(products, 0, sums))
+    return max(all_of_it - sums, 0.0), sums - products, products
+
+
+def growth(quick: bool, repeats: int, write: bool) -> str:
+    """Cost over views, pixels and bins, with the parts of a step."""
+    cases = [("views", (v, 96, 1.5)) for v in VIEWS]
+    cases += [("pixels", (36, p, 1.5)) for p in PIXELS]
+    cases += [("bins", (36, 96, o)) for o in OVERSAMPLINGS]
+    rows, plotted = [], dict[str, list[tuple[float, dict[str, float]]]]()
+    for kind, (views, pixels, oversampling) in cases[:: 2 if quick else 1]:
+        grid, raw = ImageGrid(EXTENT_M, pixels), scans(views, oversampling)
+        seconds = {
+            "BP": best(lambda r=raw, g=grid: backproject(r, g), repeats)[1],  # type: ignore[misc]
+            "FISTA": best(lambda r=raw, g=grid: sparse_recovery(r, g), max(1, repeats // 3))[1],  # type: ignore[misc]
+            "ATS": best(lambda r=raw, g=grid: fit(r, g), max(1, repeats // 3))[1],  # type: ignore[misc]
+        }
+        parts = shares(views, pixels, oversampling, repeats)
+        names = ("network and Adam", "sums over views and pixels", "products over range bins")
+        bottleneck = names[int(np.argmax(parts))]
+        shown = [f"{1e3 * v:.1f}" for v in seconds.values()]
+        bins = raw.samples.shape[1]
+        rows.append(
+            [
+                kind,
+                str(views),
+                f"{pixels} x {pixels}",
+                str(bins),
+                *shown,
+                *(f"{1000.0 * p:.2f}" for p in parts),
+                bottleneck,
+            ]
+        )
+        at = {"views": views, "pixels": pixels**2, "bins": bins}[kind]
+        plotted.setdefault(kind, []).append((float(at), seconds))
+        print(rows[-1], file=sys.stderr, flush=True)
+    if write:
+        for kind, found in plotted.items():
+            lines = {name: [np.log10(1e3 * s[name]) for _, s in found] for name in ("BP", "FISTA", "ATS")}
+            x = [float(np.log10(at)) for at, _ in found]
+            curves(
+                x,
+                lines,
+                (f"log10 {kind}", "log10 CPU ms"),
+                PICTURES / f"cost-{kind}.png",
+                f"Cost over {kind}",
+            )
+    columns = ("varied", "views", "pixels", "bins", "BP (ms)", "FISTA (ms)", "ATS (ms)")
+    return table((*columns, "network", "sums", "products (ms a step)", "bottleneck of ATS"), rows)
+
+
+_ENGINE = """
+import pickle, resource, sys, time, numpy as np
+from tagid.geometry import ImageGrid
+from tagid.imaging.ats.fit import AtsSettings, fit
+raw, grid = pickle.load(open({scene!r}, "rb")), ImageGrid({extent}, 96)
+seconds = []
+for _ in range({repeats}):
+    used = time.process_time()
+    image = fit(raw, grid, AtsSettings(engine={engine!r})).image.values
+    seconds.append(time.process_time() - used)
+np.save({out!r}, image)
+print(min(seconds), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
+"""
+
+
+def engines(repeats: int) -> str:
+    """Both engines from the same weights: seconds, peak memory of the process, difference of the images."""
+    rows = []
+    with tempfile.TemporaryDirectory() as folder:
+        for views in (36, 360):
+            found, scene = {}, str(Path(folder) / "scene")
+            Path(scene).write_bytes(pickle.dumps(scans(views)))
+            for engine in ("torch", "onnx"):
+                out = str(Path(folder) / f"{engine}.npy")
+                what = {"scene": scene, "extent": EXTENT_M, "repeats": repeats, "engine": engine, "out": out}
+                code = _ENGINE.format(**what)
+                done = subprocess.run(
+                    [sys.executable, "-c", code], capture_output=True, text=True, check=True
+                )
+                seconds, megabytes = map(float, done.stdout.split())
+                found[engine] = (seconds, megabytes, np.load(out))
+            torch_s, torch_mb, torch_image = found["torch"]
+            onnx_s, onnx_mb, onnx_image = found["onnx"]
+            difference = float(np.linalg.norm(torch_image - onnx_image) / np.linalg.norm(torch_image))
+            rows.append(
+                [
+                    str(views),
+                    f"{torch_s:.2f}",
+                    f"{onnx_s:.2f}",
+                    f"{onnx_s / torch_s:.2f}",
+                    f"{torch_mb:.0f}",
+                    f"{onnx_mb:.0f}",
+                    f"{onnx_mb / torch_mb:.2f}",
+                    f"{100 * difference:.2f} %",
+                ]
+            )
+    columns = (
+        "views",
+        "torch (CPU s)",
+        "onnx (CPU s)",
+        "ratio",
+        "torch (MB)",
+        "onnx (MB)",
+        "ratio",
+        "difference",
+    )
+    return table(columns, rows)
+
+
+def process(repeats: int) -> str:
+    """The whole process of `tagid reconstruct --method bp` on a file of 360 views."""
+    from tagid.capture import Capture
+    from tagid.storage.hdf5 import write_capture
+
+    rng = np.random.default_rng(77)
+    made: Capture = simulate(rng.uniform(-0.22, 0.22, (4, 2)), 360, 0.316, rng)
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "scene.tagid.h5"
+        write_capture(file, made)
+        command = [sys.executable, "-m", "tagid", "reconstruct", str(file), "--method", "bp"]
+        took = []
+        for _ in range(repeats):
+            start = time.perf_counter()
+            subprocess.run(command, capture_output=True, check=True)
+            took.append(time.perf_counter() - start)
+    return f"Whole process of `tagid reconstruct FILE --method bp`, 360 views: {min(took):.2f} s.\n"
+
+
+def main() -> None:
+    """Parse the command line and print."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--quick", action="store_true", help="half the sizes, few repetitions")
+    parser.add_argument("--only", choices=("targets", "growth", "engines", "process"), help="one part")
+    parser.add_argument("--write", action="store_true", help="into docs/results.md and docs/pictures")
+    options = parser.parse_args()
+    repeats = 3 if options.quick else 9
+    parts: dict[str, tuple[str, Callable[[], str]]] = {
+        "targets": ("Time of one image", lambda: targets(repeats)),
+        "growth": ("How the cost grows", lambda: growth(options.quick, repeats, options.write)),
+        "engines": ("ATS on torch and on onnxruntime", lambda: engines(max(2, repeats // 3))),
+        "process": ("A one-shot command", lambda: process(max(2, repeats // 3))),
+    }
+    arguments = " ".join(a for a in sys.argv[1:] if a != "--write")
+    for name, (title, work) in parts.items():
+        if options.only in (None, name):
+            command = f"`python tests/benchmarks/bench_cost.py {arguments}`".replace(" `", "`")
+            load = f"load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores"
+            text = f"{command}, 1 scene, best of {repeats}, {load}\n\n{work()}"
+            if name == "growth" and options.write:
+                text += (
+                    "\n"
+                    + "\n".join(f"![](pictures/cost-{k}.png)" for k in ("views", "pixels", "bins"))
+                    + "\n"
+                )
+            print(f"## {title}\n\n{text}", flush=True)
+            if options.write:
+                write_block(f"cost-{name}", title, text)
+
+
+if __name__ == "__main__":
+    main()
