@@ -2,7 +2,7 @@
 
 Run `python tests/benchmarks/bench_cost.py` for everything (`--write` puts it into docs/results.md and
 docs/pictures), `--quick` for fewer repetitions and sizes. One scene of 4 points with noise 0.316, 0.7 m,
-radar at 1 m. "wall" is the best of the repetitions; "CPU" is the processor time of that process, which other load
+radar at 1 m. "wall" is the best of the repetitions; "CPU" is the time of that process, which other load
 disturbs less; set-up is in all of them, preprocessing is not. The engines run in processes of their own, from
 the same seed, and report their peak resident memory.
 """
