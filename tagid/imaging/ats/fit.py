@@ -45,7 +45,7 @@ _CHECK_EVERY = 10
 _LEARN_AT = (0.25, 0.4, 0.55, 0.7, 0.85)
 """Parts of the steps after which calibration, robust weights and occlusion are brought up to date."""
 
-_MEAN_OVER = 0.5
+_MEAN_OVER = 0.3
 """Part of the steps, at the end, whose mean is the result: it is smoother than any of them, and the rounding
 of an engine shows less in it."""
 
@@ -155,6 +155,7 @@ class _Fit:
             if step + 1 in learn:
                 self._learn(engine.weights(), late=step + 1 >= steps / 2)
                 subsets = self._subsets(fine)
+                since = 0
             if step + 1 > steps * (1 - _MEAN_OVER):
                 since += 1
                 mean = mean.mean_with(engine.weights(), 1 / since)
@@ -260,9 +261,9 @@ class _Fit:
 _BETA1, _BETA2 = 0.9, 0.95
 """Those of `step`, which cannot be imported here: it needs torch."""
 
-_EPSILON = 1e-4
-"""Adam's, of the order of the smallest gradients of the dimensionless loss: a parameter that hardly matters
-then hardly moves, which makes fits converge alike from scene to scene and engine to engine."""
+_EPSILON = 1e-12
+"""Adam's, small beside any gradient of the dimensionless loss: single pixels that the data hardly see are
+then still drawn to zero by the sparsity prior; with 1e-7 and more they stay as false points."""
 
 
 def make_engine(start: FieldWeights, settings: AtsSettings) -> Engine:

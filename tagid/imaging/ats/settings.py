@@ -62,7 +62,7 @@ class AtsSettings:
     preset: str = "field"
     engine: str = "auto"
     device: str = "cpu"
-    steps: int = 70
+    steps: int = 100
     learning_rate: float = 0.05
     network_rate: float = 1.0
     decay: float = 0.3
