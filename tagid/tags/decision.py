@@ -17,7 +17,8 @@ layout's symmetry), for all centres and range offsets together: fitted to the ma
 alone, at 12, 36 and 100 views, of which layouts need 500 to 6000 places."""
 CHANCE_MATCH = 0.03
 """Share of unenrolled tags whose echo an enrolled layout explains well enough at the low SNR where their
-further reflectors are hard to see: counted on simulated objects at 18 views and 0 dB."""
+further reflectors are hard to see: chosen, in the light of simulated objects at 18 views and 0 dB, where it
+still lets some through (docs/results.md)."""
 SEARCH_GAIN_NATS = 6.0
 """What one more free point explains of noise alone: the largest of some hundreds of cells."""
 
