@@ -99,6 +99,11 @@ class Model:
         self._session = session
         self._outputs = list(entry.outputs)
 
+    @property
+    def metadata(self) -> Mapping[str, str]:
+        """The file's metadata_props, by key."""
+        return dict(self._session.get_modelmeta().custom_metadata_map)
+
     def check(self, feeds: Mapping[str, NDArray[Any]]) -> None:
         """Compare inputs with the manifest.
 

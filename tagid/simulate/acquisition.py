@@ -44,6 +44,11 @@ class Placement:
     centre_m: tuple[float, float] = (0.0, 0.0)
     rotation_rad: float = 0.0
 
+    def apply(self, points: NDArray[np.floating]) -> NDArray[np.float64]:
+        """Points (n, 2) of the object, m, where they stand on the table."""
+        c, s = np.cos(self.rotation_rad), np.sin(self.rotation_rad)
+        return np.asarray(points @ np.array([[c, s], [-s, c]]) + np.asarray(self.centre_m), dtype=np.float64)
+
 
 @dataclass(frozen=True)
 class Wobble:

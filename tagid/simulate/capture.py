@@ -145,7 +145,4 @@ def placed_positions(scene: Scene, acquisition: Acquisition) -> NDArray[np.float
     """(n, 2) point reflectors after placement: turned by its rotation, then shifted by its centre."""
     if scene.points is None:
         return np.zeros((0, 2))
-    placement = acquisition.placement
-    c, s = np.cos(placement.rotation_rad), np.sin(placement.rotation_rad)
-    turned = scene.points.positions[:, :2] @ np.array([[c, s], [-s, c]])
-    return np.asarray(turned + np.asarray(placement.centre_m), dtype=np.float64)
+    return acquisition.placement.apply(scene.points.positions[:, :2])

@@ -1,0 +1,157 @@
+"""`python -m train`: the detector from nothing to a shipped model, step by step or in one command.
+
+Every step can be killed and started again; none repeats what is there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from tagid.errors import TagidError
+
+app = typer.Typer(
+    no_args_is_help=True,
+    add_completion=False,
+    help=__doc__,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+)
+Folder = Annotated[Path, typer.Option("--work", help="Folder of the dataset and checkpoints.")]
+Scenes = Annotated[int, typer.Option(help="Training scenes; a tenth of it again validates.")]
+Jobs = Annotated[int, typer.Option(help="Processes.")]
+AtsEvery = Annotated[int, typer.Option(help="Image every so many-th scene by ATS too; 0 for none.")]
+Epochs = Annotated[int, typer.Option(help="Passes over the dataset.")]
+Seed = Annotated[int, typer.Option(help="Of weights, order and symmetries.")]
+WORK = Path("build/train")
+SCENES = 8000
+EPOCHS = 12
+
+
+def _bar() -> Progress:
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    return Progress(*columns, console=Console(stderr=True))
+
+
+def _shown(bar: Progress, text: str) -> Callable[[int, int], None]:
+    """A progress callback (done, total) that moves a bar of its own."""
+    task = bar.add_task(text)
+
+    def show(done: int, total: int) -> None:
+        bar.update(task, completed=done, total=total)
+
+    return show
+
+
+@app.command()
+def dataset(work: Folder = WORK, scenes: Scenes = SCENES, jobs: Jobs = 2, ats_every: AtsEvery = 4) -> None:
+    """Draw scenes and image them. Example: python -m train dataset --scenes 8000 --jobs 2"""
+    from train.dataset import build
+    from train.plans import plans
+
+    for plan in plans(scenes, ats_every).values():
+        with _bar() as bar:
+            build(work, plan, jobs, _shown(bar, f"{plan.split} images"))
+
+
+@app.command()
+def fit(
+    work: Folder = WORK,
+    scenes: Scenes = SCENES,
+    ats_every: AtsEvery = 4,
+    epochs: Epochs = EPOCHS,
+    seed: Seed = 0,
+) -> None:
+    """Train the network on the dataset. Example: python -m train fit --epochs 12"""
+    from train.dataset import load
+    from train.fit import Epoch, FitSettings
+    from train.fit import fit as train_network
+    from train.plans import plans
+
+    console = Console(stderr=True)
+    split = plans(scenes, ats_every)
+    with _bar() as bar:
+        show = _shown(bar, "training")
+
+        def report(epoch: Epoch) -> None:
+            console.print(
+                f"epoch {epoch.number}/{epoch.epochs}: loss {epoch.training:.4f}, "
+                f"validation {epoch.validation:.4f}"
+            )
+
+        train_network(
+            load(work, split["train"]),
+            load(work, split["validation"]),
+            work / "checkpoint.pt",
+            FitSettings(epochs=epochs, seed=seed),
+            lambda step, steps, _: show(step, steps),
+            report,
+        )
+
+
+@app.command()
+def evaluate(work: Folder = WORK, scenes: Scenes = SCENES, ats_every: AtsEvery = 4) -> None:
+    """Print the figures of the trained network on test scenes. Example: python -m train evaluate"""
+    from train.card import figures_table, measure
+
+    console = Console(soft_wrap=True)
+    console.print(figures_table(measure(work, scenes, ats_every)[2]), markup=False)
+
+
+@app.command()
+def export(
+    work: Folder = WORK,
+    scenes: Scenes = SCENES,
+    ats_every: AtsEvery = 4,
+    epochs: Epochs = EPOCHS,
+    seed: Seed = 0,
+    out: Annotated[Path | None, typer.Option(help="Folder; the package's models/ if not given.")] = None,
+) -> None:
+    """Write the trained network as ONNX, its manifest entry and its card. Example: python -m train export"""
+    from tagid.models_store import FOLDER
+    from train.card import measure, write_card
+    from train.export import export as write_model
+    from train.export import plain, training_record
+
+    folder = out or FOLDER.resolve()
+    network, contract, figures = measure(
+        work, scenes, ats_every, training_record(seed, scenes, ats_every, epochs)
+    )
+    path = write_model(network, contract, {name: plain(f) for name, f in figures.items()}, folder)
+    card = write_card(folder, contract, figures, path)
+    Console(stderr=True).print(
+        f"wrote {path} ({path.stat().st_size / 1e3:.0f} kB) and {card}", soft_wrap=True
+    )
+
+
+@app.command(name="all")
+def all_steps(
+    work: Folder = WORK,
+    scenes: Scenes = SCENES,
+    jobs: Jobs = 2,
+    ats_every: AtsEvery = 4,
+    epochs: Epochs = EPOCHS,
+    seed: Seed = 0,
+) -> None:
+    """Dataset, fit and export in one go: the shipped model anew. Example: python -m train all"""
+    dataset(work, scenes, jobs, ats_every)
+    fit(work, scenes, ats_every, epochs, seed)
+    export(work, scenes, ats_every, epochs, seed)
+
+
+def main() -> None:
+    """Run the program; an error of the project ends in one message and its exit code."""
+    try:
+        app()
+    except TagidError as error:
+        Console(stderr=True).print(f"{error}\n{error.remedy}", markup=False)
+        raise SystemExit(error.exit_code) from None
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,185 @@
+"""Images and truths on disk, in shards that survive a kill: a shard is there whole or not at all.
+
+Scene i of a dataset comes from seed base + i alone, so that any machine and any number of processes make the
+same dataset, and what was made is never made again.
+"""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tagid.errors import StorageError, UsageError
+from tagid.storage.atomic import replacing
+from tagid.tags.planes import GRID
+from train.distributions import Distribution
+from train.images import METHODS, network_input
+from train.scenes import draw_scene
+
+SHARD = 100
+MOST_REFLECTORS = 8
+MOST_GHOSTS = 24
+SEED_BASES = {"train": 0, "validation": 10_000_000, "test": 20_000_000}
+"""First seed of each split; none of them is used by the tests or benchmarks."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Which scenes a dataset holds.
+
+    Attributes:
+        split: "train", "validation" or "test".
+        scenes: how many.
+        ats_every: every so many-th scene is imaged by ATS too; 0 for none.
+    """
+
+    split: str
+    scenes: int
+    ats_every: int = 4
+
+    def __post_init__(self) -> None:
+        if self.split not in SEED_BASES:
+            raise UsageError(f"split {self.split!r} is unknown", f"Use {', '.join(SEED_BASES)}.")
+        if not 1 <= self.scenes < 10_000_000 or self.ats_every < 0:
+            raise UsageError(f"{self.scenes} scenes, ATS every {self.ats_every}", "Give positive numbers.")
+
+    @property
+    def shards(self) -> int:
+        """Number of files."""
+        return -(-self.scenes // SHARD)
+
+    def samples(self, shard: int) -> list[tuple[int, str]]:
+        """(seed, method) of every image of a shard."""
+        found = []
+        for i in range(shard * SHARD, min((shard + 1) * SHARD, self.scenes)):
+            seed = SEED_BASES[self.split] + i
+            found.append((seed, METHODS[0]))
+            if self.ats_every and i % self.ats_every == 0:
+                found.append((seed, METHODS[1]))
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """Images with their truths; n of them.
+
+    Attributes:
+        relative: (n, 2, 96, 96) float16, real and imaginary part over the brightest pixel.
+        snr_db, views, method: (n,) of the image; method is an index into `METHODS`.
+        reflectors: (n, 8, 2) m, nan where there are fewer.
+        ghosts: (n, 24, 3) x, y, ring radius, m, nan where there are fewer.
+        scene_snr_db: (n,) of the recording.
+    """
+
+    relative: NDArray[np.float16]
+    snr_db: NDArray[np.float32]
+    views: NDArray[np.int32]
+    method: NDArray[np.int8]
+    reflectors: NDArray[np.float32]
+    ghosts: NDArray[np.float32]
+    scene_snr_db: NDArray[np.float32]
+
+    def __len__(self) -> int:
+        return len(self.relative)
+
+    def part(self, keep: NDArray[np.bool_] | slice) -> Samples:
+        """Some of the samples."""
+        return Samples(**{name: value[keep] for name, value in vars(self).items()})
+
+
+def make_shard(samples: list[tuple[int, str]], distribution: Distribution) -> Samples:
+    """The images of one shard."""
+    n = len(samples)
+    relative = np.zeros((n, 2, GRID.pixels, GRID.pixels), dtype=np.float16)
+    reflectors = np.full((n, MOST_REFLECTORS, 2), np.nan, dtype=np.float32)
+    ghosts = np.full((n, MOST_GHOSTS, 3), np.nan, dtype=np.float32)
+    rows = []
+    for i, (seed, method) in enumerate(samples):
+        scene = draw_scene(seed, distribution)
+        seen = network_input(scene.capture, method, seed % 1000)
+        relative[i] = seen.relative.real, seen.relative.imag
+        reflectors[i, : len(scene.reflectors_m)] = scene.reflectors_m
+        for j, ghost in enumerate(scene.ghosts[:MOST_GHOSTS]):
+            ghosts[i, j] = *ghost.centre_m, ghost.radius_m
+        rows.append((seen.snr_db, seen.views, METHODS.index(method), scene.snr_db))
+    columns = np.array(rows)
+    return Samples(
+        relative,
+        columns[:, 0].astype(np.float32),
+        columns[:, 1].astype(np.int32),
+        columns[:, 2].astype(np.int8),
+        reflectors,
+        ghosts,
+        columns[:, 3].astype(np.float32),
+    )
+
+
+def _write(task: tuple[Path, list[tuple[int, str]], Distribution]) -> Path:
+    path, samples, distribution = task
+    made = make_shard(samples, distribution)
+    with replacing(path) as file:
+        np.savez(file, **vars(made))
+    return path
+
+
+def build(
+    folder: Path,
+    plan: Plan,
+    jobs: int = 1,
+    progress: Callable[[int, int], None] | None = None,
+    distribution: Distribution | None = None,
+) -> None:
+    """Make the shards that are not there yet.
+
+    Raises:
+        UsageError: the folder holds a dataset of another kind. StorageError: it cannot be written.
+    """
+    dist = distribution or Distribution()
+    own = {"distribution": dist.fingerprint(), "ats_every": plan.ats_every, "shard": SHARD}
+    about = folder / plan.split / "about.json"
+    try:
+        about.parent.mkdir(parents=True, exist_ok=True)
+        if about.exists() and json.loads(about.read_text()) != own:
+            raise UsageError(f"{about.parent} holds a dataset of another kind", "Choose another folder.")
+        about.write_text(json.dumps(own) + "\n")
+    except (OSError, ValueError) as error:
+        raise StorageError(f"{about}: {error}", "Choose a folder that can be written.") from error
+    tasks = []
+    for shard in range(plan.shards):
+        samples = plan.samples(shard)
+        path = about.parent / f"{shard:04d}-{len(samples)}.npz"
+        if not path.exists():
+            tasks.append((path, samples, dist))
+    done = plan.shards - len(tasks)
+    if progress:
+        progress(done, plan.shards)
+    with multiprocessing.get_context("spawn").Pool(jobs) as pool:
+        for _ in pool.imap_unordered(_write, tasks):
+            done += 1
+            if progress:
+                progress(done, plan.shards)
+
+
+def load(folder: Path, plan: Plan) -> Samples:
+    """All samples of a plan, in order.
+
+    Raises StorageError where a shard is missing or damaged.
+    """
+
+    def shards() -> Iterator[dict[str, NDArray[np.generic]]]:
+        for shard in range(plan.shards):
+            path = folder / plan.split / f"{shard:04d}-{len(plan.samples(shard))}.npz"
+            try:
+                with np.load(path, allow_pickle=False) as file:
+                    yield {name: file[name] for name in Samples.__dataclass_fields__}
+            except (OSError, ValueError, KeyError) as error:
+                raise StorageError(f"{path}: {error}", "Make it with `python -m train dataset`.") from error
+
+    parts = list(shards())
+    return Samples(**{name: np.concatenate([part[name] for part in parts]) for name in parts[0]})

@@ -1,0 +1,168 @@
+"""Trains the network: deterministic from a seed, and after a kill it goes on where the last epoch ended.
+
+The state of an epoch is written whole or not at all, with the random generator's, so that a run that was cut
+gives the same weights as one that was not.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import nn
+from torch.optim import AdamW, Optimizer
+from torch.optim.lr_scheduler import LRScheduler
+
+from tagid.errors import StorageError
+from tagid.storage.atomic import read_bytes, write_bytes
+from train.dataset import Samples
+from train.network import DetectorNetwork
+from train.targets import loss, make_batch
+
+Parts = dict[str, nn.Module | Optimizer | LRScheduler]
+
+
+@dataclass(frozen=True)
+class FitSettings:
+    """How the network is trained.
+
+    Attributes:
+        epochs, batch: passes over the data, samples a step.
+        rate: peak of the one-cycle learning rate of Adam.
+        decay: weight decay.
+        seed: of weights, order and symmetries.
+        threads: of torch; sums depend on it in the last digits.
+    """
+
+    epochs: int = 10
+    batch: int = 32
+    rate: float = 4e-3
+    decay: float = 1e-4
+    seed: int = 0
+    threads: int = 2
+
+
+@dataclass(frozen=True)
+class Epoch:
+    """What an epoch came to: mean losses, and how many epochs there are."""
+
+    number: int
+    epochs: int
+    training: float
+    validation: float
+
+
+def fit(
+    training: Samples,
+    validation: Samples,
+    checkpoint: Path,
+    settings: FitSettings | None = None,
+    progress: Callable[[int, int, float], None] | None = None,
+    report: Callable[[Epoch], None] | None = None,
+) -> DetectorNetwork:
+    """Train, or finish training.
+
+    Args:
+        training, validation: samples.
+        checkpoint: file with the state after the last whole epoch.
+        settings: see there; those of the checkpoint must agree.
+        progress: called with (step, steps, loss).
+        report: called after every epoch.
+
+    Raises StorageError where the checkpoint is damaged or of other settings.
+    """
+    s = settings or FitSettings()
+    torch.set_num_threads(s.threads)
+    torch.manual_seed(s.seed)
+    torch.use_deterministic_algorithms(True)
+    network = DetectorNetwork()
+    optimiser = AdamW(network.parameters(), lr=s.rate, weight_decay=s.decay)
+    steps = s.epochs * (len(training) // s.batch)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(
+        optimiser, s.rate, total_steps=max(1, steps), pct_start=0.2
+    )
+    parts: Parts = {"network": network, "optimiser": optimiser, "schedule": schedule}
+    own = {**asdict(s), "samples": len(training)}
+    first = _resume(checkpoint, parts, own)
+    for epoch in range(first, s.epochs):
+        rng = np.random.default_rng((s.seed, epoch))
+        order = rng.permutation(len(training))
+        network.train()
+        total = 0.0
+        count = len(training) // s.batch
+        for step in range(count):
+            which = order[step * s.batch : (step + 1) * s.batch]
+            batch = make_batch(training, which, rng.integers(0, 8, len(which)))
+            cells, present = network(batch.planes)
+            value = loss(cells, present, batch)
+            optimiser.zero_grad()
+            value.backward()
+            nn.utils.clip_grad_norm_(network.parameters(), 5.0)
+            optimiser.step()
+            schedule.step()
+            total += float(value.detach())
+            if progress:
+                progress(epoch * count + step + 1, steps, float(value.detach()))
+        _save(checkpoint, parts, own, epoch + 1)
+        if report:
+            report(Epoch(epoch + 1, s.epochs, total / max(1, count), mean_loss(network, validation)))
+    network.eval()
+    return network
+
+
+def mean_loss(network: DetectorNetwork, samples: Samples, batch: int = 64) -> float:
+    """Loss of a network that is not training."""
+    network.eval()
+    total = 0.0
+    with torch.no_grad():
+        for start in range(0, len(samples), batch):
+            which = np.arange(start, min(start + batch, len(samples)))
+            made = make_batch(samples, which)
+            cells, present = network(made.planes)
+            total += float(loss(cells, present, made)) * len(which)
+    return total / max(1, len(samples))
+
+
+def _save(
+    path: Path,
+    parts: Parts,
+    own: dict[str, object],
+    epoch: int,
+) -> None:
+    buffer = io.BytesIO()
+    torch.save({"epoch": epoch, "own": own, **{k: v.state_dict() for k, v in parts.items()}}, buffer)
+    write_bytes(path, buffer.getvalue())
+
+
+def _resume(
+    path: Path,
+    parts: Parts,
+    own: dict[str, object],
+) -> int:
+    if not path.exists():
+        return 0
+    try:
+        state = torch.load(io.BytesIO(read_bytes(path)), weights_only=True)
+        if state["own"] != own:
+            raise StorageError(f"{path}: is of another training", "Choose another folder, or remove it.")
+        for name, part in parts.items():
+            part.load_state_dict(state[name])
+        return int(state["epoch"])
+    except (KeyError, RuntimeError, ValueError, EOFError) as error:
+        raise StorageError(f"{path}: damaged checkpoint: {error}", "Remove it and start again.") from error
+
+
+def load_network(path: Path) -> DetectorNetwork:
+    """The network of a checkpoint, ready to be used. Raises StorageError."""
+    network = DetectorNetwork()
+    try:
+        state = torch.load(io.BytesIO(read_bytes(path)), weights_only=True)
+        network.load_state_dict(state["network"])
+    except (KeyError, RuntimeError, ValueError, EOFError) as error:
+        raise StorageError(f"{path}: damaged checkpoint: {error}", "Train again.") from error
+    network.eval()
+    return network

@@ -1,0 +1,34 @@
+"""From a training scene to what the network sees, through the package's own imaging.
+
+Nothing is shared with the answers: the autofocus, the background removal and their errors are the field's.
+"""
+
+from __future__ import annotations
+
+from tagid.capture import Capture
+from tagid.errors import UsageError
+from tagid.imaging.autofocus import focus_axis_distance
+from tagid.imaging.backprojection import backproject
+from tagid.imaging.preprocess import PreprocessSettings, preprocess
+from tagid.imaging.types import BasebandScans
+from tagid.tags.planes import GRID, NetworkInput
+
+METHODS = ("bp", "ats")
+
+
+def focused_scans(capture: Capture, method: str) -> BasebandScans:
+    """Preprocessed scans under the axis distance that focuses them, as in `tagid.pipeline.reconstruct`."""
+    settings = PreprocessSettings(matched_filter=method == "bp", extent_m=GRID.extent)
+    return focus_axis_distance(preprocess(capture, settings=settings), GRID)[0]
+
+
+def network_input(capture: Capture, method: str, seed: int = 0) -> NetworkInput:
+    """The network's input for one capture and method, "bp" or "ats"."""
+    if method not in METHODS:
+        raise UsageError(f"the detector is not trained on {method!r}", f"Use {' or '.join(METHODS)}.")
+    scans = focused_scans(capture, method)
+    if method == "bp":
+        return NetworkInput.of(backproject(scans, GRID), scans)
+    from tagid.imaging.ats.fit import AtsSettings, fit
+
+    return NetworkInput.of(fit(scans, GRID, AtsSettings(seed=seed)).image, scans)

@@ -1,0 +1,207 @@
+"""One training scene from the distributions and a seed: an object, how it is recorded, and the truth.
+
+It is drawn with the package's own simulator, so that what is learnt is what the field's physics says.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tagid.capture import Capture, Pulse
+from tagid.simulate.acquisition import Acquisition, Placement, Wobble
+from tagid.simulate.capture import simulate_capture
+from tagid.simulate.presets import room_clutter
+from tagid.simulate.scattering import Body, Box, Cylinder, DoubleBounce, Points
+from tagid.simulate.scene import Scene
+from train.distributions import Distribution, ObjectDistribution, PulseDistribution, spaced_points, uniform
+
+PULSE_STEP_S = 1e-11
+
+
+@dataclass(frozen=True, eq=False)
+class Ghost:
+    """Where something that is no reflector shows: a ring of that radius, m, about a centre (x, y), m."""
+
+    centre_m: NDArray[np.float64]
+    radius_m: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class TrainingScene:
+    """A recording and what is in it.
+
+    Attributes:
+        capture: as a file would be.
+        reflectors_m: (K, 2) true reflectors at angle zero, m.
+        ghosts: what else echoes.
+        snr_db, views: how it was recorded.
+        kinds: names of what is on the object, for the evaluation by condition.
+    """
+
+    capture: Capture
+    reflectors_m: NDArray[np.float64]
+    ghosts: tuple[Ghost, ...]
+    snr_db: float
+    views: int
+    kinds: tuple[str, ...] = field(default=())
+
+
+def draw_pulse(d: PulseDistribution, rng: np.random.Generator) -> Pulse | None:
+    """A pulse of main lobe, ring and late echo, or None for the nominal one."""
+    if rng.uniform() < d.nominal:
+        return None
+    t = np.arange(-300, 501) * PULSE_STEP_S
+    atoms = (
+        (1.0, 0.0, uniform(rng, d.main_hz), uniform(rng, d.main_sigma_s)),
+        (
+            uniform(rng, d.ring_amplitude),
+            uniform(rng, d.ring_delay_s),
+            uniform(rng, d.ring_hz),
+            uniform(rng, d.ring_sigma_s),
+        ),
+        (
+            uniform(rng, d.late_amplitude),
+            uniform(rng, d.late_delay_s),
+            uniform(rng, d.late_hz),
+            uniform(rng, d.late_sigma_s),
+        ),
+    )
+    samples = sum(
+        a
+        * np.exp(-((t - delay) ** 2) / (2 * sigma**2))
+        * np.cos(2 * np.pi * f * (t - delay) + rng.uniform(0, 2 * np.pi))
+        for a, delay, f, sigma in atoms
+    )
+    # A pulse's time zero is its middle sample, so the shorter side is filled with silence.
+    return Pulse(np.concatenate([np.zeros(200), np.asarray(samples)]), PULSE_STEP_S)
+
+
+@dataclass
+class _Drawing:
+    """The object as it is put together."""
+
+    turning: list[Body]
+    ghosts: list[Ghost]
+    kinds: list[str]
+
+
+def _reflectors(d: ObjectDistribution, radius: float, rng: np.random.Generator) -> Points | None:
+    count = int(rng.choice(len(d.counts), p=np.array(d.counts) / sum(d.counts)))
+    positions = spaced_points(count, radius, d.spacing_m, bool(rng.uniform() < d.on_circle), rng)
+    if not len(positions):
+        return None
+    amplitudes = np.maximum(1 + uniform(rng, d.spread) * rng.standard_normal(len(positions)), 0.3)
+    if rng.uniform() < d.isotropic:
+        return Points(positions, amplitudes)
+    near = np.linalg.norm(positions, axis=1) < 0.01
+    facing = np.where(near, np.nan, np.arctan2(positions[:, 1], positions[:, 0]))
+    width, floor = uniform(rng, d.aspect_width_rad), uniform(rng, d.aspect_floor)
+    return Points(positions, amplitudes, facing, width, floor)
+
+
+def _bounces(drawing: _Drawing, points: Points, amplitude: float) -> None:
+    """Interaction images of reflectors nearer than 8 cm, as reported for coupled patches."""
+    p = points.positions[:, :2]
+    pairs = [(i, j) for i in range(len(p)) for j in range(i) if np.linalg.norm(p[i] - p[j]) < 0.08]
+    for i, j in pairs:
+        both = np.asarray(points.positions[[i, j]], dtype=np.float64)
+        drawing.turning.append(DoubleBounce(both, amplitude))
+        drawing.ghosts.append(Ghost((p[i] + p[j]) / 2, float(np.linalg.norm(p[i] - p[j])) / 2))
+    if pairs:
+        drawing.kinds.append("bounce")
+
+
+def _extras(drawing: _Drawing, d: ObjectDistribution, radius: float, rng: np.random.Generator) -> None:
+    """Handles, a rim and a box."""
+    if rng.uniform() < d.handles:
+        count = int(rng.integers(1, 3))
+        at = spaced_points(count, radius + 0.015, 0.03, True, rng)
+        facing = np.arctan2(at[:, 1], at[:, 0]) + rng.uniform(-0.5, 0.5, len(at))
+        size = np.array([uniform(rng, d.handle_amplitude) for _ in at])
+        drawing.turning.append(Points(at, size, facing, float(rng.uniform(0.4, 1.2)), 0.05))
+        drawing.ghosts += [Ghost(point) for point in at]
+        drawing.kinds.append("handle")
+    if rng.uniform() < d.rim:
+        angles = rng.uniform(0, 2 * np.pi) + np.arange(int(rng.integers(4, 12))) * rng.uniform(0.1, 0.3)
+        at = radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+        sizes = np.full(len(at), uniform(rng, d.rim_amplitude))
+        drawing.turning.append(Points(at, sizes, np.asarray(angles, dtype=np.float64), 1.5, 0.1))
+        drawing.ghosts += [Ghost(point) for point in at]
+        drawing.kinds.append("rim")
+    if rng.uniform() < d.box:
+        side = 2 * radius + float(rng.uniform(0.05, 0.12))
+        face = uniform(rng, d.box_amplitude)
+        turn = float(rng.uniform(0, np.pi))
+        edges = turn + np.pi / 4 * np.arange(1, 8, 2)
+        drawing.turning.append(Box(side, side, face, face / 6, rotation_rad=turn))
+        corners = side / np.sqrt(2) * np.stack([np.cos(edges), np.sin(edges)], axis=1)
+        drawing.ghosts += [Ghost(corner) for corner in corners]
+        drawing.kinds.append("box")
+
+
+def draw_scene(seed: int, distribution: Distribution | None = None) -> TrainingScene:
+    """The scene of a seed.
+
+    Args:
+        seed: of everything in it.
+        distribution: what it is drawn from.
+    """
+    dist = distribution or Distribution()
+    d, r = dist.object, dist.recording
+    rng = np.random.default_rng(seed)
+    radius = uniform(rng, d.radius_m)
+    drawing = _Drawing([], [], [])
+    points = _reflectors(d, radius, rng)
+    if points is not None:
+        drawing.turning.append(points)
+        if rng.uniform() < d.bounce:
+            _bounces(drawing, points, uniform(rng, d.bounce_amplitude))
+    if rng.uniform() < d.shell:
+        offset, turn = uniform(rng, d.shell_offset_m), rng.uniform(0, 2 * np.pi)
+        centre = (offset * np.cos(turn), offset * np.sin(turn))
+        shell = Cylinder(max(0.02, radius - 0.02), uniform(rng, d.shell_amplitude), centre)
+        drawing.turning.append(shell)
+        drawing.ghosts.append(Ghost(np.array(centre), shell.radius_m))
+        drawing.kinds.append("shell")
+    _extras(drawing, d, radius, rng)
+    scene = Scene(
+        "training",
+        tuple(drawing.turning),
+        room=room_clutter(rng) if rng.uniform() < r.room else None,
+        reference_amplitude=1.0,
+    )
+    acquisition = _acquisition(dist, rng)
+    capture, _ = simulate_capture(scene, acquisition, seed)
+    none = np.zeros((0, 2))
+    return TrainingScene(
+        capture,
+        none if points is None else acquisition.placement.apply(points.positions[:, :2]),
+        tuple(Ghost(acquisition.placement.apply(g.centre_m[None])[0], g.radius_m) for g in drawing.ghosts),
+        float(acquisition.snr_db or 0.0),
+        acquisition.views,
+        tuple(drawing.kinds),
+    )
+
+
+def _acquisition(dist: Distribution, rng: np.random.Generator) -> Acquisition:
+    r = dist.recording
+    weights = np.array([weight for _, weight in r.views])
+    views = int(rng.choice([v for v, _ in r.views], p=weights / weights.sum()))
+    offset, turn = uniform(rng, r.centre_m), rng.uniform(0, 2 * np.pi)
+    spreading = bool(rng.uniform() < r.range_law)
+    pulse = draw_pulse(dist.pulse, rng)
+    return Acquisition(
+        views=views,
+        snr_db=uniform(rng, r.snr_db),
+        axis_distance_m=uniform(rng, r.axis_distance_m),
+        axis_distance_error_m=uniform(rng, r.axis_error_m),
+        placement=Placement((offset * np.cos(turn), offset * np.sin(turn)), rng.uniform(0, 2 * np.pi)),
+        wobble=Wobble(uniform(rng, r.wobble), uniform(rng, r.radial_m)),
+        pulse=pulse,
+        tell_pulse=bool(rng.uniform() < dist.pulse.told),
+        beam_width_rad=float(np.pi / 2) if spreading else None,
+        range_law=spreading,
+    )
