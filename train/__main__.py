@@ -29,7 +29,7 @@ AtsEvery = Annotated[int, typer.Option(help="Image every so many-th scene by ATS
 Epochs = Annotated[int, typer.Option(help="Passes over the dataset.")]
 Seed = Annotated[int, typer.Option(help="Of weights, order and symmetries.")]
 WORK = Path("build/train")
-SCENES = 8000
+SCENES = 6000
 EPOCHS = 12
 
 
@@ -50,7 +50,7 @@ def _shown(bar: Progress, text: str) -> Callable[[int, int], None]:
 
 @app.command()
 def dataset(work: Folder = WORK, scenes: Scenes = SCENES, jobs: Jobs = 2, ats_every: AtsEvery = 4) -> None:
-    """Draw scenes and image them. Example: python -m train dataset --scenes 8000 --jobs 2"""
+    """Draw scenes and image them. Example: python -m train dataset --scenes 6000 --jobs 2"""
     from train.dataset import build
     from train.plans import plans
 

@@ -78,9 +78,8 @@ def main() -> None:
         f"Machine: {platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}.", end=" "
     )
     print(f"Date: {datetime.now(UTC):%Y-%m-%d}. Command: `python {' '.join(sys.argv)}`\n")
-    print(
-        f"{arguments.scenes} scenes, thresholds for a false reflector in {100 * arguments.pfa:g} % of empty images\n"
-    )
+    rate = f"{100 * arguments.pfa:g} %"
+    print(f"{arguments.scenes} scenes, thresholds for a false reflector in {rate} of empty images\n")
     print("| method | recall | precision | false in empty | rms |\n|---|---|---|---|---|")
     for name, outcomes in results.items():
         print(row(name, outcomes, threshold_for(outcomes, arguments.pfa)))
