@@ -84,7 +84,12 @@ class Contract:
     training: dict[str, Any]
 
     def threshold(self, pfa: float) -> float:
-        """Probability to ask for that false-alarm rate: the strictest that was measured at it or above it."""
+        """Probability to ask for that false-alarm rate: of those measured, the nearest that keeps to it.
+
+        0 for a rate of 1; the strictest measured for a rate under all of them.
+        """
+        if pfa >= 1:
+            return 0.0
         measured = sorted((float(rate), value) for rate, value in self.thresholds.items())
         fitting = [value for rate, value in measured if rate <= pfa * (1 + 1e-9)]
         return fitting[-1] if fitting else measured[0][1]
