@@ -1,4 +1,4 @@
-"""What the shipped network says of the image beside what was read in the scans: a second, independent witness.
+"""What the shipped network says of the image beside what was read in the scans: a second witness.
 
 The name comes from the scans; the network tells the operator whether a spot beyond the layout is a reflector
 or a ghost, and whether there is any reflector on an object that was not named.
@@ -25,7 +25,7 @@ SAME_M = 0.012
 
 @dataclass(frozen=True)
 class Opinion:
-    """What the network says of one reflector of the reading: probabilities of being one, and of being a ghost."""
+    """The network on one reflector of the reading: probabilities of its being one, and of being a ghost."""
 
     probability: float
     ghost: float
