@@ -17,6 +17,7 @@ from tagid import __version__
 from tagid.capture import Capture
 from tagid.errors import DataError, UsageError
 from tagid.geometry import ImageGrid
+from tagid.identification import Identification
 from tagid.imaging.autofocus import AxisFocus, focus_axis_distance
 from tagid.imaging.methods import METHODS as IMAGING_METHODS
 from tagid.imaging.methods import make_image
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from tagid.tags.layout import Layout
     from tagid.tags.matcher import ReaderSettings, Reading
     from tagid.tags.reflectors import Reflector
+    from tagid.tags.second_look import SecondLook
 
 Progress = Callable[[float, float, str], None]
 """Called with (done, total, remark)."""
@@ -130,56 +132,6 @@ class Reconstruction:
     views: int
     seconds: dict[str, float]
     region: Region | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class Identification:
-    """The answer to "what is this object" (contract: Identification).
-
-    Attributes:
-        reading: what the scans say; None where status is "failed".
-        status: "identified", "unknown", "ambiguous", "no_tag" or "failed".
-        capture_uuid, registry_version, label: provenance and the name for people.
-        seconds: of each stage.
-        error: {code, message, remedy} where status is "failed".
-    """
-
-    status: str
-    reading: Reading | None
-    capture_uuid: str | None
-    registry_version: int | None
-    label: str = ""
-    seconds: dict[str, float] = field(default_factory=dict)
-    error: dict[str, str] | None = None
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain JSON values, with all fields of the contract."""
-        r = self.reading
-        reflectors = r.reflectors if r else ()
-        scores = r.scores if r else ()
-        return {
-            "status": self.status,
-            "reason": r.reason if r else (self.error or {}).get("message", ""),
-            "layout": r.layout if r else None,
-            "label": self.label,
-            "score": r.score if r else 0.0,
-            "margin": r.margin if r else 0.0,
-            "rotation_deg": r.rotation_deg if r and r.layout else None,
-            "centre_m": list(r.centre_m) if r and r.layout else None,
-            "reflectors": [
-                {"x_m": p.x_m, "y_m": p.y_m, "amplitude_db": p.amplitude_db, "matched": p.matched}
-                for p in reflectors
-            ],
-            "missing": r.missing if r else 0,
-            "extra": r.extra if r else 0,
-            "scores": [{"layout": s.name, "criterion": s.criterion, "share": s.share} for s in scores],
-            "capture_uuid": self.capture_uuid,
-            "tool_version": __version__,
-            "model_sha256": None,
-            "registry_version": self.registry_version,
-            "seconds": {name: round(value, 4) for name, value in self.seconds.items()},
-            "error": self.error,
-        }
 
 
 def prepare(capture: Capture, motion: str | None = None) -> Capture:
@@ -289,8 +241,23 @@ def identify(
         scans = preprocess(capture, settings=_preprocessing(settings, matched_filter=False))
     with watch.stage("read"):
         reading = read_tag(scans, layouts, _reading(settings))
+    second: SecondLook | None = None
+    if scans.aperture.angles is not None:
+        with watch.stage("look again"):
+            second = _second_look(capture, settings, reading)
     label = next((layout.label for layout in layouts if layout.name == reading.layout), "")
-    return Identification(reading.status, reading, capture.uuid, registry_version, label, dict(watch.seconds))
+    return Identification(
+        reading.status, reading, capture.uuid, registry_version, label, dict(watch.seconds), second=second
+    )
+
+
+def _second_look(capture: Capture, settings: ImagingSettings, reading: Reading) -> SecondLook:
+    """The network's view of the backprojection, on its own grid."""
+    from tagid.tags.planes import GRID
+    from tagid.tags.second_look import look_again
+
+    matched = PreprocessSettings(settings.background, matched_filter=True, extent_m=GRID.extent)
+    return look_again(preprocess(capture, settings=matched), reading.reflectors, reading.offset_m)
 
 
 def identify_together(

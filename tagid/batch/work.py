@@ -20,7 +20,8 @@ from tagid.batch.job import MAX_CAPTURE_BYTES, Job, Outcome
 from tagid.capture import Capture
 from tagid.defaults import complete, motion_of
 from tagid.errors import FileFormatError, StorageError, TagidError, displayable
-from tagid.pipeline import Identification, Stopwatch, identify, prepare, reconstruct
+from tagid.identification import Identification
+from tagid.pipeline import Stopwatch, identify, prepare, reconstruct
 from tagid.report.thumbnails import draw_pictures
 from tagid.storage import atomic
 from tagid.storage.history import utc_text

@@ -14,7 +14,7 @@ from tagid.errors import EXIT_BATCH, EXIT_FAILED, TagidError, UsageError, displa
 from tagid.result import Result, Status
 
 if TYPE_CHECKING:
-    from tagid.pipeline import Identification
+    from tagid.identification import Identification
 
 
 def register(app: typer.Typer) -> None:

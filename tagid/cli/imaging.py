@@ -16,8 +16,9 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
 
     from tagid.capture import Capture
+    from tagid.identification import Identification
     from tagid.imaging.region import Region
-    from tagid.pipeline import Identification, ImagingSettings, Reconstruction
+    from tagid.pipeline import ImagingSettings, Reconstruction
     from tagid.storage.history import History
     from tagid.storage.registry import Registry
 
@@ -175,7 +176,7 @@ def describe(answer: Identification, name: str) -> RenderableType:
 
 def failed(capture_uuid: str | None, error: TagidError) -> Identification:
     """The Identification of an item that could not be read."""
-    from tagid.pipeline import Identification
+    from tagid.identification import Identification
 
     entry = {"code": error.code, "message": error.message, "remedy": error.remedy}
     return Identification("failed", None, capture_uuid, None, error=entry)

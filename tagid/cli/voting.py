@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
-    from tagid.pipeline import Identification
+    from tagid.identification import Identification
 
 
 def joint_item(

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from tagid.capture import Capture
-from tagid.pipeline import Identification, Reconstruction
+from tagid.identification import Identification
+from tagid.pipeline import Reconstruction
 from tagid.report.charts import resample_views
 from tagid.report.colours import to_decibels, viridis
 from tagid.report.curves import RecordingCurves

@@ -17,7 +17,7 @@ LEVELS = (
     {"errors", "constants", "__init__"},
     {"geometry", "capture", "config", "waveform", "ports"},
     {"imaging", "tags", "storage", "radar", "motion", "simulate", "models_store"},
-    {"pipeline", "report", "doctor", "result", "sources", "inspection", "turn"}
+    {"pipeline", "report", "doctor", "result", "sources", "inspection", "turn", "identification"}
     | {"recorder", "long_recording", "intake", "calibration", "monitoring"},
     {"batch", "defaults"},
     {"cli", "__main__"},

@@ -1,0 +1,137 @@
+"""The detector's workshop in small: a seed's data, training that goes on after a kill, an export."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from tagid.errors import StorageError, UsageError
+from tagid.models_store import open_model
+from tagid.tags.detector import MODEL, Contract, Detector
+from train.dataset import MOST_REFLECTORS, Plan, Samples, build, load, make_shard
+from train.distributions import Distribution
+from train.evaluate import Figures, score
+from train.export import export
+from train.fit import FitSettings, fit
+from train.network import DetectorNetwork
+from train.scenes import draw_scene
+from train.targets import CELL_M, CELLS, cell_targets, make_batch, symmetry
+
+
+@pytest.fixture(scope="module")
+def few() -> Samples:
+    return make_shard([(seed, "bp") for seed in range(12)], Distribution())
+
+
+def test_a_seed_is_a_scene() -> None:
+    first, again, other = draw_scene(5), draw_scene(5), draw_scene(6)
+    assert np.array_equal(first.capture.samples, again.capture.samples)
+    assert not np.array_equal(first.reflectors_m, other.reflectors_m)
+
+
+def test_images_are_bright_where_the_truth_says(few: Samples) -> None:
+    hits = total = 0
+    for i in range(len(few)):
+        if few.scene_snr_db[i] < 8:
+            continue
+        magnitude = np.abs(few.relative[i, 0].astype(float) + 1j * few.relative[i, 1].astype(float))
+        for x, y in few.reflectors[i][np.isfinite(few.reflectors[i][:, 0])]:
+            column, row = (round((v / 0.5 + 0.5) * 96 - 0.5) for v in (x, y))
+            hits += magnitude[row - 2 : row + 3, column - 2 : column + 3].max() > 0.3
+            total += 1
+    assert total > 8
+    assert hits / total > 0.8
+
+
+@pytest.mark.parametrize("which", range(8))
+def test_symmetries_move_picture_and_points_together(which: int) -> None:
+    picture = np.zeros((96, 96))
+    picture[70, 20] = 1
+    point = (np.array([[20.5, 70.5]]) / 96 - 0.5) * 0.5
+    moved, at = symmetry(picture, point, which)
+    row, column = np.unravel_index(np.argmax(moved), moved.shape)
+    assert at[0] == pytest.approx([((column + 0.5) / 96 - 0.5) * 0.5, ((row + 0.5) / 96 - 0.5) * 0.5])
+
+
+def test_targets_lead_back_to_the_reflector() -> None:
+    truth = np.array([[0.0731, -0.1012], [np.nan, np.nan]])
+    heat, ghost, near, offset = cell_targets(truth, np.array([[0.0, 0.0, 0.05]]))
+    row, column = np.unravel_index(np.argmax(heat), heat.shape)
+    assert heat[row, column] == 1
+    x = (column + offset[0, row, column] - CELLS / 2 + 0.5) * CELL_M
+    y = (row + offset[1, row, column] - CELLS / 2 + 0.5) * CELL_M
+    assert (x, y) == pytest.approx(tuple(truth[0]), abs=1e-6)
+    assert ghost.sum() > 20
+    assert not (ghost * near).any()
+
+
+def test_a_shard_is_made_once_and_a_lost_one_again(tmp_path: Path) -> None:
+    plan = Plan("validation", 3, ats_every=0)
+    build(tmp_path, plan)
+    first = load(tmp_path, plan)
+    (shard,) = (tmp_path / "validation").glob("*.npz")
+    stamp = shard.stat().st_mtime_ns
+    build(tmp_path, plan)
+    assert shard.stat().st_mtime_ns == stamp
+    shard.unlink()
+    with pytest.raises(StorageError, match="0000"):
+        load(tmp_path, plan)
+    build(tmp_path, plan)
+    assert np.array_equal(load(tmp_path, plan).relative, first.relative)
+    with pytest.raises(UsageError, match="another kind"):
+        build(tmp_path, Plan("validation", 3, ats_every=2))
+
+
+def test_training_learns_and_goes_on_where_it_was_killed(few: Samples, tmp_path: Path) -> None:
+    settings = FitSettings(epochs=3, batch=4, threads=1)
+    whole = fit(few, few, tmp_path / "whole.pt", settings)
+
+    class KilledError(Exception):
+        pass
+
+    def kill(step: int, steps: int, loss: float) -> None:
+        if step == steps // 2 + 1:
+            raise KilledError
+
+    with pytest.raises(KilledError):
+        fit(few, few, tmp_path / "cut.pt", settings, progress=kill)
+    losses: list[float] = []
+    resumed = fit(few, few, tmp_path / "cut.pt", settings, report=lambda e: losses.append(e.training))
+    assert len(losses) == 2
+    for a, b in zip(whole.state_dict().values(), resumed.state_dict().values(), strict=True):
+        assert torch.equal(a, b)
+    with pytest.raises(StorageError, match="another training"):
+        fit(few, few, tmp_path / "cut.pt", FitSettings(epochs=4, batch=4, threads=1))
+
+
+def test_an_exported_network_says_what_torch_says(few: Samples, tmp_path: Path) -> None:
+    torch.manual_seed(0)
+    network = DetectorNetwork().eval()
+    contract = Contract(2.0, 0.1, 1.0, 0.0, 1.5, {"0.01": 0.7}, {"commit": "x", "seed": 0, "scenes": 1})
+    path = export(network, contract, {}, tmp_path)
+    assert path.stat().st_size < 1_000_000
+    detector = Detector(open_model(MODEL, folder=tmp_path))
+    assert detector.contract == contract
+    batch = make_batch(few, np.arange(2))
+    with torch.no_grad():
+        cells, present = network(batch.planes[:1])
+    out = open_model(MODEL, folder=tmp_path).run({"planes": batch.planes[:1].numpy()})
+    np.testing.assert_allclose(out["cells"], cells.numpy(), atol=2e-4)
+    np.testing.assert_allclose(out["present"], present.numpy(), atol=2e-4)
+
+
+def test_each_reflector_is_hit_once() -> None:
+    from tagid.tags.detector import Detection
+
+    truth = np.full((MOST_REFLECTORS, 2), np.nan)
+    truth[0], truth[1] = (0.05, 0.0), (-0.05, 0.0)
+    found = [Detection(0.052, 0.0, 2e-3, p, 0.0, 1.0) for p in (0.9, 0.8)]
+    outcome = score(found, truth)
+    assert outcome.hits == [True, False]
+    assert outcome.missed == 1
+    figures = Figures.of([outcome], 0.5)
+    assert (figures.recall, figures.precision) == (0.5, 0.5)
+    assert figures.rms_mm == pytest.approx(2.0)
