@@ -241,21 +241,21 @@ def identify(
         scans = preprocess(capture, settings=_preprocessing(settings, matched_filter=False))
     with watch.stage("read"):
         reading = read_tag(scans, layouts, _reading(settings))
-    second: SecondLook | None = None
-    if scans.aperture.angles is not None:
-        with watch.stage("look again"):
-            second = _second_look(capture, settings, reading)
+    with watch.stage("look again"):
+        second = _second_look(capture, settings, reading)
     label = next((layout.label for layout in layouts if layout.name == reading.layout), "")
     return Identification(
         reading.status, reading, capture.uuid, registry_version, label, dict(watch.seconds), second=second
     )
 
 
-def _second_look(capture: Capture, settings: ImagingSettings, reading: Reading) -> SecondLook:
-    """The network's view of the backprojection, on its own grid."""
+def _second_look(capture: Capture, settings: ImagingSettings, reading: Reading) -> SecondLook | None:
+    """The network's view of the backprojection, on its own grid; None for free antenna positions."""
     from tagid.tags.planes import GRID
     from tagid.tags.second_look import look_again
 
+    if capture.angles_rad is None:
+        return None
     matched = PreprocessSettings(settings.background, matched_filter=True, extent_m=GRID.extent)
     return look_again(preprocess(capture, settings=matched), reading.reflectors, reading.offset_m)
 
@@ -284,12 +284,16 @@ def identify_together(
         joint, alone = read_together(recordings, layouts, _reading(settings))
     labels = {layout.name: layout.label for layout in layouts}
 
-    def answer(reading: Reading, uuid: str | None) -> Identification:
-        label = labels.get(reading.layout or "", "")
-        return Identification(reading.status, reading, uuid, registry_version, label, dict(watch.seconds))
+    with watch.stage("look again"):
+        seconds = [_second_look(c, settings, reading) for reading, c in zip(alone, captures, strict=True)]
 
-    each = [answer(reading, c.uuid) for reading, c in zip(alone, captures, strict=True)]
-    return answer(joint, captures[0].uuid if len(captures) == 1 else None), each
+    def answer(reading: Reading, uuid: str | None, second: SecondLook | None) -> Identification:
+        label, spent = labels.get(reading.layout or "", ""), dict(watch.seconds)
+        return Identification(reading.status, reading, uuid, registry_version, label, spent, second=second)
+
+    each = [answer(r, c.uuid, second) for r, c, second in zip(alone, captures, seconds, strict=True)]
+    only = len(captures) == 1
+    return answer(joint, captures[0].uuid if only else None, seconds[0] if only else None), each
 
 
 def _reading(settings: ImagingSettings) -> ReaderSettings:
