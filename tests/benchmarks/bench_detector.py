@@ -12,8 +12,11 @@ import platform
 import sys
 import time
 from datetime import UTC, datetime
+from pathlib import Path
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
+# train/ is not installed.
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import numpy as np
 

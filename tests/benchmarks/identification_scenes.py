@@ -1,6 +1,6 @@
 """Scenes of the identification benchmark: what stands on the table, and how it is recorded.
 
-Seeds begin at 10 000 000, which no training draws; SNR is that of one sample of the strongest echo.
+Seeds begin at 50 000 000, which no training draws; SNR is that of one sample of the strongest echo.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from tagid.capture import Capture
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.imaging.types import BasebandScans
 from tagid.simulate.acquisition import Acquisition, Placement, Wobble
@@ -21,7 +22,7 @@ from tagid.tags.design import DesignRules, design
 from tagid.tags.layout import Layout, builtin_layouts
 from tagid.tags.objects import object_named
 
-FIRST_SEED = 10_000_000
+FIRST_SEED = 50_000_000
 UNTAGGED = ("can", "box", "untagged", "empty")
 UNENROLLED = ("two-far", "three-right-angle", "four-square", "mirror-like", "three-random", "four-random")
 _FIXED = {
@@ -142,6 +143,7 @@ TWISTS = (*ACQUISITION_TWISTS, *SCENE_TWISTS)
 class Recorded:
     """Scans to be read, with the truth."""
 
+    capture: Capture
     scans: BasebandScans
     name: str
     positions: np.ndarray
@@ -172,4 +174,4 @@ def record(condition: Condition, number: int) -> Recorded:
         acquisition = replace(acquisition, noise_std=None, snr_db=float(condition.snr_db))
     capture, truth = simulate_capture(scene, acquisition, FIRST_SEED + number)
     scans = preprocess(capture, None, PreprocessSettings(matched_filter=False, extent_m=0.3))
-    return Recorded(scans, name, truth.positions_m, -acquisition.axis_distance_error_m)
+    return Recorded(capture, scans, name, truth.positions_m, -acquisition.axis_distance_error_m)
