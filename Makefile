@@ -39,7 +39,7 @@ browser:
 	fi
 
 check: $(VENV)/.dev browser
-	OMP_NUM_THREADS=1 $(BIN)/pytest
+	OMP_NUM_THREADS=1 $(BIN)/pytest -n auto --dist worksteal
 
 clean:
 	rm -rf $(VENV) $(DEMO_DIR) build dist *.egg-info
