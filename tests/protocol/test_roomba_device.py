@@ -26,6 +26,8 @@ from tagid.sources import Sources
 from tagid.storage.importers import read_any
 from tagid.turn import resolve_turn
 
+pytestmark = pytest.mark.realtime
+
 
 @pytest.fixture
 def host(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[RoombaHost]:
