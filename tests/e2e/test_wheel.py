@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -34,7 +35,13 @@ def run(*command: str | Path, **more: str) -> subprocess.CompletedProcess[str]:
 def empty_environment(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Python of a new environment into which only the wheel and what it requires are installed."""
     folder = tmp_path_factory.mktemp("wheel")
-    built = run(sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--wheel-dir", folder, ROOT)
+    # From a copy, so that nothing of the build stays in the checkout, or comes from an older one.
+    unwanted = shutil.ignore_patterns(
+        ".*", "build", "dist", "demo", "*.egg-info", "__pycache__", "node_modules"
+    )
+    shutil.copytree(ROOT, folder / "source", symlinks=True, ignore=unwanted)
+    source = folder / "source"
+    built = run(sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--wheel-dir", folder, source)
     if built.returncode != 0:
         pytest.skip(f"the wheel cannot be built here (no setuptools to be had?): {built.stderr[-300:]}")
     (wheel,) = folder.glob("tagid-*.whl")

@@ -118,7 +118,7 @@ def test_a_bond_survives_the_boards_restart(wire: Wire, tmp_path_factory: pytest
                     from tagid.motion.bridge.client import Bridge
 
                     async with Bridge(heard, passkey=passkey, backends=backends, timeout=20.0) as bridge:
-                        await bridge.request(Op.TIME)
+                        assert len(await bridge.request(Op.TIME)) > 0
 
     asyncio.run(run())
 

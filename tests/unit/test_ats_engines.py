@@ -12,8 +12,9 @@ from imaging_scenes import record, turn  # noqa: E402
 from tagid.errors import MissingExtraError, UsageError  # noqa: E402
 from tagid.geometry import ImageGrid  # noqa: E402
 from tagid.imaging.ats import fit as fit_module  # noqa: E402
-from tagid.imaging.ats import step as step_module  # noqa: E402
+from tagid.imaging.ats import forward_step as step_module  # noqa: E402
 from tagid.imaging.ats.fit import AtsSettings, fit  # noqa: E402
+from tagid.imaging.ats.fit_torch import TorchEngine  # noqa: E402
 from tagid.imaging.ats.problem import (  # noqa: E402
     FieldShape,
     FineRange,
@@ -21,7 +22,6 @@ from tagid.imaging.ats.problem import (  # noqa: E402
     draw_weights,
     view_arrays,
 )
-from tagid.imaging.ats.torch_engine import TorchEngine  # noqa: E402
 from tagid.imaging.operator import ForwardOperator  # noqa: E402
 from tagid.imaging.preprocess import PreprocessSettings, preprocess  # noqa: E402
 

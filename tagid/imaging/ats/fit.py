@@ -54,7 +54,7 @@ _LEAST_HELD_OUT = 18
 
 
 class Engine(Protocol):
-    """What runs the steps: `torch_engine.TorchEngine` or `runtime.OnnxEngine`."""
+    """What runs the steps: `fit_torch.TorchEngine` or `runtime.OnnxEngine`."""
 
     name: str
 
@@ -289,7 +289,7 @@ def make_engine(start: FieldWeights, settings: AtsSettings) -> Engine:
         from tagid.imaging.ats.runtime import OnnxEngine
 
         return OnnxEngine(start, settings.threads)
-    from tagid.imaging.ats.torch_engine import TorchEngine
+    from tagid.imaging.ats.fit_torch import TorchEngine
 
     return TorchEngine(start, settings.device, settings.threads)
 

@@ -12,8 +12,8 @@ import torch
 from numpy.typing import NDArray
 
 from tagid.errors import UsageError
+from tagid.imaging.ats.forward_step import Step, optimise
 from tagid.imaging.ats.problem import Array, FieldWeights, FineRange, GridArrays, ViewArrays
-from tagid.imaging.ats.step import Step, optimise
 
 
 class TorchEngine:
