@@ -117,7 +117,9 @@ def test_memory_does_not_grow_with_the_scans(tmp_path: Path) -> None:
     record_long(radar(), PLAN, RecordingLimits(scans=3000), tmp_path / "a.tagid.h5", watch)
     tracemalloc.stop()
     assert len(held) >= 4
-    assert held[-1] - held[0] < 100_000  # 2000 scans of 384 bytes in between
+    # Where another thread is late there are scans between radar and queue: the least of each half has none.
+    middle = len(held) // 2
+    assert min(held[middle:]) - min(held[:middle]) < 100_000  # 1500 scans of 384 bytes in between
 
 
 def test_memory_does_not_grow_with_the_journal(tmp_path: Path) -> None:
