@@ -11,6 +11,8 @@ DEMO_DIR ?= demo
 $(VENV)/.base: pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	$(PIP) --editable .
+	@# Python 3.11 puts setuptools into every environment (10 MB); the build brings its own, nothing else needs it.
+	$(BIN)/python -m pip uninstall --quiet --yes setuptools
 	@touch $@
 
 $(VENV)/.dev: $(VENV)/.base
@@ -18,7 +20,7 @@ $(VENV)/.dev: $(VENV)/.base
 	@touch $@
 
 demo: $(VENV)/.base
-	$(BIN)/tagid scan --demo --save-dir $(DEMO_DIR)
+	PYTHONDONTWRITEBYTECODE=1 $(BIN)/tagid scan --demo --save-dir $(DEMO_DIR)
 
 test: lint types check
 
