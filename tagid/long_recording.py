@@ -15,8 +15,14 @@ from tagid.intake import Intake
 from tagid.radar.messages import SCAN_FOREVER
 from tagid.radar.p440 import P440
 from tagid.radar.resume import Gap
-from tagid.recorder import CAPTURE_SUFFIX, SYNC_S, RecordingPlan, journal_header, with_remedy
-from tagid.storage.journal import SUFFIX as JOURNAL_SUFFIX
+from tagid.recorder import (
+    CAPTURE_SUFFIX,
+    SYNC_S,
+    RecordingPlan,
+    journal_beside,
+    journal_header,
+    with_remedy,
+)
 from tagid.storage.journal import JournalWriter
 from tagid.storage.journal_capture import PART_BYTES, WrittenCaptures, write_captures
 from tagid.storage.journal_queue import JournalQueue
@@ -104,9 +110,7 @@ def record_long(
         DataError: no scan arrived.
     """
     watch = watch or RecordingWatch()
-    if path.exists():
-        raise StorageError(f"{path} exists already", "Choose another name; captures are never overwritten.")
-    journal_path = path.with_name(path.name.removesuffix(CAPTURE_SUFFIX) + JOURNAL_SUFFIX)
+    journal_path = journal_beside(path)
     failed: TagidError | None = None
     whole = False
     with radar:

@@ -219,11 +219,6 @@ def check_all(folder: Path = FOLDER) -> None:
         model_bytes(name, folder)
 
 
-def sha256_of(name: str) -> str:
-    """Hash of a shipped model, for an answer's provenance."""
-    return manifest()[name].sha256
-
-
 def write_entry(entry: Entry, content: bytes, folder: Path = FOLDER) -> None:
     """Put a model and its manifest entry into a folder, replacing one of the same name."""
     path = folder / "manifest.json"

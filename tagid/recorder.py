@@ -132,9 +132,7 @@ def record(
         DeviceError and its kinds: the radar or the table failed. DiskFullError, StorageError: files.
         CaptureInterrupted: stopped by the user. DataError: no scan arrived.
     """
-    if path.exists():
-        raise StorageError(f"{path} exists already", "Choose another name; captures are never overwritten.")
-    journal_path = path.with_name(path.name.removesuffix(CAPTURE_SUFFIX) + JOURNAL_SUFFIX)
+    journal_path = journal_beside(path)
     stopped: TagidError | None = None
     with radar:
         status = radar.status()
@@ -241,6 +239,16 @@ def _needed(watch: Watch, scans: list[Scan], header: dict[str, Any], plan: Recor
         return OVERLAP_TURNS * float(resolved["period_s"])
     except DataError:
         return 0.0
+
+
+def journal_beside(path: Path) -> Path:
+    """The journal of a capture file that is to be written.
+
+    Raises StorageError where the capture exists already.
+    """
+    if path.exists():
+        raise StorageError(f"{path} exists already", "Choose another name; captures are never overwritten.")
+    return path.with_name(path.name.removesuffix(CAPTURE_SUFFIX) + JOURNAL_SUFFIX)
 
 
 def journal_header(plan: RecordingPlan, taken: RadarConfig, radar: dict[str, Any]) -> dict[str, Any]:

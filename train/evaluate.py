@@ -15,7 +15,7 @@ from scipy.optimize import minimize
 
 from tagid.imaging.metrics import pick_peaks
 from tagid.imaging.types import Image
-from tagid.tags.detector import Contract, Detection, decode
+from tagid.tags.detector import Contract, Detection, decode, sigmoid
 from tagid.tags.planes import GRID, NetworkInput
 from train.dataset import Samples
 from train.images import METHODS
@@ -93,10 +93,6 @@ def _logistic(logit: NDArray[np.float64], label: NDArray[np.float64]) -> tuple[f
     return float(x[0]), float(x[1])
 
 
-def _sigmoid(logit: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.asarray(1 / (1 + np.exp(-logit)))
-
-
 def _logit(p: NDArray[np.float64]) -> NDArray[np.float64]:
     q = np.clip(p, 1e-9, 1 - 1e-9)
     return np.asarray(np.log(q / (1 - q)))
@@ -116,7 +112,7 @@ def calibrate(network: DetectorNetwork, validation: Samples, training: dict[str,
     use = sure > 0.3
     scale = float(np.sqrt(np.mean((errors[use] ** 2).sum(axis=1) / (2 * sigmas[use] ** 2))))
     best = [max((d.probability for d in o.detections), default=0.0) for o in raw]
-    empty = _sigmoid(slope * _logit(np.array(best)) + intercept)[there == 0]
+    empty = sigmoid(slope * _logit(np.array(best)) + intercept)[there == 0]
     thresholds = {f"{pfa:g}": float(np.quantile(empty, 1 - pfa)) for pfa in PFA}
     return Contract(slope, intercept, present[0], present[1], scale, thresholds, training)
 
@@ -186,14 +182,13 @@ def local_maxima(seen_now: NetworkInput) -> list[Detection]:
 
     Peaks under half of the brightest are taken for sidelobes (7.9 dB down in a full turn).
     """
-    magnitude = np.abs(seen_now.relative)
     peaks = pick_peaks(Image(seen_now.relative, GRID), 8, threshold=0.5)
     found = []
     for x, y in peaks:
-        i, j = (int(np.clip(round((v / GRID.extent + 0.5) * GRID.pixels - 0.5), 0, 95)) for v in (x, y))
-        snr_db = seen_now.snr_db + 20 * np.log10(max(float(magnitude[j, i]), 1e-6))
+        value = seen_now.value_at(float(x), float(y))
+        snr_db = seen_now.snr_db + 20 * np.log10(max(abs(value), 1e-6))
         p = 1 / (1 + np.exp(-(snr_db - 20) / 4))
-        found.append(Detection(float(x), float(y), 3e-3, float(p), 0.0, complex(seen_now.relative[j, i])))
+        found.append(Detection(float(x), float(y), 3e-3, float(p), 0.0, value))
     return sorted(found, key=lambda d: -d.probability)
 
 
@@ -204,6 +199,11 @@ def maxima_figures(validation: Samples, test: Samples, pfa: float) -> Figures:
         each = range(len(samples))
         return [score(local_maxima(seen(samples, i)), samples.reflectors[i]) for i in each]
 
-    empty = [o for o in scored(validation) if o.missed + sum(o.hits) == 0]
+    return Figures.of(scored(test), threshold_at(scored(validation), pfa))
+
+
+def threshold_at(found: list[Outcome], pfa: float) -> float:
+    """The probability that a share pfa of the images without reflectors exceeds; 0.5 where there are none."""
+    empty = [o for o in found if o.missed + sum(o.hits) == 0]
     best = [max((d.probability for d in o.detections), default=0.0) for o in empty]
-    return Figures.of(scored(test), float(np.quantile(best, 1 - pfa)) if best else 0.5)
+    return float(np.quantile(best, 1 - pfa)) if best else 0.5

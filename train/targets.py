@@ -14,11 +14,10 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
-from tagid.tags.planes import GRID, NetworkInput
+from tagid.tags.detector import CELL_M, CELLS
+from tagid.tags.planes import NetworkInput
 from train.dataset import Samples
 
-CELLS = GRID.pixels // 2
-CELL_M = GRID.extent / CELLS
 HIT_SIGMA = 0.7
 """Of the Gaussian around a reflector that spares neighbours in the focal loss, cells."""
 GHOST_WIDTH = 1.0

@@ -15,7 +15,6 @@ from tagid.geometry import ImageGrid
 from tagid.imaging.backprojection import upsample_at_carrier
 from tagid.imaging.types import BasebandScans, Image
 
-Complexes = NDArray[np.complex64]
 Floats = NDArray[np.float64]
 
 _OVERSAMPLING = 2.0

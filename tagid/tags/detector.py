@@ -124,7 +124,8 @@ class Contract:
         return contract
 
 
-def _sigmoid(logit: NDArray[np.floating] | float) -> NDArray[np.float64]:
+def sigmoid(logit: NDArray[np.floating] | float) -> NDArray[np.float64]:
+    """The probability of a logit."""
     return np.asarray(1 / (1 + np.exp(-np.clip(np.asarray(logit, dtype=np.float64), -60, 60))))
 
 
@@ -148,15 +149,14 @@ def decode(cells: NDArray[np.float32], seen: NetworkInput, contract: Contract) -
         if any(np.hypot(x - d.x_m, y - d.y_m) < SEPARATION_M for d in found):
             continue
         logit = contract.slope * float(cells[0, row, column]) + contract.intercept
-        i, j = (int(np.clip(round((v / GRID.extent + 0.5) * GRID.pixels - 0.5), 0, 95)) for v in (x, y))
         found.append(
             Detection(
                 x,
                 y,
                 contract.sigma_scale * CELL_M * float(np.exp(np.clip(log_sigma, -4, 1))),
-                float(_sigmoid(logit)),
-                float(_sigmoid(ghost)),
-                complex(seen.relative[j, i]) * seen.peak,
+                float(sigmoid(logit)),
+                float(sigmoid(ghost)),
+                seen.value_at(x, y) * seen.peak,
             )
         )
         if len(found) == _MOST:
@@ -199,4 +199,4 @@ class Detector:
         threshold = self.contract.threshold(pfa)
         found = tuple(d for d in decode(cells, seen, self.contract) if d.probability >= threshold)
         there = self.contract.present_slope * present + self.contract.present_intercept
-        return Detections(float(_sigmoid(there)), found, threshold)
+        return Detections(float(sigmoid(there)), found, threshold)

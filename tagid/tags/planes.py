@@ -64,6 +64,12 @@ class NetworkInput:
         relative = values / np.complex64(peak) if peak else values
         return cls(relative, peak, image_snr_db(scans, abs(peak)), scans.aperture.views)
 
+    def value_at(self, x_m: float, y_m: float) -> complex:
+        """Relative value of the pixel nearest to a position, m; of the edge for one outside."""
+        j, i = (round((v / GRID.extent + 0.5) * GRID.pixels - 0.5) for v in (x_m, y_m))
+        last = GRID.pixels - 1
+        return complex(self.relative[min(max(i, 0), last), min(max(j, 0), last)])
+
     def planes(self) -> NDArray[np.float32]:
         """(5, 96, 96): real part, imaginary part, magnitude, SNR / 60 dB, log views / log 360."""
         r = self.relative

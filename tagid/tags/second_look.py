@@ -54,17 +54,6 @@ def shipped_detector() -> Detector:
     return Detector.shipped()
 
 
-def detections_in(scans: BasebandScans, pfa: float = PFA) -> tuple[float, tuple[Detection, ...]]:
-    """Probability that there is any reflector, and the reflectors of a backprojection of the scans.
-
-    Args:
-        scans: with matched filter, focused.
-        pfa: share of images without any reflector in which one may be seen.
-    """
-    answer = shipped_detector().detect(NetworkInput.of(backproject(scans, GRID), scans), pfa)
-    return answer.present, answer.found
-
-
 def look_again(scans: BasebandScans, reflectors: Sequence[Reflector], offset_m: float = 0.0) -> SecondLook:
     """Compare the network's detections with the reflectors of a reading.
 

@@ -25,7 +25,7 @@ from tagid.tags.detector import Detection, Detector
 from tagid.tags.planes import GRID, NetworkInput
 from tagid.tags.reflectors import find_reflectors
 from train.dataset import SEED_BASES
-from train.evaluate import Figures, Outcome, local_maxima, score
+from train.evaluate import Figures, Outcome, local_maxima, score, threshold_at
 from train.images import focused_scans
 from train.scenes import draw_scene
 
@@ -37,13 +37,6 @@ def cleaned(capture: object) -> list[Detection]:
         Detection(r.x_m, r.y_m, 2e-3, float(1 / (1 + np.exp(-(r.snr_db - 20) / 4))), 0.0, r.amplitude)
         for r in found
     ]
-
-
-def threshold_for(outcomes: list[Outcome], pfa: float) -> float:
-    """The probability that a share pfa of the empty images exceeds."""
-    empty = [o for o in outcomes if o.missed + sum(o.hits) == 0]
-    best = [max((d.probability for d in o.detections), default=0.0) for o in empty]
-    return float(np.quantile(best, 1 - pfa))
 
 
 def row(name: str, outcomes: list[Outcome], threshold: float) -> str:
@@ -85,7 +78,7 @@ def main() -> None:
     print(f"{arguments.scenes} scenes, thresholds for a false reflector in {rate} of empty images\n")
     print("| method | recall | precision | false in empty | rms |\n|---|---|---|---|---|")
     for name, outcomes in results.items():
-        print(row(name, outcomes, threshold_for(outcomes, arguments.pfa)))
+        print(row(name, outcomes, threshold_at(outcomes, arguments.pfa)))
     print(f"\nThe network takes {1e3 * np.median(seconds):.1f} ms an image (median, one thread).")
 
 

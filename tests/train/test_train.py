@@ -10,7 +10,7 @@ import torch
 
 from tagid.errors import StorageError, UsageError
 from tagid.models_store import open_model
-from tagid.tags.detector import MODEL, Contract, Detector
+from tagid.tags.detector import CELL_M, CELLS, MODEL, Contract, Detector
 from train.dataset import MOST_REFLECTORS, Plan, Samples, build, load, make_shard
 from train.distributions import Distribution
 from train.evaluate import Figures, score
@@ -18,7 +18,7 @@ from train.export import export
 from train.fit import FitSettings, fit
 from train.network import DetectorNetwork
 from train.scenes import draw_scene
-from train.targets import CELL_M, CELLS, cell_targets, make_batch, symmetry
+from train.targets import cell_targets, make_batch, symmetry
 
 
 @pytest.fixture(scope="module")
