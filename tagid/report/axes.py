@@ -41,6 +41,8 @@ def tick_labels(ticks: list[float]) -> list[str]:
     >>> tick_labels([-0.2, 0.0, 0.2])
     ['-0.2', '0.0', '0.2']
     """
+    if len(ticks) == 1:
+        return [f"{ticks[0]:.12g}"]
     step = min((b - a for a, b in itertools.pairwise(ticks)), default=1.0)
     if step <= 0 or max(abs(t) for t in ticks) >= 1e6:
         return [f"{t:g}" for t in ticks]
