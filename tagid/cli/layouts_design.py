@@ -174,7 +174,7 @@ def _designed(family: Family, out: Path | None, enroll: bool) -> Result:
     lines = [
         Text(
             f"{len(family.layouts)} of {family.candidates} possible layouts ({family.necklaces} necklaces), "
-            f"least rotational distance {least}"
+            f"least rotational distance {least}" + ("" if family.proven else ", the largest found")
         )
     ]
     if out is not None:
@@ -184,6 +184,7 @@ def _designed(family: Family, out: Path | None, enroll: bool) -> Result:
     data = {
         "layouts": [layout.to_dict() for layout in family.layouts],
         "distance_m": None if family.distance_m == float("inf") else family.distance_m,
+        "proven_best": family.proven,
         "nearest_reflectors_m": family.ghost_m,
         "candidates": family.candidates,
         "necklaces": family.necklaces,

@@ -12,7 +12,8 @@ from math import erfc, sqrt
 import numpy as np
 
 from tagid.errors import UsageError
-from tagid.tags.design import MAX_COUNT, DesignRules, candidates, distance_matrix, largest_clique
+from tagid.tags.cliques import largest_clique
+from tagid.tags.design import MAX_COUNT, DesignRules, candidates, distance_matrix
 from tagid.tags.objects import TaggedObject
 
 LEVELS = 24

@@ -22,6 +22,9 @@ CENTRE_TOLERANCE_M = 14e-3
 """The reader looks for an object's centre within +- this, so a shift of this size tells no layouts apart."""
 MAX_PAIRINGS = 5040
 _ROTATION_STEP_RAD = np.deg2rad(4.0)
+_ARC_STEPS = 16
+_SECTIONS = 26
+_BLOCK = 1 << 18
 
 
 @dataclass(frozen=True)
@@ -107,7 +110,7 @@ def best_places(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Turns and shifts, within the tolerance, that bring points nearest to their partners.
 
-    The unlimited optimum is Kabsch's (1976); where its shift is too long, both are improved in turn.
+    The unlimited optimum is Kabsch's (1976); where its shift is too long, see `_held_turn`.
 
     Args:
         points, partners: (..., K, 2), broadcast against each other, m.
@@ -127,19 +130,96 @@ def best_places(
     shift = q_mean - turn * p_mean
     far = np.abs(shift) > tolerance_m
     if far.any():
-        own, other, middle = p[far], q[far], q_mean[far]
-        held, own_mean = shift[far], p_mean[far]
-        for _ in range(12):
-            held *= tolerance_m / np.maximum(np.abs(held), max(tolerance_m, 1e-12))
-            better = np.sum(own.conj() * (other - held[..., None]), axis=-1)
-            better /= np.maximum(np.abs(better), 1e-30)
-            held = middle - better * own_mean
-        held *= tolerance_m / np.maximum(np.abs(held), max(tolerance_m, 1e-12))
-        turn[far], shift[far] = better, held
+        turn[far] = np.exp(1j * _held_turn(centred[far] / p.shape[-1], p_mean[far], q_mean[far], tolerance_m))
+        free = q_mean[far] - turn[far] * p_mean[far]
+        shift[far] = free * np.minimum(1, tolerance_m / np.maximum(np.abs(free), 1e-30))
     error = turn[..., None] * p + shift[..., None] - q
     rms = np.sqrt(np.mean(np.abs(error) ** 2, axis=-1))
     xy = np.stack([shift.real, shift.imag], axis=-1)
     return rms.reshape(shape), np.angle(turn).reshape(shape), xy.reshape(*shape, 2)
+
+
+def _misfit(
+    angle: NDArray[np.float64],
+    cross: NDArray[np.complex128],
+    own: NDArray[np.complex128],
+    other: NDArray[np.complex128],
+    tolerance_m: float,
+) -> NDArray[np.float64]:
+    """What a turn leaves of the mean square distance, but for a constant, where the shift is limited, m^2.
+
+    The centred points leave const - 2 Re(exp(-i angle) cross); the means leave what the shift cannot bridge.
+    """
+    turn = np.exp(1j * angle)
+    beyond = np.maximum(np.abs(other - turn * own) - tolerance_m, 0)
+    return np.asarray(beyond**2 - 2 * (turn.conj() * cross).real)
+
+
+def _held_turn(
+    cross: NDArray[np.complex128],
+    own: NDArray[np.complex128],
+    other: NDArray[np.complex128],
+    tolerance_m: float,
+) -> NDArray[np.float64]:
+    """Turns (n,), rad, that minimise `_misfit`.
+
+    One of its terms grows with the distance from the turn that fits the shapes, the other with that from the
+    turn that fits the means: the minimum lies on the shorter arc between the two, is bracketed there on a
+    grid and found by golden sections.
+
+    Args:
+        cross: (n,) mean of conj(p) q of the centred points, m^2.
+        own, other: (n,) means of the points and of their partners, m.
+        tolerance_m: longest shift, m.
+    """
+    begin = np.angle(cross)
+    arc = np.angle(other * own.conj() * np.exp(-1j * begin))
+    grid = np.linspace(0, 1, _ARC_STEPS + 1)[:, None]
+    best = np.argmin(_misfit(begin + grid * arc, cross, own, other, tolerance_m), axis=0)
+    low, high = (np.clip(best + step, 0, _ARC_STEPS) / _ARC_STEPS for step in (-1, 1))
+    golden = (np.sqrt(5) - 1) / 2
+    for _ in range(_SECTIONS):
+        left, right = high - golden * (high - low), low + golden * (high - low)
+        lower = _misfit(begin + left * arc, cross, own, other, tolerance_m) < _misfit(
+            begin + right * arc, cross, own, other, tolerance_m
+        )
+        low, high = np.where(lower, low, left), np.where(lower, right, high)
+    return np.asarray(begin + (low + high) / 2 * arc)
+
+
+def all_distances(
+    points: NDArray[np.float64], centre_tolerance_m: float = CENTRE_TOLERANCE_M
+) -> NDArray[np.float64]:
+    """(n, n) rotational distances (RMS over reflectors, m) of layouts (n, K, 2), K! pairings each.
+
+    The same as `rotational_distance` of every two, at once: an unlimited shift gives every pairing's least
+    possible distance, so the limited one is worked out only where it could still be the smallest.
+    """
+    z = points[..., 0] + 1j * points[..., 1]
+    n, k = z.shape
+    mean = z.mean(axis=1)
+    centred = z - mean[:, None]
+    energy = np.mean(np.abs(centred) ** 2, axis=1)
+    orders = list(permutations(range(k)))
+    out = np.zeros((n, n))
+    rows = max(1, _BLOCK // (n * len(orders)))
+    for at in range(0, n, rows):
+        a = slice(at, min(at + rows, n))
+        cross = np.stack([centred[a].conj() @ centred[at:, list(order)].T for order in orders]) / k
+        own, other = mean[a, None], mean[None, at:]
+        both = energy[a, None] + energy[None, at:]
+        least = both - 2 * np.abs(cross)
+        by_shape = both + _misfit(np.angle(cross), cross, own, other, centre_tolerance_m)
+        by_mean = both + _misfit(np.angle(other * own.conj()), cross, own, other, centre_tolerance_m)
+        square = np.minimum(by_shape, by_mean).min(axis=0)
+        open_ = (least < square - 1e-15) & (by_shape > least + 1e-15)
+        which, i, j = np.nonzero(open_)
+        held = _held_turn(cross[which, i, j], mean[a][i], mean[at:][j], centre_tolerance_m)
+        value = both[i, j] + _misfit(held, cross[which, i, j], mean[a][i], mean[at:][j], centre_tolerance_m)
+        np.minimum.at(square, (i, j), value)
+        out[a, at:] = np.sqrt(np.maximum(square, 0))
+    out = np.triu(out, 1)
+    return out + out.T
 
 
 def _nearest_pairing(small: NDArray[np.float64], large: NDArray[np.float64], tolerance_m: float) -> Pairing:

@@ -8,12 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from math import factorial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tagid.errors import UsageError
-from tagid.tags.codebook import CENTRE_TOLERANCE_M, CONFUSABLE_M, best_pairing, best_places
+from tagid.tags.cliques import farthest_set
+from tagid.tags.codebook import CENTRE_TOLERANCE_M, CONFUSABLE_M, all_distances, best_pairing
 from tagid.tags.layout import MAX_REFLECTORS, MIN_SPACING_M, Layout
 from tagid.tags.necklaces import necklaces, occupied
 from tagid.tags.objects import Row, TaggedObject
@@ -24,8 +26,7 @@ GHOST_M = 0.07
 """Nearer than about a wavelength (7.6 cm at 3.95 GHz) two reflectors modulate each other and make a ghost."""
 MAX_SLOTS = 48
 MAX_COUNT = 500
-_MAX_PAIRINGS = 20_000_000
-_RESTARTS = 200
+_MAX_PAIRINGS = 200_000_000
 
 
 @dataclass(frozen=True)
@@ -75,6 +76,7 @@ class Family:
         candidates: necklaces that keep the rules.
         necklaces: necklaces there are.
         rules: as designed.
+        proven: whether no set of so many candidates keeps a larger distance; else it is the largest found.
     """
 
     layouts: tuple[Layout, ...]
@@ -83,6 +85,7 @@ class Family:
     candidates: int
     necklaces: int
     rules: DesignRules = field(default_factory=DesignRules)
+    proven: bool = False
 
 
 def design(
@@ -119,7 +122,8 @@ def design(
             "Ask for fewer, or give more --slots, --reflectors or --rows, or less --spacing.",
         )
     distance = distance_matrix(points, rules)
-    chosen = farthest_set(distance, count, np.random.default_rng(rules.seed))
+    far = farthest_set(distance, count, np.random.default_rng(rules.seed))
+    chosen = far.chosen
     stem = prefix or f"{target.name}-r{rules.reflectors}s{rules.slots}"
     digits = max(2, len(str(count)))
     notes = f"Designed: {rules.reflectors} of {rules.slots} slots, {len(target.rows)} row(s)."
@@ -142,6 +146,7 @@ def design(
         len(points),
         total,
         rules,
+        far.proven,
     )
 
 
@@ -202,75 +207,14 @@ def _nearest(points: NDArray[np.float64], heights: NDArray[np.float64]) -> float
 
 
 def distance_matrix(points: NDArray[np.float64], rules: DesignRules) -> NDArray[np.float64]:
-    """(n, n) rotational distances (RMS, m) of layouts (n, K, 2): see `codebook.rotational_distance`.
+    """(n, n) rotational distances (RMS, m) of layouts (n, K, 2): see `codebook.all_distances`.
 
     Raises UsageError where there are too many to compare.
     """
-    from itertools import permutations
-    from math import factorial
-
     n, k = points.shape[:2]
     if n * n * factorial(k) > _MAX_PAIRINGS:
         raise UsageError(
             f"{n} candidate layouts of {k} reflectors are too many to compare all of them",
             "Give fewer --slots, --reflectors or --rows, or more --spacing.",
         )
-    best = np.zeros((n, n))
-    first, second = np.triu_indices(n, 1)
-    orders = np.array(list(permutations(range(k))))
-    block = max(1, 50_000 // len(orders))
-    for at in range(0, len(first), block):
-        a, b = first[at : at + block], second[at : at + block]
-        rms, _, _ = best_places(points[a][:, None], points[b][:, orders], rules.centre_tolerance_m)
-        best[a, b] = best[b, a] = rms.min(axis=1)
-    return best
-
-
-def farthest_set(distance: NDArray[np.float64], count: int, rng: np.random.Generator) -> list[int]:
-    """Indexes of `count` rows whose least distance to each other is as large as found, sorted.
-
-    Bisection over the distances that occur: at each, a set is looked for in which all lie at least so far
-    apart (a clique), by greedy choices from random starts, the candidate that leaves most others first.
-    """
-    n = len(distance)
-    if count == 1:
-        return [0]
-    levels = np.unique(distance[np.triu_indices(n, 1)])
-    low, high, best = 0, len(levels) - 1, list(range(count))
-    while low <= high:
-        middle = (low + high) // 2
-        found = clique(distance >= levels[middle] - 1e-9, count, rng)
-        if found is None:
-            high = middle - 1
-        else:
-            best, low = found, middle + 1
-    return sorted(best)
-
-
-def clique(
-    compatible: NDArray[np.bool_], count: int, rng: np.random.Generator, restarts: int = _RESTARTS
-) -> list[int] | None:
-    """`count` mutually compatible rows of a symmetric matrix (n, n), or None where none were found."""
-    found = largest_clique(compatible, rng, restarts)
-    return found[:count] if len(found) >= count else None
-
-
-def largest_clique(
-    compatible: NDArray[np.bool_], rng: np.random.Generator, restarts: int = _RESTARTS
-) -> list[int]:
-    """The largest set of mutually compatible rows found from all starts at once (a lower bound)."""
-    n = len(compatible)
-    graph = (compatible & ~np.eye(n, dtype=bool)).astype(np.float32)
-    runs = np.arange(restarts)
-    picks = rng.permutation(n)[:restarts] if restarts <= n else rng.integers(0, n, restarts)
-    members = [picks]
-    left = graph[picks] > 0
-    while left.any():
-        freedom = left.astype(np.float32) @ graph
-        freedom = np.where(left, freedom + rng.uniform(0, 1.5, left.shape), -1.0)
-        picks = np.where(left.any(axis=1), freedom.argmax(axis=1), -1)
-        members.append(picks)
-        left &= (graph[picks] > 0) & (picks >= 0)[:, None]
-    chosen = np.array(members)
-    longest = int(np.argmax((chosen >= 0).sum(axis=0)))
-    return [int(i) for i in chosen[:, runs[longest]] if i >= 0]
+    return all_distances(points, rules.centre_tolerance_m)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import combinations
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -9,8 +11,9 @@ from hypothesis import strategies as st
 
 from tagid.errors import UsageError
 from tagid.tags.capacity import capacity, confusion_rate
-from tagid.tags.codebook import best_pairing, rotational_distance
-from tagid.tags.design import DesignRules, design, distance_matrix
+from tagid.tags.cliques import SearchTooLongError, _Search, exact_clique, farthest_set, least_of
+from tagid.tags.codebook import all_distances, best_pairing, best_places, rotational_distance
+from tagid.tags.design import DesignRules, candidates, design, distance_matrix
 from tagid.tags.layout import Layout, rotation_matrix
 from tagid.tags.necklaces import mirrored, necklaces, occupied
 from tagid.tags.objects import Row, TaggedObject, object_named
@@ -114,19 +117,66 @@ def test_a_family_keeps_its_rules_and_says_its_distance() -> None:
     assert [a.to_dict() for a in again.layouts] == [a.to_dict() for a in layouts]
 
 
-def test_a_designed_set_is_the_best_of_all_sets() -> None:
-    from itertools import combinations
-
-    from tagid.tags.design import candidates
-
-    rules = DesignRules(3, 8)
-    points, _, _ = candidates(HELMET.with_rows(1), rules)
+@pytest.mark.parametrize(("name", "rows", "slots", "count"), [("helmet", 1, 8, 4), ("mug", 2, 12, 5)])
+def test_a_designed_set_is_the_best_of_all_sets(name: str, rows: int, slots: int, count: int) -> None:
+    rules, target = DesignRules(3, slots), object_named(name).with_rows(rows)
+    points, _, _ = candidates(target, rules)
     distance = distance_matrix(points, rules)
     best = max(
         min(distance[i, j] for i, j in combinations(chosen, 2))
-        for chosen in combinations(range(len(points)), 4)
+        for chosen in combinations(range(len(points)), count)
     )
-    assert design(HELMET.with_rows(1), rules, 4).distance_m == pytest.approx(best, abs=1e-9)
+    family = design(target, rules, count)
+    assert family.distance_m == pytest.approx(best, abs=1e-9)
+    assert family.proven
+
+
+@settings(deadline=None, max_examples=25)
+@given(NAMES, st.integers(3, 5))
+def test_the_farthest_set_against_all_sets(seed: int, count: int) -> None:
+    rng = np.random.default_rng(seed)
+    half = np.triu(rng.integers(1, 12, (11, 11)) / 1000, 1)
+    distance = half + half.T
+    best = max(least_of(distance, list(chosen)) for chosen in combinations(range(11), count))
+    found = farthest_set(distance, count, np.random.default_rng(0))
+    assert found.proven and least_of(distance, found.chosen) == best
+    level = distance >= best + 1e-9
+    assert exact_clique(level, count) is None
+    assert len(set(exact_clique(distance >= best - 1e-9, count) or ())) == count
+
+
+def test_a_search_without_branches_left_says_so() -> None:
+    with pytest.raises(SearchTooLongError):
+        exact_clique(np.ones((9, 9), dtype=bool), 5, _Search(2))
+    points, _, _ = candidates(HELMET.with_rows(2), DesignRules(3, 12))
+    distance = distance_matrix(points, DesignRules(3, 12))
+    assert not farthest_set(distance, 16, np.random.default_rng(0), 10).proven
+
+
+@settings(deadline=None, max_examples=20)
+@given(NAMES, st.integers(2, 4), st.sampled_from([0.0, 0.004, 0.014, 0.05]))
+def test_all_distances_at_once_are_those_of_every_two(seed: int, count: int, tolerance: float) -> None:
+    layouts = [random_layout(seed + i, count) for i in range(4)]
+    matrix = all_distances(np.array([layout.positions for layout in layouts]), tolerance)
+    assert (matrix == matrix.T).all() and (np.diag(matrix) == 0).all()
+    for i, j in combinations(range(4), 2):
+        assert matrix[i, j] == pytest.approx(
+            rotational_distance(layouts[i], layouts[j], tolerance).rms_m, abs=1e-8
+        )
+
+
+@settings(deadline=None, max_examples=25)
+@given(NAMES, st.sampled_from([0.0, 0.003, 0.014]))
+def test_a_limited_shift_leaves_the_least_distance_of_all_turns(seed: int, tolerance: float) -> None:
+    p, q = random_layout(seed).positions, random_layout(seed + 1).positions + np.array([0.04, 0.01])
+    rms, _, shift = best_places(p, q, tolerance)
+    turns = np.linspace(0, 2 * np.pi, 5001)
+    free = q.mean(axis=0) - (rotation_matrix(turns) @ p.mean(axis=0))
+    held = free * np.minimum(1, tolerance / np.linalg.norm(free, axis=1))[:, None]
+    tried = np.einsum("tij,kj->tki", rotation_matrix(turns), p) + held[:, None] - q
+    least = np.sqrt(np.mean(np.sum(tried**2, axis=2), axis=1)).min()
+    assert np.linalg.norm(shift) <= tolerance + 1e-12
+    assert least - 2e-6 <= rms <= least + 1e-9
 
 
 def test_mirror_images_are_left_out_where_the_direction_is_unknown() -> None:

@@ -1,0 +1,186 @@
+"""Sets of layouts that all keep their distance: cliques in the graph of those far enough apart.
+
+Greedy choices find good sets quickly, and a search with bounds then finds a better one or proves
+that there is none.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+RESTARTS = 200
+CLIMBS = 6
+"""Fresh starts that may fail to beat the best set before the exact search takes over."""
+NODES = 20_000
+"""Branches that the exact search may open before it gives up, about a second; a count and not a time, so that
+the same question has the same answer on every machine."""
+
+
+TIE_M = 1e-9
+"""Distances nearer to each other than this are one: what is left of rounding."""
+
+
+@dataclass(frozen=True)
+class FarSet:
+    """A set whose least distance is as large as found.
+
+    Attributes:
+        chosen: indexes, sorted.
+        proven: whether no set of that size keeps a larger distance.
+    """
+
+    chosen: list[int]
+    proven: bool
+
+
+class SearchTooLongError(Exception):
+    """The exact search has used its branches up."""
+
+
+def farthest_set(
+    distance: NDArray[np.float64], count: int, rng: np.random.Generator, nodes: int = NODES
+) -> FarSet:
+    """`count` rows of a symmetric matrix of distances, their least distance to each other as large as found.
+
+    Bisection over the distances that occur: at each, a set is looked for in which all lie at least so far
+    apart (a clique), by greedy choices from random starts, the candidate that leaves most others first. The
+    best is improved by fresh starts, and then exactly until it is proven that no set keeps a larger distance.
+
+    Args:
+        distance: (n, n), n >= count.
+        count: rows wanted.
+        rng: of the random starts.
+        nodes: branches of the exact search in all.
+    """
+    n = len(distance)
+    if count == 1:
+        return FarSet([0], True)
+    levels = np.unique(np.round(distance[np.triu_indices(n, 1)], 9))
+    low, high, best = 0, len(levels) - 1, list(range(count))
+    while low <= high:
+        middle = (low + high) // 2
+        found = clique(distance >= levels[middle] - TIE_M, count, rng)
+        if found is None:
+            high = middle - 1
+        else:
+            best, low = found, middle + 1
+    tries = CLIMBS
+    while tries:
+        found = clique(distance > least_of(distance, best) + TIE_M, count, rng)
+        best, tries = (best, tries - 1) if found is None else (found, CLIMBS)
+    search = _Search(nodes)
+    while True:
+        try:
+            exact = exact_clique(distance > least_of(distance, best) + TIE_M, count, search)
+        except SearchTooLongError:
+            return FarSet(sorted(best), False)
+        if exact is None:
+            return FarSet(sorted(best), True)
+        best = exact
+
+
+def least_of(distance: NDArray[np.float64], chosen: list[int]) -> float:
+    """Least distance of two of the chosen rows; infinite of one."""
+    part = distance[np.ix_(chosen, chosen)] + np.diag(np.full(len(chosen), np.inf))
+    return float(part.min())
+
+
+def clique(
+    compatible: NDArray[np.bool_], count: int, rng: np.random.Generator, restarts: int = RESTARTS
+) -> list[int] | None:
+    """`count` mutually compatible rows of a symmetric matrix (n, n), or None where none were found."""
+    found = largest_clique(compatible, rng, restarts)
+    return found[:count] if len(found) >= count else None
+
+
+def largest_clique(
+    compatible: NDArray[np.bool_], rng: np.random.Generator, restarts: int = RESTARTS
+) -> list[int]:
+    """The largest set of mutually compatible rows found from all starts at once (a lower bound)."""
+    n = len(compatible)
+    graph = (compatible & ~np.eye(n, dtype=bool)).astype(np.float32)
+    runs = np.arange(restarts)
+    picks = rng.permutation(n)[:restarts] if restarts <= n else rng.integers(0, n, restarts)
+    members = [picks]
+    left = graph[picks] > 0
+    while left.any():
+        freedom = left.astype(np.float32) @ graph
+        freedom = np.where(left, freedom + rng.uniform(0, 1.5, left.shape), -1.0)
+        picks = np.where(left.any(axis=1), freedom.argmax(axis=1), -1)
+        members.append(picks)
+        left &= (graph[picks] > 0) & (picks >= 0)[:, None]
+    chosen = np.array(members)
+    longest = int(np.argmax((chosen >= 0).sum(axis=0)))
+    return [int(i) for i in chosen[:, runs[longest]] if i >= 0]
+
+
+class _Search:
+    """The branches of `exact_clique`; sets of rows are the bits of whole numbers."""
+
+    def __init__(self, nodes: int = NODES) -> None:
+        self.left = nodes
+        self.near: list[int] = []
+
+    def run(self, near: list[int], count: int) -> list[int] | None:
+        """`count` rows of a clique, or None; `near` are the rows compatible with each, as bits."""
+        self.near = near
+        return self._expand((1 << len(near)) - 1, count)
+
+    def _expand(self, rest: int, wanted: int) -> list[int] | None:
+        """`wanted` compatible rows of the set `rest`, or None."""
+        if wanted == 0:
+            return []
+        self.left -= 1
+        if self.left < 0:
+            raise SearchTooLongError
+        for row in reversed(self._branches(rest, wanted)):
+            found = self._expand(rest & self.near[row], wanted - 1)
+            if found is not None:
+                return [row, *found]
+            rest &= ~(1 << row)
+        return None
+
+    def _branches(self, rest: int, wanted: int) -> list[int]:
+        """Rows beyond the first wanted - 1 colours: one of them is in every clique of that size."""
+        later: list[int] = []
+        colour = 0
+        while rest:
+            colour += 1
+            free = rest
+            while free:
+                row = (free & -free).bit_length() - 1
+                free &= ~((1 << row) | self.near[row])
+                rest &= ~(1 << row)
+                if colour >= wanted:
+                    later.append(row)
+        return later
+
+
+def exact_clique(
+    compatible: NDArray[np.bool_], count: int, search: _Search | None = None
+) -> list[int] | None:
+    """`count` mutually compatible rows of a symmetric matrix, or None where it is proven that there are none.
+
+    Branch and bound: a set that can be coloured with m colours, none of them on two compatible rows, holds no
+    clique of more than m (Tomita and Seki 2003). Rows with too few compatible ones are left out before.
+
+    Raises SearchTooLongError where the search has no branches left; None gives it those of `NODES`.
+    """
+    n = len(compatible)
+    graph = compatible & ~np.eye(n, dtype=bool)
+    alive = np.ones(n, dtype=bool)
+    while True:
+        enough = alive & ((graph & alive).sum(axis=1) >= count - 1)
+        if (enough == alive).all():
+            break
+        alive = enough
+    # Rows with few compatible ones first: the colouring is tighter so.
+    order = np.flatnonzero(alive)
+    order = order[np.argsort(graph[np.ix_(order, order)].sum(axis=1), kind="stable")[::-1]]
+    part = graph[np.ix_(order, order)]
+    near = [sum(1 << int(j) for j in np.flatnonzero(row)) for row in part]
+    found = (search or _Search()).run(near, count)
+    return None if found is None else [int(order[i]) for i in found]
