@@ -61,6 +61,7 @@ SETTINGS: tuple[Setting, ...] = (
     Setting("motion.antenna_height_m", float, 0.0, "antenna above the object's plane, m", -10, 10),
     Setting("imaging.method", str, "auto", "bp, sparse, ats, auto and more", choices=METHODS),
     Setting("imaging.extent_m", float, 0.5, "side of the image, m", 0.05, 5),
+    Setting("imaging.ats", str, "", "settings of ats, e.g. robust=3,calibrate=axis+wobble"),
     Setting("imaging.pixels", int, 128, "pixels a side", 16, 1024),
     Setting(
         "tags.false_accept", float, 1e-3, "chance of naming an object without an enrolled tag", 1e-9, 0.5

@@ -18,6 +18,7 @@ from tagid.capture import Capture
 from tagid.errors import DataError, UsageError
 from tagid.geometry import ImageGrid
 from tagid.identification import Identification
+from tagid.imaging.ats.settings import AtsSettings
 from tagid.imaging.autofocus import AxisFocus, focus_axis_distance
 from tagid.imaging.methods import METHODS as IMAGING_METHODS
 from tagid.imaging.methods import make_image
@@ -52,8 +53,7 @@ class ImagingSettings:
 
     Attributes:
         method: a name of `tagid.imaging.methods.METHODS`, or "auto", which is ats.
-        engine: what runs ats: "onnx", "torch", or "auto", which is onnx where it can do what is asked.
-        device: where ats runs: "cpu", or "cuda" with torch.
+        ats: how ats with the preset "field" fits; the seed is the one of these settings.
         extent_m, pixels: the image's side, m and pixels.
         background: static background that is removed, "mean", "median" or "none".
         focus_m: how far the axis distance is searched to both sides, m; 0 takes it as given.
@@ -79,8 +79,7 @@ class ImagingSettings:
     delay_m: float = 1.0
     restore: bool = True
     free_size: tuple[bool, bool] = (False, False)
-    engine: str = "auto"
-    device: str = "cpu"
+    ats: AtsSettings = field(default_factory=AtsSettings)
     false_accept: float = 1e-3
     direction_known: bool = True
 
@@ -187,9 +186,7 @@ def reconstruct(
         with watch.stage("focus"):
             scans, focus = focus_axis_distance(scans, grid, settings.focus_m)
     with watch.stage("image"):
-        image = make_image(
-            scans, grid, method, settings.seed, settings.preset, progress, settings.engine, settings.device
-        )
+        image = make_image(scans, grid, method, settings.seed, settings.preset, progress, settings.ats)
         if settings.restore and IMAGING_METHODS[method].sparse and settings.preset != "paper":
             image = restore(image, scans.wavenumber)
     facts: dict[str, Any] = {
@@ -199,6 +196,9 @@ def reconstruct(
         "axis_distance_m": scans.aperture.axis_distance,
         "background": settings.background,
     }
+    learned = image.settings.get("calibration", {}).get("axis")
+    if learned:
+        facts["axis_distance_m"] = learned["distance_m"]
     if region is not None:
         found = region.focus
         facts |= {"path_delay_m": found.delay_m if found else 0.0, "mirrored": region.mirrored}

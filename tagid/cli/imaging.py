@@ -58,6 +58,8 @@ def remember(command: str, items: list[dict[str, Any]], settings: dict[str, Any]
 
 def settings_from(config: Config, background: str = "mean", focus_m: float = 0.03) -> ImagingSettings:
     """Imaging settings of the configuration and the command line."""
+    from tagid.imaging.ats.options import parse_settings
+    from tagid.imaging.ats.settings import AtsSettings
     from tagid.pipeline import ImagingSettings
 
     if background not in ("mean", "median", "reference", "none"):
@@ -72,6 +74,7 @@ def settings_from(config: Config, background: str = "mean", focus_m: float = 0.0
         focus_m=focus_m,
         false_accept=config["tags.false_accept"],
         direction_known=config["tags.direction"] == "known",
+        ats=AtsSettings(**parse_settings([config["imaging.ats"]])),
     )
 
 
@@ -102,6 +105,31 @@ def region_words(region: Region | None) -> list[str]:
     return lines
 
 
+def calibration_words(settings: dict[str, Any]) -> list[str]:
+    """What ats learned of the recording beside the scene, a line each, with standard errors."""
+    found: dict[str, Any] = settings.get("calibration") or {}
+    lines: list[str] = []
+    if "axis" in found:
+        axis = found["axis"]
+        lines.append(
+            f"axis distance {axis['distance_m']:.4f} ± {axis['sigma_m']:.4f} m, "
+            f"{axis['offset_m'] * 1e3:+.1f} mm from the one given or focused"
+        )
+    for w in found.get("wobble", ()):
+        lines.append(
+            f"wobble, harmonic {w['harmonic']}: {w['amplitude_deg']:.2f} ± {w['sigma_deg']:.2f} deg "
+            f"at {w['phase_deg']:+.0f} deg, {w['speed_percent']:.1f} % of the speed"
+        )
+    if "gain" in found:
+        gain = found["gain"]
+        error = sum(gain["sigma"]) / len(gain["sigma"])
+        low, high = min(gain["scans"]), max(gain["scans"])
+        lines.append(f"gain of the scans {low:.3f} to {high:.3f}, each ± {error:.3f}")
+    if "static" in found:
+        lines.append(f"static component of {found['static']['rms']:.3g} rms taken off")
+    return lines
+
+
 def image_with_progress(terminal: Terminal, capture: Capture, settings: ImagingSettings) -> Reconstruction:
     """Reconstruct a prepared capture under a progress line."""
     from tagid.pipeline import reconstruct
@@ -123,7 +151,8 @@ def draw(result: Reconstruction, answer: Identification | None, png: Path) -> No
         for reflector in reading.reflectors:
             markers.append(Marker(reflector.x_m, reflector.y_m, str(offset), reflector.matched))
             offset += 1
-    title = result.method.upper() if answer is None else f"{headline(answer)}  ({result.method.upper()})"
+    name = "ATS, paper" if result.image.settings.get("preset") == "paper" else result.method.upper()
+    title = name if answer is None else f"{headline(answer)}  ({name})"
     image = result.image
     draw_image(image.values, image.grid.extent, png, title=title, reflectors=markers, centre_m=image.centre_m)
 

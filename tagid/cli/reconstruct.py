@@ -24,6 +24,23 @@ def register(app: typer.Typer) -> None:
         method: options.Method = None,
         engine: Annotated[str, typer.Option("--engine", help="What runs ats: onnx, torch or auto.")] = "auto",
         device: Annotated[str, typer.Option("--device", help="cpu, or cuda with torch.")] = "cpu",
+        calibrate: Annotated[
+            str | None,
+            typer.Option(
+                "--calibrate",
+                help="What ats learns beside the scene: axis,wobble,gain,static, or some of them.",
+                show_default=False,
+            ),
+        ] = None,
+        ats: Annotated[
+            list[str] | None,
+            typer.Option(
+                "--ats",
+                metavar="KEY=VALUE",
+                help="A setting of ats: robust=3, aspect_harmonics=2, occlusion=0.3, steps=200 and more.",
+                show_default=False,
+            ),
+        ] = None,
         extent: options.Extent = None,
         pixels: options.Pixels = None,
         out: Annotated[Path | None, typer.Option("--out", help="Write image and axes (NPZ).")] = None,
@@ -55,12 +72,13 @@ def register(app: typer.Typer) -> None:
 
         from tagid.cli import imaging
         from tagid.defaults import complete, motion_of, without_reference
+        from tagid.imaging.ats.options import parse_calibrate, parse_settings
         from tagid.pipeline import prepare
         from tagid.storage.image import write_image
         from tagid.storage.importers import read_any
 
-        if engine not in ("auto", "onnx", "torch"):
-            raise UsageError(f"there is no engine {engine!r}", "Use onnx, torch or auto.")
+        if (calibrate or ats) and preset != "field":
+            raise UsageError("--calibrate and --ats are for --preset field", "Leave them away.")
         config = load_config(
             {
                 "imaging.method": method,
@@ -71,12 +89,15 @@ def register(app: typer.Typer) -> None:
                 "motion.antenna_height_m": antenna_height,
             }
         )
+        given = imaging.settings_from(config, background, 0.03 if focus else 0.0)
+        if (calibrate or ats) and given.method not in ("ats", "auto"):
+            raise UsageError(f"--calibrate and --ats do nothing for {given.method}", "Use --method ats.")
+        words = [*(ats or ()), *([f"calibrate={'+'.join(parse_calibrate(calibrate))}"] if calibrate else ())]
         settings = replace(
-            imaging.settings_from(config, background, 0.03 if focus else 0.0),
+            given,
             seed=seed,
             preset=preset,
-            engine=engine,
-            device=device,
+            ats=replace(given.ats, engine=engine, device=device, **parse_settings(words)),
             centre_m=imaging.parse_centre(centre),
             delay_m=delay_search if focus else 0.0,
             restore=beam,
@@ -101,6 +122,7 @@ def register(app: typer.Typer) -> None:
         where = "" if distance is None else f", axis at {distance:.3f} m"
         lines.append(Text(f"{result.method} image of {result.views} views in {took:.2f} s{where}"))
         lines += [Text(line) for line in imaging.region_words(result.region)]
+        lines += [Text(line) for line in imaging.calibration_words(result.image.settings)]
         lines += [Text(f"{name} {path}") for name, path in (("image", out), ("picture", png)) if path]
         data = {
             "method": result.method,

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import importlib.util
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from tagid.errors import MissingExtraError
 from tagid.geometry import ImageGrid
+from tagid.imaging.ats.settings import AtsSettings
 from tagid.imaging.types import BasebandScans, Image
 
 Progress = Callable[[float, float, str], None]
@@ -57,8 +58,7 @@ def make_image(
     seed: int = 0,
     preset: str = "field",
     progress: Progress | None = None,
-    engine: str = "auto",
-    device: str = "cpu",
+    ats: AtsSettings | None = None,
 ) -> Image:
     """Image of scans by a method of `METHODS`.
 
@@ -69,7 +69,7 @@ def make_image(
         seed: of everything random.
         preset: "field" or "paper", for ats.
         progress: called while the slow ones run.
-        engine, device: what runs ats, and where; see `AtsSettings`.
+        ats: how ats with the preset "field" fits; its seed is the one above.
     """
 
     def steps(step: int, of: int, loss: float) -> None:
@@ -101,6 +101,6 @@ def make_image(
         from tagid.imaging.ats.fit_paper import PaperSettings, fit_paper
 
         return fit_paper(scans, grid, PaperSettings(seed=seed), steps)
-    from tagid.imaging.ats.fit import AtsSettings, fit
+    from tagid.imaging.ats.fit import fit
 
-    return fit(scans, grid, AtsSettings(seed=seed, engine=engine, device=device), steps).image
+    return fit(scans, grid, replace(ats or AtsSettings(), seed=seed), steps).image

@@ -58,6 +58,7 @@ class ForwardOperator:
         self.geometry = RangeGeometry.of(scans.aperture.positions, points, (start, step), fine_bins)
         self._spread = _spread(scans, start + step * np.arange(fine_bins, dtype=np.float64))
         self._collect = np.ascontiguousarray(self._spread.conj().T)
+        self._fine_step, self._phase_step = step, 2 * scans.wavenumber * step
         self.views, self.bins, self.points = views, bins, len(points)
 
     @property
@@ -68,6 +69,14 @@ class ForwardOperator:
     def forward(self, sigma: NDArray[np.complexfloating]) -> NDArray[np.complex64]:
         """Scans (views, bins) complex64 of reflectivities (points,)."""
         return np.asarray(self.geometry.scatter(sigma) @ self._spread, dtype=np.complex64)
+
+    def slope(self, sigma: NDArray[np.complexfloating]) -> NDArray[np.complex64]:
+        """Derivative (views, bins) of `forward` by a distance that all points move away by, per m."""
+        step = self._fine_step
+        by_range = np.asarray(np.gradient(self._spread, step, axis=0), dtype=np.complex64)
+        # Central differences of a carrier that turns by phi a step are sin(phi) / phi too small.
+        gain = np.float32(1 / np.sinc(self._phase_step / np.pi))
+        return np.asarray(self.geometry.scatter(sigma) @ (by_range * gain), dtype=np.complex64)
 
     def adjoint(self, scans: NDArray[np.complexfloating]) -> NDArray[np.complex64]:
         """A^H y (points,) complex64 of scans (views, bins) or (views * bins,)."""
@@ -93,6 +102,7 @@ class ForwardOperator:
         part = object.__new__(ForwardOperator)
         part.geometry = self.geometry.select(views)
         part._spread, part._collect = self._spread, self._collect
+        part._fine_step, part._phase_step = self._fine_step, self._phase_step
         part.views, part.bins, part.points = part.geometry.views, self.bins, self.points
         return part
 

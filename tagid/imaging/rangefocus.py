@@ -19,15 +19,21 @@ from tagid.imaging.types import BasebandScans
 Floats = NDArray[np.float64]
 
 MAX_SEARCH_M = 2.0
-MIN_CONTRAST = 1.8
-"""Focus measure over the median of the search below which nothing is told about the delay; with noise alone,
-and with a path too short or too far to see curvature, it stays
-under 1.3 (two reflectors on a rail of 3.4 m: 9 and more)."""
+MIN_CONTRAST = 1.6
+"""Focus measure over the median of the search below which nothing is told about the delay. With noise alone,
+and with a path too short or too far to see curvature, it stays under 1.3. Two reflectors on a straight rail
+of 3.4 m have 9 and more, on one that bends by a few centimetres 2 and more: there the mirror image of each,
+on the other side of the path, comes into focus at another delay."""
 
 _VIEWS = 200
 _POINTS = 6
 _POINT_FLOOR = 0.2
 """Echoes weaker than this part of the strongest are left out of the search."""
+_COARSE_M, _FINE_M = 0.02, 0.004
+"""Steps in range of the places that an echo may have, for the search and at its end. A delay can in part be
+taken for a change of range, so that places too far apart would draw the delay to them."""
+_MIRROR_FLOOR = 0.9
+"""An echo weaker than this part of the one at its mirror place is its image, not another reflector."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +75,7 @@ def focus_delay(
     A short piece of the path about its middle tells range and bearing of the strongest echoes whatever the
     delay is. Moved along its bearing by a trial delay, each echo is focused with the whole path; the measure
     is the sum over echoes of the largest |f|^2 near it, f = 1/V sum_v z_v(d_v + delay) exp(2jk d_v). It is
-    searched in steps that the path's angles ask for, then in steps 8 times finer, then by a parabola.
+    searched in steps that the path's angles ask for, then twice in finer ones with a parabola at the end.
 
     Args:
         scans: baseband scans of free antenna positions that hold the object at every delay of the search.
@@ -96,20 +102,31 @@ def focus_delay(
     contrast = float(measure[best] / max(float(np.median(measure)), 1e-30))
     if not 0 < best < len(delays) - 1 or contrast < MIN_CONTRAST:
         _, points = _measure(few, reference, echoes, np.zeros(1))
-        return scans, DelayFocus(0.0, contrast, False, points)
-    fine = delays[best] + (delays[1] - delays[0]) * np.linspace(-1, 1, 17)
-    near, _ = _measure(few, reference, echoes, fine)
-    delay = _vertex(fine, near)
-    _, points = _measure(few, reference, echoes, np.array([delay]))
+        return scans, DelayFocus(0.0, contrast, False, _strongest_first(points))
+    delay, width = float(delays[best]), float(delays[1] - delays[0])
+    for around in (width, width / 3):
+        near = delay + around * np.linspace(-1, 1, 13)
+        power, _ = _measure(few, reference, echoes, near, _FINE_M)
+        delay = _vertex(near, power)
+        _, points = _measure(few, reference, echoes, np.array([delay]), _FINE_M)
+        real = _real(points, few.aperture.positions, echoes)
+        points, echoes = tuple(points[i] for i in real), echoes[real]
     corrected = replace(scans, range_start_m=scans.range_start_m - delay)
-    return corrected, DelayFocus(delay, contrast, True, points)
+    return corrected, DelayFocus(delay, contrast, True, _strongest_first(points))
+
+
+def _strongest_first(points: tuple[EchoPoint, ...]) -> tuple[EchoPoint, ...]:
+    return tuple(sorted(points, key=lambda p: -p.amplitude))
 
 
 def is_straight(positions: Floats) -> bool:
-    """True where the antenna positions (views, 3) lie on one line to within 2 mm rms across it."""
-    centred = positions - positions.mean(axis=0)
+    """True where the antenna positions (views, 3) lie above one line to within 2 mm rms across it.
+
+    Heights do not count: from a path in one upright plane both sides of it look the same.
+    """
+    centred = positions[:, :2] - positions[:, :2].mean(axis=0)
     spread = np.linalg.svd(centred, compute_uv=False) / np.sqrt(len(positions))
-    return bool(len(positions) > 2 and spread[0] > 0 and np.hypot(*spread[1:]) < 2e-3)
+    return bool(len(positions) > 2 and spread[0] > 0 and spread[1] < 2e-3)
 
 
 def _strong_echoes(scans: BasebandScans, towards: tuple[float, float]) -> tuple[Floats, Floats]:
@@ -171,14 +188,18 @@ def _delay_step(scans: BasebandScans, reference: Floats, echoes: Floats) -> floa
 
 
 def _measure(
-    scans: BasebandScans, reference: Floats, echoes: Floats, delays: Floats
+    scans: BasebandScans, reference: Floats, echoes: Floats, delays: Floats, step_m: float = _COARSE_M
 ) -> tuple[Floats, tuple[EchoPoint, ...]]:
-    """Focus measure (delays,), and the focused echoes at the last delay, strongest first."""
+    """Focus measure (delays,), and the focused echoes at the last delay.
+
+    Places of an echo are tried `step_m` apart along its bearing.
+    """
     spread = np.ptp(scans.aperture.positions, axis=0).max()
     # As fine as the whole path resolves, as wide as the short piece leaves open.
     d_bearing = np.clip(np.pi / scans.wavenumber / (4 * max(spread, 0.05)), 2e-3, 0.05)
+    d_bearing *= min(1.0, 2 * step_m / _COARSE_M)
     bearing = np.arange(-0.05, 0.05 + d_bearing / 2, d_bearing)
-    along = np.linspace(-0.06, 0.06, 7)
+    along = np.arange(-0.06, 0.06 + step_m / 2, step_m)
     fine, start, step = upsample_at_carrier(scans, slice(None))
     radius = echoes[None, :, None, None, 0] - delays[:, None, None, None] + along[None, None, :, None]
     angle = echoes[None, :, None, None, 1] + bearing[None, None, None, :]
@@ -194,11 +215,40 @@ def _measure(
     power = np.abs(image * carrier / len(fine)) ** 2
     flat = power.reshape(len(delays), len(echoes), -1)
     strongest = flat.argmax(axis=2)[-1]
-    points = [
+    points = tuple(
         EchoPoint(float(x[-1, i].ravel()[at]), float(y[-1, i].ravel()[at]), float(np.sqrt(flat[-1, i, at])))
         for i, at in enumerate(strongest)
-    ]
-    return flat.max(axis=2).sum(axis=1), tuple(sorted(points, key=lambda p: -p.amplitude))
+    )
+    best = flat.max(axis=2)
+    for i, j in _mirrors(scans.aperture.positions, echoes):
+        # One of the two is the other's image, and comes into focus at another delay: count what is brighter.
+        best[:, i], best[:, j] = np.maximum(best[:, i], best[:, j]), 0
+    return best.sum(axis=1), points
+
+
+def _real(points: tuple[EchoPoint, ...], positions: Floats, echoes: Floats) -> list[int]:
+    """Which of the focused echoes are no mirror image of a stronger one."""
+    kept = set(range(len(points)))
+    for i, j in _mirrors(positions, echoes):
+        strong, weak = (i, j) if points[i].amplitude >= points[j].amplitude else (j, i)
+        if points[weak].amplitude < _MIRROR_FLOOR * points[strong].amplitude:
+            kept.discard(weak)
+    return sorted(kept)
+
+
+def _mirrors(positions: Floats, echoes: Floats) -> list[tuple[int, int]]:
+    """Pairs of echoes of one range whose bearings mirror each other about the path near its middle."""
+    middle = len(positions) // 2
+    near = positions[max(0, middle - len(positions) // 10) : middle + len(positions) // 10 + 1, :2]
+    along = near[-1] - near[0]
+    path = np.arctan2(along[1], along[0])
+    pairs = []
+    for i in range(len(echoes)):
+        for j in range(i + 1, len(echoes)):
+            off = (echoes[i, 1] + echoes[j, 1] - 2 * path + np.pi) % (2 * np.pi) - np.pi
+            if abs(off) < 0.2 and abs(echoes[i, 0] - echoes[j, 0]) < 0.15:
+                pairs.append((i, j))
+    return pairs
 
 
 def _vertex(at: Floats, values: Floats) -> float:

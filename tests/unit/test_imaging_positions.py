@@ -13,6 +13,7 @@ from tagid.imaging.farfield import polar_format, range_doppler
 from tagid.imaging.metrics import localise, pick_peaks
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.imaging.rangefocus import focus_delay, is_straight
+from tagid.imaging.region import choose_region
 from tagid.pipeline import METHODS, ImagingSettings, prepare, reconstruct
 from tests.unit.imaging_scenes import STEP_M, analytic_echo, record, turn
 
@@ -41,6 +42,32 @@ def test_the_path_delay_is_found_within_a_metre(delay_m: float) -> None:
     assert corrected.range_start_m == pytest.approx(scans.range_start_m - focus.delay_m)
     found = localise(np.array([[p.x_m, p.y_m] for p in focus.points]), POINTS, 0.05)
     assert found.detected == 2
+
+
+def bent(sagitta_m: float, delay_m: float, noise: float = 0.2) -> Capture:
+    """Scans from a path along x that bends by its sagitta, off its targets' middle, at changing heights."""
+    u = np.linspace(-1, 1, 300)
+    antenna = np.stack([1.7 * u + 0.8, sagitta_m * u**2 - 1.0, 0.25 + 0.08 * np.sin(3 * u)], axis=1)
+    ranges = STEP_M * np.arange(960)
+    samples = noise * np.random.default_rng(5).standard_normal((300, 960))
+    for amplitude, point in zip((1.0, 0.7), ([0.4, 1.6, 0], [1.6, 2.4, 0]), strict=True):
+        distance = np.linalg.norm(antenna - point, axis=1)
+        samples += amplitude * analytic_echo(ranges - distance[:, None] - delay_m).real
+    return Capture(samples.astype(np.float32), 0.0, STEP_M, antenna_positions_m=antenna)
+
+
+@pytest.mark.parametrize(("sagitta_m", "delay_m"), [(0.0, -0.5), (0.06, 0.9), (-0.1, 0.3)])
+def test_a_bent_path_off_the_middle_knows_its_delay_and_its_side(sagitta_m: float, delay_m: float) -> None:
+    """A path in one upright plane has two sides alike; a few centimetres of bend leave ghosts there."""
+    region = choose_region(bent(sagitta_m, delay_m), ImageGrid(0.5, 128), None, free=(True, True))
+    assert region.focus is not None
+    assert region.focus.reliable
+    assert region.focus.delay_m == pytest.approx(delay_m, abs=0.008)
+    assert region.mirrored == (sagitta_m == 0)
+    assert region.grid.extent < 3
+    where = np.array([[p.x_m, p.y_m] for p in region.focus.points])
+    found = localise(where, np.array([[0.4, 1.6], [1.6, 2.4]]), 0.02)
+    assert (found.detected, found.false) == (2, 0)
 
 
 def test_noise_alone_gives_no_delay() -> None:

@@ -1,7 +1,7 @@
 """What is unknown about a recording, learned from the difference between measured and synthesized scans.
 
 Scene and calibration share one objective; the scene takes many small steps, the few numbers here take a
-Gauss-Newton step each time the scene has moved on, with derivatives by differences of the forward operator.
+Gauss-Newton step each time the scene has moved on, together with what the scene could do instead.
 """
 
 from __future__ import annotations
@@ -11,40 +11,60 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tagid.geometry import Aperture
+from tagid.errors import UsageError
+from tagid.geometry import Aperture, ImageGrid
+from tagid.imaging.autofocus import focus_axis_distance
 from tagid.imaging.operator import ForwardOperator
 from tagid.imaging.types import BasebandScans
 
-_STEP_M = 5e-4
-"""Difference for the derivative by the axis distance: 5 degrees of phase."""
+Floats = NDArray[np.float64]
+Samples = NDArray[np.complex64]
 
 _PRIOR_AXIS_M = 0.03
-_PRIOR_WOBBLE_RAD = 0.02
-"""How far off distance and angle may be (one standard deviation): a tape measure, and 2 % of the speed."""
+_PRIOR_WOBBLE_RAD = 0.03
+"""How far off distance and angle may be (one standard deviation): a tape measure, and a speed that is 3 % off
+in every harmonic, which makes an angle error of 0.03 / order."""
+
+_SEARCH_M = 0.04
+"""Half width of the first search for the axis distance, m."""
 
 _PRIOR_GAIN = 0.1
 """Spread of the gain from scan to scan, relative."""
 
+_PRIOR_AMPLITUDE, _PRIOR_PLACE_M = 1.0, 0.005
+"""How far a spot of the scene may still change: its amplitude, relative, and its place, m."""
+
 _BRIGHT = 0.05
-"""Pixels under this part of the brightest are left out of the derivatives: they are noise and cost time."""
+"""Pixels under this part of the brightest are left out: they are noise and cost time."""
+
+_SPOT_M = 0.02
+_MOST_SPOTS = 24
+"""Pixels nearer than this belong to one spot; of more spots only the brightest may move on their own."""
+
+_MOST_AXIS_M, _MOST_WOBBLE_RAD = 0.008, 0.03
+"""No step turns the phase by more than about one radian: further the derivatives do not reach."""
 
 
 @dataclass(frozen=True, eq=False)
 class Unknowns:
-    """The current estimate: see `Calibration`. `wobble` has (harmonics,) complex, `gain` (views,)."""
+    """The current estimate: see `Calibration` for the members of the same names."""
 
     offset_m: float
     sigma_m: float
     wobble: NDArray[np.complex128]
-    gain: NDArray[np.float64]
-    static: NDArray[np.complex64]
+    wobble_sigma: Floats
+    gain: Floats
+    gain_sigma: Floats
+    static: Samples
 
     @classmethod
     def none(cls, scans: BasebandScans, harmonics: int) -> Unknowns:
         """Nothing known to be wrong."""
         views, bins = scans.samples.shape
         wobble = np.zeros(harmonics, dtype=np.complex128)
-        return cls(0.0, float("nan"), wobble, np.ones(views), np.zeros(bins, dtype=np.complex64))
+        unknown = np.full(harmonics, np.nan), np.full(views, np.nan)
+        static = np.zeros(bins, dtype=np.complex64)
+        return cls(0.0, float("nan"), wobble, unknown[0], np.ones(views), unknown[1], static)
 
     def phase(self, wavenumber: float) -> complex:
         """exp(2jk offset): keeps the phase of the scene as it is while the distance is learned.
@@ -64,18 +84,35 @@ class Unknowns:
         return Aperture.turntable(angles, nominal.axis_distance + self.offset_m, nominal.height)
 
 
-def angle_error(angles: NDArray[np.float64], wobble: NDArray[np.complex128]) -> NDArray[np.float64]:
+def begin(scans: BasebandScans, grid: ImageGrid, what: tuple[str, ...], harmonics: int) -> Unknowns:
+    """Where the fit starts: the axis distance of the sharpest backprojection, everything else as given.
+
+    Derivatives reach a centimetre, the tape measure that gave the distance may be off by three.
+
+    Raises:
+        UsageError: axis or wobble is to be learned from free antenna positions.
+    """
+    start = Unknowns.none(scans, harmonics)
+    wrong = sorted({"axis", "wobble"} & set(what)) if scans.aperture.angles is None else []
+    if wrong:
+        raise UsageError(
+            f"the capture has antenna positions: there is no turntable whose {' and '.join(wrong)} to learn",
+            "Learn gain or static, or leave calibrate away.",
+        )
+    if "axis" not in what:
+        return start
+    _, focus = focus_axis_distance(scans, grid, _SEARCH_M)
+    return replace(start, offset_m=focus.offset_m) if focus.reliable else start
+
+
+def angle_error(angles: Floats, wobble: NDArray[np.complex128]) -> Floats:
     """Re sum_k w_k exp(j k angle), k = 1.., (views,) rad."""
     orders = np.arange(1, len(wobble) + 1)
     return np.asarray((np.exp(1j * np.outer(angles, orders)) @ wobble).real, dtype=np.float64)
 
 
 def improve(
-    scans: BasebandScans,
-    points: NDArray[np.float64],
-    sigma: NDArray[np.complex64],
-    now: Unknowns,
-    what: tuple[str, ...],
+    scans: BasebandScans, points: Floats, sigma: Samples, now: Unknowns, what: tuple[str, ...]
 ) -> Unknowns:
     """One Gauss-Newton step on geometry, then gain and static component in closed form.
 
@@ -96,94 +133,141 @@ def improve(
     some, values = points[bright], sigma[bright]
     if ("axis" in what or "wobble" in what) and scans.aperture.angles is not None:
         now = _geometry(scans, some, values, now, what)
-    seen = _synthesize(scans, some, values, now)
+    operator = ForwardOperator(scans.with_aperture(now.aperture(scans.aperture)), some)
+    seen = np.asarray(operator.forward(values) * now.phase(scans.wavenumber), dtype=np.complex64)
     if "gain" in what:
-        seen = seen / now.gain[:, None]
-        energy = (np.abs(seen) ** 2).sum(axis=1)
-        # A prior worth 1 / spread^2 in units of the noise of one scan's estimate.
-        noise = np.abs(scans.samples - now.static - seen * now.gain[:, None]) ** 2
-        ridge = float(noise.mean()) / _PRIOR_GAIN**2
-        match = (seen.conj() * (scans.samples - now.static)).real.sum(axis=1)
-        gain = (match + ridge) / (energy + ridge)
-        now = replace(now, gain=gain / gain.mean())
-        seen = seen * now.gain[:, None]
+        now = _gains(scans, seen, now)
     if "static" in what:
-        now = replace(now, static=np.asarray((scans.samples - seen).mean(axis=0), dtype=np.complex64))
+        rest = scans.samples - seen * now.gain[:, None]
+        now = replace(now, static=np.asarray(rest.mean(axis=0), dtype=np.complex64))
     return now
 
 
-def _synthesize(
-    scans: BasebandScans, points: NDArray[np.float64], sigma: NDArray[np.complex64], now: Unknowns
-) -> NDArray[np.complex64]:
-    operator = ForwardOperator(scans.with_aperture(now.aperture(scans.aperture)), points)
-    factor = now.gain[:, None] * now.phase(scans.wavenumber)
-    return np.asarray(operator.forward(sigma) * factor, dtype=np.complex64)
+def _gains(scans: BasebandScans, seen: Samples, now: Unknowns) -> Unknowns:
+    """Gain of every scan: least squares with the prior that it is 1 within `_PRIOR_GAIN`."""
+    data = scans.samples - now.static
+    noise = float((np.abs(data - seen * now.gain[:, None]) ** 2).mean()) / 2 * _correlation(scans)
+    energy = (np.abs(seen) ** 2).sum(axis=1, dtype=np.float64)
+    ridge = noise / _PRIOR_GAIN**2
+    gain = ((seen.conj() * data).real.sum(axis=1, dtype=np.float64) + ridge) / (energy + ridge)
+    mean = float(gain.mean())
+    return replace(now, gain=gain / mean, gain_sigma=np.sqrt(noise / (energy + ridge)) / mean)
+
+
+def _correlation(scans: BasebandScans) -> float:
+    """Samples per independent one: the noise is oversampled, so that a sum over n holds n / this."""
+    known = scans.independent_samples
+    return max(1.0, scans.samples.size / known) if known > 0 else 1.0
 
 
 def _geometry(
-    scans: BasebandScans,
-    points: NDArray[np.float64],
-    sigma: NDArray[np.complex64],
-    now: Unknowns,
-    what: tuple[str, ...],
+    scans: BasebandScans, points: Floats, sigma: Samples, now: Unknowns, what: tuple[str, ...]
 ) -> Unknowns:
+    """Axis distance and wobble by one step of Gauss-Newton, jointly with every spot's place and amplitude.
+
+    The scene is only as far as the fit has come, and a wrong geometry has drawn it to wrong places: what its
+    spots could still do is solved for together with the geometry (and then left to the fit), so that neither
+    biases the other and the standard errors hold the doubt about the scene.
+    """
+    aperture = now.aperture(scans.aperture)
     angles = scans.aperture.angles
-    assert angles is not None  # the caller has looked
-    columns: list[NDArray[np.complex64]] = []
-    prior: list[float] = []
+    assert angles is not None and aperture.angles is not None  # the caller has looked
+    operator = ForwardOperator(scans.with_aperture(aperture), points)
+    factor = now.gain[:, None] * now.phase(scans.wavenumber)
+    spots, columns, prior = _spots(points, sigma), [], []
+    total, by_axis, by_angle = (np.zeros(scans.samples.shape, dtype=np.complex64) for _ in range(3))
+    radial, along = _motions(aperture)
+    for members in spots:
+        values = np.where(members, sigma, 0)
+        seen, slope = operator.forward(values) * factor, operator.slope(values) * factor
+        weight = np.abs(values)
+        sight = aperture.positions - np.append(weight @ points / weight.sum(), 0.0)
+        sight /= np.linalg.norm(sight, axis=1, keepdims=True)
+        total += seen
+        by_axis += slope * (sight * radial).sum(axis=1)[:, None]
+        by_angle += slope * (sight * along).sum(axis=1)[:, None]
+        columns += [seen, 1j * seen, -slope * sight[:, :1], -slope * sight[:, 1:2]]
+        prior += [_PRIOR_AMPLITUDE, _PRIOR_AMPLITUDE, _PRIOR_PLACE_M, _PRIOR_PLACE_M]
+    wanted: list[NDArray[np.complexfloating]] = []
+    spread, old, limit = [], [], []
     if "axis" in what:
-        ahead = _synthesize(scans, points, sigma, replace(now, offset_m=now.offset_m + _STEP_M))
-        behind = _synthesize(scans, points, sigma, replace(now, offset_m=now.offset_m - _STEP_M))
-        columns.append((ahead - behind) / (2 * _STEP_M))
-        prior.append(_PRIOR_AXIS_M)
-    if "wobble" in what and len(now.wobble):
-        by_angle = _by_angle(scans, points, sigma, now)
-        for order in range(1, len(now.wobble) + 1):
-            columns.append(by_angle * np.cos(order * angles)[:, None])
-            columns.append(by_angle * -np.sin(order * angles)[:, None])
-            prior += [_PRIOR_WOBBLE_RAD] * 2
-    seen = _synthesize(scans, points, sigma, now)
-    residual = (scans.samples - now.static - seen).ravel()
-    # The scene is still shrunk by its prior, and its phase is free: its best common factor goes first, and
-    # small changes of it are solved for together with the geometry, so that neither biases it.
-    seen = seen.ravel()
-    factor = complex(np.vdot(seen, residual + seen) / max(float(np.vdot(seen, seen).real), 1e-30))
-    residual = residual + seen - factor * seen
-    jacobian = np.stack([factor * column.ravel() for column in (*columns, seen, 1j * seen)], axis=1)
-    prior += [1.0, 1.0]
-    real = np.concatenate([jacobian.real, jacobian.imag]).astype(np.float64)
-    target = np.concatenate([residual.real, residual.imag]).astype(np.float64)
-    variance = float((target**2).mean())
-    old = np.array(([now.offset_m] if "axis" in what else []) + _pairs(now.wobble, what) + [0.0, 0.0])
-    weight = variance / np.square(prior)
-    normal = real.T @ real + np.diag(weight)
-    change = np.linalg.solve(normal, real.T @ target - weight * old)
-    # No step turns the phase by more than about one radian: further the derivatives do not reach.
-    limit = np.where(np.arange(len(change)) == (0 if "axis" in what else -1), 0.006, 0.02)
-    new = (old + np.clip(change, -limit, limit))[:-2]
+        wanted.append(by_axis + 2j * scans.wavenumber * total)
+        spread, old, limit = [_PRIOR_AXIS_M], [now.offset_m], [_MOST_AXIS_M]
+    if "wobble" in what:
+        for order, value in enumerate(now.wobble, start=1):
+            wanted += [
+                by_angle * np.cos(order * angles)[:, None],
+                by_angle * -np.sin(order * angles)[:, None],
+            ]
+            spread += [_PRIOR_WOBBLE_RAD / order] * 2
+            old += [value.real, value.imag]
+            limit += [_MOST_WOBBLE_RAD / order] * 2
+    change, error = _solve(
+        [*wanted, *columns], scans.samples - now.static - total, [*spread, *prior], old, _correlation(scans)
+    )
+    new: Floats = np.array(old) + np.clip(change[: len(old)], -np.array(limit), limit)
     if "axis" in what:
-        error = float(np.sqrt(variance * np.linalg.inv(normal)[0, 0]))
-        now = replace(now, offset_m=float(new[0]), sigma_m=error)
-        new = new[1:]
+        now = replace(now, offset_m=float(new[0]), sigma_m=float(error[0]))
+        new, error = new[1:], error[1:]
     if "wobble" in what and len(now.wobble):
-        now = replace(now, wobble=new[0::2] + 1j * new[1::2])
+        count = 2 * len(now.wobble)
+        # Of a complex number the error of its parts: their root mean square.
+        both = np.sqrt((error[0:count:2] ** 2 + error[1:count:2] ** 2) / 2)
+        now = replace(now, wobble=new[0:count:2] + 1j * new[1:count:2], wobble_sigma=both)
     return now
 
 
-def _pairs(wobble: NDArray[np.complex128], what: tuple[str, ...]) -> list[float]:
-    return [float(v) for w in wobble for v in (w.real, w.imag)] if "wobble" in what else []
+def _solve(
+    columns: list[NDArray[np.complexfloating]],
+    residual: NDArray[np.complexfloating],
+    prior: list[float],
+    old: list[float],
+    correlation: float,
+) -> tuple[Floats, Floats]:
+    """Maximum a posteriori change of all unknowns, and their standard errors.
+
+    Args:
+        columns: (views, bins) derivative of the scans by every unknown.
+        residual: (views, bins).
+        prior: standard deviation of every unknown about zero.
+        old: present values of the first ones; the others are changes, zero now.
+        correlation: samples per independent one.
+    """
+    jacobian = np.stack([c.ravel() for c in columns], axis=1).astype(np.complex64)
+    target = residual.astype(np.complex64).ravel()
+    normal = (jacobian.conj().T @ jacobian).real.astype(np.float64)
+    slope = (jacobian.conj().T @ target).real.astype(np.float64)
+    at = np.zeros(len(columns))
+    at[: len(old)] = old
+    energy = float(np.vdot(target, target).real)
+    change: Floats = np.zeros(len(columns))
+    variance = energy / (2 * target.size)
+    for _ in range(3):  # the noise is what is left after the step, not before it
+        weight = max(variance, 1e-30) * correlation / np.square(prior)
+        change = np.asarray(np.linalg.solve(normal + np.diag(weight), slope - weight * at), dtype=np.float64)
+        left = energy - 2 * float(change @ slope) + float(change @ normal @ change)
+        variance = max(left, 1e-6 * energy) / (2 * target.size)
+    inverse = np.linalg.inv(normal + np.diag(weight))
+    return change, np.sqrt(np.maximum(variance * correlation * np.diag(inverse), 0))
 
 
-def _by_angle(
-    scans: BasebandScans, points: NDArray[np.float64], sigma: NDArray[np.complex64], now: Unknowns
-) -> NDArray[np.complex64]:
-    """Derivative of every scan by its own angle, by a difference of 1 mrad to both sides."""
-    step = 1e-3
-    both = []
-    for sign in (1, -1):
-        aperture = now.aperture(scans.aperture)
-        assert aperture.angles is not None and aperture.axis_distance is not None
-        turned = Aperture.turntable(aperture.angles + sign * step, aperture.axis_distance, aperture.height)
-        both.append(ForwardOperator(scans.with_aperture(turned), points).forward(sigma))
-    factor = now.gain[:, None] * now.phase(scans.wavenumber)
-    return np.asarray((both[0] - both[1]) / (2 * step) * factor, dtype=np.complex64)
+def _motions(aperture: Aperture) -> tuple[Floats, Floats]:
+    """(views, 3) how the antenna moves with the axis distance, and per radian with the object's angle."""
+    assert aperture.angles is not None and aperture.axis_distance is not None
+    x, y = np.cos(aperture.angles), -np.sin(aperture.angles)
+    zero = np.zeros_like(x)
+    return np.stack([x, y, zero], 1), aperture.axis_distance * np.stack([y, -x, zero], 1)
+
+
+def _spots(points: Floats, sigma: Samples) -> list[NDArray[np.bool_]]:
+    """Members (P,) of every spot, brightest first: each point belongs to the nearest centre."""
+    magnitude = np.abs(sigma)
+    centres: list[int] = []
+    for i in np.argsort(-magnitude):
+        if len(centres) == _MOST_SPOTS:
+            break
+        if all(np.hypot(*(points[i] - points[c])) >= _SPOT_M for c in centres):
+            centres.append(int(i))
+    away = np.hypot(*(points[:, None] - points[centres][None]).transpose(2, 0, 1))
+    nearest = away.argmin(axis=1)
+    return [nearest == k for k in range(len(centres))]

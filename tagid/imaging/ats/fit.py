@@ -119,13 +119,14 @@ class _Fit:
         views = np.arange(scans.aperture.views)
         self.unseen = _held_out(len(views), settings.held_out)
         self.scans = select_views(scans, np.setdiff1d(views, self.unseen))
-        self.known = calibration.Unknowns.none(self.scans, settings.wobble_harmonics)
+        self.known = calibration.begin(self.scans, grid, settings.calibrate, settings.wobble_harmonics)
         self.confidence: NDArray[np.floating] = np.ones(self.scans.samples.shape, dtype=np.float32)
         self.shadow: NDArray[np.float32] | None = None
         self.losses: list[float] = []
 
     def run(self, progress: Progress | None, begun: float) -> AtsResult:
-        scales = _scales(self.scans, self.grid, self.settings)
+        now = self.scans.with_aperture(self.known.aperture(self.scans.aperture))
+        scales = _scales(now, self.grid, self.settings)
         shape = self.settings.shape(self.grid)
         if scales is None:
             blank = np.zeros((self.grid.pixels, self.grid.pixels), dtype=np.complex64)
@@ -247,11 +248,14 @@ class _Fit:
             known.offset_m,
             known.sigma_m,
             known.wobble,
+            known.wobble_sigma,
             known.gain,
+            known.gain_sigma,
             known.static,
         )
         facts: dict[str, Any] = {"method": "ats", **asdict(self.settings), "engine": engine}
         facts |= {"calibrate": list(self.settings.calibrate), "axis_distance_m": learned.axis_distance_m}
+        facts["calibration"] = learned.facts(self.settings.calibrate)
         facts |= {"steps_done": len(self.losses), "loss": self.losses[-1] if self.losses else 0.0}
         facts |= {"held_out_residual": None if np.isnan(held_out) else held_out}
         image = Image(values, self.grid, facts)

@@ -21,6 +21,7 @@ from tagid.imaging.ats.encoding import EncodingSettings, encoding_matrix, interp
 from tagid.imaging.ats.forward_paper import RaySamples, sample_view, synthesize_profile
 from tagid.imaging.ats.network import ReflectivityNetwork
 from tagid.imaging.backprojection import upsample_at_carrier
+from tagid.imaging.memory import require_memory
 from tagid.imaging.types import BasebandScans, Image
 
 Progress = Callable[[int, int, float], None]
@@ -28,8 +29,13 @@ Progress = Callable[[int, int, float], None]
 _FIRST_OUTPUT = 0.01
 """The last layer starts this much smaller, so that the fit starts from an empty scene."""
 
-_KEPT_VIEWS = 360
-"""Views whose samples and encoding stay in memory (some 0.6 MB each); more are made anew for every step."""
+_KEPT_BYTES = 500_000_000
+"""Samples and encoding of so many views stay in memory (a table-top view takes some 0.6 MB, one of a rail
+20); those of more are made anew for every step."""
+
+_CELLS_A_WAVELENGTH = 10
+"""Finest cells: the reflectivity carries the ripple of the carrier, half a wavelength long, which no coarser
+cell holds, however coarse the pixels."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +58,8 @@ class PaperSettings:
         outside: weight of the residual outside of the pulse's band.
         output_scale: the network's unit output in 1/m; a reflector that returns the peak of the scans has
             about 80.
-        levels, features, coarsest, log2_entries: of the hash encoding; its finest cell is a pixel.
+        levels, features, coarsest, log2_entries: of the hash encoding; its finest cell is a tenth of the
+            carrier's wavelength, or a pixel where that is smaller.
         seed: of the initial weights and of the order of the views.
     """
 
@@ -152,7 +159,9 @@ class _Fit:
     ) -> None:
         self.scans, self.grid, self.settings = scans, grid, settings
         self.radii, self.samples = radii, samples
-        finest = max(settings.coarsest, grid.pixels)
+        wavelength = 2 * np.pi / scans.wavenumber
+        ripple = int(np.ceil(grid.extent / wavelength * _CELLS_A_WAVELENGTH))
+        finest = max(settings.coarsest, ripple, min(grid.pixels, 2 * ripple))
         self.encoding = EncodingSettings(
             settings.levels, settings.features, settings.coarsest, finest, settings.log2_entries
         )
@@ -165,8 +174,27 @@ class _Fit:
             self.network.biases[-1].zero_()
         self.band = torch.from_numpy(_band_limit(scans, radii, settings.outside))
         self.kept: dict[int, tuple[RaySamples, Any]] = {}
+        self.room = _KEPT_BYTES
+        self._foresee()
         # sigma per metre over the pulse's length that returns the peak: the scale of the output.
         self.scale = self.settings.output_scale
+
+    def _foresee(self) -> None:
+        """Refuse a step that will not fit before it is begun."""
+        s = self.settings
+        spacing = 2 * np.pi / self.scans.wavenumber * s.ray_spacing_wavelengths
+        rays = sample_view(self.scans.aperture, 0, self.grid, self.radii, spacing, s.beam_width_rad)
+        points = int((rays.weights > 0).sum())
+        views = min(s.views_per_step, len(self.samples))
+        # Encoding (weights, entries, features), activations of four layers and their gradients; ray tensors.
+        each = (
+            points * (8 * 4 * s.levels + 8 * s.levels * s.features + 8 * 4 * s.width) + 120 * rays.depths.size
+        )
+        require_memory(
+            views * each + _KEPT_BYTES,
+            f"steps of the paper's method with {views} views of {points} points",
+            "Image a smaller square (--extent) or shorter scans, or use --preset field.",
+        )
 
     def view(self, view: int) -> tuple[RaySamples, Any]:
         """Samples of a view, and the encoding matrix of those that lie in the scene."""
@@ -177,8 +205,10 @@ class _Fit:
         rays = sample_view(self.scans.aperture, view, self.grid, self.radii, spacing, s.beam_width_rad)
         inside = rays.points[rays.weights > 0]
         made = (rays, encoding_matrix(inside / self.grid.extent + 0.5, self.encoding))
-        if len(self.kept) < _KEPT_VIEWS:
+        size = rays.points.nbytes + rays.depths.nbytes + rays.weights.nbytes + 8 * made[1].nnz
+        if size <= self.room:
             self.kept[view] = made
+            self.room -= size
         return made
 
     def sigma(self, matrix: Any) -> Any:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,7 +72,7 @@ class AtsSettings:
     smoothness: float = 0.0
     robust: float = 0.0
     calibrate: tuple[str, ...] = ()
-    wobble_harmonics: int = 3
+    wobble_harmonics: int = 4
     aspect_harmonics: int = 0
     occlusion: float = 0.0
     views_per_step: int = 12
@@ -128,7 +129,9 @@ class Calibration:
         axis_offset_m: its difference from the one given.
         axis_sigma_m: its standard error, from the curvature of the fit; nan where it was not learned.
         wobble_rad: (harmonics,) complex w: the angle error over a turn is Re sum w_k exp(j k angle), k = 1..
-        gain: (views,) of every scan.
+        wobble_sigma_rad: (harmonics,) standard error of real and imaginary part.
+        gain: (views,) of every scan that was fitted; its mean is 1.
+        gain_sigma: (views,) its standard error.
         static: (bins,) complex component that no turn changes.
     """
 
@@ -136,8 +139,42 @@ class Calibration:
     axis_offset_m: float
     axis_sigma_m: float
     wobble_rad: NDArray[np.complex128]
+    wobble_sigma_rad: NDArray[np.float64]
     gain: NDArray[np.float64]
+    gain_sigma: NDArray[np.float64]
     static: NDArray[np.complex64]
+
+    def facts(self, learned: tuple[str, ...]) -> dict[str, Any]:
+        """What was learned, of `CALIBRATIONS`, as plain JSON values; empty where nothing was."""
+        found: dict[str, Any] = {}
+        if "axis" in learned and np.isfinite(self.axis_sigma_m):
+            found["axis"] = {
+                "distance_m": self.axis_distance_m,
+                "offset_m": self.axis_offset_m,
+                "sigma_m": self.axis_sigma_m,
+            }
+        if "wobble" in learned and np.isfinite(self.wobble_sigma_rad).all():
+            found["wobble"] = [
+                {
+                    "harmonic": order,
+                    "amplitude_deg": float(np.degrees(abs(w))),
+                    "phase_deg": float(np.degrees(np.angle(w))),
+                    "sigma_deg": float(np.degrees(sigma)),
+                    "speed_percent": float(100 * order * abs(w)),
+                }
+                for order, (w, sigma) in enumerate(
+                    zip(self.wobble_rad, self.wobble_sigma_rad, strict=True), start=1
+                )
+            ]
+        if "gain" in learned and np.isfinite(self.gain_sigma).all():
+            found["gain"] = {
+                "scans": [round(float(g), 5) for g in self.gain],
+                "sigma": [round(float(g), 5) for g in self.gain_sigma],
+                "spread": float(self.gain.std()),
+            }
+        if "static" in learned:
+            found["static"] = {"rms": float(np.sqrt((np.abs(self.static) ** 2).mean()))}
+        return found
 
 
 @dataclass(frozen=True, eq=False)

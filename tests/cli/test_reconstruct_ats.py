@@ -1,0 +1,59 @@
+"""`tagid reconstruct` with what ats learns beside the scene, as an engineer asks for it."""
+
+from __future__ import annotations
+
+import pytest
+
+
+@pytest.fixture
+def wobbly(tagid):
+    """A turn that wobbles by 2 % and whose axis distance is told 2 cm too long."""
+    made = tagid(
+        "simulate", "points-3", "--views", 36, "--wobble", 0.02, "--axis-error", 0.02, "--out", "w.tagid.h5"
+    )  # fmt: skip
+    assert made.code == 0, made.err
+    return "w.tagid.h5"
+
+
+def test_calibration_is_reported_with_standard_errors(tagid, wobbly) -> None:
+    words = ("--background", "none", "--pixels", 64, "--calibrate", "axis,wobble,gain,static")
+    done = tagid("reconstruct", wobbly, *words, "--output", "json")
+    assert done.code == 0, done.err
+    settings = done.json["data"]["settings"]
+    found = settings["calibration"]
+    assert set(found) == {"axis", "wobble", "gain", "static"}
+    assert found["axis"]["distance_m"] == pytest.approx(1.0, abs=4 * found["axis"]["sigma_m"])
+    assert found["axis"]["sigma_m"] < 0.003
+    assert settings["axis_distance_m"] == found["axis"]["distance_m"]
+    assert [w["harmonic"] for w in found["wobble"]] == [1, 2, 3, 4]
+    assert all(0 < w["sigma_deg"] < 0.6 for w in found["wobble"])
+    assert len(found["gain"]["scans"]) == len(found["gain"]["sigma"])
+    text = tagid("reconstruct", wobbly, *words)
+    assert "axis distance 1.00" in text.out
+    assert "wobble, harmonic 1" in text.out
+    assert "±" in text.out
+
+
+def test_settings_come_from_the_command_line_and_the_configuration(tagid, wobbly) -> None:
+    assert tagid("config", "set", "imaging.ats", "robust=3,calibrate=gain").code == 0
+    done = tagid("reconstruct", wobbly, "--pixels", 48, "--ats", "robust=2.5,steps=20", "--output", "json")
+    settings = done.json["data"]["settings"]
+    assert (settings["robust"], settings["steps"], settings["calibrate"]) == (2.5, 20, ["gain"])
+    assert list(settings["calibration"]) == ["gain"]
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("--ats", "robut=3"), "robust"),
+        (("--ats", "steps=many"), "whole number"),
+        (("--calibrate", "height"), "axis, wobble, gain, static"),
+        (("--method", "bp", "--ats", "steps=9"), "--method ats"),
+        (("--preset", "paper", "--calibrate", "axis"), "--preset field"),
+        (("--engine", "jax"), "onnx"),
+    ],
+)
+def test_what_cannot_be_set_is_said(tagid, wobbly, words, told) -> None:
+    done = tagid("reconstruct", wobbly, *words)
+    assert done.code == 2
+    assert told in done.err
