@@ -30,9 +30,9 @@ from tagid.motion.resolve import one_turn
 from tagid.turn import resolve_turn
 
 if TYPE_CHECKING:
+    from tagid.tags.averaging import Sighting
     from tagid.tags.layout import Layout
     from tagid.tags.matcher import ReaderSettings, Reading
-    from tagid.tags.reflectors import Reflector
     from tagid.tags.second_look import SecondLook
 
 Progress = Callable[[float, float, str], None]
@@ -304,16 +304,16 @@ def _reading(settings: ImagingSettings) -> ReaderSettings:
     return ReaderSettings(decision=decision, direction_known=settings.direction_known)
 
 
-def locate_reflectors(capture: Capture, settings: ImagingSettings | None = None) -> tuple[Reflector, ...]:
-    """Reflectors of a prepared capture without knowledge of any layout, strongest first.
+def sight_reflectors(capture: Capture, name: str, settings: ImagingSettings | None = None) -> Sighting:
+    """Strong reflectors of a prepared capture, without knowledge of any layout, with their covariance.
 
     Raises DataError as `identify` does.
     """
-    from tagid.tags.reflectors import find_reflectors
+    from tagid.tags.averaging import Sighting
 
     settings = settings or ImagingSettings()
     scans = preprocess(capture, settings=_preprocessing(settings, matched_filter=False))
     if settings.focus_m > 0 and scans.aperture.angles is not None:
         grid = ImageGrid(settings.extent_m, settings.pixels)
         scans, _ = focus_axis_distance(scans, grid, settings.focus_m)
-    return find_reflectors(scans)
+    return Sighting.of(scans, name)

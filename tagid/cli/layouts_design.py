@@ -7,11 +7,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from tagid.cli import enrolling
 from tagid.cli.frame import Terminal, command
 from tagid.errors import UsageError
 from tagid.result import Result
 
 if TYPE_CHECKING:
+    from rich.console import RenderableType
+
     from tagid.tags.design import DesignRules, Family
     from tagid.tags.objects import TaggedObject
 
@@ -60,6 +63,7 @@ def register(app: typer.Typer) -> None:
         prefix: Annotated[str | None, typer.Option("--prefix", help="Of the names.")] = None,
         out: Annotated[Path | None, typer.Option("--out", help="Write them as TOML.")] = None,
         enroll: Annotated[bool, typer.Option("--enroll", help="Enrol them all, or none.")] = False,
+        yes: enrolling.Yes = False,
     ) -> Result:
         """Design layouts that a radar tells apart best in any turn of the object.
 
@@ -71,7 +75,7 @@ def register(app: typer.Typer) -> None:
         rules = rules_from(reflectors, slots, spacing, mirror, seed)
         beside = [] if alone else open_registry().layouts()
         family = make(object_from(target, rows, radius, height), rules, count, prefix, beside)
-        return _designed(family, out, enroll)
+        return _designed(terminal, family, out, enrolling.Wish(False, yes, not enroll))
 
     @command(app, "layouts capacity")
     def capacity(
@@ -133,7 +137,7 @@ def rules_from(reflectors: int, slots: int, spacing: float | None, mirror: bool,
     )
 
 
-def _designed(family: Family, out: Path | None, enroll: bool) -> Result:
+def _designed(terminal: Terminal, family: Family, out: Path | None, wish: enrolling.Wish) -> Result:
     import numpy as np
     from rich.console import Group
     from rich.table import Table
@@ -142,7 +146,6 @@ def _designed(family: Family, out: Path | None, enroll: bool) -> Result:
     from tagid.cli.imaging import open_registry
     from tagid.tags.codebook import CONFUSABLE_M, confusable
     from tagid.tags.design import GHOST_M
-    from tagid.tags.enrolment import merge
     from tagid.tags.layout_file import write_layouts
 
     messages = []
@@ -157,7 +160,9 @@ def _designed(family: Family, out: Path | None, enroll: bool) -> Result:
             f"reflectors as near as {family.ghost_m * 1e3:.0f} mm can make a ghost (under "
             f"{GHOST_M * 1e3:.0f} mm); --spacing {GHOST_M:g} avoids it"
         )
-    version = merge(open_registry(), family.layouts, "design") if enroll else None
+    stored = None
+    if not wish.dry_run:
+        stored = enrolling.store_family(terminal, open_registry(), family.layouts, "design", wish)
     if out is not None:
         write_layouts(family.layouts, out)
     table = Table("layout", "angles deg", "radii mm", "heights mm", box=None)
@@ -171,7 +176,7 @@ def _designed(family: Family, out: Path | None, enroll: bool) -> Result:
             " ".join(f"{float(h) * 1e3:.0f}" for h in np.asarray(layout.heights)),
         )
     least = "-" if family.distance_m == float("inf") else f"{family.distance_m * 1e3:.1f} mm"
-    lines = [
+    lines: list[RenderableType] = [
         Text(
             f"{len(family.layouts)} of {family.candidates} possible layouts ({family.necklaces} necklaces), "
             f"least rotational distance {least}" + ("" if family.proven else ", the largest found")
@@ -179,8 +184,6 @@ def _designed(family: Family, out: Path | None, enroll: bool) -> Result:
     ]
     if out is not None:
         lines.append(Text(f"written to {out}; enrol them with: tagid layouts import {out}"))
-    if version is not None:
-        lines.append(Text(f"enrolled, registry version {version}"))
     data = {
         "layouts": [layout.to_dict() for layout in family.layouts],
         "distance_m": None if family.distance_m == float("inf") else family.distance_m,
@@ -189,9 +192,15 @@ def _designed(family: Family, out: Path | None, enroll: bool) -> Result:
         "candidates": family.candidates,
         "necklaces": family.necklaces,
         "path": None if out is None else str(out),
-        "registry_version": version,
+        "registry_version": None if stored is None else stored.version,
+        **({} if stored is None else stored.data),
     }
-    return Result("layouts design", data, Group(*lines, table), messages=tuple(messages))
+    lines.append(table)
+    if stored is None:
+        return Result("layouts design", data, Group(*lines), messages=tuple(messages))
+    if stored.version is not None:
+        lines.append(Text(f"enrolled, registry version {stored.version}"))
+    return stored.result("layouts design", data, lines, messages)
 
 
 def _capacity(

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from tagid.cli import enrolling
 from tagid.cli.frame import Terminal, command
 from tagid.result import Result
 
@@ -45,8 +46,13 @@ def register(app: typer.Typer) -> None:
         force: Annotated[
             bool, typer.Option("--force", help="Replace layouts, and accept some that can be confused.")
         ] = False,
+        yes: enrolling.Yes = False,
+        dry_run: enrolling.DryRun = False,
     ) -> Result:
         """Enrol the layouts of files: all of them, or none where one is in conflict.
+
+        The nearest other layout of each and the expected rate of confusion are shown first; at a terminal you
+        are asked before anything is stored.
 
         Example: tagid layouts import tags.toml
         """
@@ -54,7 +60,6 @@ def register(app: typer.Typer) -> None:
 
         from tagid.cli.imaging import open_registry
         from tagid.errors import FileFormatError
-        from tagid.tags.enrolment import merge
         from tagid.tags.layout_file import read_layouts
 
         found: dict[str, Layout] = {}
@@ -65,14 +70,22 @@ def register(app: typer.Typer) -> None:
                     raise FileFormatError(
                         f"{file}: {layout.name} differs from that of another file", "Rename one of them."
                     )
+        source = f"file {', '.join(f.name for f in files)}"[:200]
         registry = open_registry()
         before = registry.version
-        version = merge(
-            registry, list(found.values()), f"file {', '.join(f.name for f in files)}"[:200], force=force
+        stored = enrolling.store_family(
+            terminal, registry, list(found.values()), source, enrolling.Wish(force, yes, dry_run)
         )
+        version = before if stored.version is None else stored.version
         line = f"{len(found)} layouts read, {version - before} changes, registry version {version}"
-        data = {"layouts": list(found), "changes": version - before, "registry_version": version}
-        return Result("layouts import", data, Text(line))
+        data = {
+            "layouts": list(found),
+            "changes": version - before,
+            "registry_version": version,
+            "stored": stored.version is not None,
+            **stored.data,
+        }
+        return stored.result("layouts import", data, [Text(line)])
 
     @command(app, "layouts undo")
     def undo(

@@ -90,31 +90,51 @@ class Registry:
             raise self._missing(name)
         return self._decode(name, row[0])
 
+    def snapshot(self) -> tuple[int, list[Layout]]:
+        """The version, and all layouts enrolled at it."""
+        with self._database.connection() as connection:
+            connection.execute("BEGIN")
+            version = self._version(connection)
+            rows = connection.execute("SELECT name, definition FROM layout ORDER BY name").fetchall()
+            connection.execute("COMMIT")
+        return version, [self._decode(name, text) for name, text in rows]
+
     def add(self, layout: Layout, source: str, *, replace: bool = False) -> int:
         """Enrol a layout and return the new version.
 
         Raises RegistryError where the name is taken and `replace` is not set. Whether it could be confused
         with another is for `tagid.tags.enrolment` to say.
         """
-        text = json.dumps(layout.to_dict(), sort_keys=True)
-        with self._database.transaction() as connection:
-            taken = connection.execute("SELECT 1 FROM layout WHERE name = ?", (layout.name,)).fetchone()
-            if taken and not replace:
-                raise RegistryError(
-                    f"a layout named {layout.name} is enrolled already",
-                    "Choose another name, or remove the old one first.",
-                )
-            return self._put(connection, layout.name, text, source)
+        version = self.add_all([layout], source, replace=replace)
+        assert version is not None
+        return version
 
-    def add_all(self, layouts: Sequence[Layout], source: str) -> int:
-        """Enrol layouts, over those of the same names, all or none; returns the new version.
+    def add_all(
+        self, layouts: Sequence[Layout], source: str, *, replace: bool = True, since: int | None = None
+    ) -> int | None:
+        """Enrol layouts, all or none; returns the new version.
 
         A layout that is enrolled just so makes no new version.
+
+        Args:
+            layouts: of different names.
+            source: where they come from, for the history.
+            replace: whether they may stand for others of their names.
+            since: store only where this is still the version; else nothing is done and None returned.
+
+        Raises RegistryError where a name is taken and `replace` is not set.
         """
         with self._database.transaction() as connection:
+            if since is not None and self._version(connection) != since:
+                return None
             now = self._definitions(connection)
             for layout in layouts:
                 text = json.dumps(layout.to_dict(), sort_keys=True)
+                if layout.name in now and not replace:
+                    raise RegistryError(
+                        f"a layout named {layout.name} is enrolled already",
+                        "Choose another name, remove the old one first, or replace it with --force.",
+                    )
                 if now.get(layout.name) != text:
                     self._put(connection, layout.name, text, source)
             return self._version(connection)

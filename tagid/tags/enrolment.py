@@ -1,11 +1,10 @@
-"""Enrolling a layout: how far it is from every other, and what it is when only the real object is at hand.
+"""Enrolling layouts: how far each is from every other, how often noise confuses them, what is refused.
 
 Two layouts that can be confused make every later reading of either worthless, so they are refused here.
 """
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
@@ -13,36 +12,170 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from tagid.errors import DataError, LayoutConflictError
-from tagid.tags.codebook import (
-    CENTRE_TOLERANCE_M,
-    CONFUSABLE_M,
-    LayoutDistance,
-    best_pairing,
-    confusable,
-    rotational_distance,
-)
+from tagid.errors import LayoutConflictError, RegistryError
+from tagid.tags.capacity import REFERENCE, Localisation, confusion_rate
+from tagid.tags.codebook import CENTRE_TOLERANCE_M, CONFUSABLE_M, LayoutDistance, best_pairing
 from tagid.tags.layout import Layout, rotation_matrix
-from tagid.tags.reflectors import Reflector
 
-STRONG_DB = -9.0
-"""Reflectors of a tag are alike: one this far under the strongest is not taken for a part of the layout."""
+MAX_CONFUSION = 1e-3
+"""Rate of wrong names by one neighbour above which a layout is refused: what the reader promises."""
+_TRIES = 20
 
 
 class LayoutStore(Protocol):
     """What enrolment needs of a registry."""
 
-    def layouts(self) -> list[Layout]:
-        """All enrolled layouts."""
+    def snapshot(self) -> tuple[int, list[Layout]]:
+        """The version, and all layouts enrolled at it."""
         ...
 
-    def add(self, layout: Layout, source: str, *, replace: bool = False) -> int:
-        """Enrol and return the registry's version."""
+    def add_all(
+        self, layouts: Sequence[Layout], source: str, *, replace: bool = True, since: int | None = None
+    ) -> int | None:
+        """Enrol several, all or none, and return the registry's version; None where it is not `since`."""
         ...
 
-    def add_all(self, layouts: Sequence[Layout], source: str) -> int:
-        """Enrol several, all or none, and return the registry's version."""
-        ...
+
+@dataclass(frozen=True)
+class Neighbour:
+    """An enrolled layout beside a new one.
+
+    Attributes:
+        name: of the enrolled one.
+        distance: between the two.
+        confusion_rate: how often noise and what is not known of their positions makes one look nearer to the
+            other, the worse of the two ways; NaN where their numbers of reflectors differ.
+        mirrored: whether the new one's mirror image is meant, which reads alike where the direction of the
+            turn is not known.
+    """
+
+    name: str
+    distance: LayoutDistance
+    confusion_rate: float
+    mirrored: bool = False
+
+    @property
+    def confusable(self) -> bool:
+        """Whether it is too near."""
+        return self.distance.worst_m < CONFUSABLE_M or self.confusion_rate > MAX_CONFUSION
+
+    @property
+    def nearness_m(self) -> float:
+        """What neighbours are sorted by: worst distance of the reflectors that both have, m."""
+        return min(self.distance.worst_m, self.distance.nested_m)
+
+
+@dataclass(frozen=True)
+class Outlook:
+    """What enrolling a layout would mean, before anything is stored.
+
+    Attributes:
+        layout: new layout.
+        neighbours: every other layout, the nearest of those of its size first.
+        reference: recording for which the rates are told.
+        version: the registry's version that this was worked out for.
+    """
+
+    layout: Layout
+    neighbours: tuple[Neighbour, ...]
+    reference: Localisation
+    version: int = 0
+
+    @property
+    def confusion_rate(self) -> float:
+        """Expected rate of wrong names for the layout: the union bound over its neighbours."""
+        rates = [n.confusion_rate for n in self.neighbours if np.isfinite(n.confusion_rate)]
+        return float(min(sum(rates), 1.0))
+
+    @property
+    def confusable(self) -> tuple[str, ...]:
+        """Names of the neighbours that are too near."""
+        return tuple(sorted(n.name for n in self.neighbours if n.confusable))
+
+    def conflict(self) -> LayoutConflictError | None:
+        """The error that refuses the layout, or None where it may be enrolled."""
+        near = [n for n in self.neighbours if n.confusable]
+        if not near:
+            return None
+        worst = near[0]
+        image = "the mirror image of " if worst.mirrored else ""
+        if worst.distance.worst_m < CONFUSABLE_M:
+            return LayoutConflictError(
+                f"layout {self.layout.name} could be confused with {image}{worst.name}: its reflectors lie "
+                f"within {worst.distance.worst_m * 1e3:.1f} mm of it after a turn of "
+                f"{round(worst.distance.rotation_deg) % 360} degrees",
+                f"Move a reflector until one lies {CONFUSABLE_M * 1e3:.0f} mm away, leave one out, or "
+                "insist with --force; nothing was stored.",
+            )
+        return LayoutConflictError(
+            f"layout {self.layout.name} would be taken for {image}{worst.name}, or the other way, in "
+            f"{worst.confusion_rate:.2g} of readings ({worst.distance.rms_m * 1e3:.1f} mm apart, positions "
+            f"known to {self.layout.sigma_m * 1e3:.1f} mm); {MAX_CONFUSION:g} is allowed",
+            "Measure it on more captures, move a reflector, or insist with --force; nothing was stored.",
+        )
+
+
+def outlook(
+    layout: Layout,
+    others: Sequence[Layout],
+    *,
+    direction_known: bool = True,
+    reference: Localisation = REFERENCE,
+    version: int = 0,
+) -> Outlook:
+    """Distance and confusion of a layout with every other.
+
+    Args:
+        layout: new layout.
+        others: layouts it would stand beside; one of its own name is left out.
+        direction_known: whether the direction of the turn is; else mirror images read alike.
+        reference: recording whose localisation error makes the rates.
+        version: of the registry, to be kept with the answer.
+    """
+    found = [
+        neighbour(layout, other, reference.sigma_m, direction_known)
+        for other in others
+        if other.name != layout.name
+    ]
+    found.sort(key=lambda n: (not np.isfinite(n.distance.worst_m), n.nearness_m))
+    return Outlook(layout, tuple(found), reference, version)
+
+
+def neighbour(layout: Layout, other: Layout, sigma_m: float, direction_known: bool = True) -> Neighbour:
+    """Distance and confusion of two layouts; of the nearer image where the direction is not known.
+
+    The two differ by a vector d in the 2K coordinates together. A reading is off by sigma a coordinate, and
+    the truth by what its enrolment left open, C: one is taken for the other where both together exceed half
+    of d along d, with probability Q(|d| / 2 sqrt(sigma^2 + u' C u)), u = d / |d|.
+    """
+    straight = _neighbour(layout, other, sigma_m, False)
+    if direction_known:
+        return straight
+    image = _neighbour(layout.mirrored(), other, sigma_m, True)
+    return image if image.nearness_m < straight.nearness_m - 1e-9 else straight
+
+
+def _neighbour(layout: Layout, other: Layout, sigma_m: float, mirrored: bool) -> Neighbour:
+    small, large = (layout, other) if layout.size <= other.size else (other, layout)
+    pair = best_pairing(small.positions, large.positions, CENTRE_TOLERANCE_M)
+    turn = float(np.rad2deg(pair.rotation_rad if small is layout else -pair.rotation_rad) % 360)
+    if layout.size != other.size:
+        return Neighbour(other.name, LayoutDistance(np.inf, np.inf, turn, pair.worst_m), np.nan, mirrored)
+    rotation = rotation_matrix(pair.rotation_rad)
+    apart = layout.positions @ rotation.T + pair.shift_m - other.positions[pair.partner]
+    length = float(np.linalg.norm(apart))
+    along = apart / max(length, 1e-12)
+    unsure = max(
+        _variance_along(layout.covariance, along @ rotation),
+        _variance_along(other.covariance, along[np.argsort(pair.partner)]),
+    )
+    rate = confusion_rate(pair.rms_m, layout.size, float(np.sqrt(sigma_m**2 + unsure)))
+    return Neighbour(other.name, LayoutDistance(pair.rms_m, pair.worst_m, turn), rate, mirrored)
+
+
+def _variance_along(covariance: NDArray[np.float64] | None, along: NDArray[np.float64]) -> float:
+    """Variance, m^2, along a unit vector given as (K, 2), of positions with covariances (K, 2, 2)."""
+    return 0.0 if covariance is None else float(np.einsum("ki,kij,kj->", along, covariance, along))
 
 
 @dataclass(frozen=True)
@@ -50,25 +183,16 @@ class Enrolment:
     """What enrolling found and did.
 
     Attributes:
-        layout: as enrolled.
-        distances: distance to every layout enrolled before, by name.
-        confusable: names of those that are too near; not empty only where forced.
+        outlook: the layout as enrolled, beside its neighbours.
         version: the registry's version since.
     """
 
-    layout: Layout
-    distances: dict[str, LayoutDistance]
-    confusable: tuple[str, ...]
+    outlook: Outlook
     version: int
 
 
 def enrol(
-    store: LayoutStore,
-    layout: Layout,
-    source: str,
-    *,
-    force: bool = False,
-    tolerance_m: float = CONFUSABLE_M,
+    store: LayoutStore, layout: Layout, source: str, *, force: bool = False, direction_known: bool = True
 ) -> Enrolment:
     """Add a layout to the store unless it could be confused with another.
 
@@ -77,23 +201,33 @@ def enrol(
         layout: new layout.
         source: where it comes from, for the history.
         force: enrol it all the same, and over one of the same name.
-        tolerance_m: worst-reflector distance under which two layouts are confusable, m.
+        direction_known: whether the direction of the turn is.
 
     Raises:
         LayoutConflictError: it is too near to an enrolled layout. RegistryError: the name is taken.
     """
-    others = [other for other in store.layouts() if not (force and other.name == layout.name)]
-    distances = {other.name: rotational_distance(layout, other) for other in others}
-    near = {name: d for name, d in distances.items() if d.worst_m < tolerance_m and name != layout.name}
-    if near and not force:
-        name, distance = min(near.items(), key=lambda item: item[1].worst_m)
-        raise LayoutConflictError(
-            f"layout {layout.name} could be confused with {name}: its reflectors lie within "
-            f"{distance.worst_m * 1e3:.1f} mm of it after a turn of {distance.rotation_deg:.0f} degrees",
-            f"Move a reflector until one lies {tolerance_m * 1e3:.0f} mm away, or insist with --force.",
-        )
-    version = store.add(layout, source, replace=force)
-    return Enrolment(layout, distances, tuple(sorted(near)), version)
+    for _ in range(_TRIES):
+        version, known = store.snapshot()
+        found = outlook(layout, known, direction_known=direction_known, version=version)
+        conflict = found.conflict()
+        if conflict and not force:
+            raise conflict
+        done = store.add_all([layout], source, replace=force, since=version)
+        if done is not None:
+            return Enrolment(found, done)
+    raise _busy()
+
+
+def family_outlooks(
+    layouts: Sequence[Layout], known: Sequence[Layout], *, direction_known: bool = True
+) -> list[Outlook]:
+    """The outlook of several layouts that would be enrolled together, beside each other and those enrolled.
+
+    Layouts of the same name stand for those enrolled.
+    """
+    names = {layout.name for layout in layouts}
+    fixed = [layout for layout in known if layout.name not in names]
+    return [outlook(one, [*fixed, *layouts], direction_known=direction_known) for one in layouts]
 
 
 def merge(
@@ -102,7 +236,7 @@ def merge(
     source: str,
     *,
     force: bool = False,
-    tolerance_m: float = CONFUSABLE_M,
+    direction_known: bool = True,
 ) -> int:
     """Add several layouts to the store, all or none; those enrolled just so are left as they are.
 
@@ -110,91 +244,37 @@ def merge(
         LayoutConflictError: a name stands for another layout there, or two layouts could be confused; not
             with `force`, which replaces the former and lets the latter be.
     """
-    if not force:
-        known = {layout.name: layout for layout in store.layouts()}
-        for layout in layouts:
-            same = known.get(layout.name)
-            if same is not None and same.to_dict() != layout.to_dict():
-                raise LayoutConflictError(
-                    f"a different layout named {layout.name} is enrolled already",
-                    "Rename one of them, or replace the enrolled one with --force.",
-                )
-        new = [layout for layout in layouts if layout.name not in known]
-        fixed = list(known.values())
-        for i, layout in enumerate(new):
-            for name, distance in confusable(layout, [*fixed, *new[:i]], tolerance_m).items():
-                raise LayoutConflictError(
-                    f"layout {layout.name} could be confused with {name}: its reflectors lie within "
-                    f"{distance.worst_m * 1e3:.1f} mm of it after a turn",
-                    "Leave one of them out, or insist with --force; nothing was stored.",
-                )
-    return store.add_all(layouts, source)
+    for _ in range(_TRIES):
+        version, enrolled = store.snapshot()
+        if not force:
+            check_merge(layouts, enrolled, direction_known=direction_known)
+        done = store.add_all(layouts, source, since=version)
+        if done is not None:
+            return done
+    raise _busy()
 
 
-@dataclass(frozen=True, eq=False)
-class LayoutEstimate:
-    """A layout measured on the real object.
+def check_merge(
+    layouts: Sequence[Layout], enrolled: Sequence[Layout], *, direction_known: bool = True
+) -> None:
+    """Raises LayoutConflictError where layouts cannot be added to those enrolled: see `merge`."""
+    known = {layout.name: layout for layout in enrolled}
+    for layout in layouts:
+        same = known.get(layout.name)
+        if same is not None and same.to_dict() != layout.to_dict():
+            raise LayoutConflictError(
+                f"a different layout named {layout.name} is enrolled already",
+                "Rename one of them (a design: --prefix NAME), or import with --force to replace it; nothing was "
+                "stored.",
+            )
+    new = [layout for layout in layouts if layout.name not in known]
+    for i, layout in enumerate(new):
+        conflict = outlook(layout, [*enrolled, *new[:i]], direction_known=direction_known).conflict()
+        if conflict:
+            raise conflict
 
-    Attributes:
-        layout: mean positions about the object's mean axis, the outermost reflector on +x.
-        spread_m: (K,) RMS scatter of each reflector over the captures, m.
-        used, discarded: indexes of the captures that showed K reflectors, and of the others.
-    """
 
-    layout: Layout
-    spread_m: NDArray[np.float64]
-    used: tuple[int, ...]
-    discarded: tuple[int, ...]
-
-
-def layout_from_readings(
-    found: Sequence[Sequence[Reflector]], name: str, kind: str = "other", label: str = ""
-) -> LayoutEstimate:
-    """Layout from the reflectors found in several captures of one object, in any turn and place.
-
-    Captures are paired, turned and shifted onto their mean (generalised Procrustes analysis, Gower 1975). The
-    origin is the mean place of the turntable's axis on the object: place the object's axis on it as well as
-    you can, the errors average out.
-
-    Raises DataError where fewer than two reflectors are seen, or the captures do not agree on how many.
-    """
-    strong = [[(r.x_m, r.y_m) for r in capture if r.amplitude_db >= STRONG_DB] for capture in found]
-    counts = Counter(len(points) for points in strong)
-    if not counts:
-        raise DataError("no capture to take a layout from", "Give at least one capture of the object.")
-    size, votes = max(counts.items(), key=lambda item: (item[1], item[0]))
-    if size < 2:
-        raise DataError(
-            f"{votes} of {len(found)} captures show {size} reflectors, a layout needs two",
-            "Check that the object is tagged and in the beam, and record more views.",
-        )
-    if 2 * votes <= len(found) and len(found) > 1:
-        seen = ", ".join(str(len(points)) for points in strong)
-        raise DataError(
-            f"the captures do not agree on the number of reflectors ({seen})",
-            "Record again with more views or less clutter, or give the positions as numbers.",
-        )
-    used = tuple(i for i, points in enumerate(strong) if len(points) == size)
-    sets = [np.array(strong[i]) for i in used]
-    mean, axis = sets[0], np.zeros(2)
-    for _ in range(3):
-        placed = []
-        axes = []
-        for points in sets:
-            # Off the axis in both captures by as much as the reader allows; more is another pairing,
-            # since two reflectors can always be exchanged by half a turn and a shift.
-            pair = best_pairing(points, mean, 2 * CENTRE_TOLERANCE_M)
-            turned = points @ rotation_matrix(pair.rotation_rad).T + pair.shift_m
-            ordered = np.empty_like(turned)
-            ordered[pair.partner] = turned
-            placed.append(ordered)
-            axes.append(pair.shift_m)
-        mean, axis = np.mean(placed, axis=0), np.mean(axes, axis=0)
-    spread = np.sqrt(np.mean(np.sum((np.array(placed) - mean) ** 2, axis=2), axis=0))
-    positions = mean - axis
-    outermost = int(np.argmax(np.linalg.norm(positions, axis=1)))
-    turn = -np.arctan2(positions[outermost, 1], positions[outermost, 0])
-    notes = f"Measured on {len(sets)} captures, scatter up to {spread.max() * 1e3:.1f} mm."
-    layout = Layout(name, positions @ rotation_matrix(float(turn)).T, kind, notes=notes, label=label)
-    discarded = tuple(i for i in range(len(found)) if i not in used)
-    return LayoutEstimate(layout, spread, used, discarded)
+def _busy() -> RegistryError:
+    return RegistryError(
+        "the registry is changed by other processes all the time", "Try again when they are done."
+    )

@@ -32,7 +32,8 @@ MAX_FILE_BYTES = 64 * 1024
 MAX_TEXT = 2000
 _SLUG = re.compile(r"[a-z0-9](?:[a-z0-9._-]{0,62}[a-z0-9])?")
 MAX_HEIGHT_M = 1.0
-_FIELDS = ("name", "kind", "positions_m", "heights_m", "symmetry", "notes", "label")
+MAX_SIGMA_M = 0.1
+_FIELDS = ("name", "kind", "positions_m", "heights_m", "covariance_m2", "symmetry", "notes", "label")
 
 
 def rotation_matrix(angle_rad: float | NDArray[np.floating]) -> NDArray[np.float64]:
@@ -68,6 +69,8 @@ class Layout:
         symmetry: rotational order n (a turn by 360/n degrees changes nothing); 0 asks to compute it.
         notes, label: free text for people.
         heights: (K,) float64, m, of the reflectors above the object's plane; None for all in it.
+        covariance: (K, 2, 2) float64, m^2, of each reflector's position where it was measured; None where the
+            positions are given and not measured.
     """
 
     name: str
@@ -77,6 +80,7 @@ class Layout:
     notes: str = ""
     label: str = ""
     heights: NDArray[np.float64] | None = None
+    covariance: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not _SLUG.fullmatch(self.name):
@@ -99,6 +103,7 @@ class Layout:
                 )
         object.__setattr__(self, "positions", self._checked_positions())
         object.__setattr__(self, "heights", self._checked_heights())
+        object.__setattr__(self, "covariance", self._checked_covariance())
         computed = rotational_symmetry(self._in_space())
         if isinstance(self.symmetry, bool) or not isinstance(self.symmetry, int):
             raise UsageError(f"layout {self.name}: symmetry is not a whole number")
@@ -149,6 +154,27 @@ class Layout:
         given.setflags(write=False)
         return given
 
+    def _checked_covariance(self) -> NDArray[np.float64] | None:
+        if self.covariance is None:
+            return None
+        try:
+            given = np.array(self.covariance, dtype=np.float64)
+        except (TypeError, ValueError, OverflowError):
+            given = np.full(1, np.nan)
+        sound = given.shape == (self.size, 2, 2) and bool(np.isfinite(given).all())
+        if sound:
+            values = np.linalg.eigvalsh(given)
+            even = np.allclose(given, np.swapaxes(given, 1, 2), rtol=1e-9, atol=1e-15)
+            sound = even and bool((values >= -1e-12).all() and (values <= MAX_SIGMA_M**2).all())
+        if not sound:
+            raise UsageError(
+                f"layout {self.name}: covariance_m2 is not one covariance of up to ({MAX_SIGMA_M:g} m)^2 "
+                "a reflector",
+                "Give [xx, xy, yy] in square metres for each reflector, or leave it out.",
+            )
+        given.setflags(write=False)
+        return given
+
     def _in_space(self) -> NDArray[np.float64]:
         """(K, 3) positions with their heights, m."""
         return np.concatenate([self.positions, np.asarray(self.heights)[:, None]], axis=1)
@@ -163,23 +189,33 @@ class Layout:
         """Distance of the outermost reflector from the axis, m."""
         return float(np.linalg.norm(self.positions, axis=1).max())
 
+    @property
+    def sigma_m(self) -> float:
+        """Largest standard deviation of a reflector's place in any direction, m; 0 where not measured."""
+        return 0.0 if self.covariance is None else float(np.sqrt(np.linalg.eigvalsh(self.covariance).max()))
+
     def placed(self, rotation_rad: float, centre_m: NDArray[np.floating]) -> NDArray[np.float64]:
         """(K, 2) positions after a counter-clockwise turn about the origin and a shift, m."""
         return self.positions @ rotation_matrix(rotation_rad).T + np.asarray(centre_m)
 
     def mirrored(self) -> Layout:
         """The layout as it looks where the object is taken to turn the other way: y changes its sign."""
-        return replace(self, positions=self.positions * np.array([1.0, -1.0]))
+        flip = np.array([1.0, -1.0])
+        seen = None if self.covariance is None else self.covariance * np.outer(flip, flip)
+        return replace(self, positions=self.positions * flip, covariance=seen)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain JSON values; `layout_from_dict` takes them back."""
         heights = [float(h) for h in np.asarray(self.heights)]
+        seen = self.covariance
+        rows = [] if seen is None else [[float(c[0, 0]), float(c[0, 1]), float(c[1, 1])] for c in seen]
         return {
             "name": self.name,
             "kind": self.kind,
             "label": self.label,
             "positions_m": [[float(x), float(y)] for x, y in self.positions],
             **({"heights_m": heights} if any(heights) else {}),
+            **({"covariance_m2": rows} if rows else {}),
             "symmetry": self.symmetry,
             "notes": self.notes,
         }
@@ -197,28 +233,35 @@ def layout_from_dict(data: Mapping[str, Any]) -> Layout:
         raise UsageError(
             f"unknown layout field {', '.join(unknown)}", f"The fields are {', '.join(_FIELDS)}."
         )
-    rows = data["positions_m"]
-    pairs = isinstance(rows, list) and all(
-        isinstance(row, list)
-        and len(row) == 2
-        and all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in row)
-        for row in rows
-    )
-    if not pairs:
+    if not _numbers(data["positions_m"], 2):
         raise UsageError(
             "the layout's field positions_m is not a list of [x, y] pairs",
             "Give each reflector as [x, y] in metres.",
         )
-    rest = {name: data[name] for name in _FIELDS if name in data and name not in ("positions_m", "heights_m")}
-    heights = data.get("heights_m")
-    if heights is not None and not (
-        isinstance(heights, list)
-        and all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in heights)
-    ):
+    apart = ("positions_m", "heights_m", "covariance_m2")
+    rest = {name: data[name] for name in _FIELDS if name in data and name not in apart}
+    heights, seen = data.get("heights_m"), data.get("covariance_m2")
+    if heights is not None and not _numbers([heights], None):
         raise UsageError(
             "the layout's field heights_m is not a list of numbers", "Give one height a reflector, in metres."
         )
-    return Layout(positions=rows, heights=heights, **rest)  # type: ignore[arg-type]
+    if seen is not None and not _numbers(seen, 3):
+        raise UsageError(
+            "the layout's field covariance_m2 is not a list of [xx, xy, yy]",
+            "Give one covariance a reflector, in square metres, or leave it out.",
+        )
+    covariance = None if seen is None else [[[xx, xy], [xy, yy]] for xx, xy, yy in seen]
+    return Layout(positions=data["positions_m"], heights=heights, covariance=covariance, **rest)  # type: ignore[arg-type]
+
+
+def _numbers(rows: Any, width: int | None) -> bool:
+    """Whether it is a list of lists of so many plain numbers; of any number where the width is None."""
+    return isinstance(rows, list) and all(
+        isinstance(row, list)
+        and width in (None, len(row))
+        and all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in row)
+        for row in rows
+    )
 
 
 def read_layout(path: Path) -> Layout:

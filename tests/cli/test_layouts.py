@@ -2,9 +2,18 @@
 
 from __future__ import annotations
 
+import os
+import pty
+import select
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+
+import pytest
+
+POINTS = ("--point", "0.1,0", "--point", "-0.05,0.03", "--point", "0.02,-0.09")
 
 
 def test_from_a_design_to_a_checked_registry(tagid: Callable[..., Any], tmp_path: Path) -> None:
@@ -41,3 +50,76 @@ def test_mistakes_change_nothing(tagid: Callable[..., Any], tmp_path: Path) -> N
     assert tagid("layouts", "--output", "json").json["data"]["registry_version"] == 4
     assert tagid("layouts", "show", "helmet-120", "--template", "t.docx").code == 2
     assert not (tmp_path / "t.docx").exists()
+
+
+def test_neighbours_and_confusion_are_told_before_anything_is_stored(
+    tagid: Callable[..., Any], tmp_path: Path
+) -> None:
+    looked = tagid("enroll", "mine", *POINTS, "--dry-run", "--output", "json").json["data"]
+    assert not looked["stored"] and looked["registry_version"] == 4
+    nearest = looked["nearest"][0]
+    assert nearest["name"] == "helmet-120" and 0 <= nearest["confusion_rate"] < 1e-6
+    assert looked["confusion_rate"] < 1e-6 and looked["reference"]["sigma_m"] > 0
+    unsure = tagid("enroll", "mine", *POINTS, "--sigma", 0.02, "--output", "json")
+    assert unsure.code == 1 and "readings" in unsure.json["errors"][0]["message"]
+    assert unsure.json["data"]["nearest"][0]["confusion_rate"] > 0.001 and not unsure.json["data"]["stored"]
+    stored = tagid("enroll", "mine", *POINTS, "--sigma", 0.001, "--output", "json").json["data"]
+    assert stored["stored"] and stored["sigma_m"] == pytest.approx(0.001)
+    again = tagid("enroll", "mine", *POINTS)
+    assert again.code == 1 and "enrolled already" in again.err
+    design = ("layouts", "design", "--rows", 2, "--count", 3, "--enroll", "--output", "json")
+    enrolled = tagid(*design).json["data"]
+    assert [one["layout"] for one in enrolled["confusion"]] == [one["name"] for one in enrolled["layouts"]]
+    assert enrolled["confusion"][0]["nearest"] and enrolled["registry_version"] == 8
+    refused = tagid(*design, "--alone").json
+    assert refused["exit_code"] == 1 and "enrolled already" in refused["errors"][0]["message"]
+
+
+def test_a_person_is_asked_and_may_refuse(tagid: Callable[..., Any], home: dict[str, str]) -> None:
+    def at_a_terminal(answer: str, *words: str) -> tuple[int, str]:
+        ours, theirs = pty.openpty()
+        process = subprocess.Popen(
+            [sys.executable, "-m", "tagid", "enroll", "mine", *POINTS, *words],
+            stdin=theirs, stdout=theirs, stderr=theirs, env=home,
+        )  # fmt: skip
+        os.close(theirs)
+        seen = b""
+        try:
+            while select.select([ours], [], [], 60)[0]:
+                piece = os.read(ours, 4096)
+                seen += piece
+                if b"[y/N]" in seen and answer:
+                    os.write(ours, answer.encode())
+                    answer = ""
+        except OSError:  # the other end is closed
+            pass
+        os.close(ours)
+        return process.wait(timeout=60), seen.decode()
+
+    code, seen = at_a_terminal("n\n")
+    assert code == 130 and "nothing was stored" in seen
+    assert seen.index("helmet-120") < seen.index("expected confusion") < seen.index("[y/N]")
+    assert tagid("layouts", "--output", "json").json["data"]["registry_version"] == 4
+    code, seen = at_a_terminal("y\n")
+    assert code == 0 and "mine enrolled" in seen
+    code, seen = at_a_terminal("", "--yes", "--force")
+    assert code == 0 and "[y/N]" not in seen
+
+
+def test_a_capture_of_another_object_is_named_and_nothing_stored(
+    tagid: Callable[..., Any], tmp_path: Path
+) -> None:
+    for seed, scene in enumerate(("container-180", "container-180", "container-90", "container-180")):
+        tagid(
+            "simulate", scene, "--views", 36, "--seed", seed, "--rotation", 70 * seed, "--out", f"{seed}.h5"
+        )
+    files = [word for i in range(4) for word in ("--capture", f"{i}.h5")]
+    refused = tagid("enroll", "can", *files, "--output", "json")
+    assert refused.code == 1 and refused.json["errors"][0]["message"].startswith("2.h5 has a reflector")
+    del files[4:6]
+    data = tagid("enroll", "can", *files, "--force", "--output", "json").json["data"]
+    assert data["stored"] and 0 < data["sigma_m"] < 1e-3 and len(data["layout"]["covariance_m2"]) == 2
+    turns = [(b - a) % 180 for a, b in zip(data["rotations_deg"], data["rotations_deg"][1:], strict=False)]
+    assert turns == pytest.approx([70, 140], abs=2)
+    twin = tagid("enroll", "two", "--capture", "0.h5", "--capture", "0.h5", "--force")
+    assert twin.code == 2 and "twice" in twin.err

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sqlite3
 import threading
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +12,10 @@ import pytest
 
 from tagid.errors import FileFormatError, LayoutConflictError, RegistryError
 from tagid.storage.registry import Registry
+from tagid.tags.codebook import best_pairing
 from tagid.tags.design import DesignRules, design
-from tagid.tags.enrolment import enrol, merge
-from tagid.tags.layout import Layout, builtin_layouts
+from tagid.tags.enrolment import enrol, merge, neighbour, outlook
+from tagid.tags.layout import Layout, builtin_layouts, rotation_matrix
 from tagid.tags.layout_file import read_layouts, write_layouts
 from tagid.tags.objects import object_named
 
@@ -139,11 +141,64 @@ def test_enrolment_refuses_what_could_be_confused(tmp_path: Path) -> None:
         enrol(registry, Layout("near", near), "numbers")
     assert registry.version == 4
     forced = enrol(registry, Layout("near", near), "numbers", force=True)
-    assert forced.confusable == ("helmet-120",)
+    assert forced.outlook.confusable == ("helmet-120",)
     assert registry.version == forced.version == 5
     fine = enrol(registry, Layout("fine", SCALENE), "numbers")
-    assert not fine.confusable
-    assert set(fine.distances) == {*builtin_layouts(), "near"}
+    assert not fine.outlook.confusable
+    assert {n.name for n in fine.outlook.neighbours} == {*builtin_layouts(), "near"}
+
+
+def test_of_two_that_enrol_alike_layouts_at_once_only_one_does(tmp_path: Path) -> None:
+    path = tmp_path / "r.db"
+    Registry(path)
+    refused: list[str] = []
+
+    def work(worker: int) -> None:
+        turned = Layout(f"w{worker}", Layout("x", SCALENE).placed(worker, np.zeros(2)))
+        try:
+            enrol(Registry(path), turned, "thread")
+        except LayoutConflictError as error:
+            refused.append(error.message)
+
+    threads = [threading.Thread(target=work, args=(i,)) for i in range(6)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(refused) == 5 and all("could be confused with w" in message for message in refused)
+    assert Registry(path).version == 5
+
+
+def test_what_is_not_known_of_the_positions_counts_into_the_confusion() -> None:
+    rng = np.random.default_rng(0)
+    a, b = SCALENE, SCALENE + 0.009 * rng.standard_normal(SCALENE.shape)
+    own = rng.standard_normal((3, 2, 2)) * 2e-3
+    covariance = own @ np.swapaxes(own, 1, 2)
+    turn = rotation_matrix(1.0)
+    new = Layout("new", a @ turn.T, covariance=turn @ covariance @ turn.T)
+    found = neighbour(new, Layout("old", b), 3e-3)
+    place = best_pairing(new.positions, b, 0.014)
+    stored = new.positions @ rotation_matrix(place.rotation_rad).T + place.shift_m
+    back = rotation_matrix(place.rotation_rad) @ turn
+    true = stored + np.einsum("kij,nkj->nki", back @ own, rng.standard_normal((200_000, 3, 2)))
+    seen = true + 3e-3 * rng.standard_normal(true.shape)
+    nearer = np.sum((seen - b) ** 2, axis=(1, 2)) < np.sum((seen - stored) ** 2, axis=(1, 2))
+    assert found.confusion_rate == pytest.approx(nearer.mean(), rel=0.04)
+    exact = neighbour(Layout("new", new.positions), Layout("old", b), 3e-3)
+    assert exact.confusion_rate < 0.8 * found.confusion_rate
+
+
+def test_a_layout_known_too_badly_is_refused() -> None:
+    other = SCALENE + np.array([[0.0, 0.0], [0.0, 0.02], [0.0, 0.0]])
+    old = Layout("old", other)
+    assert outlook(Layout("new", SCALENE), [old]).conflict() is None
+    badly = Layout("new", SCALENE, covariance=np.tile(36e-6 * np.eye(2), (3, 1, 1)))
+    conflict = outlook(badly, [old]).conflict()
+    assert conflict is not None and "positions known to 6.0 mm" in conflict.message
+    mirrored = Layout("flip", SCALENE * [1, -1])
+    assert outlook(mirrored, [Layout("old", SCALENE)]).conflict() is None
+    image = outlook(mirrored, [Layout("old", SCALENE)], direction_known=False).conflict()
+    assert image is not None and "mirror image of old" in image.message
 
 
 def test_several_are_added_all_or_none_and_taken_back_as_one(tmp_path: Path) -> None:
@@ -172,7 +227,9 @@ def test_several_are_added_all_or_none_and_taken_back_as_one(tmp_path: Path) -> 
 
 
 def test_a_file_of_layouts_comes_back_unchanged(tmp_path: Path) -> None:
-    family = design(object_named("mug").with_rows(2), DesignRules(), 5).layouts
+    made = design(object_named("mug").with_rows(2), DesignRules(), 5).layouts
+    seen = np.tile([[1e-6, 2e-7], [2e-7, 3e-6]], (3, 1, 1))
+    family = [*made[:4], replace(made[4], covariance=seen)]
     path = tmp_path / "family.toml"
     write_layouts(family, path)
     assert [a.to_dict() for a in read_layouts(path)] == [a.to_dict() for a in family]

@@ -33,9 +33,14 @@ def test_the_papers_four_layouts_are_built_in() -> None:
 
 
 def test_a_layout_takes_back_its_own_dict() -> None:
-    layout = Layout("a-b.c", SCALENE, "helmet", notes="n", label="L")
+    seen = np.tile([[1e-6, 2e-7], [2e-7, 3e-6]], (3, 1, 1))
+    layout = Layout("a-b.c", SCALENE, "helmet", notes="n", label="L", covariance=seen)
     again = layout_from_dict(json.loads(json.dumps(layout.to_dict())))
     assert again.to_dict() == layout.to_dict()
+    assert again.covariance is not None and (again.covariance == seen).all()
+    assert again.sigma_m == pytest.approx(np.sqrt(np.linalg.eigvalsh(seen[0])[1]))
+    twice = layout.mirrored().mirrored()
+    assert twice.to_dict() == layout.to_dict() != layout.mirrored().to_dict()
 
 
 @pytest.mark.parametrize(
@@ -61,6 +66,12 @@ def test_a_layout_takes_back_its_own_dict() -> None:
         ({"heights_m": [0.1, 2.0]}, "heights_m"),
         ({"heights_m": "high"}, "heights_m"),
         ({"notes": "x" * 5000}, "notes"),
+        ({"covariance_m2": [[1e-6, 0, 1e-6]]}, "covariance_m2"),
+        ({"covariance_m2": [[1e-6, 1e-6]] * 3}, "covariance_m2"),
+        ({"covariance_m2": [[1e-6, 2e-6, 1e-6]] * 3}, "covariance_m2"),
+        ({"covariance_m2": [[1.0, 0, 1.0]] * 3}, "covariance_m2"),
+        ({"covariance_m2": [[1e-6, float("nan"), 1e-6]] * 3}, "covariance_m2"),
+        ({"covariance_m2": "small"}, "covariance_m2"),
     ],
 )
 def test_a_wrong_field_is_named(change: dict[str, object], field: str) -> None:

@@ -10,7 +10,6 @@ from tags_synthetic import synthetic_scans
 
 from tagid.errors import DataError, RegistryError
 from tagid.geometry import Aperture
-from tagid.tags.enrolment import layout_from_readings
 from tagid.tags.field import MatchedField
 from tagid.tags.layout import Layout, builtin_layouts
 from tagid.tags.matcher import ReaderSettings, Reading, read_tag
@@ -171,35 +170,6 @@ def test_the_finder_reports_reflectors_and_no_sidelobes() -> None:
         assert np.unique(gap.argmin(axis=1)).size == layout.size
         assert all(abs(abs(r.amplitude) - 1) < 0.15 for r in found)
     assert find_reflectors(synthetic_scans(np.zeros((0, 2)), noise=1.0)) == ()
-
-
-def test_a_layout_measured_on_the_object() -> None:
-    rng = np.random.default_rng(1)
-    truth = Layout("truth", SCALENE)
-    captures = [
-        find_reflectors(
-            synthetic_scans(truth.placed(rng.uniform(0, 6), rng.uniform(-0.005, 0.005, 2)), noise=0.3, seed=i)
-        )
-        for i in range(6)
-    ]
-    captures.append(captures[0][:1])  # one bad capture
-    estimate = layout_from_readings(captures, "measured", "helmet")
-    assert estimate.used == tuple(range(6))
-    assert estimate.discarded == (6,)
-    assert estimate.spread_m.max() < 2e-3
-    sides = [
-        np.sort(np.linalg.norm(p - np.roll(p, 1, 0), axis=1)) for p in (SCALENE, estimate.layout.positions)
-    ]
-    assert np.allclose(*sides, atol=2e-3)
-    # The axis averages out: 5 mm uniform in x and y over six captures leaves about 1.2 mm.
-    assert np.linalg.norm(estimate.layout.positions, axis=1).max() == pytest.approx(0.1, abs=4e-3)
-
-
-def test_measuring_needs_agreement() -> None:
-    with pytest.raises(DataError, match="no capture"):
-        layout_from_readings([], "x")
-    with pytest.raises(DataError, match="needs two"):
-        layout_from_readings([find_reflectors(synthetic_scans(np.array([[0.05, 0.0]])))], "x")
 
 
 def test_bad_input_is_told() -> None:
