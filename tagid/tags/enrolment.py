@@ -264,7 +264,7 @@ def check_merge(
         if same is not None and same.to_dict() != layout.to_dict():
             raise LayoutConflictError(
                 f"a different layout named {layout.name} is enrolled already",
-                "Rename one of them (a design: --prefix NAME), or import with --force to replace it; nothing was "
+                "Rename one of them (a design: --prefix NAME), or import it with --force; nothing was "
                 "stored.",
             )
     new = [layout for layout in layouts if layout.name not in known]
