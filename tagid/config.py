@@ -62,6 +62,13 @@ SETTINGS: tuple[Setting, ...] = (
     Setting("imaging.method", str, "auto", "bp, sparse, ats, auto and more", choices=METHODS),
     Setting("imaging.extent_m", float, 0.5, "side of the image, m", 0.05, 5),
     Setting("imaging.ats", str, "", "settings of ats, e.g. robust=3,calibrate=axis+wobble"),
+    Setting(
+        "imaging.pulse",
+        str,
+        "auto",
+        "auto (the capture's or nominal), nominal, or estimate (from the scans)",
+        choices=("auto", "nominal", "estimate"),
+    ),
     Setting("imaging.pixels", int, 128, "pixels a side", 16, 1024),
     Setting(
         "tags.false_accept", float, 1e-3, "chance of naming an object without an enrolled tag", 1e-9, 0.5

@@ -22,7 +22,8 @@ from tagid.imaging.ats.settings import AtsSettings
 from tagid.imaging.autofocus import AxisFocus, focus_axis_distance
 from tagid.imaging.methods import METHODS as IMAGING_METHODS
 from tagid.imaging.methods import make_image
-from tagid.imaging.preprocess import Background, PreprocessSettings, preprocess
+from tagid.imaging.preprocess import Background, PreprocessSettings, nominal, preprocess
+from tagid.imaging.pulsefit import PulseEstimate, estimate_pulse
 from tagid.imaging.region import Region, choose_region
 from tagid.imaging.restore import restore
 from tagid.imaging.types import Image
@@ -39,6 +40,7 @@ Progress = Callable[[float, float, str], None]
 """Called with (done, total, remark)."""
 
 METHODS = ("auto", *IMAGING_METHODS)
+PULSES = ("auto", "nominal", "estimate")
 PRESETS = ("field", "paper")
 MAX_VIEWS = 360
 """Scans are averaged into at most this many views a turn: 1 degree, the paper's step; it moves a reflector on
@@ -64,6 +66,8 @@ class ImagingSettings:
         delay_m: how far the path delay of free antenna positions is searched to both sides, one-way m.
         restore: show sparse images at the resolution of the data (`tagid.imaging.restore`), or bare pixels.
         free_size: whether extent and pixels may follow the echoes of free antenna positions.
+        pulse: "auto", the one in the capture or else the nominal one of its band; "nominal"; or "estimate",
+            found from the scans where that explains them better (`tagid.imaging.pulsefit`).
         false_accept: probability of naming what is no tag, or a tag that nobody enrolled.
         direction_known: see `tags.matcher.ReaderSettings`.
     """
@@ -80,6 +84,7 @@ class ImagingSettings:
     restore: bool = True
     free_size: tuple[bool, bool] = (False, False)
     ats: AtsSettings = field(default_factory=AtsSettings)
+    pulse: str = "auto"
     false_accept: float = 1e-3
     direction_known: bool = True
 
@@ -90,6 +95,8 @@ class ImagingSettings:
             raise UsageError(f"the image's centre is {self.centre_m}", "Give X,Y in metres.")
         if not (np.isfinite(self.delay_m) and 0 <= self.delay_m <= 2):
             raise UsageError(f"the delay search is {self.delay_m} m", "Give 0 to 2 m.")
+        if self.pulse not in PULSES:
+            raise UsageError(f"there is no pulse {self.pulse!r}", f"Use {', '.join(PULSES)}.")
         if self.method not in METHODS:
             raise UsageError(f"there is no imaging method {self.method!r}", f"Use {', '.join(METHODS)}.")
         if not (np.isfinite(self.focus_m) and 0 <= self.focus_m <= 0.03):
@@ -121,6 +128,7 @@ class Reconstruction:
         method: the method used, never "auto".
         focus: result of the search for the axis distance; None where there was none.
         region: path delay and place of the image for free antenna positions; None for a turntable.
+        pulse: result of the estimate of the pulse; None where none was asked for.
         views: number of views imaged, after averaging.
         seconds: of each stage.
     """
@@ -131,6 +139,7 @@ class Reconstruction:
     views: int
     seconds: dict[str, float]
     region: Region | None = None
+    pulse: PulseEstimate | None = None
 
 
 def prepare(capture: Capture, motion: str | None = None) -> Capture:
@@ -178,6 +187,7 @@ def reconstruct(
         raise UsageError(
             "an image of a turntable lies about its axis", "Leave --centre away, or give a larger --extent."
         )
+    capture, estimate = _with_pulse(capture, settings, watch)
     with watch.stage("preprocess"):
         matched = IMAGING_METHODS[method].matched_filter
         scans = preprocess(capture, settings=_preprocessing(settings, matched_filter=matched))
@@ -204,8 +214,38 @@ def reconstruct(
         facts |= {"path_delay_m": found.delay_m if found else 0.0, "mirrored": region.mirrored}
         facts |= {"centre_m": list(region.centre_m), "extent_m": grid.extent}
         image = replace(image, centre_m=region.centre_m)
+    facts["pulse"] = _pulse_facts(capture, settings, estimate)
     image = replace(image, settings={**image.settings, **facts})
-    return Reconstruction(image, method, focus, scans.aperture.views, watch.seconds, region)
+    return Reconstruction(image, method, focus, scans.aperture.views, watch.seconds, region, estimate)
+
+
+def _with_pulse(
+    capture: Capture, settings: ImagingSettings, watch: Stopwatch
+) -> tuple[Capture, PulseEstimate | None]:
+    """The capture with the pulse that the settings want."""
+    if settings.pulse == "nominal":
+        return replace(capture, pulse=nominal(capture)), None
+    if settings.pulse == "auto":
+        return capture, None
+    with watch.stage("pulse"):
+        grid = ImageGrid(settings.extent_m, settings.pixels)
+        found = estimate_pulse(capture, grid, settings.background, settings.focus_m)
+    return replace(capture, pulse=found.pulse), found
+
+
+def _pulse_facts(
+    capture: Capture, settings: ImagingSettings, estimate: PulseEstimate | None
+) -> dict[str, Any]:
+    if estimate is None:
+        known = settings.pulse == "auto" and capture.pulse is not None
+        return {"kind": "measured" if known else "nominal"}
+    numbers = {"assumed_residual": estimate.assumed_residual, "residual": estimate.residual}
+    told = {name: value if np.isfinite(value) else None for name, value in numbers.items()}
+    if not estimate.taken:
+        return {"kind": "assumed", **told}
+    # Enough for whoever wants to keep it in an NPZ file: `pulse` and `pulse_step_s`.
+    samples = [round(float(v), 6) for v in estimate.pulse.samples]
+    return {"kind": "estimated", **told, "pulse": samples, "pulse_step_s": estimate.pulse.step}
 
 
 def _preprocessing(settings: ImagingSettings, matched_filter: bool) -> PreprocessSettings:
@@ -237,6 +277,7 @@ def identify(
             f"the capture has {capture.views} views, too few to read a tag", "Record at least 12 in a turn."
         )
     watch = Stopwatch()
+    capture, _ = _with_pulse(capture, settings, watch)
     with watch.stage("preprocess"):
         scans = preprocess(capture, settings=_preprocessing(settings, matched_filter=False))
     with watch.stage("read"):
@@ -278,6 +319,7 @@ def identify_together(
     for capture in captures:
         if capture.views < 3:
             raise DataError(f"a capture has {capture.views} views, too few to read a tag", "Leave it out.")
+        capture, _ = _with_pulse(capture, settings, watch)
         with watch.stage("preprocess"):
             recordings.append(preprocess(capture, settings=_preprocessing(settings, matched_filter=False)))
     with watch.stage("read"):
@@ -312,6 +354,7 @@ def sight_reflectors(capture: Capture, name: str, settings: ImagingSettings | No
     from tagid.tags.averaging import Sighting
 
     settings = settings or ImagingSettings()
+    capture, _ = _with_pulse(capture, settings, Stopwatch())
     scans = preprocess(capture, settings=_preprocessing(settings, matched_filter=False))
     if settings.focus_m > 0 and scans.aperture.angles is not None:
         grid = ImageGrid(settings.extent_m, settings.pixels)

@@ -5,6 +5,7 @@ Kept apart from the commands so that the same capture gives the same words whoev
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
 
     from tagid.capture import Capture
     from tagid.identification import Identification
+    from tagid.imaging.pulsefit import PulseEstimate
     from tagid.imaging.region import Region
     from tagid.pipeline import ImagingSettings, Reconstruction
     from tagid.storage.history import History
@@ -74,6 +76,7 @@ def settings_from(config: Config, background: str = "mean", focus_m: float = 0.0
         focus_m=focus_m,
         false_accept=config["tags.false_accept"],
         direction_known=config["tags.direction"] == "known",
+        pulse=config["imaging.pulse"],
         ats=AtsSettings(**parse_settings([config["imaging.ats"]])),
     )
 
@@ -103,6 +106,18 @@ def region_words(region: Region | None) -> list[str]:
     if region.mirrored:
         lines.append("the path is straight: what lies on one side shows on the other side, too")
     return lines
+
+
+def pulse_words(pulse: PulseEstimate | None) -> list[str]:
+    """What the estimate of the pulse came to, where one was asked for."""
+    if pulse is None:
+        return []
+    if math.isnan(pulse.residual):
+        return ["too few views to estimate the pulse; the assumed one is kept"]
+    unseen = f"leaves {100 * pulse.residual:.0f} % of unseen views unexplained"
+    if pulse.taken:
+        return [f"pulse estimated: {unseen}, the assumed one {100 * pulse.assumed_residual:.0f} %"]
+    return [f"assumed pulse kept: an estimate {unseen}, it {100 * pulse.assumed_residual:.0f} %"]
 
 
 def calibration_words(settings: dict[str, Any]) -> list[str]:

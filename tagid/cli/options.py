@@ -42,6 +42,14 @@ Method = Annotated[
         help="bp, bp-raw, range-doppler, polar, sparse, omp, ats or auto (ats).",
     ),
 ]
+Pulse = Annotated[
+    str | None,
+    typer.Option(
+        "--pulse",
+        help="auto (the capture's or nominal), nominal, or estimate (from the scans).",
+        show_default=False,
+    ),
+]
 Preset = Annotated[str, typer.Option("--preset", help="What ats is: field, or paper (as published, slow).")]
 Centre = Annotated[
     str | None,

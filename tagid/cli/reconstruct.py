@@ -54,6 +54,7 @@ def register(app: typer.Typer) -> None:
             bool, typer.Option(help="Search the axis distance within 3 cm, or the path delay.")
         ] = True,
         preset: options.Preset = "field",
+        pulse: options.Pulse = None,
         centre: options.Centre = None,
         delay_search: options.DelaySearch = 1.0,
         beam: Annotated[
@@ -84,6 +85,7 @@ def register(app: typer.Typer) -> None:
                 "imaging.method": method,
                 "imaging.extent_m": extent,
                 "imaging.pixels": pixels,
+                "imaging.pulse": pulse,
                 "motion.url": motion,
                 "motion.axis_distance_m": axis_distance,
                 "motion.antenna_height_m": antenna_height,
@@ -122,6 +124,7 @@ def register(app: typer.Typer) -> None:
         where = "" if distance is None else f", axis at {distance:.3f} m"
         lines.append(Text(f"{result.method} image of {result.views} views in {took:.2f} s{where}"))
         lines += [Text(line) for line in imaging.region_words(result.region)]
+        lines += [Text(line) for line in imaging.pulse_words(result.pulse)]
         lines += [Text(line) for line in imaging.calibration_words(result.image.settings)]
         lines += [Text(f"{name} {path}") for name, path in (("image", out), ("picture", png)) if path]
         data = {

@@ -86,7 +86,7 @@ def preprocess(
     settings = settings or PreprocessSettings()
     aperture = aperture or capture.aperture()
     _check(capture, aperture, settings)
-    pulse = settings.pulse or capture.pulse or _nominal(capture)
+    pulse = settings.pulse or assumed_pulse(capture)
     band = design_filter(pulse, capture, matched=settings.matched_filter, oversampling=settings.oversampling)
     samples = remove_background(capture.samples, settings.background)
     if not np.any(samples):
@@ -137,7 +137,13 @@ def remove_background(samples: NDArray[Any], background: Background) -> NDArray[
     return np.asarray(samples - static, dtype=dtype)
 
 
-def _nominal(capture: Capture) -> Pulse:
+def assumed_pulse(capture: Capture) -> Pulse:
+    """The capture's own pulse, or the nominal one of its band. Raises DataError where the band is none."""
+    return capture.pulse or nominal(capture)
+
+
+def nominal(capture: Capture) -> Pulse:
+    """The nominal pulse of the capture's band. Raises DataError where that is none of a pulse."""
     ratio = capture.bandwidth_hz / capture.center_frequency_hz
     if not 0.01 <= ratio <= 1.8:
         raise DataError(
