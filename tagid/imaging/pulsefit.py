@@ -29,8 +29,8 @@ BEFORE_M, AFTER_M = 0.15, 0.45
 with P440 radars ring for 1.1 ns and have an echo at 1.6 to 2.3 ns."""
 
 LEAST_EVIDENCE = 6.0
-"""The estimate is taken where it explains views that it has not seen better, by this logarithm of the ratio of
-likelihoods (in Gaussian noise: independent samples times log of the ratio of the residuals) at least."""
+"""The estimate is taken where views that it has not seen speak for it by this logarithm of the ratio of
+likelihoods at least (in Gaussian noise: independent samples times the log of the ratio of residuals)."""
 
 _LEAST_VIEWS = 8
 _MOST_VIEWS = 120
@@ -69,8 +69,8 @@ def estimate_pulse(
     1 at m = 0 and 0 elsewhere. So it keeps to the assumed pulse's band. What no scan can tell is fixed: the
     envelope's peak is 1 (a reflector could be stronger instead), and of all delays and phases (the axis could
     be farther, a reflector could have a phase) the one with the largest and positive correlation with the
-    assumed pulse. Every fourth view is kept out; only where they speak for the estimate by `LEAST_EVIDENCE` is
-    it taken, and only then made again from all views.
+    assumed pulse. Every fourth view is kept out; only where they speak for the estimate by `LEAST_EVIDENCE`
+    is it taken, and only then made again from all views.
 
     Args:
         capture: of known angles or antenna positions, the path delay of free positions taken off.

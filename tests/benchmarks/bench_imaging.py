@@ -22,9 +22,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import imaging_report as report
+import imaging_unknowns as unknowns
 from imaging_scenes import (
     GRID,
     OBJECTS,
@@ -315,49 +317,6 @@ def resolution(run: Run) -> str:
     return report.table(("scene", "method", "seeds", "all found, nothing else (%)", "false a scene"), lines)
 
 
-class CalibrationCell(NamedTuple):
-    """A scene whose axis distance is given wrong by `error_m`, or whose turn wobbles."""
-
-    error_m: float
-    wobble: float
-    views: int
-    seed: int
-
-
-def score_calibration(cell: CalibrationCell) -> tuple[float, float, float]:
-    """(error of the axis distance that is left, mm; PSNR as given, dB; PSNR after the autofocus, dB)."""
-    from imaging_scenes import wobbling_problem
-
-    from tagid.imaging.autofocus import focus_axis_distance
-    from tagid.imaging.backprojection import backproject
-    from tagid.imaging.metrics import psnr
-
-    problem = wobbling_problem(cell.views, cell.error_m, cell.wobble, cell.seed)
-    scans = problem.scans(True)
-    focused, focus = focus_axis_distance(scans, problem.grid, 0.04)
-    assert focus.axis_distance_m is not None
-    before = psnr(backproject(scans, problem.grid).values, problem.truth)
-    after = psnr(backproject(focused, problem.grid).values, problem.truth)
-    return (focus.axis_distance_m - 1.0) * 1e3, before, after
-
-
-def calibration(run: Run) -> str:
-    """(8) Axis distance given wrong by up to 3 cm, and a turn that wobbles by 2 %: what is recovered."""
-    lines = []
-    for wobble in (0.0, 0.02):
-        for error in (-0.03, -0.015, 0.015, 0.03):
-            for views in (36, 360):
-                cells = [CalibrationCell(error, wobble, views, seed) for seed in range(run.seeds)]
-                values = np.array(report.spread(score_calibration, cells, run.jobs))
-                left = f"{values[:, 0].mean():+.2f} ± {1.96 * values[:, 0].std() / np.sqrt(len(values)):.2f}"
-                rms = f"{np.sqrt((values[:, 0] ** 2).mean()):.2f}"
-                cell = [report.interval(values[:, i], 1) for i in (1, 2)]
-                given = f"{error * 1e3:+.0f}"
-                lines.append([f"{100 * wobble:g}", given, f"{views}", f"{len(values)}", left, rms, *cell])
-    columns = ("wobble (% of speed)", "given wrong by (mm)", "views", "seeds", "left (mm)", "rms (mm)")
-    return report.table((*columns, "BP as given, PSNR (dB)", "BP focused, PSNR (dB)"), lines)
-
-
 def _same_scene_picture(problems: dict[str, Problem], path: Path) -> None:
     pictures = [[p.truth, *(np.abs(p.image(r)[0].values) for r in SHOWN)] for p in problems.values()]
     extents = [p.grid.extent for p in problems.values()]
@@ -388,7 +347,8 @@ EXPERIMENTS: dict[str, tuple[str, Callable[[Run], str], tuple[str, ...]]] = {
     "partial": ("Partial rotation of two cans", partial, ("imaging-partial",)),
     "tags": ("Tags of the mug and the helmet", tags, ("imaging-tags",)),
     "resolution": ("Resolution and false detections", resolution, ()),
-    "calibration": ("Unknown axis distance and wobble", calibration, ()),
+    "calibration": ("Unknown axis distance and wobble", unknowns.calibration, ("imaging-calibration",)),
+    "pulse": ("Pulses that are not the nominal one", unknowns.pulses, ()),
 }
 """Name -> (title, function, figures). The paper's seventh, time, is the last column of every table."""
 

@@ -261,8 +261,13 @@ def object_problem(thing: Object, angles_deg: np.ndarray, snr_db: float, seed: i
     return Problem(chosen, thing.grid, thing.outline(thing.grid), seed=seed)
 
 
-def wobbling_problem(views: int, error_m: float, wobble: float, seed: int) -> Problem:
-    """Three points, 20 dB SNR, the axis distance wrong by `error_m`, angles as if the turn were even."""
+def wobbling_problem(views: int, error_m: float, wobble: float, seed: int) -> tuple[Problem, np.ndarray]:
+    """Three points, 20 dB SNR, the axis distance wrong by `error_m`, angles as if the turn were even.
+
+    Returns:
+        The problem, and the four complex harmonics w of the angle error Re sum w_k exp(j k angle), rad. The
+        error's mean over the turn is no wobble: it turns the image, and so it has turned the truth here.
+    """
     rng = np.random.default_rng([FIRST_SEED + seed, 55])
     points = rng.uniform(-0.15, 0.15, (3, 2))
     acquisition = Acquisition(
@@ -272,9 +277,14 @@ def wobbling_problem(views: int, error_m: float, wobble: float, seed: int) -> Pr
         snr_db=20.0,
         wobble=Wobble(speed=wobble),
     )
-    capture, _ = record_scene(Scene.of_points(points), acquisition, seed=seed)
-    even = replace(capture, angles_rad=np.arange(views) * 2 * np.pi / views)
-    return Problem(even, GRID, truth_image(points, GRID), points, seed)
+    capture, truth = record_scene(Scene.of_points(points), acquisition, seed=seed)
+    angles = np.arange(views) * 2 * np.pi / views
+    error = truth.angles_rad - angles
+    mean = float(error.mean())
+    turned = points @ np.array([[np.cos(mean), np.sin(mean)], [-np.sin(mean), np.cos(mean)]])
+    waves = np.exp(-1j * np.outer(np.arange(1, 5), angles))
+    even = replace(capture, angles_rad=angles)
+    return Problem(even, GRID, truth_image(turned, GRID), turned, seed), 2 / views * (waves @ error)
 
 
 def field_problem(layout: str, seed: int) -> Problem:

@@ -57,3 +57,17 @@ def test_what_cannot_be_set_is_said(tagid, wobbly, words, told) -> None:
     done = tagid("reconstruct", wobbly, *words)
     assert done.code == 2
     assert told in done.err
+
+
+def test_the_pulse_is_estimated_where_asked_and_told(tagid, wobbly, tmp_path) -> None:
+    done = tagid("reconstruct", wobbly, "--method", "bp", "--pulse", "estimate", "--output", "json")
+    assert done.code == 0, done.err
+    told = done.json["data"]["settings"]["pulse"]
+    assert told["kind"] in ("assumed", "estimated")
+    assert 0 < told["residual"] < 1
+    assert "pulse" in done.json["data"]["seconds"]
+    text = tagid("reconstruct", wobbly, "--method", "bp", "--pulse", "estimate")
+    assert "of unseen views unexplained" in text.out
+    plain = tagid("reconstruct", wobbly, "--method", "bp", "--output", "json")
+    assert plain.json["data"]["settings"]["pulse"] == {"kind": "nominal"}
+    assert tagid("reconstruct", wobbly, "--pulse", "guess").code == 2

@@ -1,0 +1,268 @@
+"""Experiments on what nobody tells the imaging: axis distance, wobble of the turn, and the pulse.
+
+Part of `bench_imaging.py`, which runs, prints and writes them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple, Protocol
+
+import imaging_report as report
+import numpy as np
+from imaging_scenes import AXIS_DISTANCE_M, FIRST_SEED, GRID, wobbling_problem
+
+from tagid.capture import Pulse
+from tagid.geometry import ImageGrid
+from tagid.imaging.ats.fit import AtsSettings, fit
+from tagid.imaging.autofocus import focus_axis_distance
+from tagid.imaging.backprojection import backproject
+from tagid.imaging.methods import METHODS, make_image
+from tagid.imaging.metrics import localise, pick_peaks, psnr, truth_image
+from tagid.imaging.preprocess import PreprocessSettings, preprocess
+from tagid.imaging.pulsefit import estimate_pulse
+from tagid.imaging.restore import restore
+from tagid.imaging.types import BasebandScans
+from tagid.report.axes import Axes
+from tagid.report.canvas import Canvas
+from tagid.report.colours import BLUE, INK, ORANGE
+from tagid.simulate import Acquisition, Scene
+from tagid.simulate import simulate_capture as record_scene
+from tagid.waveform import nominal_pulse, pulse_at
+from train.distributions import PulseDistribution
+from train.scenes import draw_pulse
+
+MEASURED = Path(__file__).resolve().parents[3] / "shared" / "data" / "p440" / "pulse.npz"
+
+
+class Run(Protocol):
+    """What these experiments read of `bench_imaging.Run`."""
+
+    seeds: int
+    quick: bool
+    jobs: int
+    pictures: Path
+
+
+class Cell(NamedTuple):
+    """A scene of three points whose axis distance is told wrong by up to 3 cm and whose turn may wobble."""
+
+    views: int
+    wobble: float
+    seed: int
+
+
+class Recovered(NamedTuple):
+    """What came out; mm, mrad and dB.
+
+    Attributes:
+        told: how wrong the axis distance was told.
+        focused, fitted, sigma: what is left of it after the autofocus and after ATS, and its standard error.
+        wobble, wobble_left: RMS of the angle error over the turn, as it was and what ATS left of it.
+        z: (8,) error of every part of the four harmonics over its standard error; nan without wobble.
+        psnr: BP as told, BP focused, ATS as told, ATS focused, ATS with calibration.
+    """
+
+    told: float
+    focused: float
+    fitted: float
+    sigma: float
+    wobble: float
+    wobble_left: float
+    z: np.ndarray
+    psnr: tuple[float, ...]
+
+
+def recover(cell: Cell) -> Recovered:
+    """One scene through autofocus and joint calibration."""
+    told = float(np.random.default_rng([FIRST_SEED + cell.seed, 8]).uniform(-0.03, 0.03))
+    problem, truth = wobbling_problem(cell.views, told, cell.wobble, cell.seed)
+    raw, matched = problem.scans(False), problem.scans(True)
+    focused, focus = focus_axis_distance(matched, problem.grid, 0.04)
+    assert focus.axis_distance_m is not None
+    what = ("axis", "wobble") if cell.wobble else ("axis",)
+    plain = fit(raw, problem.grid, AtsSettings())
+    sharp = raw.with_aperture(raw.aperture.with_axis_distance(focus.axis_distance_m))
+    ahead = fit(sharp, problem.grid, AtsSettings())
+    joint = fit(raw, problem.grid, AtsSettings(calibrate=what))
+    known = joint.calibration
+    assert known.axis_distance_m is not None
+    error = known.wobble_rad - truth if cell.wobble else np.zeros(4, dtype=complex)
+    parts = np.concatenate([error.real, error.imag]) / np.tile(known.wobble_sigma_rad, 2)
+    images = [backproject(matched, problem.grid).values, backproject(focused, problem.grid).values]
+    images += [restore(r.image, raw.wavenumber).values for r in (plain, ahead, joint)]
+    return Recovered(
+        told * 1e3,
+        (focus.axis_distance_m - AXIS_DISTANCE_M) * 1e3,
+        (known.axis_distance_m - AXIS_DISTANCE_M) * 1e3,
+        known.axis_sigma_m * 1e3,
+        float(np.sqrt((np.abs(truth) ** 2).sum() / 2)) * 1e3,
+        float(np.sqrt((np.abs(error) ** 2).sum() / 2)) * 1e3,
+        parts,
+        tuple(psnr(values, problem.truth) for values in images),
+    )
+
+
+def calibration(run: Run) -> str:
+    """(8) Axis distance told wrong by up to 3 cm, a turn that wobbles by 2 %: what comes back, how surely."""
+    lines, spots = [], []
+    for wobble in (0.0, 0.02):
+        for views in (36,) if run.quick else (36, 360):
+            found = report.spread(recover, [Cell(views, wobble, s) for s in range(run.seeds)], run.jobs)
+            spots += [(r.told, r.focused, r.fitted, r.sigma) for r in found]
+            lines.append(_line(views, wobble, found))
+    _recovered_picture(spots, run.pictures / "imaging-calibration.png")
+    columns = (
+        "wobble (% of speed)", "views", "seeds", "axis told wrong, rms (mm)", "after autofocus, rms (mm)",
+        "after ATS, rms (mm)", "stated ± (mm)", "axis in 95 % bars", "rms z", "angle error, rms (mrad)",
+        "after ATS (mrad)", "wobble in 95 % bars", "rms z", "BP as told (dB)", "BP focused (dB)",
+        "ATS as told (dB)", "ATS focused (dB)", "ATS calibrated (dB)",
+    )  # fmt: skip
+    return report.table(columns, lines)
+
+
+def _line(views: int, wobble: float, found: list[Recovered]) -> list[str]:
+    def rms(values: list[float] | np.ndarray) -> float:
+        return float(np.sqrt(np.mean(np.square(values))))
+
+    def held(z: np.ndarray) -> str:
+        return f"{int((np.abs(z) < 1.96).sum())} of {z.size}"
+
+    axis = np.array([r.fitted / r.sigma for r in found])
+    parts = np.concatenate([r.z for r in found])
+    middle = [f"{rms([r.wobble for r in found]):.1f}", f"{rms([r.wobble_left for r in found]):.1f}"]
+    middle += [held(parts), f"{rms(parts):.2f}"]
+    return [
+        f"{100 * wobble:g}",
+        str(views),
+        str(len(found)),
+        f"{rms([r.told for r in found]):.1f}",
+        f"{rms([r.focused for r in found]):.2f}",
+        f"{rms([r.fitted for r in found]):.2f}",
+        f"{rms([r.sigma for r in found]):.2f}",
+        held(axis),
+        f"{rms(axis):.2f}",
+        *(middle if wobble else ["0", "-", "-", "-"]),
+        *(report.interval(np.array([r.psnr[i] for r in found]), 1) for i in range(5)),
+    ]
+
+
+def _recovered_picture(spots: list[tuple[float, ...]], path: Path) -> None:
+    """Error of the axis distance that is left against the one that was told, with 95 % bars of ATS."""
+    canvas = Canvas(820, 480)
+    most = 1.1 * max(max(abs(f), abs(a) + 1.96 * s) for _, f, a, s in spots)
+    axes = Axes(canvas, (100, 50, 590, 400), (-32.0, 32.0), (-most, most))
+    axes.grid()
+    axes.curve(np.array([-32.0, 32.0]), np.zeros(2), INK, 1.5)
+    for told, focused, fitted, sigma in spots:
+        canvas.circle(axes.place(told, focused), 4, BLUE)
+        axes.curve(np.full(2, told), fitted + 1.96 * sigma * np.array([-1, 1]), ORANGE, 2)
+        canvas.circle(axes.place(told, fitted), 4, ORANGE)
+    for i, (name, colour) in enumerate((("autofocus", BLUE), ("ATS, 95 % bars", ORANGE))):
+        canvas.circle((625, 70 + 28 * i), 4, colour)
+        canvas.text((648, 70 + 28 * i), name, 17, anchor="lm")
+    axes.frame("axis distance told wrong by (mm)", "left (mm)")
+    canvas.save(path)
+
+
+PULSE_ROWS = ("bp", "sparse", "ats")
+PULSES = ("nominal", "true", "estimated")
+
+
+class PulseCell(NamedTuple):
+    """Three points recorded with a pulse of some kind, at so many views and dB of SNR a sample."""
+
+    kind: str
+    views: int
+    snr_db: float
+    seed: int
+
+
+class PulseFound(NamedTuple):
+    """What came of one recording.
+
+    Attributes:
+        taken: whether the estimate was taken.
+        likeness: largest normalised correlation with the true pulse, of the nominal and of the one used.
+        psnr: (methods, pulses) dB; where: the same of the localisation error, mm.
+    """
+
+    taken: bool
+    likeness: tuple[float, float]
+    psnr: np.ndarray
+    where: np.ndarray
+
+
+def pulse_of(kind: str, seed: int) -> Pulse | None:
+    """The nominal pulse (None), one drawn from those the detector is trained on, or a measured one."""
+    if kind == "nominal":
+        return None
+    if kind == "drawn":
+        return draw_pulse(PulseDistribution(nominal=0.0), np.random.default_rng([FIRST_SEED + seed, 9]))
+    with np.load(MEASURED, allow_pickle=False) as file:
+        names = sorted(name for name in file if name != "dt_ns")
+        return Pulse(file[names[seed % len(names)]], float(file["dt_ns"]) * 1e-9)
+
+
+def try_pulses(cell: PulseCell) -> PulseFound:
+    """One recording imaged with the nominal, the true and the estimated pulse."""
+    points = np.random.default_rng([FIRST_SEED + cell.seed, 99]).uniform(-0.2, 0.2, (3, 2))
+    pulse = pulse_of(cell.kind, cell.seed)
+    acquisition = Acquisition(
+        views=cell.views, axis_distance_m=AXIS_DISTANCE_M, snr_db=cell.snr_db, pulse=pulse
+    )
+    capture, _ = record_scene(Scene.of_points(points), acquisition, seed=cell.seed)
+    estimate = estimate_pulse(capture, GRID, "none")
+    truth = truth_image(points, GRID)
+    quality, where = (np.full((len(PULSE_ROWS), len(PULSES)), np.nan) for _ in range(2))
+    for i, method in enumerate(PULSE_ROWS):
+        for j, used in enumerate((None, pulse, estimate.pulse)):
+            scans = _focused(replace(capture, pulse=used), METHODS[method].matched_filter)
+            image = make_image(scans, GRID, method)
+            if METHODS[method].sparse:
+                image = restore(image, scans.wavenumber)
+            quality[i, j] = psnr(image.values, truth)
+            where[i, j] = localise(pick_peaks(image, len(points)), points).rmse_m * 1e3
+    received = pulse or nominal_pulse()
+    likeness = (_likeness(received, nominal_pulse()), _likeness(received, estimate.pulse))
+    return PulseFound(estimate.taken, likeness, quality, where)
+
+
+def _focused(capture: object, matched: bool, grid: ImageGrid = GRID) -> BasebandScans:
+    settings = PreprocessSettings("none", matched, extent_m=grid.extent)
+    return focus_axis_distance(preprocess(capture, settings=settings), grid, 0.03)[0]  # type: ignore[arg-type]
+
+
+def _likeness(a: Pulse, b: Pulse) -> float:
+    """Largest magnitude of the correlation of two analytic pulses, both of norm 1."""
+    time = np.arange(-2000, 2001) * 4e-12
+    x, y = (np.fft.fft(pulse_at(p, time), 8192) for p in (a, b))
+    return float(np.abs(np.fft.ifft(x * y.conj())).max() * 8192 / np.linalg.norm(x) / np.linalg.norm(y))
+
+
+def pulses(run: Run) -> str:
+    """Scenes recorded with other pulses than the nominal one, imaged with nominal, true, estimated pulse."""
+    kinds = ["nominal", "drawn", *(["measured"] if MEASURED.is_file() else [])]
+    cases = [(k, v, s) for k in kinds for v, s in ((36, 20.0), (36, 10.0), (12, 20.0), (360, 10.0))]
+    lines = []
+    for kind, views, snr_db in cases[:: len(cases) // len(kinds)] if run.quick else cases:
+        cells = [PulseCell(kind, views, snr_db, seed) for seed in range(run.seeds)]
+        found = report.spread(try_pulses, cells, run.jobs)
+        taken = sum(r.taken for r in found)
+        like = [report.interval(np.array([r.likeness[i] for r in found]), 3) for i in (0, 1)]
+        change = np.array([r.psnr[:, 2] - r.psnr[:, 0] for r in found])
+        for i, method in enumerate(PULSE_ROWS):
+            quality = [report.interval(np.array([r.psnr[i, j] for r in found]), 1) for j in range(3)]
+            where = [report.interval(np.array([r.where[i, j] for r in found]), 1) for j in range(3)]
+            worst = f"{change[:, i].min():+.1f}"
+            first = (
+                [kind, str(views), f"{snr_db:g}", f"{taken} of {len(found)}", *like] if i == 0 else [""] * 6
+            )
+            lines.append([*first, METHODS[method].title, *quality, worst, *where])
+    columns = (
+        "pulse", "views", "SNR (dB)", "taken", "likeness of nominal", "of estimate", "method",
+        "PSNR nominal (dB)", "true", "estimated", "worst change (dB)", "localisation nominal (mm)", "true",
+        "estimated",
+    )  # fmt: skip
+    return report.table(columns, lines)

@@ -1,0 +1,84 @@
+"""The pulse estimated from the scans alone: found where it is not the nominal one, left alone where it is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tagid.capture import Capture, Pulse
+from tagid.geometry import ImageGrid
+from tagid.imaging.pulsefit import estimate_pulse
+from tagid.simulate import Acquisition, Scene, simulate_capture
+from tagid.waveform import nominal_pulse, pulse_at
+
+GRID = ImageGrid(0.5, 72)
+POINTS = np.array([[0.12, -0.05], [-0.08, 0.13], [0.02, 0.18]])
+
+
+def ringing() -> Pulse:
+    """A pulse off the nominal carrier, with a ring and a late echo, its time zero before its peak."""
+    t = np.arange(-500, 501) * 4e-12
+    atoms = ((1.0, 0.1e-9, 4.1e9, 0.3e-9), (0.35, 0.8e-9, 3.7e9, 0.4e-9), (0.3, 1.9e-9, 3.8e9, 0.4e-9))
+    parts = (
+        a * np.exp(-((t - d) ** 2) / (2 * s**2)) * np.cos(2 * np.pi * f * (t - d)) for a, d, f, s in atoms
+    )
+    return Pulse(np.asarray(sum(parts)), 4e-12)
+
+
+def recorded(pulse: Pulse | None, views: int = 36, snr_db: float = 20.0) -> Capture:
+    acquisition = Acquisition(views=views, snr_db=snr_db, pulse=pulse)
+    return simulate_capture(Scene.of_points(POINTS), acquisition, seed=4)[0]
+
+
+def match(a: Pulse, b: Pulse) -> tuple[float, float, float]:
+    """Largest normalised |correlation|, its lag (s), and its phase there (rad)."""
+    time = np.arange(-1000, 1001) * 4e-12
+    x, y = pulse_at(a, time), pulse_at(b, time)
+    both = np.fft.fftshift(np.fft.ifft(np.fft.fft(x, 4096) * np.fft.fft(y, 4096).conj()))
+    at = int(np.argmax(np.abs(both)))
+    norm = np.linalg.norm(x) * np.linalg.norm(y)
+    return float(np.abs(both[at]) / norm), (at - 2048) * 4e-12, float(np.angle(both[at]))
+
+
+def test_a_ringing_pulse_is_found_under_the_stated_convention() -> None:
+    pulse = ringing()
+    found = estimate_pulse(recorded(pulse), GRID, "none")
+    assert found.taken
+    assert found.residual < 0.6 * found.assumed_residual
+    assert match(pulse, nominal_pulse())[0] < 0.9
+    assert match(pulse, found.pulse)[0] > 0.98
+    # Of all delays and phases: the best and positive match with the assumed pulse; peak of the envelope 1.
+    _, lag, phase = match(found.pulse, nominal_pulse())
+    assert abs(lag) < 6e-12
+    assert abs(phase) < 0.25
+    envelope = np.abs(pulse_at(found.pulse, np.arange(-800, 801) * 2e-12))
+    assert envelope.max() == pytest.approx(1, abs=0.01)
+
+
+def test_the_mean_over_the_views_may_be_taken_off() -> None:
+    found = estimate_pulse(recorded(ringing()), GRID, "mean")
+    assert found.taken
+    assert match(ringing(), found.pulse)[0] > 0.97
+
+
+@pytest.mark.parametrize("told", [False, True])
+def test_a_pulse_that_is_right_is_kept(told: bool) -> None:
+    pulse = ringing() if told else None
+    capture = replace(recorded(pulse), pulse=pulse)
+    found = estimate_pulse(capture, GRID, "none")
+    if found.taken:  # then it must be the same pulse again
+        assert match(found.pulse, pulse or nominal_pulse())[0] > 0.985
+    else:
+        assert found.pulse is pulse or np.array_equal(found.pulse.samples, nominal_pulse().samples)
+
+
+def test_noise_and_too_few_views_change_nothing() -> None:
+    capture = recorded(ringing())
+    rng = np.random.default_rng(0)
+    noise = replace(capture, samples=rng.standard_normal(capture.samples.shape).astype(np.float32))
+    assert not estimate_pulse(noise, GRID, "none").taken
+    few = estimate_pulse(capture.select(np.arange(0, 36, 6)), GRID, "none")
+    assert not few.taken
+    assert np.isnan(few.residual)
