@@ -39,12 +39,13 @@ def direction_known() -> bool:
 
 def about(outlook: Outlook) -> str:
     """The expected confusion in words."""
-    place = outlook.reference
+    place = outlook.place
     sigma = outlook.layout.sigma_m
     own = f", its own positions known to {sigma * 1e3:.1f} mm" if sigma > 0 else ""
     return (
-        f"expected confusion with all of them: {_rate(outlook.confusion_rate)} of readings at {place.views} "
-        f"views and {place.snr_db} dB (each coordinate off by {place.sigma_m * 1e3:.1f} mm{own})"
+        f"expected confusion with all of them: {rate_in_words(outlook.confusion_rate)} of readings at "
+        f"{place.views} views and {place.snr_db} dB (each coordinate off by {place.sigma_m * 1e3:.1f} mm, as "
+        f"measured on an object with a shell and a handle{own})"
     )
 
 
@@ -71,7 +72,7 @@ def neighbours(outlook: Outlook, shown: int = SHOWN) -> RenderableType:
             one.name,
             f"{distance.worst_m * 1e3:.1f}" if same else "-",
             f"{distance.rms_m * 1e3:.1f}" if same else "-",
-            _rate(one.confusion_rate) if same else "-",
+            rate_in_words(one.confusion_rate) if same else "-",
             remark + (", as its mirror image" if one.mirrored else ""),
         )
     return Group(table, Text(about(outlook)))
@@ -93,7 +94,7 @@ def family_neighbours(outlooks: Sequence[Outlook]) -> RenderableType:
             outlook.layout.name,
             "-" if near is None or far else near.name,
             "-" if near is None or far else f"{near.distance.worst_m * 1e3:.1f}",
-            _rate(outlook.confusion_rate),
+            rate_in_words(outlook.confusion_rate),
             "COULD BE CONFUSED" if outlook.confusable else "",
         )
     worst = max(outlooks, key=lambda outlook: outlook.confusion_rate)
@@ -102,7 +103,7 @@ def family_neighbours(outlooks: Sequence[Outlook]) -> RenderableType:
 
 def as_data(outlook: Outlook) -> dict[str, Any]:
     """The same for scripts."""
-    place = outlook.reference
+    place = outlook.place
     return {
         "nearest": [
             {
@@ -205,6 +206,6 @@ def store_family(
     return Stored(version, data, None if asked else shown)
 
 
-def _rate(rate: float) -> str:
+def rate_in_words(rate: float) -> str:
     """A rate for people: nothing under one in a million million is worth a figure."""
     return "under 1e-12" if rate < 1e-12 else f"{rate:.1e}"

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from tagid.cli.enrolling import rate_in_words
 from tagid.cli.frame import Terminal, command
 from tagid.errors import LayoutConflictError
 from tagid.result import Result
@@ -19,7 +20,8 @@ def register(app: typer.Typer) -> None:
     def check(
         terminal: Terminal,
         sigma: Annotated[
-            float | None, typer.Option("--sigma", help="Error of one coordinate, metres (measured default).")
+            float | None,
+            typer.Option("--sigma", help="Error of one coordinate, metres; what was measured without."),
         ] = None,
     ) -> Result:
         """Check the registry: every pair's distance and how often noise confuses it.
@@ -29,43 +31,65 @@ def register(app: typer.Typer) -> None:
         from rich.table import Table
         from rich.text import Text
 
+        from tagid.cli.enrolling import direction_known
         from tagid.cli.imaging import open_registry
-        from tagid.tags.capacity import REFERENCE, confusion_rate
-        from tagid.tags.codebook import CONFUSABLE_M, rotational_distance
+        from tagid.tags.capacity import reference
+        from tagid.tags.codebook import CONFUSABLE_M
+        from tagid.tags.enrolment import neighbour
 
         registry = open_registry()
-        enrolled = registry.layouts()
+        version, enrolled = registry.snapshot()
         registry.history()
-        error_m = REFERENCE.sigma_m if sigma is None else sigma
-        pairs = []
+        known = direction_known()
+        pairs, nested = [], []
         for a, b in combinations(enrolled, 2):
-            distance = rotational_distance(a, b)
+            error_m = sigma if sigma is not None else reference(min(a.radius_m, b.radius_m)).sigma_m
             if a.size == b.size:
-                rate = confusion_rate(distance.rms_m, a.size, error_m)
-                pairs.append((distance.rms_m, distance.worst_m, a.name, b.name, rate))
-        pairs.sort()
-        bad = [pair for pair in pairs if pair[1] < CONFUSABLE_M]
-        table = Table("pair", "distance mm", "worst reflector mm", "confused", "remark", box=None)
-        for rms, worst, a_name, b_name, rate in pairs[: max(10, len(bad))]:
-            remark = "COULD BE CONFUSED" if worst < CONFUSABLE_M else ""
+                pairs.append((a.name, neighbour(a, b, error_m, known)))
+            elif neighbour(a, b, error_m, known).distance.nested:
+                nested.append(sorted((a, b), key=lambda layout: layout.size))
+        pairs.sort(key=lambda pair: pair[1].distance.rms_m)
+        bad = [pair for pair in pairs if pair[1].confusable]
+        table = Table(box=None)
+        for head in ("pair", "RMS mm", "worst mm", "confused", "remark"):
+            table.add_column(head, no_wrap=head != "remark")
+        for name, other in pairs[: max(10, len(bad))]:
+            distance = other.distance
+            remark = "CONFUSABLE" if other.confusable else ""
             table.add_row(
-                f"{a_name} - {b_name}", f"{rms * 1e3:.1f}", f"{worst * 1e3:.1f}", f"{rate:.1e}", remark
+                f"{name} - {other.name}",
+                f"{distance.rms_m * 1e3:.1f}",
+                f"{distance.worst_m * 1e3:.1f}",
+                rate_in_words(other.confusion_rate),
+                remark + (", as its mirror image" if other.mirrored else ""),
             )
+        for part, whole in nested[:10]:
+            table.add_row(f"{part.name} - {whole.name}", "-", "-", "-", "the first is a part of the second")
         data = {
             "layouts": len(enrolled),
-            "registry_version": registry.version,
-            "sigma_m": error_m,
+            "registry_version": version,
+            "sigma_m": sigma,
             "pairs": [
-                {"a": a_name, "b": b_name, "rms_m": rms, "worst_m": worst, "confusion_rate": rate}
-                for rms, worst, a_name, b_name, rate in pairs
+                {
+                    "a": name,
+                    "b": other.name,
+                    "rms_m": other.distance.rms_m,
+                    "worst_m": other.distance.worst_m,
+                    "confusion_rate": other.confusion_rate,
+                    "confusable": other.confusable,
+                    "mirrored": other.mirrored,
+                }
+                for name, other in pairs
             ],
+            "nested": [{"part": part.name, "of": whole.name} for part, whole in nested],
         }
-        if not pairs:
+        if not pairs and not nested:
             return Result("layouts check", data, Text(f"{len(enrolled)} layouts, no two of one size"))
         if not bad:
             return Result("layouts check", data, table)
         error = LayoutConflictError(
-            f"{len(bad)} pair(s) of layouts lie within {CONFUSABLE_M * 1e3:.0f} mm of each other",
+            f"{len(bad)} pair(s) of layouts could be confused: within {CONFUSABLE_M * 1e3:.0f} mm, or "
+            "more often than enrolling allows",
             "Remove one of each pair with `tagid layouts --remove NAME`, or move a reflector.",
         )
         entry = {"code": error.code, "message": error.message, "remedy": error.remedy}

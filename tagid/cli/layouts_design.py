@@ -210,22 +210,26 @@ def _capacity(
     from rich.table import Table
     from rich.text import Text
 
-    from tagid.tags.capacity import MEASURED, Localisation, capacity
+    from tagid.tags.capacity import Localisation, capacity, measured_on
 
-    known = [Localisation(0, 0, sigma)] if sigma is not None else list(MEASURED)
-    table = Table("recording", "error mm", *(f"{r.reflectors} reflectors" for r in rules), box=None)
+    known = [Localisation(0, 0, sigma)] if sigma is not None else measured_on(target.rows[0].radius_m)
+    table = Table(box=None)
+    for head in ("recording", "own echoes", "error mm", *(f"{r.reflectors} reflectors" for r in rules)):
+        table.add_column(head, no_wrap=True)
     rows = []
     for place in known:
         found = [capacity(target, rule, place.sigma_m, error_rate) for rule in rules]
-        name = f"{place.views} views, {place.snr_db} dB" if place.views else "as given"
+        name = f"{place.views} views {place.snr_db} dB" if place.views else "as given"
         cells = [
             f"{c.identities}" + (f" ({c.distance_m * 1e3:.0f} mm)" if c.identities > 1 else "") for c in found
         ]
-        table.add_row(name, f"{place.sigma_m * 1e3:.2f}", *cells)
+        echoes = "shell, handle" if place.own_echoes else "none" if place.views else ""
+        table.add_row(name, echoes, f"{place.sigma_m * 1e3:.2f}", *cells)
         rows += [
             {
                 "views": place.views or None,
                 "snr_db": place.snr_db if place.views else None,
+                "own_echoes": place.own_echoes if place.views else None,
                 "sigma_m": place.sigma_m,
                 "reflectors": c.reflectors,
                 "identities": c.identities,
@@ -238,6 +242,7 @@ def _capacity(
     line = Text(
         f"{target.label or target.name} (radius {radii}), {rules[0].slots} slots: identities with at most "
         f"{error_rate:g} wrong names, and the distance they then keep"
+        + ("" if sigma is not None else f"; errors measured on a radius of {known[0].radius_m * 1e3:.0f} mm")
     )
     return Result(
         "layouts capacity",

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.errors import LayoutConflictError, RegistryError
-from tagid.tags.capacity import REFERENCE, Localisation, confusion_rate
+from tagid.tags.capacity import Localisation, confusion_rate, reference
 from tagid.tags.codebook import CENTRE_TOLERANCE_M, CONFUSABLE_M, LayoutDistance, best_pairing
 from tagid.tags.layout import Layout, rotation_matrix
 
@@ -72,13 +72,13 @@ class Outlook:
     Attributes:
         layout: new layout.
         neighbours: every other layout, the nearest of those of its size first.
-        reference: recording for which the rates are told.
+        place: recording for which the rates are told.
         version: the registry's version that this was worked out for.
     """
 
     layout: Layout
     neighbours: tuple[Neighbour, ...]
-    reference: Localisation
+    place: Localisation
     version: int = 0
 
     @property
@@ -120,7 +120,7 @@ def outlook(
     others: Sequence[Layout],
     *,
     direction_known: bool = True,
-    reference: Localisation = REFERENCE,
+    place: Localisation | None = None,
     version: int = 0,
 ) -> Outlook:
     """Distance and confusion of a layout with every other.
@@ -129,16 +129,17 @@ def outlook(
         layout: new layout.
         others: layouts it would stand beside; one of its own name is left out.
         direction_known: whether the direction of the turn is; else mirror images read alike.
-        reference: recording whose localisation error makes the rates.
+        place: recording whose localisation error makes the rates; None takes the reference of the size.
         version: of the registry, to be kept with the answer.
     """
+    place = place or reference(layout.radius_m)
     found = [
-        neighbour(layout, other, reference.sigma_m, direction_known)
+        neighbour(layout, other, place.sigma_m, direction_known)
         for other in others
         if other.name != layout.name
     ]
     found.sort(key=lambda n: (not np.isfinite(n.distance.worst_m), n.nearness_m))
-    return Outlook(layout, tuple(found), reference, version)
+    return Outlook(layout, tuple(found), place, version)
 
 
 def neighbour(layout: Layout, other: Layout, sigma_m: float, direction_known: bool = True) -> Neighbour:

@@ -1,7 +1,7 @@
 """How often the reader is right: layouts, views, SNR, other objects, imperfections, and the limit.
 
 Run `python tests/benchmarks/identification.py --jobs 2` for what docs/results.md shows, `--short` for a check
-of some minutes, `--only grid` (roc, methods, robustness, localisation) for a part.
+of some minutes, `--only grid` (roc, methods, robustness) for a part.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from tagid.tags.matcher import read_tag
 VIEWS = (360, 36, 18, 12)
 SNRS_DB = (20, 10, 5, 0)
 OUTCOMES = ("correct", "ambiguous", "unknown", "no_tag", "wrong")
-PARTS = ("grid", "roc", "methods", "robustness", "localisation")
+PARTS = ("grid", "roc", "methods", "robustness")
 HARD = ((36, 10), (36, 0), (12, 10), (18, 0))
 FALSE_ACCEPTS = (1e-4, 1e-3, 1e-2, 1e-1)
 
@@ -48,8 +48,6 @@ class Outcome:
     method: str
     outcome: str
     seconds: float
-    size: int = 0
-    displacement_m: float = 0.0
     evidence: Evidence | None = None
     right: bool = False
 
@@ -103,8 +101,7 @@ def one(task: tuple[Condition, str, int]) -> Outcome:
     seconds = time.perf_counter() - start
     right = name == recorded.name
     outcome = status if status != "identified" else "correct" if right else "wrong"
-    shape = (evidence.size, evidence.displacement_m) if evidence else (0, 0.0)
-    return Outcome(condition, method, outcome, seconds, *shape, evidence, right)
+    return Outcome(condition, method, outcome, seconds, evidence, right)
 
 
 def wilson(hits: int, total: int) -> tuple[float, float]:
@@ -213,18 +210,6 @@ def robustness(runner: Runner, arguments: argparse.Namespace) -> None:
     table("what", rows)
 
 
-def localisation(runner: Runner, arguments: argparse.Namespace) -> None:
-    print("Error of one coordinate of a reflector, turn and place fitted, three reflectors, RMS\n")
-    print("| views | SNR dB | scenes | error mm |\n|---|---|---|---|")
-    for views, snr in ((36, 20), (36, 10), (36, 0), (12, 10)):
-        some = runner.run(Condition("tagged", "helmet-16", views, snr), arguments.scenes)
-        kept = [o for o in some if o.right]
-        # 2 K coordinates less turn and shift leave 2 K - 3; the displacement is RMS over K points.
-        square = [o.displacement_m**2 * o.size / (2 * o.size - 3) for o in kept]
-        print(f"| {views} | {snr} | {len(kept)} | {1e3 * np.sqrt(np.mean(square)):.2f} |")
-    print(flush=True)
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--scenes", type=int, default=400, help="scenes a cell")
@@ -247,7 +232,6 @@ def main() -> None:
         "roc": roc,
         "methods": methods,
         "robustness": robustness,
-        "localisation": localisation,
     }
     for name in arguments.only:
         parts[name](runner, arguments)

@@ -152,7 +152,11 @@ class Recorded:
 
 def record(condition: Condition, number: int) -> Recorded:
     """One recording with everything random drawn from its number."""
-    scene, name = draw_scene(condition, number)
+    return record_scene(*draw_scene(condition, number), condition, number)
+
+
+def record_scene(scene: Scene, name: str, condition: Condition, number: int) -> Recorded:
+    """The recording of a scene under a condition, with everything random drawn from a number."""
     rng = np.random.default_rng([FIRST_SEED + number, 1])
     radius, turn = 0.01 * np.sqrt(rng.uniform()), rng.uniform(0, 2 * np.pi)
     strongest = scene.reference_amplitude or (3.0 if name == "box" else 1.0)

@@ -123,3 +123,15 @@ def test_a_capture_of_another_object_is_named_and_nothing_stored(
     assert turns == pytest.approx([70, 140], abs=2)
     twin = tagid("enroll", "two", "--capture", "0.h5", "--capture", "0.h5", "--force")
     assert twin.code == 2 and "twice" in twin.err
+
+
+def test_capacity_counts_the_objects_own_echoes(tagid: Callable[..., Any]) -> None:
+    rows = tagid("layouts", "capacity", "--object", "mug", "--output", "json").json["data"]["rows"]
+    found = {(r["own_echoes"], r["views"], r["snr_db"], r["reflectors"]): r["identities"] for r in rows}
+    assert len(found) == 24
+    for (echoes, views, snr, reflectors), identities in found.items():
+        if echoes:
+            assert identities <= found[False, views, snr, reflectors]
+    assert found[True, 36, 10, 3] < found[False, 36, 10, 3]
+    assert all(r["error_rate"] <= 0.001 for r in rows)
+    assert tagid("layouts", "capacity", "--error-rate", 2).code == 2
