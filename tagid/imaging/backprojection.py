@@ -12,6 +12,7 @@ from scipy import fft as sfft
 
 from tagid.geometry import ImageGrid
 from tagid.imaging.kernel import RangeGeometry, cores
+from tagid.imaging.memory import require_memory
 from tagid.imaging.operator import interpolation_gain
 from tagid.imaging.types import BasebandScans, Image
 
@@ -32,8 +33,17 @@ def backproject(scans: BasebandScans, grid: ImageGrid) -> Image:
     Args:
         scans: baseband scans, any aperture.
         grid: pixels, in the plane z = 0.
+
+    Raises:
+        UsageError: it would not fit into memory.
     """
-    views, points = scans.aperture.views, grid.points
+    views, pixels = scans.aperture.views, grid.pixels**2
+    require_memory(
+        40 * pixels + 24 * min(views * scans.samples.shape[1] * upsampling(scans), _VALUES_PER_BLOCK),
+        f"backprojections of {views} views to {grid.pixels} x {grid.pixels} pixels",
+        "Use fewer pixels (--pixels).",
+    )
+    points = grid.points
     total = np.zeros(len(points), dtype=np.complex64)
     block = max(1, _VALUES_PER_BLOCK // (scans.samples.shape[1] * upsampling(scans)))
     for at in range(0, views, block):

@@ -12,7 +12,8 @@ from scipy import fft as sfft
 
 from tagid.errors import DataError
 from tagid.geometry import ImageGrid
-from tagid.imaging.backprojection import upsample_at_carrier
+from tagid.imaging.backprojection import upsample_at_carrier, upsampling
+from tagid.imaging.memory import require_memory
 from tagid.imaging.types import BasebandScans, Image
 
 Floats = NDArray[np.float64]
@@ -40,6 +41,7 @@ def range_doppler(scans: BasebandScans, grid: ImageGrid, cells: float = 1.0) -> 
 
     Raises:
         DataError: the antenna passes through the image's centre, so that there is no line of sight.
+        UsageError: it would not fit into memory.
     """
     distance, bearing = _polar(scans)
     centred = grid.points
@@ -47,6 +49,12 @@ def range_doppler(scans: BasebandScans, grid: ImageGrid, cells: float = 1.0) -> 
     cell = scans.range_step_m
     most = np.deg2rad(60.0)
     limit = min(most, 2 * cells * cell / radius)
+    values_held = scans.samples.size * upsampling(scans)
+    require_memory(
+        24 * values_held + 120 * len(centred),
+        f"range-Doppler images of {scans.aperture.views} views, {grid.pixels} x {grid.pixels} pixels",
+        "Use fewer views or pixels (--pixels), or --method bp.",
+    )
     power = np.zeros(len(centred))
     weight = 0
     fine, start, step = upsample_at_carrier(scans, slice(None))
@@ -81,6 +89,7 @@ def polar_format(scans: BasebandScans, grid: ImageGrid) -> Image:
 
     Raises:
         DataError: the antenna passes through the image's centre.
+        UsageError: it would not fit into memory.
     """
     distance, bearing = _polar(scans)
     wavenumbers, spectrum, strength = _range_spectrum(scans, distance)
@@ -90,6 +99,11 @@ def polar_format(scans: BasebandScans, grid: ImageGrid) -> Image:
     ky = 2 * wavenumbers[None] * np.sin(bearing)[:, None]
     spacing = 2 * np.pi / (_OVERSAMPLING * grid.extent)
     size = int(sfft.next_fast_len(int(np.ceil(4 * wavenumbers.max() / spacing)) + 4))
+    require_memory(
+        64 * size**2 + 64 * kx.size + 32 * size * grid.pixels,
+        f"polar format spectra of {size} x {size} samples for {grid.extent:g} m",
+        "Image a smaller square (--extent), or use --method bp.",
+    )
     cartesian = _gridded(kx / spacing, ky / spacing, spectrum * weight, size)
     # image(p) = sum over cells of F exp(-j K.p) at the pixels; the bilinear spread is divided out.
     plane = _at_pixels(cartesian, grid, spacing, size)

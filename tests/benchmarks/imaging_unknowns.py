@@ -110,7 +110,9 @@ def calibration(run: Run) -> str:
     for wobble in (0.0, 0.02):
         for views in (36,) if run.quick else (36, 360):
             found = report.spread(recover, [Cell(views, wobble, s) for s in range(run.seeds)], run.jobs)
-            spots += [(r.told, r.focused, r.fitted, r.sigma) for r in found]
+            # The same errors in every case: a little apart, so that their bars are seen.
+            apart = 0.7 * len(lines)
+            spots += [(r.told + apart, r.focused, r.fitted, r.sigma) for r in found]
             lines.append(_line(views, wobble, found))
     _recovered_picture(spots, run.pictures / "imaging-calibration.png")
     columns = (

@@ -12,6 +12,7 @@ from imaging_scenes import record, turn  # noqa: E402
 from tagid.errors import MissingExtraError, UsageError  # noqa: E402
 from tagid.geometry import ImageGrid  # noqa: E402
 from tagid.imaging.ats import fit as fit_module  # noqa: E402
+from tagid.imaging.ats import fit_torch  # noqa: E402
 from tagid.imaging.ats import forward_step as step_module  # noqa: E402
 from tagid.imaging.ats.fit import AtsSettings, fit  # noqa: E402
 from tagid.imaging.ats.fit_torch import TorchEngine  # noqa: E402
@@ -79,6 +80,55 @@ def test_the_gradient_is_that_of_the_loss_by_autograd(scans) -> None:
     assert loss == pytest.approx(float(total.detach()), rel=1e-4)
     for mine, leaf in zip(written_out, leaves, strict=True):
         assert float((mine - leaf.grad).norm()) < 2e-3 * float(leaf.grad.norm()), leaf.shape
+
+
+def test_the_gradient_is_that_of_the_loss_by_finite_differences(scans, monkeypatch) -> None:
+    """The very step of the engine in double precision, along random directions of every parameter."""
+    weights, grid, fine, aspect, confidence, shadow = problem(scans)
+    views = view_arrays(scans, fine.step, confidence, aspect, shadow)
+    numbers = np.array([0, 0, 1, 1, 3.0, 2e-3, 1e-3, 5e-3, 1e-8], dtype=np.float32)
+    seen = []
+    monkeypatch.setattr(fit_torch, "optimise", lambda s: seen.append(s) or step_module.optimise(s))
+    TorchEngine(weights).step(grid, views, fine, numbers)
+
+    def double(value):
+        if isinstance(value, list):
+            return [double(v) for v in value]
+        return value.double() if value.is_floating_point() else value
+
+    state = step_module.Step(*(double(value) for value in seen[0]))
+    parameters = [*state.tables, *state.weights, *state.biases]
+    _, *updated = step_module.optimise(state)
+    count = len(parameters)
+    gradients = [m / (1 - step_module.BETA1) for m in updated[count : 2 * count]]
+    rng = torch.Generator().manual_seed(0)
+    for at, (parameter, gradient) in enumerate(zip(parameters, gradients, strict=True)):
+        direction = torch.randn(parameter.shape, generator=rng, dtype=torch.float64)
+        ends = []
+        for sign in (1, -1):
+            moved = [p + sign * 1e-6 * direction if i == at else p for i, p in enumerate(parameters)]
+            tables, layers = len(state.tables), len(state.weights)
+            there = state._replace(
+                tables=moved[:tables],
+                weights=moved[tables : tables + layers],
+                biases=moved[tables + layers :],
+            )
+            ends.append(float(step_module.optimise(there)[0]))
+        expected = float((gradient * direction).sum())
+        assert (ends[0] - ends[1]) / 2e-6 == pytest.approx(expected, rel=1e-3, abs=1e-7), at
+
+
+def test_the_step_sees_what_the_operator_sees(scans) -> None:
+    """Its loss without priors is ||A sigma - y||^2 with the forward operator of every other method."""
+    shape = FieldShape((4, 9), features=3, width=5, hidden=2)
+    weights = draw_weights(shape, GRID, 0.3, seed=2)
+    fine = FineRange.of(scans, GRID.points)
+    arrays = GridArrays.of(GRID, shape.cells, fine.step)
+    views = view_arrays(scans, fine.step, np.ones(scans.samples.shape), np.ones((24, 1), dtype=complex))
+    numbers = np.array([0, 0, 1, 1, 0.3, 1, 0, 0, 1e-8], dtype=np.float32)
+    loss = TorchEngine(weights).step(arrays, views, fine, numbers)
+    residual = ForwardOperator(scans, GRID).forward(weights.on(GRID).ravel()) - scans.samples
+    assert loss == pytest.approx(float(np.vdot(residual, residual).real), rel=0.02)
 
 
 def matrix_of_nearest_bins(scans, fine):

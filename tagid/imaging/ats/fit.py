@@ -31,6 +31,7 @@ from tagid.imaging.ats.problem import (
     ViewArrays,
     draw_weights,
     view_arrays,
+    view_subsets,
 )
 from tagid.imaging.ats.settings import AtsResult, AtsSettings, Calibration, Progress
 from tagid.imaging.memory import require_memory
@@ -186,8 +187,7 @@ class _Fit:
         aspect = _aspect(aperture.positions, self.settings.aspect_harmonics) * self.known.gain[:, None]
         aspect = aspect * self.known.phase(self.scans.wavenumber)
         arrays = view_arrays(now, fine.step, self.confidence, aspect, self.shadow)
-        stride = max(1, round(len(data) / self.settings.views_per_step))
-        return [arrays.select(slice(k, None, stride)) for k in range(stride)]
+        return [arrays.select(views) for views in view_subsets(aperture, self.settings.views_per_step)]
 
     def _learns(self) -> bool:
         s = self.settings
@@ -300,7 +300,8 @@ def make_engine(start: FieldWeights, settings: AtsSettings) -> Engine:
 
 def _foresee(scans: BasebandScans, grid: ImageGrid, settings: AtsSettings) -> None:
     """Refuse sizes that will not fit before anything is allocated."""
-    points, views = grid.pixels**2, min(scans.aperture.views, 2 * settings.views_per_step)
+    points = grid.pixels**2
+    views = 2 * max(map(len, view_subsets(scans.aperture, settings.views_per_step)))
     per_pair = 8 + 4 * 6
     per_point = 4 * (6 * settings.width + 4 * settings.levels * settings.features)
     shadows = 4 * scans.aperture.views * points if settings.occlusion > 0 else 0
