@@ -39,7 +39,10 @@ def register(app: typer.Typer) -> None:
 
         registry = open_registry()
         version, enrolled = registry.snapshot()
-        registry.history()
+        lost = [change for change in registry.history() if change.layout is None]
+        remarks = [
+            f"version {c.version} ({c.action} {c.name}) cannot be read and not be gone back to" for c in lost
+        ]
         known = direction_known()
         pairs, nested = [], []
         for a, b in combinations(enrolled, 2):
@@ -81,16 +84,22 @@ def register(app: typer.Typer) -> None:
                 }
                 for name, other in pairs
             ],
+            "damaged_versions": [change.version for change in lost],
             "nested": [{"part": part.name, "of": whole.name} for part, whole in nested],
         }
         if not pairs and not nested:
-            return Result("layouts check", data, Text(f"{len(enrolled)} layouts, no two of one size"))
+            return Result(
+                "layouts check",
+                data,
+                messages=tuple(remarks),
+                human=Text(f"{len(enrolled)} layouts, no two of one size"),
+            )
         if not bad:
-            return Result("layouts check", data, table)
+            return Result("layouts check", data, table, messages=tuple(remarks))
         error = LayoutConflictError(
             f"{len(bad)} pair(s) of layouts could be confused: within {CONFUSABLE_M * 1e3:.0f} mm, or "
             "more often than enrolling allows",
             "Remove one of each pair with `tagid layouts --remove NAME`, or move a reflector.",
         )
         entry = {"code": error.code, "message": error.message, "remedy": error.remedy}
-        return Result("layouts check", data, table, "error", error.exit_code, errors=(entry,))
+        return Result("layouts check", data, table, "error", error.exit_code, tuple(remarks), (entry,))

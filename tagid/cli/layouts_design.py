@@ -160,11 +160,11 @@ def _designed(terminal: Terminal, family: Family, out: Path | None, wish: enroll
             f"reflectors as near as {family.ghost_m * 1e3:.0f} mm can make a ghost (under "
             f"{GHOST_M * 1e3:.0f} mm); --spacing {GHOST_M:g} avoids it"
         )
+    if out is not None:
+        write_layouts(family.layouts, out)
     stored = None
     if not wish.dry_run:
         stored = enrolling.store_family(terminal, open_registry(), family.layouts, "design", wish)
-    if out is not None:
-        write_layouts(family.layouts, out)
     table = Table("layout", "angles deg", "radii mm", "heights mm", box=None)
     for layout in family.layouts:
         x, y = layout.positions.T

@@ -17,6 +17,15 @@ from tagid.errors import DiskFullError, RegistryError, TagidError
 BUSY_SECONDS = 10.0
 """How long a process waits for another one's transaction, s."""
 
+_REMEDIES = {
+    sqlite3.SQLITE_READONLY: "Make the file and its folder writable for you, or give another path.",
+    sqlite3.SQLITE_PERM: "Make the file and its folder writable for you, or give another path.",
+    sqlite3.SQLITE_CANTOPEN: "Make the file and its folder readable for you, or give another path.",
+    sqlite3.SQLITE_BUSY: "Another process is changing it; try again when that is done.",
+    sqlite3.SQLITE_LOCKED: "Another process is changing it; try again when that is done.",
+}
+"""What to do where the file itself is sound, by sqlite's code."""
+
 Migration = tuple[str, ...]
 """The statements that lead from one schema version to the next."""
 
@@ -74,8 +83,9 @@ class Database:
                 f"cannot make the folder of the {schema.what} {self.path}: {error.strerror}",
                 f"Give a {schema.what} path in a folder that you can write to.",
             ) from error
-        with self.transaction() as connection:
-            self._prepare(connection, fill)
+        if not self._ready():
+            with self.transaction() as connection:
+                self._prepare(connection, fill)
         if schema.write_ahead:
             with self.connection() as connection:
                 _write_ahead(connection)
@@ -106,6 +116,19 @@ class Database:
                 raise
             connection.execute("COMMIT")
 
+    def _ready(self) -> bool:
+        """Whether the file is there with its present schema: then opening it writes nothing, and one that may
+        only be read can be."""
+        try:
+            if self.schema.write_ahead or not self.path.is_file() or not self.path.stat().st_size:
+                return False
+        except OSError:
+            return False
+        with self.connection() as connection:
+            version = int(connection.execute("PRAGMA user_version").fetchone()[0])
+            owner = int(connection.execute("PRAGMA application_id").fetchone()[0])
+        return version == self.schema.version and owner == self.schema.application_id
+
     def _prepare(
         self, connection: sqlite3.Connection, fill: Callable[[sqlite3.Connection], None] | None
     ) -> None:
@@ -134,9 +157,9 @@ class Database:
     def _told(self, error: sqlite3.Error) -> TagidError:
         if getattr(error, "sqlite_errorcode", 0) & 0xFF == sqlite3.SQLITE_FULL:
             return DiskFullError(f"no space left to change {self.path}", "Free some space.")
-        return self.schema.error(
-            f"cannot use the {self.schema.what} {self.path}: {error}", self.schema.restore
-        )
+        code = getattr(error, "sqlite_errorcode", 0) & 0xFF
+        remedy = _REMEDIES.get(code, self.schema.restore)
+        return self.schema.error(f"cannot use the {self.schema.what} {self.path}: {error}", remedy)
 
 
 def _write_ahead(connection: sqlite3.Connection) -> None:

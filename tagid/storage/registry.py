@@ -46,7 +46,7 @@ class Change:
         action: "add", "replace" or "remove".
         name: layout.
         source: where it came from ("built-in", a file, "captures", ...).
-        layout: as it was added, or as it was when removed.
+        layout: as it was added, or as it was when removed; None where that cannot be read any more.
     """
 
     version: int
@@ -54,7 +54,7 @@ class Change:
     action: str
     name: str
     source: str
-    layout: Layout
+    layout: Layout | None
 
 
 class Registry:
@@ -218,7 +218,14 @@ class Registry:
                 rows = connection.execute(f"{query} ORDER BY version").fetchall()
             else:
                 rows = connection.execute(f"{query} WHERE name = ? ORDER BY version", (name,)).fetchall()
-        return [Change(v, t, a, n, s, self._decode(n, d)) for v, t, a, n, s, d in rows]
+        changes = []
+        for number, time_utc, action, named, source, definition in rows:
+            try:
+                layout = self._decode(named, definition)
+            except RegistryError:
+                layout = None
+            changes.append(Change(number, time_utc, action, named, source, layout))
+        return changes
 
     def _fill(self, connection: sqlite3.Connection) -> None:
         """Begin a new file with the built-in layouts."""
@@ -240,11 +247,15 @@ class Registry:
         try:
             if not isinstance(text, str) or len(text) > MAX_DEFINITION:
                 raise ValueError("not a definition")
-            return layout_from_dict(json.loads(text))
+            layout = layout_from_dict(json.loads(text))
+            if layout.name != name:
+                raise ValueError(f"it is that of {layout.name}")
+            return layout
         except (ValueError, RecursionError, TagidError) as error:
             raise RegistryError(
                 f"{self.path} holds a damaged definition of {str(name)[:80]!r}: {str(error)[:200]}",
-                "Restore the registry from a backup, or remove the file to begin with the built-in layouts.",
+                "Take it out with `tagid layouts --remove NAME` (its history stays), go back with "
+                "`tagid layouts undo --to VERSION`, or restore a backup.",
             ) from None
 
     def _missing(self, name: str) -> RegistryError:

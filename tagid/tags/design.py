@@ -59,10 +59,15 @@ class DesignRules:
             raise UsageError(
                 f"{self.slots} slots for {self.reflectors} reflectors", f"Give up to {MAX_SLOTS} slots."
             )
+        if not 0 <= self.seed < 1 << 63:
+            raise UsageError(f"the seed is {self.seed}", "Give a whole number from 0, e.g. --seed 1.")
         for name in ("spacing_m", "resolution_m", "centre_tolerance_m"):
             value = getattr(self, name)
             if not (np.isfinite(value) and 0 <= value <= 1):
-                raise UsageError(f"{name} is {value}", "Give metres, not millimetres.")
+                raise UsageError(
+                    f"{name.removesuffix('_m').replace('_', ' ')} is {value:g} m",
+                    "Give 0 to 1, in metres and not in millimetres.",
+                )
 
 
 @dataclass(frozen=True, eq=False)

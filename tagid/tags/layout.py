@@ -24,6 +24,9 @@ from tagid.errors import FileFormatError, StorageError, TagidError, UsageError
 KINDS = ("helmet", "container", "other")
 MAX_REFLECTORS = 16
 MAX_RADIUS_M = 1.0
+KIND_RADIUS_M = {"helmet": 0.2, "container": 0.35, "other": MAX_RADIUS_M}
+"""How far from the axis an object of a kind can carry a reflector: long helmets measure 0.35 m, a drum of 200
+litres has a radius of 0.29 m."""
 MIN_SPACING_M = 0.02
 """Nearer than this two reflectors are one: the null of the point response J0(2kr) is at 14.5 mm, and the
 paper's octahedra have a radius of 20 mm themselves."""
@@ -122,15 +125,28 @@ class Layout:
                 f"layout {self.name}: positions are not pairs of numbers",
                 "Give each reflector as [x, y] in metres.",
             ) from None
-        if positions.ndim != 2 or positions.shape[1] != 2 or not 2 <= len(positions) <= MAX_REFLECTORS:
+        if positions.ndim == 2 and positions.shape[1] == 2 and not 2 <= len(positions) <= MAX_REFLECTORS:
+            raise UsageError(
+                f"layout {self.name}: positions of {len(positions)} reflector(s) are given",
+                f"Give 2 to {MAX_REFLECTORS} reflectors as [x, y] in metres.",
+            )
+        if positions.ndim != 2 or positions.shape[1] != 2:
             raise UsageError(
                 f"layout {self.name}: positions have shape {positions.shape}, expected (K, 2)",
                 f"Give 2 to {MAX_REFLECTORS} reflectors as [x, y] in metres.",
             )
-        if not np.isfinite(positions).all() or np.abs(positions).max() > MAX_RADIUS_M:
+        if not np.isfinite(positions).all():
             raise UsageError(
-                f"layout {self.name}: a reflector is over {MAX_RADIUS_M:g} m from the axis, or not finite",
-                "Give positions in metres, not millimetres.",
+                f"layout {self.name}: a position is not finite, so no distance from the axis",
+                "Give finite numbers of metres.",
+            )
+        reach, room = float(np.linalg.norm(positions, axis=1).max()), KIND_RADIUS_M[self.kind]
+        if reach > room:
+            raise UsageError(
+                f"layout {self.name}: a reflector is {reach:g} m from the axis, outside the object: a "
+                f"{self.kind} reaches {room:g} m",
+                "Give positions in metres, not millimetres; larger objects are of kind other, up to "
+                f"{MAX_RADIUS_M:g} m.",
             )
         gap = np.linalg.norm(positions[:, None] - positions[None], axis=2) + np.eye(len(positions))
         if gap.min() < MIN_SPACING_M:

@@ -51,6 +51,8 @@ def read_layouts(path: Path) -> list[Layout]:
         raise FileFormatError(
             f"{path} is not TOML: {str(error)[:200]}", "Export layouts with `tagid layouts export`."
         ) from None
+    if not data:
+        raise FileFormatError(f"{path} is empty", "Export layouts with `tagid layouts export`.")
     if "format" not in data and "layout" not in data:
         return [read_layout(path)]
     version = data.get("version")

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import shutil
 import sqlite3
+import tempfile
 import threading
 from dataclasses import replace
 from pathlib import Path
@@ -101,6 +104,57 @@ def test_strangers_and_damage_are_told(tmp_path: Path) -> None:
         Registry(tmp_path)  # a folder
     with pytest.raises(RegistryError):
         Registry(noise / "below-a-file" / "r.db")
+
+
+def test_a_damaged_layout_can_be_taken_out_and_got_back(tmp_path: Path) -> None:
+    registry = Registry(tmp_path / "r.db")
+    connection = sqlite3.connect(registry.path, isolation_level=None)
+    connection.execute("UPDATE layout SET definition = replace(definition, '0.045', '0.0')")
+    connection.execute("UPDATE layout SET name = 'strange' WHERE name = 'helmet-120'")
+    connection.close()
+    with pytest.raises(RegistryError, match="container-180") as caught:
+        registry.layouts()
+    assert "--remove" in caught.value.remedy
+    for name in ("container-180", "container-90"):
+        registry.remove(name)
+    with pytest.raises(RegistryError, match="it is that of helmet-120"):
+        registry.layouts()
+    registry.remove("strange")
+    assert [layout.name for layout in registry.layouts()] == ["helmet-linear"]
+    assert [c.layout is None for c in registry.history()] == [False] * 4 + [True] * 3
+    registry.go_back(4)
+    assert {a.name: a.to_dict() for a in registry.layouts()} == {
+        name: layout.to_dict() for name, layout in builtin_layouts().items()
+    }
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs another user")
+def test_a_registry_that_may_only_be_read_is_read() -> None:
+    folder = Path(tempfile.mkdtemp())
+    try:
+        path = folder / "r.db"
+        Registry(path)
+        path.chmod(0o444)
+        folder.chmod(0o555)
+        child = os.fork()
+        if child == 0:  # root may write anything, so another user tries
+            code = 1
+            try:
+                if os.geteuid() == 0:
+                    os.setuid(65534)
+                registry = Registry(path)
+                known = registry.snapshot()[1]
+                try:
+                    registry.add(Layout("new", SCALENE), "x")
+                except RegistryError as error:
+                    code = 0 if len(known) == 4 and "writable" in error.remedy else 2
+            finally:
+                os._exit(code)
+        assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+        assert path.stat().st_size and [p.name for p in folder.iterdir()] == ["r.db"]
+    finally:
+        folder.chmod(0o755)
+        shutil.rmtree(folder)
 
 
 def test_many_writers_lose_nothing(tmp_path: Path) -> None:
