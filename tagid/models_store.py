@@ -16,7 +16,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from tagid.errors import ModelError
+from tagid.errors import ModelError, StorageError
 from tagid.storage.atomic import read_bytes, write_bytes
 
 FOLDER = Path(__file__).parent / "models"
@@ -167,7 +167,10 @@ def model_bytes(name: str, folder: Path = FOLDER) -> tuple[bytes, Entry]:
     entry, path = known[name], folder / known[name].file
     if entry.opset != OPSET:
         raise ModelError(f"model {name} has opset {entry.opset}, wanted is {OPSET}", _REINSTALL)
-    content = read_bytes(path, MAX_BYTES)
+    try:
+        content = read_bytes(path, MAX_BYTES)
+    except StorageError as error:
+        raise StorageError(error.message, _REINSTALL) from error
     if len(content) != entry.size:
         raise ModelError(f"{path} has {len(content)} bytes, the manifest says {entry.size}", _REINSTALL)
     found = hashlib.sha256(content).hexdigest()

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from tagid.errors import ModelError
 from tagid.models_store import Model, open_model
-from tagid.tags.planes import GRID, PLANES, NetworkInput
+from tagid.tags.planes import GRID, NORMALISATION, PLANES, NetworkInput
 
 MODEL = "reflector_detector"
 CONTRACT_KEY = "tagid.contract"
@@ -98,6 +98,7 @@ class Contract:
         """JSON for the model's file."""
         grid = {"extent_m": GRID.extent, "pixels": GRID.pixels}
         fixed = {"kind": "reflector-detector", "schema": SCHEMA, "grid": grid, "planes": PLANES}
+        fixed["normalisation"] = NORMALISATION
         return json.dumps({**fixed, **vars(self)}, sort_keys=True)
 
     @classmethod
@@ -110,6 +111,12 @@ class Contract:
             if said != needed:
                 raise ModelError(
                     f"{where}: its contract says {said}, this program needs {needed}",
+                    "Use the model that came with this version, or train one with `python -m train`.",
+                )
+            # Files from before this was written say nothing of it, and mean the same.
+            if (scaled := raw.get("normalisation", NORMALISATION)) != NORMALISATION:
+                raise ModelError(
+                    f"{where}: its contract normalises by {scaled}, this program by {NORMALISATION}",
                     "Use the model that came with this version, or train one with `python -m train`.",
                 )
             contract = cls(**{name: raw[name] for name in cls.__dataclass_fields__})

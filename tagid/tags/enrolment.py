@@ -131,7 +131,10 @@ def outlook(
         direction_known: whether the direction of the turn is; else mirror images read alike.
         place: recording whose localisation error makes the rates; None takes the reference of the size.
         version: of the registry, to be kept with the answer.
+
+    Raises UsageError where a reflector lies outside what an object of the kind can be.
     """
+    layout.check_room()
     place = place or reference(layout.radius_m)
     found = [
         neighbour(layout, other, place.sigma_m, direction_known)

@@ -140,13 +140,10 @@ class Layout:
                 f"layout {self.name}: a position is not finite, so no distance from the axis",
                 "Give finite numbers of metres.",
             )
-        reach, room = float(np.linalg.norm(positions, axis=1).max()), KIND_RADIUS_M[self.kind]
-        if reach > room:
+        if np.abs(positions).max() > MAX_RADIUS_M:
             raise UsageError(
-                f"layout {self.name}: a reflector is {reach:g} m from the axis, outside the object: a "
-                f"{self.kind} reaches {room:g} m",
-                "Give positions in metres, not millimetres; larger objects are of kind other, up to "
-                f"{MAX_RADIUS_M:g} m.",
+                f"layout {self.name}: a reflector is over {MAX_RADIUS_M:g} m from the axis",
+                "Give positions in metres, not millimetres.",
             )
         gap = np.linalg.norm(positions[:, None] - positions[None], axis=2) + np.eye(len(positions))
         if gap.min() < MIN_SPACING_M:
@@ -209,6 +206,19 @@ class Layout:
     def sigma_m(self) -> float:
         """Largest standard deviation of a reflector's place in any direction, m; 0 where not measured."""
         return 0.0 if self.covariance is None else float(np.sqrt(np.linalg.eigvalsh(self.covariance).max()))
+
+    def check_room(self) -> None:
+        """Raises UsageError where a reflector lies outside what an object of the kind can be.
+
+        For new layouts only: one that was enrolled under other rules must stay readable.
+        """
+        room = KIND_RADIUS_M[self.kind]
+        if self.radius_m > room:
+            raise UsageError(
+                f"layout {self.name}: a reflector is {self.radius_m:g} m off the axis, outside the object: a "
+                f"{self.kind} reaches {room:g} m",
+                f"Check the positions, or enrol it as kind other, which may reach {MAX_RADIUS_M:g} m.",
+            )
 
     def placed(self, rotation_rad: float, centre_m: NDArray[np.floating]) -> NDArray[np.float64]:
         """(K, 2) positions after a counter-clockwise turn about the origin and a shift, m."""

@@ -20,6 +20,13 @@ GRID = ImageGrid(0.5, 96)
 PLANES = 5
 _FULL_SNR_DB = 60.0
 _FULL_VIEWS = 360
+NORMALISATION = {
+    "relative_to": "brightest pixel, phase included",
+    "planes": ["real", "imaginary", "magnitude", "snr", "views"],
+    "snr": f"dB / {_FULL_SNR_DB:g}, 0 to 1",
+    "views": f"log views / log {_FULL_VIEWS}, 0 to 1",
+}
+"""What `NetworkInput.planes` does, as the model file says it; a file that says otherwise is refused."""
 
 
 def image_snr_db(scans: BasebandScans, peak: float) -> float:

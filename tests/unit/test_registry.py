@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tagid.errors import FileFormatError, LayoutConflictError, RegistryError
+from tagid.errors import FileFormatError, LayoutConflictError, RegistryError, UsageError
 from tagid.storage.registry import Registry
 from tagid.tags.codebook import best_pairing
 from tagid.tags.design import DesignRules, design
@@ -240,6 +240,18 @@ def test_what_is_not_known_of_the_positions_counts_into_the_confusion() -> None:
     assert found.confusion_rate == pytest.approx(nearer.mean(), rel=0.04)
     exact = neighbour(Layout("new", new.positions), Layout("old", b), 3e-3)
     assert exact.confusion_rate < 0.8 * found.confusion_rate
+
+
+def test_a_reflector_outside_the_object_is_refused_but_stays_readable(tmp_path: Path) -> None:
+    registry = Registry(tmp_path / "r.db")
+    wide = Layout("wide", np.array([[0.3, 0.0], [0.0, 0.1]]), "helmet")
+    with pytest.raises(UsageError, match="outside the object: a helmet reaches"):
+        enrol(registry, wide, "numbers", force=True)
+    with pytest.raises(UsageError, match="outside the object"):
+        merge(registry, [wide], "file")
+    assert registry.version == 4
+    registry.add(wide, "an older tagid")
+    assert registry.get("wide").radius_m == pytest.approx(0.3)
 
 
 def test_a_layout_known_too_badly_is_refused() -> None:

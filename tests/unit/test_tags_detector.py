@@ -112,6 +112,11 @@ def test_no_contract_is_refused(text: str) -> None:
 def test_contract_travels_with_the_file() -> None:
     detector = Detector(open_model(MODEL))
     assert Contract.from_text(detector.contract.to_text(), "x") == detector.contract
+    said = json.loads(detector.contract.to_text())
+    assert said["normalisation"]["planes"] == ["real", "imaginary", "magnitude", "snr", "views"]
+    said["normalisation"]["relative_to"] = "mean"
+    with pytest.raises(ModelError, match=r"normalises by .*'mean'.* this program by .*brightest"):
+        Contract.from_text(json.dumps(said), "a model")
     assert {"commit", "seed", "scenes"} <= set(detector.contract.training)
     assert detector.contract.threshold(0.01) >= detector.contract.threshold(0.1)
 

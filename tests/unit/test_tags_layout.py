@@ -53,7 +53,6 @@ def test_a_layout_takes_back_its_own_dict() -> None:
         ({"positions_m": [[0.1, 0.0]]}, "positions"),
         ({"positions_m": [[0.1, 0.0], [0.1, float("nan")]]}, "axis"),
         ({"positions_m": [[110, 0], [0, 110]]}, "axis"),
-        ({"kind": "helmet", "positions_m": [[0.3, 0], [0, 0.1]]}, "outside the object: a helmet"),
         ({"positions_m": [[0.1, 0.0], [0.1, float("inf")]]}, "not finite"),
         ({"positions_m": [[0.1, 0.0], [0.101, 0.0]]}, "apart"),
         ({"positions_m": [[0.1, 0.0], ["x", 0.0]]}, "positions_m"),
