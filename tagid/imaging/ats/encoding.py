@@ -1,7 +1,7 @@
 """Multi-resolution hash encoding of pixel coordinates (Müller et al., "Instant NGP", SIGGRAPH 2022).
 
-On a fixed image grid the interpolation weights never change, so the whole encoding is one sparse matrix that
-is built once; a step then costs one product forward and one with the transpose for the gradient.
+For fixed points the interpolation weights never change, so their encoding is one sparse matrix that is built
+once; a step then costs one product forward and one with the transpose for the gradient.
 """
 
 from __future__ import annotations
@@ -123,25 +123,7 @@ def interpolate(table: Any, matrix: Any, transposed: Any, settings: EncodingSett
     return _SparseProduct.apply(table, matrix, transposed).view(-1, settings.width)
 
 
-class HashEncoding(torch.nn.Module):  # type: ignore[misc]
-    """Trainable features of a fixed set of points.
-
-    Attributes:
-        table: (entries, features) float32 parameter.
-        settings: the levels.
-    """
-
-    def __init__(
-        self, points: NDArray[np.floating], settings: EncodingSettings, generator: torch.Generator
-    ) -> None:
-        """Build for `points` (P, 2) in the unit square; the table is drawn from `generator`."""
-        super().__init__()
-        self.settings = settings
-        self._matrix = encoding_matrix(points, settings)
-        self._transposed = self._matrix.T.tocsr()
-        drawn = torch.rand(self._matrix.shape[1], settings.features, generator=generator)
-        self.table = torch.nn.Parameter((drawn * 2 - 1) * _TABLE_INIT)
-
-    def forward(self) -> Any:
-        """(P, levels * features) float32 features, level by level."""
-        return interpolate(self.table, self._matrix, self._transposed, self.settings)
+def draw_table(settings: EncodingSettings, generator: torch.Generator) -> Any:
+    """(entries, features) float32 parameter, all levels one after the other, drawn from `generator`."""
+    drawn = torch.rand(sum(level_sizes(settings)), settings.features, generator=generator)
+    return torch.nn.Parameter((drawn * 2 - 1) * _TABLE_INIT)

@@ -17,7 +17,7 @@ from scipy import sparse
 
 from tagid.errors import UsageError
 from tagid.geometry import ImageGrid
-from tagid.imaging.ats.encoding import EncodingSettings, encoding_matrix, interpolate, level_sizes
+from tagid.imaging.ats.encoding import EncodingSettings, draw_table, encoding_matrix, interpolate
 from tagid.imaging.ats.forward_paper import RaySamples, sample_view, synthesize_profile
 from tagid.imaging.ats.network import ReflectivityNetwork
 from tagid.imaging.backprojection import upsample_at_carrier
@@ -166,8 +166,7 @@ class _Fit:
             settings.levels, settings.features, settings.coarsest, finest, settings.log2_entries
         )
         generator = torch.Generator().manual_seed(settings.seed)
-        drawn = torch.rand(sum(level_sizes(self.encoding)), settings.features, generator=generator)
-        self.table = torch.nn.Parameter((drawn * 2 - 1) * 1e-2)
+        self.table = draw_table(self.encoding, generator)
         self.network = ReflectivityNetwork(self.encoding.width, settings.width, 3, generator)
         with torch.no_grad():
             self.network.weights[-1].mul_(_FIRST_OUTPUT)
