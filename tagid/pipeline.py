@@ -42,6 +42,9 @@ Progress = Callable[[float, float, str], None]
 METHODS = ("auto", *IMAGING_METHODS)
 PULSES = ("auto", "nominal", "estimate")
 PRESETS = ("field", "paper")
+FOCUS_M = 0.04
+"""The axis distance is searched so far to both sides: errors of 3 cm are then inside of the search, not at
+its edge, where nothing is trusted."""
 MAX_VIEWS = 360
 """Scans are averaged into at most this many views a turn: 1 degree, the paper's step; it moves a reflector on
 the rim of a 0.25 m object by 4.4 mm, under an eighth of a wavelength."""
@@ -76,7 +79,7 @@ class ImagingSettings:
     extent_m: float = 0.5
     pixels: int = 128
     background: Background = "mean"
-    focus_m: float = 0.03
+    focus_m: float = FOCUS_M
     seed: int = 0
     preset: str = "field"
     centre_m: tuple[float, float] | None = None
@@ -99,8 +102,8 @@ class ImagingSettings:
             raise UsageError(f"there is no pulse {self.pulse!r}", f"Use {', '.join(PULSES)}.")
         if self.method not in METHODS:
             raise UsageError(f"there is no imaging method {self.method!r}", f"Use {', '.join(METHODS)}.")
-        if not (np.isfinite(self.focus_m) and 0 <= self.focus_m <= 0.03):
-            raise UsageError(f"the focus range is {self.focus_m} m", "Give 0 to 0.03 m.")
+        if not (np.isfinite(self.focus_m) and 0 <= self.focus_m <= 0.1):
+            raise UsageError(f"the focus range is {self.focus_m} m", "Give 0 to 0.1 m.")
 
 
 @dataclass
@@ -190,7 +193,7 @@ def reconstruct(
     capture, estimate = _with_pulse(capture, settings, watch)
     with watch.stage("preprocess"):
         matched = IMAGING_METHODS[method].matched_filter
-        scans = preprocess(capture, settings=_preprocessing(settings, matched_filter=matched))
+        scans = preprocess(capture, settings=_to_be_focused(settings, matched))
     focus: AxisFocus | None = None
     if settings.focus_m > 0 and scans.aperture.angles is not None:
         with watch.stage("focus"):
@@ -252,6 +255,12 @@ def _preprocessing(settings: ImagingSettings, matched_filter: bool) -> Preproces
     return PreprocessSettings(
         background=settings.background, matched_filter=matched_filter, extent_m=settings.extent_m
     )
+
+
+def _to_be_focused(settings: ImagingSettings, matched_filter: bool) -> PreprocessSettings:
+    """As `_preprocessing`, with room for the search of the axis distance."""
+    plain = _preprocessing(settings, matched_filter)
+    return replace(plain, margin_m=max(plain.margin_m, settings.focus_m))
 
 
 def identify(
@@ -355,7 +364,7 @@ def sight_reflectors(capture: Capture, name: str, settings: ImagingSettings | No
 
     settings = settings or ImagingSettings()
     capture, _ = _with_pulse(capture, settings, Stopwatch())
-    scans = preprocess(capture, settings=_preprocessing(settings, matched_filter=False))
+    scans = preprocess(capture, settings=_to_be_focused(settings, matched_filter=False))
     if settings.focus_m > 0 and scans.aperture.angles is not None:
         grid = ImageGrid(settings.extent_m, settings.pixels)
         scans, _ = focus_axis_distance(scans, grid, settings.focus_m)

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
     from tagid.capture import Capture
     from tagid.identification import Identification
+    from tagid.imaging.autofocus import AxisFocus
     from tagid.imaging.pulsefit import PulseEstimate
     from tagid.imaging.region import Region
     from tagid.pipeline import ImagingSettings, Reconstruction
@@ -58,11 +59,11 @@ def remember(command: str, items: list[dict[str, Any]], settings: dict[str, Any]
     return ()
 
 
-def settings_from(config: Config, background: str = "mean", focus_m: float = 0.03) -> ImagingSettings:
+def settings_from(config: Config, background: str = "mean", focus: bool = True) -> ImagingSettings:
     """Imaging settings of the configuration and the command line."""
     from tagid.imaging.ats.options import parse_settings
     from tagid.imaging.ats.settings import AtsSettings
-    from tagid.pipeline import ImagingSettings
+    from tagid.pipeline import FOCUS_M, ImagingSettings
 
     if background not in ("mean", "median", "reference", "none"):
         raise UsageError(f"--background is {background!r}", "Use mean, median, reference or none.")
@@ -73,7 +74,7 @@ def settings_from(config: Config, background: str = "mean", focus_m: float = 0.0
         extent_m=config["imaging.extent_m"],
         pixels=config["imaging.pixels"],
         background=background,  # type: ignore[arg-type]
-        focus_m=focus_m,
+        focus_m=FOCUS_M if focus else 0.0,
         false_accept=config["tags.false_accept"],
         direction_known=config["tags.direction"] == "known",
         pulse=config["imaging.pulse"],
@@ -106,6 +107,13 @@ def region_words(region: Region | None) -> list[str]:
     if region.mirrored:
         lines.append("the path is straight: what lies on one side shows on the other side, too")
     return lines
+
+
+def focus_words(focus: AxisFocus | None) -> list[str]:
+    """A remark where the axis distance was searched in vain."""
+    if focus is None or focus.axis_distance_m is None or focus.reliable:
+        return []
+    return ["the axis distance could not be told from the data; it is taken as given"]
 
 
 def pulse_words(pulse: PulseEstimate | None) -> list[str]:

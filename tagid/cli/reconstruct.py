@@ -51,7 +51,7 @@ def register(app: typer.Typer) -> None:
         antenna_height: options.AntennaHeight = None,
         background: options.Background = "mean",
         focus: Annotated[
-            bool, typer.Option(help="Search the axis distance within 3 cm, or the path delay.")
+            bool, typer.Option(help="Search the axis distance within 4 cm, or the path delay.")
         ] = True,
         preset: options.Preset = "field",
         pulse: options.Pulse = None,
@@ -91,7 +91,7 @@ def register(app: typer.Typer) -> None:
                 "motion.antenna_height_m": antenna_height,
             }
         )
-        given = imaging.settings_from(config, background, 0.03 if focus else 0.0)
+        given = imaging.settings_from(config, background, focus)
         if (calibrate or ats) and given.method not in ("ats", "auto"):
             raise UsageError(f"--calibrate and --ats do nothing for {given.method}", "Use --method ats.")
         words = [*(ats or ()), *([f"calibrate={'+'.join(parse_calibrate(calibrate))}"] if calibrate else ())]
@@ -123,6 +123,7 @@ def register(app: typer.Typer) -> None:
         distance = result.image.settings["axis_distance_m"]
         where = "" if distance is None else f", axis at {distance:.3f} m"
         lines.append(Text(f"{result.method} image of {result.views} views in {took:.2f} s{where}"))
+        lines += [Text(line) for line in imaging.focus_words(result.focus)]
         lines += [Text(line) for line in imaging.region_words(result.region)]
         lines += [Text(line) for line in imaging.pulse_words(result.pulse)]
         lines += [Text(line) for line in imaging.calibration_words(result.image.settings)]

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,9 +13,12 @@ from tagid.capture import Capture, Pulse
 from tagid.geometry import ImageGrid
 from tagid.imaging.pulsefit import estimate_pulse
 from tagid.simulate import Acquisition, Scene, simulate_capture
+from tagid.storage.importers import read_any
 from tagid.waveform import nominal_pulse, pulse_at
 
 GRID = ImageGrid(0.5, 72)
+SHARED = Path(os.environ.get("TAGID_SHARED", Path(__file__).resolve().parents[2].parent / "shared"))
+RECORDED = SHARED / "data" / "p440"
 POINTS = np.array([[0.12, -0.05], [-0.08, 0.13], [0.02, 0.18]])
 
 
@@ -72,6 +77,20 @@ def test_a_pulse_that_is_right_is_kept(told: bool) -> None:
         assert match(found.pulse, pulse or nominal_pulse())[0] > 0.985
     else:
         assert found.pulse is pulse or np.array_equal(found.pulse.samples, nominal_pulse().samples)
+
+
+@pytest.mark.skipif(not RECORDED.is_dir(), reason="the recordings are not in the shared data folder")
+def test_the_pulse_of_a_real_recording_is_the_one_measured_there() -> None:
+    """A corner reflector that stands still: the estimate is like the pulse derived from that station."""
+    capture = read_any(RECORDED / "corner-reflector-scan08.out").select(np.arange(0, 200, 8))
+    antenna = np.tile([11.616, 0.0, 0.0], (capture.views, 1))
+    still = replace(capture, antenna_positions_m=antenna, angles_rad=None, axis_distance_m=None)
+    found = estimate_pulse(still, ImageGrid(0.3, 41), "none", 0.0)
+    with np.load(RECORDED / "pulse.npz", allow_pickle=False) as file:
+        measured = Pulse(file["cr08"], float(file["dt_ns"]) * 1e-9)
+    assert found.taken
+    assert match(measured, nominal_pulse())[0] < 0.9
+    assert match(measured, found.pulse)[0] > 0.97
 
 
 def test_noise_and_too_few_views_change_nothing() -> None:
