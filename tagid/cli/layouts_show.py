@@ -64,11 +64,11 @@ def register(app: typer.Typer) -> None:
                 write_bytes(path, content(plan))
                 written.append(str(path))
         if template is not None:
-            sheets = layout_sheet.template(layout, surface_radius)
             if template.suffix.lower() == ".pdf":
-                write_bytes(template, to_pdf(sheets, paper))
+                write_bytes(template, to_pdf(layout_sheet.template(layout, surface_radius, paper), paper))
             else:
-                write_bytes(template, to_svg(layout_sheet.stacked(sheets)))
+                whole = layout_sheet.stacked(layout_sheet.template(layout, surface_radius))
+                write_bytes(template, to_svg(whole))
             written.append(str(template))
         lines = [Text(layout_sheet.in_terminal(layout)), Text(f"{layout.name}  {layout.label}", "bold")]
         for number, ((x, y), h) in enumerate(zip(layout.positions, layout.heights, strict=True), 1):  # type: ignore[arg-type]

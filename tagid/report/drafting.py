@@ -6,6 +6,7 @@ A print template is only useful at true scale, so millimetres go all the way to 
 from __future__ import annotations
 
 import io
+import math
 from dataclasses import dataclass, field
 from html import escape
 
@@ -20,6 +21,9 @@ MARGIN_MM = 10.0
 """Printers leave 5 to 7 mm of a sheet blank."""
 MAX_SIDE_MM = 10_000.0
 MAX_PAGES = 60
+HALO_MM = 0.8
+"""White around letters, so that a line behind them does not strike them out."""
+DASH_MM, GAP_MM = 2.0, 1.5
 
 
 @dataclass(frozen=True)
@@ -103,13 +107,16 @@ def to_svg(drawing: Drawing) -> bytes:
             x, y = mark.at
             rows.append(
                 f'<text x="{x:.3f}" y="{h - y:.3f}" font-size="{mark.size:g}" text-anchor="{mark.anchor}" '
-                f'dominant-baseline="central" stroke="none" fill="black">{escape(mark.text)}</text>'
+                f'dominant-baseline="central" stroke="white" stroke-width="{HALO_MM:g}" paint-order="stroke" '
+                f'fill="black">{escape(mark.text)}</text>'
             )
     return "\n".join([*rows, "</g>", "</svg>", ""]).encode("utf-8")
 
 
 def _stroke(mark: Line | Circle) -> str:
-    return f'stroke-width="{mark.width:g}"' + (' stroke-dasharray="2 1.5"' if mark.dashed else "")
+    return f'stroke-width="{mark.width:g}"' + (
+        f' stroke-dasharray="{DASH_MM:g} {GAP_MM:g}"' if mark.dashed else ""
+    )
 
 
 def to_png(drawing: Drawing, dpi: float = 200.0) -> bytes:
@@ -131,11 +138,12 @@ def to_pdf(drawings: list[Drawing], paper: str) -> bytes:
     """
     sheets: list[Image.Image] = []
     for drawing in drawings:
-        tiles = page_tiles(drawing, paper)
+        tiles, size = page_tiles(drawing, paper)
         if len(sheets) + len(tiles) > MAX_PAGES:
             raise UsageError(f"the template needs more than {MAX_PAGES} sheets", "Use a larger --paper.")
         for number, tile in enumerate(tiles, 1):
-            sheets.append(_sheet(drawing, tile, paper, f"{number}/{len(tiles)}"))
+            joint = f", part {number} of {len(tiles)}: join at the corner marks" if len(tiles) > 1 else ""
+            sheets.append(_sheet(drawing, tile, size, f"print at 100 %{joint}"))
     buffer = io.BytesIO()
     first, *rest = sheets
     first.save(
@@ -150,11 +158,31 @@ def to_pdf(drawings: list[Drawing], paper: str) -> bytes:
     return buffer.getvalue()
 
 
-def page_tiles(drawing: Drawing, paper: str) -> list[tuple[float, float, float, float]]:
-    """Parts (left, bottom, right, top), mm, of the drawing that fit on one sheet each, upper left first."""
+Tile = tuple[float, float, float, float]
+"""A part (left, bottom, right, top) of a drawing, mm."""
+
+
+def room(paper: str) -> tuple[float, float]:
+    """Width and height, mm, of what an upright sheet takes. Raises UsageError for another paper."""
     if paper not in PAPERS_MM:
         raise UsageError(f"there is no paper {paper!r}", f"Use {', '.join(PAPERS_MM)}.")
-    width, height = (side - 2 * MARGIN_MM for side in PAPERS_MM[paper])
+    width, height = PAPERS_MM[paper]
+    return width - 2 * MARGIN_MM, height - 2 * MARGIN_MM
+
+
+def page_tiles(drawing: Drawing, paper: str) -> tuple[list[Tile], tuple[float, float]]:
+    """Parts of the drawing that fit on a sheet each, upper left first, and the sheet's width and height, mm.
+
+    The sheet stands upright or lies, whichever takes fewer; parts with nothing on them are left out.
+    """
+    room(paper)
+    upright = PAPERS_MM[paper]
+    ways = [(_tiles(drawing, size), size) for size in (upright, upright[::-1])]
+    return min(ways, key=lambda way: len(way[0]))
+
+
+def _tiles(drawing: Drawing, size: tuple[float, float]) -> list[Tile]:
+    width, height = (side - 2 * MARGIN_MM for side in size)
     tiles = []
     top = drawing.height
     while top > 1e-6:
@@ -163,13 +191,33 @@ def page_tiles(drawing: Drawing, paper: str) -> list[tuple[float, float, float, 
             tiles.append((left, top - height, left + width, top))
             left += width
         top -= height
-    return tiles
+    return [tile for tile in tiles if any(_touches(mark, tile) for mark in drawing.marks)] or tiles[:1]
 
 
-def _sheet(drawing: Drawing, tile: tuple[float, float, float, float], paper: str, number: str) -> Image.Image:
+def _touches(mark: Mark, tile: Tile) -> bool:
+    """Whether the mark's upright bounding box reaches into the tile; of a circle, its line."""
+    left, bottom, right, top = tile
+    if isinstance(mark, Text):
+        half = 0.6 * mark.size * len(mark.text)
+        x, y = mark.at
+        spans = {"start": (0, half), "middle": (-half / 2, half / 2), "end": (-half, 0)}
+        before, after = spans[mark.anchor]
+        low, high = (x + before, y - mark.size), (x + after, y + mark.size)
+    elif isinstance(mark, Line):
+        low = min(mark.start[0], mark.end[0]), min(mark.start[1], mark.end[1])
+        high = max(mark.start[0], mark.end[0]), max(mark.start[1], mark.end[1])
+    else:
+        (x, y), r = mark.centre, mark.radius
+        far = max(abs(left - x), abs(right - x)), max(abs(bottom - y), abs(top - y))
+        near = max(left - x, 0.0, x - right), max(bottom - y, 0.0, y - top)
+        return math.hypot(*near) <= r <= math.hypot(*far)
+    return low[0] <= right and high[0] >= left and low[1] <= top and high[1] >= bottom
+
+
+def _sheet(drawing: Drawing, tile: Tile, size: tuple[float, float], words: str) -> Image.Image:
     """One sheet of paper with a tile of the drawing inside the margins and the tile's corners marked."""
     scale = PRINT_DPI / MM_PER_INCH
-    width, height = PAPERS_MM[paper]
+    width, height = size
     sheet = Image.new("L", (round(width * scale), round(height * scale)), 255)
     part = _raster(drawing, PRINT_DPI, tile)
     sheet.paste(part, (round(MARGIN_MM * scale), round(MARGIN_MM * scale)))
@@ -181,7 +229,7 @@ def _sheet(drawing: Drawing, tile: tuple[float, float, float, float], paper: str
             pen.line([(px, py - arm), (px, py + arm)], fill=150, width=2)
     pen.text(
         (width * scale / 2, height * scale - MARGIN_MM * scale / 2),
-        f"tagid template, sheet {number}: print at 100 %, join at the corner marks",
+        f"tagid template: {words}",
         fill=0,
         font=ImageFont.load_default(round(3 * scale)),
         anchor="mm",
@@ -189,7 +237,7 @@ def _sheet(drawing: Drawing, tile: tuple[float, float, float, float], paper: str
     return sheet
 
 
-def _raster(drawing: Drawing, dpi: float, part: tuple[float, float, float, float]) -> Image.Image:
+def _raster(drawing: Drawing, dpi: float, part: Tile) -> Image.Image:
     """A part (left, bottom, right, top), mm, of the drawing as a grey raster."""
     scale = dpi / MM_PER_INCH
     left, bottom, right, top = part
@@ -203,7 +251,8 @@ def _raster(drawing: Drawing, dpi: float, part: tuple[float, float, float, float
         if isinstance(mark, Text):
             anchor = {"start": "lm", "middle": "mm", "end": "rm"}[mark.anchor]
             font = ImageFont.load_default(max(1, round(mark.size * scale)))
-            pen.text(px(mark.at), mark.text, fill=0, font=font, anchor=anchor)
+            halo = round(HALO_MM / 2 * scale)
+            pen.text(px(mark.at), mark.text, 0, font, anchor, stroke_width=halo, stroke_fill=255)
             continue
         width = max(1, round(mark.width * scale))
         if isinstance(mark, Line):
@@ -212,8 +261,11 @@ def _raster(drawing: Drawing, dpi: float, part: tuple[float, float, float, float
         else:
             (x, y), r = px(mark.centre), mark.radius * scale
             if mark.dashed:
-                for angle in range(0, 360, 6):
-                    pen.arc((x - r, y - r, x + r, y + r), angle, angle + 3.5, fill=0, width=width)
+                count = max(8, round(2 * math.pi * mark.radius / (DASH_MM + GAP_MM)))
+                part_deg = 360 / count * DASH_MM / (DASH_MM + GAP_MM)
+                for i in range(count):
+                    angle = 360 * i / count
+                    pen.arc((x - r, y - r, x + r, y + r), angle, angle + part_deg, fill=0, width=width)
             else:
                 fill = 0 if mark.filled else None
                 pen.ellipse((x - r, y - r, x + r, y + r), outline=0, fill=fill, width=width)
@@ -228,7 +280,7 @@ def _dashes(line: Line) -> list[tuple[tuple[float, float], tuple[float, float]]]
     ux, uy = (x2 - x1) / length, (y2 - y1) / length
     pieces, at = [], 0.0
     while at < length:
-        end = min(at + 2.0, length)
+        end = min(at + DASH_MM, length)
         pieces.append(((x1 + ux * at, y1 + uy * at), (x1 + ux * end, y1 + uy * end)))
-        at += 3.5
+        at += DASH_MM + GAP_MM
     return pieces

@@ -5,15 +5,23 @@ The plan is seen from above with the axis in the middle, x to the right, as posi
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 from numpy.typing import NDArray
 
 from tagid.errors import UsageError
-from tagid.report.drafting import Circle, Drawing, Line, Text
+from tagid.report.drafting import Circle, Drawing, Line, Text, room
 from tagid.tags.design import REFLECTOR_M
 from tagid.tags.layout import Layout
 
-EDGE_MM = 32.0
+EDGE_MM = 28.0
+"""The plan of a helmet lies on two sheets of A4 so."""
+CUT_MM = 6.0
+"""Room for the letter at a cut."""
+SPOT_MM = 23.0
+"""Half of what a reflector and its figures take on the strip: no cut goes there if there is a choice."""
+STRIP_FOOT_MM = 22.0
 CHECK_MM = 100.0
 """Length of the bar by which a print is measured."""
 
@@ -21,7 +29,7 @@ CHECK_MM = 100.0
 def plan(layout: Layout) -> Drawing:
     """Seen from above at 1:1: axis, rows, reflectors with number, radius, angle and height, and gaps."""
     half = layout.radius_m * 1e3 + EDGE_MM
-    lines = 3 + layout.size
+    lines = 4 + layout.size
     foot = 6.0 * lines + 12
     sheet = Drawing(max(2 * half, CHECK_MM + 20), 2 * half + foot)
     cx, cy = sheet.width / 2, foot + half
@@ -33,22 +41,35 @@ def plan(layout: Layout) -> Drawing:
     )
     places = layout.positions * 1e3
     heights = np.asarray(layout.heights) * 1e3
-    for radius in sorted({round(float(r), 1) for r in np.linalg.norm(places, axis=1)} - {0.0}):
+    circles = sorted({round(float(r), 1) for r in np.linalg.norm(places, axis=1)} - {0.0})
+    for radius in circles:
         sheet.add(Circle((cx, cy), radius, 0.2, True))
-    for number, (x, y) in enumerate(places, 1):
-        at = (cx + float(x), cy + float(y))
-        sheet.add(Circle(at, REFLECTOR_M * 500, 0.3))
-        sheet.cross(at, 5.0)
-        outward = np.array([x, y]) / max(float(np.hypot(x, y)), 1e-9)
-        sheet.add(Text((at[0] + 8 * outward[0] + 6, at[1] + 8 * outward[1] + 5), str(number), 5.0))
     for i, j in _sides(layout):
         a, b = places[i], places[j]
         middle = (a + b) / 2
         sheet.add(
             Line((cx + a[0], cy + a[1]), (cx + b[0], cy + b[1]), 0.15, True),
-            Text((cx + middle[0], cy + middle[1] + 3), f"{np.linalg.norm(a - b):.1f}", 3.5),
+            Text((cx + middle[0], cy + middle[1]), f"{np.linalg.norm(a - b):.1f}", 3.5),
         )
+    for number, (x, y) in enumerate(places, 1):
+        at = (cx + float(x), cy + float(y))
+        raised = bool(heights[number - 1] != heights.min())
+        sheet.add(Circle(at, REFLECTOR_M * 500, 0.3, raised))
+        sheet.cross(at, 5.0)
+        reach = float(np.hypot(x, y))
+        outward = np.array([x, y]) / reach if reach > 1 else np.array([0.7, 0.7])
+        # Beside the axes and the circles, which pass through the reflector.
+        aside = 8.0 * (outward + np.array([-outward[1], outward[0]]))
+        sheet.add(Text((at[0] + float(aside[0]), at[1] + float(aside[1])), str(number), 5.0))
+        if reach > 1:
+            sheet.add(Line((cx, cy), at, 0.1, True))
+    free = np.deg2rad(_widest_gap_deg(np.rad2deg(np.arctan2(places[:, 1], places[:, 0])) % 360))
+    for radius in circles:
+        end = cx + radius * float(np.cos(free)), cy + radius * float(np.sin(free))
+        sheet.add(Text(end, f"R {radius:.1f}", 3.5))
     rows = [f"{layout.name}   {layout.label}   (from above, millimetres, 1:1)"]
+    if len(set(heights.tolist())) > 1:
+        rows.append("A dashed outline is a reflector above the lowest row.")
     for number, ((x, y), h) in enumerate(zip(places, heights, strict=True), 1):
         rows.append(
             f"{number}:  radius {np.hypot(x, y):.1f}   angle {np.rad2deg(np.arctan2(y, x)) % 360:.1f} deg   "
@@ -57,6 +78,7 @@ def plan(layout: Layout) -> Drawing:
     for line, text in enumerate(rows):
         sheet.add(Text((8, foot - 6.0 * (line + 1)), text, 3.8, "start"))
     _check_bar(sheet, (8.0, 7.0))
+    sheet.marks.sort(key=lambda mark: isinstance(mark, Text))  # no line goes over a figure
     return sheet
 
 
@@ -82,7 +104,7 @@ def strip(layout: Layout, surface_radius_m: float | None = None) -> Drawing:
     heights = np.asarray(layout.heights) * 1e3
     low, high = float(heights.min()), float(heights.max())
     sheet = Drawing(max(length + 20, CHECK_MM + 20), high - low + 70)
-    bottom = 22.0
+    bottom = STRIP_FOOT_MM
     left, y0 = 10.0, bottom + 22 - low
     top = sheet.height - 6
     sheet.add(
@@ -105,12 +127,14 @@ def strip(layout: Layout, surface_radius_m: float | None = None) -> Drawing:
         at = (left + along, y0 + float(height))
         sheet.add(Circle(at, REFLECTOR_M * 500, 0.2, True))
         sheet.cross(at, 6.0)
-        about = f"{number}: {angle:.1f} deg, {along:.1f} from the left, r {r * 1e3:.1f}"
-        sheet.add(Text((at[0], at[1] - 9), about, 3.0))
+        sheet.add(
+            Text((at[0], at[1] - 9), f"{number}: {angle:.1f} deg", 3.0),
+            Text((at[0], at[1] - 13), f"{along:.1f} from the left, r {r * 1e3:.1f}", 2.6),
+        )
     sheet.add(
         Text(
             (left, 16),
-            f"{layout.name}: print outwards, 0 deg is +x, {length:.1f} mm round, "
+            f"{layout.name}: printed side out, join A to A, 0 deg is +x, {length:.1f} mm round, "
             f"surface radius {radius:.1f} mm",
             3.2,
             "start",
@@ -120,11 +144,67 @@ def strip(layout: Layout, surface_radius_m: float | None = None) -> Drawing:
     return sheet
 
 
-def template(layout: Layout, surface_radius_m: float | None = None) -> list[Drawing]:
-    """What to print for a layout: the plan, and the strip where it can be unrolled."""
+def template(
+    layout: Layout, surface_radius_m: float | None = None, paper: str | None = None
+) -> list[Drawing]:
+    """What to print for a layout: the plan, and the strip where it can be unrolled.
+
+    Args:
+        layout: to be printed.
+        surface_radius_m: see `strip`.
+        paper: cut the strip into bands that fit on it, upright; None leaves it whole.
+    """
     if np.linalg.norm(layout.positions, axis=1).min() < 0.01:
         return [plan(layout)]
-    return [plan(layout), strip(layout, surface_radius_m)]
+    whole = strip(layout, surface_radius_m)
+    return [plan(layout), *([whole] if paper is None else bands(whole, *room(paper)))]
+
+
+def bands(sheet: Drawing, width: float, height: float) -> list[Drawing]:
+    """A drawing that is too wide, cut upright between its circles and laid one part below the other.
+
+    Each cut has one letter on both its sides; parts fill drawings of up to the width and height, mm.
+    """
+    if sheet.width <= width:
+        return [sheet]
+    inner = width - 2 * CUT_MM
+    spots = [(m.centre[0] - SPOT_MM, m.centre[0] + SPOT_MM) for m in sheet.marks if isinstance(m, Circle)]
+    cuts = [0.0]
+    while cuts[-1] + inner < sheet.width:
+        cut = cuts[-1] + inner
+        for low, high in sorted(spots, reverse=True):
+            if low < cut < high and low > cuts[-1] + inner / 3:
+                cut = low
+        cuts.append(cut)
+    cuts.append(sheet.width)
+    parts = [_between(sheet, *ends, number) for number, ends in enumerate(pairwise(cuts))]
+    many = max(1, int(height // sheet.height))
+    return [stacked(parts[at : at + many]) for at in range(0, len(parts), many)]
+
+
+def _between(sheet: Drawing, left: float, right: float, number: int) -> Drawing:
+    """The part of a drawing between two upright cuts, with letters at those that are not its ends."""
+    part = Drawing(right - left + 2 * CUT_MM, sheet.height)
+    shift = CUT_MM - left
+    for mark in sheet.marks:
+        if isinstance(mark, Line):
+            (x1, y1), (x2, y2) = sorted((mark.start, mark.end))
+            if left <= x1 <= right if x1 == x2 else x1 < right and x2 > left:
+                held = max(x1, left) + shift, min(x2, right) + shift
+                part.add(Line((held[0], y1), (held[1], y2), mark.width, mark.dashed))
+        elif isinstance(mark, Circle):
+            if left <= mark.centre[0] < right:
+                at = mark.centre[0] + shift, mark.centre[1]
+                part.add(Circle(at, mark.radius, mark.width, mark.dashed, mark.filled))
+        elif left <= mark.at[0] < right:
+            part.add(Text((mark.at[0] + shift, mark.at[1]), mark.text, mark.size, mark.anchor))
+    for x, first in ((left, number - 1), (right, number)):
+        if 0 < x < sheet.width:
+            letter = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"[first % 26]
+            beside = x + shift + (-CUT_MM / 2 if x == left else CUT_MM / 2)
+            part.add(Line((x + shift, STRIP_FOOT_MM), (x + shift, sheet.height - 6), 0.15, True))
+            part.add(Text((beside, sheet.height / 2 + 8), letter, 5.0))
+    return part
 
 
 def stacked(drawings: list[Drawing]) -> Drawing:

@@ -11,8 +11,8 @@ import pytest
 from PIL import Image
 
 from tagid.errors import UsageError
-from tagid.report.drafting import Circle, Drawing, Line, Text, page_tiles, to_pdf, to_png, to_svg
-from tagid.report.layout_sheet import in_terminal, plan, stacked, strip, template
+from tagid.report.drafting import Circle, Drawing, Line, Text, page_tiles, room, to_pdf, to_png, to_svg
+from tagid.report.layout_sheet import bands, in_terminal, plan, stacked, strip, template
 from tagid.tags.layout import builtin_layouts
 
 LAYOUTS = builtin_layouts()
@@ -56,14 +56,53 @@ def test_pdf_prints_100_mm_as_100_mm() -> None:
 def test_a_strip_wider_than_paper_is_tiled_without_loss() -> None:
     sheet = strip(LAYOUTS["helmet-120"])
     assert sheet.width == pytest.approx(2 * np.pi * 110 + 20)
-    tiles = page_tiles(sheet, "a4")
-    assert len(tiles) == 4 and tiles[0][2] == tiles[1][0]
+    tiles, size = page_tiles(sheet, "a4")
+    assert size == (297.0, 210.0) and len(tiles) == 3 and tiles[0][2] == tiles[1][0]
     places = [m for m in sheet.marks if isinstance(m, Circle)]
     x = np.sort([circle.centre[0] for circle in places])
     assert np.allclose(np.diff(x), 2 * np.pi * 110 / 3, atol=0.01)
     wrapped = strip(LAYOUTS["helmet-120"], 0.09)
     assert wrapped.width == pytest.approx(2 * np.pi * 90 + 20)
-    assert to_pdf([sheet], "a4").count(b"/Type /Page\n") == 4
+    assert to_pdf([sheet], "a4").count(b"/Type /Page\n") == 3
+
+
+def test_bands_keep_every_millimetre_and_cut_no_reflector() -> None:
+    sheet = strip(LAYOUTS["helmet-120"])
+    width, height = room("a4")
+    pages = bands(sheet, width, height)
+    assert len(pages) == 2 and all(p.width <= width and p.height <= height for p in pages)
+    marks = [mark for page in pages for mark in page.marks]
+    assert sum(isinstance(m, Circle) for m in marks) == 3
+    base = 22.0 + 22.0  # the dashed line that the reflectors sit on, from the foot of its band
+    lengths, crossed = [], []
+    for page in pages:
+        bottoms = [page.height - sheet.height * (i + 1) for i in range(round(page.height / sheet.height))]
+        for bottom in bottoms:
+            (line,) = (
+                m for m in page.marks
+                if isinstance(m, Line) and m.dashed and m.start[1] == m.end[1] == pytest.approx(bottom + base)
+            )  # fmt: skip
+            lengths.append(line.end[0] - line.start[0])
+            for circle in (m for m in page.marks if isinstance(m, Circle)):
+                if abs(circle.centre[1] - bottom - base) < 1e-6:
+                    (x, _), r = circle.centre, circle.radius
+                    crossed.append(x - r < line.start[0] or x + r > line.end[0])
+    assert sum(lengths) == pytest.approx(2 * np.pi * 110)
+    assert crossed == [False] * 3
+    letters = [m.text for m in marks if isinstance(m, Text) and len(m.text) == 1 and m.text.isalpha()]
+    assert sorted(letters) == sorted(2 * [chr(65 + i) for i in range(len(lengths) - 1)])
+    assert bands(plan(LAYOUTS["container-90"]), width, height)[0].marks
+
+
+def test_sheets_with_nothing_on_them_are_not_printed() -> None:
+    sheet = Drawing(500, 500)
+    sheet.add(Line((1, 499), (499, 499)))
+    tiles, size = page_tiles(sheet, "a4")
+    assert size == (297.0, 210.0) and len(tiles) == 2 and all(tile[3] == 500 for tile in tiles)
+    ring = Drawing(800, 800)
+    ring.add(Circle((400, 400), 380))
+    inside = [t for t in page_tiles(ring, "a4")[0] if t[0] < 400 < t[2] and t[1] < 400 < t[3]]
+    assert not inside
 
 
 def test_what_cannot_be_unrolled_gets_its_plan_only() -> None:
