@@ -32,10 +32,11 @@ Spacing = Annotated[
     float | None, typer.Option("--spacing", help="Least distance of two reflectors, metres (0.04).")
 ]
 Mirror = Annotated[
-    bool,
+    bool | None,
     typer.Option(
         "--mirror/--no-mirror",
-        help="Whether mirror images may both be used; not where the turn's direction is unknown.",
+        help="Whether mirror images are two layouts; without, as tags.direction is set.",
+        show_default=False,
     ),
 ]
 Seed = Annotated[int, typer.Option("--seed", help="Of the search for the best set.")]
@@ -55,7 +56,7 @@ def register(app: typer.Typer) -> None:
         radius: Radius = None,
         height: Height = None,
         spacing: Spacing = None,
-        mirror: Mirror = True,
+        mirror: Mirror = None,
         seed: Seed = 0,
         alone: Annotated[
             bool, typer.Option("--alone", help="Take no heed of the layouts that are enrolled.")
@@ -86,7 +87,7 @@ def register(app: typer.Typer) -> None:
         radius: Radius = None,
         height: Height = None,
         spacing: Spacing = None,
-        mirror: Mirror = True,
+        mirror: Mirror = None,
         seed: Seed = 0,
         error_rate: Annotated[
             float, typer.Option("--error-rate", help="Rate of wrong names allowed.")
@@ -128,12 +129,18 @@ def object_from(
     return TaggedObject("own", "other", given, "Own object")
 
 
-def rules_from(reflectors: int, slots: int, spacing: float | None, mirror: bool, seed: int) -> DesignRules:
+def rules_from(
+    reflectors: int, slots: int, spacing: float | None, mirror: bool | None, seed: int
+) -> DesignRules:
     """Design rules of the command line. Raises UsageError."""
     from tagid.tags.design import REFLECTOR_M, DesignRules
 
     return DesignRules(
-        reflectors, slots, REFLECTOR_M if spacing is None else spacing, mirror_counts=mirror, seed=seed
+        reflectors,
+        slots,
+        REFLECTOR_M if spacing is None else spacing,
+        mirror_counts=enrolling.direction_known() if mirror is None else mirror,
+        seed=seed,
     )
 
 
@@ -144,6 +151,7 @@ def _designed(terminal: Terminal, family: Family, out: Path | None, wish: enroll
     from rich.text import Text
 
     from tagid.cli.imaging import open_registry
+    from tagid.tags.capacity import confusion_rate, reference
     from tagid.tags.codebook import CONFUSABLE_M, confusable
     from tagid.tags.design import GHOST_M
     from tagid.tags.layout_file import write_layouts
@@ -175,6 +183,11 @@ def _designed(terminal: Terminal, family: Family, out: Path | None, wish: enroll
             " ".join(f"{r * 1e3:.0f}" for r in np.hypot(x, y)),
             " ".join(f"{float(h) * 1e3:.0f}" for h in np.asarray(layout.heights)),
         )
+    place = reference(family.layouts[0].radius_m)
+    rate = 0.0
+    if len(family.layouts) > 1:
+        one = confusion_rate(family.distance_m, family.rules.reflectors, place.sigma_m)
+        rate = min(1.0, one * (len(family.layouts) - 1))
     least = "-" if family.distance_m == float("inf") else f"{family.distance_m * 1e3:.1f} mm"
     lines: list[RenderableType] = [
         Text(
@@ -182,12 +195,19 @@ def _designed(terminal: Terminal, family: Family, out: Path | None, wish: enroll
             f"least rotational distance {least}" + ("" if family.proven else ", the largest found")
         )
     ]
+    lines.append(
+        Text(
+            f"expected to be taken for another of them: {enrolling.rate_in_words(rate)} of readings at "
+            f"{place.views} views and {place.snr_db} dB"
+        )
+    )
     if out is not None:
         lines.append(Text(f"written to {out}; enrol them with: tagid layouts import {out}"))
     data = {
         "layouts": [layout.to_dict() for layout in family.layouts],
         "distance_m": None if family.distance_m == float("inf") else family.distance_m,
         "proven_best": family.proven,
+        "confusion_rate": rate,
         "nearest_reflectors_m": family.ghost_m,
         "candidates": family.candidates,
         "necklaces": family.necklaces,

@@ -42,7 +42,9 @@ def register(app: typer.Typer) -> None:
     @command(app, "layouts import")
     def import_(
         terminal: Terminal,
-        files: Annotated[list[Path], typer.Argument(help="TOML or JSON files.")],
+        files: Annotated[
+            list[Path], typer.Argument(help="TOML or JSON files, or other registries (.sqlite).")
+        ],
         force: Annotated[
             bool, typer.Option("--force", help="Replace layouts, and accept some that can be confused.")
         ] = False,
@@ -60,11 +62,10 @@ def register(app: typer.Typer) -> None:
 
         from tagid.cli.imaging import open_registry
         from tagid.errors import FileFormatError
-        from tagid.tags.layout_file import read_layouts
 
         found: dict[str, Layout] = {}
         for file in files:
-            for layout in read_layouts(file):
+            for layout in _layouts_of(file):
                 known = found.setdefault(layout.name, layout)
                 if known.to_dict() != layout.to_dict():
                     raise FileFormatError(
@@ -107,3 +108,14 @@ def register(app: typer.Typer) -> None:
         names = [layout.name for layout in registry.layouts()]
         line = Text(f"{len(names)} layouts are enrolled again, registry version {version}")
         return Result("layouts undo", {"registry_version": version, "layouts": names}, line)
+
+
+def _layouts_of(file: Path) -> list[Layout]:
+    """Layouts of a file or of another registry, which is only read."""
+    from tagid.storage.atomic import read_bytes
+    from tagid.storage.registry import Registry
+    from tagid.tags.layout_file import MAX_BYTES, read_layouts
+
+    if file.suffix.lower() in (".sqlite", ".db") and read_bytes(file, 16 * MAX_BYTES):
+        return Registry(file).layouts()
+    return read_layouts(file)

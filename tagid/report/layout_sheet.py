@@ -46,6 +46,8 @@ def plan(layout: Layout) -> Drawing:
         sheet.add(Circle((cx, cy), radius, 0.2, True))
     for i, j in _sides(layout):
         a, b = places[i], places[j]
+        if (np.linalg.norm(places - (a + b) / 2, axis=1) < 10).any():
+            continue  # another reflector sits where the figure would
         middle = (a + b) / 2
         sheet.add(
             Line((cx + a[0], cy + a[1]), (cx + b[0], cy + b[1]), 0.15, True),

@@ -188,25 +188,33 @@ def _held_turn(
 
 
 def all_distances(
-    points: NDArray[np.float64], centre_tolerance_m: float = CENTRE_TOLERANCE_M
+    points: NDArray[np.float64], centre_tolerance_m: float = CENTRE_TOLERANCE_M, *, mirrored: bool = False
 ) -> NDArray[np.float64]:
     """(n, n) rotational distances (RMS over reflectors, m) of layouts (n, K, 2), K! pairings each.
 
     The same as `rotational_distance` of every two, at once: an unlimited shift gives every pairing's least
     possible distance, so the limited one is worked out only where it could still be the smallest.
+
+    Args:
+        points: (n, K, 2) m.
+        centre_tolerance_m: longest shift, m.
+        mirrored: of every layout to the mirror image of every other instead.
     """
     z = points[..., 0] + 1j * points[..., 1]
+    images = z.conj() if mirrored else z
     n, k = z.shape
     mean = z.mean(axis=1)
     centred = z - mean[:, None]
+    image_mean = images.mean(axis=1)
+    image = images - image_mean[:, None]
     energy = np.mean(np.abs(centred) ** 2, axis=1)
     orders = list(permutations(range(k)))
     out = np.zeros((n, n))
     rows = max(1, _BLOCK // (n * len(orders)))
     for at in range(0, n, rows):
         a = slice(at, min(at + rows, n))
-        cross = np.stack([centred[a].conj() @ centred[at:, list(order)].T for order in orders]) / k
-        own, other = mean[a, None], mean[None, at:]
+        cross = np.stack([centred[a].conj() @ image[at:, list(order)].T for order in orders]) / k
+        own, other = mean[a, None], image_mean[None, at:]
         both = energy[a, None] + energy[None, at:]
         least = both - 2 * np.abs(cross)
         by_shape = both + _misfit(np.angle(cross), cross, own, other, centre_tolerance_m)
@@ -214,8 +222,10 @@ def all_distances(
         square = np.minimum(by_shape, by_mean).min(axis=0)
         open_ = (least < square - 1e-15) & (by_shape > least + 1e-15)
         which, i, j = np.nonzero(open_)
-        held = _held_turn(cross[which, i, j], mean[a][i], mean[at:][j], centre_tolerance_m)
-        value = both[i, j] + _misfit(held, cross[which, i, j], mean[a][i], mean[at:][j], centre_tolerance_m)
+        held = _held_turn(cross[which, i, j], mean[a][i], image_mean[at:][j], centre_tolerance_m)
+        value = both[i, j] + _misfit(
+            held, cross[which, i, j], mean[a][i], image_mean[at:][j], centre_tolerance_m
+        )
         np.minimum.at(square, (i, j), value)
         out[a, at:] = np.sqrt(np.maximum(square, 0))
     out = np.triu(out, 1)

@@ -115,7 +115,7 @@ def design(
     if not 1 <= count <= MAX_COUNT:
         raise UsageError(f"{count} layouts are wanted", f"Ask for 1 to {MAX_COUNT}.")
     points, heights, total = candidates(target, rules)
-    free = [i for i, p in enumerate(points) if not _taken(p, beside, rules.centre_tolerance_m)]
+    free = [i for i, p in enumerate(points) if not _taken(p, beside, rules)]
     taken = len(points) - len(free)
     points, heights = points[free], heights[free]
     if len(points) < count:
@@ -183,9 +183,14 @@ def candidates(
     return np.array(points_of), np.array(heights_of), len(words)
 
 
-def _taken(points: NDArray[np.float64], beside: Sequence[Layout], tolerance_m: float) -> bool:
-    same = [other.positions for other in beside if other.size == len(points)]
-    return any(best_pairing(points, other, tolerance_m).worst_m < CONFUSABLE_M for other in same)
+def _taken(points: NDArray[np.float64], beside: Sequence[Layout], rules: DesignRules) -> bool:
+    images = (points,) if rules.mirror_counts else (points, points * np.array([1.0, -1.0]))
+    return any(
+        best_pairing(image, other.positions, rules.centre_tolerance_m).worst_m < CONFUSABLE_M
+        for other in beside
+        if other.size == len(points)
+        for image in images
+    )
 
 
 def _from_above(slots: list[int], rows: list[Row], count: int) -> tuple[tuple[int, float], ...]:
@@ -214,6 +219,8 @@ def _nearest(points: NDArray[np.float64], heights: NDArray[np.float64]) -> float
 def distance_matrix(points: NDArray[np.float64], rules: DesignRules) -> NDArray[np.float64]:
     """(n, n) rotational distances (RMS, m) of layouts (n, K, 2): see `codebook.all_distances`.
 
+    Where mirror images read alike, a distance is that to the nearer image.
+
     Raises UsageError where there are too many to compare.
     """
     n, k = points.shape[:2]
@@ -222,4 +229,7 @@ def distance_matrix(points: NDArray[np.float64], rules: DesignRules) -> NDArray[
             f"{n} candidate layouts of {k} reflectors are too many to compare all of them",
             "Give fewer --slots, --reflectors or --rows, or more --spacing.",
         )
-    return all_distances(points, rules.centre_tolerance_m)
+    straight = all_distances(points, rules.centre_tolerance_m)
+    if rules.mirror_counts:
+        return straight
+    return np.minimum(straight, all_distances(points, rules.centre_tolerance_m, mirrored=True))

@@ -135,3 +135,17 @@ def test_capacity_counts_the_objects_own_echoes(tagid: Callable[..., Any]) -> No
     assert found[True, 36, 10, 3] < found[False, 36, 10, 3]
     assert all(r["error_rate"] <= 0.001 for r in rows)
     assert tagid("layouts", "capacity", "--error-rate", 2).code == 2
+
+
+def test_registries_are_merged(tagid: Callable[..., Any], tmp_path: Path) -> None:
+    there = str(tmp_path / "there")
+    assert tagid("enroll", "mine", *POINTS, "--sigma", 0.002, TAGID_DATA=there).code == 0
+    before = (tmp_path / "there" / "registry.sqlite").read_bytes()
+    merged = tagid("layouts", "import", "there/registry.sqlite", "--output", "json").json["data"]
+    assert merged["changes"] == 1 and merged["stored"]
+    assert (tmp_path / "there" / "registry.sqlite").read_bytes() == before
+    layouts = {one["name"]: one for one in tagid("layouts", "--output", "json").json["data"]["layouts"]}
+    assert layouts["mine"]["covariance_m2"][0] == pytest.approx([4e-6, 0, 4e-6])
+    (tmp_path / "noise.sqlite").write_bytes(b"no registry" * 200)
+    refused = tagid("layouts", "import", "noise.sqlite")
+    assert refused.code == 1 and "noise.sqlite" in refused.err

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -183,9 +184,17 @@ def test_mirror_images_are_left_out_where_the_direction_is_unknown() -> None:
     one = design(HELMET.with_rows(1), DesignRules(3, 12, mirror_counts=False), 12)
     assert one.candidates == 12 and one.necklaces == 12
     flip = np.array([1.0, -1.0])
-    for i, a in enumerate(one.layouts):
-        for b in one.layouts[:i]:
-            assert rotational_distance(Layout("m", a.positions * flip), b, 0.0).rms_m > 1e-3
+    apart = [
+        rotational_distance(Layout("m", a.positions * sides), b).rms_m
+        for a, b in combinations(one.layouts, 2)
+        for sides in (flip, 1.0)
+    ]
+    assert one.distance_m == pytest.approx(min(apart), abs=1e-8)
+    half = design(HELMET.with_rows(1), DesignRules(3, 12, mirror_counts=False), 6)
+    assert half.distance_m > one.distance_m
+    mirrored = replace(half.layouts[3], positions=half.layouts[3].positions * flip)
+    again = design(HELMET.with_rows(1), DesignRules(3, 12, mirror_counts=False), 11, None, [mirrored])
+    assert again.candidates == 11
 
 
 def test_what_there_is_no_room_for_is_told() -> None:
