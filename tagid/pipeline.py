@@ -360,7 +360,7 @@ def sight_reflectors(capture: Capture, name: str, settings: ImagingSettings | No
 
     Raises DataError as `identify` does.
     """
-    from tagid.tags.averaging import Sighting
+    from tagid.tags.averaging import MOST_SEARCHED_M, SEARCHED_M, Sighting
 
     settings = settings or ImagingSettings()
     capture, _ = _with_pulse(capture, settings, Stopwatch())
@@ -368,4 +368,5 @@ def sight_reflectors(capture: Capture, name: str, settings: ImagingSettings | No
     if settings.focus_m > 0 and scans.aperture.angles is not None:
         grid = ImageGrid(settings.extent_m, settings.pixels)
         scans, _ = focus_axis_distance(scans, grid, settings.focus_m)
-    return Sighting.of(scans, name)
+    radius = float(np.clip(settings.extent_m / 2 - 0.01, SEARCHED_M, MOST_SEARCHED_M))
+    return Sighting.of(scans, name, radius)

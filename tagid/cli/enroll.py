@@ -235,6 +235,7 @@ def _from_file(file: Path) -> Layout:
 
 
 def _from_captures(name: str, captures: list[Path], config: Config, terminal: Terminal) -> LayoutEstimate:
+    from tagid.cli.imaging import settings_from
     from tagid.defaults import complete, motion_of
     from tagid.pipeline import prepare, sight_reflectors
     from tagid.storage.importers import read_any
@@ -243,6 +244,7 @@ def _from_captures(name: str, captures: list[Path], config: Config, terminal: Te
     same = {path.resolve() for path in captures}
     if len(same) < len(captures):
         raise UsageError("one capture is given twice", "Give captures of the object put down anew each time.")
+    settings = settings_from(config)
     found, known = [], dict[str, Path]()
     with terminal.progress("captures", total=len(captures)) as advance:
         for number, path in enumerate(captures, 1):
@@ -254,6 +256,6 @@ def _from_captures(name: str, captures: list[Path], config: Config, terminal: Te
                     "Give captures of the object put down anew each time.",
                 )
             capture = prepare(capture, motion_of(config, capture))
-            found.append(sight_reflectors(capture, str(path)))
+            found.append(sight_reflectors(capture, str(path), settings))
             advance(number, path.name)
     return average(found, name, direction_known=config["tags.direction"] == "known")

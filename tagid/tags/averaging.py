@@ -22,6 +22,10 @@ from tagid.tags.views import fold_views
 
 STRONG_DB = -9.0
 """Reflectors of a tag are alike: one this far under the strongest is not taken for a part of the layout."""
+SEARCHED_M = 0.24
+"""A reflector outside what is searched is not only missed: its echo is explained by others inside."""
+MOST_SEARCHED_M = 0.4
+"""Of wider objects, with `imaging.extent_m` set: a disc of this radius has 20,000 pixels."""
 AGREE_M = 3e-3
 """Captures agree where every reflector lies within this of its counterpart, or within AGREE_SIGMAS of what
 noise explains: simulated captures at 36 views and 10 dB, with 3 % of wobble, differ by 3 mm at most."""
@@ -47,13 +51,17 @@ class Sighting:
     covariances: NDArray[np.float64]
 
     @classmethod
-    def of(cls, scans: BasebandScans, name: str) -> Sighting:
-        """What focused scans show. Raises DataError where they do not hold the object's range."""
-        found = [r for r in find_reflectors(scans) if r.amplitude_db >= STRONG_DB]
+    def of(cls, scans: BasebandScans, name: str, radius_m: float = SEARCHED_M) -> Sighting:
+        """What focused scans show in a disc of that radius about the axis, m.
+
+        Raises DataError where they do not hold the object's range.
+        """
+        settings = FinderSettings(radius_m=radius_m)
+        found = [r for r in find_reflectors(scans, settings) if r.amplitude_db >= STRONG_DB]
         positions = np.array([(r.x_m, r.y_m) for r in found]).reshape(-1, 2)
         if not found:
             return cls(name, positions, np.zeros((0, 2, 2)))
-        radius = FinderSettings().radius_m + 0.02
+        radius = radius_m + 0.02
         field = MatchedField(fold_views(scans, radius), radius)
         return cls(name, positions, position_covariances(field, positions))
 

@@ -127,6 +127,13 @@ def test_where_the_direction_is_unknown_mirror_images_are_turned_over() -> None:
     assert rotational_distance(estimate.layout, Layout("t", SCALENE)).worst_m < 1.5e-3
 
 
+def test_a_reflector_far_out_is_seen_and_makes_no_others() -> None:
+    far = np.array([[0.21, 0.0], [-0.02, 0.06], [-0.05, -0.04]])
+    seen = Sighting.of(synthetic_scans(far, noise=0.1), "far")
+    assert len(seen.positions) == 3
+    assert rotational_distance(Layout("seen", seen.positions), Layout("far", far), 0.0).worst_m < 2e-3
+
+
 def test_a_layout_measured_from_scans() -> None:
     rng = np.random.default_rng(1)
     truth = Layout("truth", SCALENE)
