@@ -153,6 +153,22 @@ def calibration_words(settings: dict[str, Any]) -> list[str]:
     return lines
 
 
+def learned(result: Reconstruction) -> dict[str, Any]:
+    """What was found of the recording beside the image, for the JSON document."""
+    settings = result.image.settings
+    return {name: settings[name] for name in ("axis_distance_m", "pulse", "calibration") if name in settings}
+
+
+def learned_words(result: Reconstruction) -> list[str]:
+    """The same for a person, a line each."""
+    return [
+        *focus_words(result.focus),
+        *region_words(result.region),
+        *pulse_words(result.pulse),
+        *calibration_words(result.image.settings),
+    ]
+
+
 def image_with_progress(terminal: Terminal, capture: Capture, settings: ImagingSettings) -> Reconstruction:
     """Reconstruct a prepared capture under a progress line."""
     from tagid.pipeline import reconstruct

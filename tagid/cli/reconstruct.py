@@ -123,10 +123,7 @@ def register(app: typer.Typer) -> None:
         distance = result.image.settings["axis_distance_m"]
         where = "" if distance is None else f", axis at {distance:.3f} m"
         lines.append(Text(f"{result.method} image of {result.views} views in {took:.2f} s{where}"))
-        lines += [Text(line) for line in imaging.focus_words(result.focus)]
-        lines += [Text(line) for line in imaging.region_words(result.region)]
-        lines += [Text(line) for line in imaging.pulse_words(result.pulse)]
-        lines += [Text(line) for line in imaging.calibration_words(result.image.settings)]
+        lines += [Text(line) for line in imaging.learned_words(result)]
         lines += [Text(f"{name} {path}") for name, path in (("image", out), ("picture", png)) if path]
         data = {
             "method": result.method,

@@ -150,6 +150,7 @@ def _scan(
     settings = imaging.settings_from(config)
     files: dict[str, str | None] = {"capture": str(path), "png": None, "image": None}
     result_errors: tuple[dict[str, str], ...] = ()
+    learned: dict[str, Any] = {}
     try:
         prepared = prepare(capture, None if capture.angles_rad is not None else config["motion.url"])
         answer = identify(prepared, layouts, settings, version)
@@ -157,6 +158,8 @@ def _scan(
         imaging.draw(result, answer, png)
         write_image(npz, result.image)
         files |= {"png": str(png), "image": str(npz)}
+        learned = imaging.learned(result)
+        drawn += [Text(line) for line in imaging.learned_words(result)]
         if preview:
             drawn.append(imaging.in_terminal(result))
         code = imaging.exit_code_of([answer])
@@ -180,6 +183,7 @@ def _scan(
         "gaps": capture.radar.get("gaps") or [],
         "files": files,
         "motion": capture.motion.get("resolved", {}),
+        "learned": learned,
     }
     items = [{"file": str(path), **answer.to_dict()}]
     kept = imaging.remember("scan", items, {"radar": url, "motion": config["motion.url"]})

@@ -348,6 +348,7 @@ EXPERIMENTS: dict[str, tuple[str, Callable[[Run], str], tuple[str, ...]]] = {
     "tags": ("Tags of the mug and the helmet", tags, ("imaging-tags",)),
     "resolution": ("Resolution and false detections", resolution, ()),
     "calibration": ("Unknown axis distance and wobble", unknowns.calibration, ("imaging-calibration",)),
+    "rails": ("Paths at metre scale", unknowns.rails, ("imaging-rails",)),
     "pulse": ("Pulses that are not the nominal one", unknowns.pulses, ()),
 }
 """Name -> (title, function, figures). The paper's seventh, time, is the last column of every table."""
