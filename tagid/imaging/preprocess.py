@@ -119,6 +119,7 @@ def preprocess(
         aperture=aperture,
         noise_std=float(noise),
         independent_samples=gated.size * min(1.0, band.bandwidth_hz / band.rate_hz),
+        background_removed=settings.background != "none",
     )
 
 

@@ -54,6 +54,8 @@ class BasebandScans:
         response: range response of a unit point.
         aperture: where the antenna stood, one position a view.
         noise_std: estimated standard deviation of the complex noise of one sample, 0 where unknown.
+        background_removed: the mean (or median) over the views was taken off, and with it what the scene has
+            of one.
         independent_samples: n of `reading`: views * bins * bandwidth / sampling rate.
     """
 
@@ -65,6 +67,7 @@ class BasebandScans:
     aperture: Aperture
     noise_std: float = 0.0
     independent_samples: float = 0.0
+    background_removed: bool = False
 
     @property
     def wavenumber(self) -> float:

@@ -144,3 +144,16 @@ def test_too_little_memory_is_foreseen_with_advice(monkeypatch) -> None:
 def test_senseless_settings_are_refused(wrong: dict[str, object]) -> None:
     with pytest.raises(UsageError):
         AtsSettings(**wrong)  # type: ignore[arg-type]
+
+
+def test_a_removed_mean_is_part_of_the_model() -> None:
+    """With the mean over the views goes a part of every echo; the fit knows, and sees unseen views better."""
+    capture = record(POINTS, [1.0, 0.8, 0.9], turn(24), noise=0.02, analytic=True)
+    settings = PreprocessSettings("mean", False, extent_m=0.4)
+    scans = preprocess(capture, settings=settings)
+    assert scans.background_removed
+    unaware = BasebandScans(**{**scans.__dict__, "background_removed": False})
+    knowing, ignorant = (fit(s, GRID, AtsSettings(held_out=0.1)) for s in (scans, unaware))
+    assert knowing.held_out < 0.8 * ignorant.held_out
+    assert "static" not in knowing.image.settings["calibration"]
+    assert np.abs(knowing.calibration.static).max() > 0

@@ -41,6 +41,9 @@ _SPOT_M = 0.02
 _MOST_SPOTS = 24
 """Pixels nearer than this belong to one spot; of more spots only the brightest may move on their own."""
 
+_SECTORS = 18
+"""Parts of the turn whose residuals are taken as independent of each other."""
+
 _MOST_AXIS_M, _MOST_WOBBLE_RAD = 0.008, 0.03
 """No step turns the phase by more than about one radian: further the derivatives do not reach."""
 
@@ -202,8 +205,11 @@ def _geometry(
             spread += [_PRIOR_WOBBLE_RAD / order] * 2
             old += [value.real, value.imag]
             limit += [_MOST_WOBBLE_RAD / order] * 2
+    # What is constant over the views may be clutter, or its removal: it tells nothing, so it goes everywhere.
+    residual = scans.samples - total
+    varying = [c - c.mean(axis=0) for c in (*wanted, *columns)]
     change, error = _solve(
-        [*wanted, *columns], scans.samples - now.static - total, [*spread, *prior], old, _correlation(scans)
+        varying, residual - residual.mean(axis=0), [*spread, *prior], old, _correlation(scans)
     )
     new: Floats = np.array(old) + np.clip(change[: len(old)], -np.array(limit), limit)
     if "axis" in what:
@@ -248,7 +254,30 @@ def _solve(
         left = energy - 2 * float(change @ slope) + float(change @ normal @ change)
         variance = max(left, 1e-6 * energy) / (2 * target.size)
     inverse = np.linalg.inv(normal + np.diag(weight))
-    return change, np.sqrt(np.maximum(variance * correlation * np.diag(inverse), 0))
+    by_noise = variance * correlation * np.diag(inverse)
+    by_sector = np.diag(inverse @ _spread_over_sectors(columns, residual, change) @ inverse)
+    return change, np.sqrt(np.maximum(np.maximum(by_noise, by_sector), 0))
+
+
+def _spread_over_sectors(
+    columns: list[NDArray[np.complexfloating]], residual: NDArray[np.complexfloating], change: Floats
+) -> Floats:
+    """Covariance of the slope as the sectors of the turn differ in it (White, Econometrica 48, 1980).
+
+    In noise alone it is what the noise makes; where objects do not echo as the model says, neighbouring views
+    are wrong alike, and the standard errors must hold that.
+    """
+    stack = np.stack(columns, axis=2)
+    left = residual - stack @ change
+    views = len(left)
+    slopes = np.array(
+        [
+            np.einsum("vbm,vb->m", stack[part].conj(), left[part]).real
+            for part in np.array_split(np.arange(views), min(_SECTORS, views))
+        ]
+    )
+    slopes -= slopes.mean(axis=0)
+    return np.asarray(slopes.T @ slopes * len(slopes) / max(len(slopes) - 1, 1), dtype=np.float64)
 
 
 def _motions(aperture: Aperture) -> tuple[Floats, Floats]:

@@ -120,6 +120,8 @@ class _Fit:
         views = np.arange(scans.aperture.views)
         self.unseen = _held_out(len(views), settings.held_out)
         self.scans = select_views(scans, np.setdiff1d(views, self.unseen))
+        # What was taken off with the background is known but for the mean of the scene's own echoes.
+        self.what = settings.calibrate + (("static",) if scans.background_removed else ())
         self.known = calibration.begin(self.scans, grid, settings.calibrate, settings.wobble_harmonics)
         self.confidence: NDArray[np.floating] = np.ones(self.scans.samples.shape, dtype=np.float32)
         self.shadow: NDArray[np.float32] | None = None
@@ -191,7 +193,7 @@ class _Fit:
 
     def _learns(self) -> bool:
         s = self.settings
-        return bool(s.calibrate) or s.robust > 0 or s.occlusion > 0
+        return bool(self.what) or s.robust > 0 or s.occlusion > 0
 
     def _margin(self) -> float:
         """Range that the calibration may move the points by, m."""
@@ -201,10 +203,8 @@ class _Fit:
         """Bring calibration, shadows and, once the scene stands, the weights of the samples up to date."""
         settings, values = self.settings, field.on(self.grid)
         image = values[len(values) // 2].ravel()
-        if settings.calibrate:
-            self.known = calibration.improve(
-                self.scans, self.grid.points, image, self.known, settings.calibrate
-            )
+        if self.what:
+            self.known = calibration.improve(self.scans, self.grid.points, image, self.known, self.what)
         aperture = self.known.aperture(self.scans.aperture)
         if settings.occlusion > 0:
             magnitude = np.sqrt((np.abs(values) ** 2).sum(axis=0))
