@@ -190,19 +190,19 @@ def store_family(
     """
     from tagid.tags.enrolment import check_merge, family_outlooks, merge
 
-    known, enrolled = direction_known(), registry.snapshot()[1]
+    known, (seen, enrolled) = direction_known(), registry.snapshot()
     outlooks = family_outlooks(layouts, enrolled, direction_known=known)
     shown = family_neighbours(outlooks)
     data = {"confusion": [{"layout": one.layout.name, **as_data(one)} for one in outlooks]}
     if not wish.force:
         try:
-            check_merge(layouts, enrolled, direction_known=known)
+            check_merge(outlooks, enrolled)
         except LayoutConflictError as error:
             return Stored(None, data, shown, error)
     if wish.dry_run:
         return Stored(None, data, shown)
     asked = agree(terminal, shown, f"Enrol {len(layouts)} layouts?", wish.yes)
-    version = merge(registry, layouts, source, force=wish.force, direction_known=known)
+    version = merge(registry, layouts, source, force=wish.force, direction_known=known, checked=seen)
     return Stored(version, data, None if asked else shown)
 
 

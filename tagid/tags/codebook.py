@@ -23,7 +23,7 @@ CENTRE_TOLERANCE_M = 14e-3
 MAX_PAIRINGS = 5040
 _ROTATION_STEP_RAD = np.deg2rad(4.0)
 _ARC_STEPS = 16
-_SECTIONS = 26
+_SECANTS = 12
 _BLOCK = 1 << 18
 
 
@@ -165,7 +165,7 @@ def _held_turn(
 
     One of its terms grows with the distance from the turn that fits the shapes, the other with that from the
     turn that fits the means: the minimum lies on the shorter arc between the two, is bracketed there on a
-    grid and found by golden sections.
+    grid and found by secants of the slope.
 
     Args:
         cross: (n,) mean of conj(p) q of the centred points, m^2.
@@ -177,14 +177,32 @@ def _held_turn(
     grid = np.linspace(0, 1, _ARC_STEPS + 1)[:, None]
     best = np.argmin(_misfit(begin + grid * arc, cross, own, other, tolerance_m), axis=0)
     low, high = (np.clip(best + step, 0, _ARC_STEPS) / _ARC_STEPS for step in (-1, 1))
-    golden = (np.sqrt(5) - 1) / 2
-    for _ in range(_SECTIONS):
-        left, right = high - golden * (high - low), low + golden * (high - low)
-        lower = _misfit(begin + left * arc, cross, own, other, tolerance_m) < _misfit(
-            begin + right * arc, cross, own, other, tolerance_m
-        )
-        low, high = np.where(lower, low, left), np.where(lower, right, high)
-    return np.asarray(begin + (low + high) / 2 * arc)
+    fall, rise = (_slope(begin + t * arc, cross, own, other, tolerance_m) * arc for t in (low, high))
+    for _ in range(_SECANTS):
+        # Illinois: a secant that halves the slope of an end which stays, so that both ends come in.
+        middle = low + (high - low) * np.clip(fall / np.minimum(fall - rise, -1e-300), 0.0, 1.0)
+        middle = np.where((fall < 0) & (rise > 0), middle, np.where(fall >= 0, low, high))
+        slope = _slope(begin + middle * arc, cross, own, other, tolerance_m) * arc
+        up = slope > 0
+        low, high = np.where(up, low, middle), np.where(up, middle, high)
+        fall, rise = np.where(up, fall / 2, slope), np.where(up, slope, rise / 2)
+    return np.asarray(begin + middle * arc)
+
+
+def _slope(
+    angle: NDArray[np.float64],
+    cross: NDArray[np.complex128],
+    own: NDArray[np.complex128],
+    other: NDArray[np.complex128],
+    tolerance_m: float,
+) -> NDArray[np.float64]:
+    """Derivative of `_misfit` by the angle, m^2."""
+    turn = np.exp(1j * angle)
+    gap = other - turn * own
+    length = np.maximum(np.abs(gap), 1e-30)
+    beyond = np.maximum(length - tolerance_m, 0)
+    pull = (gap.conj() * turn * own).imag / length
+    return np.asarray(2 * beyond * pull - 2 * (turn.conj() * cross).imag)
 
 
 def all_distances(

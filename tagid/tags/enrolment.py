@@ -6,7 +6,7 @@ Two layouts that can be confused make every later reading of either worthless, s
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -58,6 +58,12 @@ class Neighbour:
     def confusable(self) -> bool:
         """Whether it is too near."""
         return self.distance.worst_m < CONFUSABLE_M or self.confusion_rate > MAX_CONFUSION
+
+    def turned(self, name: str) -> Neighbour:
+        """The same seen from the other one, `name` being the first."""
+        turn = self.distance.rotation_deg
+        back = turn if self.mirrored else (360 - turn) % 360
+        return replace(self, name=name, distance=replace(self.distance, rotation_deg=back))
 
     @property
     def nearness_m(self) -> float:
@@ -141,8 +147,12 @@ def outlook(
         for other in others
         if other.name != layout.name
     ]
-    found.sort(key=lambda n: (not np.isfinite(n.distance.worst_m), n.nearness_m))
-    return Outlook(layout, tuple(found), place, version)
+    return Outlook(layout, _by_nearness(found), place, version)
+
+
+def _by_nearness(found: Sequence[Neighbour]) -> tuple[Neighbour, ...]:
+    """Those of the layout's own size first, each the nearest first."""
+    return tuple(sorted(found, key=lambda n: (not np.isfinite(n.distance.worst_m), n.nearness_m)))
 
 
 def neighbour(layout: Layout, other: Layout, sigma_m: float, direction_known: bool = True) -> Neighbour:
@@ -223,15 +233,25 @@ def enrol(
 
 
 def family_outlooks(
-    layouts: Sequence[Layout], known: Sequence[Layout], *, direction_known: bool = True
+    layouts: Sequence[Layout], known: Sequence[Layout], *, direction_known: bool = True, version: int = 0
 ) -> list[Outlook]:
     """The outlook of several layouts that would be enrolled together, beside each other and those enrolled.
 
-    Layouts of the same name stand for those enrolled.
+    Layouts of the same name stand for those enrolled. Raises UsageError as `outlook`.
     """
     names = {layout.name for layout in layouts}
     fixed = [layout for layout in known if layout.name not in names]
-    return [outlook(one, [*fixed, *layouts], direction_known=direction_known) for one in layouts]
+    found = [
+        outlook(one, [*fixed, *layouts[:i]], direction_known=direction_known, version=version)
+        for i, one in enumerate(layouts)
+    ]
+    # What the later see of the earlier, the earlier see of them.
+    seen: dict[str, list[Neighbour]] = {layout.name: [] for layout in layouts}
+    for one in found:
+        for other in one.neighbours:
+            if other.name in seen:
+                seen[other.name].append(other.turned(one.layout.name))
+    return [replace(one, neighbours=_by_nearness([*one.neighbours, *seen[one.layout.name]])) for one in found]
 
 
 def merge(
@@ -241,40 +261,45 @@ def merge(
     *,
     force: bool = False,
     direction_known: bool = True,
+    checked: int | None = None,
 ) -> int:
     """Add several layouts to the store, all or none; those enrolled just so are left as they are.
 
+    Args:
+        store: the registry.
+        layouts: of different names.
+        source: where they come from, for the history.
+        force: replace layouts of the same names, and accept such as could be confused.
+        direction_known: whether the direction of the turn is.
+        checked: version for which `check_merge` was asked already.
+
     Raises:
-        LayoutConflictError: a name stands for another layout there, or two layouts could be confused; not
-            with `force`, which replaces the former and lets the latter be.
+        LayoutConflictError: a name stands for another layout there, or two layouts could be confused.
     """
     for _ in range(_TRIES):
         version, enrolled = store.snapshot()
-        if not force:
-            check_merge(layouts, enrolled, direction_known=direction_known)
+        if not force and version != checked:
+            found = family_outlooks(layouts, enrolled, direction_known=direction_known)
+            check_merge(found, enrolled)
         done = store.add_all(layouts, source, since=version)
         if done is not None:
             return done
     raise _busy()
 
 
-def check_merge(
-    layouts: Sequence[Layout], enrolled: Sequence[Layout], *, direction_known: bool = True
-) -> None:
-    """Raises LayoutConflictError where layouts cannot be added to those enrolled: see `merge`."""
+def check_merge(outlooks: Sequence[Outlook], enrolled: Sequence[Layout]) -> None:
+    """Raises LayoutConflictError where layouts, seen by `family_outlooks`, cannot be added."""
     known = {layout.name: layout for layout in enrolled}
-    for layout in layouts:
-        same = known.get(layout.name)
-        if same is not None and same.to_dict() != layout.to_dict():
+    for one in outlooks:
+        same = known.get(one.layout.name)
+        if same is not None and same.to_dict() != one.layout.to_dict():
             raise LayoutConflictError(
-                f"a different layout named {layout.name} is enrolled already",
-                "Rename one of them (a design: --prefix NAME), or import it with --force; nothing was "
-                "stored.",
+                f"a different layout named {same.name} is enrolled already",
+                "Rename one of them (a design: --prefix NAME), or import with --force; nothing was stored.",
             )
-    new = [layout for layout in layouts if layout.name not in known]
-    for i, layout in enumerate(new):
-        conflict = outlook(layout, [*enrolled, *new[:i]], direction_known=direction_known).conflict()
-        if conflict:
+    for one in reversed(outlooks):
+        conflict = one.conflict()
+        if one.layout.name not in known and conflict:
             raise conflict
 
 

@@ -174,7 +174,7 @@ class Layout:
             given = np.array(self.covariance, dtype=np.float64)
         except (TypeError, ValueError, OverflowError):
             given = np.full(1, np.nan)
-        sound = given.shape == (self.size, 2, 2) and bool(np.isfinite(given).all())
+        sound = given.shape == (self.size, 2, 2) and bool((np.abs(given) <= MAX_SIGMA_M**2).all())
         if sound:
             values = np.linalg.eigvalsh(given)
             even = np.allclose(given, np.swapaxes(given, 1, 2), rtol=1e-9, atol=1e-15)
