@@ -79,6 +79,7 @@ class Evidence:
         weakest: weakest reflector's amplitude over the strongest's.
         missing, extra: reflectors missing from and beyond the layout.
         gain_nats: what one point more, all placed freely, explains beyond the layout, in noise levels.
+        odds_nats: log likelihood ratio of the layout over free points in any number.
         noise_nats: the layout's explained energy over the noise alone.
         displacement_m: RMS distance of freely fitted reflectors from the layout's places.
         displacement_sigma_m: standard deviation of one measured position.
@@ -94,6 +95,7 @@ class Evidence:
     missing: int
     extra: int
     gain_nats: float
+    odds_nats: float
     noise_nats: float
     displacement_m: float
     displacement_sigma_m: float

@@ -93,9 +93,14 @@ class MatchedField:
         z = np.asarray(heights, dtype=np.float64)[..., None] - self.antenna[:, 2]
         return np.asarray(np.sqrt(x * x + y * y + z * z))
 
-    def templates(self, distances: NDArray[np.float64]) -> NDArray[np.complex64]:
-        """(..., views * rank) templates of points given by their distances (..., views), m."""
-        whole = self._profiles[self._index(distances)] * self._phase(distances)[..., None]
+    def templates(
+        self, distances: NDArray[np.float64], weight: NDArray[np.float32] | None = None
+    ) -> NDArray[np.complex64]:
+        """(..., views * rank) templates of points given by their distances (..., views), m.
+
+        The weight (..., views) is their amplitude in each view, 1 unless given.
+        """
+        whole = self._profiles[self._index(distances)] * self._phase(distances, weight)[..., None]
         whole -= whole.mean(axis=-2, keepdims=True)
         return np.asarray(whole.reshape(*distances.shape[:-1], self.data.size))
 
@@ -107,37 +112,47 @@ class MatchedField:
         """(..., K, K) G[k, l] = <s_k, s_l> of groups of K templates (..., K, views * rank)."""
         return np.asarray(np.matmul(templates.conj(), np.swapaxes(templates, -1, -2)), dtype=np.complex128)
 
-    def static_part(self, distances: NDArray[np.float64]) -> NDArray[np.complex64]:
+    def static_part(
+        self, distances: NDArray[np.float64], weight: NDArray[np.float32] | None = None
+    ) -> NDArray[np.complex64]:
         """(..., rank) mean over the views of the whole template, which `templates` takes out."""
         flat = distances.reshape(-1, self.views)
+        sides = None if weight is None else weight.reshape(-1, self.views)
         rank = self._profiles.shape[1]
         out = np.empty((len(flat), rank), dtype=np.complex64)
         size = max(1, _BLOCK // (self.views * rank))
         for at in range(0, len(flat), size):
             d = flat[at : at + size]
-            out[at : at + size] = np.einsum("pvr,pv->pr", self._profiles[self._index(d)], self._phase(d))
+            turn = self._phase(d, None if sides is None else sides[at : at + size])
+            out[at : at + size] = np.einsum("pvr,pv->pr", self._profiles[self._index(d)], turn)
         return np.asarray((out / self.views).reshape(*distances.shape[:-1], rank))
 
-    def full_gram(self, distances: NDArray[np.float64]) -> NDArray[np.complex128]:
+    def full_gram(
+        self, distances: NDArray[np.float64], weight: NDArray[np.float32] | None = None
+    ) -> NDArray[np.complex128]:
         """(..., K, K) `gram` of points (..., K, views) before their constant parts are taken out."""
-        whole = self._profiles[self._index(distances)] * self._phase(distances)[..., None]
+        whole = self._profiles[self._index(distances)] * self._phase(distances, weight)[..., None]
         return self.gram(whole.reshape(*distances.shape[:-1], self.data.size))
 
     def correlate_offsets(
-        self, distances: NDArray[np.float64], offsets_m: Sequence[float]
+        self,
+        distances: NDArray[np.float64],
+        offsets_m: Sequence[float],
+        weight: NDArray[np.float32] | None = None,
     ) -> NDArray[np.complex128]:
         """(offsets, ...) b for points whose distances (..., views) are all longer by each offset, m.
 
         For many points: no template is formed, and the phase of an offset is common to all views.
         """
         flat = distances.reshape(-1, self.views)
+        sides = None if weight is None else weight.reshape(-1, self.views)
         out = np.empty((len(offsets_m), len(flat)), dtype=np.complex128)
         first = np.arange(self.views, dtype=np.int32) * self._table.shape[1]
         values = self._table.ravel()
         size = max(1, _BLOCK // self.views)
         for at in range(0, len(flat), size):
             d = flat[at : at + size]
-            turn = self._phase(d).conj()
+            turn = self._phase(d, None if sides is None else sides[at : at + size]).conj()
             for i, offset in enumerate(offsets_m):
                 out[i, at : at + size] = np.einsum("pv,pv->p", values[self._index(d + offset) + first], turn)
         out *= np.exp(2j * self.wavenumber * np.asarray(offsets_m))[:, None]
@@ -151,12 +166,16 @@ class MatchedField:
         position = (distances - (self._start - FINE_STEP_M / 2)) * (1 / FINE_STEP_M)
         return np.clip(position.astype(np.int32), 0, len(self._profiles) - 1)
 
-    def _phase(self, distances: NDArray[np.float64]) -> NDArray[np.complex64]:
-        """exp(-2jk d) in single precision; the angle is formed in double, it counts hundreds of radians."""
+    def _phase(
+        self, distances: NDArray[np.float64], weight: NDArray[np.float32] | None = None
+    ) -> NDArray[np.complex64]:
+        """Weight times exp(-2jk d) in single precision; the angle, hundreds of radians, in double."""
         angle = np.remainder(-2 * self.wavenumber * distances, 2 * np.pi).astype(np.float32)
         out = np.empty(angle.shape, dtype=np.complex64)
         np.cos(angle, out=out.real)
         np.sin(angle, out=out.imag)
+        if weight is not None:
+            out *= weight
         return out
 
 

@@ -7,14 +7,21 @@ templates, because three degrees are 6 mm at a helmet's rim and decide between l
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tagid.tags.aspect import PATTERNS, ROUND, TRANSPARENT, Appearance, Aspect, outward
 from tagid.tags.field import MatchedField
 from tagid.tags.layout import Layout, rotation_matrix
 
+COARSE_NO_SIDE_M = 0.015
+"""On the coarse image sides are told from the turntable's axis, which is up to 14 mm off the object's."""
+ALIKE = 0.25
+"""Spread of the logarithm of amplitudes among a tag's reflectors: they differ by up to 20 %, and by aspect."""
+ODD_NATS = 8.0
+"""What one reflector of another strength can cost a layout: a factor of 2.7, or a missing one."""
 FULLY_VISIBLE = 0.5
 """Visibility from which an amplitude is taken as measured."""
 IMAGE_STEP_M = 3e-3
@@ -32,6 +39,8 @@ class SearchSettings:
         starts: places a layout that are refined.
         iterations: halvings of the refinement's steps.
         balance: amplitudes whose smallest is under this share of the largest are charged for.
+        aspects: patterns of the search; every layout is looked for with each of them.
+        patterns: patterns tried at the best places that were found.
     """
 
     arc_step_m: float = 6e-3
@@ -41,6 +50,8 @@ class SearchSettings:
     starts: int = 3
     iterations: int = 7
     balance: float = 0.35
+    aspects: tuple[Aspect, ...] = (TRANSPARENT, ROUND)
+    patterns: tuple[Aspect, ...] = PATTERNS
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,25 +60,47 @@ class Fit:
 
     Attributes:
         layout: which.
+        aspect: from which sides its reflectors are seen.
         rotation_rad: counter-clockwise turn about the layout's origin, within its symmetry.
         centre_m: (2,) where the origin lies, m.
         offset_m: range offset: measured distances are this much longer than the aperture says.
         positions: (K, 2) reflectors, m.
         amplitudes: (K,) complex least-squares amplitudes.
         sizes: (K,) their magnitudes, see `visible_sizes`.
+        visibility: (K,) share of a template's energy that is seen and varies over the views.
         explained: b^H G^-1 b, energy.
         charged: the same after the charge for unlike amplitudes.
+        criterion: J of `criterion`, lower is better.
     """
 
     layout: Layout
+    aspect: Aspect
     rotation_rad: float
     centre_m: NDArray[np.float64]
     offset_m: float
     positions: NDArray[np.float64]
     amplitudes: NDArray[np.complex128]
     sizes: NDArray[np.float64]
+    visibility: NDArray[np.float64]
     explained: float
     charged: float
+    criterion: float
+
+    @property
+    def look(self) -> Appearance:
+        """How any other point of this object would look."""
+        return Appearance(self.aspect, self.centre_m, self.offset_m)
+
+
+@dataclass(frozen=True, eq=False)
+class Values:
+    """Least squares at many places (H, ...), fields as of `Fit`."""
+
+    amplitudes: NDArray[np.complex128]
+    sizes: NDArray[np.float64]
+    visibility: NDArray[np.float64]
+    explained: NDArray[np.float64]
+    charged: NDArray[np.float64]
 
 
 def least_squares(
@@ -75,7 +108,7 @@ def least_squares(
 ) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
     """Amplitudes (..., K) = G^-1 b and explained energy (...) = b^H G^-1 b; G is loaded by 1e-2 of itself."""
     k = b.shape[-1]
-    size = np.abs(np.trace(gram, axis1=-2, axis2=-1)) / k
+    size = np.maximum(np.abs(np.trace(gram, axis1=-2, axis2=-1)) / k, 1e-30)  # one that nobody sees is 0
     load = 1e-2 * size[..., None, None] * np.eye(k)
     amplitudes = np.linalg.solve(gram + load, b[..., None])[..., 0]
     explained = np.real(np.sum(b.conj() * amplitudes, axis=-1))
@@ -103,21 +136,52 @@ def charge(explained: NDArray[np.float64], size: NDArray[np.float64], balance: f
     return np.asarray(explained * np.minimum(ratio / balance, 1.0), dtype=np.float64)
 
 
+def likeness(size: NDArray[np.float64], each: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(...) nats against amplitudes |a| (..., K) that belong to one tag, measured with e = `each` (...) nats.
+
+    Their logarithms spread by ALIKE and by the error of 1 / (2 e); one reflector costs ODD_NATS at most,
+    because a damaged one says nothing about where the others are.
+    """
+    logarithm = np.log(np.maximum(size, 1e-6 * size.max(axis=-1, keepdims=True) + 1e-30))
+    off = logarithm - np.median(logarithm, axis=-1, keepdims=True)
+    spread = ALIKE**2 + 0.5 / np.maximum(each, 0.5)
+    return np.asarray(np.minimum(off**2 / (2 * spread[..., None]), ODD_NATS).sum(axis=-1))
+
+
+def criterion(field: MatchedField, value: Values, aspect: Aspect) -> NDArray[np.float64]:
+    """(...) J = n log(1 - e / E) + sum_k log(1 + n v_k) + log n where the pattern is not uniform + likeness.
+
+    Each amplitude is charged for what the data say about it (G. Schwarz, 1978, with the template's own share
+    v (..., K) of the samples), so a layout gains nothing by reflectors that nobody could have seen.
+    """
+    n = field.independent_samples
+    left = np.maximum(1 - value.charged / field.energy, 1e-9)
+    unknowns = np.log1p(n * value.visibility).sum(axis=-1)
+    noise = field.noise_variance if field.noise_variance > 0 else left * field.energy / n
+    each = value.explained / noise / value.sizes.shape[-1]
+    odd = likeness(value.sizes, np.asarray(each))
+    return np.asarray(n * np.log(left) + unknowns + (0.0 if aspect.uniform else np.log(n)) + odd)
+
+
 class _CoarseImage:
     """Complex image of b on a square, read by bilinear interpolation."""
 
-    def __init__(self, field: MatchedField, radius_m: float) -> None:
+    def __init__(self, field: MatchedField, radius_m: float, aspect: Aspect, offsets_m: Sequence[float]):
         half = int(np.ceil(radius_m / IMAGE_STEP_M)) + 1
         self.half = half
         self.axis = np.arange(-half, half + 1) * IMAGE_STEP_M
         x, y = np.meshgrid(self.axis, self.axis)
-        self.inside = x**2 + y**2 <= (radius_m + 2 * IMAGE_STEP_M) ** 2
-        self.distances = field.distances(np.stack([x[self.inside], y[self.inside]], axis=-1))
+        inside = x**2 + y**2 <= (radius_m + 2 * IMAGE_STEP_M) ** 2
+        points = np.stack([x[inside], y[inside]], axis=-1)
+        distances = field.distances(points)
+        weight = aspect.weight(field, points, outward(points, np.zeros(2), COARSE_NO_SIDE_M))
         self.field = field
-
-        static = field.static_part(self.distances)
-        self.static = np.zeros((*self.inside.shape, static.shape[-1]), dtype=np.complex64)
-        self.static[self.inside] = static
+        self.aspect = aspect
+        static = field.static_part(distances, weight)
+        self.static = np.zeros((*inside.shape, static.shape[-1]), dtype=np.complex64)
+        self.static[inside] = static
+        self.images = np.zeros((len(offsets_m), *inside.shape), dtype=np.complex64)
+        self.images[:, inside] = field.correlate_offsets(distances, offsets_m, weight)
 
     def static_overlap(self, points: NDArray[np.float64]) -> NDArray[np.complex64]:
         """(..., K, K) part of the Gram matrix that is constant over views, to the nearest pixel."""
@@ -127,43 +191,54 @@ class _CoarseImage:
         overlap: NDArray[np.complex64] = np.matmul(static.conj(), np.swapaxes(static, -1, -2))
         return overlap * self.field.views
 
-    def at_offsets(self, offsets_m: Sequence[float]) -> NDArray[np.complex64]:
-        """(offsets, pixels, pixels) b, zero outside the disc."""
-        images = np.zeros((len(offsets_m), *self.inside.shape), dtype=np.complex64)
-        images[:, self.inside] = self.field.correlate_offsets(self.distances, offsets_m)
-        return images
-
-    def read(self, image: NDArray[np.complex64], points: NDArray[np.float64]) -> NDArray[np.complex64]:
+    def read(self, points: NDArray[np.float64]) -> NDArray[np.complex64]:
+        """(offsets, ...) b at points (..., 2)."""
         position = (points / IMAGE_STEP_M + self.half).astype(np.float32)
         index = np.clip(position.astype(np.int32), 0, 2 * self.half - 1)
         part = position - index
         width = 2 * self.half + 1
         base = index[..., 1] * width + index[..., 0]
-        flat = image.ravel()
+        flat = self.images.reshape(len(self.images), -1)
         fx, fy = part[..., 0], part[..., 1]
-        low = flat[base] * (1 - fx) + flat[base + 1] * fx
-        high = flat[base + width] * (1 - fx) + flat[base + width + 1] * fx
+        low = flat[:, base] * (1 - fx) + flat[:, base + 1] * fx
+        high = flat[:, base + width] * (1 - fx) + flat[:, base + width + 1] * fx
         return np.asarray(low * (1 - fy) + high * fy)
 
 
 def search(field: MatchedField, layouts: Sequence[Layout], settings: SearchSettings) -> list[Fit]:
     """The best fit of every layout, in the order given."""
     reach = max(layout.radius_m for layout in layouts) + settings.centre_range_m * np.sqrt(2)
-    coarse = _CoarseImage(field, reach)
-    images = coarse.at_offsets(settings.offsets_m)
+    images = [_CoarseImage(field, reach, aspect, settings.offsets_m) for aspect in settings.aspects]
     fits = []
     for layout in layouts:
-        starts = _coarse_starts(field, layout, coarse, images, settings)
-        fits.append(_refine(field, layout, starts, settings))
+        found = []
+        for image in images:
+            starts = _coarse_starts(field, layout, image, settings)
+            found.append(_refine(field, layout, image.aspect, starts, settings))
+        fits.append(_best_pattern(field, layout, found, settings))
     return fits
 
 
+def _best_pattern(field: MatchedField, layout: Layout, found: list[Fit], settings: SearchSettings) -> Fit:
+    """The best of the fits, after every other pattern was tried at its place and the best one moved there."""
+    fits = list(found)
+    for fit in found:
+        place = np.array([[fit.rotation_rad, *fit.centre_m, fit.offset_m]])
+        fits += [
+            _fit(field, layout, aspect, place[0], settings.balance)
+            for aspect in settings.patterns
+            if aspect not in settings.aspects
+        ]
+    best = min(fits, key=lambda fit: fit.criterion)
+    if best.aspect in settings.aspects:
+        return best
+    place = np.array([[best.rotation_rad, *best.centre_m, best.offset_m]])
+    moved = _refine(field, layout, best.aspect, place, replace(settings, iterations=3), scale=0.2)
+    return min(best, moved, key=lambda fit: fit.criterion)
+
+
 def _coarse_starts(
-    field: MatchedField,
-    layout: Layout,
-    coarse: _CoarseImage,
-    images: NDArray[np.complex64],
-    settings: SearchSettings,
+    field: MatchedField, layout: Layout, coarse: _CoarseImage, settings: SearchSettings
 ) -> NDArray[np.float64]:
     """(starts, 4) rotation, x, y, offset of the best distinct places."""
     turn = 2 * np.pi / layout.symmetry
@@ -175,16 +250,15 @@ def _coarse_starts(
     shifts = shifts[np.linalg.norm(shifts, axis=1) <= settings.centre_range_m * 1.05]
     placed = layout.positions @ np.swapaxes(rotation_matrix(rotations), -1, -2)
     points = placed[:, None] + shifts[None, :, None]
-    gram = field.full_gram(field.distances(placed))[:, None] - coarse.static_overlap(points)
+    weight = coarse.aspect.weight(field, placed, outward(placed, np.zeros(2)))
+    gram = field.full_gram(field.distances(placed), weight)[:, None] - coarse.static_overlap(points)
     load = 1e-2 * field.template_energy * np.eye(layout.size)
     inverse = np.linalg.inv(gram + load).astype(np.complex64)
     visibility = np.real(np.diagonal(gram, axis1=-2, axis2=-1)) / field.template_energy
-    scores = np.empty((len(images), len(rotations), len(shifts)))
-    for i, image in enumerate(images):
-        b = coarse.read(image, points)
-        amplitudes = np.matmul(inverse, b[..., None])[..., 0]
-        explained = np.maximum(np.real(np.sum(b.conj() * amplitudes, axis=-1)), 0)
-        scores[i] = charge(explained, visible_sizes(amplitudes, visibility), settings.balance)
+    b = coarse.read(points)
+    amplitudes = np.matmul(inverse, b[..., None])[..., 0]
+    explained = np.maximum(np.real(np.sum(b.conj() * amplitudes, axis=-1)), 0)
+    scores = charge(explained, visible_sizes(amplitudes, visibility), settings.balance)
     starts: list[tuple[float, float, float, float]] = []
     best = scores.max(axis=2)
     for _ in range(settings.starts):
@@ -202,34 +276,67 @@ def _rotation_step(layout: Layout, settings: SearchSettings) -> float:
 
 
 def _evaluate(
-    field: MatchedField, layout: Layout, places: NDArray[np.float64], balance: float
-) -> tuple[NDArray[np.float64], NDArray[np.complex128], NDArray[np.float64], NDArray[np.float64]]:
-    """Charged energy (H,), amplitudes, sizes (H, K), explained energy (H,) at places (H, 4), exactly."""
-    points = layout.positions @ np.swapaxes(rotation_matrix(places[:, 0]), -1, -2) + places[:, None, 1:3]
+    field: MatchedField, layout: Layout, aspect: Aspect, places: NDArray[np.float64], balance: float
+) -> Values:
+    """Exact templates at places (H, 4) of rotation, x, y and offset."""
+    turned = np.swapaxes(rotation_matrix(places[:, 0]), -1, -2)
+    points = layout.positions @ turned + places[:, None, 1:3]
     d = field.distances(points, np.asarray(layout.heights))
-    templates = field.templates(d + places[:, 3, None, None])
+    facing = outward(layout.positions, np.zeros(2)) @ turned
+    templates = field.templates(d + places[:, 3, None, None], aspect.weight(field, points, facing))
     b, gram = field.correlate(templates), field.gram(templates)
     amplitudes, explained = least_squares(b, gram)
     visibility = np.real(np.diagonal(gram, axis1=-2, axis2=-1)) / field.template_energy
     sizes = visible_sizes(amplitudes, visibility)
-    return charge(explained, sizes, balance), amplitudes, sizes, explained
+    return Values(amplitudes, sizes, visibility, explained, charge(explained, sizes, balance))
+
+
+def _fit(
+    field: MatchedField, layout: Layout, aspect: Aspect, place: NDArray[np.float64], balance: float
+) -> Fit:
+    """The fit at one place (4,)."""
+    value = _evaluate(field, layout, aspect, place[None], balance)
+    rotation = float(np.mod(place[0], 2 * np.pi / layout.symmetry))
+    return Fit(
+        layout,
+        aspect,
+        rotation,
+        place[1:3],
+        float(place[3]),
+        layout.placed(float(place[0]), place[1:3]),
+        value.amplitudes[0],
+        value.sizes[0],
+        value.visibility[0],
+        float(value.explained[0]),
+        float(value.charged[0]),
+        float(criterion(field, value, aspect)[0]),
+    )
 
 
 def _refine(
-    field: MatchedField, layout: Layout, starts: NDArray[np.float64], settings: SearchSettings
+    field: MatchedField,
+    layout: Layout,
+    aspect: Aspect,
+    starts: NDArray[np.float64],
+    settings: SearchSettings,
+    scale: float = 0.5,
 ) -> Fit:
     """Parabolic steps along every coordinate of all starts at once, on exact templates, halving."""
     gap = settings.offsets_m[1] - settings.offsets_m[0] if len(settings.offsets_m) > 1 else 2e-3
     low = np.array([-np.inf, -settings.centre_range_m, -settings.centre_range_m, settings.offsets_m[0] - gap])
     high = np.array([np.inf, settings.centre_range_m, settings.centre_range_m, settings.offsets_m[-1] + gap])
     step = np.array([_rotation_step(layout, settings), settings.centre_step_m, settings.centre_step_m, gap])
-    step = step * 0.5
+    step = step * scale
     places = starts.copy()
     unit = np.eye(4)
+
+    def charged(at: NDArray[np.float64]) -> NDArray[np.float64]:
+        return _evaluate(field, layout, aspect, at, settings.balance).charged
+
     for _ in range(settings.iterations):
         stencil = np.concatenate([np.zeros((1, 4)), unit * step, -unit * step])
         trial = np.clip(places[:, None] + stencil[None], low, high)
-        value = _evaluate(field, layout, trial.reshape(-1, 4), settings.balance)[0].reshape(len(places), 9)
+        value = charged(trial.reshape(-1, 4)).reshape(len(places), 9)
         middle, plus, minus = value[:, :1], value[:, 1:5], value[:, 5:]
         bend = 2 * middle - plus - minus
         slope = (plus - minus) / 2
@@ -237,23 +344,9 @@ def _refine(
             jump = np.where(bend > 0, slope / bend, np.sign(slope))
         jump = np.clip(np.nan_to_num(jump), -1, 1) * step
         joint = np.clip(places + jump, low, high)
-        joint_value = _evaluate(field, layout, joint, settings.balance)[0]
+        joint_value = charged(joint)
         single = trial[np.arange(len(places)), value.argmax(axis=1)]
         better = joint_value >= value.max(axis=1)
         places = np.where(better[:, None], joint, single)
         step = step * 0.6
-    charged, amplitudes, sizes, explained = _evaluate(field, layout, places, settings.balance)
-    i = int(np.argmax(charged))
-    rotation = float(np.mod(places[i, 0], 2 * np.pi / layout.symmetry))
-    centre = places[i, 1:3]
-    return Fit(
-        layout,
-        rotation,
-        centre,
-        float(places[i, 3]),
-        layout.placed(rotation, centre),
-        amplitudes[i],
-        sizes[i],
-        float(explained[i]),
-        float(charged[i]),
-    )
+    return _fit(field, layout, aspect, places[int(np.argmax(charged(places)))], settings.balance)

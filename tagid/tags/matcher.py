@@ -17,16 +17,16 @@ from tagid.imaging.types import BasebandScans
 from tagid.tags.decision import PLACES_PER_METRE, DecisionSettings, Evidence, decide
 from tagid.tags.field import MatchedField
 from tagid.tags.hypotheses import Fit, SearchSettings, search
-from tagid.tags.layout import MIN_SPACING_M, Layout
+from tagid.tags.layout import Layout
 from tagid.tags.reflectors import (
     FinderSettings,
     Reflector,
     SearchDisc,
     as_reflectors,
     clean,
-    refine_positions,
     separate,
 )
+from tagid.tags.rivals import rivals
 from tagid.tags.views import fold_views
 
 EXTRA_NATS = 11.0
@@ -145,17 +145,17 @@ class MatchedScan:
         if not settings.direction_known:
             turned = search(self._field, [layout.mirrored() for layout in layouts], settings.search)
             pairs = zip(self._fits, turned, strict=True)
-            self._fits = [max(pair, key=lambda fit: fit.charged) for pair in pairs]
+            self._fits = [min(pair, key=lambda fit: fit.criterion) for pair in pairs]
         self._places = sum(2 * np.pi * one.radius_m / one.symmetry for one in layouts) * PLACES_PER_METRE
         self._places *= 1 if settings.direction_known else 2
-        self.criteria = np.array([_criterion(self._field, fit) for fit in self._fits])
+        self.criteria = np.array([fit.criterion for fit in self._fits])
 
     def read(self, order: NDArray[np.intp]) -> Reading:
         """What this recording says if the layouts rank in this order."""
         settings, matched = self._settings, self._field
         ranked = [self._fits[i] for i in order]
         best, runner_up = ranked[0], ranked[1] if len(ranked) > 1 else None
-        disc = SearchDisc(matched, self._radius, settings.finder.step_m, best.offset_m)
+        disc = SearchDisc(matched, self._radius, settings.finder.step_m, best.look)
         positions, amplitudes, level = clean(disc, best.positions, best.amplitudes, settings.finder)
         apart = separate(positions, amplitudes, best.layout.size)
         positions, amplitudes = positions[apart], amplitudes[apart]
@@ -180,13 +180,6 @@ class MatchedScan:
         )
 
 
-def _criterion(matched: MatchedField, fit: Fit) -> float:
-    """J of `LayoutScore`."""
-    n = matched.independent_samples
-    left = max(1 - fit.charged / matched.energy, 1e-9)
-    return float(n * np.log(left) + fit.layout.size * np.log(n))
-
-
 def _signal_energy(matched: MatchedField, fit: Fit, level: float) -> float:
     """Energy above noise, at least what the fit explains.
 
@@ -207,7 +200,7 @@ def _certain_share(matched: MatchedField, fit: Fit, level: float) -> float:
 def _score(matched: MatchedField, fit: Fit, signal: float) -> LayoutScore:
     return LayoutScore(
         fit.layout.name,
-        _criterion(matched, fit),
+        fit.criterion,
         float(min(fit.charged / signal, 1.0)),
         float(np.rad2deg(fit.rotation_rad)),
         (float(fit.centre_m[0]), float(fit.centre_m[1])),
@@ -226,8 +219,8 @@ def _evidence(
     amplitudes, level = np.abs(cleaned[0]), cleaned[1]
     size = best.layout.size
     own, beyond = best.sizes, amplitudes[size:]
-    moved, _, _ = refine_positions(matched, best.positions, best.offset_m)
     noise = matched.noise_variance if matched.noise_variance > 0 else level
+    other = rivals(disc, best, noise, settings.search)
     each = max(best.explained / level / size, 1.0)
     missing = max(
         decision.missing_least, decision.missing_share - decision.missing_deviations / np.sqrt(2 * each)
@@ -242,45 +235,11 @@ def _evidence(
         weakest=float(own.min() / max(float(own.max()), 1e-30)),
         missing=int(np.count_nonzero(own < missing * own.max())),
         extra=int(np.count_nonzero(beyond > decision.extra_share * np.median(own))),
-        gain_nats=_gain_of_one_more(disc, best) / noise,
+        gain_nats=other.gain_nats,
+        odds_nats=other.odds_nats,
         noise_nats=best.explained / noise,
-        displacement_m=rigid_distance(moved, best.positions),
+        displacement_m=other.displacement_m,
         displacement_sigma_m=float(1 / (2 * matched.wavenumber * np.sqrt(2 * each))),
         margin_share=lead / max(best.charged, 1e-30),
         margin_nats=lead / level - fewer * np.log(matched.independent_samples),
     )
-
-
-def _gain_of_one_more(disc: SearchDisc, best: Fit) -> float:
-    """Energy that one point more than the layout's, all free, explains beyond the layout.
-
-    They are found in two ways: from the layout's places and the strongest peak beyond, and from nothing.
-    """
-    matched = disc.field
-    power = np.abs(disc.residual(best.positions, best.amplitudes)) ** 2
-    gap = np.linalg.norm(disc.points[:, None] - best.positions[None], axis=-1).min(axis=1)
-    peak = disc.points[int(np.argmax(np.where(gap > MIN_SPACING_M, power, 0.0)))]
-    _, _, energy = refine_positions(matched, np.concatenate([best.positions, peak[None]]), best.offset_m)
-    only = FinderSettings(maximum=best.layout.size + 1, floor_db=-30.0, detection_nats=0.0)
-    free, heights, _ = clean(disc, np.zeros((0, 2)), np.zeros(0, dtype=np.complex128), only)
-    return max(energy, _explained(matched, free, heights, best.offset_m)) - best.explained
-
-
-def _explained(
-    matched: MatchedField,
-    positions: NDArray[np.float64],
-    amplitudes: NDArray[np.complex128],
-    offset_m: float,
-) -> float:
-    """Energy that points (K, 2) with their least-squares amplitudes (K,) take from the data: Re a^H b."""
-    b = matched.correlate(matched.templates(matched.distances(positions) + offset_m))
-    return float(np.vdot(amplitudes, b).real)
-
-
-def rigid_distance(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
-    """RMS distance, m, of points (K, 2) paired in order after the best turn and shift (Kabsch 1976)."""
-    a = a - a.mean(axis=0)
-    b = b - b.mean(axis=0)
-    turn = np.angle(np.sum((a[:, 0] + 1j * a[:, 1]).conj() * (b[:, 0] + 1j * b[:, 1])))
-    turned = (a[:, 0] + 1j * a[:, 1]) * np.exp(1j * turn)
-    return float(np.sqrt(np.mean(np.abs(turned - (b[:, 0] + 1j * b[:, 1])) ** 2)))

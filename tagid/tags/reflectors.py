@@ -6,12 +6,14 @@ report rings; subtracting templates (CLEAN, Hogbom 1974, with a joint fit after 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tagid.imaging.types import BasebandScans
+from tagid.tags.aspect import TRANSPARENT, Appearance
 from tagid.tags.field import MatchedField
 from tagid.tags.hypotheses import least_squares
 from tagid.tags.layout import MIN_SPACING_M
@@ -68,16 +70,16 @@ class FinderSettings:
 class SearchDisc:
     """b on the pixels of a disc, and what is left of it after some points have been subtracted."""
 
-    def __init__(self, field: MatchedField, radius_m: float, step_m: float, offset_m: float = 0.0) -> None:
+    def __init__(self, field: MatchedField, radius_m: float, step_m: float, look: Appearance) -> None:
         half = int(np.ceil(radius_m / step_m))
         axis = np.arange(-half, half + 1) * step_m
         x, y = np.meshgrid(axis, axis)
         inside = x**2 + y**2 <= radius_m**2
         self.field = field
         self.step_m = step_m
-        self.offset_m = offset_m
+        self.look = look
         self.points = np.stack([x[inside], y[inside]], axis=-1)
-        self.templates = field.templates(field.distances(self.points) + offset_m)
+        self.templates = look.templates(field, self.points)
         self.image = field.correlate(self.templates)
 
     def residual(
@@ -86,7 +88,7 @@ class SearchDisc:
         """(pixels,) b of the data minus that of points (K, 2) with complex amplitudes (K,)."""
         if not len(positions):
             return self.image.copy()
-        own = self.field.templates(self.field.distances(positions) + self.offset_m)
+        own = self.look.templates(self.field, positions)
         left = self.field.data - amplitudes.astype(np.complex64) @ own
         return np.asarray(self.templates.conj() @ left, dtype=np.complex128)
 
@@ -102,7 +104,7 @@ class SearchDisc:
 
 
 def refine_positions(
-    field: MatchedField, positions: NDArray[np.float64], offset_m: float, reach_m: float = 12e-3
+    field: MatchedField, positions: NDArray[np.float64], look: Appearance, reach_m: float = 12e-3
 ) -> tuple[NDArray[np.float64], NDArray[np.complex128], float]:
     """Free least-squares positions (K, 2), m, within +- reach of where they start; amplitudes; energy.
 
@@ -115,7 +117,7 @@ def refine_positions(
     step = 2e-3
 
     def explained(points: NDArray[np.float64]) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
-        templates = field.templates(field.distances(points) + offset_m)
+        templates = look.templates(field, points)
         return least_squares(field.correlate(templates), field.gram(templates))
 
     for _ in range(6):
@@ -146,9 +148,27 @@ def clean(
     Returns:
         (K', 2) positions, those given first and unmoved; (K',) amplitudes; the level that remains.
     """
-    field = disc.field
-    given = len(positions)
-    residual = disc.residual(positions, amplitudes)
+    state = positions, amplitudes, disc.residual(positions, amplitudes), 0.0
+    for state in _added(disc, *state[:3], settings):
+        pass
+    return state[0], state[1], disc.level(state[2])
+
+
+def clean_steps(disc: SearchDisc, settings: FinderSettings) -> list[float]:
+    """Energy that 1, 2, ... points explain, found from nothing and all moved freely after each is added."""
+    empty = np.zeros((0, 2)), np.zeros(0, dtype=np.complex128)
+    return [energy for *_, energy in _added(disc, *empty, disc.image.copy(), settings)]
+
+
+def _added(
+    disc: SearchDisc,
+    positions: NDArray[np.float64],
+    amplitudes: NDArray[np.complex128],
+    residual: NDArray[np.complex128],
+    settings: FinderSettings,
+) -> Iterator[tuple[NDArray[np.float64], NDArray[np.complex128], NDArray[np.complex128], float]]:
+    """Positions, amplitudes, residual image and energy explained after each point that is added."""
+    field, given = disc.field, len(positions)
     while len(positions) < given + settings.maximum:
         power = np.abs(residual) ** 2 / field.template_energy
         level = disc.noise_level(residual)
@@ -156,13 +176,13 @@ def clean(
         strongest = float(np.max(np.abs(amplitudes) ** 2, initial=0.0)) * field.template_energy
         floor = strongest * 10 ** (settings.floor_db / 10)
         if power[peak] < max(settings.detection_nats * level, floor):
-            break
+            return
         added = np.concatenate([positions, disc.points[peak][None]])
         positions, _, _ = _polish(field, added, given, disc)
-        templates = field.templates(field.distances(positions) + disc.offset_m)
-        amplitudes, _ = least_squares(field.correlate(templates), field.gram(templates))
+        templates = disc.look.templates(field, positions)
+        amplitudes, energy = least_squares(field.correlate(templates), field.gram(templates))
         residual = disc.residual(positions, amplitudes)
-    return positions, amplitudes, disc.level(residual)
+        yield positions, amplitudes, residual, float(energy)
 
 
 def _polish(
@@ -170,8 +190,8 @@ def _polish(
 ) -> tuple[NDArray[np.float64], NDArray[np.complex128], float]:
     """Free refinement of all but the first `fixed` points."""
     if fixed == 0:
-        return refine_positions(field, points, disc.offset_m)
-    moved, amplitudes, energy = refine_positions(field, points, disc.offset_m, disc.step_m)
+        return refine_positions(field, points, disc.look)
+    moved, amplitudes, energy = refine_positions(field, points, disc.look, disc.step_m)
     return np.concatenate([points[:fixed], moved[fixed:]]), amplitudes, energy
 
 
@@ -222,7 +242,8 @@ def find_reflectors(scans: BasebandScans, settings: FinderSettings | None = None
     settings = settings or FinderSettings()
     radius = settings.radius_m + 0.02
     field = MatchedField(fold_views(scans, radius), radius)
-    disc = SearchDisc(field, settings.radius_m, settings.step_m)
+    look = Appearance(TRANSPARENT, np.zeros(2))
+    disc = SearchDisc(field, settings.radius_m, settings.step_m, look)
     empty = np.zeros((0, 2)), np.zeros(0, dtype=np.complex128)
     positions, amplitudes, level = clean(disc, *empty, settings)
     apart = separate(positions, amplitudes, 0)

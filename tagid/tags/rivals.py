@@ -1,0 +1,102 @@
+"""What else could have made the echo: free points in any number, against the best layout in its best place.
+
+An enrolled layout is one arrangement out of all that a stranger's tag may have; the likelihood ratio of the
+two, each averaged over where it may lie, says how much the scans prefer it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tagid.tags.field import MatchedField
+from tagid.tags.hypotheses import ALIKE, Fit, SearchSettings
+from tagid.tags.layout import MIN_SPACING_M
+from tagid.tags.reflectors import FinderSettings, SearchDisc, clean_steps, refine_positions
+
+
+@dataclass(frozen=True)
+class Rivals:
+    """Energies against noise.
+
+    Attributes:
+        gain_nats: what one point more than the layout's, all free, explains beyond the layout.
+        odds_nats: log likelihood ratio of the layout over the best number of free points, each averaged over
+            its places and amplitudes (Laplace's approximation).
+        displacement_m: RMS distance of the layout's reflectors, when freed, from its places.
+    """
+
+    gain_nats: float
+    odds_nats: float
+    displacement_m: float
+
+
+def rivals(disc: SearchDisc, best: Fit, noise: float, search: SearchSettings) -> Rivals:
+    """Free points in every number up to one more than the layout's.
+
+    They are found in two ways: from the layout's places and the strongest peak beyond, and from nothing.
+
+    Args:
+        disc: where they may lie, seen as the layout's own reflectors are.
+        best: the best layout's fit.
+        noise: variance of b / ||s|| from noise alone.
+        search: where the layout's centre may lie.
+    """
+    matched, size = disc.field, best.layout.size
+    power = np.abs(disc.residual(best.positions, best.amplitudes)) ** 2
+    gap = np.linalg.norm(disc.points[:, None] - best.positions[None], axis=-1).min(axis=1)
+    peak = disc.points[int(np.argmax(np.where(gap > MIN_SPACING_M, power, 0.0)))]
+    moved, _, freed = refine_positions(matched, best.positions, best.look)
+    more = refine_positions(matched, np.concatenate([best.positions, peak[None]]), best.look)[2]
+    only = FinderSettings(maximum=size + 1, floor_db=-30.0, detection_nats=0.0)
+    energy = np.zeros(size + 1)
+    for count, step in enumerate(clean_steps(disc, only)):
+        energy[count:] = step
+    energy[size - 1] = max(energy[size - 1], freed)
+    energy[size] = max(energy[size], more)
+    each = max(best.explained / noise / size, 1.0)
+    free = energy / noise - np.arange(1, size + 2) * _point_cost(matched, disc, each)
+    own = best.explained / noise - _layout_cost(matched, best, each, search)
+    return Rivals(
+        gain_nats=float(energy[size] - best.explained) / noise,
+        odds_nats=float(own - free.max()),
+        displacement_m=rigid_distance(moved, best.positions),
+    )
+
+
+def _place_variance(matched: MatchedField, each: float) -> float:
+    """Variance, m^2, of one coordinate of a point of so many nats, seen from all round: 1 / (4 k^2 e)."""
+    return 1 / (4 * matched.wavenumber**2 * each)
+
+
+def _amplitude_cost(each: float) -> float:
+    """Nats: an amplitude of any phase and known size to within ALIKE, against its error."""
+    return float(np.log1p(2 * np.sqrt(2 * np.pi) * ALIKE * each))
+
+
+def _point_cost(matched: MatchedField, disc: SearchDisc, each: float) -> float:
+    """Nats: the disc's area over that of a point's error, and its amplitude."""
+    area = len(disc.points) * disc.step_m**2
+    place = np.log1p(area / (2 * np.pi * _place_variance(matched, each)))
+    return float(place) + _amplitude_cost(each)
+
+
+def _layout_cost(matched: MatchedField, best: Fit, each: float, search: SearchSettings) -> float:
+    """Nats: turn and centre over their errors, and the amplitudes."""
+    variance = _place_variance(matched, each)
+    lever = float(np.sum(best.layout.positions**2))
+    turn = np.log1p(2 * np.pi / best.layout.symmetry / np.sqrt(2 * np.pi * variance / lever))
+    area = np.pi * search.centre_range_m**2
+    centre = np.log1p(area / (2 * np.pi * variance / best.layout.size))
+    return float(turn + centre) + best.layout.size * _amplitude_cost(each)
+
+
+def rigid_distance(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
+    """RMS distance, m, of points (K, 2) paired in order after the best turn and shift (Kabsch 1976)."""
+    a = a - a.mean(axis=0)
+    b = b - b.mean(axis=0)
+    turn = np.angle(np.sum((a[:, 0] + 1j * a[:, 1]).conj() * (b[:, 0] + 1j * b[:, 1])))
+    turned = (a[:, 0] + 1j * a[:, 1]) * np.exp(1j * turn)
+    return float(np.sqrt(np.mean(np.abs(turned - (b[:, 0] + 1j * b[:, 1])) ** 2)))
