@@ -67,8 +67,8 @@ PATTERNS = (
     Aspect(cos_edge=0.0, softness=0.25),
     Aspect(cos_edge=0.4, softness=0.25),
 )
-"""Patterns tried at the best place: all sides, dimmed behind, none behind with a soft edge at 90 deg, and none
-behind with a hard edge at 114, 90 and 66 deg (proud of the wall, flush with it, and sunk into it)."""
+"""Patterns tried at the best place: all sides, dimmed behind, none behind with a soft edge at 90 deg, and
+none behind with a hard edge at 114, 90 and 66 deg (proud of the wall, flush with it, and sunk into it)."""
 
 
 def outward(

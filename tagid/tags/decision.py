@@ -80,6 +80,7 @@ class Evidence:
         missing, extra: reflectors missing from and beyond the layout.
         gain_nats: what one point more, all placed freely, explains beyond the layout, in noise levels.
         odds_nats: log likelihood ratio of the layout over free points in any number.
+        strongest_view: share of the explained energy that the one best view gives.
         noise_nats: the layout's explained energy over the noise alone.
         displacement_m: RMS distance of freely fitted reflectors from the layout's places.
         displacement_sigma_m: standard deviation of one measured position.
@@ -96,6 +97,7 @@ class Evidence:
     extra: int
     gain_nats: float
     odds_nats: float
+    strongest_view: float
     noise_nats: float
     displacement_m: float
     displacement_sigma_m: float

@@ -7,7 +7,7 @@ templates, because three degrees are 6 mm at a helmet's rim and decide between l
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,9 +19,14 @@ from tagid.tags.layout import Layout, rotation_matrix
 COARSE_NO_SIDE_M = 0.015
 """On the coarse image sides are told from the turntable's axis, which is up to 14 mm off the object's."""
 ALIKE = 0.25
-"""Spread of the logarithm of amplitudes among a tag's reflectors: they differ by up to 20 %, and by aspect."""
+"""Spread of the logarithm of a tag's amplitudes: its reflectors differ by up to 20 %, and by aspect."""
 ODD_NATS = 8.0
 """What one reflector of another strength can cost a layout: a factor of 2.7, or a missing one."""
+BEGINNING = 2
+"""Rounds of refinement from all starts, before the hopeless are left where they are."""
+REACH_NATS, REACH_SHARE = 25.0, 0.4
+"""The hopeless lack so many nats and this share of the best's energy: the coarse grid costs up to a quarter,
+the runner-up matters within the decision's margins, and noise gains some nats."""
 FULLY_VISIBLE = 0.5
 """Visibility from which an amplitude is taken as measured."""
 IMAGE_STEP_M = 3e-3
@@ -61,9 +66,8 @@ class Fit:
     Attributes:
         layout: which.
         aspect: from which sides its reflectors are seen.
-        rotation_rad: counter-clockwise turn about the layout's origin, within its symmetry.
-        centre_m: (2,) where the origin lies, m.
-        offset_m: range offset: measured distances are this much longer than the aperture says.
+        place: (4,) counter-clockwise turn about the layout's origin, where that lies in x and y, and range
+            offset: measured distances are this much longer than the aperture says; rad, m.
         positions: (K, 2) reflectors, m.
         amplitudes: (K,) complex least-squares amplitudes.
         sizes: (K,) their magnitudes, see `visible_sizes`.
@@ -75,9 +79,7 @@ class Fit:
 
     layout: Layout
     aspect: Aspect
-    rotation_rad: float
-    centre_m: NDArray[np.float64]
-    offset_m: float
+    place: NDArray[np.float64]
     positions: NDArray[np.float64]
     amplitudes: NDArray[np.complex128]
     sizes: NDArray[np.float64]
@@ -85,6 +87,21 @@ class Fit:
     explained: float
     charged: float
     criterion: float
+
+    @property
+    def rotation_rad(self) -> float:
+        """The turn within the layout's symmetry, rad."""
+        return float(np.mod(self.place[0], 2 * np.pi / self.layout.symmetry))
+
+    @property
+    def centre_m(self) -> NDArray[np.float64]:
+        """(2,) where the layout's origin lies, m."""
+        return self.place[1:3]
+
+    @property
+    def offset_m(self) -> float:
+        """The range offset, m."""
+        return float(self.place[3])
 
     @property
     def look(self) -> Appearance:
@@ -130,9 +147,11 @@ def visible_sizes(
     return np.asarray(trust * size + (1 - trust) * typical, dtype=np.float64)
 
 
-def charge(explained: NDArray[np.float64], size: NDArray[np.float64], balance: float) -> NDArray[np.float64]:
+def charge(
+    explained: NDArray[np.float64], size: NDArray[np.floating], balance: float, axis: int = -1
+) -> NDArray[np.float64]:
     """Explained energy (...) scaled down where reflectors, all alike, come out of unlike size (..., K)."""
-    ratio = size.min(axis=-1) / np.maximum(size.max(axis=-1), 1e-30)
+    ratio = size.min(axis=axis) / np.maximum(size.max(axis=axis), 1e-30)
     return np.asarray(explained * np.minimum(ratio / balance, 1.0), dtype=np.float64)
 
 
@@ -206,41 +225,62 @@ class _CoarseImage:
 
 
 def search(field: MatchedField, layouts: Sequence[Layout], settings: SearchSettings) -> list[Fit]:
-    """The best fit of every layout, in the order given."""
+    """The best fit of every layout, in the order given.
+
+    All layouts are refined a little, and only those that may still win or come second to the end.
+    """
     reach = max(layout.radius_m for layout in layouts) + settings.centre_range_m * np.sqrt(2)
     images = [_CoarseImage(field, reach, aspect, settings.offsets_m) for aspect in settings.aspects]
+    coarse = [[_coarse_starts(field, layout, image, settings) for image in images] for layout in layouts]
+    most = max(score for found in coarse for _, score in found)
+    begun: list[list[Fit]] = []
+    for layout, found in zip(layouts, coarse, strict=True):
+        fits = []
+        for image, (starts, score) in zip(images, found, strict=True):
+            places = starts
+            if score >= (1 - REACH_SHARE) * most - REACH_NATS * field.noise_variance:
+                places = _refine(field, layout, image.aspect, starts, settings, range(BEGINNING))
+            fits.append(_best_fit(field, layout, image.aspect, places, settings.balance))
+        begun.append(fits)
+    least = min(fit.criterion for fits in begun for fit in fits)
+    reach_nats = least + REACH_NATS + REACH_SHARE * abs(least)
+    results = []
+    for fits in begun:
+        hopeful = [fit for fit in fits if fit.criterion <= reach_nats]
+        results.append(_finished(field, hopeful, settings) if hopeful else min(fits, key=_criterion))
+    return results
+
+
+def _criterion(fit: Fit) -> float:
+    return fit.criterion
+
+
+def _finished(field: MatchedField, found: list[Fit], settings: SearchSettings) -> Fit:
+    """Fits of one layout refined to the end, every other pattern tried there, and the best one moved."""
+    layout = found[0].layout
+    rest = range(BEGINNING, settings.iterations)
     fits = []
-    for layout in layouts:
-        found = []
-        for image in images:
-            starts = _coarse_starts(field, layout, image, settings)
-            found.append(_refine(field, layout, image.aspect, starts, settings))
-        fits.append(_best_pattern(field, layout, found, settings))
-    return fits
-
-
-def _best_pattern(field: MatchedField, layout: Layout, found: list[Fit], settings: SearchSettings) -> Fit:
-    """The best of the fits, after every other pattern was tried at its place and the best one moved there."""
-    fits = list(found)
     for fit in found:
-        place = np.array([[fit.rotation_rad, *fit.centre_m, fit.offset_m]])
-        fits += [
-            _fit(field, layout, aspect, place[0], settings.balance)
-            for aspect in settings.patterns
-            if aspect not in settings.aspects
-        ]
-    best = min(fits, key=lambda fit: fit.criterion)
+        places = _refine(field, layout, fit.aspect, fit.place[None], settings, rest)
+        fits.append(_best_fit(field, layout, fit.aspect, places, settings.balance))
+    others = [aspect for aspect in settings.patterns if aspect not in settings.aspects]
+    fits += [
+        _best_fit(field, layout, aspect, fit.place[None], settings.balance)
+        for fit in list(fits)
+        for aspect in others
+    ]
+    best = min(fits, key=_criterion)
     if best.aspect in settings.aspects:
         return best
-    place = np.array([[best.rotation_rad, *best.centre_m, best.offset_m]])
-    moved = _refine(field, layout, best.aspect, place, replace(settings, iterations=3), scale=0.2)
-    return min(best, moved, key=lambda fit: fit.criterion)
+    places = _refine(field, layout, best.aspect, best.place[None], settings, range(2, 5))
+    moved = _best_fit(field, layout, best.aspect, places, settings.balance)
+    return min(best, moved, key=_criterion)
 
 
 def _coarse_starts(
     field: MatchedField, layout: Layout, coarse: _CoarseImage, settings: SearchSettings
-) -> NDArray[np.float64]:
-    """(starts, 4) rotation, x, y, offset of the best distinct places."""
+) -> tuple[NDArray[np.float64], float]:
+    """(starts, 4) rotation, x, y, offset of the best distinct places, and the charged energy of the best."""
     turn = 2 * np.pi / layout.symmetry
     rotations = np.arange(0, turn - 1e-9, _rotation_step(layout, settings))
     count = int(np.floor(settings.centre_range_m / settings.centre_step_m))
@@ -252,22 +292,28 @@ def _coarse_starts(
     points = placed[:, None] + shifts[None, :, None]
     weight = coarse.aspect.weight(field, placed, outward(placed, np.zeros(2)))
     gram = field.full_gram(field.distances(placed), weight)[:, None] - coarse.static_overlap(points)
-    load = 1e-2 * field.template_energy * np.eye(layout.size)
-    inverse = np.linalg.inv(gram + load).astype(np.complex64)
     visibility = np.real(np.diagonal(gram, axis1=-2, axis2=-1)) / field.template_energy
-    b = coarse.read(points)
-    amplitudes = np.matmul(inverse, b[..., None])[..., 0]
-    explained = np.maximum(np.real(np.sum(b.conj() * amplitudes, axis=-1)), 0)
-    scores = charge(explained, visible_sizes(amplitudes, visibility), settings.balance)
+    load = 1e-2 * field.template_energy * np.eye(layout.size)
+    inverse = np.moveaxis(np.linalg.inv(gram + load).astype(np.complex64), (-2, -1), (0, 1)).copy()
+    # The reflectors lead, so that sums over them run along the memory.
+    b = np.stack([coarse.read(points[..., k, :]) for k in range(layout.size)])
+    amplitudes = np.stack([sum(inverse[k, j] * b[j] for j in range(layout.size)) for k in range(layout.size)])
+    explained = np.maximum(sum((b[k].conj() * amplitudes[k]).real for k in range(layout.size)), 0)
+    trust = np.minimum(np.moveaxis(visibility, -1, 0)[:, None] / FULLY_VISIBLE, 1.0).astype(np.float32)
+    size = np.abs(amplitudes)
+    typical = (trust * size).sum(axis=0) / np.maximum(trust.sum(axis=0), 1e-9)
+    size = trust * size + (1 - trust) * typical
+    scores = charge(explained, size, settings.balance, axis=0)
     starts: list[tuple[float, float, float, float]] = []
     best = scores.max(axis=2)
+    most = float(best.max())
     for _ in range(settings.starts):
         i, a = divmod(int(np.argmax(best)), best.shape[1])
         s = int(np.argmax(scores[i, a]))
         starts.append((rotations[a], shifts[s, 0], shifts[s, 1], settings.offsets_m[i]))
         gap = np.abs(np.angle(np.exp(1j * (rotations - rotations[a]) * layout.symmetry))) / layout.symmetry
         best[:, gap < np.deg2rad(8)] = -1
-    return np.array(starts)
+    return np.array(starts), most
 
 
 def _rotation_step(layout: Layout, settings: SearchSettings) -> float:
@@ -291,25 +337,25 @@ def _evaluate(
     return Values(amplitudes, sizes, visibility, explained, charge(explained, sizes, balance))
 
 
-def _fit(
-    field: MatchedField, layout: Layout, aspect: Aspect, place: NDArray[np.float64], balance: float
+def _best_fit(
+    field: MatchedField, layout: Layout, aspect: Aspect, places: NDArray[np.float64], balance: float
 ) -> Fit:
-    """The fit at one place (4,)."""
-    value = _evaluate(field, layout, aspect, place[None], balance)
-    rotation = float(np.mod(place[0], 2 * np.pi / layout.symmetry))
+    """The best of places (H, 4)."""
+    value = _evaluate(field, layout, aspect, places, balance)
+    criteria = criterion(field, value, aspect)
+    i = int(np.argmin(criteria))
+    place = places[i]
     return Fit(
         layout,
         aspect,
-        rotation,
-        place[1:3],
-        float(place[3]),
+        place,
         layout.placed(float(place[0]), place[1:3]),
-        value.amplitudes[0],
-        value.sizes[0],
-        value.visibility[0],
-        float(value.explained[0]),
-        float(value.charged[0]),
-        float(criterion(field, value, aspect)[0]),
+        value.amplitudes[i],
+        value.sizes[i],
+        value.visibility[i],
+        float(value.explained[i]),
+        float(value.charged[i]),
+        float(criteria[i]),
     )
 
 
@@ -319,22 +365,25 @@ def _refine(
     aspect: Aspect,
     starts: NDArray[np.float64],
     settings: SearchSettings,
-    scale: float = 0.5,
-) -> Fit:
-    """Parabolic steps along every coordinate of all starts at once, on exact templates, halving."""
+    rounds: range,
+) -> NDArray[np.float64]:
+    """(H, 4) places after parabolic steps along every coordinate of all starts at once, on exact templates.
+
+    The steps shrink with every round; `rounds` says which of them are taken.
+    """
     gap = settings.offsets_m[1] - settings.offsets_m[0] if len(settings.offsets_m) > 1 else 2e-3
     low = np.array([-np.inf, -settings.centre_range_m, -settings.centre_range_m, settings.offsets_m[0] - gap])
     high = np.array([np.inf, settings.centre_range_m, settings.centre_range_m, settings.offsets_m[-1] + gap])
     step = np.array([_rotation_step(layout, settings), settings.centre_step_m, settings.centre_step_m, gap])
-    step = step * scale
     places = starts.copy()
     unit = np.eye(4)
 
     def charged(at: NDArray[np.float64]) -> NDArray[np.float64]:
         return _evaluate(field, layout, aspect, at, settings.balance).charged
 
-    for _ in range(settings.iterations):
-        stencil = np.concatenate([np.zeros((1, 4)), unit * step, -unit * step])
+    for turn in rounds:
+        now = step * 0.5 * 0.6**turn
+        stencil = np.concatenate([np.zeros((1, 4)), unit * now, -unit * now])
         trial = np.clip(places[:, None] + stencil[None], low, high)
         value = charged(trial.reshape(-1, 4)).reshape(len(places), 9)
         middle, plus, minus = value[:, :1], value[:, 1:5], value[:, 5:]
@@ -342,11 +391,10 @@ def _refine(
         slope = (plus - minus) / 2
         with np.errstate(divide="ignore", invalid="ignore"):
             jump = np.where(bend > 0, slope / bend, np.sign(slope))
-        jump = np.clip(np.nan_to_num(jump), -1, 1) * step
+        jump = np.clip(np.nan_to_num(jump), -1, 1) * now
         joint = np.clip(places + jump, low, high)
         joint_value = charged(joint)
         single = trial[np.arange(len(places)), value.argmax(axis=1)]
         better = joint_value >= value.max(axis=1)
         places = np.where(better[:, None], joint, single)
-        step = step * 0.6
-    return _fit(field, layout, aspect, places[int(np.argmax(charged(places)))], settings.balance)
+    return places

@@ -26,7 +26,7 @@ from tagid.tags.reflectors import (
     clean,
     separate,
 )
-from tagid.tags.rivals import rivals
+from tagid.tags.rivals import rivals, strongest_view
 from tagid.tags.views import fold_views
 
 EXTRA_NATS = 11.0
@@ -237,6 +237,7 @@ def _evidence(
         extra=int(np.count_nonzero(beyond > decision.extra_share * np.median(own))),
         gain_nats=other.gain_nats,
         odds_nats=other.odds_nats,
+        strongest_view=strongest_view(matched, best),
         noise_nats=best.explained / noise,
         displacement_m=other.displacement_m,
         displacement_sigma_m=float(1 / (2 * matched.wavenumber * np.sqrt(2 * each))),

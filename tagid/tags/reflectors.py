@@ -76,6 +76,7 @@ class SearchDisc:
         x, y = np.meshgrid(axis, axis)
         inside = x**2 + y**2 <= radius_m**2
         self.field = field
+        self.radius_m = radius_m
         self.step_m = step_m
         self.look = look
         self.points = np.stack([x[inside], y[inside]], axis=-1)
@@ -148,10 +149,10 @@ def clean(
     Returns:
         (K', 2) positions, those given first and unmoved; (K',) amplitudes; the level that remains.
     """
-    state = positions, amplitudes, disc.residual(positions, amplitudes), 0.0
-    for state in _added(disc, *state[:3], settings):
-        pass
-    return state[0], state[1], disc.level(state[2])
+    residual = disc.residual(positions, amplitudes)
+    steps = list(_added(disc, positions, amplitudes, residual, settings))
+    positions, amplitudes, residual, _ = steps[-1] if steps else (positions, amplitudes, residual, 0.0)
+    return positions, amplitudes, disc.level(residual)
 
 
 def clean_steps(disc: SearchDisc, settings: FinderSettings) -> list[float]:

@@ -6,13 +6,14 @@ two, each averaged over where it may lie, says how much the scans prefer it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tagid.tags.aspect import TRANSPARENT, outward
 from tagid.tags.field import MatchedField
-from tagid.tags.hypotheses import ALIKE, Fit, SearchSettings
+from tagid.tags.hypotheses import ALIKE, Fit, SearchSettings, least_squares
 from tagid.tags.layout import MIN_SPACING_M
 from tagid.tags.reflectors import FinderSettings, SearchDisc, clean_steps, refine_positions
 
@@ -45,17 +46,12 @@ def rivals(disc: SearchDisc, best: Fit, noise: float, search: SearchSettings) ->
         search: where the layout's centre may lie.
     """
     matched, size = disc.field, best.layout.size
-    power = np.abs(disc.residual(best.positions, best.amplitudes)) ** 2
-    gap = np.linalg.norm(disc.points[:, None] - best.positions[None], axis=-1).min(axis=1)
-    peak = disc.points[int(np.argmax(np.where(gap > MIN_SPACING_M, power, 0.0)))]
-    moved, _, freed = refine_positions(matched, best.positions, best.look)
-    more = refine_positions(matched, np.concatenate([best.positions, peak[None]]), best.look)[2]
-    only = FinderSettings(maximum=size + 1, floor_db=-30.0, detection_nats=0.0)
-    energy = np.zeros(size + 1)
-    for count, step in enumerate(clean_steps(disc, only)):
-        energy[count:] = step
-    energy[size - 1] = max(energy[size - 1], freed)
-    energy[size] = max(energy[size], more)
+    energy, moved = _free_energies(disc, best)
+    if not best.aspect.uniform:
+        # Another object need not be opaque as well, nor have its axis where the layout would have it.
+        plain = replace(disc.look, aspect=TRANSPARENT)
+        clear = SearchDisc(matched, disc.radius_m, disc.step_m, plain)
+        energy = np.maximum(energy, _free_energies(clear, best)[0])
     each = max(best.explained / noise / size, 1.0)
     free = energy / noise - np.arange(1, size + 2) * _point_cost(matched, disc, each)
     own = best.explained / noise - _layout_cost(matched, best, each, search)
@@ -64,6 +60,25 @@ def rivals(disc: SearchDisc, best: Fit, noise: float, search: SearchSettings) ->
         odds_nats=float(own - free.max()),
         displacement_m=rigid_distance(moved, best.positions),
     )
+
+
+def _free_energies(disc: SearchDisc, best: Fit) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(K + 1,) energies that 1 to K + 1 free points explain, and where the layout's go when freed (K, 2)."""
+    matched, size = disc.field, best.layout.size
+    own = disc.look.templates(matched, best.positions)
+    amplitudes, _ = least_squares(matched.correlate(own), matched.gram(own))
+    gap = np.linalg.norm(disc.points[:, None] - best.positions[None], axis=-1).min(axis=1)
+    power = np.abs(disc.residual(best.positions, amplitudes)) ** 2
+    peak = disc.points[int(np.argmax(np.where(gap > MIN_SPACING_M, power, 0.0)))]
+    moved, _, freed = refine_positions(matched, best.positions, disc.look)
+    more = refine_positions(matched, np.concatenate([best.positions, peak[None]]), disc.look)[2]
+    only = FinderSettings(maximum=size + 1, floor_db=-30.0, detection_nats=0.0)
+    energy = np.zeros(size + 1)
+    for count, step in enumerate(clean_steps(disc, only)):
+        energy[count:] = step
+    energy[size - 1] = max(energy[size - 1], freed)
+    energy[size] = max(energy[size], more)
+    return energy, moved
 
 
 def _place_variance(matched: MatchedField, each: float) -> float:
@@ -100,3 +115,18 @@ def rigid_distance(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
     turn = np.angle(np.sum((a[:, 0] + 1j * a[:, 1]).conj() * (b[:, 0] + 1j * b[:, 1])))
     turned = (a[:, 0] + 1j * a[:, 1]) * np.exp(1j * turn)
     return float(np.sqrt(np.mean(np.abs(turned - (b[:, 0] + 1j * b[:, 1])) ** 2)))
+
+
+def strongest_view(matched: MatchedField, best: Fit) -> float:
+    """Share of the explained energy that comes from the one view that gives most.
+
+    A reflector is seen in many views; the flash of a flat face is over in one or two, and any layout that
+    has a reflector somewhere along that wave front explains it.
+    """
+    facing = outward(best.positions, best.centre_m)
+    weight = best.aspect.weight(matched, best.positions, facing)
+    d = matched.distances(best.positions, np.asarray(best.layout.heights)) + best.offset_m
+    model = best.amplitudes.astype(np.complex64) @ matched.templates(d, weight)
+    gain = np.abs(matched.data) ** 2 - np.abs(matched.data - model) ** 2
+    by_view = gain.reshape(matched.views, -1).sum(axis=1)
+    return float(by_view.max() / max(float(by_view.sum()), 1e-30))

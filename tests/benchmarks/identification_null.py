@@ -1,0 +1,133 @@
+"""What chance does: how well enrolled layouts explain noise and strangers' tags, from which the decision's numbers
+come.
+
+Run `python tests/benchmarks/identification_null.py --scenes 2000 --jobs 2` for the numbers in
+`tagid/tags/decision.py`, `--short` for a check of a minute. Its seeds and its objects occur in no other benchmark.
+"""
+
+from __future__ import annotations
+
+import argparse
+import multiprocessing
+import os
+import pickle
+import sys
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+import numpy as np
+from identification_scenes import SETS
+
+from tagid.imaging.preprocess import PreprocessSettings, preprocess
+from tagid.simulate.acquisition import Acquisition, Placement, Wobble
+from tagid.simulate.capture import simulate_capture
+from tagid.simulate.presets import room_clutter, scene_from_layout, scene_from_name
+from tagid.simulate.scattering import Box, Points
+from tagid.simulate.scene import Scene
+from tagid.tags.codebook import rotational_distance
+from tagid.tags.decision import Evidence
+from tagid.tags.layout import Layout, builtin_layouts
+from tagid.tags.matcher import read_tag
+
+FIRST_SEED = 90_000_000
+GROUPS = ("stranger", "tagged", "box", "noise")
+APART_M = 0.012
+"""Nearer strangers, in RMS, are the layout itself for every purpose: enrolment calls them confusable."""
+
+
+@dataclass(frozen=True)
+class Sample:
+    """One reading of an object without an enrolled tag, or with one."""
+
+    group: str
+    kind: str
+    views: int
+    status: str
+    right: bool
+    evidence: Evidence
+
+
+def stranger(rng: np.random.Generator) -> np.ndarray:
+    """(K, 2) two to five reflectors 40 mm or more apart, anywhere or on a ring, m; none of the enrolled."""
+    while True:
+        count, radius = int(rng.integers(2, 6)), rng.uniform(0.045, 0.12)
+        points = rng.uniform(-radius, radius, (count, 2))
+        if rng.uniform() < 0.5:
+            angle = rng.uniform(0, 2 * np.pi, count)
+            points = radius * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+        gap = np.linalg.norm(points[:, None] - points[None], axis=2) + np.eye(count)
+        if gap.min() < 0.04:
+            continue
+        layout = Layout("stranger", points)
+        same = [other for other in SETS["paper"] if other.size == count]
+        if all(rotational_distance(layout, other).rms_m > APART_M for other in same):
+            return points
+
+
+def scene_of(group: str, rng: np.random.Generator, seed: int) -> tuple[Scene, str]:
+    """What stands on the table, and its name or number of reflectors."""
+    if group == "noise":
+        return scene_from_name("empty", seed), "empty"
+    if group == "box":
+        width, depth = rng.uniform(0.06, 0.25, 2)
+        box = Box(width, depth, rng.uniform(0.5, 3.0), rng.uniform(0.1, 0.8), rng.uniform(0.03, 0.2))
+        return Scene("box", (replace(box, rotation_rad=rng.uniform(0, 6.28)),), (), room_clutter(rng)), "box"
+    if group == "tagged":
+        layout = list(builtin_layouts().values())[seed % 4]
+        points, name = layout.positions, layout.name
+    else:
+        points = stranger(rng)
+        name = str(len(points))
+    scene = scene_from_layout(points, name, seed)
+    if seed % 8 < 4 and scene.points is not None:
+        # Half of them are darker or brighter behind than the simulator's usual reflectors.
+        other = replace(
+            scene.points, aspect_floor=rng.uniform(0, 1), aspect_width_rad=np.deg2rad(rng.uniform(100, 240))
+        )
+        scene = replace(scene, object=tuple(other if isinstance(b, Points) else b for b in scene.object))
+    return scene, name
+
+
+def sample(task: tuple[str, int]) -> Sample:
+    """One recording of a random number of views and noise, read."""
+    group, number = task
+    seed = FIRST_SEED + number
+    rng = np.random.default_rng([seed, GROUPS.index(group)])
+    scene, kind = scene_of(group, rng, seed)
+    radius, turn = 0.01 * np.sqrt(rng.uniform()), rng.uniform(0, 2 * np.pi)
+    views = int(rng.choice([12, 18, 24, 36]))
+    # About 0.8 nats a view and reflector at 0 dB: from barely seen (8 nats) to clear (60).
+    nats = np.exp(rng.uniform(np.log(8), np.log(60)))
+    acquisition = Acquisition(
+        views=views,
+        noise_std=float(np.sqrt(0.8 * views / nats)),
+        placement=Placement((radius * np.cos(turn), radius * np.sin(turn)), rng.uniform(0, 2 * np.pi)),
+        wobble=Wobble(speed=0.01),
+        axis_distance_error_m=rng.uniform(-0.015, 0.015),
+    )
+    capture, _ = simulate_capture(scene, acquisition, seed)
+    scans = preprocess(capture, None, PreprocessSettings(matched_filter=False, extent_m=0.3))
+    reading = read_tag(scans, SETS["paper"])
+    return Sample(group, kind, views, reading.status, reading.nearest == kind, reading.evidence)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--scenes", type=int, default=2000, help="strangers; a quarter of each other group")
+    parser.add_argument("--short", action="store_true", help="80 strangers")
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--keep", type=Path, help="file for the samples, to be read by pickle")
+    arguments = parser.parse_args()
+    scenes = 80 if arguments.short else arguments.scenes
+    tasks = [(g, i) for g in GROUPS for i in range(scenes if g == "stranger" else scenes // 4)]
+    with multiprocessing.get_context("fork").Pool(arguments.jobs) as pool:
+        samples = list(pool.imap(sample, tasks, chunksize=4))
+    if arguments.keep:
+        arguments.keep.write_bytes(pickle.dumps(samples))
+
+
+if __name__ == "__main__":
+    main()
