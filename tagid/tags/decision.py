@@ -6,8 +6,7 @@ A wrong name costs more than a question, so each test can only take a name away.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import exp, lgamma, log, sqrt
-from statistics import NormalDist
+from math import exp, lgamma, log, pi, sqrt
 
 from tagid.errors import UsageError
 
@@ -15,12 +14,15 @@ PLACES_PER_METRE = 6500.0
 """Independent places that the search tries per metre of path of the outermost reflector (2 pi r over the
 layout's symmetry), for all centres and range offsets together: fitted to the maxima of 720 searches of noise
 alone, at 12, 36 and 100 views, of which layouts need 500 to 6000 places."""
-CHANCE_MATCH = 0.03
-"""Share of unenrolled tags whose echo an enrolled layout explains well enough at the low SNR where their
-further reflectors are hard to see: chosen, in the light of simulated objects at 18 views and 0 dB, where it
-still lets some through (docs/results.md)."""
-SEARCH_GAIN_NATS = 6.0
-"""What one more free point explains of noise alone: the largest of some hundreds of cells."""
+SEARCH_GAIN_NATS = 3.0
+"""What the best place near a further reflector gains over the reflector itself."""
+GAIN_NATS, GAIN_SPREAD_NATS, GAIN_ERROR = 6.5, 1.4, 0.02
+"""Mode and width of what one point more explains of a tag that is all there, and how both grow with the tag's
+own energy."""
+UNLIKE = 0.3
+"""Spread of a further reflector's energy among strangers' tags, by amplitude and aspect."""
+STRANGER_NATS, STRANGER_SLOPE, STRANGER_PLACES = 0.0, 1.5, 6100.0
+"""Preference that one stranger in a e-fold of 1 / false accept reaches, of the paper's four layouts."""
 
 
 @dataclass(frozen=True)
@@ -79,6 +81,7 @@ class Evidence:
         weakest: weakest reflector's amplitude over the strongest's.
         missing, extra: reflectors missing from and beyond the layout.
         gain_nats: what one point more, all placed freely, explains beyond the layout, in noise levels.
+        further_nats: the same beyond the layout with reflectors that may shine unevenly.
         odds_nats: log likelihood ratio of the layout over free points in any number.
         strongest_view: share of the explained energy that the one best view gives.
         noise_nats: the layout's explained energy over the noise alone.
@@ -96,6 +99,7 @@ class Evidence:
     missing: int
     extra: int
     gain_nats: float
+    further_nats: float
     odds_nats: float
     strongest_view: float
     noise_nats: float
@@ -120,15 +124,28 @@ def chance(nats: float, size: int, places: float, scans: int = 1) -> float:
     return exp(min(tail, 0.0))
 
 
-def strongest_gain(nats: float, size: int, false_accept: float, scans: int = 1) -> float:
-    """The largest gain of a further point at which another object is ruled out, in nats.
+def preference(e: Evidence) -> float:
+    """Nats by which the scans prefer the layout to a stranger's tag of which it is a part.
 
-    A further reflector, as strong as the layout's own of e = nats / K each, would gain about e + 6 with a
-    standard deviation of sqrt(2 e); less than this it does only in false_accept / CHANCE_MATCH of all cases.
+    The odds against points anywhere, plus the likelihood ratio of what one point more would explain: of a tag
+    that is all there, the largest of noise and of the model's own error (Gumbel); of a stranger's, a further
+    reflector about as strong as the others, e = nats / K each, with the error of its amplitude.
     """
-    each = max(nats, 0.0) / size
-    z = NormalDist().inv_cdf(1 - min(false_accept / CHANCE_MATCH, 0.5))
-    return each - z * sqrt(2 * each) + SEARCH_GAIN_NATS * scans
+    each = max(e.noise_nats, 1e-9) / (e.size * e.scans)
+    root = sqrt(e.scans)
+    wide = (GAIN_SPREAD_NATS + GAIN_ERROR * each * e.size) * root
+    usual = (GAIN_NATS + GAIN_ERROR * each * e.size) * e.scans
+    off = max((e.gain_nats - usual) / wide, -2.0)
+    own = -off - exp(-off) - log(wide)
+    spread = sqrt(2 * each + (UNLIKE * each) ** 2) * root
+    short = (e.gain_nats - (each + SEARCH_GAIN_NATS) * e.scans) / spread
+    other = -0.5 * min(short, 0.0) ** 2 - log(spread * sqrt(2 * pi))
+    return e.odds_nats + own - other
+
+
+def least_preference(false_accept: float, places: float) -> float:
+    """Nats of `preference` that strangers' tags reach with that probability, by as many places as searched."""
+    return STRANGER_NATS + STRANGER_SLOPE * log(1 / false_accept) + log(places / STRANGER_PLACES)
 
 
 def decide(evidence: Evidence, settings: DecisionSettings) -> tuple[str, str]:
@@ -141,14 +158,14 @@ def decide(evidence: Evidence, settings: DecisionSettings) -> tuple[str, str]:
     if e.missing:
         return "unknown", f"{e.missing} reflector(s) of the nearest layout are missing"
     by_chance = s.gain_nats * e.scans + s.gain_spread_nats * sqrt(e.scans)
-    if e.gain_nats > by_chance + s.gain_share * e.noise_nats:
+    if e.further_nats > by_chance + s.gain_share * e.noise_nats:
         if e.extra:
             return "unknown", f"{e.extra} strong reflector(s) beyond the nearest layout"
-        more = e.gain_nats / max(e.noise_nats, 1e-9)
+        more = e.further_nats / max(e.noise_nats, 1e-9)
         return "unknown", f"points elsewhere explain {more:.0%} more than the nearest layout"
     if e.displacement_m > s.displacement_m + 4 * e.displacement_sigma_m:
         return "unknown", f"reflectors lie {e.displacement_m * 1e3:.1f} mm from the nearest layout's"
-    if e.gain_nats > strongest_gain(e.noise_nats, e.size, s.false_accept, e.scans):
+    if preference(e) < least_preference(s.false_accept, e.places):
         return "unknown", "the echo is too weak to rule out that another object made it"
     if e.margin_share < s.ambiguous_share or e.margin_nats < s.ambiguous_nats:
         return "ambiguous", "two layouts explain the echo almost equally well"

@@ -218,9 +218,10 @@ def _evidence(
     matched, decision = disc.field, settings.decision
     amplitudes, level = np.abs(cleaned[0]), cleaned[1]
     size = best.layout.size
-    own, beyond = best.sizes, amplitudes[size:]
+    beyond = amplitudes[size:]
     noise = matched.noise_variance if matched.noise_variance > 0 else level
     other = rivals(disc, best, noise, settings.search)
+    own = other.sizes
     each = max(best.explained / level / size, 1.0)
     missing = max(
         decision.missing_least, decision.missing_share - decision.missing_deviations / np.sqrt(2 * each)
@@ -236,6 +237,7 @@ def _evidence(
         missing=int(np.count_nonzero(own < missing * own.max())),
         extra=int(np.count_nonzero(beyond > decision.extra_share * np.median(own))),
         gain_nats=other.gain_nats,
+        further_nats=other.further_nats,
         odds_nats=other.odds_nats,
         strongest_view=strongest_view(matched, best),
         noise_nats=best.explained / noise,

@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 
 from tagid.tags.aspect import TRANSPARENT, outward
 from tagid.tags.field import MatchedField
-from tagid.tags.hypotheses import ALIKE, Fit, SearchSettings, least_squares
+from tagid.tags.hypotheses import ALIKE, Fit, SearchSettings, least_squares, visible_sizes
 from tagid.tags.layout import MIN_SPACING_M
 from tagid.tags.reflectors import FinderSettings, SearchDisc, clean_steps, refine_positions
+from tagid.tags.uneven import UnevenFit
 
 
 @dataclass(frozen=True)
@@ -23,15 +24,20 @@ class Rivals:
     """Energies against noise.
 
     Attributes:
-        gain_nats: what one point more than the layout's, all free, explains beyond the layout.
-        odds_nats: log likelihood ratio of the layout over the best number of free points, each averaged over
-            its places and amplitudes (Laplace's approximation).
+        further_nats: what one point more than the layout's, all free, explains beyond the layout with
+            reflectors that may shine unevenly.
+        gain_nats: the same beyond the layout with even reflectors where that is the likelier.
+        odds_nats: log likelihood ratio of the layout, even or not, over the best number of free points, each
+            averaged over its places and amplitudes (Laplace's approximation).
         displacement_m: RMS distance of the layout's reflectors, when freed, from its places.
+        sizes: (K,) magnitudes of the layout's reflectors, however unevenly they shine.
     """
 
     gain_nats: float
+    further_nats: float
     odds_nats: float
     displacement_m: float
+    sizes: NDArray[np.float64]
 
 
 def rivals(disc: SearchDisc, best: Fit, noise: float, search: SearchSettings) -> Rivals:
@@ -46,20 +52,33 @@ def rivals(disc: SearchDisc, best: Fit, noise: float, search: SearchSettings) ->
         search: where the layout's centre may lie.
     """
     matched, size = disc.field, best.layout.size
+    uneven = UnevenFit.of(matched, best, noise)
     energy, moved = _free_energies(disc, best)
+    further = _further(disc, best, uneven)
     if not best.aspect.uniform:
         # Another object need not be opaque as well, nor have its axis where the layout would have it.
         plain = replace(disc.look, aspect=TRANSPARENT)
         clear = SearchDisc(matched, disc.radius_m, disc.step_m, plain)
         energy = np.maximum(energy, _free_energies(clear, best)[0])
+        further = max(further, _further(clear, best, uneven))
     each = max(best.explained / noise / size, 1.0)
     free = energy / noise - np.arange(1, size + 2) * _point_cost(matched, disc, each)
-    own = best.explained / noise - _layout_cost(matched, best, each, search)
+    even, less = best.explained / noise, uneven.explained / noise
+    beyond = max(further, float(energy[size] - max(uneven.explained, best.explained))) / noise
+    own = max(even, less - uneven.cost_nats) - _layout_cost(matched, best, each, search)
     return Rivals(
-        gain_nats=float(energy[size] - best.explained) / noise,
+        gain_nats=float(energy[size]) / noise - even if even >= less - uneven.cost_nats else beyond,
+        further_nats=beyond,
         odds_nats=float(own - free.max()),
         displacement_m=rigid_distance(moved, best.positions),
+        sizes=visible_sizes(uneven.sizes.astype(np.complex128), best.visibility),
     )
+
+
+def _further(disc: SearchDisc, best: Fit, uneven: UnevenFit) -> float:
+    """Largest energy of one point more than the layout's, whose reflectors may shine unevenly."""
+    gap = np.linalg.norm(disc.points[:, None] - best.positions[None], axis=-1).min(axis=1)
+    return float(np.where(gap > MIN_SPACING_M, uneven.gains(disc.field, disc.templates), 0.0).max())
 
 
 def _free_energies(disc: SearchDisc, best: Fit) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

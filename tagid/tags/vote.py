@@ -84,6 +84,7 @@ def joint_evidence(parts: Sequence[Evidence]) -> Evidence:
         missing=int(np.median([part.missing for part in parts])),
         extra=int(np.median([part.extra for part in parts])),
         gain_nats=sum(part.gain_nats for part in parts),
+        further_nats=sum(part.further_nats for part in parts),
         odds_nats=sum(part.odds_nats for part in parts),
         strongest_view=mean([part.strongest_view for part in parts]),
         noise_nats=float(energy.sum()),
