@@ -13,16 +13,23 @@ from tagid.errors import UsageError
 PLACES_PER_METRE = 6500.0
 """Independent places that the search tries per metre of path of the outermost reflector (2 pi r over the
 layout's symmetry), for all centres and range offsets together: fitted to the maxima of 720 searches of noise
-alone, at 12, 36 and 100 views, of which layouts need 500 to 6000 places."""
+alone, at 12, 36 and 100 views, of which layouts need 500 to 6000 places. Every pattern tried counts anew."""
 SEARCH_GAIN_NATS = 3.0
 """What the best place near a further reflector gains over the reflector itself."""
-GAIN_NATS, GAIN_SPREAD_NATS, GAIN_ERROR = 6.5, 1.4, 0.02
+GAIN_NATS, GAIN_SPREAD_NATS, GAIN_ERROR = 6.5, 1.2, 0.01
 """Mode and width of what one point more explains of a tag that is all there, and how both grow with the tag's
 own energy."""
-UNLIKE = 0.3
+ODDS_ERROR, CLEAR_NATS = 0.02, 100.0
+"""Share of the energy beyond CLEAR_NATS that the model may leave unexplained: it takes odds from every tag, and
+is nothing beside what a stranger's tag leaves there."""
+UNLIKE = 0.15
 """Spread of a further reflector's energy among strangers' tags, by amplitude and aspect."""
-STRANGER_NATS, STRANGER_SLOPE, STRANGER_PLACES = 0.0, 1.5, 6100.0
-"""Preference that one stranger in a e-fold of 1 / false accept reaches, of the paper's four layouts."""
+STRANGER_NATS, STRANGER_SLOPE, STRANGER_PLACES = 9.3, 1.6, 36600.0
+"""Preference that one stranger's tag in 1000 reaches for one of the paper's four layouts, and how it grows as
+that becomes one in e times as many; 36600 is those layouts' number of places."""
+FAINT_NATS, FAINT_SPAN, FAINT_EXTRA, FAINT_MORE = 25.0, 9.0, 2.5, 1.5
+"""Reflectors of less than FAINT_NATS each can fade: over FAINT_SPAN nats the preference needed rises by
+FAINT_EXTRA, and by FAINT_MORE on top for each reflector beyond two, of which a chance has more to match."""
 
 
 @dataclass(frozen=True)
@@ -42,6 +49,7 @@ class DecisionSettings:
         displacement_m: RMS distance of freely fitted reflectors from the layout's, above which it is
             another layout; four standard deviations of a measured position are added. A quarter of the
             smallest distance that enrolment accepts.
+        least_outward: reflectors that shine only through the object (-0.6 to -0.8) are none of the layout's.
         ambiguous_share: a runner-up within this share of the best's explained energy is as good, since
             wobble, aspect and focus leave errors of that size.
         ambiguous_nats: and so is one within this many noise levels: where the wrong layout led, in 1600 weak
@@ -58,6 +66,7 @@ class DecisionSettings:
     missing_least: float = 0.4
     extra_share: float = 0.5
     displacement_m: float = 3e-3
+    least_outward: float = -0.5
     ambiguous_share: float = 0.06
     ambiguous_nats: float = 5.0
 
@@ -83,7 +92,8 @@ class Evidence:
         gain_nats: what one point more, all placed freely, explains beyond the layout, in noise levels.
         further_nats: the same beyond the layout with reflectors that may shine unevenly.
         odds_nats: log likelihood ratio of the layout over free points in any number.
-        strongest_view: share of the explained energy that the one best view gives.
+        outward: -1..1, mean cosine of the angle between a reflector's outward side and the views in which it
+            shines, less that of all views: 0 is seen from all sides.
         noise_nats: the layout's explained energy over the noise alone.
         displacement_m: RMS distance of freely fitted reflectors from the layout's places.
         displacement_sigma_m: standard deviation of one measured position.
@@ -101,7 +111,7 @@ class Evidence:
     gain_nats: float
     further_nats: float
     odds_nats: float
-    strongest_view: float
+    outward: float
     noise_nats: float
     displacement_m: float
     displacement_sigma_m: float
@@ -140,12 +150,19 @@ def preference(e: Evidence) -> float:
     spread = sqrt(2 * each + (UNLIKE * each) ** 2) * root
     short = (e.gain_nats - (each + SEARCH_GAIN_NATS) * e.scans) / spread
     other = -0.5 * min(short, 0.0) ** 2 - log(spread * sqrt(2 * pi))
-    return e.odds_nats + own - other
+    return e.odds_nats + ODDS_ERROR * max(e.noise_nats - CLEAR_NATS * e.scans, 0.0) + own - other
 
 
-def least_preference(false_accept: float, places: float) -> float:
-    """Nats of `preference` that strangers' tags reach with that probability, by as many places as searched."""
-    return STRANGER_NATS + STRANGER_SLOPE * log(1 / false_accept) + log(places / STRANGER_PLACES)
+def least_preference(e: Evidence, false_accept: float) -> float:
+    """Nats of `preference` that strangers' tags reach with that probability.
+
+    Counted by tests/benchmarks/identification_null.py; more enrolled layouts have more places to match.
+    """
+    each = e.noise_nats / (e.size * e.scans)
+    faint = min(max((FAINT_NATS - each) / FAINT_SPAN, 0.0), 1.0)
+    rarer = STRANGER_SLOPE * log(1e-3 / false_accept)
+    enrolled = log(max(e.places, 1.0) / STRANGER_PLACES)
+    return STRANGER_NATS + rarer + enrolled + faint * (FAINT_EXTRA + FAINT_MORE * (e.size - 2))
 
 
 def decide(evidence: Evidence, settings: DecisionSettings) -> tuple[str, str]:
@@ -165,7 +182,9 @@ def decide(evidence: Evidence, settings: DecisionSettings) -> tuple[str, str]:
         return "unknown", f"points elsewhere explain {more:.0%} more than the nearest layout"
     if e.displacement_m > s.displacement_m + 4 * e.displacement_sigma_m:
         return "unknown", f"reflectors lie {e.displacement_m * 1e3:.1f} mm from the nearest layout's"
-    if preference(e) < least_preference(s.false_accept, e.places):
+    if e.outward < s.least_outward:
+        return "unknown", "the reflectors of the nearest layout are only seen through the object"
+    if preference(e) < least_preference(e, s.false_accept):
         return "unknown", "the echo is too weak to rule out that another object made it"
     if e.margin_share < s.ambiguous_share or e.margin_nats < s.ambiguous_nats:
         return "ambiguous", "two layouts explain the echo almost equally well"

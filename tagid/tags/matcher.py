@@ -26,7 +26,7 @@ from tagid.tags.reflectors import (
     clean,
     separate,
 )
-from tagid.tags.rivals import rivals, strongest_view
+from tagid.tags.rivals import rivals
 from tagid.tags.views import fold_views
 
 EXTRA_NATS = 11.0
@@ -147,7 +147,7 @@ class MatchedScan:
             pairs = zip(self._fits, turned, strict=True)
             self._fits = [min(pair, key=lambda fit: fit.criterion) for pair in pairs]
         self._places = sum(2 * np.pi * one.radius_m / one.symmetry for one in layouts) * PLACES_PER_METRE
-        self._places *= 1 if settings.direction_known else 2
+        self._places *= len(settings.search.patterns) * (1 if settings.direction_known else 2)
         self.criteria = np.array([fit.criterion for fit in self._fits])
 
     def read(self, order: NDArray[np.intp]) -> Reading:
@@ -239,7 +239,7 @@ def _evidence(
         gain_nats=other.gain_nats,
         further_nats=other.further_nats,
         odds_nats=other.odds_nats,
-        strongest_view=strongest_view(matched, best),
+        outward=other.outward,
         noise_nats=best.explained / noise,
         displacement_m=other.displacement_m,
         displacement_sigma_m=float(1 / (2 * matched.wavenumber * np.sqrt(2 * each))),

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tagid.tags.aspect import TRANSPARENT, outward
+from tagid.tags.aspect import TRANSPARENT
 from tagid.tags.field import MatchedField
 from tagid.tags.hypotheses import ALIKE, Fit, SearchSettings, least_squares, visible_sizes
 from tagid.tags.layout import MIN_SPACING_M
@@ -31,6 +31,7 @@ class Rivals:
             averaged over its places and amplitudes (Laplace's approximation).
         displacement_m: RMS distance of the layout's reflectors, when freed, from its places.
         sizes: (K,) magnitudes of the layout's reflectors, however unevenly they shine.
+        outward: see `Evidence`.
     """
 
     gain_nats: float
@@ -38,6 +39,7 @@ class Rivals:
     odds_nats: float
     displacement_m: float
     sizes: NDArray[np.float64]
+    outward: float
 
 
 def rivals(disc: SearchDisc, best: Fit, noise: float, search: SearchSettings) -> Rivals:
@@ -65,13 +67,15 @@ def rivals(disc: SearchDisc, best: Fit, noise: float, search: SearchSettings) ->
     free = energy / noise - np.arange(1, size + 2) * _point_cost(matched, disc, each)
     even, less = best.explained / noise, uneven.explained / noise
     beyond = max(further, float(energy[size] - max(uneven.explained, best.explained))) / noise
-    own = max(even, less - uneven.cost_nats) - _layout_cost(matched, best, each, search)
+    less_charged = less - uneven.cost_nats - float(np.log(matched.independent_samples))
+    own = max(even, less_charged) - _layout_cost(matched, best, each, search)
     return Rivals(
-        gain_nats=float(energy[size]) / noise - even if even >= less - uneven.cost_nats else beyond,
+        gain_nats=float(energy[size]) / noise - even if even >= less_charged else beyond,
         further_nats=beyond,
         odds_nats=float(own - free.max()),
         displacement_m=rigid_distance(moved, best.positions),
         sizes=visible_sizes(uneven.sizes.astype(np.complex128), best.visibility),
+        outward=uneven.outward,
     )
 
 
@@ -134,18 +138,3 @@ def rigid_distance(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
     turn = np.angle(np.sum((a[:, 0] + 1j * a[:, 1]).conj() * (b[:, 0] + 1j * b[:, 1])))
     turned = (a[:, 0] + 1j * a[:, 1]) * np.exp(1j * turn)
     return float(np.sqrt(np.mean(np.abs(turned - (b[:, 0] + 1j * b[:, 1])) ** 2)))
-
-
-def strongest_view(matched: MatchedField, best: Fit) -> float:
-    """Share of the explained energy that comes from the one view that gives most.
-
-    A reflector is seen in many views; the flash of a flat face is over in one or two, and any layout that
-    has a reflector somewhere along that wave front explains it.
-    """
-    facing = outward(best.positions, best.centre_m)
-    weight = best.aspect.weight(matched, best.positions, facing)
-    d = matched.distances(best.positions, np.asarray(best.layout.heights)) + best.offset_m
-    model = best.amplitudes.astype(np.complex64) @ matched.templates(d, weight)
-    gain = np.abs(matched.data) ** 2 - np.abs(matched.data - model) ** 2
-    by_view = gain.reshape(matched.views, -1).sum(axis=1)
-    return float(by_view.max() / max(float(by_view.sum()), 1e-30))

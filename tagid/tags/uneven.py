@@ -35,6 +35,7 @@ class UnevenFit:
         explained: energy that the fit takes from the data, less what the prior charges.
         cost_nats: what the freedom to be uneven costs the evidence: log det(1 + C_prior / C_error).
         sizes: (K,) RMS of A_k over that of w_k.
+        outward: mean cosine of psi, see `Aspect`, weighted by |A_k(v)|^2, less its mean over the views.
     """
 
     templates: NDArray[np.complex64]
@@ -43,6 +44,7 @@ class UnevenFit:
     explained: float
     cost_nats: float
     sizes: NDArray[np.float64]
+    outward: float
 
     @classmethod
     def of(cls, field: MatchedField, best: Fit, noise: float) -> UnevenFit:
@@ -55,7 +57,8 @@ class UnevenFit:
         """
         size = best.layout.size
         d = field.distances(best.positions, np.asarray(best.layout.heights)) + best.offset_m
-        even = best.aspect.weight(field, best.positions, outward(best.positions, best.centre_m))
+        facing = outward(best.positions, best.centre_m)
+        even = best.aspect.weight(field, best.positions, facing)
         angle = np.arctan2(field.antenna[:, 1], field.antenna[:, 0])
         turns = angle * np.arange(1, ORDERS + 1)[:, None]
         waves = np.concatenate([np.cos(turns), np.sin(turns)]).astype(np.float32)
@@ -63,8 +66,8 @@ class UnevenFit:
         parts += [field.templates(d, np.broadcast_to(wave, d.shape)) for wave in waves]
         templates = np.concatenate(parts)
         # Least squares with white noise of this variance a sample, and a prior of (UNEVENNESS a)^2.
-        power = max(float(np.mean(np.abs(best.amplitudes) ** 2)), 1e-30)
-        load = np.full(len(templates), noise / (UNEVENNESS**2 * power))
+        usual = max(float(np.mean(np.abs(best.amplitudes) ** 2)), 1e-30)
+        load = np.full(len(templates), noise / (UNEVENNESS**2 * usual))
         load[:size] = 1e-2 * field.template_energy * float(np.mean(best.visibility)) + 1e-30
         b, gram = field.correlate(templates), field.gram(templates)
         inverse = np.asarray(np.linalg.inv(gram + np.diag(load)), dtype=np.complex128)
@@ -74,6 +77,8 @@ class UnevenFit:
         cost = np.linalg.slogdet(np.eye(len(own)) + own / load[size])[1]
         shine = np.outer(found[:size], np.ones(field.views)) * (1.0 if even is None else even)
         shine = shine + found[size:].reshape(len(waves), size).T @ waves
+        power = np.abs(shine) ** 2
+        side = facing @ np.stack([np.cos(angle), np.sin(angle)])
         whole = float(field.views) if even is None else np.maximum(np.sum(even**2, axis=1), 1e-9)
         return cls(
             templates,
@@ -81,7 +86,10 @@ class UnevenFit:
             np.asarray(field.data - found.astype(np.complex64) @ templates, dtype=np.complex64),
             float(np.real(np.vdot(b, found))),
             float(cost),
-            np.asarray(np.sqrt(np.sum(np.abs(shine) ** 2, axis=1) / whole), dtype=np.float64),
+            np.asarray(np.sqrt(power.sum(axis=1) / whole), dtype=np.float64),
+            float(
+                np.mean((power * side).sum(axis=1) / np.maximum(power.sum(axis=1), 1e-30) - side.mean(axis=1))
+            ),
         )
 
     def gains(self, field: MatchedField, others: NDArray[np.complex64]) -> NDArray[np.float64]:

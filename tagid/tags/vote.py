@@ -86,7 +86,7 @@ def joint_evidence(parts: Sequence[Evidence]) -> Evidence:
         gain_nats=sum(part.gain_nats for part in parts),
         further_nats=sum(part.further_nats for part in parts),
         odds_nats=sum(part.odds_nats for part in parts),
-        strongest_view=mean([part.strongest_view for part in parts]),
+        outward=mean([part.outward for part in parts]),
         noise_nats=float(energy.sum()),
         displacement_m=float(np.sqrt(mean([part.displacement_m**2 for part in parts]))),
         displacement_sigma_m=float(np.sqrt(mean([part.displacement_sigma_m**2 for part in parts]))),

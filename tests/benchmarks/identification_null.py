@@ -1,8 +1,7 @@
-"""What chance does: how well enrolled layouts explain noise and strangers' tags, from which the decision's numbers
-come.
+"""What chance does: how well the enrolled layouts explain noise, boxes and strangers' tags.
 
-Run `python tests/benchmarks/identification_null.py --scenes 2000 --jobs 2` for the numbers in
-`tagid/tags/decision.py`, `--short` for a check of a minute. Its seeds and its objects occur in no other benchmark.
+Run `python tests/benchmarks/identification_null.py --jobs 2` for the numbers that `tagid/tags/decision.py` rests
+on, `--short` for a check of a minute. Its seeds and its objects occur in no other benchmark.
 """
 
 from __future__ import annotations
@@ -10,7 +9,6 @@ from __future__ import annotations
 import argparse
 import multiprocessing
 import os
-import pickle
 import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -28,7 +26,14 @@ from tagid.simulate.presets import room_clutter, scene_from_layout, scene_from_n
 from tagid.simulate.scattering import Box, Points
 from tagid.simulate.scene import Scene
 from tagid.tags.codebook import rotational_distance
-from tagid.tags.decision import Evidence
+from tagid.tags.decision import (
+    DecisionSettings,
+    Evidence,
+    chance,
+    decide,
+    least_preference,
+    preference,
+)
 from tagid.tags.layout import Layout, builtin_layouts
 from tagid.tags.matcher import read_tag
 
@@ -114,19 +119,70 @@ def sample(task: tuple[str, int]) -> Sample:
     return Sample(group, kind, views, reading.status, reading.nearest == kind, reading.evidence)
 
 
+def passes(samples: list[Sample]) -> list[Evidence]:
+    """Evidence of those that every test but the preference lets through."""
+    certain = [replace(one.evidence, odds_nats=1e3) for one in samples]
+    kept = [decide(e, DecisionSettings())[0] == "identified" for e in certain]
+    return [one.evidence for one, k in zip(samples, kept, strict=True) if k]
+
+
+def _noise(e: Evidence) -> tuple[float, int, float, int]:
+    return e.nats, e.size, e.places, e.scans
+
+
+def report_noise(samples: list[Sample]) -> None:
+    """How often noise beats the bound that the decision states for it."""
+    print("Noise alone: share that is explained better than with the probability stated\n")
+    print("| stated | scenes | share |\n|---|---|---|")
+    for stated in (0.3, 0.1, 0.01):
+        hits = sum(chance(*_noise(one.evidence)) <= stated for one in samples)
+        print(f"| {stated:g} | {len(samples)} | {hits / len(samples):.4f} |")
+    print()
+
+
+def report_gain(kept: list[Evidence]) -> None:
+    """What one point more explains of tags that are all there, by their energy."""
+    print("Tags: nats that one point more explains (GAIN_NATS is the mode)\n")
+    print("| nats of the tag | scenes | 5 % | median | 95 % |\n|---|---|---|---|---|")
+    for low, high in ((10, 40), (40, 80), (80, 200)):
+        gains = [e.gain_nats for e in kept if low <= e.noise_nats < high]
+        if gains:
+            cells = " | ".join(f"{q:.1f}" for q in np.quantile(gains, [0.05, 0.5, 0.95]))
+            print(f"| {low} to {high} | {len(gains)} | {cells} |")
+    print()
+
+
+def report_preference(groups: dict[str, list[Sample]]) -> None:
+    """How far the preference lies over what the default setting asks, as a share of all scenes."""
+    margins = (-3, -2, -1, 0, 1, 2)
+    print("Share of all scenes whose preference exceeds what false_accept = 0.001 asks by so many nats\n")
+    head = " | ".join(f"{m:+d}" for m in margins)
+    print(f"| group | nats a reflector | scenes | {head} |\n|" + "---|" * (3 + len(margins)))
+    for name, samples in groups.items():
+        for low, high in ((0, 16), (16, 25), (25, 100)):
+            some = [s for s in samples if low <= s.evidence.noise_nats / s.evidence.size < high]
+            over = [preference(e) - least_preference(e, 1e-3) for e in passes(some)]
+            if some:
+                cells = " | ".join(f"{sum(x > m for x in over) / len(some):.4f}" for m in margins)
+                print(f"| {name} | {low} to {high} | {len(some)} | {cells} |")
+    print(flush=True)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--scenes", type=int, default=2000, help="strangers; a quarter of each other group")
     parser.add_argument("--short", action="store_true", help="80 strangers")
     parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--keep", type=Path, help="file for the samples, to be read by pickle")
     arguments = parser.parse_args()
     scenes = 80 if arguments.short else arguments.scenes
     tasks = [(g, i) for g in GROUPS for i in range(scenes if g == "stranger" else scenes // 4)]
     with multiprocessing.get_context("fork").Pool(arguments.jobs) as pool:
         samples = list(pool.imap(sample, tasks, chunksize=4))
-    if arguments.keep:
-        arguments.keep.write_bytes(pickle.dumps(samples))
+    groups = {g: [s for s in samples if s.group == g] for g in GROUPS}
+    print(f"Command: `python {' '.join(sys.argv)}`\n")
+    report_noise(groups["noise"])
+    report_gain(passes([s for s in groups["tagged"] if s.right]))
+    report_preference({name: groups[name] for name in ("stranger", "box", "tagged")})
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ from tags_synthetic import synthetic_scans
 
 from tagid.errors import DataError, UsageError
 from tagid.imaging.types import BasebandScans
-from tagid.tags.decision import DecisionSettings, chance, strongest_gain
+from tagid.tags.decision import DecisionSettings, Evidence, chance, decide, least_preference, preference
 from tagid.tags.layout import Layout, builtin_layouts
 from tagid.tags.vote import read_together
 
@@ -62,7 +62,46 @@ def test_chance_is_the_tail_of_the_energy_of_noise() -> None:
     assert chance(60.0, 3, 2000.0, 2) < chance(30.0, 3, 2000.0)
 
 
-def test_a_smaller_false_accept_asks_for_stronger_echoes() -> None:
-    assert strongest_gain(60.0, 3, 1e-4) < strongest_gain(60.0, 3, 1e-3) < strongest_gain(60.0, 3, 1e-2)
+def evidence(**changed: float) -> Evidence:
+    """A clear tag of three reflectors, 30 nats each."""
+    usual = {
+        "size": 3,
+        "nats": 90.0,
+        "places": 36600.0,
+        "share": 1.0,
+        "weakest": 0.9,
+        "missing": 0,
+        "extra": 0,
+        "gain_nats": 7.0,
+        "further_nats": 7.0,
+        "odds_nats": 16.0,
+        "outward": 0.0,
+        "noise_nats": 90.0,
+        "displacement_m": 1e-3,
+        "displacement_sigma_m": 1e-3,
+        "margin_share": 0.5,
+        "margin_nats": 40.0,
+    }
+    return Evidence(**(usual | changed))  # type: ignore[arg-type]
+
+
+def test_a_smaller_false_accept_asks_for_a_clearer_preference() -> None:
+    tag = evidence()
+    assert least_preference(tag, 1e-4) > least_preference(tag, 1e-3) > least_preference(tag, 1e-2)
     with pytest.raises(UsageError, match="false-accept"):
         DecisionSettings(false_accept=0.0)
+
+
+def test_strangers_are_told_by_a_further_reflector_and_by_points_that_fit_elsewhere() -> None:
+    tag = evidence()
+    settings = DecisionSettings()
+    assert decide(tag, settings)[0] == "identified"
+    # A further reflector as strong as the tag's own would explain about 30 nats; 18 are half way there.
+    assert preference(tag) > preference(evidence(gain_nats=12.0)) > preference(evidence(gain_nats=18.0))
+    assert preference(evidence(gain_nats=1.0)) >= preference(evidence(gain_nats=5.0)) - 3
+    assert decide(evidence(gain_nats=16.0, odds_nats=6.0), settings)[0] == "unknown"
+    # Of faint reflectors a further one may be lost in noise, so what is enough for clear ones is not.
+    faint = evidence(nats=36.0, noise_nats=36.0, margin_nats=20.0)
+    assert least_preference(faint, 1e-3) > least_preference(tag, 1e-3) + 3
+    # More enrolled layouts are more to be taken for.
+    assert least_preference(evidence(places=366000.0), 1e-3) > least_preference(tag, 1e-3) + 2
