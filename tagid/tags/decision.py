@@ -20,8 +20,8 @@ GAIN_NATS, GAIN_SPREAD_NATS, GAIN_ERROR = 6.5, 1.2, 0.01
 """Mode and width of what one point more explains of a tag that is all there, and how both grow with the tag's
 own energy."""
 ODDS_ERROR, CLEAR_NATS = 0.02, 100.0
-"""Share of the energy beyond CLEAR_NATS that the model may leave unexplained: it takes odds from every tag, and
-is nothing beside what a stranger's tag leaves there."""
+"""Share of the energy beyond CLEAR_NATS that the model may leave unexplained: it takes odds from every tag,
+and is nothing beside what a stranger's tag leaves there."""
 UNLIKE = 0.15
 """Spread of a further reflector's energy among strangers' tags, by amplitude and aspect."""
 STRANGER_NATS, STRANGER_SLOPE, STRANGER_PLACES = 9.3, 1.6, 36600.0

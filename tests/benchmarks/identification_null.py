@@ -1,7 +1,7 @@
 """What chance does: how well the enrolled layouts explain noise, boxes and strangers' tags.
 
-Run `python tests/benchmarks/identification_null.py --jobs 2` for the numbers that `tagid/tags/decision.py` rests
-on, `--short` for a check of a minute. Its seeds and its objects occur in no other benchmark.
+Run `python tests/benchmarks/identification_null.py --jobs 2` for the numbers that `tagid/tags/decision.py`
+rests on, `--short` for a check of a minute. Its seeds and its objects occur in no other benchmark.
 """
 
 from __future__ import annotations
