@@ -25,6 +25,7 @@ from tagid.geometry import ImageGrid
 from tagid.imaging.autofocus import focus_axis_distance
 from tagid.simulate.scattering import Cylinder, Points
 from tagid.simulate.scene import Scene
+from tagid.tags.aspect import TRANSPARENT, Appearance
 from tagid.tags.codebook import best_pairing
 from tagid.tags.field import MatchedField
 from tagid.tags.precision import position_covariances
@@ -63,7 +64,7 @@ def errors(task: tuple[str, bool, int, int, int]) -> tuple[np.ndarray, np.ndarra
     scans, _ = focus_axis_distance(recorded.scans, ImageGrid(0.5, 128), 0.03)
     field = MatchedField(fold_views(scans, RADIUS_M), RADIUS_M)
     truth = recorded.positions[:, :2]
-    found = refine_positions(field, truth, 0.0)[0]
+    found = refine_positions(field, truth, Appearance(TRANSPARENT, np.zeros(2)))[0]
     pair = best_pairing(found, truth)
     c, s = np.cos(pair.rotation_rad), np.sin(pair.rotation_rad)
     left = found @ np.array([[c, s], [-s, c]]) + pair.shift_m - truth[pair.partner]

@@ -9,6 +9,7 @@ import pytest
 from tags_synthetic import synthetic_scans
 
 from tagid.errors import DataError
+from tagid.tags.aspect import TRANSPARENT, Appearance
 from tagid.tags.averaging import Sighting, average
 from tagid.tags.codebook import best_pairing, rotational_distance
 from tagid.tags.field import MatchedField
@@ -40,7 +41,7 @@ def test_the_covariance_told_is_that_of_the_errors_made() -> None:
     noise, off, told = 0.5, [], []
     for seed in range(60):
         field = MatchedField(synthetic_scans(points, noise=noise, seed=seed, views=24), 0.16)
-        found, _, _ = refine_positions(field, points, 0.0)
+        found, _, _ = refine_positions(field, points, Appearance(TRANSPARENT, np.zeros(2)))
         off.append(found - points)
         told.append(position_covariances(field, found))
     made = np.einsum("nki,nkj->kij", off, off) / len(off)
