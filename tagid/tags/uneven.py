@@ -15,8 +15,9 @@ from tagid.tags.aspect import outward
 from tagid.tags.field import MatchedField
 from tagid.tags.hypotheses import Fit
 
-ORDERS = 3
-"""Harmonics of the view's angle that a reflector's amplitude may have: steps of some 60 degrees."""
+ORDERS, VIEWS_PER_ORDER = 3, 8
+"""Harmonics of the view's angle that a reflector's amplitude may have: steps of some 60 degrees. A few views
+allow fewer, or three reflectors could shine so unevenly that they explain anything."""
 UNEVENNESS = 0.3
 """Prior standard deviation of each of their coefficients, of the amplitude: a sector of 120 degrees without
 any echo has 0.28 in the first."""
@@ -60,7 +61,8 @@ class UnevenFit:
         facing = outward(best.positions, best.centre_m)
         even = best.aspect.weight(field, best.positions, facing)
         angle = np.arctan2(field.antenna[:, 1], field.antenna[:, 0])
-        turns = angle * np.arange(1, ORDERS + 1)[:, None]
+        orders = min(ORDERS, max(field.views // VIEWS_PER_ORDER, 1))
+        turns = angle * np.arange(1, orders + 1)[:, None]
         waves = np.concatenate([np.cos(turns), np.sin(turns)]).astype(np.float32)
         parts = [field.templates(d, even)]
         parts += [field.templates(d, np.broadcast_to(wave, d.shape)) for wave in waves]
