@@ -26,7 +26,10 @@ Radius = Annotated[
 Height = Annotated[
     list[float] | None, typer.Option("--height", help="Heights of these rows, metres; as many as radii.")
 ]
-Rows = Annotated[int | None, typer.Option("--rows", help="Use so many of the object's rows.")]
+Rows = Annotated[
+    int | None,
+    typer.Option("--rows", help="Use so many of the object's rows, 1 without.", show_default=False),
+]
 Slots = Annotated[int, typer.Option("--slots", help="Equal steps around the object.")]
 Spacing = Annotated[
     float | None, typer.Option("--spacing", help="Least distance of two reflectors, metres (0.04).")
@@ -59,10 +62,14 @@ def register(app: typer.Typer) -> None:
         mirror: Mirror = None,
         seed: Seed = 0,
         alone: Annotated[
-            bool, typer.Option("--alone", help="Take no heed of the layouts that are enrolled.")
+            bool, typer.Option("--alone", help="Do not keep away from the layouts that are enrolled.")
         ] = False,
-        prefix: Annotated[str | None, typer.Option("--prefix", help="Of the names.")] = None,
-        out: Annotated[Path | None, typer.Option("--out", help="Write them as TOML.")] = None,
+        prefix: Annotated[
+            str | None, typer.Option("--prefix", help="Of the names, e.g. mug-r3s12.", show_default=False)
+        ] = None,
+        out: Annotated[
+            Path | None, typer.Option("--out", help="Write them as TOML.", show_default=False)
+        ] = None,
         enroll: Annotated[bool, typer.Option("--enroll", help="Enrol them all, or none.")] = False,
         yes: enrolling.Yes = False,
     ) -> Result:
@@ -234,7 +241,7 @@ def _capacity(
 
     known = [Localisation(0, 0, sigma)] if sigma is not None else measured_on(target.rows[0].radius_m)
     table = Table(box=None)
-    for head in ("recording", "own echoes", "error mm", *(f"{r.reflectors} reflectors" for r in rules)):
+    for head in ("recording", "own echoes", "error mm", *(f"{r.reflectors} refl." for r in rules)):
         table.add_column(head, no_wrap=True)
     rows = []
     for place in known:

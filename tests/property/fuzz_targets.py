@@ -8,6 +8,7 @@ from __future__ import annotations
 import io
 import tempfile
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -26,6 +27,9 @@ from tagid.radar.settings import RadarConfig
 from tagid.storage.exporters import export
 from tagid.storage.importers import read_any
 from tagid.storage.journal import JournalWriter
+from tagid.tags.detector import Contract
+from tagid.tags.layout import Layout, builtin_layouts, layout_from_dict
+from tagid.tags.layout_file import layouts_to_toml, read_layouts
 
 CONFIG = RadarConfig(scan_start_ps=10_000, scan_stop_ps=45_000)
 
@@ -198,12 +202,43 @@ def _stored_npz() -> bytes:
     return buffer.getvalue()
 
 
+def _layouts(suffix: str) -> Callable[[bytes], None]:
+    def run(data: bytes) -> None:
+        path = _folder() / f"layouts{suffix}"
+        path.write_bytes(data)
+        try:
+            found = read_layouts(path)
+        except TagidError as error:
+            assert path.name in error.message
+            return
+        for layout in found:
+            assert layout_from_dict(layout.to_dict()).to_dict() == layout.to_dict()
+
+    return run
+
+
+def _layout_seeds() -> list[bytes]:
+    points = np.array([[0.1, 0.0], [-0.02, 0.06], [-0.05, -0.04]])
+    seen = np.tile([[1e-6, 2e-7], [2e-7, 3e-6]], (3, 1, 1))
+    measured = Layout("a", points, "helmet", 0, "n", "L", np.array([0.0, 0.05, 0.0]), seen)
+    return [layouts_to_toml([measured]).encode(), layouts_to_toml([*builtin_layouts().values()]).encode()]
+
+
+def _contract(data: bytes) -> None:
+    with suppress(TagidError):
+        Contract.from_text(data.decode("utf-8", "replace"), "a model")
+
+
+def _contract_seeds() -> list[bytes]:
+    return [Contract(1.0, 0.0, 1.0, 0.0, 1.0, {"0.1": 0.5, "0.01": 0.9}, {"seed": 0}).to_text().encode()]
+
+
 def _seeds_of(*suffixes: str) -> Callable[[], list[bytes]]:
     return lambda: [encoded(suffix) for suffix in suffixes] + [encoded(s, example(400, 2)) for s in suffixes]
 
 
 TARGETS = (
-    Target("message", _message, _messages, 0.88, 1600),
+    Target("message", _message, _messages, 0.87, 1600),
     Target("framing-usb", _framing(Framing.USB), _frames(Framing.USB), 0.03, 3200),
     Target("framing-uart", _framing(Framing.UART), _frames(Framing.UART), 0.03, 3200),
     Target("regrouping", _scans, _scan_headers, 0.005, 260),
@@ -213,5 +248,7 @@ TARGETS = (
     Target("journal", _importer, _seeds_of(".tagid.journal"), 0.01, 8000),
     Target("npz", _importer, lambda: [*_seeds_of(".npz")(), _stored_npz()], 0.008, 8000),
     Target("hdf5", _importer, _seeds_of(".tagid.h5"), 0.003, 30_000),
+    Target("layouts", _layouts(".toml"), _layout_seeds, 0.005, 2000),
+    Target("contract", _contract, _contract_seeds, 0.005, 2000),
 )
 """Every parser there is; the shares add up to 1 and go by what an execution costs."""
