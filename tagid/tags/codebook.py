@@ -234,9 +234,13 @@ def all_distances(
         cross = np.stack([centred[a].conj() @ image[at:, list(order)].T for order in orders]) / k
         own, other = mean[a, None], image_mean[None, at:]
         both = energy[a, None] + energy[None, at:]
-        least = both - 2 * np.abs(cross)
-        by_shape = both + _misfit(np.angle(cross), cross, own, other, centre_tolerance_m)
-        by_mean = both + _misfit(np.angle(other * own.conj()), cross, own, other, centre_tolerance_m)
+        size = np.abs(cross)
+        least = both - 2 * size
+        shifted = np.abs(other - own * (cross / np.maximum(size, 1e-300)))
+        by_shape = least + np.maximum(shifted - centre_tolerance_m, 0) ** 2
+        toward = np.exp(1j * np.angle(other * own.conj()))
+        by_mean = both - 2 * (toward.conj() * cross).real
+        by_mean += np.maximum(np.abs(np.abs(other) - np.abs(own)) - centre_tolerance_m, 0) ** 2
         square = np.minimum(by_shape, by_mean).min(axis=0)
         open_ = (least < square - 1e-15) & (by_shape > least + 1e-15)
         which, i, j = np.nonzero(open_)

@@ -26,7 +26,7 @@ GHOST_M = 0.07
 """Nearer than about a wavelength (7.6 cm at 3.95 GHz) two reflectors modulate each other and make a ghost."""
 MAX_SLOTS = 48
 MAX_COUNT = 500
-_MAX_PAIRINGS = 200_000_000
+_MAX_PAIRINGS = 300_000_000
 
 
 @dataclass(frozen=True)
