@@ -13,6 +13,7 @@ import platform
 import sys
 from dataclasses import replace
 from datetime import UTC, datetime
+from multiprocessing.pool import Pool
 from pathlib import Path
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -53,23 +54,43 @@ def with_own_echoes(scene: Scene, rng: np.random.Generator) -> Scene:
     return replace(scene, object=(*scene.object, shell, handle, rim), turntable=())
 
 
-def errors(task: tuple[str, bool, int, int, int]) -> tuple[np.ndarray, np.ndarray]:
-    """(K, 2) errors, m, of one scene's reflectors, turn and place fitted; (K, 2) told by the scans."""
-    enrolled, echoes, views, snr, number = task
+def errors(task: tuple[str, bool, int, int, int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """(K, 2) errors of one scene's reflectors in one recording, m, in the object's frame, turn and place
+    fitted; (K, 2) told by the scans."""
+    enrolled, echoes, views, snr, number, again = task
     condition = Condition("tagged", enrolled, views, snr)
     scene, name = draw_scene(condition, number)
     if echoes:
         scene = with_own_echoes(scene, np.random.default_rng([FIRST_SEED + number, 2]))
-    recorded: Recorded = record_scene(scene, name, condition, number)
+    recorded: Recorded = record_scene(scene, name, condition, number + 1000 * again)
     scans, _ = focus_axis_distance(recorded.scans, ImageGrid(0.5, 128), 0.03)
     field = MatchedField(fold_views(scans, RADIUS_M), RADIUS_M)
     truth = recorded.positions[:, :2]
     found = refine_positions(field, truth, Appearance(TRANSPARENT, np.zeros(2)))[0]
-    pair = best_pairing(found, truth)
+    assert scene.points is not None
+    object_frame = scene.points.positions[:, :2]
+    pair = best_pairing(found, object_frame)
     c, s = np.cos(pair.rotation_rad), np.sin(pair.rotation_rad)
-    left = found @ np.array([[c, s], [-s, c]]) + pair.shift_m - truth[pair.partner]
+    left = np.empty_like(found)
+    left[pair.partner] = found @ np.array([[c, s], [-s, c]]) + pair.shift_m - object_frame[pair.partner]
     told = position_covariances(field, found)
     return left, np.sqrt(np.diagonal(told, axis1=1, axis2=2))
+
+
+def repeated(pool: Pool, scenes: int, repeats: int = 4) -> None:
+    """How much of the error with own echoes is the same whenever the object is put down anew."""
+    print(f"\nOwn echoes, 36 views, 20 dB, every object recorded {repeats} times\n")
+    print("| object | error mm | same in all mm | scatter mm |")
+    print("|---|---|---|---|")
+    for enrolled in ("helmet-16", "mug-8"):
+        tasks = [(enrolled, True, 36, 20, i, again) for i in range(scenes) for again in range(repeats)]
+        made = np.array([left for left, _ in pool.imap(errors, tasks, 4)])
+        made = made.reshape(scenes, repeats, *made.shape[1:])
+        mean = made.mean(axis=1, keepdims=True)
+        scatter = np.mean((made - mean) ** 2) * repeats / (repeats - 1)
+        same = np.mean(mean**2) - scatter / repeats
+        cells = [f"{1e3 * np.sqrt(max(value, 0)):.2f}" for value in (np.mean(made**2), same, scatter)]
+        print(f"| {enrolled} | {' | '.join(cells)} |", flush=True)
 
 
 def main() -> None:
@@ -90,7 +111,7 @@ def main() -> None:
         for enrolled in ("helmet-16", "mug-8"):
             for echoes in (False, True):
                 for views, snr in CONDITIONS:
-                    tasks = [(enrolled, echoes, views, snr, i) for i in range(scenes)]
+                    tasks = [(enrolled, echoes, views, snr, i, 0) for i in range(scenes)]
                     made, told = (np.array(side) for side in zip(*pool.imap(errors, tasks, 4), strict=True))
                     # 2 K coordinates less turn and shift leave 2 K - 3.
                     lost = made.size / (made.size - 3 * len(made))
@@ -99,6 +120,7 @@ def main() -> None:
                     row = (enrolled, "shell off the axis, handle, rim" if echoes else "none", views, snr)
                     print(f"| {' | '.join(map(str, row))} | {rms:.2f} | {most:.2f} | ", end="")
                     print(f"{1e3 * np.sqrt(np.mean(told**2)):.2f} |", flush=True)
+        repeated(pool, scenes // 4)
 
 
 if __name__ == "__main__":
