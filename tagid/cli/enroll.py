@@ -31,6 +31,10 @@ def register(app: typer.Typer) -> None:
             str | None,
             typer.Argument(help="Name of the layout; a file has one of its own.", show_default=False),
         ] = None,
+        more: Annotated[
+            list[Path] | None,
+            typer.Argument(help="Captures of the real object, as with --capture.", show_default=False),
+        ] = None,
         points: Annotated[
             list[str] | None,
             typer.Option(
@@ -77,17 +81,22 @@ def register(app: typer.Typer) -> None:
         asked before anything is stored.
 
         Example: tagid enroll helmet-7 --kind helmet --point 0.11,0 --point -0.05,0.09 --point 0,-0.08
+
+        Example: tagid enroll helmet-7 first.tagid.h5 second.tagid.h5 third.tagid.h5
         """
         from tagid.cli.imaging import open_registry
         from tagid.tags.enrolment import outlook as look
 
+        captures = [*(captures or []), *(more or [])]
         ways = [bool(points), file is not None, bool(captures)]
         if sum(ways) != 1:
             raise UsageError(
-                "say in one way where the reflectors are", "Use --point X,Y (repeated), --file or --capture."
+                "say in one way where the reflectors are", "Use --point X,Y (repeated), --file, or captures."
             )
         if file is None and not name:
             raise UsageError("the new layout needs a name", "Give it first: tagid enroll NAME ...")
+        if captures and Path(str(name)).is_file():
+            raise UsageError(f"{name} is a file where a name should be", "Name first: tagid enroll NAME ...")
         if sigma is not None and not points:
             raise UsageError(
                 "--sigma without --point", "A file and captures say themselves how exact they are."

@@ -116,11 +116,14 @@ def test_a_capture_of_another_object_is_named_and_nothing_stored(
     files = [word for i in range(4) for word in ("--capture", f"{i}.h5")]
     refused = tagid("enroll", "can", *files, "--output", "json")
     assert refused.code == 1 and refused.json["errors"][0]["message"].startswith("2.h5 has a reflector")
-    del files[4:6]
-    data = tagid("enroll", "can", *files, "--force", "--output", "json").json["data"]
+    data = tagid("enroll", "can", "--capture", "0.h5", "1.h5", "3.h5", "--force", "--output", "json").json[
+        "data"
+    ]
     assert data["stored"] and 0 < data["sigma_m"] < 1e-3 and len(data["layout"]["covariance_m2"]) == 2
     turns = [(b - a) % 180 for a, b in zip(data["rotations_deg"], data["rotations_deg"][1:], strict=False)]
     assert turns == pytest.approx([70, 140], abs=2)
+    nameless = tagid("enroll", "0.h5", "1.h5", "3.h5", "--force")
+    assert nameless.code == 2 and "where a name should be" in nameless.err
     twin = tagid("enroll", "two", "--capture", "0.h5", "--capture", "0.h5", "--force")
     assert twin.code == 2 and "twice" in twin.err
 
