@@ -122,10 +122,10 @@ def pulse_words(pulse: PulseEstimate | None) -> list[str]:
         return []
     if math.isnan(pulse.residual):
         return ["too few views to estimate the pulse; the assumed one is kept"]
-    unseen = f"leaves {100 * pulse.residual:.0f} % of unseen views unexplained"
+    unseen = f"leaves {100 * pulse.residual:.1f} % of unseen views unexplained"
     if pulse.taken:
-        return [f"pulse estimated: {unseen}, the assumed one {100 * pulse.assumed_residual:.0f} %"]
-    return [f"assumed pulse kept: an estimate {unseen}, it {100 * pulse.assumed_residual:.0f} %"]
+        return [f"pulse estimated: {unseen}, the assumed one {100 * pulse.assumed_residual:.1f} %"]
+    return [f"assumed pulse kept: an estimate {unseen}, it {100 * pulse.assumed_residual:.1f} %"]
 
 
 def calibration_words(settings: dict[str, Any]) -> list[str]:

@@ -82,12 +82,10 @@ def test_a_conducting_cylinder_is_a_circle_of_its_radius(method: str) -> None:
     assert (power * radius).sum() / power.sum() == pytest.approx(0.12, abs=0.008)
 
 
-@pytest.mark.parametrize("preset", ["field", "paper"])
+@pytest.mark.parametrize(("method", "preset"), [*((name, "field") for name in METHODS), ("ats", "paper")])
 def test_silence_is_refused_and_too_little_memory_foreseen(method: str, preset: str, monkeypatch) -> None:
     if preset == "paper":
         pytest.importorskip("torch", reason="the published model needs the extra 'ats'")
-        if method != "ats":
-            pytest.skip("the preset is for ats")
     capture = record(POINTS, [1.0, 0.7], turn(24))
     settings = ImagingSettings(method=method, preset=preset, background="none", focus_m=0.0, pixels=256)
     with pytest.raises(DataError, match="zero"):
