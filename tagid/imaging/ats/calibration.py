@@ -15,6 +15,8 @@ from tagid.errors import UsageError
 from tagid.geometry import Aperture, ImageGrid
 from tagid.imaging.autofocus import focus_axis_distance
 from tagid.imaging.operator import ForwardOperator
+from tagid.imaging.preprocess import select_views
+from tagid.imaging.sparse import sparse_recovery
 from tagid.imaging.types import BasebandScans
 
 Floats = NDArray[np.float64]
@@ -24,6 +26,9 @@ _PRIOR_AXIS_M = 0.03
 _PRIOR_WOBBLE_RAD = 0.03
 """How far off distance and angle may be (one standard deviation): a tape measure, and a speed that is 3 % off
 in every harmonic, which makes an angle error of 0.03 / order."""
+
+_FIRST_ROUNDS, _FIRST_VIEWS = 3, 360
+"""Sparse scenes before the fit, and views of them."""
 
 _SEARCH_M = 0.04
 """Half width of the first search for the axis distance, m."""
@@ -44,6 +49,9 @@ _MOST_SPOTS = 24
 _SECTORS = 18
 """Parts of the turn whose residuals are taken as independent of each other."""
 
+_ITERATIONS = 4
+_WORSE = 1.0
+
 _MOST_AXIS_M, _MOST_WOBBLE_RAD = 0.008, 0.03
 """No step turns the phase by more than about one radian: further the derivatives do not reach."""
 
@@ -59,6 +67,8 @@ class Unknowns:
     gain: Floats
     gain_sigma: Floats
     static: Samples
+    unexplained: float = np.inf
+    """Power per sample that the scene left over when the geometry was last learned."""
 
     @classmethod
     def none(cls, scans: BasebandScans, harmonics: int) -> Unknowns:
@@ -88,9 +98,11 @@ class Unknowns:
 
 
 def begin(scans: BasebandScans, grid: ImageGrid, what: tuple[str, ...], harmonics: int) -> Unknowns:
-    """Where the fit starts: the axis distance of the sharpest backprojection, everything else as given.
+    """Where the fit starts: the axis distance of the sharpest backprojection, and what sparse scenes teach.
 
-    Derivatives reach a centimetre, the tape measure that gave the distance may be off by three.
+    Derivatives reach a centimetre, the tape measure that gave the distance may be off by three. A wobble of
+    2 % draws the neural scene to places from which it does not always come back, so that distance and wobble
+    are first learned with a few sparse scenes.
 
     Raises:
         UsageError: axis or wobble is to be learned from free antenna positions.
@@ -102,10 +114,25 @@ def begin(scans: BasebandScans, grid: ImageGrid, what: tuple[str, ...], harmonic
             f"the capture has antenna positions: there is no turntable whose {' and '.join(wrong)} to learn",
             "Learn gain or static, or leave calibrate away.",
         )
-    if "axis" not in what:
-        return start
-    _, focus = focus_axis_distance(scans, grid, _SEARCH_M)
-    return replace(start, offset_m=focus.offset_m) if focus.reliable else start
+    if "axis" in what:
+        _, focus = focus_axis_distance(scans, grid, _SEARCH_M)
+        start = replace(start, offset_m=focus.offset_m) if focus.reliable else start
+    if {"axis", "wobble"} & set(what) and np.any(scans.samples):
+        few = select_views(scans, slice(None, None, -(-scans.aperture.views // _FIRST_VIEWS)))
+        now = replace(Unknowns.none(few, harmonics), offset_m=start.offset_m)
+        for _ in range(_FIRST_ROUNDS):
+            seen = few.with_aperture(now.aperture(few.aperture))
+            scene = sparse_recovery(seen, grid).values.ravel() / now.phase(few.wavenumber)
+            now = improve(few, grid.points, scene.astype(np.complex64), now, what)
+        start = replace(
+            start,
+            offset_m=now.offset_m,
+            sigma_m=now.sigma_m,
+            wobble=now.wobble,
+            wobble_sigma=now.wobble_sigma,
+            unexplained=now.unexplained,
+        )
+    return start
 
 
 def angle_error(angles: Floats, wobble: NDArray[np.complex128]) -> Floats:
@@ -117,7 +144,7 @@ def angle_error(angles: Floats, wobble: NDArray[np.complex128]) -> Floats:
 def improve(
     scans: BasebandScans, points: Floats, sigma: Samples, now: Unknowns, what: tuple[str, ...]
 ) -> Unknowns:
-    """One Gauss-Newton step on geometry, then gain and static component in closed form.
+    """Gauss-Newton on the geometry, then gain and static component in closed form.
 
     Args:
         scans: measured scans with the nominal aperture.
@@ -136,14 +163,19 @@ def improve(
     some, values = points[bright], sigma[bright]
     if ("axis" in what or "wobble" in what) and scans.aperture.angles is not None:
         now = _geometry(scans, some, values, now, what)
-    operator = ForwardOperator(scans.with_aperture(now.aperture(scans.aperture)), some)
-    seen = np.asarray(operator.forward(values) * now.phase(scans.wavenumber), dtype=np.complex64)
+    seen = _synthesized(scans, some, values, now)
     if "gain" in what:
         now = _gains(scans, seen, now)
     if "static" in what:
         rest = scans.samples - seen * now.gain[:, None]
         now = replace(now, static=np.asarray(rest.mean(axis=0), dtype=np.complex64))
     return now
+
+
+def _synthesized(scans: BasebandScans, points: Floats, sigma: Samples, now: Unknowns) -> Samples:
+    """Scans (views, bins) of a scene under an estimate, without gain and static component."""
+    operator = ForwardOperator(scans.with_aperture(now.aperture(scans.aperture)), points)
+    return np.asarray(operator.forward(sigma) * now.phase(scans.wavenumber), dtype=np.complex64)
 
 
 def _gains(scans: BasebandScans, seen: Samples, now: Unknowns) -> Unknowns:
@@ -166,18 +198,47 @@ def _correlation(scans: BasebandScans) -> float:
 def _geometry(
     scans: BasebandScans, points: Floats, sigma: Samples, now: Unknowns, what: tuple[str, ...]
 ) -> Unknowns:
-    """Axis distance and wobble by one step of Gauss-Newton, jointly with every spot's place and amplitude.
+    """Axis distance and wobble by Gauss-Newton, jointly with every spot's place and amplitude.
 
     The scene is only as far as the fit has come, and a wrong geometry has drawn it to wrong places: what its
     spots could still do is solved for together with the geometry (and then left to the fit), so that neither
     biases the other and the standard errors hold the doubt about the scene.
+    """
+    spots, start = _spots(points, sigma), now
+    for _ in range(_ITERATIONS):
+        before = now
+        now, changes = _step(scans, points, sigma, spots, now, what)
+        points, sigma = points.copy(), sigma.copy()
+        for members, (real, imaginary, x, y) in zip(spots, changes, strict=True):
+            sigma[members] *= np.complex64(1 + np.clip(real, -0.7, 1) + 1j * np.clip(imaginary, -1, 1))
+            points[members] += np.clip([x, y], -_PRIOR_PLACE_M, _PRIOR_PLACE_M)
+        moved = abs(now.offset_m - before.offset_m) > 0.3 * now.sigma_m if "axis" in what else False
+        if not moved and not (np.abs(now.wobble - before.wobble) > 0.3 * now.wobble_sigma).any():
+            break
+    rest = scans.samples - _synthesized(scans, points, sigma, now) * now.gain[:, None]
+    now = replace(now, unexplained=float((np.abs(rest - rest.mean(axis=0)) ** 2).mean()))
+    # A scene that explains less than the one that taught last has nothing to teach.
+    return now if now.unexplained <= _WORSE * start.unexplained else start
+
+
+def _step(
+    scans: BasebandScans,
+    points: Floats,
+    sigma: Samples,
+    spots: list[NDArray[np.bool_]],
+    now: Unknowns,
+    what: tuple[str, ...],
+) -> tuple[Unknowns, Floats]:
+    """One step of Gauss-Newton: the new estimate, and what it changes of every spot (spots, 4).
+
+    Those are the real and imaginary part of a relative change of its amplitude, and its shift in x and y, m.
     """
     aperture = now.aperture(scans.aperture)
     angles = scans.aperture.angles
     assert angles is not None and aperture.angles is not None  # the caller has looked
     operator = ForwardOperator(scans.with_aperture(aperture), points)
     factor = now.gain[:, None] * now.phase(scans.wavenumber)
-    spots, columns, prior = _spots(points, sigma), [], []
+    columns: list[NDArray[np.complexfloating]] = []
     total, by_axis, by_angle = (np.zeros(scans.samples.shape, dtype=np.complex64) for _ in range(3))
     radial, along = _motions(aperture)
     for members in spots:
@@ -190,7 +251,7 @@ def _geometry(
         by_axis += slope * (sight * radial).sum(axis=1)[:, None]
         by_angle += slope * (sight * along).sum(axis=1)[:, None]
         columns += [seen, 1j * seen, -slope * sight[:, :1], -slope * sight[:, 1:2]]
-        prior += [_PRIOR_AMPLITUDE, _PRIOR_AMPLITUDE, _PRIOR_PLACE_M, _PRIOR_PLACE_M]
+    prior = [_PRIOR_AMPLITUDE, _PRIOR_AMPLITUDE, _PRIOR_PLACE_M, _PRIOR_PLACE_M] * len(spots)
     wanted: list[NDArray[np.complexfloating]] = []
     spread, old, limit = [], [], []
     if "axis" in what:
@@ -198,10 +259,8 @@ def _geometry(
         spread, old, limit = [_PRIOR_AXIS_M], [now.offset_m], [_MOST_AXIS_M]
     if "wobble" in what:
         for order, value in enumerate(now.wobble, start=1):
-            wanted += [
-                by_angle * np.cos(order * angles)[:, None],
-                by_angle * -np.sin(order * angles)[:, None],
-            ]
+            turn = np.exp(1j * order * angles)[:, None]
+            wanted += [by_angle * turn.real, by_angle * -turn.imag]
             spread += [_PRIOR_WOBBLE_RAD / order] * 2
             old += [value.real, value.imag]
             limit += [_MOST_WOBBLE_RAD / order] * 2
@@ -212,6 +271,7 @@ def _geometry(
         varying, residual - residual.mean(axis=0), [*spread, *prior], old, _correlation(scans)
     )
     new: Floats = np.array(old) + np.clip(change[: len(old)], -np.array(limit), limit)
+    changes = change[len(old) :].reshape(-1, 4)
     if "axis" in what:
         now = replace(now, offset_m=float(new[0]), sigma_m=float(error[0]))
         new, error = new[1:], error[1:]
@@ -220,7 +280,7 @@ def _geometry(
         # Of a complex number the error of its parts: their root mean square.
         both = np.sqrt((error[0:count:2] ** 2 + error[1:count:2] ** 2) / 2)
         now = replace(now, wobble=new[0:count:2] + 1j * new[1:count:2], wobble_sigma=both)
-    return now
+    return now, changes
 
 
 def _solve(

@@ -203,8 +203,10 @@ class _Fit:
         """Bring calibration, shadows and, once the scene stands, the weights of the samples up to date."""
         settings, values = self.settings, field.on(self.grid)
         image = values[len(values) // 2].ravel()
-        if self.what:
-            self.known = calibration.improve(self.scans, self.grid.points, image, self.known, self.what)
+        # Half a scene would draw the geometry away from where the sparse scenes have put it.
+        what = self.what if late else tuple(w for w in self.what if w not in ("axis", "wobble"))
+        if what:
+            self.known = calibration.improve(self.scans, self.grid.points, image, self.known, what)
         aperture = self.known.aperture(self.scans.aperture)
         if settings.occlusion > 0:
             magnitude = np.sqrt((np.abs(values) ** 2).sum(axis=0))
