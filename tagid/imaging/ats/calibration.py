@@ -50,7 +50,7 @@ _SECTORS = 18
 """Parts of the turn whose residuals are taken as independent of each other."""
 
 _ITERATIONS = 4
-_WORSE = 1.0
+_WORSE = 1.1
 
 _MOST_AXIS_M, _MOST_WOBBLE_RAD = 0.008, 0.03
 """No step turns the phase by more than about one radian: further the derivatives do not reach."""
@@ -217,7 +217,7 @@ def _geometry(
             break
     rest = scans.samples - _synthesized(scans, points, sigma, now) * now.gain[:, None]
     now = replace(now, unexplained=float((np.abs(rest - rest.mean(axis=0)) ** 2).mean()))
-    # A scene that explains less than the one that taught last has nothing to teach.
+    # A scene that explains much less than the one that taught last has nothing to teach.
     return now if now.unexplained <= _WORSE * start.unexplained else start
 
 
