@@ -35,7 +35,7 @@ from tagid.tags.matcher import read_tag
 VIEWS = (360, 36, 18, 12)
 SNRS_DB = (20, 10, 5, 0)
 OUTCOMES = ("correct", "ambiguous", "unknown", "no_tag", "wrong")
-PARTS = ("grid", "roc", "methods", "robustness")
+PARTS = ("grid", "others", "roc", "methods", "robustness")
 HARD = ((36, 10), (36, 0), (12, 10), (18, 0))
 FALSE_ACCEPTS = (1e-4, 1e-3, 1e-2, 1e-1)
 
@@ -147,7 +147,7 @@ class Runner:
 
 
 def grid(runner: Runner, arguments: argparse.Namespace) -> None:
-    for enrolled in SETS:
+    for enrolled in arguments.sets:
         print(f"Tagged, {enrolled} ({len(SETS[enrolled])} layouts)\n")
         rows = []
         for views in arguments.views:
@@ -155,6 +155,9 @@ def grid(runner: Runner, arguments: argparse.Namespace) -> None:
                 condition = Condition("tagged", enrolled, views, snr)
                 rows.append((f"{views} | {snr}", runner.run(condition, arguments.scenes)))
         table("views | SNR dB", rows)
+
+
+def others(runner: Runner, arguments: argparse.Namespace) -> None:
     for group in ("unenrolled", "untagged"):
         print(f"{group.capitalize()} objects, the paper's four enrolled\n")
         rows = [
@@ -217,6 +220,7 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--views", type=int, nargs="*", default=VIEWS)
     parser.add_argument("--snr", type=int, nargs="*", default=SNRS_DB)
+    parser.add_argument("--sets", nargs="*", choices=tuple(SETS), default=tuple(SETS), help="of the grid")
     parser.add_argument("--only", nargs="*", choices=PARTS, default=PARTS)
     arguments = parser.parse_args()
     if arguments.short:
@@ -229,6 +233,7 @@ def main() -> None:
     runner = Runner(arguments.jobs)
     parts = {
         "grid": grid,
+        "others": others,
         "roc": roc,
         "methods": methods,
         "robustness": robustness,

@@ -16,7 +16,7 @@ from tagid.imaging.types import BasebandScans
 from tagid.simulate.acquisition import Acquisition, Placement, Wobble
 from tagid.simulate.capture import simulate_capture
 from tagid.simulate.presets import scene_from_layout, scene_from_name
-from tagid.simulate.scattering import Points
+from tagid.simulate.scattering import Points, Returns
 from tagid.simulate.scene import Scene
 from tagid.tags.design import DesignRules, design
 from tagid.tags.layout import Layout, builtin_layouts
@@ -123,10 +123,68 @@ def _occluded(scene: Scene, rng: np.random.Generator) -> Scene:
     return _with_points(scene, replace(_points(scene), aspect_floor=0.0, aspect_width_rad=np.deg2rad(180.0)))
 
 
+class HiddenPoints(Points):
+    """Reflectors of which each is hidden from antennas within half an angle of a direction.
+
+    Both are attributes set after it is made: `hidden_rad` (n,) and `half_rad`.
+    """
+
+    hidden_rad: np.ndarray
+    half_rad: float
+
+    def returns(self, antennas: np.ndarray) -> Returns:
+        seen = super().returns(antennas)
+        side = np.arctan2(*(antennas[:, None, i] - self.positions[None, :, i] for i in (1, 0)))
+        off = np.abs(np.angle(np.exp(1j * (side - self.hidden_rad))))
+        return Returns(seen.points, np.where(off < self.half_rad, 0.0, seen.amplitudes))
+
+
+def _hidden(scene: Scene, directions: np.ndarray, width_deg: float) -> Scene:
+    p = _points(scene)
+    hidden = HiddenPoints(p.positions, p.amplitudes, p.facing_rad, p.aspect_width_rad, p.aspect_floor)
+    object.__setattr__(hidden, "hidden_rad", directions)
+    object.__setattr__(hidden, "half_rad", np.deg2rad(width_deg / 2))
+    return _with_points(scene, hidden)
+
+
+def _opaque(half_width_deg: float) -> Callable[[Scene, np.random.Generator], Scene]:
+    """A hard edge: seen to this angle from the outward side; a reflector on the axis from everywhere."""
+
+    def twist(scene: Scene, rng: np.random.Generator) -> Scene:
+        facing = _points(scene).facing_rad
+        assert facing is not None
+        return _hidden(scene, facing + np.pi, 360 - 2 * half_width_deg)
+
+    return twist
+
+
+def _sector(scene: Scene, rng: np.random.Generator) -> Scene:
+    return _hidden(scene, np.full(len(_points(scene).positions), rng.uniform(0, 2 * np.pi)), 120.0)
+
+
+def _sectors(scene: Scene, rng: np.random.Generator) -> Scene:
+    return _hidden(scene, rng.uniform(0, 2 * np.pi, len(_points(scene).positions)), 90.0)
+
+
+def _askew(scene: Scene, rng: np.random.Generator) -> Scene:
+    p = _points(scene)
+    assert p.facing_rad is not None
+    facing = p.facing_rad + rng.uniform(-1, 1, len(p.positions)) * np.deg2rad(30.0)
+    return _with_points(
+        scene, replace(p, facing_rad=facing, aspect_floor=0.0, aspect_width_rad=np.deg2rad(150.0))
+    )
+
+
 SCENE_TWISTS: dict[str, Callable[[Scene, np.random.Generator], Scene]] = {
     "one reflector missing": _missing,
     "one reflector extra": _extra,
     "far side occluded": _occluded,
+    "opaque, hard edge at 65 deg": _opaque(65.0),
+    "opaque, hard edge at 90 deg": _opaque(90.0),
+    "opaque, hard edge at 115 deg": _opaque(115.0),
+    "120 deg of all hidden": _sector,
+    "90 deg of each hidden elsewhere": _sectors,
+    "narrow and askew by up to 30 deg": _askew,
 }
 ACQUISITION_TWISTS: dict[str, Callable[[Acquisition], Acquisition]] = {
     "wobble 3 %": lambda a: replace(a, wobble=Wobble(speed=0.03)),
