@@ -24,7 +24,9 @@ ODD_NATS = 8.0
 """What one reflector of another strength can cost a layout: a factor of 2.7, or a missing one."""
 BEGINNING = 2
 """Rounds of refinement from all starts, before the hopeless are left where they are."""
-REACH_NATS, REACH_SHARE = 25.0, 0.4
+FINISHED = 6
+"""Layouts refined to the end, at most: the name hangs on the best and the runner-up."""
+REACH_NATS, REACH_SHARE = 15.0, 0.4
 """The hopeless lack so many nats and this share of the best's energy: the coarse grid costs up to a quarter,
 the runner-up matters within the decision's margins, and noise gains some nats."""
 FULLY_VISIBLE = 0.5
@@ -243,7 +245,8 @@ def search(field: MatchedField, layouts: Sequence[Layout], settings: SearchSetti
             fits.append(_best_fit(field, layout, image.aspect, places, settings.balance))
         begun.append(fits)
     least = min(fit.criterion for fits in begun for fit in fits)
-    reach_nats = least + REACH_NATS + REACH_SHARE * abs(least)
+    leaders = sorted(min(fit.criterion for fit in fits) for fits in begun)[:FINISHED]
+    reach_nats = min(least + REACH_NATS + REACH_SHARE * abs(least), leaders[-1])
     results = []
     for fits in begun:
         hopeful = [fit for fit in fits if fit.criterion <= reach_nats]
