@@ -41,8 +41,9 @@ class DecisionSettings:
             energy over noise a tag needs, and how strong an echo must be to rule out another object.
         explained_share: least share of the energy above noise that the layout explains.
         gain_nats, gain_spread_nats, gain_share: one reflector more, all placed freely, may explain so many
-            noise levels plus this share of the layout's energy more. Tags in noise gain 8 in the mean and 13
-            in one of a hundred, and up to 10 % by wobble and aspect; other tags leave 23 % or more.
+            noise levels plus this share of the layout's energy beyond its uneven fit. Tags in noise gain 8 in
+            the mean and 13 in one of a hundred; wobble of 3 % or hidden sectors add under 1 % of the energy,
+            other tags leave 13 % or more.
         missing_share: a reflector weaker than this share of the strongest is missing; less
             `missing_deviations` of a measured amplitude, but never under `missing_least`.
         extra_share: an unexplained point stronger than this share of the layout's median counts as extra.
@@ -60,7 +61,7 @@ class DecisionSettings:
     explained_share: float = 0.45
     gain_nats: float = 8.0
     gain_spread_nats: float = 5.0
-    gain_share: float = 0.12
+    gain_share: float = 0.06
     missing_share: float = 0.65
     missing_deviations: float = 1.5
     missing_least: float = 0.4

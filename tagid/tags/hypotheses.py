@@ -13,11 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.tags.aspect import PATTERNS, ROUND, TRANSPARENT, Appearance, Aspect, outward
+from tagid.tags.coarse import CoarseImage
 from tagid.tags.field import MatchedField
 from tagid.tags.layout import Layout, rotation_matrix
 
-COARSE_NO_SIDE_M = 0.015
-"""On the coarse image sides are told from the turntable's axis, which is up to 14 mm off the object's."""
 ALIKE = 0.25
 """Spread of the logarithm of a tag's amplitudes: its reflectors differ by up to 20 %, and by aspect."""
 ODD_NATS = 8.0
@@ -31,8 +30,6 @@ REACH_NATS, REACH_SHARE = 15.0, 0.4
 the runner-up matters within the decision's margins, and noise gains some nats."""
 FULLY_VISIBLE = 0.5
 """Visibility from which an amplitude is taken as measured."""
-IMAGE_STEP_M = 3e-3
-"""Pixel of the coarse image; its finest fringe is lambda_min / 2 = 31 mm: bilinear reading errs by < 5 %."""
 
 
 @dataclass(frozen=True)
@@ -184,55 +181,13 @@ def criterion(field: MatchedField, value: Values, aspect: Aspect) -> NDArray[np.
     return np.asarray(n * np.log(left) + unknowns + (0.0 if aspect.uniform else np.log(n)) + odd)
 
 
-class _CoarseImage:
-    """Complex image of b on a square, read by bilinear interpolation."""
-
-    def __init__(self, field: MatchedField, radius_m: float, aspect: Aspect, offsets_m: Sequence[float]):
-        half = int(np.ceil(radius_m / IMAGE_STEP_M)) + 1
-        self.half = half
-        self.axis = np.arange(-half, half + 1) * IMAGE_STEP_M
-        x, y = np.meshgrid(self.axis, self.axis)
-        inside = x**2 + y**2 <= (radius_m + 2 * IMAGE_STEP_M) ** 2
-        points = np.stack([x[inside], y[inside]], axis=-1)
-        distances = field.distances(points)
-        weight = aspect.weight(field, points, outward(points, np.zeros(2), COARSE_NO_SIDE_M))
-        self.field = field
-        self.aspect = aspect
-        static = field.static_part(distances, weight)
-        self.static = np.zeros((*inside.shape, static.shape[-1]), dtype=np.complex64)
-        self.static[inside] = static
-        self.images = np.zeros((len(offsets_m), *inside.shape), dtype=np.complex64)
-        self.images[:, inside] = field.correlate_offsets(distances, offsets_m, weight)
-
-    def static_overlap(self, points: NDArray[np.float64]) -> NDArray[np.complex64]:
-        """(..., K, K) part of the Gram matrix that is constant over views, to the nearest pixel."""
-        index = np.rint(points / IMAGE_STEP_M).astype(np.int32) + self.half
-        index = np.clip(index, 0, 2 * self.half)
-        static = self.static[index[..., 1], index[..., 0]]
-        overlap: NDArray[np.complex64] = np.matmul(static.conj(), np.swapaxes(static, -1, -2))
-        return overlap * self.field.views
-
-    def read(self, points: NDArray[np.float64]) -> NDArray[np.complex64]:
-        """(offsets, ...) b at points (..., 2)."""
-        position = (points / IMAGE_STEP_M + self.half).astype(np.float32)
-        index = np.clip(position.astype(np.int32), 0, 2 * self.half - 1)
-        part = position - index
-        width = 2 * self.half + 1
-        base = index[..., 1] * width + index[..., 0]
-        flat = self.images.reshape(len(self.images), -1)
-        fx, fy = part[..., 0], part[..., 1]
-        low = flat[:, base] * (1 - fx) + flat[:, base + 1] * fx
-        high = flat[:, base + width] * (1 - fx) + flat[:, base + width + 1] * fx
-        return np.asarray(low * (1 - fy) + high * fy)
-
-
 def search(field: MatchedField, layouts: Sequence[Layout], settings: SearchSettings) -> list[Fit]:
     """The best fit of every layout, in the order given.
 
     All layouts are refined a little, and only those that may still win or come second to the end.
     """
     reach = max(layout.radius_m for layout in layouts) + settings.centre_range_m * np.sqrt(2)
-    images = [_CoarseImage(field, reach, aspect, settings.offsets_m) for aspect in settings.aspects]
+    images = [CoarseImage(field, reach, aspect, settings.offsets_m) for aspect in settings.aspects]
     coarse = [[_coarse_starts(field, layout, image, settings) for image in images] for layout in layouts]
     most = max(score for found in coarse for _, score in found)
     begun: list[list[Fit]] = []
@@ -281,7 +236,7 @@ def _finished(field: MatchedField, found: list[Fit], settings: SearchSettings) -
 
 
 def _coarse_starts(
-    field: MatchedField, layout: Layout, coarse: _CoarseImage, settings: SearchSettings
+    field: MatchedField, layout: Layout, coarse: CoarseImage, settings: SearchSettings
 ) -> tuple[NDArray[np.float64], float]:
     """(starts, 4) rotation, x, y, offset of the best distinct places, and the charged energy of the best."""
     turn = 2 * np.pi / layout.symmetry
