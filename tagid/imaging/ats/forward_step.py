@@ -13,7 +13,10 @@ import torch
 BETA1, BETA2 = 0.9, 0.95
 """Decay of Adam's moments (Kingma and Ba, ICLR 2015); Müller et al. take 0.99 for the second."""
 
-MAGNITUDE_FLOOR = 1e-6
+SMALLEST = 1e-20
+"""Keeps a tensor without gradient where it is."""
+
+MAGNITUDE_FLOOR = 1e-2
 """Of |sigma| / scale in the square root of the sparsity prior, which keeps its gradient finite at zero."""
 
 
@@ -35,7 +38,8 @@ class Step(NamedTuple):
         samples: (2, V, B) measured scans, real and imaginary part.
         confidence: (V, B) weight of every sample.
         numbers: (9,) learning rate of the tables, of the network, Adam's two bias corrections, scale of the
-            output, weights of data, sparsity and neighbourhood terms, Adam's epsilon.
+            output, weights of data, sparsity and neighbourhood terms, Adam's epsilon relative to the largest
+            gradient of a tensor.
         start: (1,) range of the first fine bin, in fine bins, less the half that makes a cut a rounding.
     """
 
@@ -155,14 +159,18 @@ def _backwards(s: Step, layers: list[Any], slope: Any) -> list[Any]:
 
 
 def _adam(s: Step, grads: list[Any]) -> list[Any]:
-    """Parameters and both moments after Adam's update, in the order of `Step`."""
+    """Parameters and both moments after Adam's update, in the order of `Step`.
+
+    Adam's epsilon is relative to the largest gradient of its tensor: with an absolute one, pixels that the
+    data hardly see move as fast as bright ones, on rounding alone.
+    """
     parameters = [*s.tables, *s.weights, *s.biases]
     first = [BETA1 * m + (1 - BETA1) * g for m, g in zip(s.first, grads, strict=True)]
     second = [BETA2 * v + (1 - BETA2) * g * g for v, g in zip(s.second, grads, strict=True)]
     rates = [s.numbers[0] * s.numbers[2]] * len(s.tables)
     rates += [s.numbers[1] * s.numbers[2]] * (len(s.weights) + len(s.biases))
-    moved = [
-        p - rate * m / ((v * s.numbers[3]).sqrt() + s.numbers[8])
-        for p, m, v, rate in zip(parameters, first, second, rates, strict=True)
-    ]
+    moved = []
+    for p, m, v, rate in zip(parameters, first, second, rates, strict=True):
+        size = (v * s.numbers[3]).sqrt()
+        moved.append(p - rate * m / (size + s.numbers[8] * size.max() + SMALLEST))
     return moved + first + second

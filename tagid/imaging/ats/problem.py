@@ -25,6 +25,12 @@ LEAST_PATH_VIEWS = 36
 _TABLE_INIT = 1e-2
 """Features start uniform in +-1e-2, small beside the network's weights, so that a fit starts near zero."""
 
+_PARTS = ((0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0))
+"""Feature and sign of the units that pass the first image on: a ReLU lets only one sign through."""
+
+_REST = 0.3
+"""What is left of the output's random weights, so that the first image stands out of them."""
+
 
 @dataclass(frozen=True, eq=False)
 class FieldShape:
@@ -126,10 +132,21 @@ def _sample(table: Array, pixels: int) -> Array:
     return np.asarray(both.reshape(len(table), -1), dtype=np.float32)
 
 
-def draw_weights(shape: FieldShape, grid: ImageGrid, scale: float, seed: int) -> FieldWeights:
-    """Initial parameters from a seed: the same on every machine and for every engine.
+def draw_weights(
+    shape: FieldShape, grid: ImageGrid, scale: float, seed: int, first: NDArray[np.complexfloating]
+) -> FieldWeights:
+    """Initial parameters: random ones from a seed, the same on every machine, that carry a first image.
 
-    Layers are uniform with variance 1 / (3 fan-in).
+    Layers are uniform with variance 1 / (3 fan-in). The finest level holds the first image in its features,
+    and the first four units of every layer pass it on as positive and negative real and imaginary parts. From
+    a random field a fit of a full turn often ends in a ring of points about the true one.
+
+    Args:
+        shape, grid: sizes of the field.
+        scale: of the output.
+        seed: of all that is random.
+        first: (cells + 1, cells + 1) image at the vertices of the finest level, rows along y, relative to
+            the scale.
     """
     rng = np.random.default_rng(seed)
 
@@ -143,7 +160,36 @@ def draw_weights(shape: FieldShape, grid: ImageGrid, scale: float, seed: int) ->
         bound = 1 / np.sqrt(fan_in)
         weights.append(uniform(bound, fan_out, fan_in))
         biases.append(uniform(bound, fan_out, 1))
-    return FieldWeights(tables, weights, biases, scale, grid.extent, grid.pixels)
+    field = FieldWeights(tables, weights, biases, scale, grid.extent, grid.pixels)
+    _carry(field, shape, np.asarray(first))
+    return field
+
+
+def _carry(field: FieldWeights, shape: FieldShape, first: NDArray[np.complexfloating]) -> None:
+    """Put the first image into a field and take the rest of the network down to zero where features are."""
+    peak = float(np.abs(first).max(initial=0.0))
+    wide = shape.features >= 2 and (shape.hidden == 0 or shape.width >= len(_PARTS))
+    middle, last = shape.channels // 2, field.weights[-1]
+    last *= np.float32(_REST)
+    if wide and peak > 0:
+        at = shape.features * (len(shape.cells) - 1)
+        field.tables[-1][0] += (first.real / peak).astype(np.float32)
+        field.tables[-1][1] += (first.imag / peak).astype(np.float32)
+        inputs = [(at + part, sign) for part, sign in _PARTS]
+        for weight, bias in zip(field.weights[:-1], field.biases[:-1], strict=True):
+            for row, (column, sign) in enumerate(inputs):
+                weight[row], bias[row] = 0, 0
+                weight[row, column] = sign
+            inputs = [(row, 1.0) for row in range(len(_PARTS))]
+        signs = [sign for _, sign in _PARTS] if shape.hidden else [1.0] * len(_PARTS)
+        for (column, _), (part, _), sign in zip(inputs, _PARTS, signs, strict=True):
+            last[:, column] = 0
+            last[middle + part * shape.channels, column] = sign * peak
+    # What the biases alone give is an echo of the whole square: it would be the first thing to be unlearned.
+    layer = np.zeros((field.weights[0].shape[1], 1), dtype=np.float32)
+    for weight, bias in zip(field.weights[:-1], field.biases[:-1], strict=True):
+        layer = np.maximum(weight @ layer + bias, 0)
+    field.biases[-1][:] = -last @ layer
 
 
 def interpolation(pixels: int, cells: int) -> Array:

@@ -51,7 +51,8 @@ class AtsSettings:
             nothing hides behind anything.
         views_per_step: views of one step; a capture with more is used in interleaved subsets by turns.
         held_out: share of the views that the fit does not see, which tell when to stop; none under 18 views.
-        patience: checks (every 10 steps) without a lower held-out residual before the fit stops; 0: never.
+        patience: checks (every 10 steps of the second half) without a lower held-out residual before the fit
+            stops; 0: never, which is the default since a noisy check stops some fits long before their end.
         width, hidden: units of a hidden layer, and hidden layers of the network.
         finest_m: edge of the finest cell of the encoding, m; never finer than the pixels.
         levels, features, coarsest: resolutions, features of each, cells a side of the coarsest.
@@ -64,11 +65,11 @@ class AtsSettings:
     engine: str = "auto"
     device: str = "cpu"
     steps: int = 100
-    learning_rate: float = 0.05
+    learning_rate: float = 0.06
     network_rate: float = 1.0
-    decay: float = 0.3
+    decay: float = 0.2
     l1: float = 0.03
-    noise_factor: float = 1.5
+    noise_factor: float = 3.0
     smoothness: float = 0.0
     robust: float = 0.0
     calibrate: tuple[str, ...] = ()
@@ -77,7 +78,7 @@ class AtsSettings:
     occlusion: float = 0.0
     views_per_step: int = 12
     held_out: float = 0.04
-    patience: int = 2
+    patience: int = 0
     width: int = 16
     hidden: int = 1
     finest_m: float = 0.0073
