@@ -70,7 +70,7 @@ def test_the_gradient_is_that_of_the_loss_by_autograd(scans) -> None:
     rows = matrix_of_nearest_bins(scans, fine) @ seen.reshape(24, -1, 1)
     residual = rows[:, :, 0] - torch.from_numpy(scans.samples)
     data = (torch.from_numpy(confidence).float() * 2e-3 * residual.abs().square()).sum()
-    sparsity = 1e-3 * (sigma.square().sum(0) + (3e-6) ** 2).sqrt().sum()
+    sparsity = 1e-3 * (sigma.square().sum(0) + (3.0 * step_module.MAGNITUDE_FLOOR) ** 2).sqrt().sum()
     image = sigma.reshape(6, 20, 20)
     rough = (image[:, 1:] - image[:, :-1]).square().sum() + (
         image[:, :, 1:] - image[:, :, :-1]

@@ -50,6 +50,9 @@ _MEAN_OVER = 0.3
 """Part of the steps, at the end, whose mean is the result: it is smoother than any of them, and the rounding
 of an engine shows less in it."""
 
+_MOST_SHRUNK = 2.0
+"""The weight of the sparsity prior is at most half of what gives a blank image."""
+
 _LEAST_HELD_OUT = 18
 """Fewer views are all needed for the image."""
 
@@ -174,8 +177,16 @@ class _Fit:
                 best = min(best, residual)
                 if worse >= settings.patience and step + 1 > max(learn, default=0):
                     break
-        field = mean if since else engine.weights()
+        field = self._unshrunk(mean if since else engine.weights())
         return field, self._held_out_residual(field) if len(self.unseen) else float("nan")
+
+    def _unshrunk(self, field: FieldWeights) -> FieldWeights:
+        """The field times the one factor that explains the scans best: the prior made it too dark."""
+        data = self.scans.samples - self.known.static
+        seen = self._seen(self.scans, field.on(self.grid), True)
+        energy = float(np.vdot(seen, seen).real)
+        factor = float(np.vdot(seen, data).real) / energy if energy > 0 else 1.0
+        return replace(field, scale=field.scale * float(np.clip(factor, 1.0, _MOST_SHRUNK)))
 
     def _numbers(self, scales: _Scales, step: int, views: int) -> Array:
         """The step's scalars in the order of `step.Step.numbers`."""

@@ -17,7 +17,8 @@ SMALLEST = 1e-20
 """Keeps a tensor without gradient where it is."""
 
 MAGNITUDE_FLOOR = 1e-2
-"""Of |sigma| / scale in the square root of the sparsity prior, which keeps its gradient finite at zero."""
+"""Of |sigma| / scale in the square root of the sparsity prior: below it a pixel is no longer pushed about
+zero, where rounding would decide its sign and two engines would part."""
 
 
 class Step(NamedTuple):

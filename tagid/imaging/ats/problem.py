@@ -133,7 +133,11 @@ def _sample(table: Array, pixels: int) -> Array:
 
 
 def draw_weights(
-    shape: FieldShape, grid: ImageGrid, scale: float, seed: int, first: NDArray[np.complexfloating]
+    shape: FieldShape,
+    grid: ImageGrid,
+    scale: float,
+    seed: int,
+    first: NDArray[np.complexfloating] | None = None,
 ) -> FieldWeights:
     """Initial parameters: random ones from a seed, the same on every machine, that carry a first image.
 
@@ -146,7 +150,7 @@ def draw_weights(
         scale: of the output.
         seed: of all that is random.
         first: (cells + 1, cells + 1) image at the vertices of the finest level, rows along y, relative to
-            the scale.
+            the scale; None, or a network too narrow for it: a dark field.
     """
     rng = np.random.default_rng(seed)
 
@@ -161,7 +165,7 @@ def draw_weights(
         weights.append(uniform(bound, fan_out, fan_in))
         biases.append(uniform(bound, fan_out, 1))
     field = FieldWeights(tables, weights, biases, scale, grid.extent, grid.pixels)
-    _carry(field, shape, np.asarray(first))
+    _carry(field, shape, np.zeros((1, 1), dtype=np.complex64) if first is None else first)
     return field
 
 
