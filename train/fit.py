@@ -36,6 +36,7 @@ class FitSettings:
         decay: weight decay.
         seed: of weights, order and symmetries.
         threads: of torch; sums depend on it in the last digits.
+        hidden: planes of the input that are shown as zeros, to measure what they are worth.
     """
 
     epochs: int = 10
@@ -44,6 +45,7 @@ class FitSettings:
     decay: float = 1e-4
     seed: int = 0
     threads: int = 2
+    hidden: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -97,6 +99,7 @@ def fit(
         for step in range(count):
             which = order[step * s.batch : (step + 1) * s.batch]
             batch = make_batch(training, which, rng.integers(0, 8, len(which)))
+            batch.planes[:, list(s.hidden)] = 0
             cells, present = network(batch.planes)
             value = loss(cells, present, batch)
             optimiser.zero_grad()
@@ -109,12 +112,16 @@ def fit(
                 progress(epoch * count + step + 1, steps, float(value.detach()))
         _save(checkpoint, parts, own, epoch + 1)
         if report:
-            report(Epoch(epoch + 1, s.epochs, total / max(1, count), mean_loss(network, validation)))
+            report(
+                Epoch(epoch + 1, s.epochs, total / max(1, count), mean_loss(network, validation, s.hidden))
+            )
     network.eval()
     return network
 
 
-def mean_loss(network: DetectorNetwork, samples: Samples, batch: int = 64) -> float:
+def mean_loss(
+    network: DetectorNetwork, samples: Samples, hidden: tuple[int, ...] = (), batch: int = 64
+) -> float:
     """Loss of a network that is not training."""
     network.eval()
     total = 0.0
@@ -122,6 +129,7 @@ def mean_loss(network: DetectorNetwork, samples: Samples, batch: int = 64) -> fl
         for start in range(0, len(samples), batch):
             which = np.arange(start, min(start + batch, len(samples)))
             made = make_batch(samples, which)
+            made.planes[:, list(hidden)] = 0
             cells, present = network(made.planes)
             total += float(loss(cells, present, made)) * len(which)
     return total / max(1, len(samples))

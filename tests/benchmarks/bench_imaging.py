@@ -41,6 +41,7 @@ from imaging_scenes import (
     score,
 )
 
+from tagid.geometry import ImageGrid
 from tagid.imaging.metrics import localise, pick_peaks
 from tagid.imaging.types import Image
 
@@ -279,6 +280,9 @@ def local_maxima(image: Image, threshold: float = 0.5) -> np.ndarray:
     return np.stack([axis[columns], axis[rows]], axis=1)
 
 
+CLOSE = {"20 mm apart": GRID, "20 mm apart, pixels of 3.6 mm": ImageGrid(GRID.extent / 2, GRID.pixels)}
+
+
 class CloseCell(NamedTuple):
     """Two close points, or few views, and the rows wanted."""
 
@@ -289,8 +293,11 @@ class CloseCell(NamedTuple):
 
 def score_close(cell: CloseCell) -> dict[str, tuple[float, float]]:
     """Row -> (1 where all points are found and nothing else is seen, false detections)."""
-    few, seed = cell.what != "20 mm apart", cell.seed
-    problem = random_points(1 + seed % 4, 12, 0.1, seed) if few else close_points(36, 0.1, seed)
+    few, seed = cell.what not in CLOSE, cell.seed
+    if few:
+        problem = random_points(1 + seed % 4, 12, 0.1, seed)
+    else:
+        problem = close_points(36, 0.1, seed, grid=CLOSE[cell.what])
     results = {}
     for row in cell.rows:
         image, _ = problem.image(row)
@@ -303,7 +310,7 @@ def score_close(cell: CloseCell) -> dict[str, tuple[float, float]]:
 def resolution(run: Run) -> str:
     """Two points 20 mm apart (36 views, noise 0.1), and false detections with 12 views (noise 0.1)."""
     lines = []
-    for what in ("20 mm apart", "1 to 4 points, 12 views"):
+    for what in (*CLOSE, "1 to 4 points, 12 views"):
         cells = [
             CloseCell(tuple(r for r in run.rows_of(seed) if r != "blank"), what, seed)
             for seed in range(run.seeds)

@@ -133,7 +133,9 @@ def window(extent_m: float) -> np.ndarray:
     return np.arange(AXIS_DISTANCE_M - reach, AXIS_DISTANCE_M + reach, RANGE_STEP_M)
 
 
-def point_problem(points: np.ndarray, views: int, noise: float, rng: np.random.Generator) -> Problem:
+def point_problem(
+    points: np.ndarray, views: int, noise: float, rng: np.random.Generator, grid: ImageGrid = GRID
+) -> Problem:
     """Unit points; the sinogram divided by its peak, then complex noise of that standard deviation added."""
     angles = np.arange(views) * 2 * np.pi / views
     ranges = window(GRID.extent)
@@ -144,7 +146,7 @@ def point_problem(points: np.ndarray, views: int, noise: float, rng: np.random.G
     capture = Capture(
         samples.astype(np.complex64), float(ranges[0]), RANGE_STEP_M, angles, axis_distance_m=AXIS_DISTANCE_M
     )
-    return Problem(capture, GRID, truth_image(points, GRID), points)
+    return Problem(capture, grid, truth_image(points, grid), points)
 
 
 def random_points(count: int, views: int, noise: float, seed: int) -> Problem:
@@ -153,12 +155,15 @@ def random_points(count: int, views: int, noise: float, seed: int) -> Problem:
     return point_problem(rng.uniform(-0.22, 0.22, (count, 2)), views, noise, rng)
 
 
-def close_points(views: int, noise: float, seed: int, apart_m: float = 0.02) -> Problem:
-    """Two points `apart_m` apart in a random direction at a random place within +-0.15 m."""
+def close_points(
+    views: int, noise: float, seed: int, apart_m: float = 0.02, grid: ImageGrid = GRID
+) -> Problem:
+    """Two points `apart_m` apart in a random direction at a random place within the grid's inner half."""
     rng = np.random.default_rng([FIRST_SEED + seed, 77])
-    middle, angle = rng.uniform(-0.15, 0.15, 2), rng.uniform(0, np.pi)
+    reach = 0.15 * grid.extent / GRID.extent
+    middle, angle = rng.uniform(-reach, reach, 2), rng.uniform(0, np.pi)
     half = apart_m / 2 * np.array([np.cos(angle), np.sin(angle)])
-    return point_problem(np.array([middle - half, middle + half]), views, noise, rng)
+    return point_problem(np.array([middle - half, middle + half]), views, noise, rng, grid)
 
 
 def cramer_rao_mm(points: np.ndarray, views: int, noise: float) -> float:
