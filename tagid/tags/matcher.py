@@ -245,4 +245,5 @@ def _evidence(
         displacement_sigma_m=float(1 / (2 * matched.wavenumber * np.sqrt(2 * each))),
         margin_share=lead / max(best.charged, 1e-30),
         margin_nats=lead / level - fewer * np.log(matched.independent_samples),
+        views=matched.views,
     )

@@ -92,5 +92,6 @@ def joint_evidence(parts: Sequence[Evidence]) -> Evidence:
         displacement_sigma_m=float(np.sqrt(mean([part.displacement_sigma_m**2 for part in parts]))),
         margin_share=mean([part.margin_share for part in parts]),
         margin_nats=sum(part.margin_nats for part in parts),
+        views=min(part.views for part in parts),
         scans=sum(part.scans for part in parts),
     )
