@@ -23,8 +23,8 @@ ODDS_ERROR, CLEAR_NATS = 0.02, 100.0
 """Share of the energy beyond CLEAR_NATS that the model may leave unexplained: it takes odds from every tag,
 and is nothing beside what a stranger's tag leaves there."""
 STRANGER_NATS, STRANGER_SLOPE, STRANGER_PLACES = 8.3, 1.6, 36600.0
-"""Preference asked at a false-accept setting of 0.001 with the paper's four layouts enrolled, and how it grows
-as the setting becomes one in e times as small; 36600 is those layouts' number of places."""
+"""Preference asked at a false-accept setting of 0.001 with the paper's four layouts enrolled, and how it
+grows as the setting becomes one in e times as small; 36600 is those layouts' number of places."""
 FEW_VIEWS, FEW_VIEWS_NATS = 36, 4.0
 """Under so many views a stranger's further reflector hides among sidelobes and aspects: down to half of them
 the preference asked rises by so much. Both from 600 readings each of tags and of strangers' tags at 12 to 36
@@ -158,8 +158,8 @@ def preference(e: Evidence) -> float:
 def least_preference(e: Evidence, false_accept: float) -> float:
     """Nats of `preference` that are asked for: few strangers' tags reach them.
 
-    More enrolled layouts have more places to match. tests/benchmarks/identification_null.py counts by how much
-    tags and strangers' tags pass or miss it.
+    More enrolled layouts have more places to match. tests/benchmarks/identification_null.py counts by how
+    much tags and strangers' tags pass or miss it.
     """
     rarer = STRANGER_SLOPE * log(1e-3 / false_accept)
     enrolled = log(max(e.places, 1.0) / STRANGER_PLACES)
