@@ -55,7 +55,9 @@ def spoil(data: bytes, rng: random.Random) -> bytes:
 
 @pytest.mark.parametrize("target", TARGETS, ids=lambda target: target.name)
 def test_seeds_are_taken(target: Target) -> None:
-    for seed in target.seeds():
+    seeds = target.seeds()
+    assert seeds, "a target without a whole input is fuzzed blind"
+    for seed in seeds:
         target.run(seed)
 
 
@@ -68,7 +70,9 @@ def test_spoiled_input_ends_in_a_value_or_an_error_of_the_tree(
     rng = random.Random(seed)
     target.run(noise)
     for whole in target.seeds():
-        target.run(spoil(whole, rng)[: target.longest])
+        spoiled = spoil(whole, rng)[: target.longest]
+        target.run(spoiled)
+        assert len(spoiled) <= target.longest
 
 
 def peak_of(parse: Callable[[], object]) -> int:

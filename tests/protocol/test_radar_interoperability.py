@@ -178,7 +178,8 @@ def test_other_firmware_is_emulated_when_asked_for(tmp_path: Path) -> None:
         client.close()
     with emulate(tmp_path, "--bind", "127.0.0.1:0", "--scene", "empty", "--server") as (data, _):
         client = Udp(data["url"])
-        ask(client, 0x1004, 0x1104, 8, struct.pack(">IHBB", 0x7F000001, 21210, 1, 0))
+        accepted = ask(client, 0x1004, 0x1104, 8, struct.pack(">IHBB", 0x7F000001, 21210, 1, 0))
+        assert accepted == struct.pack(">I", 0)
         ask(client, 0x1007, 0x1107, 12)
         client.close()
 
