@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft as sfft
 
 from tagid.geometry import ImageGrid
-from tagid.imaging.kernel import RangeGeometry, cores
+from tagid.imaging.kernel import RangeGeometry
 from tagid.imaging.memory import require_memory
 from tagid.imaging.operator import interpolation_gain
+from tagid.imaging.rangefilter import fast_length
 from tagid.imaging.types import BasebandScans, Image
 
 PHASE_STEP = 0.35
@@ -74,8 +74,8 @@ def upsample_at_carrier(
     bins = baseband.shape[1]
     factor = upsampling(scans)
     # The pad keeps the periodic interpolation from carrying the last bins over to the first.
-    n = int(sfft.next_fast_len(bins + 16))
-    spectrum = sfft.fft(baseband, n, axis=1, workers=cores())
+    n = fast_length(bins + 16)
+    spectrum = np.fft.fft(baseband, n, axis=1)
     half = (n + 1) // 2
     wide = np.zeros((len(baseband), n * factor), dtype=np.complex64)
     wide[:, :half] = spectrum[:, :half]
@@ -85,7 +85,7 @@ def upsample_at_carrier(
     ranges = scans.range_start_m + step * np.arange(count)
     gain = factor * interpolation_gain(2 * scans.wavenumber * step)
     carrier = np.exp(2j * scans.wavenumber * ranges) * gain
-    fine = sfft.ifft(wide, axis=1, overwrite_x=True, workers=cores())
+    fine = np.fft.ifft(wide, axis=1)
     out = np.zeros((len(baseband), count + 2), dtype=np.complex64)
     np.multiply(fine[:, :count], carrier.astype(np.complex64), out=out[:, 1:-1])
     return out, scans.range_start_m - step, step

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft as sfft
 
 from tagid.errors import DataError
 from tagid.geometry import ImageGrid
 from tagid.imaging.backprojection import upsample_at_carrier, upsampling
 from tagid.imaging.memory import require_memory
+from tagid.imaging.rangefilter import fast_length
 from tagid.imaging.types import BasebandScans, Image
 
 Floats = NDArray[np.float64]
@@ -98,7 +98,7 @@ def polar_format(scans: BasebandScans, grid: ImageGrid) -> Image:
     kx = 2 * wavenumbers[None] * np.cos(bearing)[:, None]
     ky = 2 * wavenumbers[None] * np.sin(bearing)[:, None]
     spacing = 2 * np.pi / (_OVERSAMPLING * grid.extent)
-    size = int(sfft.next_fast_len(int(np.ceil(4 * wavenumbers.max() / spacing)) + 4))
+    size = fast_length(int(np.ceil(4 * wavenumbers.max() / spacing)) + 4)
     require_memory(
         64 * size**2 + 64 * kx.size + 32 * size * grid.pixels,
         f"polar format spectra of {size} x {size} samples for {grid.extent:g} m",
@@ -160,11 +160,11 @@ def _range_spectrum(scans: BasebandScans, distance: Floats) -> tuple[Floats, NDA
     the response is within 20 dB of its peak is kept.
     """
     bins = scans.samples.shape[1]
-    n = int(sfft.next_fast_len(2 * bins))
-    offset = 2 * np.pi * sfft.fftfreq(n, scans.range_step_m) / 2
-    spectrum = sfft.fft(scans.samples, n, axis=1)
+    n = fast_length(2 * bins)
+    offset = 2 * np.pi * np.fft.fftfreq(n, scans.range_step_m) / 2
+    spectrum = np.fft.fft(scans.samples, n, axis=1)
     response = scans.response(_folded(n) * scans.range_step_m)
-    strength = np.abs(sfft.fft(response))
+    strength = np.abs(np.fft.fft(response))
     keep = strength > strength.max() / 10
     k = scans.wavenumber + offset[keep]
     start = scans.range_start_m - distance[:, None]
@@ -175,7 +175,7 @@ def _range_spectrum(scans: BasebandScans, distance: Floats) -> tuple[Floats, NDA
 
 def _folded(n: int) -> Floats:
     """0, 1, ..., -2, -1: sample offsets of a circular array of n."""
-    return np.asarray(sfft.fftfreq(n) * n, dtype=np.float64)
+    return np.asarray(np.fft.fftfreq(n) * n, dtype=np.float64)
 
 
 def _gridded(u: Floats, v: Floats, values: NDArray[np.complex128], size: int) -> NDArray[np.complex128]:

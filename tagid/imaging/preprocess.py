@@ -11,7 +11,6 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft as sfft
 
 from tagid.capture import Capture, Pulse
 from tagid.errors import DataError, UsageError
@@ -183,10 +182,10 @@ def _filter(samples: NDArray[Any], band: BandFilter, range_start_m: float) -> ND
     block = max(1, _CHUNK_SAMPLES // n)
     for at in range(0, len(samples), block):
         part = samples[at : at + block]
-        spectrum = sfft.rfft(part, n, axis=1) if is_real else sfft.fft(part, n, axis=1)
+        spectrum = np.fft.rfft(part, n, axis=1) if is_real else np.fft.fft(part, n, axis=1)
         narrow = np.zeros((len(part), m), dtype=np.complex64)
         narrow[:, band.offsets % m] = spectrum[:, band.indices] * transfer
-        out[at : at + block] = sfft.ifft(narrow, axis=1, overwrite_x=True)[:, :kept]
+        out[at : at + block] = np.fft.ifft(narrow, axis=1)[:, :kept]
     return out
 
 
@@ -229,7 +228,7 @@ def _noise_std(
     n = samples.shape[1]
     rows = samples[:: max(1, len(samples) * n // _CHUNK_SAMPLES)] * window
     is_real = not np.iscomplexobj(samples)
-    spectrum = sfft.rfft(rows, axis=1) if is_real else sfft.fft(rows, axis=1)
+    spectrum = np.fft.rfft(rows, axis=1) if is_real else np.fft.fft(rows, axis=1)
     frequency = np.arange(spectrum.shape[1]) / n * band.input_rate_hz
     away = np.abs(frequency - band.carrier_hz)
     if not is_real:
