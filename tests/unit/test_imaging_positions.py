@@ -143,7 +143,7 @@ def test_polar_format_of_a_far_turn_is_the_backprojection() -> None:
 
     grid = ImageGrid(0.3, 75)
     scans = preprocess(
-        record([[0.062, 0.032]], [1.0], turn(180, 30.0)),  # the middle of a pixel
+        record([[0.06, 0.032]], [1.0], turn(180, 30.0)),  # the middle of a pixel
         settings=PreprocessSettings("none", True, extent_m=grid.extent),
     )
     polar, exact = polar_format(scans, grid), backproject(scans, grid)
