@@ -34,6 +34,8 @@ What the paper leaves open, and what is chosen here:
 * An antenna above the plane: rays start at its foot, spheres are centred on the antenna, and the quadratic of
   eq. 5 gives where they meet; spheres that do not reach the plane are left out.
 * Outside of the imaged square sigma is zero.
+* Between its four layers no activation is named: a leaky ReLU, because with a plain one noise leaves every
+  unit dark at times, and the image is one constant for good.
 """
 
 from __future__ import annotations

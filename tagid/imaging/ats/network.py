@@ -13,8 +13,12 @@ from typing import Any
 import torch
 
 
+LEAK = 0.01
+"""Slope of the hidden units below zero: with none, noise at times leaves every unit dark for good."""
+
+
 class ReflectivityNetwork(torch.nn.Module):  # type: ignore[misc]
-    """Linear layers with ReLU between them and two outputs, real and imaginary part.
+    """Linear layers with leaky ReLU between them and two outputs, real and imaginary part.
 
     The paper uses four layers; `hidden` counts those before the output. Weights are drawn from the given
     generator (uniform, variance 1 / (3 fan-in), torch's own default), so that the global random state stays
@@ -39,5 +43,5 @@ class ReflectivityNetwork(torch.nn.Module):  # type: ignore[misc]
         for i, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
             x = torch.addmm(bias, x, weight)
             if i < last:
-                x = torch.relu(x)
+                x = torch.nn.functional.leaky_relu(x, LEAK)
         return torch.view_as_complex(x)
