@@ -12,7 +12,6 @@ from typing import Any
 
 import torch
 
-
 LEAK = 0.01
 """Slope of the hidden units below zero: with none, noise at times leaves every unit dark for good."""
 
