@@ -105,5 +105,10 @@ def test_strangers_are_told_by_a_further_reflector_and_by_points_that_fit_elsewh
     assert preference(evidence(nats=36.0, noise_nats=36.0)) < preference(tag) - 3
     assert least_preference(evidence(views=18), 1e-3) > least_preference(tag, 1e-3) + 3
     assert least_preference(evidence(views=360), 1e-3) == least_preference(tag, 1e-3)
+    # However surely no further reflector is there, points elsewhere may fit better than the layout's.
+    assert (
+        decide(evidence(odds_nats=-16.0, noise_nats=600.0, nats=600.0, gain_nats=25.0), settings)[0]
+        == "unknown"
+    )
     # More enrolled layouts are more to be taken for.
     assert least_preference(evidence(places=366000.0), 1e-3) > least_preference(tag, 1e-3) + 2
