@@ -9,8 +9,12 @@ make it short: the order matters, not how low the loss gets.
 from __future__ import annotations
 
 import argparse
+import sys
 import tempfile
 from pathlib import Path
+
+# train/ is not installed.
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from tagid.tags.planes import NORMALISATION
 from train.dataset import load
