@@ -12,9 +12,14 @@ from tagid.geometry import Aperture, ImageGrid
 from tagid.imaging import memory
 from tagid.imaging.ats.calibration import Unknowns, angle_error, improve
 from tagid.imaging.ats.fit import AtsSettings, fit
+from tagid.imaging.ats.illumination import illumination
 from tagid.imaging.ats.occlusion import transmission
-from tagid.imaging.preprocess import PreprocessSettings, preprocess
+from tagid.imaging.preprocess import PreprocessSettings, preprocess, select_views
 from tagid.imaging.types import BasebandScans
+from tagid.simulate.acquisition import Acquisition
+from tagid.simulate.capture import simulate_capture
+from tagid.simulate.scattering import Points
+from tagid.simulate.scene import Scene
 
 GRID = ImageGrid(0.4, 48)
 POINTS = np.array([[0.12, -0.05], [-0.08, 0.11], [0.02, 0.15]])
@@ -157,3 +162,30 @@ def test_a_removed_mean_is_part_of_the_model() -> None:
     assert knowing.held_out < 0.8 * ignorant.held_out
     assert "static" not in knowing.image.settings["calibration"]
     assert np.abs(knowing.calibration.static).max() > 0
+
+
+def test_spreading_and_beam_are_the_simulators() -> None:
+    """Three times as near is nine times as strong; what lies at half the beam's width is half."""
+    light = illumination(np.array([[0.0, 0.0], [2 / 3, 0.0]]), np.array([[1.0, 0.0, 0.0]]), 2.0, 0.0)
+    np.testing.assert_allclose(light, [[1.0, 9.0]], rtol=1e-5)
+    side = np.array([[1.0 - np.cos(0.3), np.sin(0.3)]])
+    np.testing.assert_allclose(illumination(side, np.array([[1.0, 0.0, 0.0]]), 0.0, 0.6), 0.5, rtol=1e-5)
+
+
+def test_what_is_near_is_not_a_stronger_reflector() -> None:
+    """From one side the echo of the nearer point is (1.15 / 0.85)^2 = 1.8 times as strong; told so, they are
+    alike."""
+    points = np.array([[0.15, 0.0, 0.0], [-0.15, 0.0, 0.0]])
+    acquisition = Acquisition(views=144, noise_std=0.02, range_law=True)
+    capture, _ = simulate_capture(Scene("two", (Points(points, np.ones(2)),)), acquisition, seed=4)
+    scans = preprocess(capture, settings=PreprocessSettings("none", False, extent_m=0.4))
+    assert scans.aperture.angles is not None
+    side = select_views(scans, np.flatnonzero(np.cos(scans.aperture.angles) > np.cos(np.deg2rad(40))))
+
+    def near_over_far(settings: AtsSettings) -> float:
+        values = np.abs(fit(side, GRID, settings).image.values).ravel()
+        near, far = (values[np.linalg.norm(GRID.points - p[:2], axis=1) < 0.05].max() for p in points)
+        return float(near / far)
+
+    assert near_over_far(AtsSettings()) > 1.4
+    assert near_over_far(AtsSettings(spreading=2.0)) == pytest.approx(1.0, abs=0.2)

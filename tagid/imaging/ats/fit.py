@@ -22,6 +22,7 @@ from tagid.capture import Capture
 from tagid.errors import DataError, MissingExtraError
 from tagid.geometry import ImageGrid
 from tagid.imaging.ats import calibration
+from tagid.imaging.ats.illumination import illumination, lit_forward
 from tagid.imaging.ats.occlusion import transmission
 from tagid.imaging.ats.problem import (
     Array,
@@ -131,7 +132,7 @@ class _Fit:
         self.what = settings.calibrate + (("static",) if scans.background_removed else ())
         self.known = calibration.begin(self.scans, grid, settings.calibrate, settings.wobble_harmonics)
         self.confidence: NDArray[np.floating] = np.ones(self.scans.samples.shape, dtype=np.float32)
-        self.shadow: NDArray[np.float32] | None = None
+        self.shadow = self._light(self.scans)
         self.losses: list[float] = []
 
     def run(self, progress: Progress | None, begun: float) -> AtsResult:
@@ -227,22 +228,33 @@ class _Fit:
         if settings.occlusion > 0:
             magnitude = np.sqrt((np.abs(values) ** 2).sum(axis=0))
             self.shadow = transmission(magnitude, self.grid, aperture.positions, settings.occlusion)
+            light = self._light(self.scans)
+            self.shadow *= 1 if light is None else light
         if settings.robust > 0 and late:
             residual = np.abs(self.scans.samples - self.known.static - self._seen(self.scans, values, True))
             sigma = max(self.scans.noise_std, float(np.median(residual)) / np.sqrt(np.log(2)), 1e-30)
             self.confidence = np.minimum(1, settings.robust * sigma / np.maximum(residual, 1e-30))
+
+    def _light(self, scans: BasebandScans) -> NDArray[np.float32] | None:
+        """Spreading and beam (views, points); None where the settings have neither."""
+        s = self.settings
+        if s.spreading == 0 and s.beam_width_deg == 0:
+            return None
+        positions = scans.aperture.positions
+        return illumination(self.grid.points, positions, s.spreading, float(np.deg2rad(s.beam_width_deg)))
 
     def _seen(
         self, scans: BasebandScans, values: NDArray[np.complex64], fitted: bool
     ) -> NDArray[np.complex64]:
         """Synthesized scans of the field's channels; the gain is known for the views that were fitted."""
         aperture = self.known.aperture(scans.aperture)
-        operator = ForwardOperator(scans.with_aperture(aperture), self.grid)
         aspect = _aspect(aperture.positions, self.settings.aspect_harmonics)
         aspect = aspect * self.known.phase(scans.wavenumber)
         if fitted:
             aspect = aspect * self.known.gain[:, None]
-        parts = [operator.forward(v.ravel()) * aspect[:, i, None] for i, v in enumerate(values)]
+        light, now = self._light(scans), scans.with_aperture(aperture)
+        seen = [lit_forward(now, self.grid, v.ravel(), light) for v in values]
+        parts = [rows * aspect[:, i, None] for i, rows in enumerate(seen)]
         return np.asarray(np.sum(parts, axis=0), dtype=np.complex64)
 
     def _held_out_residual(self, field: FieldWeights) -> float:
@@ -325,7 +337,8 @@ def _foresee(scans: BasebandScans, grid: ImageGrid, settings: AtsSettings) -> No
     views = 2 * max(map(len, view_subsets(scans.aperture, settings.views_per_step)))
     per_pair = 8 + 4 * 6
     per_point = 4 * (6 * settings.width + 4 * settings.levels * settings.features)
-    shadows = 4 * scans.aperture.views * points if settings.occlusion > 0 else 0
+    weighted = settings.occlusion > 0 or settings.spreading > 0 or settings.beam_width_deg > 0
+    shadows = 8 * scans.aperture.views * points if weighted else 0
     require_memory(
         points * (views * per_pair + per_point) + shadows,
         f"steps of {views} views and {grid.pixels} x {grid.pixels} pixels",

@@ -49,6 +49,9 @@ class AtsSettings:
         aspect_harmonics: M; a point's reflectivity is a sum of exp(j m aspect), |m| <= M. 0: isotropic.
         occlusion: what lies behind bright pixels is dimmed: attenuation of the brightest pixel, in nepers; 0:
             nothing hides behind anything.
+        spreading: an echo's amplitude falls with this power of the range: 2 for a point reflector in free
+            space, 0 where the radar or an earlier step has made up for it.
+        beam_width_deg: full -3 dB width of the antenna's one-way power pattern; 0: it sees all round.
         views_per_step: views of one step; a capture with more is used in interleaved subsets by turns.
         held_out: share of the views that the fit does not see, which tell when to stop; none under 18 views.
         patience: checks (every 10 steps of the second half) without a lower held-out residual before the fit
@@ -76,6 +79,8 @@ class AtsSettings:
     wobble_harmonics: int = 4
     aspect_harmonics: int = 0
     occlusion: float = 0.0
+    spreading: float = 0.0
+    beam_width_deg: float = 0.0
     views_per_step: int = 12
     held_out: float = 0.04
     patience: int = 0
@@ -106,7 +111,15 @@ class AtsSettings:
         for name in ("learning_rate", "network_rate", "decay", "finest_m"):
             if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0):
                 raise UsageError(f"ATS setting {name} is {getattr(self, name)}", "Give a positive number.")
-        for name in ("l1", "noise_factor", "smoothness", "robust", "occlusion"):
+        for name in (
+            "l1",
+            "noise_factor",
+            "smoothness",
+            "robust",
+            "occlusion",
+            "spreading",
+            "beam_width_deg",
+        ):
             if not (np.isfinite(getattr(self, name)) and getattr(self, name) >= 0):
                 raise UsageError(f"ATS setting {name} is {getattr(self, name)}", "Give zero or more.")
         if not 0 <= self.held_out <= 0.5:
