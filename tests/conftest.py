@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import sys
 from collections.abc import Callable
@@ -17,6 +18,10 @@ from hypothesis import settings
 # The same examples in every run; fresh ones are for the long runs that CONTRIBUTING names.
 settings.register_profile("fixed", derandomize=True)
 settings.load_profile("fixed")
+
+# A shell that runs the tests in the background has all their children ignore Ctrl-C, which some are about.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @dataclass

@@ -14,6 +14,7 @@ import time
 from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from multiprocessing import resource_tracker
 from multiprocessing.connection import wait as wait_for
 
 from tagid.batch.inputs import Source
@@ -150,6 +151,8 @@ def _executor(job: Job, workers: int) -> ProcessPoolExecutor:
 def _no_interrupt() -> Iterator[None]:
     """Processes started meanwhile never see Ctrl-C, which goes to every process of the terminal: the parent
     decides what becomes of them."""
+    # Starting it unblocks Ctrl-C, and with it the first process that is started after.
+    resource_tracker.ensure_running()
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
