@@ -1,6 +1,6 @@
 """PSNR, MSE and localisation of every imaging method on point scenes, and the seconds each takes.
 
-Run `python tests/benchmarks/bench_reconstruction.py --jobs 2` for a table of every method without restoring beam,
+Run `python tests/benchmarks/bench_reconstruction.py --jobs 2` for a table of images without restoring beam,
 `--quick` for a short look, and `--seconds` for the times of backprojection, FISTA and ATS on the same data
 in one run.
 
