@@ -142,7 +142,7 @@ class _Fit:
         if scales is None:
             blank = np.zeros((self.grid.pixels, self.grid.pixels), dtype=np.complex64)
             return self._result(blank, None, float("nan"), "none", begun)
-        first = _first_image(self.scans, self.grid, shape.cells[-1], scales)
+        first = _first_image(now, self.grid, shape.cells[-1], scales)
         start = draw_weights(shape, self.grid, scales.output, self.settings.seed, first)
         engine = make_engine(start, self.settings)
         field, held_out = self._optimise(engine, scales, shape.cells, progress)
