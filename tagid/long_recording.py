@@ -6,11 +6,13 @@ Nothing grows with the time it takes, so a day in the field ends because somebod
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from tagid.errors import DataError, StorageError, TagidError
+from tagid import interrupts
+from tagid.errors import CaptureInterrupted, DataError, StorageError, TagidError
 from tagid.intake import Intake
 from tagid.radar.messages import SCAN_FOREVER
 from tagid.radar.p440 import P440
@@ -19,8 +21,11 @@ from tagid.recorder import (
     CAPTURE_SUFFIX,
     SYNC_S,
     RecordingPlan,
+    check_all_read,
     journal_beside,
     journal_header,
+    recover_remedy,
+    where_kept,
     with_remedy,
 )
 from tagid.storage.journal import JournalWriter
@@ -95,8 +100,9 @@ def record_long(
 ) -> WrittenCaptures:
     """Record until a limit or until told to stop, in constant memory, and write the capture file or files.
 
-    The journal lies beside them while recording and goes when they are safe on disk. Where the radar fails,
-    what arrived is written as not complete, and the error says where.
+    The journal lies beside them while recording. It is removed after all of them were read back and compared.
+    If the radar fails, what arrived is written as not complete, and the error says where. A stop signal takes
+    effect while scans arrive; later ones wait for the files.
 
     Args:
         radar: not connected yet.
@@ -111,33 +117,59 @@ def record_long(
     """
     watch = watch or RecordingWatch()
     journal_path = journal_beside(path)
+    try:
+        with interrupts.deferred() as signals:
+            with ExitStack() as connected:
+                with signals.listening():
+                    connected.enter_context(radar)
+                    status = radar.status()
+                    taken = radar.config if plan.config is None else radar.set_config(plan.config)
+                header = journal_header(plan, taken, {"serial": status.serial, "package": status.package})
+                with JournalWriter(journal_path, header, sync_seconds=SYNC_S) as journal:
+                    recorded = _to_journal(radar, plan, limits, journal, (signals, watch))
+            return _finish(journal_path, path, limits, recorded)
+    except KeyboardInterrupt as stop:
+        raise interrupts.stopped_by_user(stop, where_kept(path, journal_path)) from stop
+
+
+@dataclass(frozen=True)
+class _Recorded:
+    """What the journal holds: so many scans, the radar's counters, and what ended the recording early."""
+
+    scans: int
+    counters: dict[str, Any]
+    failed: TagidError | None
+
+
+def _to_journal(
+    radar: P440,
+    plan: RecordingPlan,
+    limits: RecordingLimits,
+    journal: JournalWriter,
+    signals_and_watch: tuple[interrupts.Deferred, RecordingWatch],
+) -> _Recorded:
+    """Record into the journal, with stop signals taking effect only while scans arrive."""
+    signals, watch = signals_and_watch
     failed: TagidError | None = None
     whole = False
-    with radar:
-        status = radar.status()
-        taken = radar.config if plan.config is None else radar.set_config(plan.config)
-        header = journal_header(plan, taken, {"serial": status.serial, "package": status.package})
-        with JournalWriter(journal_path, header, sync_seconds=SYNC_S) as journal:
+    try:
+        with JournalQueue(journal) as queue:
+            intake = Intake(radar, queue, plan.resume_s, watch.gap)
             try:
-                with JournalQueue(journal) as queue:
-                    intake = Intake(radar, queue, plan.resume_s, watch.gap)
-                    try:
-                        whole = _receive(intake, limits, journal, watch)
-                    except StorageError:
-                        raise
-                    except TagidError as error:
-                        failed = error
-            except StorageError as error:
-                raise with_remedy(error, f"Free space, then `tagid recover {journal_path}`.") from error
-            counters = intake.summary()
-            if failed is None and whole:
-                journal.close({"radar": counters})
-    if not journal.scans:
-        journal_path.unlink(missing_ok=True)
-        raise failed or DataError(
-            "no complete scan arrived", "Check the network for lost packets with `tagid radar monitor`."
-        )
-    return _finish(journal_path, path, (limits, counters), failed)
+                with signals.listening():
+                    whole = _receive(intake, limits, journal, watch)
+            except KeyboardInterrupt:
+                failed = CaptureInterrupted(f"stopped by the user after {intake.scans_taken} scans")
+            except StorageError:
+                raise
+            except TagidError as error:
+                failed = error
+    except StorageError as error:
+        raise with_remedy(error, recover_remedy(journal.path)) from error
+    counters = intake.summary()
+    if failed is None and whole:
+        journal.close({"radar": counters})
+    return _Recorded(journal.scans, counters, failed)
 
 
 def _receive(intake: Intake, limits: RecordingLimits, journal: JournalWriter, watch: RecordingWatch) -> bool:
@@ -159,20 +191,21 @@ def _receive(intake: Intake, limits: RecordingLimits, journal: JournalWriter, wa
     return limits.scans is None and limits.seconds is None
 
 
-def _finish(
-    journal_path: Path,
-    path: Path,
-    ending: tuple[RecordingLimits, dict[str, Any]],
-    failed: TagidError | None,
-) -> WrittenCaptures:
-    """The capture files of the journal, which goes only when they are safe on disk."""
-    limits, counters = ending
+def _finish(journal_path: Path, path: Path, limits: RecordingLimits, recorded: _Recorded) -> WrittenCaptures:
+    """Make the capture files of the journal, which is removed only when they were read back and compared."""
+    failed = recorded.failed
+    if not recorded.scans:
+        journal_path.unlink(missing_ok=True)
+        raise failed or DataError(
+            "no complete scan arrived", "Check the network for lost packets with `tagid radar monitor`."
+        )
     try:
         written = write_captures(
-            journal_path, lambda part: part_path(path, part), counters, limits.part_bytes
+            journal_path, lambda part: part_path(path, part), recorded.counters, limits.part_bytes
         )
+        check_all_read(journal_path, written.views, recorded.scans)
     except StorageError as error:
-        raise with_remedy(error, f"Free space, then `tagid recover {journal_path}`.") from error
+        raise with_remedy(error, recover_remedy(journal_path)) from error
     journal_path.unlink(missing_ok=True)
     if failed is not None:
         places = ", ".join(str(each) for each in written.paths)

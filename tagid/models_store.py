@@ -16,6 +16,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
+from tagid import interrupts
 from tagid.errors import ModelError, StorageError
 from tagid.storage.atomic import read_bytes, write_bytes
 
@@ -229,8 +230,9 @@ def write_entry(entry: Entry, content: bytes, folder: Path = FOLDER) -> None:
     if path.exists():
         found["models"] = {name: old.to_json() for name, old in manifest(folder).items()}
     found["models"][entry.name] = entry.to_json()
-    write_bytes(folder / entry.file, content)
-    write_bytes(path, (json.dumps(found, indent=1, sort_keys=True) + "\n").encode())
+    with interrupts.deferred():
+        write_bytes(folder / entry.file, content)
+        write_bytes(path, (json.dumps(found, indent=1, sort_keys=True) + "\n").encode())
     manifest.cache_clear()
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import time
 import uuid
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -15,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from tagid import __version__
+from tagid import __version__, interrupts
 from tagid.capture import Capture
 from tagid.constants import RANGE_STEP_M, SPEED_OF_LIGHT
 from tagid.errors import CaptureInterrupted, ConfigError, DataError, StorageError, TagidError
@@ -118,8 +119,9 @@ def record(
 ) -> Capture:
     """Record until a turn is complete and write the capture file at `path`, with angles where they are known.
 
-    The journal lies beside it while recording and is removed when the capture file is safe on disk. Where
-    recording ends early, the capture file holds what arrived, marked as not complete, and the error says so.
+    The journal lies beside it while recording. It is removed after the capture file was read back and
+    compared. If recording ends early, the capture file holds what arrived, marked as not complete, and the
+    error says so. A stop signal takes effect while scans arrive; later ones wait for the file.
 
     Args:
         radar: a client, not connected.
@@ -133,30 +135,60 @@ def record(
         CaptureInterrupted: stopped by the user. DataError: no scan arrived.
     """
     journal_path = journal_beside(path)
+    watch = watch or Watch()
+    try:
+        with interrupts.deferred() as signals:
+            with ExitStack() as connected:
+                with signals.listening():
+                    connected.enter_context(radar)
+                    status = radar.status()
+                    taken = radar.config if plan.config is None else radar.set_config(plan.config)
+                header = journal_header(plan, taken, {"serial": status.serial, "package": status.package})
+                recorded = _to_journal(radar, motion, (plan, header), journal_path, (signals, watch))
+            return _finish(journal_path, path, recorded, watch)
+    except KeyboardInterrupt as stop:
+        raise interrupts.stopped_by_user(stop, where_kept(path, journal_path)) from stop
+
+
+@dataclass(frozen=True)
+class _Recorded:
+    """What the journal holds: so many scans, the end record's summary, and what ended the recording early."""
+
+    scans: int
+    summary: dict[str, Any]
+    stopped: TagidError | None
+
+
+def _to_journal(
+    radar: P440,
+    motion: Motion,
+    plan_and_header: tuple[RecordingPlan, dict[str, Any]],
+    path: Path,
+    signals_and_watch: tuple[interrupts.Deferred, Watch],
+) -> _Recorded:
+    """Record into the journal at `path`, with stop signals taking effect only while scans arrive."""
+    signals, watch = signals_and_watch
+    plan, header = plan_and_header
     stopped: TagidError | None = None
-    with radar:
-        status = radar.status()
-        taken = radar.config if plan.config is None else radar.set_config(plan.config)
-        header = journal_header(plan, taken, {"serial": status.serial, "package": status.package})
-        with JournalWriter(journal_path, header, sync_seconds=SYNC_S) as journal:
-            try:
-                with JournalQueue(journal) as queue:
-                    intake = Intake(radar, queue, plan.resume_s, (watch or Watch()).gap)
-                    try:
-                        _receive((intake, queue), motion, (plan, header), radar.config, watch or Watch())
-                    except KeyboardInterrupt:
-                        text = f"stopped by the user after {intake.scans_taken} scans"
-                        stopped = CaptureInterrupted(text)
-                    except StorageError:
-                        raise
-                    except TagidError as error:
-                        stopped = error
-            except StorageError as error:
-                raise with_remedy(error, f"Free space, then `tagid recover {journal_path}`.") from error
-            summary = {"radar": intake.summary()}
-            if stopped is None:
-                journal.close(summary)
-    return _finish(journal_path, path, (summary, watch or Watch()), stopped)
+    with JournalWriter(path, header, sync_seconds=SYNC_S) as journal:
+        try:
+            with JournalQueue(journal) as queue:
+                intake = Intake(radar, queue, plan.resume_s, watch.gap)
+                try:
+                    with signals.listening():
+                        _receive((intake, queue), motion, plan_and_header, radar.config, watch)
+                except KeyboardInterrupt:
+                    stopped = CaptureInterrupted(f"stopped by the user after {intake.scans_taken} scans")
+                except StorageError:
+                    raise
+                except TagidError as error:
+                    stopped = error
+        except StorageError as error:
+            raise with_remedy(error, recover_remedy(path)) from error
+        summary = {"radar": intake.summary()}
+        if stopped is None:
+            journal.close(summary)
+        return _Recorded(journal.scans, summary, stopped)
 
 
 def _receive(
@@ -198,10 +230,11 @@ def _receive(
                 if seconds >= needed:
                     return
     finally:
-        try:
-            motion.stop()
-        finally:
-            _note_motion(queue, motion, told)
+        with interrupts.deferred():
+            try:
+                motion.stop()
+            finally:
+                _note_motion(queue, motion, told)
 
 
 def _note_motion(queue: JournalQueue, motion: Motion, told: int) -> int:
@@ -273,10 +306,9 @@ def journal_header(plan: RecordingPlan, taken: RadarConfig, radar: dict[str, Any
     }
 
 
-def _finish(
-    journal_path: Path, path: Path, end: tuple[dict[str, Any], Watch], stopped: TagidError | None
-) -> Capture:
-    """Turn the journal into the capture file; the journal goes only when that is safe on disk."""
+def _finish(journal_path: Path, path: Path, recorded: _Recorded, watch: Watch) -> Capture:
+    """Make the capture file of the journal, which is removed only when that was read back and compared."""
+    stopped = recorded.stopped
     journal = read_journal(journal_path)
     if not journal.scans:
         journal_path.unlink(missing_ok=True)
@@ -284,9 +316,8 @@ def _finish(
             "no complete scan arrived", "Check the network for lost packets with `tagid doctor`."
         )
     capture = journal_to_capture(journal)
-    summary, watch = end
     if stopped is not None:
-        capture = replace(capture, radar={**capture.radar, **summary["radar"]})
+        capture = replace(capture, radar={**capture.radar, **recorded.summary["radar"]})
     if watch.resolve and (stopped is None or "track" in capture.motion):
         try:
             capture = watch.resolve(capture, capture.motion["url"])
@@ -295,12 +326,34 @@ def _finish(
             capture = replace(capture, motion={**kept, "not_resolved": error.message})
     try:
         write_capture(path, capture)
+        check_all_read(journal_path, capture.views, recorded.scans)
     except StorageError as error:
-        raise with_remedy(error, f"Free space, then `tagid recover {journal_path}`.") from error
+        raise with_remedy(error, recover_remedy(journal_path)) from error
     journal_path.unlink(missing_ok=True)
     if stopped is not None:
         raise with_remedy(stopped, f"The {capture.views} scans that arrived are in {path}.") from stopped
     return capture
+
+
+def check_all_read(journal: Path, read: int, written: int) -> None:
+    """Raises StorageError where a journal gave fewer scans than were written to it; it must then be kept."""
+    if read < written:
+        raise StorageError(
+            f"{journal}: only {read} of the {written} recorded scans could be read back",
+            "The disk may be faulty; the capture file holds those that could be read.",
+        )
+
+
+def recover_remedy(journal: Path) -> str:
+    """What to do where the capture file of a journal could not be written."""
+    return f"The scans are kept in {journal}; `tagid recover {journal}` makes the capture file."
+
+
+def where_kept(path: Path, journal: Path) -> str:
+    """Where the scans are after a stop signal that came outside the recording itself."""
+    if path.exists():
+        return f"The recording is complete in {path}."
+    return recover_remedy(journal) if journal.exists() else ""
 
 
 def with_remedy(error: TagidError, remedy: str) -> TagidError:

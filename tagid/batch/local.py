@@ -149,11 +149,11 @@ def _executor(job: Job, workers: int) -> ProcessPoolExecutor:
 
 @contextlib.contextmanager
 def _no_interrupt() -> Iterator[None]:
-    """Processes started meanwhile never see Ctrl-C, which goes to every process of the terminal: the parent
-    decides what becomes of them."""
+    """Processes started meanwhile get neither SIGINT nor SIGHUP, which a terminal sends to all its processes:
+    the parent decides when they end."""
     # Starting it unblocks Ctrl-C, and with it the first process that is started after.
     resource_tracker.ensure_running()
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGHUP})
     try:
         yield
     finally:

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from tagid import interrupts
 from tagid.batch.expected import Comparison, Expectations, answer_of
 from tagid.batch.inputs import Collected, Source
 from tagid.batch.job import Job
@@ -127,21 +128,24 @@ class _Run:
             for result in results:
                 if result is not None:
                     position, source, outcome = result
-                    record = self._spool.put(position, source.name, self._fingerprint, outcome)
-                    lines.add(line_of(self._judged(record, position)))
-                    self._keep(record, outcome.reused)
-                    done += 1
+                    with interrupts.deferred():
+                        record = self._spool.put(position, source.name, self._fingerprint, outcome)
+                        lines.add(line_of(self._judged(record, position)))
+                        self._keep(record, outcome.reused)
+                        done += 1
                     self._tell(done)
                     if self._plan.fail_fast and record["status"] == "failed":
                         break
                 elif self._plan.watch is not None and self._due(done):
-                    lines.close()
-                    self._write(done, interrupted=False)
-                    lines.reopen()
+                    with interrupts.deferred():
+                        lines.close()
+                        self._write(done, interrupted=False)
+                        lines.reopen()
                 if self._hooks.stopped():
                     interrupted = True
                     break
-        return self._write(done, interrupted)
+        with interrupts.deferred():
+            return self._write(done, interrupted)
 
     def _tasks(self) -> Tasks:
         yield from enumerate(list(self._sources))

@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from tagid import interrupts
 from tagid.batch.job import Outcome
 from tagid.errors import DiskFullError, StorageError, TagidError
 
@@ -46,7 +47,7 @@ class Spool:
 
     def __init__(self, path: Path, fresh: bool) -> None:
         self.path = path
-        with self._told():
+        with interrupts.deferred(), self._told():
             self._db = sqlite3.connect(path, timeout=0.2, isolation_level=None)
             try:
                 self._open(fresh)
@@ -90,7 +91,7 @@ class Spool:
     def take_over(self, job: str) -> frozenset[str]:
         """Set aside what earlier runs with this fingerprint found, empty the list of items, and name the
         contents (sha256) whose answers need not be found again."""
-        with self._told():
+        with interrupts.deferred(), self._told():
             self._db.execute("BEGIN")
             columns = "content, job, status, record, drawing, image, sinogram"
             self._db.execute(f"INSERT INTO kept ({columns}) SELECT {columns} FROM item ORDER BY position")
@@ -107,7 +108,7 @@ class Spool:
         """Keep a result; returns its record, which for a reused answer is the earlier one under this name."""
         record = dict(outcome.record)
         drawing, image, sinogram = json.dumps(dict(outcome.drawing)), outcome.image, outcome.sinogram
-        with self._told():
+        with interrupts.deferred(), self._told():
             if outcome.reused:
                 text, drawing, image, sinogram = self._db.execute(
                     "SELECT record, drawing, image, sinogram FROM kept WHERE content = ? AND job = ?",

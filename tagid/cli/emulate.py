@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import signal
 import sys
 import threading
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from tagid import interrupts
 from tagid.cli import emulate_motion, options
 from tagid.cli.frame import Output, Terminal, command
 from tagid.errors import UsageError
@@ -93,16 +93,15 @@ def register(app: typer.Typer) -> None:
             source = Sources().scene(scene, given | ({"turned_by": turned_by} if turned_by else {}))
         core = EmulatorCore(source, firmware=firmware)
         stop = threading.Event()
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, lambda *_: stop.set())
-        if serial:
-            wire = _pty(framing, baud, link)
-            end = link or wire.path
-            _announce(terminal, f"serial://{end}{'?framing=uart' * (framing == 'uart')}", str(end))
-            serve(core, wire, ServeOptions(rate=rate, faults=faults), stop)
-        else:
-            udp = ServeOptions(host, port, rate, faults)
-            serve_udp(core, udp, stop, lambda a, p: _announce(terminal, f"udp://{a}:{p}", ""))
+        with interrupts.asked_to_stop(stop.set):
+            if serial:
+                wire = _pty(framing, baud, link)
+                end = link or wire.path
+                _announce(terminal, f"serial://{end}{'?framing=uart' * (framing == 'uart')}", str(end))
+                serve(core, wire, ServeOptions(rate=rate, faults=faults), stop)
+            else:
+                udp = ServeOptions(host, port, rate, faults)
+                serve_udp(core, udp, stop, lambda a, p: _announce(terminal, f"udp://{a}:{p}", ""))
         raise typer.Exit(0)
 
 

@@ -6,7 +6,6 @@ They print one line with their port when they listen, and run until stopped.
 from __future__ import annotations
 
 import json
-import signal
 import sys
 import threading
 import time
@@ -15,6 +14,7 @@ from typing import Annotated, Any
 
 import typer
 
+from tagid import interrupts
 from tagid.cli import options
 from tagid.cli.frame import Output, Terminal, command
 from tagid.errors import UsageError
@@ -132,15 +132,14 @@ def register(group: typer.Typer) -> None:
 
 
 def serve(terminal: Terminal, name: str, facts: dict[str, Any]) -> None:
-    """Say what listens, and wait for Ctrl-C or SIGTERM."""
+    """Say what listens, and wait for a stop signal."""
     stop = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stop.set())
-    if terminal.output is Output.json:
-        # Written on one line when it listens: whoever starts it must learn its port while it runs.
-        sys.stdout.write(json.dumps(Result(name, facts).envelope()) + "\n")
-        sys.stdout.flush()
-    elif not terminal.quiet:
-        shown = ", ".join(f"{key} {value}" for key, value in facts.items())
-        typer.echo(f"{name.partition(' ')[2]} emulator: {shown}; stop with Ctrl-C", err=True)
-    stop.wait()
+    with interrupts.asked_to_stop(stop.set):
+        if terminal.output is Output.json:
+            # Written on one line when it listens: whoever starts it must learn its port while it runs.
+            sys.stdout.write(json.dumps(Result(name, facts).envelope()) + "\n")
+            sys.stdout.flush()
+        elif not terminal.quiet:
+            shown = ", ".join(f"{key} {value}" for key, value in facts.items())
+            typer.echo(f"{name.partition(' ')[2]} emulator: {shown}; stop with Ctrl-C", err=True)
+        stop.wait()

@@ -18,6 +18,7 @@ from typing import Annotated, Any
 
 import typer
 
+from tagid import interrupts
 from tagid.errors import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_USAGE, CaptureInterrupted, TagidError, UsageError
 from tagid.result import Result, render
 
@@ -146,8 +147,8 @@ def execute(name: str, terminal: Terminal, work: Callable[[], Result]) -> Result
         result = Result.from_error(name, error)
     except typer.Exit:
         raise
-    except KeyboardInterrupt:
-        result = Result.from_error(name, CaptureInterrupted("stopped by the user"))
+    except KeyboardInterrupt as stop:
+        result = Result.from_error(name, interrupts.stopped_by_user(stop))
     except BrokenPipeError:
         return Result(name, status="error", exit_code=EXIT_FAILED)
     except (
@@ -162,13 +163,13 @@ def execute(name: str, terminal: Terminal, work: Callable[[], Result]) -> Result
         ValueError,
     ) as error:
         logging.getLogger("tagid").debug("unexpected error", exc_info=True)
-        result = Result.from_error(
-            name,
-            TagidError(
-                f"unexpected {type(error).__name__}: {error}",
-                "This is a fault in tagid: run again with -vv and report what it prints.",
-            ),
+        fault = TagidError(
+            f"unexpected {type(error).__name__}: {error}",
+            "This is a fault in tagid: run again with -vv and report what it prints.",
         )
+        # A library that is stopped while it is being loaded may raise anything.
+        stopped = interrupts.delivered()
+        result = Result.from_error(name, CaptureInterrupted("stopped by the user") if stopped else fault)
     if result.exit_code == EXIT_INTERRUPTED:
         logging.getLogger("tagid").info("interrupted")
     render(result, terminal.output.value, terminal.quiet)
@@ -182,7 +183,8 @@ def serve(app: typer.Typer) -> int:
     """
     name = app.info.name or "tagid"
     try:
-        code = app(standalone_mode=False)
+        with interrupts.handled():
+            code = app(standalone_mode=False)
     except typer.TyperException as error:
         as_json = any(word == "json" or word == "--output=json" for word in sys.argv[1:])
         words = [word for word in sys.argv[1:] if not word.startswith("-")]

@@ -12,7 +12,7 @@ import typer
 from tagid.cli import options
 from tagid.cli.frame import Terminal, command
 from tagid.cli.radar_device import open_configured, radar_url
-from tagid.config import Config, change_settings, data_folder, load_config
+from tagid.config import Config, data_folder, load_config
 from tagid.errors import DataError, StorageError, UsageError
 from tagid.result import Result
 
@@ -152,6 +152,7 @@ def _keep(
     from tagid.calibration import estimate_delay, make_reference
     from tagid.report.calibration import calibration_table
     from tagid.storage.hdf5 import write_capture
+    from tagid.storage.settings import change_settings
 
     reference = None if empty is None else make_reference(empty)
     estimate: DelayEstimate | None = None

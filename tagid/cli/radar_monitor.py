@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 import time
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -93,7 +92,6 @@ def _watch(terminal: Terminal, config: Config, how: tuple[bool, float | None, in
         view = Monitor(device.config, config["radar.cable_delay_ps"], changing)
         view.temperature_c = device.status().temperature_c
         screen = _Screen(view, f"tagid radar monitor {radar_url(config)}", console)
-        before = signal.signal(signal.SIGTERM, signal.default_int_handler)
         try:
             if terminal.quiet or not console.is_terminal:
                 _receive(device, view, seconds, interval_us)
@@ -105,8 +103,6 @@ def _watch(terminal: Terminal, config: Config, how: tuple[bool, float | None, in
                     _receive(device, view, seconds, interval_us)
         except KeyboardInterrupt:
             pass  # the ordinary end
-        finally:
-            signal.signal(signal.SIGTERM, before)
     last = view.snapshot()
     data: dict[str, Any] = {
         "seconds": last.seconds,

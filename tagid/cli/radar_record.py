@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import signal
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from tagid import interrupts
 from tagid.cli import options
 from tagid.cli.frame import Terminal, command
 from tagid.cli.radar_device import open_configured, radar_url
@@ -77,14 +75,17 @@ def register(group: typer.Typer) -> None:
             resume_s=config["radar.resume_s"],
         )
         limits = RecordingLimits(scans, seconds, interval_us)
-        with terminal.progress("record", seconds or scans) as advance, stop_on_signal() as asked_to_stop:
+        with (
+            terminal.progress("record", seconds or scans) as advance,
+            interrupts.asked_to_stop() as asked_to_stop,
+        ):
 
             def progress(state: RecordingState) -> None:
                 done = state.seconds if seconds else float(state.scans)
                 advance(done, f"{state.scans} scans, {state.seconds:.0f} s, {state.lost} lost, "
                         f"{state.journal_bytes / 1e6:.1f} MB")  # fmt: skip
 
-            watch = RecordingWatch(progress, lambda: bool(asked_to_stop))
+            watch = RecordingWatch(progress, asked_to_stop)
             written = record_long(open_configured(config), plan, limits, path, watch)
         lost = int(written.radar.get("scans_lost", 0))
         names = [str(each) for each in written.paths]
@@ -99,28 +100,10 @@ def register(group: typer.Typer) -> None:
             "gaps": written.radar.get("gaps"),
             "statistics": written.radar.get("statistics"),
             "complete": written.complete,
-            "stopped_by_user": bool(asked_to_stop),
+            "stopped_by_user": asked_to_stop(),
         }
         code = EXIT_OK if written.complete else EXIT_INTERRUPTED
         return Result("radar record", data, Text(text), exit_code=code, messages=tuple(notes(written.radar)))
-
-
-@contextmanager
-def stop_on_signal() -> Iterator[list[int]]:
-    """Ctrl-C and SIGTERM ask for an end in good order: the list holds them. A second one forces it."""
-    seen: list[int] = []
-
-    def handle(number: int, frame: Any) -> None:
-        if seen:
-            raise KeyboardInterrupt
-        seen.append(number)
-
-    before = {number: signal.signal(number, handle) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield seen
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 def _check(scans: int | None, seconds: float | None, interval_us: int) -> None:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from tagid import interrupts
 from tagid.cli import options
 from tagid.cli.frame import Output, Terminal, command
 from tagid.config import Config, load_config
@@ -148,11 +149,10 @@ def _expecting(plan: Plan, manifest: Path, job: Job) -> Plan:
 def _run(terminal: Terminal, plan: Plan, job: Job, runner: Runner) -> Result:
     from tagid.batch.run import Hooks, run_batch
     from tagid.cli.imaging import begin_history
-    from tagid.cli.stopping import stop_signals
 
     total = None if plan.watch else float(len(plan.inputs.sources))
     history, notes = begin_history("report", job.described())
-    with stop_signals() as stopped, terminal.progress("identify", total) as advance:
+    with interrupts.asked_to_stop() as stopped, terminal.progress("identify", total) as advance:
 
         def progress(done: int, of: int, rate: float, left: float | None) -> None:
             advance(float(done), _remark(done, of, rate, None if plan.watch else left))

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from tagid import interrupts
 from tagid.cli import options
 from tagid.cli.consent import Yes, agree_to
 from tagid.cli.frame import Terminal, command
@@ -163,6 +164,9 @@ def _scan(
         if preview:
             drawn.append(imaging.in_terminal(result))
         code = imaging.exit_code_of([answer])
+    except KeyboardInterrupt as stop:
+        remedy = f"The capture is kept in {path}; `tagid identify {path}` reads it."
+        raise interrupts.stopped_by_user(stop, remedy) from stop
     except TagidError as error:
         # The recording is safe; only what was to be read from it failed.
         answer = imaging.failed(capture.uuid, error)

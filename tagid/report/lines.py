@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+from tagid import interrupts
 from tagid.storage import atomic
 
 
@@ -30,12 +31,13 @@ class GrowingLines:
 
     def add(self, line: str) -> None:
         """Add a line, whole or not at all."""
-        end = os.fstat(self._descriptor).st_size
-        try:
-            atomic.write_all(self._descriptor, line.encode())
-        except OSError as error:
-            os.ftruncate(self._descriptor, end)
-            raise atomic.storage_error(error, self.path, "adding a result") from error
+        with interrupts.deferred():
+            end = os.fstat(self._descriptor).st_size
+            try:
+                atomic.write_all(self._descriptor, line.encode())
+            except OSError as error:
+                os.ftruncate(self._descriptor, end)
+                raise atomic.storage_error(error, self.path, "adding a result") from error
 
     def close(self) -> None:
         """Close the file; it stays."""

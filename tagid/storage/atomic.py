@@ -6,16 +6,23 @@ Every failure of the operating system becomes one clear error here, so that no f
 from __future__ import annotations
 
 import errno
+import fcntl
 import io
 import os
 import secrets
 import stat
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from io import FileIO
 from pathlib import Path
-from typing import Any, BinaryIO, TextIO
+from typing import Any, BinaryIO, TextIO, TypeVar
 
+from tagid import interrupts
 from tagid.errors import DiskFullError, FileFormatError, StorageError
+
+_T = TypeVar("_T")
+_TEMPORARY = ".tagid.tmp"
+"""End of the names of files that are being written."""
 
 MAX_FILE_BYTES = 2 << 30
 """Largest file read whole, and largest array accepted from one, bytes: hours of a P440 at full rate."""
@@ -90,47 +97,93 @@ def write_bytes(path: Path, data: bytes | memoryview) -> None:
         stream.write(data)
 
 
-class PatientFile(io.FileIO):
-    """A new file that remembers a failed write instead of raising it, for writers that could not clean up.
+class PatientFile(io.RawIOBase):
+    """A new file that remembers what its operations raise; `check` raises it later.
 
-    HDF5 cannot be closed once a write has failed; so it is told that all is well, and `check` tells us.
+    It is for writers that cannot clean up after an exception: HDF5 calls it from C, where an exception leaves
+    a file that can never be closed. After the first failure it writes nothing more and reports success.
     """
 
-    failure: OSError | None = None
-
     def __init__(self, path: Path) -> None:
-        super().__init__(path, "x+b")
+        super().__init__()
+        self.failure: BaseException | None = None
+        self._file = FileIO(path, "x+b")
 
     def write(self, data: Any) -> int:
-        """Writes all of `data`; once a write has failed, nothing."""
+        """Writes all of `data`; once something has failed, nothing. Returns the bytes of `data`."""
         whole = memoryview(data).cast("B")
-        try:
-            if self.failure is None:
-                write_all(self.fileno(), whole)
-        except OSError as error:
-            self.failure = error
+        self._try(lambda: write_all(self._file, whole))
         return len(whole)
 
     def truncate(self, size: int | None = None) -> int:
-        """Cuts or extends the file; once a write has failed, does nothing."""
-        try:
-            return super().truncate(size) if self.failure is None else self.tell()
-        except OSError as error:
-            self.failure = error
-            return self.tell()
+        """Cuts or extends the file to `size` bytes; once something has failed, does nothing."""
+        return self._try(lambda: self._file.truncate(size)) or 0
+
+    def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
+        """As of any file; 0 once something has failed."""
+        return self._try(lambda: self._file.seek(offset, whence)) or 0
+
+    def tell(self) -> int:
+        """As of any file; 0 once something has failed."""
+        return self._try(self._file.tell) or 0
+
+    def readinto(self, buffer: Any) -> int:
+        """Fills `buffer`, with zeros after the end of the file or once something has failed."""
+        target = memoryview(buffer).cast("B")
+        count = self._try(lambda: self._file.readinto(target)) or 0
+        target[count:] = bytes(len(target) - count)
+        return len(target)
+
+    def flush(self) -> None:
+        """Nothing is buffered."""
+
+    def fileno(self) -> int:
+        """The descriptor."""
+        return self._file.fileno()
+
+    def readable(self) -> bool:
+        """True."""
+        return True
+
+    def writable(self) -> bool:
+        """True."""
+        return True
+
+    def seekable(self) -> bool:
+        """True."""
+        return True
+
+    def close(self) -> None:
+        """Close the file. Raises OSError."""
+        super().close()
+        self._file.close()
 
     def check(self) -> None:
-        """Raises the OSError of the first write that failed."""
+        """Raises what failed first."""
         if self.failure is not None:
             raise self.failure
 
+    def _try(self, work: Callable[[], _T]) -> _T | None:
+        """What `work` returns; None where it, or anything before it, has raised."""
+        if self.failure is None:
+            try:
+                return work()
+            except BaseException as error:
+                self.failure = error
+        return None
+
 
 @contextmanager
-def replacing(path: Path) -> Iterator[PatientFile]:
+def replacing(path: Path, verify: Callable[[Path], None] | None = None) -> Iterator[PatientFile]:
     """A file to fill, whose final name holds all of it or what it held before, even after a power cut.
 
     The bytes go to a temporary file in the same folder, are synced, and the file is renamed over the final
-    name; where anything is raised inside, the temporary file goes and the final name stays as it was.
+    name. If anything is raised, the temporary file is removed and the final name is unchanged. Stop signals
+    wait until the file is complete, see `tagid.interrupts`. Temporary files of killed processes are removed.
+
+    Args:
+        path: the final name.
+        verify: called with the path of the synced temporary file; what it raises stops the replacement.
 
     Raises:
         DiskFullError: no space left.
@@ -140,27 +193,73 @@ def replacing(path: Path) -> Iterator[PatientFile]:
     # Renaming over a device node would replace it, which root may do: only plain files are overwritten.
     if target.exists() and not target.is_file():
         raise StorageError(f"{path}: exists and is not a regular file", "Give the path of a file.")
-    temporary = target.with_name(f".{target.name[:80]}.{secrets.token_hex(6)}.tmp")
-    try:
-        stream = PatientFile(temporary)
-    except OSError as error:
-        raise storage_error(error, path, "writing") from error
-    try:
-        with stream:
-            try:
-                yield stream
-            except Exception as error:
-                stream.check()  # what was raised then is a consequence
-                raise error
-            stream.check()
-            os.fsync(stream.fileno())
-        temporary.replace(target)
-        sync_folder(target.parent)
-    except BaseException as error:
-        temporary.unlink(missing_ok=True)
-        if isinstance(error, OSError):
+    with interrupts.deferred():
+        clear_abandoned(target.parent)
+        temporary, stream = _open_temporary(target, path)
+        try:
+            # The file is renamed before it is closed: closing it ends its lock.
+            with stream:
+                try:
+                    yield stream
+                except Exception as error:
+                    stream.check()  # what was raised then is a consequence
+                    raise error
+                stream.check()
+                os.fsync(stream.fileno())
+                if verify is not None:
+                    verify(temporary)
+                temporary.replace(target)
+            sync_folder(target.parent)
+        except BaseException as error:
+            temporary.unlink(missing_ok=True)
+            if isinstance(error, OSError):
+                raise storage_error(error, path, "writing") from error
+            raise
+
+
+def _open_temporary(target: Path, path: Path) -> tuple[Path, PatientFile]:
+    """A new locked file beside `target`: its lock, which ends with the process, marks it as in use."""
+    while True:
+        temporary = target.with_name(f".{target.name[:80]}.{secrets.token_hex(6)}{_TEMPORARY}")
+        try:
+            stream = PatientFile(temporary)
+        except OSError as error:
             raise storage_error(error, path, "writing") from error
-        raise
+        # Another process may have taken it for abandoned before it was locked.
+        if _lock(stream.fileno()) is not False and temporary.exists():
+            return temporary, stream
+        stream.close()
+        temporary.unlink(missing_ok=True)
+
+
+def clear_abandoned(folder: Path) -> None:
+    """Remove the temporary files in a folder that `replacing` made in processes that were killed.
+
+    A file that a running process has locked stays, and so do those that cannot be locked or removed.
+    """
+    try:
+        found = [path for path in folder.iterdir() if path.name[0] == "." and path.name.endswith(_TEMPORARY)]
+    except OSError:
+        return
+    for path in found:
+        with suppress(OSError):
+            descriptor = os.open(path, os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
+            try:
+                if stat.S_ISREG(os.fstat(descriptor).st_mode) and _lock(descriptor):
+                    path.unlink()
+            finally:
+                os.close(descriptor)
+
+
+def _lock(descriptor: int) -> bool | None:
+    """Lock a file until it is closed: True, False where it is locked already, None where that is unknown."""
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:  # a file system without locks
+        return None
+    return True
 
 
 @contextmanager
@@ -174,11 +273,22 @@ def replacing_text(path: Path) -> Iterator[TextIO]:
             text.detach().detach()  # flushes both and leaves the stream open
 
 
-def write_all(descriptor: int, data: bytes | memoryview) -> None:
+def write_all(file: int | FileIO, data: bytes | memoryview) -> None:
     """Hand all of `data` to the operating system, however many writes it takes. Raises OSError."""
     rest = memoryview(data)
+    descriptor = file if isinstance(file, int) else file.fileno()
     while rest:
         rest = rest[os.write(descriptor, rest) :]
+
+
+def forget_cached(path: Path) -> None:
+    """Ask the operating system to read a file from the device when it is next read. Raises OSError."""
+    if hasattr(os, "posix_fadvise"):  # not on macOS
+        descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+        try:
+            os.posix_fadvise(descriptor, 0, 0, os.POSIX_FADV_DONTNEED)
+        finally:
+            os.close(descriptor)
 
 
 def sync_folder(folder: Path) -> None:

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from tagid import interrupts
 from tagid.errors import DiskFullError, RegistryError, TagidError
 
 BUSY_SECONDS = 10.0
@@ -104,17 +105,18 @@ class Database:
 
     @contextlib.contextmanager
     def transaction(self) -> Iterator[sqlite3.Connection]:
-        """One immediate transaction, undone on any exception."""
+        """One immediate transaction, undone on any exception; stop signals wait for its end."""
         with self.connection() as connection:
             connection.execute("BEGIN IMMEDIATE")
-            try:
-                yield connection
-            except BaseException:
-                # sqlite has rolled back by itself where the disk was full.
-                if connection.in_transaction:
-                    connection.execute("ROLLBACK")
-                raise
-            connection.execute("COMMIT")
+            with interrupts.deferred():
+                try:
+                    yield connection
+                except BaseException:
+                    # sqlite has rolled back by itself where the disk was full.
+                    if connection.in_transaction:
+                        connection.execute("ROLLBACK")
+                    raise
+                connection.execute("COMMIT")
 
     def _ready(self) -> bool:
         """Whether the file is there with its present schema: then opening it writes nothing, and one that may

@@ -14,9 +14,12 @@ dataset is checksummed (Fletcher-32), shuffled and deflated.
 
 from __future__ import annotations
 
+import dataclasses
+import hashlib
 import io
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.capture import Capture, Pulse
-from tagid.errors import DataError, FileFormatError, UsageError
+from tagid.errors import DataError, FileFormatError, StorageError, UsageError
 from tagid.storage import atomic
 from tagid.storage.assembly import (
     MAX_JSON_BYTES,
@@ -55,6 +58,7 @@ _VIEW_ARRAYS = {
 _NUMBERS = ("range_start_m", "range_step_m", "antenna_height_m", "center_frequency_hz", "bandwidth_hz")
 _TEXTS = ("uuid", "created_utc", "tool_version")
 _DICTS = ("radar", "motion", "object")
+_BLOCK_BYTES = 1 << 20
 _MAX_EXPANSION = 200
 _SMALL_BYTES = 16 << 20
 """Scans hold noise and deflate 2:1 or so; far more, of something large, was made to fill the memory."""
@@ -63,8 +67,10 @@ _SMALL_BYTES = 16 << 20
 def write_capture(path: Path, capture: Capture) -> None:
     """Write a capture file; its final name holds the whole file or what it held before.
 
+    The file is read back and compared with `capture` before it gets its final name.
+
     Raises:
-        DiskFullError, StorageError: see `tagid.storage.atomic.write_bytes`.
+        DiskFullError, StorageError: see `tagid.storage.atomic.replacing`; it reads back differently.
         UsageError: more than 2 GiB of samples.
     """
     if capture.samples.nbytes > atomic.MAX_FILE_BYTES:
@@ -77,22 +83,102 @@ def write_capture(path: Path, capture: Capture) -> None:
 def growing_capture(path: Path) -> Iterator[Callable[[Capture], None]]:
     """A capture file that is written part after part: call what it yields with the scans that follow.
 
-    All but the arrays of scans is taken from the first part. Raises as `write_capture` does, DataError where
-    a part differs from the first in bins, dtype or the arrays it has.
+    Everything but the arrays of scans comes from the first part. The file is read back in bounded memory and
+    compared with what was written before it gets its final name. Raises as `write_capture` does, DataError
+    where a part differs from the first in bins, dtype or the arrays it has.
     """
-    with atomic.replacing(path) as stream, h5py.File(stream, "w", libver=("v110", "v110")) as file:
+    written = _Written()
+
+    def verify(temporary: Path) -> None:
+        _read_back(temporary, path, written)
+
+    with (
+        atomic.replacing(path, verify) as stream,
+        h5py.File(stream, "w", libver=("v110", "v110")) as file,
+    ):
 
         def append(capture: Capture) -> None:
             if "scans" in file:
-                _extend(file["scans"], capture)
+                _extend(file["scans"], capture, written)
             else:
-                _fill(file, capture)
+                _fill(file, capture, written)
             stream.check()
 
         yield append
 
 
-def _extend(scans: Any, capture: Capture) -> None:
+@dataclass
+class _Sum:
+    """Rows of a dataset and a digest of their bytes, little-endian."""
+
+    dtype: np.dtype[Any]
+    rows: int = 0
+    digest: Any = dataclasses.field(default_factory=hashlib.blake2b)
+
+    def add(self, values: NDArray[Any]) -> None:
+        self.rows += len(values)
+        self.digest.update(np.ascontiguousarray(values, dtype=self.dtype).data)
+
+
+@dataclass
+class _Written:
+    """What was handed to HDF5: root attributes by name, and sums of the datasets by path."""
+
+    attributes: dict[str, Any] = dataclasses.field(default_factory=dict)
+    datasets: dict[str, _Sum] = dataclasses.field(default_factory=dict)
+
+
+def _read_back(temporary: Path, path: Path, written: _Written) -> None:
+    """Compare the file on disk with what was written. Raises StorageError, which names `path`."""
+    try:
+        atomic.forget_cached(temporary)
+        # HDF5's own driver: no Python code runs in its callbacks. The file is locked by `atomic.replacing`.
+        with h5py.File(temporary, "r", locking=False) as file:
+            different = _differences(file, path, written)
+    except (OSError, RuntimeError, KeyError, ValueError, FileFormatError) as error:
+        different = [str(error)[:120]]
+    if different:
+        raise StorageError(
+            f"{path}: the file differs from what was written when it is read back: {', '.join(different)}",
+            "The disk or the memory may be faulty: write to another disk.",
+        )
+
+
+def _differences(file: Any, path: Path, written: _Written) -> list[str]:
+    """Names of attributes and datasets that are missing, additional or different."""
+    _version(file, path)
+    found = {name: _attribute(file, name) for name in file.attrs}
+    names = sorted(found.keys() | written.attributes.keys())
+    different = [name for name in names if found.get(name) != written.attributes.get(name)]
+    groups = {"": file, "scans/": file["scans"]} if "scans" in file else {"": file}
+    datasets = {
+        prefix + name: group[name]
+        for prefix, group in groups.items()
+        for name in group
+        if prefix + name != "scans"
+    }
+    if datasets.keys() != written.datasets.keys():
+        different += sorted(datasets.keys() ^ written.datasets.keys())
+    for name in datasets.keys() & written.datasets.keys():
+        dataset, expected = datasets[name], written.datasets[name]
+        _check_dataset(dataset, path)
+        same = dataset.dtype == expected.dtype and len(dataset) == expected.rows
+        if not same or _sum_of(dataset).digest.digest() != expected.digest.digest():
+            different.append(name)
+    return different
+
+
+def _sum_of(dataset: Any) -> _Sum:
+    """The sum of a dataset, read in blocks of whole chunks."""
+    total = _Sum(dataset.dtype)
+    row_bytes = max(1, dataset.nbytes // len(dataset))
+    rows = dataset.chunks[0] * max(1, _BLOCK_BYTES // (row_bytes * dataset.chunks[0]))
+    for first in range(0, len(dataset), rows):
+        total.add(dataset[first : first + rows])
+    return total
+
+
+def _extend(scans: Any, capture: Capture, written: _Written) -> None:
     arrays = _scan_arrays(capture)
     if set(arrays) != set(scans):
         raise DataError("the parts of a long capture hold different arrays")
@@ -100,6 +186,7 @@ def _extend(scans: Any, capture: Capture) -> None:
         dataset = scans[name]
         if dataset.shape[1:] != values.shape[1:] or dataset.dtype != values.dtype.newbyteorder("<"):
             raise DataError(f"the parts of a long capture differ in the shape or dtype of {name}")
+        written.datasets[f"scans/{name}"].add(values)
         rows = len(dataset)
         dataset.resize(rows + len(values), axis=0)
         dataset[rows:] = values
@@ -131,24 +218,27 @@ def read_capture(path: Path) -> Capture:
     return _to_capture(path, migrate(raw, version, path))
 
 
-def _fill(file: Any, capture: Capture) -> None:
-    _put_text(file, "format", FORMAT)
-    file.attrs["format_version"] = FORMAT_VERSION
-    file.attrs["complete"] = bool(capture.complete)
-    for name in _TEXTS:
-        _put_text(file, name, getattr(capture, name))
-    for name in _DICTS:
-        _put_text(file, name, encode_settings(getattr(capture, name)))
-    for name in _NUMBERS:
-        file.attrs[name] = float(getattr(capture, name))
+def _fill(file: Any, capture: Capture, written: _Written) -> None:
+    plain: dict[str, Any] = {"format_version": FORMAT_VERSION, "complete": bool(capture.complete)}
+    plain |= {name: float(getattr(capture, name)) for name in _NUMBERS}
     if capture.axis_distance_m is not None:
-        file.attrs["axis_distance_m"] = float(capture.axis_distance_m)
+        plain["axis_distance_m"] = float(capture.axis_distance_m)
+    if capture.pulse is not None:
+        plain["pulse_step_s"] = float(capture.pulse.step)
+    texts = {"format": FORMAT} | {name: getattr(capture, name) for name in _TEXTS}
+    texts |= {name: encode_settings(getattr(capture, name)) for name in _DICTS}
+    written.attributes |= plain
+    for name, value in plain.items():
+        file.attrs[name] = value
+    for name, content in texts.items():
+        written.attributes[name] = content.encode().rstrip(b"\0")
+        _put_text(file, name, content)
     scans = file.create_group("scans")
     for name, values in _scan_arrays(capture).items():
-        _put(scans, name, values)
+        written.datasets[f"scans/{name}"] = _put(scans, name, values)
     if capture.pulse is not None:
-        _put(file, "pulse", np.asarray(capture.pulse.samples, dtype=np.float64))
-        file.attrs["pulse_step_s"] = float(capture.pulse.step)
+        samples = np.asarray(capture.pulse.samples, dtype=np.float64)
+        written.datasets["pulse"] = _put(file, "pulse", samples)
 
 
 def _scan_arrays(capture: Capture) -> dict[str, NDArray[Any]]:
@@ -169,8 +259,10 @@ def _put_text(file: Any, name: str, content: str) -> None:
     file.attrs.create(name, data, dtype=h5py.string_dtype("utf-8", max(1, len(data))))
 
 
-def _put(group: Any, name: str, values: NDArray[Any]) -> None:
+def _put(group: Any, name: str, values: NDArray[Any]) -> _Sum:
     little = np.ascontiguousarray(values, dtype=values.dtype.newbyteorder("<"))
+    total = _Sum(little.dtype)
+    total.add(little)
     group.create_dataset(
         name,
         data=little,
@@ -181,6 +273,7 @@ def _put(group: Any, name: str, values: NDArray[Any]) -> None:
         shuffle=True,
         fletcher32=True,
     )
+    return total
 
 
 def _version(file: Any, path: Path) -> int:

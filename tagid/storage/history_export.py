@@ -8,8 +8,9 @@ from __future__ import annotations
 import csv
 import itertools
 from collections.abc import Iterator
+from io import RawIOBase
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 from tagid.errors import MissingExtraError, UsageError
 from tagid.storage import atomic
@@ -80,7 +81,7 @@ class _Sink:
 
     closed = False
 
-    def __init__(self, file: BinaryIO) -> None:
+    def __init__(self, file: RawIOBase) -> None:
         self._file = file
         self._at = 0
 

@@ -24,6 +24,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from tagid import interrupts
 from tagid.errors import DataError, DiskFullError, FileFormatError, StorageError
 from tagid.storage import atomic
 from tagid.storage.assembly import decode_settings, encode_settings
@@ -78,6 +79,11 @@ class JournalWriter:
         self._synced_at = 0.0
         self._unsynced = 0
         self._layout: tuple[int, int] | None = None
+        self._size = 0
+        with interrupts.deferred():
+            self._create(header)
+
+    def _create(self, header: dict[str, Any]) -> None:
         flags = os.O_WRONLY | os.O_CREAT | os.O_APPEND
         try:
             # An existing device node (a pipe, /dev/full) may be appended to; an existing file is never.
@@ -85,7 +91,6 @@ class JournalWriter:
             self._descriptor = os.open(self.path, flags | exclusive, 0o666)
         except OSError as error:
             raise atomic.storage_error(error, self.path, "creating the journal") from error
-        self._size = 0
         try:
             first = pack_record(_HEADER, encode_settings(header).encode())
             self._write(PREAMBLE.pack(MAGIC, VERSION) + first)
@@ -128,6 +133,10 @@ class JournalWriter:
     def append_all(self, scans: Sequence[JournalScan]) -> None:
         """Add scans with one write; raises as `append` does. Where space ends, as many as fit stay."""
         records = [self._packed(scan) for scan in scans]
+        with interrupts.deferred():
+            self._append(records)
+
+    def _append(self, records: list[bytes]) -> None:
         try:
             self._write(b"".join(records))
         except DiskFullError:
@@ -164,17 +173,19 @@ class JournalWriter:
 
         Raises DiskFullError: no space; all before it stays.
         """
-        self._write(pack_record(_MOTION, encode_settings(readings).encode()))
+        with interrupts.deferred():
+            self._write(pack_record(_MOTION, encode_settings(readings).encode()))
 
     def close(self, summary: dict[str, Any] | None = None) -> None:
         """Write the end record, which marks the recording as complete, and close. Raises DiskFullError."""
         if self._descriptor < 0:
             return
-        try:
-            self._write(pack_record(_END, encode_settings(summary or {}).encode()))
-            self._sync()
-        finally:
-            self._release()
+        with interrupts.deferred():
+            try:
+                self._write(pack_record(_END, encode_settings(summary or {}).encode()))
+                self._sync()
+            finally:
+                self._release()
 
     def __enter__(self) -> Self:
         return self
@@ -183,14 +194,15 @@ class JournalWriter:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         """Close the file; without `close` before, the recording stays marked as not complete."""
-        if self._descriptor >= 0:
-            try:
-                self._sync()
-            except StorageError:
-                if error is None:
-                    raise
-            finally:
-                self._release()
+        with interrupts.deferred():
+            if self._descriptor >= 0:
+                try:
+                    self._sync()
+                except StorageError:
+                    if error is None:
+                        raise
+                finally:
+                    self._release()
 
     def _write(self, data: bytes) -> None:
         if self._descriptor < 0:
@@ -198,7 +210,7 @@ class JournalWriter:
         try:
             atomic.write_all(self._descriptor, data)
         except BaseException as error:
-            # Also after Ctrl-C in the middle: a partial record would hide nothing, but it need not be there.
+            # A partial record would hide nothing from the reader, but it need not be there.
             self._cut_back()
             if isinstance(error, OSError):
                 raise atomic.storage_error(error, self.path, "appending to the journal") from error

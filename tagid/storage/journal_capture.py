@@ -68,8 +68,7 @@ def read_journal_capture(path: Path) -> Capture:
         found = Journal(path, stream.header, (), stream.summary, stream.bytes_dropped, stream.motion)
     with open_journal(path) as stream:
         arrays = ScanArrays.empty(count, *layout)
-        for row, scan in zip(range(count), stream.scans(), strict=False):
-            arrays.put(row, scan)
+        arrays.fill(path, stream.scans())
     return _to_capture(found, arrays)
 
 
@@ -104,6 +103,14 @@ class ScanArrays:
         integers = np.zeros((2, views), np.int64)
         times, flags = np.zeros(views, np.float64), np.zeros(views, np.uint8)
         return cls(np.zeros((views, bins), dtype), integers[0], times, integers[1], flags)
+
+    def fill(self, path: Path, scans: Iterator[JournalScan]) -> None:
+        """Fill all rows. Raises FileFormatError where the journal at `path` has fewer scans left."""
+        for row in range(len(self.samples)):
+            scan = next(scans, None)
+            if scan is None:
+                raise FileFormatError(f"{path}: the journal changed while it was read", "Read it again.")
+            self.put(row, scan)
 
     def put(self, row: int, scan: JournalScan) -> None:
         """Fill one row."""
@@ -213,8 +220,7 @@ def write_captures(
             with hdf5.growing_capture(path) as append:
                 while left:
                     arrays = ScanArrays.empty(min(rows_a_block, left), bins, dtype)
-                    for row, scan in zip(range(len(arrays.samples)), scans, strict=False):
-                        arrays.put(row, scan)
+                    arrays.fill(journal, scans)
                     append(build_capture(journal, **vars(arrays), **fields))
                     left -= len(arrays.samples)
             paths.append(path)

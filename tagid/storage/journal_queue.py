@@ -11,6 +11,7 @@ from collections import deque
 from types import TracebackType
 from typing import Any, Final, Self
 
+from tagid import interrupts
 from tagid.errors import TagidError
 from tagid.storage.journal import JournalScan, JournalWriter
 
@@ -78,10 +79,11 @@ class JournalQueue:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        with self._changed:
-            self._ending = True
-            self._changed.notify_all()
-        self._thread.join()
+        with interrupts.deferred():
+            with self._changed:
+                self._ending = True
+                self._changed.notify_all()
+            self._thread.join()
         if error is None:
             self._raise_failure()
 

@@ -14,7 +14,7 @@ PACKAGE = ROOT / "tagid"
 FILES = sorted(PACKAGE.rglob("*.py"))
 
 LEVELS = (
-    {"errors", "constants", "__init__"},
+    {"errors", "constants", "interrupts", "__init__"},
     {"geometry", "capture", "config", "waveform", "ports"},
     {"imaging", "tags", "storage", "radar", "motion", "simulate", "models_store"},
     {"pipeline", "report", "doctor", "result", "sources", "inspection", "turn", "identification"}

@@ -1,0 +1,232 @@
+"""SIGINT, SIGTERM and SIGHUP: the only place of the product that handles them.
+
+A stop signal must never end a write halfway, least of all inside a callback of a C library. Writes run within
+`deferred`; a signal that arrives there takes effect after it.
+"""
+
+from __future__ import annotations
+
+import atexit
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from types import FrameType, TracebackType
+from typing import Any, Self
+
+from tagid.errors import CaptureInterrupted, TagidError
+
+SIGNALS = (signal.SIGHUP, signal.SIGTERM, signal.SIGINT)
+"""The signals that stop a command. SIGINT is last, so that its handler is restored last."""
+
+Handler = Callable[[int, FrameType | None], Any] | int | None
+
+
+def stopped_by_user(stop: KeyboardInterrupt, remedy: str = "") -> CaptureInterrupted:
+    """The error to show for a stop signal; it keeps the message and remedy of an error before it."""
+    before = stop.__context__
+    if isinstance(before, TagidError):
+        return CaptureInterrupted(f"stopped by the user; {before.message}", before.remedy)
+    return CaptureInterrupted("stopped by the user", remedy)
+
+
+class _Stop:
+    """A request to stop that is asked for, not forced; see `asked_to_stop`."""
+
+    def __init__(self, tell: Callable[[], None]) -> None:
+        self.asked = False
+        self.tell = tell
+
+
+class _State:
+    """Of the main thread; no other thread changes it, and signal handlers run on the main thread only."""
+
+    depth = 0
+    waiting: list[int]
+    stop: _Stop | None = None
+    delivered = False
+
+    def __init__(self) -> None:
+        self.waiting = []
+
+
+_state = _State()
+
+
+def _on_signal(number: int, frame: FrameType | None) -> None:
+    if _state.depth:
+        if number not in _state.waiting:
+            _state.waiting.append(number)
+    else:
+        _act()
+
+
+def _act(late: bool = False) -> None:
+    """What a signal does within `handled`; `late` is one that waited for a write to end."""
+    _state.waiting.clear()
+    _state.delivered = True
+    stop = _state.stop
+    if stop is None or (stop.asked and not late):
+        raise KeyboardInterrupt
+    if not stop.asked:
+        stop.asked = True
+        stop.tell()
+
+
+@contextmanager
+def handled() -> Iterator[None]:
+    """Within, each of `SIGNALS` raises KeyboardInterrupt in the main thread; for a program's outermost call.
+
+    A signal that the process was started to ignore, as by `nohup`, stays ignored. At the exit of the
+    interpreter all of them are ignored: what was to be written is written.
+    """
+    if not _on_main_thread():
+        yield
+        return
+    _state.delivered = False
+    before = _install()
+    try:
+        yield
+    finally:
+        _restore(before)
+        atexit.unregister(_ignore_all)
+        atexit.register(_ignore_all)
+
+
+def delivered() -> bool:
+    """Whether a signal took effect since `handled` was entered."""
+    return _state.delivered
+
+
+@contextmanager
+def asked_to_stop(tell: Callable[[], None] = lambda: None) -> Iterator[Callable[[], bool]]:
+    """Within, the first signal makes the yielded function return True; another one raises KeyboardInterrupt.
+
+    Signals that arrive during a write count as the first one, however many they are. Also a SIGINT that a
+    shell had its background process ignore is taken, because stopping is how such a command ends.
+
+    Args:
+        tell: called in the main thread at the first signal.
+    """
+    if not _on_main_thread():
+        yield lambda: False
+        return
+    stop = _Stop(tell)
+    before = _install(also=(signal.SIGINT,))
+    outer, _state.stop = _state.stop, stop
+    try:
+        yield lambda: stop.asked
+    finally:
+        _state.stop = outer
+        _restore(before)
+
+
+class Deferred:
+    """The context manager that `deferred` makes."""
+
+    def __init__(self) -> None:
+        self._active = _on_main_thread()
+        self._outer = 0
+        self._before: dict[int, Handler] = {}
+
+    def __enter__(self) -> Self:
+        if self._active:
+            self._outer = _state.depth
+            self._begin()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._active:
+            self._end(stopped_already=isinstance(error, KeyboardInterrupt | CaptureInterrupted))
+
+    def listening(self) -> Listening:
+        """A context manager: signals take effect at once within, unless an outer `deferred` is active."""
+        return Listening(self)
+
+    def _begin(self) -> None:
+        _state.depth = self._outer + 1
+        if not self._outer:
+            self._before = _install()
+
+    def _end(self, stopped_already: bool = False) -> None:
+        if self._outer:
+            _state.depth = self._outer
+            return
+        try:
+            ours = _restore(self._before)
+        finally:
+            waiting = list(_state.waiting)
+            _state.waiting.clear()
+            _state.depth = 0
+        if not ours:
+            for number in waiting:
+                signal.raise_signal(number)
+        elif waiting and not stopped_already:
+            _act(late=True)
+
+
+class Listening:
+    """The context manager that `Deferred.listening` makes."""
+
+    def __init__(self, deferral: Deferred) -> None:
+        self._deferral = deferral
+
+    def __enter__(self) -> None:
+        if self._deferral._active and not self._deferral._outer:
+            try:
+                self._deferral._end()
+            except BaseException:
+                self._deferral._begin()
+                raise
+
+    def __exit__(self, *_: object) -> None:
+        if self._deferral._active and not self._deferral._outer:
+            self._deferral._begin()
+
+
+def deferred() -> Deferred:
+    """A context manager: `SIGNALS` wait within, and take effect, each once, when the outermost one ends.
+
+    On another thread than the main one it does nothing, as signals are handled on the main thread. Where the
+    program handles them itself, its handlers are called after the end. Where KeyboardInterrupt or
+    CaptureInterrupted leaves the block, the signals that waited are dropped: the work stops already.
+    """
+    return Deferred()
+
+
+def _on_main_thread() -> bool:
+    return threading.current_thread() is threading.main_thread()
+
+
+def _install(also: tuple[int, ...] = ()) -> dict[int, Handler]:
+    """Handle the signals here; returns the handlers that this replaced."""
+    before: dict[int, Handler] = {}
+    for number in SIGNALS:
+        handler = signal.getsignal(number)
+        # None: set by C code, which we could not restore.
+        if handler in (_on_signal, None) or (handler == signal.SIG_IGN and number not in also):
+            continue
+        before[number] = handler
+        signal.signal(number, _on_signal)
+    return before
+
+
+def _restore(before: dict[int, Handler]) -> bool:
+    """Put handlers back; whether the signals are still handled here, by an outer `handled`."""
+    failure: BaseException | None = None
+    for number, handler in before.items():
+        while signal.getsignal(number) is _on_signal:
+            try:
+                signal.signal(number, handler)
+            except BaseException as error:  # raised by a handler that was put back a moment ago
+                failure = error
+    if failure is not None:
+        raise failure
+    return any(signal.getsignal(number) is _on_signal for number in SIGNALS)
+
+
+def _ignore_all() -> None:
+    for number in SIGNALS:
+        signal.signal(number, signal.SIG_IGN)

@@ -1,0 +1,307 @@
+"""A write that is stopped or fails at any of its operations leaves the whole file or the previous one."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+from storage_samples import FLOAT, assert_equal, capture
+
+from tagid import interrupts
+from tagid.errors import StorageError, TagidError
+from tagid.storage import atomic, hdf5
+from tagid.storage.hdf5 import growing_capture, read_capture, write_capture
+from tagid.storage.journal import JournalWriter
+from tagid.storage.journal_capture import write_captures
+
+
+class Injected(BaseException):
+    """Not an Exception, as KeyboardInterrupt is not."""
+
+
+def injecting(monkeypatch: pytest.MonkeyPatch, at: int, do: Callable[[], Any]) -> list[str]:
+    """Call `do` in operation number `at` of every file that is written; returns the operations so far."""
+    operations: list[str] = []
+
+    class Sabotaged(atomic.PatientFile):
+        def _try(self, work: Callable[[], Any]) -> Any:
+            operations.append(sys._getframe(1).f_code.co_name)
+            if len(operations) - 1 != at:
+                return super()._try(work)
+
+            def sabotaged() -> Any:
+                do()
+                return work()
+
+            return super()._try(sabotaged)
+
+    monkeypatch.setattr(atomic, "PatientFile", Sabotaged)
+    return operations
+
+
+def raising(error: BaseException) -> Callable[[], None]:
+    def do() -> None:
+        raise error
+
+    return do
+
+
+def parts(count: int = 3) -> list[Any]:
+    """Parts of a long capture; appending makes HDF5 read back what it wrote."""
+    rng = np.random.default_rng(4)
+    rows = rng.integers(-(2**20), 2**20, (count, 9, 40)).astype(np.int32)
+    first = capture()
+    changes = {"radar": first.radar, "pulse": first.pulse, "uuid": first.uuid}
+    return [capture(samples=samples, **changes) for samples in rows]
+
+
+def write_parts(path: Path, pieces: list[Any]) -> None:
+    with growing_capture(path) as append:
+        for piece in pieces:
+            append(piece)
+
+
+def operations_of(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    with monkeypatch.context() as patch:
+        operations = injecting(patch, -1, lambda: None)
+        write_parts(tmp_path / "count", parts())
+    (tmp_path / "count").unlink()
+    return operations
+
+
+@pytest.mark.parametrize("kind", [Injected, KeyboardInterrupt, OSError, MemoryError])
+def test_an_exception_in_any_operation_leaves_what_was_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: type[BaseException]
+) -> None:
+    operations = operations_of(tmp_path, monkeypatch)
+    assert {"write", "seek", "truncate"} <= set(operations)
+    path = tmp_path / "a"
+    write_capture(path, capture(**FLOAT))
+    before = path.read_bytes()
+    expected = StorageError if kind is OSError else kind
+    for position in range(len(operations)):
+        with monkeypatch.context() as patch:
+            injecting(patch, position, raising(kind("injected")))
+            with pytest.raises(expected):
+                write_parts(path, parts())
+        assert path.read_bytes() == before, (position, operations[position])
+        assert [each.name for each in tmp_path.iterdir()] == ["a"]
+
+
+@pytest.mark.parametrize("number", interrupts.SIGNALS)
+def test_a_signal_in_any_operation_leaves_the_whole_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int
+) -> None:
+    operations = operations_of(tmp_path, monkeypatch)
+    path = tmp_path / "a"
+    for position in range(len(operations)):
+        with monkeypatch.context() as patch, interrupts.handled():
+            injecting(patch, position, lambda: [signal.raise_signal(number) for _ in range(3)])
+            with pytest.raises(KeyboardInterrupt):
+                write_parts(path, parts())
+        samples = np.concatenate([piece.samples for piece in parts()])
+        np.testing.assert_array_equal(read_capture(path).samples, samples, err_msg=operations[position])
+        assert [each.name for each in tmp_path.iterdir()] == ["a"]
+        path.unlink()
+
+
+def test_reads_of_appended_parts_may_fail_as_well(tmp_path: Path) -> None:
+    with atomic.replacing(tmp_path / "a") as stream:
+        stream.write(b"abc")
+        stream.seek(0)
+        stream.failure = Injected("reading")
+        buffer = bytearray(b"\xff" * 5)
+        assert stream.readinto(buffer) == 5 and buffer == bytes(5)
+        stream.failure = None
+        stream.seek(0)
+        assert stream.readinto(buffer) == 5 and bytes(buffer) == b"abc\0\0"
+
+
+def damaged_after_sync(monkeypatch: pytest.MonkeyPatch, damage: Callable[[Path], None]) -> None:
+    """Damage the file after it was synced, as a bad disk would."""
+
+    def forget(path: Path) -> None:
+        damage(path)
+
+    monkeypatch.setattr(atomic, "forget_cached", forget)
+
+
+def flipped(path: Path, where: int) -> None:
+    with path.open("r+b") as file:
+        file.seek(where)
+        byte = file.read(1)
+        file.seek(where)
+        file.write(bytes([byte[0] ^ 0x10]))
+
+
+def change_attribute(name: str, value: Any) -> Callable[[Path], None]:
+    def damage(path: Path) -> None:
+        with h5py.File(path, "r+", locking=False) as file:
+            file.attrs[name] = value
+
+    return damage
+
+
+def zero_rows(path: Path) -> None:
+    with h5py.File(path, "r+", locking=False) as file:
+        file["scans/samples"][3:5] = 0
+
+
+def shorten(path: Path) -> None:
+    with h5py.File(path, "r+", locking=False) as file:
+        for name in file["scans"]:
+            file["scans"][name].resize(8, axis=0)
+
+
+def without(name: str) -> Callable[[Path], None]:
+    def damage(path: Path) -> None:
+        with h5py.File(path, "r+", locking=False) as file:
+            del file[name]
+
+    return damage
+
+
+DAMAGE: dict[str, Callable[[Path], None]] = {
+    "rows of zeros": zero_rows,
+    "fewer rows": shorten,
+    "samples gone": without("scans/samples"),
+    "angles gone": without("scans/angle_rad"),
+    "pulse gone": without("pulse"),
+    "complete": change_attribute("complete", True),
+    "range": change_attribute("range_start_m", 0.3100001),
+    "settings": change_attribute("radar", np.bytes_(b"{}")),
+    "one attribute more": change_attribute("more", 1.0),
+    "cut off": lambda path: os.truncate(path, path.stat().st_size // 2),
+    "empty": lambda path: os.truncate(path, 0),
+}
+
+
+@pytest.mark.parametrize("name", DAMAGE)
+def test_a_file_that_reads_back_differently_is_not_accepted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    damaged_after_sync(monkeypatch, DAMAGE[name])
+    with pytest.raises(StorageError, match="read back"):
+        write_capture(tmp_path / "a", capture())
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_any_flipped_bit_is_noticed_or_changes_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one = capture()
+    write_capture(tmp_path / "whole", one)
+    size = (tmp_path / "whole").stat().st_size
+    rng = np.random.default_rng(1)
+    refused = 0
+    for where in rng.integers(size, size=150):
+        with monkeypatch.context() as patch:
+            damaged_after_sync(patch, lambda path, at=int(where): flipped(path, at))
+            try:
+                write_capture(tmp_path / "a", one)
+            except StorageError:
+                refused += 1
+                continue
+        assert_equal(one, read_capture(tmp_path / "a"))
+    assert refused > 75
+
+
+def test_a_long_recording_is_read_back_part_by_part(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    journal = tmp_path / "a.tagid.journal"
+    with JournalWriter(journal, {"range_start_m": 0.0, "range_step_m": 0.01}) as writer:
+        for number in range(30):
+            writer.append(number, number, float(number), np.arange(96, dtype=np.int32) * number)
+        writer.close({})
+    checked: list[str] = []
+    real = hdf5._read_back
+
+    def noted(temporary: Path, path: Path, written: Any) -> None:
+        if len(checked) == 2:
+            zero_rows(temporary)
+        checked.append(path.name)
+        real(temporary, path, written)
+
+    monkeypatch.setattr(hdf5, "_read_back", noted)
+    with pytest.raises(StorageError, match="samples"):
+        write_captures(journal, lambda part: tmp_path / f"{part}.h5", part_bytes=10 * 96 * 4)
+    assert checked == ["1.h5", "2.h5", "3.h5"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["1.h5", "2.h5", "a.tagid.journal"]
+
+
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+from tagid.storage import atomic
+with atomic.replacing(Path(sys.argv[1])) as stream:
+    stream.write(b"half")
+    if sys.argv[2] == "die":
+        os.kill(os.getpid(), signal.SIGKILL)
+    print("writing", flush=True)
+    sys.stdin.readline()
+    stream.write(b" and half")
+"""
+
+
+def writer(path: Path, how: str) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [sys.executable, "-c", KILLED, str(path), how],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[2])},
+    )
+
+
+def test_the_next_writer_clears_what_killed_ones_left_and_nothing_else(tmp_path: Path) -> None:
+    foreign = [".a.0123456789ab.tmp", "b.tagid.tmp", ".c.tagid.tmp.bak"]
+    for name in foreign:
+        (tmp_path / name).write_bytes(b"not ours")
+    for _ in range(2):
+        with writer(tmp_path / "a", "die") as dead:
+            dead.communicate()
+        assert dead.returncode == -signal.SIGKILL
+    (left,) = [path.name for path in tmp_path.iterdir() if path.name not in foreign]
+    assert left.endswith(".tmp")
+    with writer(tmp_path / "b", "wait") as alive:
+        assert alive.stdout is not None and alive.stdout.readline() == "writing\n"
+        atomic.write_bytes(tmp_path / "c", b"whole")
+        names = {path.name for path in tmp_path.iterdir()}
+        assert left not in names
+        assert len(names - {*foreign, "c"}) == 1, "the file of the living writer"
+        alive.communicate("go on\n")
+    assert (tmp_path / "b").read_bytes() == b"half and half"
+    assert {path.name for path in tmp_path.iterdir()} == {*foreign, "b", "c"}
+
+
+def test_a_file_taken_for_abandoned_before_its_lock_is_made_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real = atomic._lock
+    stolen: list[str] = []
+
+    def lock(descriptor: int) -> bool | None:
+        if not stolen:
+            (path,) = tmp_path.iterdir()
+            stolen.append(path.name)
+            path.unlink()
+        return real(descriptor)
+
+    monkeypatch.setattr(atomic, "_lock", lock)
+    atomic.write_bytes(tmp_path / "a", b"whole")
+    assert (tmp_path / "a").read_bytes() == b"whole" and len(list(tmp_path.iterdir())) == 1
+
+
+def test_what_is_raised_in_the_block_leaves_nothing(tmp_path: Path) -> None:
+    for error in (Injected("x"), KeyboardInterrupt(), TagidError("x"), GeneratorExit()):
+        with pytest.raises(type(error)), atomic.replacing(tmp_path / "a") as stream:
+            stream.write(b"half")
+            raise error
+        assert list(tmp_path.iterdir()) == []
