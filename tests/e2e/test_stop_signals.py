@@ -1,0 +1,84 @@
+"""Stop signals aimed at the moment of writing, against real processes; `attack_signals.py` is the long run."""
+
+from __future__ import annotations
+
+import random
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tagid.storage.hdf5 import read_capture
+from tagid.storage.journal_capture import read_journal_capture
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "property"))
+
+from attack_signals import attack, environment, started, wait_for
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("undisturbed")
+    with started("simulate", folder) as process:
+        process.communicate()
+    return folder / "out" / "a.tagid.h5"
+
+
+@pytest.mark.parametrize("command", ["scan", "record", "simulate", "report"])
+def test_signals_while_writing_cost_nothing(tmp_path: Path, undisturbed: Path, command: str) -> None:
+    truth = undisturbed if command in ("simulate", "report") else None
+    codes = set()
+    for number in range(2):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        outcome = attack(command, folder, random.Random(f"{command}-{number}"), truth)
+        assert outcome.faults == []
+        codes.add(outcome.returncode)
+    assert command == "report" or 130 in codes
+
+
+@pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("command", ["scan", "record"])
+def test_every_stop_signal_ends_a_recording_alike(tmp_path: Path, command: str, kind: signal.Signals) -> None:
+    out = tmp_path / "out"
+    with started(command, tmp_path) as process:
+        assert wait_for(
+            lambda: any(path.stat().st_size > 100_000 for path in out.glob("*.tagid.journal")), process
+        )
+        process.send_signal(kind)
+        _, err = process.communicate(timeout=60)
+    assert process.returncode == 130, err
+    assert err.count("error:") == (1 if command == "scan" else 0), err
+    (path,) = out.iterdir()
+    capture = read_capture(path)
+    assert capture.views > 10 and not capture.complete
+    assert capture.samples.any(axis=1).all()
+
+
+def test_the_journal_stays_where_the_file_does_not_read_back(tmp_path: Path) -> None:
+    script = (
+        "import sys\n"
+        "from tagid.storage import atomic\n"
+        "def damage(path):\n"
+        "    with path.open('r+b') as file:\n"
+        "        file.truncate(path.stat().st_size // 2)\n"
+        "atomic.forget_cached = damage\n"
+        "from tagid.cli.app import main\n"
+        "main()\n"
+    )
+    for words in (["scan"], ["radar", "record"]):
+        folder = tmp_path / words[-1]
+        done = subprocess.run(
+            [sys.executable, "-c", script, *words, "--radar", "emulator://helmet-120", "--axis-distance", "1",
+             "--scans", "60", "--save-dir", str(folder)],
+            capture_output=True, text=True, cwd=tmp_path, timeout=120,
+            env=environment(tmp_path),
+        )  # fmt: skip
+        assert done.returncode == 1, done.stderr
+        (journal,) = folder.iterdir()
+        assert journal.name.endswith(".tagid.journal")
+        words_of_error = " ".join(done.stderr.split())
+        assert "read back" in words_of_error and "tagid recover" in words_of_error
+        assert read_journal_capture(journal).views == 60
