@@ -1,4 +1,4 @@
-"""Stop signals aimed at the moment of writing, against real processes; `attack_signals.py` is the long run."""
+"""Stop signals aimed at the moment of writing, in real processes; `attack_signals.py` is the long run."""
 
 from __future__ import annotations
 
