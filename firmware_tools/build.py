@@ -16,7 +16,7 @@ from typing import Any, Final
 
 from firmware_tools.bridge.tagid_bridge import PROTOCOL, VERSION
 from tagid.errors import FileFormatError, MissingExtraError, TagidError
-from tagid.storage.atomic import read_bytes, storage_error, write_bytes
+from tagid.files import read_bytes, storage_error, write_bytes
 
 SOURCE: Final = Path(__file__).resolve().parent / "bridge"
 MANIFEST: Final = "manifest.json"

@@ -14,7 +14,7 @@ from typing import Final
 
 from firmware_tools.boards import CHIPS, Chip
 from tagid.errors import FileFormatError, UsageError
-from tagid.storage.atomic import read_bytes
+from tagid.files import read_bytes
 
 _LARGEST: Final = 16 << 20
 _SMALLEST: Final = 512 << 10

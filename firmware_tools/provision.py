@@ -17,7 +17,7 @@ from firmware_tools.boards import CHIPS
 from firmware_tools.bridge.tagid_bridge import settings
 from firmware_tools.build import Build
 from tagid.errors import ConfigError
-from tagid.storage.atomic import read_bytes
+from tagid.files import read_bytes
 
 CONFIG: Final = settings.PATH
 BONDS: Final = "bonds.json"

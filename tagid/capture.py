@@ -18,6 +18,7 @@ from tagid import __version__
 from tagid.constants import BANDWIDTH_HZ, CENTER_FREQUENCY_HZ
 from tagid.errors import DataError
 from tagid.geometry import Aperture
+from tagid.metadata import MotionInfo, ObjectInfo, RadarInfo
 
 
 class ViewFlag(enum.IntFlag):
@@ -70,7 +71,7 @@ class Capture:
         flags: (views,) uint8 of `ViewFlag`.
         center_frequency_hz, bandwidth_hz: the band of the pulse, Hz.
         pulse: the pulse, where it came with the data.
-        radar, motion, object: settings as plain JSON values.
+        radar, motion, object: what is known of each (`tagid.metadata`).
         uuid, created_utc, tool_version: provenance.
         complete: False while recording or where the end is missing.
     """
@@ -90,9 +91,9 @@ class Capture:
     center_frequency_hz: float = CENTER_FREQUENCY_HZ
     bandwidth_hz: float = BANDWIDTH_HZ
     pulse: Pulse | None = None
-    radar: dict[str, Any] = field(default_factory=dict)
-    motion: dict[str, Any] = field(default_factory=dict)
-    object: dict[str, Any] = field(default_factory=dict)
+    radar: RadarInfo = field(default_factory=RadarInfo)
+    motion: MotionInfo = field(default_factory=MotionInfo)
+    object: ObjectInfo = field(default_factory=ObjectInfo)
     uuid: str = field(default_factory=lambda: str(uuid_module.uuid4()))
     created_utc: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="seconds"))
     tool_version: str = __version__

@@ -21,7 +21,7 @@ KIT_ADDRESSES = "192.168.1.100,192.168.1.101,192.168.1.102,192.168.1.103"
 """Addresses of the units of a P440 kit at delivery (P440 MRM documents)."""
 
 METHODS = ("auto", "bp", "bp-raw", "range-doppler", "polar", "sparse", "omp", "ats")
-"""Names that `tagid.imaging.methods` knows, told here so that help needs no numpy."""
+"""Names that `tagid.pipeline.methods` knows, told here so that help needs no numpy."""
 
 
 @dataclass(frozen=True)
@@ -189,3 +189,46 @@ def load_config(overrides: Mapping[str, Any] | None = None) -> Config:
         else:
             values[setting.name] = Value(setting.default, "default")
     return Config(values, path)
+
+
+def change_file(name: str, raw: Any | None) -> Path:
+    """Set one setting in the file, or remove it where `raw` is None; returns the file's path.
+
+    Raises as `change_settings` does.
+    """
+    return change_settings({name: raw})
+
+
+def change_settings(changes: Mapping[str, Any | None]) -> Path:
+    """Set several settings in the file at once, or remove those that are None; returns the file's path.
+
+    Raises:
+        ConfigError: a setting is unknown or out of range; the file is then unchanged.
+        StorageError, DiskFullError: the file cannot be written; it is then unchanged.
+    """
+    path = config_path()
+    known = {setting.name for setting in SETTINGS}
+    found = read_file(path)
+    for name, raw in changes.items():
+        if raw is None and name in known:
+            found.pop(name, None)
+        else:
+            found[name] = parse_value(name, raw, "command line")
+    _write(path, found)
+    return path
+
+
+def _write(path: Path, found: Mapping[str, Any]) -> None:
+    import tomli_w
+
+    from tagid import files
+
+    tables: dict[str, dict[str, Any]] = {}
+    for name, value in sorted(found.items()):
+        section, key = name.split(".", 1)
+        tables.setdefault(section, {})[key] = value
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise files.storage_error(error, path, "making its folder") from error
+    files.write_bytes(path, tomli_w.dumps(tables).encode())

@@ -92,7 +92,7 @@ def _disk(folder: Path) -> Finding:
 
 
 def _registry() -> Finding:
-    from tagid.storage.registry import Registry
+    from tagid.tags.layouts.registry import Registry
 
     path = data_folder() / "registry.sqlite"
     try:
@@ -123,16 +123,15 @@ def _axis(config: Config) -> Finding:
 
 
 def _radar(config: Config) -> Finding:
-    from tagid.radar.devices import open_radar
     from tagid.radar.survey import survey
-    from tagid.sources import Sources
+    from tagid.recording.radars import open_radar
 
     url = config["radar.url"]
     if not url:
         remedy = "tagid config set radar.url udp://192.168.1.100 (kit units: .100 to .103)"
         return Finding("radar", "warning", "none configured", remedy)
     try:
-        found = survey(open_radar(url, Sources(), config["radar.timeout_s"]))
+        found = survey(open_radar(url, config["radar.timeout_s"]))
     except TagidError as error:
         return Finding("radar", "problem", f"{url}: {error.message}", error.remedy)
     status = found.status

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from tagid import interrupts
 from tagid.errors import ModelError, StorageError
-from tagid.storage.atomic import read_bytes, write_bytes
+from tagid.files import read_bytes, write_bytes
 
 FOLDER = Path(__file__).parent / "models"
 """In a checkout a link to the folder `models/` at its top; in a wheel the files themselves."""

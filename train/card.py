@@ -8,8 +8,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from tagid.storage.atomic import write_bytes
-from tagid.tags.detector import Contract
+from tagid.files import write_bytes
+from tagid.tags.network.detector import Contract
 from train.dataset import load
 from train.evaluate import Figures, calibrate, conditions, maxima_figures, outcomes
 from train.fit import load_network
@@ -26,7 +26,7 @@ Finds the small octahedral reflectors in a 0.5 m square image (96 x 96 pixels) o
 and its sigma, a calibrated probability, and whether a place shows a ghost (interaction image of near
 reflectors, arc of a shell off its axis, handle, rim, box edge). It serves objects whose layout nobody
 enrolled and labels what else is seen; names of enrolled layouts are read in the scans themselves
-(`tagid/tags/matcher.py`).
+(`tagid/tags/reading/matcher.py`).
 
 - Data: simulated scenes only, drawn as `train/distributions.py` declares: {scenes} scenes imaged by
   backprojection, every {ats_every}th by ATS too; commit {commit},

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.errors import StorageError, UsageError
-from tagid.storage.atomic import replacing
-from tagid.tags.planes import GRID
+from tagid.files import replacing
+from tagid.tags.network.planes import GRID
 from train.distributions import Distribution
 from train.images import METHODS, network_input
 from train.scenes import draw_scene

@@ -15,8 +15,8 @@ from scipy.optimize import minimize
 
 from tagid.imaging.metrics import pick_peaks
 from tagid.imaging.types import Image
-from tagid.tags.detector import Contract, Detection, decode, sigmoid
-from tagid.tags.planes import GRID, NetworkInput
+from tagid.tags.network.detector import Contract, Detection, decode, sigmoid
+from tagid.tags.network.planes import GRID, NetworkInput
 from train.dataset import Samples
 from train.images import METHODS
 from train.network import DetectorNetwork

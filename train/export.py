@@ -17,8 +17,8 @@ import torch
 
 from tagid import __version__
 from tagid.models_store import FOLDER, OPSET, Tensor, entry_of, write_entry
-from tagid.tags.detector import CELLS, CONTRACT_KEY, MODEL, Contract
-from tagid.tags.planes import GRID, PLANES
+from tagid.tags.network.detector import CELLS, CONTRACT_KEY, MODEL, Contract
+from tagid.tags.network.planes import GRID, PLANES
 from train.network import CHANNELS, DetectorNetwork
 
 

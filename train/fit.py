@@ -18,7 +18,7 @@ from torch.optim import AdamW, Optimizer
 from torch.optim.lr_scheduler import LRScheduler
 
 from tagid.errors import StorageError
-from tagid.storage.atomic import read_bytes, write_bytes
+from tagid.files import read_bytes, write_bytes
 from train.dataset import Samples
 from train.network import DetectorNetwork
 from train.targets import loss, make_batch

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
-from tagid.tags.detector import CELL_M, CELLS
-from tagid.tags.planes import NetworkInput
+from tagid.tags.network.detector import CELL_M, CELLS
+from tagid.tags.network.planes import NetworkInput
 from train.dataset import Samples
 
 HIT_SIGMA = 0.7

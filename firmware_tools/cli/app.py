@@ -7,7 +7,7 @@ import sys
 import typer
 
 from firmware_tools.cli import build, flash, p440, provision, selftest, verify
-from tagid.cli.frame import serve
+from tagid.cli.common.frame import serve
 
 app = typer.Typer(
     name="tagid-firmware",

@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from tagid.cli import options
-from tagid.cli.frame import Terminal, command
+from tagid.cli.common import options
+from tagid.cli.common.frame import Terminal, command
 from tagid.errors import EXIT_FAILED, EXIT_OK
 from tagid.result import Result
 
@@ -42,7 +42,7 @@ def register(app: typer.Typer) -> None:
 
         Example: tagid-firmware p440 --radar udp://192.168.1.100 --store
         """
-        from tagid.cli.radar_device import open_configured, radar_url
+        from tagid.cli.radar.device import open_configured, radar_url
         from tagid.config import load_config
         from tagid.radar.survey import RadarSurvey
         from tagid.report.radar import info_table

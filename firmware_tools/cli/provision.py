@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from firmware_tools.cli import shared
-from tagid.cli.frame import Terminal, command
+from tagid.cli.common.frame import Terminal, command
 from tagid.result import Result
 
 Pin = Annotated[

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from tagid.cli.frame import Terminal, command
+from tagid.cli.common.frame import Terminal, command
 from tagid.errors import EXIT_FAILED, EXIT_OK
 from tagid.result import Result
 

@@ -15,9 +15,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from tagid import files
 from tagid.batch.inputs import Source, is_url
 from tagid.errors import UsageError, displayable
-from tagid.storage import atomic
 
 MAX_BYTES = 64 << 20
 NO_LAYOUT = ("no_tag", "unknown", "ambiguous")
@@ -88,7 +88,7 @@ def read_manifest(
 
 def _rows(path: Path) -> list[tuple[int, str, str]]:
     """(line, file, layout) of a manifest."""
-    raw = atomic.read_bytes(path, MAX_BYTES)
+    raw = files.read_bytes(path, MAX_BYTES)
     try:
         # Names that are not UTF-8 come back as the operating system writes them.
         text = raw.decode("utf-8-sig", "surrogateescape")

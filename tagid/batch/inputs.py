@@ -13,8 +13,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from tagid import files
 from tagid.errors import DataError, MissingExtraError, StorageError, displayable
-from tagid.storage import atomic, mrm_ret, npz
+from tagid.storage import mrm_ret, npz
 
 SUFFIXES = (".tagid.h5", ".h5", ".hdf5", ".npz", ".prd", ".out", ".csv", ".tagid.journal", ".journal")
 """How names of recordings end, in small letters."""
@@ -94,7 +95,7 @@ def collect(words: Sequence[str], outside: Path | None = None) -> Collected:
             if not folder:
                 path.stat()
         except OSError as error:
-            raise atomic.storage_error(error, path, "looking for captures") from error
+            raise files.storage_error(error, path, "looking for captures") from error
         if not folder:
             found.setdefault(str(path), Source.of(str(path)))
             continue
@@ -119,7 +120,7 @@ def files_below(folder: Path, unreadable: list[str], outside: Path | None = None
     def failed(error: OSError) -> None:
         place = os.fsdecode(error.filename or folder)
         if Path(place) == folder:
-            raise atomic.storage_error(error, folder, "listing it") from error
+            raise files.storage_error(error, folder, "listing it") from error
         unreadable.append(f"{displayable(place)}: {error.strerror}")
 
     for place, folders, names in os.walk(folder, onerror=failed):
@@ -149,7 +150,7 @@ def is_recording(path: Path) -> bool:
             # What `tagid scan` recorded from it lies beside it once the recording is complete.
             stem = path.name[: -len(".journal")].removesuffix(".tagid")
             return not path.with_name(f"{stem}.tagid.h5").exists()
-        head = atomic.read_head(path, _HEAD)
+        head = files.read_head(path, _HEAD)
         if name.endswith(".csv"):
             return mrm_ret.is_mrm_ret(head)
         if name.endswith(".npz") and head.startswith(npz.MAGIC):

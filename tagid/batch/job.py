@@ -12,10 +12,10 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from tagid import __version__
-from tagid.config import Config
 from tagid.models_store import manifest
-from tagid.pipeline import ImagingSettings
-from tagid.tags.layout import Layout
+from tagid.pipeline.load import LoadSettings
+from tagid.pipeline.settings import ImagingSettings
+from tagid.tags.layouts.layout import Layout
 
 MAX_CAPTURE_BYTES = 512 << 20
 """Largest file that a worker takes: hours of scans. A batch must not be ended by one file."""
@@ -28,7 +28,7 @@ class Job:
     Attributes:
         settings: of imaging; its method draws the page's pictures.
         layouts, registry_version: what to choose from.
-        config: geometry and motion for captures that lack them.
+        load: how captures are loaded; geometry and motion for those that lack them.
         pictures: whether to make the page's pictures.
         known: sha256 of contents whose answer is kept from an earlier run with the same fingerprint.
     """
@@ -36,20 +36,15 @@ class Job:
     settings: ImagingSettings
     layouts: tuple[Layout, ...]
     registry_version: int
-    config: Config
+    load: LoadSettings
     pictures: bool = True
     known: frozenset[str] = field(default_factory=frozenset)
 
     def described(self) -> dict[str, Any]:
         """Everything an answer depends on, the capture aside, as plain JSON values."""
-        names = ("motion.url", "motion.axis_distance_m", "motion.antenna_height_m")
-        given: dict[str, Any] = {}
-        for name in names:
-            value = self.config.values[name]
-            given[name] = {"value": value.value, "from the command line": value.source == "command line"}
         return {
             "imaging": asdict(self.settings),
-            "given": given,
+            **self.load.described(),
             "registry_version": self.registry_version,
             "layouts_sha256": _sha256([layout.to_dict() for layout in self.layouts]),
             "tool_version": __version__,

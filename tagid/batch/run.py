@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from tagid import interrupts
+from tagid import files, interrupts
 from tagid.batch.expected import Comparison, Expectations, answer_of
 from tagid.batch.inputs import Collected, Source
 from tagid.batch.job import Job
@@ -24,7 +24,6 @@ from tagid.errors import TagidError
 from tagid.report.lines import GrowingLines
 from tagid.report.page import PageSettings, write_page
 from tagid.report.tables import line_of, total_s, write_csv, write_json, write_jsonl, write_junit
-from tagid.storage import atomic
 from tagid.storage.history import History, utc_text
 
 FILES = ("report.html", "items.csv", "items.jsonl", "junit.xml", "summary.json")
@@ -102,7 +101,7 @@ def run_batch(plan: Plan, job: Job, runner: Runner, hooks: Hooks | None = None) 
     try:
         plan.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise atomic.storage_error(error, plan.out, "making the report's folder") from error
+        raise files.storage_error(error, plan.out, "making the report's folder") from error
     with Spool(plan.out / FILE_NAME, fresh=not plan.resume) as spool:
         return _Run(plan, job, spool, hooks).go(runner)
 

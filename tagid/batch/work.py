@@ -15,17 +15,18 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from tagid import files
 from tagid.batch.inputs import Source, filesystem
 from tagid.batch.job import MAX_CAPTURE_BYTES, Job, Outcome
-from tagid.capture import Capture
-from tagid.defaults import complete, motion_of
 from tagid.errors import FileFormatError, StorageError, TagidError, displayable
-from tagid.identification import Identification
-from tagid.pipeline import Stopwatch, identify, prepare, reconstruct
+from tagid.pipeline.answer import Identification
+from tagid.pipeline.identify import identify
+from tagid.pipeline.load import load_capture
+from tagid.pipeline.prepared import PreparedCapture, prepare
+from tagid.pipeline.reconstruct import reconstruct
+from tagid.pipeline.settings import Stopwatch
 from tagid.report.thumbnails import draw_pictures
-from tagid.storage import atomic
 from tagid.storage.history import utc_text
-from tagid.storage.importers import read_any
 
 RECORD_VERSION = 1
 """Version of an item's record; it changes only when a field changes its meaning or goes."""
@@ -45,15 +46,15 @@ def work(source: Source, job: Job) -> Outcome:
             if facts["sha256"] in job.known:
                 record = {"file": source.name, "content_sha256": facts["sha256"]}
                 return Outcome(record, reused=True, cpu_s=time.process_time() - began)
-            capture = complete(read_any(path, job.config["radar.cable_delay_ps"]), job.config)
+            capture = load_capture(path, job.load, turn=False)
         with watch.stage("prepare"):
-            capture = prepare(capture, motion_of(job.config, capture))
-        answer = identify(capture, job.layouts, job.settings, job.registry_version)
+            prepared = PreparedCapture(prepare(capture, job.load.motion_for(capture)), job.settings)
+        answer = identify(prepared, job.layouts, registry_version=job.registry_version)
         for name, seconds in answer.seconds.items():
             watch.seconds[name] = watch.seconds.get(name, 0.0) + seconds
         if job.pictures:
             with watch.stage("pictures"):
-                image, sinogram, drawing = _pictures(capture, answer, job)
+                image, sinogram, drawing = _pictures(prepared, answer, job)
     except TagidError as error:
         answer = _failed(source, error)
     except (ArithmeticError, LookupError, MemoryError, OSError, RuntimeError, TypeError, ValueError) as error:
@@ -107,7 +108,7 @@ def content_sha256(path: Path) -> tuple[str, int]:
                 size += len(piece)
                 _check_size(size, str(path))
     except OSError as error:
-        raise atomic.storage_error(error, path, "reading") from error
+        raise files.storage_error(error, path, "reading") from error
     return digest.hexdigest(), size
 
 
@@ -156,7 +157,9 @@ def _failed(source: Source, error: TagidError) -> Identification:
     return Identification("failed", None, None, None, error=entry)
 
 
-def _pictures(capture: Capture, answer: Identification, job: Job) -> tuple[bytes, bytes, dict[str, Any]]:
-    result = reconstruct(capture, job.settings)
+def _pictures(
+    prepared: PreparedCapture, answer: Identification, job: Job
+) -> tuple[bytes, bytes, dict[str, Any]]:
+    result = reconstruct(prepared)
     layout = next((one for one in job.layouts if one.name == answer.to_dict()["layout"]), None)
-    return draw_pictures(capture, result, answer, layout)
+    return draw_pictures(prepared.given, result, answer, layout)

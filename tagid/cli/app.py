@@ -14,13 +14,9 @@ from tagid import __version__
 from tagid.cli import (
     config,
     doctor,
-    emulate,
     enroll,
     history,
     identify,
-    layouts,
-    motion,
-    radar,
     reconstruct,
     report,
     scan,
@@ -28,7 +24,11 @@ from tagid.cli import (
     simulate,
     transfer,
 )
-from tagid.cli.frame import serve
+from tagid.cli.common.frame import serve
+from tagid.cli.emulate import app as emulate
+from tagid.cli.layouts import app as layouts
+from tagid.cli.motion import app as motion
+from tagid.cli.radar import app as radar
 
 app = typer.Typer(
     name="tagid",

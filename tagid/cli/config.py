@@ -6,11 +6,10 @@ from typing import Annotated
 
 import typer
 
-from tagid.cli.frame import Terminal, command
-from tagid.config import SETTINGS, load_config
+from tagid.cli.common.frame import Terminal, command
+from tagid.config import SETTINGS, change_file, load_config
 from tagid.errors import UsageError
 from tagid.result import Result
-from tagid.storage.settings import change_file
 
 
 def register(app: typer.Typer) -> None:

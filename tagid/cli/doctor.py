@@ -6,8 +6,8 @@ from dataclasses import asdict
 
 import typer
 
-from tagid.cli import options
-from tagid.cli.frame import Terminal, command
+from tagid.cli.common import options
+from tagid.cli.common.frame import Terminal, command
 from tagid.config import load_config
 from tagid.errors import EXIT_FAILED, EXIT_OK
 from tagid.result import Result

@@ -8,17 +8,17 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tagid.cli import enrolling, options
-from tagid.cli.frame import Terminal, command
+from tagid.cli.common import enrolling, options
+from tagid.cli.common.frame import Terminal, command
 from tagid.config import Config, load_config
 from tagid.errors import RegistryError, UsageError
 from tagid.result import Result
 
 if TYPE_CHECKING:
-    from tagid.storage.registry import Registry
-    from tagid.tags.averaging import LayoutEstimate
-    from tagid.tags.enrolment import Outlook
-    from tagid.tags.layout import Layout
+    from tagid.tags.enrolling.averaging import LayoutEstimate
+    from tagid.tags.enrolling.enrolment import Outlook
+    from tagid.tags.layouts.layout import Layout
+    from tagid.tags.layouts.registry import Registry
 
 
 def register(app: typer.Typer) -> None:
@@ -84,8 +84,8 @@ def register(app: typer.Typer) -> None:
 
         Example: tagid enroll helmet-7 first.tagid.h5 second.tagid.h5 third.tagid.h5
         """
-        from tagid.cli.imaging import open_registry
-        from tagid.tags.enrolment import outlook as look
+        from tagid.cli.common.imaging import open_registry
+        from tagid.tags.enrolling.enrolment import outlook as look
 
         captures = [*(captures or []), *(more or [])]
         ways = [bool(points), file is not None, bool(captures)]
@@ -137,7 +137,7 @@ def _store(
     force: bool,
     shown: bool,
 ) -> Result:
-    from tagid.tags.enrolment import enrol
+    from tagid.tags.enrolling.enrolment import enrol
 
     done = enrol(registry, found.layout, source, force=force, direction_known=enrolling.direction_known())
     return _result(done.outlook, estimate, done.version, shown)
@@ -221,7 +221,7 @@ def parse_point(option: str, text: str) -> tuple[float, float]:
 def _from_points(name: str, points: list[str], sigma: float | None) -> Layout:
     import numpy as np
 
-    from tagid.tags.layout import Layout
+    from tagid.tags.layouts.layout import Layout
 
     places = np.array([parse_point("--point", text) for text in points])
     covariance = None
@@ -235,7 +235,7 @@ def _from_points(name: str, points: list[str], sigma: float | None) -> Layout:
 
 
 def _from_file(file: Path) -> Layout:
-    from tagid.tags.layout_file import read_layouts
+    from tagid.tags.layouts.layout_file import read_layouts
 
     found = read_layouts(file)
     if len(found) > 1:
@@ -244,27 +244,25 @@ def _from_file(file: Path) -> Layout:
 
 
 def _from_captures(name: str, captures: list[Path], config: Config, terminal: Terminal) -> LayoutEstimate:
-    from tagid.cli.imaging import settings_from
-    from tagid.defaults import complete, motion_of
-    from tagid.pipeline import prepare, sight_reflectors
-    from tagid.storage.importers import read_any
-    from tagid.tags.averaging import average
+    from tagid.cli.common.imaging import settings_from
+    from tagid.pipeline.identify import sight_reflectors
+    from tagid.pipeline.load import LoadSettings, load_capture
+    from tagid.tags.enrolling.averaging import average
 
     same = {path.resolve() for path in captures}
     if len(same) < len(captures):
         raise UsageError("one capture is given twice", "Give captures of the object put down anew each time.")
-    settings = settings_from(config)
+    settings, loading = settings_from(config), LoadSettings.of(config)
     found, known = [], dict[str, Path]()
     with terminal.progress("captures", total=len(captures)) as advance:
         for number, path in enumerate(captures, 1):
-            capture = complete(read_any(path, config["radar.cable_delay_ps"]), config)
+            capture = load_capture(path, loading)
             twin = known.setdefault(capture.uuid, path)
             if twin != path:
                 raise UsageError(
                     f"{path} and {twin} are one capture",
                     "Give captures of the object put down anew each time.",
                 )
-            capture = prepare(capture, motion_of(config, capture))
             found.append(sight_reflectors(capture, str(path), settings))
             advance(number, path.name)
     return average(found, name, direction_known=config["tags.direction"] == "known")

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
-from tagid.cli.frame import Terminal, command
+from tagid.cli.common.frame import Terminal, command
 from tagid.errors import UsageError
 from tagid.result import Result
 

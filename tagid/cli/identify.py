@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tagid.cli import options
-from tagid.cli.frame import Terminal, command
+from tagid.cli.common import options
+from tagid.cli.common.frame import Terminal, command
 from tagid.config import Config, load_config
 from tagid.errors import EXIT_BATCH, EXIT_FAILED, TagidError, UsageError, displayable
 from tagid.result import Result, Status
 
 if TYPE_CHECKING:
-    from tagid.identification import Identification
+    from tagid.pipeline.answer import Identification
 
 
 def register(app: typer.Typer) -> None:
@@ -56,25 +57,34 @@ def register(app: typer.Typer) -> None:
                 "motion.axis_distance_m": axis_distance,
                 "motion.antenna_height_m": antenna_height,
             },
-            (background, preview, png),
+            View(background, preview, png),
         )
 
 
-def run(
-    terminal: Terminal,
-    files: list[Path],
-    overrides: dict[str, object],
-    view: tuple[str, bool, Path | None],
-) -> Result:
+@dataclass(frozen=True)
+class View:
+    """What to subtract before reading, and what to draw.
+
+    Attributes:
+        background: "mean", "median", "reference" or "none".
+        preview: whether to draw the image in the terminal.
+        png: file for the image; None for none.
+    """
+
+    background: str
+    preview: bool
+    png: Path | None
+
+
+def run(terminal: Terminal, files: list[Path], overrides: dict[str, object], view: View) -> Result:
     """Identify each file; a file that fails is one failed item and stops nothing."""
     from rich.console import Group, RenderableType
 
-    from tagid.cli import imaging
-    from tagid.defaults import complete, motion_of, without_reference
-    from tagid.pipeline import identify, prepare
-    from tagid.storage.importers import read_any
+    from tagid.cli.common import imaging
+    from tagid.pipeline.identify import identify
+    from tagid.pipeline.load import LoadSettings, load_capture
+    from tagid.pipeline.prepared import PreparedCapture
 
-    background, preview, png = view
     config = load_config(overrides)
     registry = imaging.open_registry()
     layouts, version = registry.layouts(), registry.version
@@ -82,18 +92,17 @@ def run(
     items: list[dict[str, object]] = []
     drawn: list[RenderableType] = []
     errors: list[dict[str, str]] = []
-    settings = imaging.settings_from(config, background)
+    settings = imaging.settings_from(config, view.background)
+    loading = LoadSettings.of(config, view.background)
     for path in files:
         try:
-            capture = complete(read_any(path, config["radar.cable_delay_ps"]), config)
-            capture = without_reference(capture, config, background)
-            capture = prepare(capture, motion_of(config, capture))
-            answer = identify(capture, layouts, settings, version)
-            if (preview or png) and len(files) == 1:
-                result = imaging.image_with_progress(terminal, capture, settings)
-                if png:
-                    imaging.draw(result, answer, png)
-                if preview:
+            prepared = PreparedCapture(load_capture(path, loading), settings)
+            answer = identify(prepared, layouts, registry_version=version)
+            if (view.preview or view.png) and len(files) == 1:
+                result = imaging.image_with_progress(terminal, prepared)
+                if view.png:
+                    imaging.draw(result, answer, view.png)
+                if view.preview:
                     drawn.append(imaging.in_terminal(result))
         except TagidError as error:
             answer = imaging.failed(None, error)
@@ -111,26 +120,21 @@ def run(
     status: Status = "success" if not errors else "partial" if len(errors) < len(items) else "error"
     if status == "error" and len(files) > 1:
         code = EXIT_BATCH
-    notes = imaging.remember("identify", items, {"background": background, **_given(overrides)})
-    data = {"items": items, "png": str(png) if png else None}
+    notes = imaging.remember("identify", items, {"background": view.background, **_given(overrides)})
+    data = {"items": items, "png": str(view.png) if view.png else None}
     return Result("identify", data, Group(*drawn) if drawn else None, status, code, notes, tuple(errors))
 
 
 def vote_on(files: list[Path], config: Config, background: str, command_name: str) -> Result:
     """One answer from files that are recordings of one object. Raises what reading any of them raises."""
-    from tagid.cli import imaging
-    from tagid.cli.voting import joint_item, joint_text
-    from tagid.defaults import complete, motion_of, without_reference
-    from tagid.pipeline import identify_together, prepare
-    from tagid.storage.importers import read_any
+    from tagid.cli.common import imaging
+    from tagid.cli.common.voting import joint_item, joint_text
+    from tagid.pipeline.identify import identify_together
+    from tagid.pipeline.load import LoadSettings, load_capture
 
     registry = imaging.open_registry()
-    captures = []
-    for path in files:
-        capture = complete(read_any(path, config["radar.cable_delay_ps"]), config)
-        capture = without_reference(capture, config, background)
-        known = command_name == "scan" and capture.angles_rad is not None
-        captures.append(prepare(capture, None if known else motion_of(config, capture)))
+    loading = LoadSettings.of(config, background, as_recorded=command_name == "scan")
+    captures = [load_capture(path, loading) for path in files]
     settings = imaging.settings_from(config, background)
     joint, alone = identify_together(captures, registry.layouts(), settings, registry.version)
     names = [displayable(str(path)) for path in files]

@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from tagid.cli import options
-from tagid.cli.frame import Terminal, command
+from tagid.cli.common import options
+from tagid.cli.common.frame import Terminal, command
 from tagid.config import load_config
 from tagid.errors import UsageError
 from tagid.result import Result
@@ -71,12 +71,11 @@ def register(app: typer.Typer) -> None:
         from rich.console import Group, RenderableType
         from rich.text import Text
 
-        from tagid.cli import imaging
-        from tagid.defaults import complete, motion_of, without_reference
+        from tagid.cli.common import imaging
         from tagid.imaging.ats.options import parse_calibrate, parse_settings
-        from tagid.pipeline import prepare
+        from tagid.pipeline.load import LoadSettings, load_capture
+        from tagid.pipeline.prepared import PreparedCapture
         from tagid.storage.image import write_image
-        from tagid.storage.importers import read_any
 
         if (calibrate or ats) and preset != "field":
             raise UsageError("--calibrate and --ats are for --preset field", "Leave them away.")
@@ -108,10 +107,8 @@ def register(app: typer.Typer) -> None:
                 config.values["imaging.pixels"].source == "default",
             ),
         )
-        capture = complete(read_any(file, config["radar.cable_delay_ps"]), config)
-        capture = without_reference(capture, config, background)
-        capture = prepare(capture, motion_of(config, capture))
-        result = imaging.image_with_progress(terminal, capture, settings)
+        capture = load_capture(file, LoadSettings.of(config, background))
+        result = imaging.image_with_progress(terminal, PreparedCapture(capture, settings))
         if out:
             write_image(out, result.image)
         if png:

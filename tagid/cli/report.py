@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from tagid import interrupts
-from tagid.cli import options
-from tagid.cli.frame import Output, Terminal, command
+from tagid.cli.common import options
+from tagid.cli.common.frame import Output, Terminal, command
 from tagid.config import Config, load_config
 from tagid.errors import EXIT_INTERRUPTED, CaptureInterrupted, UsageError
 from tagid.result import Result, Status
@@ -114,14 +114,19 @@ def _job(config: Config, background: str, pictures: bool) -> Job:
     from dataclasses import replace
 
     from tagid.batch.job import Job
-    from tagid.cli import imaging
+    from tagid.cli.common import imaging
+    from tagid.pipeline.load import LoadSettings
 
     settings = imaging.settings_from(config, background)
     # A picture by the slower methods takes as long as ten identifications: only where it is asked for.
     method = "bp" if settings.method == "auto" else settings.method
     registry = imaging.open_registry()
     return Job(
-        replace(settings, method=method), tuple(registry.layouts()), registry.version, config, pictures
+        replace(settings, method=method),
+        tuple(registry.layouts()),
+        registry.version,
+        LoadSettings.of(config, background),
+        pictures,
     )
 
 
@@ -148,7 +153,7 @@ def _expecting(plan: Plan, manifest: Path, job: Job) -> Plan:
 
 def _run(terminal: Terminal, plan: Plan, job: Job, runner: Runner) -> Result:
     from tagid.batch.run import Hooks, run_batch
-    from tagid.cli.imaging import begin_history
+    from tagid.cli.common.imaging import begin_history
 
     total = None if plan.watch else float(len(plan.inputs.sources))
     history, notes = begin_history("report", job.described())

@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from tagid import interrupts
-from tagid.cli import options
-from tagid.cli.consent import Yes, agree_to
-from tagid.cli.frame import Terminal, command
+from tagid.cli.common import options
+from tagid.cli.common.consent import Yes, agree_to
+from tagid.cli.common.frame import Terminal, command
+from tagid.cli.common.recording import Limits, plan_of
 from tagid.config import Config, load_config
 from tagid.errors import ConfigError, StorageError, TagidError
 from tagid.result import Result
 
 if TYPE_CHECKING:
-    from tagid.radar.settings import RadarConfig
-    from tagid.recorder import RecordingPlan
-
+    from tagid.metadata import ObjectInfo
 
 MAX_REPEAT = 100
 
@@ -60,26 +60,28 @@ def register(app: typer.Typer) -> None:
             "imaging.method": method,
             "storage.folder": None if save_dir is None else str(save_dir),
         }
-        about = {"note": note} if note else {}
-        limits = (scans, max_seconds)
+        from tagid.metadata import ObjectInfo
+
+        about = ObjectInfo(note=note or None)
+        limits = Limits(scans, max_seconds)
         if not 1 <= repeat <= MAX_REPEAT:
             raise ConfigError(f"--repeat is {repeat}", f"Give 1 to {MAX_REPEAT}.")
         if not demo:
             config = load_config(overrides)
             agree_to(config["motion.url"], yes)
             return _scans(terminal, config, limits, about, preview, repeat)
-        from tagid.cli.demo import emulated_radar
+        from tagid.cli.common.demo import emulated_radar
 
         with emulated_radar(demo_scene) as there:
             demo_config = load_config({**overrides, **there})
-            return _scans(terminal, demo_config, limits, {**about, "demo": True}, preview, repeat)
+            return _scans(terminal, demo_config, limits, replace(about, demo=True), preview, repeat)
 
 
 def _scans(
     terminal: Terminal,
     config: Config,
-    limits: tuple[int | None, float],
-    about: dict[str, Any],
+    limits: Limits,
+    about: ObjectInfo,
     preview: bool,
     repeat: int,
 ) -> Result:
@@ -101,23 +103,25 @@ def _scans(
 def _scan(
     terminal: Terminal,
     config: Config,
-    limits: tuple[int | None, float],
-    about: dict[str, Any],
+    limits: Limits,
+    about: ObjectInfo,
     preview: bool,
 ) -> Result:
     from rich.console import Group, RenderableType
     from rich.text import Text
 
-    from tagid.cli import imaging
-    from tagid.intake import notes
-    from tagid.motion.resolve import turn_line
+    from tagid.cli.common import imaging
     from tagid.motion.urls import open_motion
-    from tagid.pipeline import identify, prepare
-    from tagid.radar.devices import open_radar
-    from tagid.recorder import Watch, capture_path, record
-    from tagid.sources import Sources
+    from tagid.pipeline.identify import identify
+    from tagid.pipeline.load import LoadSettings, load_capture
+    from tagid.pipeline.prepared import PreparedCapture
+    from tagid.pipeline.resolve import turn_line
+    from tagid.pipeline.turn import resolve_turn
+    from tagid.recording.intake import notes
+    from tagid.recording.plan import capture_path
+    from tagid.recording.radars import open_radar
+    from tagid.recording.recorder import Watch, record
     from tagid.storage.image import write_image
-    from tagid.turn import resolve_turn
 
     url = config["radar.url"]
     if not url:
@@ -138,24 +142,27 @@ def _scan(
     path = capture_path(folder)
     with terminal.progress("record", motion.needed_seconds()) as advance:
         capture = record(
-            open_radar(url, Sources(), config["radar.timeout_s"]),
+            open_radar(url, config["radar.timeout_s"]),
             motion,
             plan,
             path,
             Watch(lambda count, seconds: advance(seconds, f"{count} scans, {seconds:.1f} s"), resolve_turn),
         )
+    resolved = capture.motion.resolved
     stem = path.name.removesuffix(".tagid.h5")
     png = path.with_name(f"{stem}.png")
     npz = path.with_name(f"{stem}.image.npz")
     drawn: list[RenderableType] = []
     settings = imaging.settings_from(config)
+    loading = LoadSettings.of(config, as_recorded=True)
     files: dict[str, str | None] = {"capture": str(path), "png": None, "image": None}
     result_errors: tuple[dict[str, str], ...] = ()
     learned: dict[str, Any] = {}
     try:
-        prepared = prepare(capture, None if capture.angles_rad is not None else config["motion.url"])
-        answer = identify(prepared, layouts, settings, version)
-        result = imaging.image_with_progress(terminal, prepared, settings)
+        loaded = load_capture(capture, loading)
+        prepared = PreparedCapture(loaded, settings)
+        answer = identify(prepared, layouts, registry_version=version)
+        result = imaging.image_with_progress(terminal, prepared)
         imaging.draw(result, answer, png)
         write_image(npz, result.image)
         files |= {"png": str(png), "image": str(npz)}
@@ -175,18 +182,17 @@ def _scan(
         code = error.exit_code
     else:
         drawn.append(imaging.describe(answer, ""))
-    if turn := turn_line(capture.motion.get("resolved", {})):
+    if turn := turn_line(resolved):
         drawn.append(Text(f"turn     {turn}"))
     drawn += [Text(f"{name:<8} {where}") for name, where in files.items() if where]
-    lost, dropped = (capture.radar.get(f"scans_{how}") or 0 for how in ("lost", "dropped"))
     facts = {
         "views": capture.views,
         "bins": capture.bins,
-        "scans_lost": lost,
-        "scans_dropped": dropped,
-        "gaps": capture.radar.get("gaps") or [],
+        "scans_lost": capture.radar.scans_lost or 0,
+        "scans_dropped": capture.radar.scans_dropped or 0,
+        "gaps": [gap.to_json() for gap in capture.radar.gaps],
         "files": files,
-        "motion": capture.motion.get("resolved", {}),
+        "motion": {} if resolved is None else {"nominal_rpm": None, **resolved.to_json()},
         "learned": learned,
     }
     items = [{"file": str(path), **answer.to_dict()}]
@@ -195,50 +201,3 @@ def _scan(
     data = {"items": items, **facts}
     status = "error" if result_errors else "success"
     return Result("scan", data, Group(*drawn), status, code, messages, result_errors)  # type: ignore[arg-type]
-
-
-def plan_of(
-    config: Config, url: str, limits: tuple[int | None, float], about: dict[str, Any]
-) -> RecordingPlan:
-    """What to record: limits are the number of scans and the longest time. Raises ConfigError."""
-    from tagid.motion.urls import public_url
-    from tagid.recorder import RecordingPlan
-
-    scans, max_seconds = limits
-    if scans is not None and not 1 <= scans <= 65534:
-        raise ConfigError(f"--scans is {scans}", "Give 1 to 65534.")
-    if not 0 < max_seconds <= 86400:
-        raise ConfigError(f"--max-seconds is {max_seconds}", "Give a positive number of seconds.")
-    return RecordingPlan(
-        _window(config, url),
-        config["motion.axis_distance_m"],
-        config["motion.antenna_height_m"],
-        config["radar.cable_delay_ps"],
-        scans,
-        max_seconds,
-        public_url(config["motion.url"]),
-        about,
-        config["radar.resume_s"],
-    )
-
-
-def _window(config: Config, url: str) -> RadarConfig | None:
-    """The radar settings to ask for; None leaves a replayed recording its own."""
-    from tagid.radar.settings import RadarConfig
-    from tagid.recorder import plan_window
-
-    distance = config["motion.axis_distance_m"]
-    if url.startswith("replay://"):
-        return None
-    base = RadarConfig(
-        base_integration_index=config["radar.integration"],
-        transmit_gain=config["radar.gain"],
-        antenna_mode=config["radar.antenna_mode"],
-    )
-    if distance is None:
-        raise ConfigError(
-            "the distance from the radar to the rotation axis is not known",
-            "Measure it to a centimetre or two and give --axis-distance METRES, or keep it with "
-            "`tagid config set motion.axis_distance_m METRES`.",
-        )
-    return plan_window(distance, config["imaging.extent_m"], config["radar.cable_delay_ps"], base)

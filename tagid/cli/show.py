@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tagid.cli import options
-from tagid.cli.frame import Terminal, command
+from tagid.cli.common import options
+from tagid.cli.common.frame import Terminal, command
 from tagid.config import load_config
 from tagid.result import Result
 
 if TYPE_CHECKING:
-    from tagid.inspection import RecordingSummary
+    from tagid.recording.inspection import RecordingSummary
 
 
 def register(app: typer.Typer) -> None:
@@ -36,12 +36,13 @@ def register(app: typer.Typer) -> None:
         from rich.table import Table
         from rich.text import Text
 
-        from tagid.inspection import inspect
+        from tagid.pipeline.load import LoadSettings, load_capture
+        from tagid.recording.inspection import inspect
         from tagid.report.charts import draw_recording
-        from tagid.storage.importers import read_any, remarks
+        from tagid.storage.importers import remarks
 
         config = load_config({"radar.cable_delay_ps": cable_delay})
-        capture = read_any(file, config["radar.cable_delay_ps"], node)
+        capture = load_capture(file, LoadSettings.of(config, node=node), turn=False)
         summary = inspect(capture)
         target = png or file.with_name(file.name.removesuffix(".tagid.h5") + ".png")
         draw_recording(capture, target, file.name, changing_only=changing)

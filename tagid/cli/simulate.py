@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from tagid.cli import options
-from tagid.cli.frame import Terminal, command
+from tagid.cli.common import options
+from tagid.cli.common.frame import Terminal, command
 from tagid.errors import StorageError
 from tagid.result import Result
 

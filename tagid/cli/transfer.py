@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from tagid.cli import options
-from tagid.cli.frame import Terminal, command
+from tagid.cli.common import options
+from tagid.cli.common.frame import Terminal, command
 from tagid.config import load_config
 from tagid.errors import StorageError, UsageError
 from tagid.result import Result
@@ -38,9 +38,9 @@ def register(app: typer.Typer) -> None:
         """
         from rich.text import Text
 
-        from tagid.defaults import complete
+        from tagid.pipeline.load import LoadSettings, load_capture
         from tagid.storage.hdf5 import write_capture
-        from tagid.storage.importers import read_any, remarks
+        from tagid.storage.importers import remarks
 
         config = load_config(
             {
@@ -52,7 +52,7 @@ def register(app: typer.Typer) -> None:
         target = _target(file, out, CAPTURE_SUFFIX, force)
         if not target.name.endswith(".h5"):
             raise UsageError(f"{target} does not end in {CAPTURE_SUFFIX}", "Use `tagid export` for others.")
-        capture = complete(read_any(file, config["radar.cable_delay_ps"], node), config)
+        capture = load_capture(file, LoadSettings.of(config, node=node), turn=False)
         write_capture(target, capture)
         line = Text(f"{target}: {capture.views} scans of {capture.bins} samples")
         data = {
@@ -61,9 +61,9 @@ def register(app: typer.Typer) -> None:
             "bins": capture.bins,
             "uuid": capture.uuid,
             "complete": capture.complete,
-            "node": capture.radar.get("node_id"),
-            "bytes_left_over": capture.radar.get("bytes_left_over", 0),
-            "scans_lost": capture.radar.get("scans_lost", 0),
+            "node": capture.radar.node_id,
+            "bytes_left_over": capture.radar.bytes_left_over or 0,
+            "scans_lost": capture.radar.scans_lost or 0,
         }
         return Result("import", data, line, messages=remarks(capture))
 
@@ -103,7 +103,7 @@ def register(app: typer.Typer) -> None:
         """
         from rich.text import Text
 
-        from tagid.long_recording import part_path
+        from tagid.recording.long_recording import part_path
         from tagid.storage.journal_capture import write_captures
 
         target = _target(journal, out, CAPTURE_SUFFIX, force)
@@ -126,12 +126,12 @@ def register(app: typer.Typer) -> None:
 
 def _add_measured_angles(journal: Path, target: Path) -> None:
     """Write the capture once more with its angles, where the motion measured them while recording."""
-    from tagid.motion.resolve import with_measured_angles
+    from tagid.pipeline.resolve import with_measured_angles
     from tagid.storage.hdf5 import write_capture
     from tagid.storage.journal_capture import read_journal_capture
 
     capture = read_journal_capture(journal)
-    if "track" in capture.motion:
+    if capture.motion.track is not None:
         write_capture(target, with_measured_angles(capture))
 
 

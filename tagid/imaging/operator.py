@@ -66,6 +66,10 @@ class ForwardOperator:
         """(views * bins, points)."""
         return self.views * self.bins, self.points
 
+    def __call__(self, sigma: NDArray[np.complexfloating]) -> NDArray[np.complex64]:
+        """As `forward`: A(x)."""
+        return self.forward(sigma)
+
     def forward(self, sigma: NDArray[np.complexfloating]) -> NDArray[np.complex64]:
         """Scans (views, bins) complex64 of reflectivities (points,)."""
         return np.asarray(self.geometry.scatter(sigma) @ self._spread, dtype=np.complex64)

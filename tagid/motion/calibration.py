@@ -10,10 +10,11 @@ import tomllib
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from tagid.config import data_folder
 from tagid.errors import ConfigError, DataError, StorageError
+from tagid.metadata import ResolvedMotion
 
 _FILE: Final = "robots.toml"
 _LEAST_SIGMA: Final = 2e-3
@@ -44,7 +45,7 @@ class Calibration:
             )
 
 
-def wheel_base_from(resolved: dict[str, Any]) -> tuple[str, Calibration]:
+def wheel_base_from(resolved: ResolvedMotion) -> tuple[str, Calibration]:
     """Robot and wheel base from how a recording was resolved (`measured_angles`).
 
     The robot took `radar_turn_in_own_rad` for a full turn, so its wheels are that much further apart.
@@ -52,17 +53,15 @@ def wheel_base_from(resolved: dict[str, Any]) -> tuple[str, Calibration]:
     Raises:
         DataError: the radar did not see the turn.
     """
-    if not resolved.get("checked_by_radar"):
+    if not resolved.checked_by_radar:
         raise DataError(
-            f"the radar did not see a full turn: {resolved.get('reason', 'no period')}",
+            f"the radar did not see a full turn: {resolved.reason or 'no period'}",
             "Record two turns or more, with a strong reflector off the axis.",
         )
-    try:
-        turn, sigma = float(resolved["radar_turn_in_own_rad"]), float(resolved["radar_turn_sigma_rad"])
-        base, robot = float(resolved["wheel_base_mm"]), str(resolved["robot"])
-        turns = float(resolved["turns"])
-    except (KeyError, TypeError, ValueError):
-        raise DataError("the capture does not tell how its robot turned", "Record it anew.") from None
+    turn, sigma = resolved.radar_turn_in_own_rad, resolved.radar_turn_sigma_rad
+    base, robot, turns = resolved.wheel_base_mm, resolved.robot, resolved.turns
+    if turn is None or sigma is None or base is None or robot is None or turns is None:
+        raise DataError("the capture does not say how its robot turned", "Record it again.")
     return robot, Calibration(base * turn / (2 * math.pi), max(sigma / turn, _LEAST_SIGMA), turns)
 
 
@@ -93,7 +92,7 @@ def remember(robot: str, calibration: Calibration) -> Path:
     """Keep a robot's calibration; returns the file. Raises StorageError."""
     import tomli_w
 
-    from tagid.storage.atomic import write_bytes
+    from tagid.files import write_bytes
 
     known = _load()
     stamp = datetime.now(UTC).isoformat(timespec="seconds")

@@ -7,58 +7,20 @@ to the period in the scans; nothing above this file asks which one it is.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tagid.errors import DataError, DeviceError
-from tagid.motion.angles import Angles
+from tagid.angles.views import Angles
+from tagid.errors import DeviceError
+from tagid.metadata import Track
 
 
 class MotionStoppedError(DeviceError):
     """What turns the object stopped, or was stopped because it was no longer safe; says the cause."""
 
     code = "motion_stopped"
-
-
-@dataclass(frozen=True, eq=False)
-class Track:
-    """Angles as a device measured them.
-
-    Attributes:
-        host_time_ns: (readings,) int64 when the reading reached this computer, ns since the epoch.
-        angles_rad: (readings,) object angle since the start, counter-clockwise from above, rad.
-        sigma_rad: (readings,) standard deviation of an angle but for a common factor, rad.
-        info: `kind`; `scale_sigma`, the relative standard deviation of a factor common to all angles;
-            `step_s`, the device's own time between readings, where it is even; whatever else is known.
-    """
-
-    host_time_ns: NDArray[np.int64]
-    angles_rad: NDArray[np.float64]
-    sigma_rad: NDArray[np.float64]
-    info: dict[str, Any] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        n = len(self.host_time_ns)
-        for name in ("host_time_ns", "angles_rad", "sigma_rad"):
-            value = getattr(self, name)
-            if value.shape != (n,) or not np.isfinite(value).all():
-                raise DataError(f"{name} of a motion track has shape {value.shape}, expected ({n},), finite")
-
-    def __len__(self) -> int:
-        return len(self.host_time_ns)
-
-    @classmethod
-    def of(cls, readings: Sequence[tuple[int, float, float]], info: dict[str, Any]) -> Track:
-        """A track of (host_time_ns, angle_rad, sigma_rad)."""
-        return cls(
-            np.array([r[0] for r in readings], dtype=np.int64),
-            np.array([r[1] for r in readings], dtype=np.float64),
-            np.array([r[2] for r in readings], dtype=np.float64),
-            dict(info),
-        )
 
 
 class Motion(Protocol):

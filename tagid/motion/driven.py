@@ -16,9 +16,10 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from tagid.angles.views import Angles
 from tagid.errors import DataError, DeviceError, TagidError, UsageError
-from tagid.motion.angles import Angles
-from tagid.motion.device import MotionStoppedError, Track
+from tagid.metadata import Track
+from tagid.motion.device import MotionStoppedError
 
 _JOIN_S: Final = 5.0
 MEASURED_TURNS: Final = 1.15

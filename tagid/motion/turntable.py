@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tagid.angles.period import PeriodEstimate, find_period
+from tagid.angles.views import Angles
 from tagid.errors import DataError, UsageError
-from tagid.motion.angles import Angles
-from tagid.motion.period import PeriodEstimate, find_period
+from tagid.metadata import ResolvedMotion
 
 OVERLAP_TURNS = 1.3
 """Turns to record: one, and the overlap that gives the period to 0.1 % at 10 dB."""
@@ -157,4 +158,5 @@ class FreeTurntable:
         info["turns"] = float(since[-1] / period)
         speed = 2 * np.pi / period
         spread = speed * np.hypot(np.sqrt(2) * clock_sigma_s * (since > 0), since * sigma / period)
-        return Angles(self.direction * speed * since, np.asarray(spread, dtype=np.float64), info)
+        angles = self.direction * speed * since
+        return Angles(angles, np.asarray(spread, dtype=np.float64), ResolvedMotion.from_json(info))

@@ -12,10 +12,10 @@ from dataclasses import asdict, dataclass
 from typing import Any, Final
 
 from tagid.errors import ConfigError, TagidError
-from tagid.radar.devices import open_link
 from tagid.radar.links import DEFAULT_PORT
 from tagid.radar.p440 import P440
 from tagid.radar.status import RadarStatus
+from tagid.radar.urls import open_link
 
 USB_VENDOR: Final = 0x1027
 USB_PRODUCTS: Final = {0x0005: "P440", 0x0003: "P410"}

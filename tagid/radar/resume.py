@@ -18,6 +18,7 @@ from tagid.errors import (
     DeviceRestartedError,
     DeviceTimeoutError,
 )
+from tagid.metadata import ScanGap
 from tagid.radar.assembler import Scan, unwrap
 from tagid.radar.messages import SCAN_FOREVER
 from tagid.radar.p440 import P440
@@ -30,29 +31,12 @@ _SAME_CLOCK_MS: Final = 1500
 """A clock that is further from where it should be has started anew."""
 
 
-@dataclass(frozen=True)
-class Gap:
-    """A time without scans inside a recording.
-
-    Attributes:
-        after_scan: number of the last scan before it.
-        seconds: how long it took, on the radar's clock where that went on, else on the host's.
-        reason: what happened.
-        restarted: whether the radar's clock began anew.
-    """
-
-    after_scan: int
-    seconds: float
-    reason: str
-    restarted: bool
-
-
 def steady_scans(
     radar: P440,
     count: int = SCAN_FOREVER,
     interval_us: int = 0,
     resume_s: float = RESUME_S,
-    on_gap: Callable[[Gap], None] = lambda gap: None,
+    on_gap: Callable[[ScanGap], None] = lambda gap: None,
 ) -> Iterator[Scan]:
     """The scans of a run as `P440.scans` gives them, and those after the radar came back.
 
@@ -114,7 +98,7 @@ class _Join:
         )
 
 
-def _joined(before: Scan, first: Scan, period_s: float, shift_ms: int | None) -> tuple[_Join, Gap]:
+def _joined(before: Scan, first: Scan, period_s: float, shift_ms: int | None) -> tuple[_Join, ScanGap]:
     """How a run that starts with `first` continues after `before`.
 
     `shift_ms` is what the clock of `before` is moved by; None where the radar's clock surely restarted.
@@ -130,7 +114,7 @@ def _joined(before: Scan, first: Scan, period_s: float, shift_ms: int | None) ->
     # At least one scan is missing, so that the gap shows in the numbers, too.
     step = max(2, round(gap_ms / (period_s * 1e3)))
     join = _Join(before.scan_id + step - first.scan_id, now_ms - first.radar_time_ms)
-    return join, Gap(before.scan_id, gap_ms * 1e-3, "", restarted)
+    return join, ScanGap(before.scan_id, gap_ms * 1e-3, "", restarted)
 
 
 def _come_back(radar: P440, error: DeviceError, resume_s: float) -> None:

@@ -20,6 +20,7 @@ from tagid.constants import (
     SPEED_OF_LIGHT,
 )
 from tagid.errors import ConfigError
+from tagid.metadata import RadarSettings
 from tagid.radar.messages import CONFIG_DTYPE, MAX_SAMPLES_PER_SCAN
 
 MAX_SAMPLES: Final = MAX_SAMPLES_PER_SCAN // SAMPLES_PER_BLOCK * SAMPLES_PER_BLOCK
@@ -166,6 +167,16 @@ class RadarConfig:
                 f"Set the radar to {BINS_PER_SAMPLE} bins, the only one that tagid reads.",
             )
         return cls(**{name: int(record[name]) for name in cls.__dataclass_fields__})
+
+    def stored(self) -> RadarSettings:
+        """The settings as a capture keeps them."""
+        return RadarSettings(**asdict(self))
+
+    @classmethod
+    def of_stored(cls, settings: RadarSettings) -> RadarConfig:
+        """The settings of a recording, with a P440's defaults for those unknown. Raises ConfigError."""
+        known = {name: getattr(settings, name) for name in cls.__dataclass_fields__}
+        return cls(**{name: value for name, value in known.items() if value is not None})
 
     def to_bytes(self) -> bytes:
         """The 32 bytes of the CONFIG block."""

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from rich.table import Table
 from rich.text import Text
 
-from tagid.calibration import DelayEstimate
 from tagid.constants import SPEED_OF_LIGHT
+from tagid.metadata import ReferenceFacts
+from tagid.recording.calibration import DelayEstimate
 
 
-def calibration_table(estimate: DelayEstimate | None, reference: Any, stored: str | None) -> Table:
+def calibration_table(
+    estimate: DelayEstimate | None, reference: ReferenceFacts | None, stored: str | None
+) -> Table:
     """The delay in ps and as the range that it takes off, and the empty scene's noise."""
     table = Table(show_header=False, box=None)
     if estimate is not None:
@@ -23,7 +24,7 @@ def calibration_table(estimate: DelayEstimate | None, reference: Any, stored: st
         table.add_row("of which", parts)
     if reference is not None:
         table.add_row(
-            "empty scene", f"{reference['scans']} scans, noise {reference['noise_std']:.1f} counts a sample"
+            "empty scene", f"{reference.scans} scans, noise {reference.noise_std:.1f} counts per sample"
         )
     table.add_row("kept in", stored or "nothing was kept")
     return table

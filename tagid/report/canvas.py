@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from tagid.errors import UsageError
+from tagid.files import write_bytes
 from tagid.report.colours import INK, RGB, WHITE
-from tagid.storage.atomic import write_bytes
 
 OVERSAMPLING = 2
 _LARGEST_SIDE = 20_000

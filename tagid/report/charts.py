@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.capture import Capture
+from tagid.recording.curves import RecordingCurves, slow_time
 from tagid.report.axes import LABEL_SIZE, Axes, colour_bar
 from tagid.report.canvas import Canvas
 from tagid.report.colours import BAND_INK, BLUE, GAP, GREEN, INK, ORANGE, RGB, colourise, to_decibels
-from tagid.report.curves import RecordingCurves, slow_time
 from tagid.report.picture import fit_text
 
 _WIDTH, _HEIGHT = 1000, 1330

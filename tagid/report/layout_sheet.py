@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from tagid.errors import UsageError
 from tagid.report.drafting import Circle, Drawing, Line, Text, room
-from tagid.tags.design import REFLECTOR_M
-from tagid.tags.layout import Layout
+from tagid.tags.layouts.design import REFLECTOR_M
+from tagid.tags.layouts.layout import Layout
 
 EDGE_MM = 28.0
 """The plan of a helmet lies on two sheets of A4 so."""

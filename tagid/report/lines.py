@@ -8,8 +8,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from tagid import interrupts
-from tagid.storage import atomic
+from tagid import files, interrupts
 
 
 class GrowingLines:
@@ -34,10 +33,10 @@ class GrowingLines:
         with interrupts.deferred():
             end = os.fstat(self._descriptor).st_size
             try:
-                atomic.write_all(self._descriptor, line.encode())
+                files.write_all(self._descriptor, line.encode())
             except OSError as error:
                 os.ftruncate(self._descriptor, end)
-                raise atomic.storage_error(error, self.path, "adding a result") from error
+                raise files.storage_error(error, self.path, "adding a result") from error
 
     def close(self) -> None:
         """Close the file; it stays."""
@@ -49,4 +48,4 @@ class GrowingLines:
         try:
             self._descriptor = os.open(self.path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | how, 0o666)
         except OSError as error:
-            raise atomic.storage_error(error, self.path, "writing") from error
+            raise files.storage_error(error, self.path, "writing") from error

@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from tagid.errors import UsageError
+from tagid.files import replacing_text
 from tagid.report.tables import total_s
 from tagid.report.thumbnails import smaller
-from tagid.storage.atomic import replacing_text
 
 if TYPE_CHECKING:
     from markupsafe import Markup

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, TextIO
 from xml.sax.saxutils import quoteattr
 
-from tagid.storage.atomic import replacing_text
+from tagid.files import replacing_text
 
 Record = Mapping[str, Any]
 

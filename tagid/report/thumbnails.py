@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from tagid.capture import Capture
-from tagid.identification import Identification
-from tagid.pipeline import Reconstruction
+from tagid.pipeline.answer import Identification
+from tagid.pipeline.reconstruct import Reconstruction
+from tagid.recording.curves import RecordingCurves
 from tagid.report.charts import resample_views
 from tagid.report.colours import to_decibels, viridis
-from tagid.report.curves import RecordingCurves
-from tagid.tags.layout import Layout
+from tagid.tags.layouts.layout import Layout
 
 IMAGE_SIDE = 96
 """Pixels of an image's side: 5 mm for the usual 0.5 m, a quarter of what the method resolves."""

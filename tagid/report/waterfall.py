@@ -17,8 +17,8 @@ from rich.segment import Segment
 from rich.style import Style
 from rich.text import Text
 
-from tagid.monitoring import Snapshot
 from tagid.radar.status import WARM_C
+from tagid.recording.monitoring import Snapshot
 from tagid.report.colours import to_decibels, viridis
 from tagid.report.preview import resample
 

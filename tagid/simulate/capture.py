@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.capture import Capture, ViewFlag
+from tagid.metadata import MotionInfo, ObjectInfo, RadarInfo, ResolvedMotion
 from tagid.simulate.acquisition import Acquisition, Recording, Turn
 from tagid.simulate.render import PulseTable, antennas, render_bodies, render_room
 from tagid.simulate.scene import Scene
@@ -121,9 +122,14 @@ def simulate_capture(
         scan_id=np.arange(acq.scans, dtype=np.int64),
         flags=flags,
         pulse=acq.pulse if acq.tell_pulse else None,
-        radar={"kind": "simulated", "seed": seed},
-        motion={"kind": "simulated", "period_s": acq.period_s, "direction": acq.direction},
-        object={"scene": scene.name, **scene.description},
+        radar=RadarInfo(kind="simulated", seed=seed),
+        motion=MotionInfo(
+            kind="simulated",
+            resolved=ResolvedMotion(
+                kind="simulated", source="simulated", period_s=acq.period_s, direction=acq.direction
+            ),
+        ),
+        object=ObjectInfo.from_json({"scene": scene.name, **scene.description}),
     )
     gain = acq.recording.counts_per_unit
     truth = Truth(

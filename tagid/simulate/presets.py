@@ -73,7 +73,7 @@ def random_points(count: int, rng: np.random.Generator, radius_m: float = 0.2) -
 
 def preset_names() -> list[str]:
     """Every name that `scene_from_name` takes; "points-N" stands for any number."""
-    from tagid.tags.layout import builtin_layouts
+    from tagid.tags.layouts.layout import builtin_layouts
 
     return [*sorted(builtin_layouts()), *_PLAIN, "points-N"]
 
@@ -111,7 +111,7 @@ def scene_from_name(name: str, seed: int = 0) -> Scene:
         weak = Points(random_points(2, rng, 0.1).positions, rng.uniform(0.03, 0.1, 2))
         shell = Cylinder(0.09, amplitude=0.5)
         return Scene(name, (weak,), (shell,), room_clutter(rng), reference_amplitude=1.0, description=about)
-    from tagid.tags.layout import builtin_layouts
+    from tagid.tags.layouts.layout import builtin_layouts
 
     layouts = builtin_layouts()
     if name in layouts:

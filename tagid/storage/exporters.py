@@ -13,10 +13,12 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from tagid import files
 from tagid.capture import Capture
 from tagid.errors import UsageError
-from tagid.storage import atomic, hdf5
+from tagid.storage import hdf5
 from tagid.storage.assembly import encode_settings
+from tagid.storage.metadata import metadata_of
 from tagid.storage.mrm_ret_export import mrm_ret_lines
 from tagid.storage.npz import encode_npz
 from tagid.storage.recordings import encode_recording
@@ -61,13 +63,13 @@ def export(capture: Capture, path: Path) -> None:
     if suffix == ".h5":
         hdf5.write_capture(path, capture)
     elif suffix == ".npz":
-        atomic.write_bytes(path, encode_npz(capture))
+        files.write_bytes(path, encode_npz(capture))
     elif suffix == ".mat":
-        atomic.write_bytes(path, encode_mat(capture))
+        files.write_bytes(path, encode_mat(capture))
     elif suffix in (".out", ".prd"):
-        atomic.write_bytes(path, encode_recording(capture))
+        files.write_bytes(path, encode_recording(capture))
     elif suffix == ".csv":
-        with atomic.replacing(path) as stream:
+        with files.replacing(path) as stream:
             for line in mrm_ret_lines(capture):
                 stream.write(line)
     else:
@@ -95,8 +97,8 @@ def encode_mat(capture: Capture) -> bytes:
         value = getattr(capture, field)
         if value is not None:
             variables[name] = value
-    for name in ("radar", "motion", "object"):
-        variables[name] = encode_settings(getattr(capture, name))
+    for name, part in metadata_of(capture).items():
+        variables[name] = encode_settings(part)
     if capture.pulse is not None:
         variables |= {"pulse": capture.pulse.samples, "pulse_step_s": capture.pulse.step}
     buffer = io.BytesIO()

@@ -2,7 +2,7 @@
 
 It is the format that every command writes and that other programs can open without `tagid`.
 
-Layout, version 1. Root attributes: format ("tagid.capture"), format_version, uuid, created_utc,
+Layout, version 2. Root attributes: format ("tagid.capture"), format_version, uuid, created_utc,
 tool_version, complete, radar, motion, object (JSON), range_start_m, range_step_m, axis_distance_m (absent:
 unknown), antenna_height_m, center_frequency_hz, bandwidth_hz, pulse_step_s (with /pulse). Datasets under
 /scans, a row a view: samples (views, bins) int32 or float32, samples_imag (for complex samples, whose real
@@ -27,9 +27,9 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from tagid import files
 from tagid.capture import Capture, Pulse
 from tagid.errors import DataError, FileFormatError, StorageError, UsageError
-from tagid.storage import atomic
 from tagid.storage.assembly import (
     MAX_JSON_BYTES,
     build_capture,
@@ -38,6 +38,7 @@ from tagid.storage.assembly import (
     number,
     text,
 )
+from tagid.storage.metadata import PARTS, metadata_of, read_metadata
 from tagid.storage.migrations import FORMAT_VERSION, RawCapture, check_version, migrate
 
 FORMAT = "tagid.capture"
@@ -57,7 +58,6 @@ _VIEW_ARRAYS = {
 """Dataset under /scans -> (field of Capture, dtype)."""
 _NUMBERS = ("range_start_m", "range_step_m", "antenna_height_m", "center_frequency_hz", "bandwidth_hz")
 _TEXTS = ("uuid", "created_utc", "tool_version")
-_DICTS = ("radar", "motion", "object")
 _BLOCK_BYTES = 1 << 20
 _MAX_EXPANSION = 200
 _SMALL_BYTES = 16 << 20
@@ -70,10 +70,10 @@ def write_capture(path: Path, capture: Capture) -> None:
     The file is read back and compared with `capture` before it gets its final name.
 
     Raises:
-        DiskFullError, StorageError: see `tagid.storage.atomic.replacing`; it reads back differently.
+        DiskFullError, StorageError: see `tagid.files.replacing`; it reads back differently.
         UsageError: more than 2 GiB of samples.
     """
-    if capture.samples.nbytes > atomic.MAX_FILE_BYTES:
+    if capture.samples.nbytes > files.MAX_FILE_BYTES:
         raise UsageError(f"{path}: the capture has {capture.samples.nbytes} bytes", "Write it in parts.")
     with growing_capture(path) as append:
         append(capture)
@@ -93,7 +93,7 @@ def growing_capture(path: Path) -> Iterator[Callable[[Capture], None]]:
         _read_back(temporary, path, written)
 
     with (
-        atomic.replacing(path, verify) as stream,
+        files.replacing(path, verify) as stream,
         h5py.File(stream, "w", libver=("v110", "v110")) as file,
     ):
 
@@ -131,8 +131,8 @@ class _Written:
 def _read_back(temporary: Path, path: Path, written: _Written) -> None:
     """Compare the file on disk with what was written. Raises StorageError, which names `path`."""
     try:
-        atomic.forget_cached(temporary)
-        # HDF5's own driver: no Python code runs in its callbacks. The file is locked by `atomic.replacing`.
+        files.forget_cached(temporary)
+        # HDF5's own driver: no Python code runs in its callbacks. The file is locked by `files.replacing`.
         with h5py.File(temporary, "r", locking=False) as file:
             different = _differences(file, path, written)
     except (OSError, RuntimeError, KeyError, ValueError, FileFormatError) as error:
@@ -202,7 +202,7 @@ def read_capture(path: Path) -> Capture:
         StorageError: the file cannot be read.
         FileFormatError: not a capture file, damaged, or made by a newer version.
     """
-    data = atomic.read_bytes(path)
+    data = files.read_bytes(path)
     if data[: len(MAGIC)] != MAGIC:
         raise FileFormatError(f"{path}: is not an HDF5 file", f"A capture file ends in {SUFFIX}.")
     try:
@@ -226,7 +226,7 @@ def _fill(file: Any, capture: Capture, written: _Written) -> None:
     if capture.pulse is not None:
         plain["pulse_step_s"] = float(capture.pulse.step)
     texts = {"format": FORMAT} | {name: getattr(capture, name) for name in _TEXTS}
-    texts |= {name: encode_settings(getattr(capture, name)) for name in _DICTS}
+    texts |= {name: encode_settings(part) for name, part in metadata_of(capture).items()}
     written.attributes |= plain
     for name, value in plain.items():
         file.attrs[name] = value
@@ -306,7 +306,7 @@ def _attribute(file: Any, name: str) -> Any:
 def _read_arrays(file: Any, path: Path) -> dict[str, NDArray[Any]]:
     """All numeric datasets of the root and of /scans, by path; links that leave the file are refused."""
     arrays: dict[str, NDArray[Any]] = {}
-    budget = atomic.MAX_FILE_BYTES * 2
+    budget = files.MAX_FILE_BYTES * 2
     for prefix in ("", "scans/"):
         group = file[prefix] if prefix else file
         if not isinstance(group, h5py.Group):
@@ -339,7 +339,7 @@ def _check_dataset(dataset: Any, path: Path) -> None:
         raise FileFormatError(f"{where} has shape {dataset.shape}, expected one or two axes")
     stored = dataset.id.get_storage_size()
     believed = max(_MAX_EXPANSION * stored, _SMALL_BYTES if stored else 0)
-    if dataset.nbytes > min(atomic.MAX_FILE_BYTES, believed):
+    if dataset.nbytes > min(files.MAX_FILE_BYTES, believed):
         raise FileFormatError(
             f"{where} claims shape {dataset.shape} ({dataset.nbytes} bytes), but {stored} bytes are stored",
             "The file is damaged or was made to fill the memory.",
@@ -348,7 +348,7 @@ def _check_dataset(dataset: Any, path: Path) -> None:
 
 def _to_capture(path: Path, raw: RawCapture) -> Capture:
     attributes, arrays = raw.attributes, raw.arrays
-    needed = {"complete", *_TEXTS, *_DICTS, *_NUMBERS}
+    needed = {"complete", *_TEXTS, *PARTS, *_NUMBERS}
     missing = sorted(name for name in needed if attributes.get(name) is None)
     if "scans/samples" not in arrays:
         missing.append("/scans/samples")
@@ -356,10 +356,12 @@ def _to_capture(path: Path, raw: RawCapture) -> Capture:
         raise FileFormatError(f"{path}: lacks {', '.join(missing)}", "The file is damaged or cut off.")
     fields: dict[str, Any] = {name: number(attributes[name], f"{path} ({name})") for name in _NUMBERS}
     fields |= {name: text(attributes[name], f"{path} ({name})") for name in _TEXTS}
-    for name in _DICTS:
+    parts = {}
+    for name in PARTS:
         if not isinstance(attributes[name], str | bytes):
             raise FileFormatError(f"{path}: {name} is not a JSON text")
-        fields[name] = decode_settings(attributes[name], f"{path} ({name})")
+        parts[name] = decode_settings(attributes[name], f"{path} ({name})")
+    fields |= read_metadata(parts, str(path))
     if attributes.get("axis_distance_m") is not None:
         fields["axis_distance_m"] = number(attributes["axis_distance_m"], f"{path} (axis_distance_m)")
     if not isinstance(attributes["complete"], bool | np.bool_):

@@ -12,8 +12,8 @@ from io import RawIOBase
 from pathlib import Path
 from typing import Any
 
+from tagid import files
 from tagid.errors import MissingExtraError, UsageError
-from tagid.storage import atomic
 from tagid.storage.history import FIELDS, TYPES, Filter, History
 
 _BATCH = 10_000
@@ -39,7 +39,7 @@ def export(history: History, wanted: Filter, path: Path) -> int:
 
 def _csv(rows: Iterator[dict[str, Any]], path: Path) -> int:
     count = 0
-    with atomic.replacing_text(path) as file:
+    with files.replacing_text(path) as file:
         table = csv.DictWriter(file, FIELDS)
         table.writeheader()
         for row in rows:
@@ -66,7 +66,7 @@ def _parquet(rows: Iterator[dict[str, Any]], path: Path) -> int:
     )
     count = 0
     with (
-        atomic.replacing(path) as file,
+        files.replacing(path) as file,
         pa.PythonFile(_Sink(file), mode="w") as sink,
         pq.ParquetWriter(sink, schema) as writer,
     ):

@@ -13,7 +13,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from tagid.storage.atomic import write_bytes
+from tagid.files import write_bytes
 
 
 class Grid(Protocol):

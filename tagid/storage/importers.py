@@ -7,9 +7,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from tagid import files
 from tagid.capture import Capture
 from tagid.errors import FileFormatError
-from tagid.storage import atomic, hdf5, journal, journal_capture, mrm_ret, npz, recordings
+from tagid.storage import hdf5, journal, journal_capture, mrm_ret, npz, recordings
 from tagid.storage.p440 import choose_node
 
 _KNOWN = (
@@ -33,7 +34,7 @@ def read_any(path: Path, cable_delay_ps: float = 0.0, node: int | None = None) -
         FileFormatError: none of these formats, or damaged.
         UsageError: scans of several radars and no `node`, or none of that one.
     """
-    head = atomic.read_head(path, _HEAD)
+    head = files.read_head(path, _HEAD)
     if not head:
         raise FileFormatError(f"{path}: the file is empty", _KNOWN)
     if not head.startswith((hdf5.MAGIC, journal.MAGIC, npz.MAGIC)):
@@ -48,8 +49,8 @@ def read_any(path: Path, cable_delay_ps: float = 0.0, node: int | None = None) -
         capture = journal_capture.read_journal_capture(path)
     else:
         capture = npz.read_npz(path)
-    known = capture.radar.get("node_id")
-    if node is not None and isinstance(known, int) and known != node:
+    known = capture.radar.node_id
+    if node is not None and known is not None and known != node:
         choose_node(path, {known: capture.views}, node)
     return capture
 
@@ -58,16 +59,16 @@ def remarks(capture: Capture) -> tuple[str, ...]:
     """What is worth saying of how a file was read, one sentence each; empty for one that is in order."""
     radar = capture.radar
     found = []
-    left_over = radar.get("bytes_left_over") or radar.get("journal_bytes_dropped")
+    left_over = radar.bytes_left_over or radar.journal_bytes_dropped
     if left_over:
         found.append(
             f"{left_over} bytes were left over: the file is cut off or damaged; whole scans are kept"
         )
-    if radar.get("scans_lost"):
-        found.append(f"{radar['scans_lost']} scans are missing between those that are whole, or were cut")
-    if radar.get("packets_ignored"):
-        found.append(f"{radar['packets_ignored']} messages or lines are none of this radar's scans; left out")
-    if radar.get("config_stale"):
-        asked, actual = radar.get("window_requested_ps"), radar.get("window_actual_ps")
+    if radar.scans_lost:
+        found.append(f"{radar.scans_lost} scans are missing between those that are whole, or were cut")
+    if radar.packets_ignored:
+        found.append(f"{radar.packets_ignored} messages or lines are none of this radar's scans; left out")
+    if radar.config_stale:
+        asked, actual = (list(window or ()) for window in (radar.window_requested_ps, radar.window_actual_ps))
         found.append(f"the Config line is stale: it asks for {asked} ps, the scans hold {actual} ps")
     return tuple(found)

@@ -24,9 +24,8 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from tagid import interrupts
+from tagid import files, interrupts
 from tagid.errors import DataError, DiskFullError, FileFormatError, StorageError
-from tagid.storage import atomic
 from tagid.storage.assembly import decode_settings, encode_settings
 from tagid.storage.journal_records import MAX_PAYLOAD, PREAMBLE, intact_records, pack_record, record_bytes
 
@@ -90,12 +89,12 @@ class JournalWriter:
             exclusive = 0 if self.path.exists() and not self.path.is_file() else os.O_EXCL
             self._descriptor = os.open(self.path, flags | exclusive, 0o666)
         except OSError as error:
-            raise atomic.storage_error(error, self.path, "creating the journal") from error
+            raise files.storage_error(error, self.path, "creating the journal") from error
         try:
             first = pack_record(_HEADER, encode_settings(header).encode())
             self._write(PREAMBLE.pack(MAGIC, VERSION) + first)
             self._sync()
-            atomic.sync_folder(self.path.parent)
+            files.sync_folder(self.path.parent)
         except BaseException:
             self._release()
             if self.path.is_file():
@@ -208,12 +207,12 @@ class JournalWriter:
         if self._descriptor < 0:
             raise StorageError(f"{self.path}: the journal is closed")
         try:
-            atomic.write_all(self._descriptor, data)
+            files.write_all(self._descriptor, data)
         except BaseException as error:
             # A partial record would hide nothing from the reader, but it need not be there.
             self._cut_back()
             if isinstance(error, OSError):
-                raise atomic.storage_error(error, self.path, "appending to the journal") from error
+                raise files.storage_error(error, self.path, "appending to the journal") from error
             raise
         self._size += len(data)
 
@@ -228,7 +227,7 @@ class JournalWriter:
             os.fsync(self._descriptor)
         except OSError as error:
             if self.path.is_file():
-                raise atomic.storage_error(error, self.path, "syncing the journal") from error
+                raise files.storage_error(error, self.path, "syncing the journal") from error
         self._unsynced = 0
 
     def _release(self) -> None:
@@ -303,7 +302,7 @@ class JournalStream:
 @contextmanager
 def open_journal(path: Path) -> Iterator[JournalStream]:
     """A journal to be read in constant memory; errors as for `read_journal`."""
-    with atomic.open_regular(path) as (stream, size):
+    with files.open_regular(path) as (stream, size):
         head = stream.read(PREAMBLE.size)
         if len(head) < PREAMBLE.size or head[: len(MAGIC)] != MAGIC:
             raise FileFormatError(f"{path}: is not a tagid journal (it does not start with {MAGIC.decode()})")
@@ -335,9 +334,9 @@ def read_journal(path: Path) -> Journal:
             be held in memory.
     """
     with open_journal(path) as stream:
-        if stream.size > atomic.MAX_FILE_BYTES:
+        if stream.size > files.MAX_FILE_BYTES:
             raise FileFormatError(
-                f"{path}: has more than the limit of {atomic.MAX_FILE_BYTES} bytes",
+                f"{path}: has more than the limit of {files.MAX_FILE_BYTES} bytes",
                 f"`tagid recover {path}` makes capture files of it, in parts that can be read.",
             )
         scans = tuple(stream.scans())

@@ -7,18 +7,21 @@ from __future__ import annotations
 
 import uuid as uuid_module
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tagid import files
 from tagid.capture import Capture
-from tagid.errors import FileFormatError
-from tagid.storage import atomic, hdf5
+from tagid.errors import DataError, FileFormatError
+from tagid.metadata import RadarInfo, RecordingPart, Track
+from tagid.storage import hdf5
 from tagid.storage.assembly import build_capture, number, text
 from tagid.storage.journal import Journal, JournalScan, open_journal, read_journal
+from tagid.storage.metadata import PARTS, read_metadata, stored_version
 
 PART_BYTES = 1 << 30
 """Samples in one file of a long recording, bytes: half of what a command reads at most."""
@@ -27,15 +30,14 @@ _BLOCK_BYTES = 1 << 19
 _NUMBERS = ("range_start_m", "range_step_m", "axis_distance_m", "antenna_height_m")
 _BAND = ("center_frequency_hz", "bandwidth_hz")
 _TEXTS = ("uuid", "created_utc", "tool_version")
-_DICTS = ("radar", "motion", "object")
 
 
 def journal_to_capture(journal: Journal) -> Capture:
     """The capture that a journal holds; `complete` is False where its end record is missing.
 
-    The dicts `radar`, `motion` and `object` of the end record add to those of the header; bytes that were
-    dropped are noted as `radar["journal_bytes_dropped"]`, readings of the motion are `motion["track"]`
-    (`tagid.motion.resolve.with_measured_angles` makes angles of them).
+    The objects `radar`, `motion` and `object` of the end record add to those of the header; bytes that were
+    dropped are noted as `radar.journal_bytes_dropped`, readings of the motion are `motion.track`
+    (`tagid.pipeline.resolve.with_measured_angles` makes angles of them).
 
     Raises:
         FileFormatError: no scan is intact, scans differ in shape or dtype, or the header lacks a value.
@@ -54,7 +56,7 @@ def read_journal_capture(path: Path) -> Capture:
     Raises as `read_journal` and `journal_to_capture` do.
     """
     with open_journal(path) as stream:
-        if stream.size > atomic.MAX_FILE_BYTES:
+        if stream.size > files.MAX_FILE_BYTES:
             return journal_to_capture(read_journal(path))  # which explains
         count = 0
 
@@ -132,20 +134,26 @@ def capture_fields(
         elif name in ("range_start_m", "range_step_m"):
             raise FileFormatError(f"{path}: the header of the journal lacks {name}")
     fields |= {name: text(header[name], f"{path} (header, {name})") for name in _TEXTS if name in header}
-    for name in _DICTS:
+    objects: dict[str, Any] = {}
+    for name in PARTS:
         parts = (header.get(name) or {}, (summary or {}).get(name) or {})
         if not all(isinstance(part, dict) for part in parts):
             raise FileFormatError(f"{path}: {name} in the journal is not a JSON object")
-        fields[name] = {**parts[0], **parts[1]}
+        objects[name] = {**parts[0], **parts[1]}
+    fields |= read_metadata(objects, f"{path} (journal)", stored_version(header, str(path)))
     if dropped:
-        fields["radar"]["journal_bytes_dropped"] = dropped
+        fields["radar"] = replace(fields["radar"], journal_bytes_dropped=dropped)
     return fields
 
 
 def _to_capture(journal: Journal, arrays: ScanArrays) -> Capture:
     fields = capture_fields(journal.path, journal.header, journal.summary, journal.bytes_dropped)
     if journal.motion is not None:
-        fields["motion"]["track"] = journal.motion
+        try:
+            track = Track.from_json(journal.motion)
+        except DataError as error:
+            raise FileFormatError(f"{journal.path}: {error.message}", error.remedy) from error
+        fields["motion"] = replace(fields["motion"], track=track)
     return build_capture(journal.path, **vars(arrays), **fields)
 
 
@@ -167,14 +175,14 @@ class WrittenCaptures:
     bins: int
     complete: bool
     bytes_dropped: int
-    radar: dict[str, Any]
+    radar: RadarInfo
     has_track: bool
 
 
 def write_captures(
     journal: Path,
     part_path: Callable[[int], Path],
-    radar: dict[str, Any] | None = None,
+    counters: RadarInfo | None = None,
     part_bytes: int = PART_BYTES,
 ) -> WrittenCaptures:
     """Write the capture files of a journal in constant memory, each of them whole or not at all.
@@ -182,7 +190,7 @@ def write_captures(
     Args:
         journal: the file.
         part_path: gives the path of part 1, 2, ... (one part where the recording is short enough).
-        radar: adds to the journal's `radar`.
+        counters: what the recording counted; fills the journal's `radar`.
         part_bytes: samples in one file, bytes.
 
     Raises:
@@ -202,7 +210,8 @@ def write_captures(
         fields = capture_fields(journal, stream.header, stream.summary, stream.bytes_dropped)
         complete, dropped = stream.summary is not None, stream.bytes_dropped
         has_track = stream.motion is not None
-    fields["radar"] = {**fields["radar"], **(radar or {})}
+    if counters is not None:
+        fields["radar"] = fields["radar"].with_known(counters)
     row_bytes = bins * dtype.itemsize
     rows_a_part = max(1, part_bytes // row_bytes)
     rows_a_block = max(1, min(_BLOCK_BYTES // row_bytes, rows_a_part))
@@ -214,7 +223,8 @@ def write_captures(
         for part in range(1, parts + 1):
             fields["uuid"] = first_uuid if part == 1 else str(uuid_module.uuid4())
             if parts > 1:
-                fields["radar"]["recording"] = {"uuid": first_uuid, "part": part, "parts": parts}
+                place = RecordingPart(first_uuid, part, parts)
+                fields["radar"] = replace(fields["radar"], recording=place)
             left = min(rows_a_part, views - rows_a_part * (part - 1))
             path = part_path(part)
             with hdf5.growing_capture(path) as append:

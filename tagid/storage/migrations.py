@@ -13,9 +13,11 @@ from types import MappingProxyType
 from typing import Any
 
 from tagid.errors import FileFormatError
+from tagid.storage.assembly import decode_settings, encode_settings
+from tagid.storage.metadata import PARTS, migrate_metadata
 
-FORMAT_VERSION = 1
-"""Version of the capture file that this tagid writes."""
+FORMAT_VERSION = 2
+"""Version of the capture file that this tagid writes. 2: typed metadata (`tagid.storage.metadata`)."""
 
 
 @dataclass(frozen=True)
@@ -33,8 +35,21 @@ class RawCapture:
 
 Step = Callable[[RawCapture], RawCapture]
 
-STEPS: Mapping[int, Step] = MappingProxyType({})
-"""The step from version n to n + 1, by n. Empty as long as version 1 is the only one."""
+
+def _typed_metadata(raw: RawCapture) -> RawCapture:
+    """Version 1 to 2: typed metadata. What cannot be read is left for the reader to refuse."""
+    found: dict[str, Mapping[str, Any]] = {}
+    for name in PARTS:
+        try:
+            found[name] = decode_settings(raw.attributes[name], name)
+        except (KeyError, TypeError, FileFormatError):
+            return raw
+    texts = {name: encode_settings(dict(part)) for name, part in migrate_metadata(found, 1, "").items()}
+    return RawCapture({**raw.attributes, **texts}, raw.arrays)
+
+
+STEPS: Mapping[int, Step] = MappingProxyType({1: _typed_metadata})
+"""The step from version n to n + 1, by n."""
 
 
 def migrate(

@@ -8,16 +8,17 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
 
+from tagid import files
 from tagid.capture import Capture
 from tagid.errors import FileFormatError
+from tagid.metadata import RadarSettings
 from tagid.radar.messages import MAX_SAMPLES_PER_SCAN, SAMPLES_PER_MESSAGE
-from tagid.storage import atomic
 from tagid.storage.p440 import MAX_NODES, P440Scans, choose_node, p440_capture
 
 SCAN = b"MrmFullScanInfo"
@@ -75,8 +76,8 @@ def read_mrm_ret(path: Path, cable_delay_ps: float = 0.0, node: int | None = Non
         FileFormatError: not such a log, or without one complete scan.
         UsageError: several radars and no `node`, or no scan of that one.
     """
-    with atomic.open_regular(path) as (stream, size):
-        if size > atomic.MAX_FILE_BYTES or not is_mrm_ret(stream.read(1 << 16)):
+    with files.open_regular(path) as (stream, size):
+        if size > files.MAX_FILE_BYTES or not is_mrm_ret(stream.read(1 << 16)):
             raise FileFormatError(
                 f"{path}: is not an MRM-RET log (no Config or MrmFullScanInfo lines)", "Check the file."
             )
@@ -91,7 +92,7 @@ def read_mrm_ret(path: Path, cable_delay_ps: float = 0.0, node: int | None = Non
         raise FileFormatError(
             f"{path}: the log holds no complete MrmFullScanInfo line", "Log full scans in MRM-RET."
         )
-    config, notes = _fitting_config(survey, chosen, reading)
+    config, window = _fitting_config(survey, chosen, reading)
     scans = P440Scans(
         samples=np.frombuffer(reading.samples, np.int32).reshape(len(reading.message_id), -1),
         message_id=np.array(reading.message_id, dtype=np.int64),
@@ -99,14 +100,20 @@ def read_mrm_ret(path: Path, cable_delay_ps: float = 0.0, node: int | None = Non
         host_time_ns=np.array(reading.host_time_ns, dtype=np.int64),
         lost_id=np.array(reading.lost_id, dtype=np.int64),
         info=reading.info,
-        config=config,
+        config=RadarSettings.from_json(config),
     )
     capture = p440_capture(path, scans, "mrm-ret", cable_delay_ps)
     ignored = survey.unreadable + reading.other_grid
-    capture.radar.update(notes, packets_ignored=ignored, bytes_left_over=survey.left_over)
-    if reading.detection_lists:
-        capture.radar["detection_lists"] = reading.detection_lists
-    return capture
+    radar = replace(
+        capture.radar,
+        packets_ignored=ignored,
+        bytes_left_over=survey.left_over,
+        detection_lists=tuple(reading.detection_lists),
+        config_stale=window.stale,
+        window_requested_ps=window.requested_ps,
+        window_actual_ps=window.actual_ps,
+    )
+    return replace(capture, radar=radar)
 
 
 def _lines(stream: BinaryIO) -> Iterator[tuple[bytes, bytes, int]]:
@@ -319,7 +326,16 @@ def _config(line: bytes) -> dict[str, Any] | None:
     return {**flat, **segments}
 
 
-def _fitting_config(survey: _Survey, node: int, reading: _Reading) -> tuple[dict[str, Any], dict[str, Any]]:
+@dataclass(frozen=True)
+class _Window:
+    """The scan window that the configuration asks for and that of the scans, ps; None where not known."""
+
+    requested_ps: tuple[int, ...] | None = None
+    actual_ps: tuple[int, ...] | None = None
+    stale: bool | None = None
+
+
+def _fitting_config(survey: _Survey, node: int, reading: _Reading) -> tuple[dict[str, Any], _Window]:
     """The settings of the Config line that belongs to the scans, and what is to be noted about it.
 
     Of a radar's lines the last before its scans whose window is theirs is taken; else the last before them,
@@ -332,15 +348,11 @@ def _fitting_config(survey: _Survey, node: int, reading: _Reading) -> tuple[dict
         configs = survey.configs
     before = [c for seen, c in configs if seen == 0] or [c for _, c in configs[:1]]
     if not before:
-        return {}, {}
+        return {}, _Window()
     fitting = [c for c in before if all(abs(c[name] - actual[name]) <= _GRID_PS for name in _WINDOW)]
     chosen = (fitting or before)[-1]
-    notes: dict[str, Any] = {
-        "window_requested_ps": [chosen[name] for name in _WINDOW],
-        "window_actual_ps": list(actual.values()),
-        "config_stale": not fitting,
-    }
-    return {**chosen, **actual}, notes
+    window = _Window(tuple(chosen[name] for name in _WINDOW), tuple(actual.values()), not fitting)
+    return {**chosen, **actual}, window
 
 
 def _detections(line: bytes) -> str | None:

@@ -71,9 +71,9 @@ def _line(epoch_ms: int, kind: bytes, values: list[int]) -> bytes:
 
 
 def _config_columns(capture: Capture, config: dict[str, Any]) -> list[int]:
-    requested = capture.radar.get("window_requested_ps")
+    requested = capture.radar.window_requested_ps
     flat = {"antenna_mode": 2, "transmit_gain": 63, "base_integration_index": 11, **config}
-    if isinstance(requested, list) and len(requested) == 2:
+    if requested is not None and len(requested) == 2:
         flat |= {"scan_start_ps": requested[0], "scan_stop_ps": requested[1]}
     for name in ("segment_samples", "segment_multiplier"):
         values = config.get(name)
@@ -103,9 +103,8 @@ def _epoch_ms(capture: Capture, clock: np.ndarray[Any, np.dtype[np.int64]]) -> A
 def _detections(capture: Capture) -> dict[int, list[list[int]]]:
     """The detection lists that came with the scans, by message id: flat [index, magnitude, ...]."""
     found: dict[int, list[list[int]]] = {}
-    texts = capture.radar.get("detection_lists")
-    for text in texts if isinstance(texts, list) else []:
-        message_id, _, body = str(text).partition(": ")
+    for text in capture.radar.detection_lists:
+        message_id, _, body = text.partition(": ")
         words = body.replace(",", "").split()
         if message_id.isdigit() and all(word.isdigit() for word in words) and len(words) % 2 == 0:
             found.setdefault(int(message_id), []).append([int(word) for word in words])

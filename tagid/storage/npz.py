@@ -21,10 +21,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tagid import files
 from tagid.capture import Capture, Pulse
 from tagid.errors import DataError, FileFormatError
-from tagid.storage import atomic
+from tagid.metadata import METADATA_VERSION
 from tagid.storage.assembly import build_capture, decode_settings, encode_settings, number, text
+from tagid.storage.metadata import PARTS, VERSION_KEY, metadata_of, read_metadata, stored_version
 
 MAGIC = b"PK"
 
@@ -51,7 +53,6 @@ _OTHER = (
 )
 _KEYS = frozenset((*_NUMBERS, *_VECTORS, *_OTHER))
 _TEXTS = ("uuid", "created_utc", "tool_version")
-_DICTS = ("radar", "motion", "object")
 _SMALL_BYTES = 16 << 20
 _MAX_EXPANSION = 200
 """Scans hold noise and deflate 2:1 or so; far more, of something large, was made to fill the memory."""
@@ -66,7 +67,7 @@ def read_npz(path: Path) -> Capture:
         StorageError: the file cannot be read.
         FileFormatError: damaged, a key is missing, of the wrong shape, dtype or size, or not finite.
     """
-    arrays = _load(path, atomic.read_bytes(path))
+    arrays = _load(path, files.read_bytes(path))
     missing = [key for key in ("samples", "range_start_m", "range_step_m") if key not in arrays]
     if missing:
         raise FileFormatError(
@@ -124,8 +125,9 @@ def encode_npz(capture: Capture) -> bytes:
         arrays["timestamps_s"] = capture.radar_time_ms / 1000.0
     if capture.pulse is not None:
         arrays |= {"pulse": capture.pulse.samples, "pulse_step_s": np.float64(capture.pulse.step)}
-    ours = {key: getattr(capture, key) for key in (*_TEXTS, *_DICTS, "complete")}
-    arrays |= {"object": encode_settings(capture.object), "tagid": encode_settings(ours)}
+    ours = {key: getattr(capture, key) for key in (*_TEXTS, "complete")}
+    ours |= {**metadata_of(capture), VERSION_KEY: METADATA_VERSION}
+    arrays |= {"object": encode_settings(capture.object.to_json()), "tagid": encode_settings(ours)}
     buffer = io.BytesIO()
     np.savez_compressed(buffer, allow_pickle=False, **arrays)
     return buffer.getvalue()
@@ -134,7 +136,7 @@ def encode_npz(capture: Capture) -> bytes:
 def _load(path: Path, data: bytes) -> dict[str, NDArray[Any]]:
     """The arrays under known keys, each checked before memory is taken for it."""
     arrays: dict[str, NDArray[Any]] = {}
-    budget = atomic.MAX_FILE_BYTES
+    budget = files.MAX_FILE_BYTES
     try:
         with warnings.catch_warnings(), zipfile.ZipFile(io.BytesIO(data)) as archive:
             warnings.simplefilter("ignore")  # numpy warns of headers that it parses with effort
@@ -227,15 +229,13 @@ def _pulse(path: Path, arrays: dict[str, NDArray[Any]]) -> Pulse:
 
 def _provenance(path: Path, arrays: dict[str, NDArray[Any]], ours: dict[str, Any]) -> dict[str, Any]:
     fields: dict[str, Any] = {key: text(ours[key], f"{path} (tagid, {key})") for key in _TEXTS if key in ours}
-    for key in _DICTS:
-        if not isinstance(ours.get(key, {}), dict):
-            raise FileFormatError(f"{path}: {key} in tagid is not a JSON object")
-        fields[key] = ours.get(key, {})
+    parts = {key: ours[key] for key in PARTS if key in ours}
+    if "object" in arrays:
+        parts["object"] = _object(_string(arrays["object"], f"{path} (object)"))
+    fields |= read_metadata(parts, f"{path} (tagid)", stored_version(ours, str(path)))
     if not isinstance(ours.get("complete", True), bool):
         raise FileFormatError(f"{path}: complete in tagid is not true or false")
     fields["complete"] = ours.get("complete", True)
-    if "object" in arrays:
-        fields["object"] = _object(_string(arrays["object"], f"{path} (object)"))
     return fields
 
 

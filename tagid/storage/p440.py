@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.capture import Capture, ViewFlag
-from tagid.constants import BIN_PS, CLIP_COUNTS_PER_INTEGRATION, SPEED_OF_LIGHT
+from tagid.constants import BIN_PS, SPEED_OF_LIGHT
 from tagid.errors import FileFormatError, UsageError
+from tagid.metadata import RadarInfo, RadarSettings
 from tagid.storage.assembly import build_capture, unwrap
 
 MAX_NODES = 64
@@ -35,7 +36,7 @@ class P440Scans:
         host_time_ns: (views,) ns since the epoch, or None.
         lost_id: (lost,) numbers of scans that were seen only in part.
         info: the other fields of the first scan, by the names of `SCAN_INFO_DTYPE`.
-        config: the configuration block, by the names of `CONFIG_DTYPE`; may be stale or empty.
+        config: the configuration block; may be stale or empty.
     """
 
     samples: NDArray[np.int32]
@@ -44,7 +45,7 @@ class P440Scans:
     host_time_ns: NDArray[np.int64] | None
     lost_id: NDArray[np.int64]
     info: dict[str, Any]
-    config: dict[str, Any]
+    config: RadarSettings
 
 
 def choose_node(path: Path, scans_of: dict[int, int], node: int | None) -> int:
@@ -76,7 +77,7 @@ def p440_capture(path: Path, scans: P440Scans, source: str, cable_delay_ps: floa
     Args:
         path: the file, for messages.
         scans: what was read.
-        source: name of the file's format, kept in `radar["source"]`.
+        source: name of the file's format, kept in `radar.source`.
         cable_delay_ps: two-way delay of cables and antennas that is taken off the ranges, ps.
 
     Raises:
@@ -87,14 +88,14 @@ def p440_capture(path: Path, scans: P440Scans, source: str, cable_delay_ps: floa
         raise FileFormatError(f"{path}: the scans have a step of {step_bins} bins", "The file is damaged.")
     scan_id, order, lost = _sort(scans.message_id, scans.lost_id)
     samples = _reorder(scans.samples, order)
-    radar = {
-        "source": source,
-        "node_id": scans.info.get("node_id", scans.config.get("node_id", 0)),
-        "config": scans.config,
-        "scan_info": scans.info,
-        "cable_delay_ps": float(cable_delay_ps),
-        "scans_lost": lost,
-    }
+    radar = RadarInfo(
+        source=source,
+        node_id=scans.info.get("node_id", scans.config.node_id or 0),
+        config=scans.config,
+        scan_info=scans.info,
+        cable_delay_ps=float(cable_delay_ps),
+        scans_lost=lost,
+    )
     host = scans.host_time_ns
     return build_capture(
         path,
@@ -104,7 +105,7 @@ def p440_capture(path: Path, scans: P440Scans, source: str, cable_delay_ps: floa
         host_time_ns=None if host is None else host[order],
         radar_time_ms=unwrap(scans.timestamp_ms[order], 1 << 32).astype(np.float64),
         scan_id=scan_id,
-        flags=_flags(samples, scan_id, scans.config.get("base_integration_index")),
+        flags=_flags(samples, scan_id, scans.config.clip_counts),
         radar=radar,
     )
 
@@ -142,12 +143,11 @@ def _sort(
     return number, order, missing + int(len(lost_id) - np.count_nonzero(inside))
 
 
-def _flags(samples: NDArray[np.int32], scan_id: NDArray[np.int64], integration: Any) -> NDArray[np.uint8]:
+def _flags(samples: NDArray[np.int32], scan_id: NDArray[np.int64], clip: int | None) -> NDArray[np.uint8]:
     flags = np.zeros(len(samples), dtype=np.uint8)
     flags[0] |= np.uint8(ViewFlag.FIRST)
     flags[1:][np.diff(scan_id) != 1] |= np.uint8(ViewFlag.AFTER_LOSS)
-    if isinstance(integration, int) and 0 <= integration <= 15:
-        clip = CLIP_COUNTS_PER_INTEGRATION << integration
+    if clip is not None:
         # Not abs(): the most negative int32 has none.
         clipped = (samples.max(axis=1) >= clip) | (samples.min(axis=1) <= -clip)
         flags[clipped] |= np.uint8(ViewFlag.CLIPPED)

@@ -6,15 +6,18 @@ it may end in the middle of a message (P440 MRM API; public recordings).
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tagid import files
 from tagid.capture import Capture
 from tagid.constants import BINS_PER_SAMPLE, SPEED_OF_LIGHT
 from tagid.errors import DataError, FileFormatError, UsageError
+from tagid.metadata import RadarSettings
 from tagid.radar.messages import (
     CONFIG_DTYPE,
     MAX_MESSAGES_PER_SCAN,
@@ -23,7 +26,6 @@ from tagid.radar.messages import (
     SCAN_INFO_DTYPE,
     MessageType,
 )
-from tagid.storage import atomic
 from tagid.storage.p440 import MAX_NODES, P440Scans, choose_node, p440_capture
 
 _PER_SCAN = (
@@ -70,10 +72,10 @@ def read_recording(path: Path, cable_delay_ps: float = 0.0, node: int | None = N
         FileFormatError: not a recording, or without one complete scan.
         UsageError: several radars and no `node`, or no scan of that one.
     """
-    with atomic.open_regular(path) as (stream, size):
+    with files.open_regular(path) as (stream, size):
         count, left_over = divmod(size - CONFIG_DTYPE.itemsize, SCAN_INFO_DTYPE.itemsize)
-        if count < 1 or size > atomic.MAX_FILE_BYTES:
-            limits = f"expected {_SHORTEST} to {atomic.MAX_FILE_BYTES}"
+        if count < 1 or size > files.MAX_FILE_BYTES:
+            limits = f"expected {_SHORTEST} to {files.MAX_FILE_BYTES}"
             raise FileFormatError(
                 f"{path}: has {size} bytes, {limits} for a P440 recording",
                 f"One has {CONFIG_DTYPE.itemsize} bytes, then {SCAN_INFO_DTYPE.itemsize} a message.",
@@ -104,12 +106,12 @@ def read_recording(path: Path, cable_delay_ps: float = 0.0, node: int | None = N
         host_time_ns=None,
         lost_id=np.array(partial, dtype=np.int64),
         info=_plain(heads[rows[0, 0]], _PER_SCAN),
-        config=config,
+        config=RadarSettings.from_json(config),
     )
     capture = p440_capture(path, scans, "recording", cable_delay_ps)
     ignored = int(count - np.count_nonzero(valid))
-    capture.radar.update(packets_ignored=ignored, bytes_left_over=int(left_over))
-    return capture
+    radar = replace(capture.radar, packets_ignored=ignored, bytes_left_over=int(left_over))
+    return replace(capture, radar=radar)
 
 
 def _read_heads(stream: BinaryIO, count: int) -> NDArray[np.void]:
@@ -153,7 +155,7 @@ def write_recording(path: Path, capture: Capture) -> None:
         DataError: too many bins, or settings that do not fit the format.
         DiskFullError, StorageError: the file cannot be written.
     """
-    atomic.write_bytes(path, encode_recording(capture))
+    files.write_bytes(path, encode_recording(capture))
 
 
 def encode_recording(capture: Capture) -> bytes:
@@ -218,15 +220,12 @@ def _regroup(heads: NDArray[np.void], rows: NDArray[np.intp]) -> tuple[list[list
 def wire_settings(capture: Capture) -> tuple[dict[str, Any], dict[str, Any]]:
     """Header and configuration fields: those of the recording, or what follows from the capture's grid."""
     radar = capture.radar
-    info, config = radar.get("scan_info"), radar.get("config")
-    info = dict(info) if isinstance(info, dict) else {}
-    config = dict(config) if isinstance(config, dict) else {}
-    delay = radar.get("cable_delay_ps", 0.0)
-    delay = delay if isinstance(delay, int | float) else 0.0
+    info, config = dict(radar.scan_info or {}), (radar.config or RadarSettings()).to_json()
+    delay = radar.cable_delay_ps or 0.0
     start = round(capture.range_start_m * 2 / SPEED_OF_LIGHT * 1e12 + delay)
     stop = round(start + capture.bins * capture.range_step_m * 2 / SPEED_OF_LIGHT * 1e12)
     grid = {
-        "node_id": radar.get("node_id", 1),
+        "node_id": 1 if radar.node_id is None else radar.node_id,
         "scan_start_ps": config.get("scan_start_ps", start),
         "scan_stop_ps": config.get("scan_stop_ps", stop),
     }

@@ -21,9 +21,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 import numpy as np
 
 from tagid.imaging.backprojection import backproject
-from tagid.tags.detector import Detection, Detector
-from tagid.tags.planes import GRID, NetworkInput
-from tagid.tags.reflectors import find_reflectors
+from tagid.tags.network.detector import Detection, Detector
+from tagid.tags.network.planes import GRID, NetworkInput
+from tagid.tags.reading.reflectors import find_reflectors
 from train.dataset import SEED_BASES
 from train.evaluate import Figures, Outcome, local_maxima, score, threshold_at
 from train.images import focused_scans

@@ -22,34 +22,36 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 
 from firmware_tools.virtual.process import BoardProcess
+from tagid.angles.clock import fit_clock
+from tagid.angles.measured import measured_angles
 from tagid.capture import Capture
 from tagid.constants import RANGE_STEP_M
 from tagid.errors import TagidError
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
-from tagid.motion.clock import fit_clock
-from tagid.motion.device import Motion, Track
-from tagid.motion.emulator.body import Body, BodySettings
-from tagid.motion.emulator.comxim import ComximCore
-from tagid.motion.emulator.gatt import GattPort
-from tagid.motion.emulator.host import RoombaHost
-from tagid.motion.emulator.pty import PtyPort
-from tagid.motion.emulator.revopoint import RevopointCore
-from tagid.motion.emulator.table import TurningTable
-from tagid.motion.measured import measured_angles
-from tagid.motion.resolve import one_turn, with_angles
+from tagid.metadata import Track
+from tagid.motion.device import Motion
+from tagid.motion.emulation.body import Body, BodySettings
+from tagid.motion.emulation.comxim import ComximCore
+from tagid.motion.emulation.gatt import GattPort
+from tagid.motion.emulation.host import RoombaHost
+from tagid.motion.emulation.pty import PtyPort
+from tagid.motion.emulation.revopoint import RevopointCore
+from tagid.motion.emulation.table import TurningTable
 from tagid.motion.roomba.device import step_period_s
 from tagid.motion.roomba.odometry import NOMINAL_SCALE_SIGMA, SpinOdometry
 from tagid.motion.tables.revopoint import CHARACTERISTIC, SERVICE
 from tagid.motion.urls import open_motion
-from tagid.radar.emulator_core import EmulatorCore
-from tagid.radar.memory import MemoryLink
+from tagid.pipeline.resolve import one_turn, with_angles
+from tagid.pipeline.turn import resolve_turn
+from tagid.radar.emulation.core import EmulatorCore
+from tagid.radar.emulation.memory import MemoryLink
 from tagid.radar.p440 import P440
 from tagid.radar.settings import RadarConfig
-from tagid.recorder import RecordingPlan, Watch, plan_window, record
+from tagid.recording.plan import RecordingPlan, plan_window
+from tagid.recording.recorder import Watch, record
 from tagid.simulate import Acquisition, TurningScene, scene_from_name
-from tagid.tags.layout import builtin_layouts
-from tagid.tags.matcher import read_tag
-from tagid.turn import resolve_turn
+from tagid.tags.layouts.layout import builtin_layouts
+from tagid.tags.reading.matcher import read_tag
 
 FOLDER = Path(tempfile.mkdtemp(prefix="bench-motion-"))
 AXIS_M = 1.0
@@ -130,7 +132,7 @@ def roomba(rows: Rows, wire: str, number: int, turns: float) -> None:
         for run in range(2):
             capture, true = scan_with(open_motion(url), url, truth, turns, 10 * number + run)
             assert capture.angles_rad is not None
-            scale = float(capture.motion["resolved"]["scale"])
+            scale = float(capture.motion.resolved.scale)
             kept.append((capture.angles_rad, true, scale))
         angles, true, scale = kept[1]
         rows.add(f"Roomba by {wire}, encoders alone", errors_deg(angles / scale, true))
@@ -161,15 +163,15 @@ def table(rows: Rows, kind: str, number: int, turns: float) -> None:
             open_motion(url), url, lambda moment: float(plate.state(moment)["angle_rad"]), turns, number
         )
         assert capture.angles_rad is not None
-        resolved = capture.motion["resolved"]
+        resolved = capture.motion.resolved
         inside = slice(None)
         if kind == "index pulse":
-            track_turns = resolved["turns"] * 2 * np.pi
+            track_turns = resolved.turns * 2 * np.pi
             moving = np.abs(capture.angles_rad - capture.angles_rad[0])
             inside = slice(int(np.argmax(moving > 0.01)), int(np.argmax(moving >= track_turns - 0.01)))
         if kind != "free":
             rows.add(
-                f"{kind}, as told", errors_deg(capture.angles_rad[inside] / resolved["scale"], true[inside])
+                f"{kind}, as told", errors_deg(capture.angles_rad[inside] / resolved.scale, true[inside])
             )
         name = f"{kind}, this scan's own period" if kind != "free" else "free, period from the scans"
         rows.add(name, errors_deg(capture.angles_rad[inside], true[inside]))

@@ -26,14 +26,13 @@ from pathlib import Path
 
 import numpy as np
 
-from tagid.intake import Intake
-from tagid.radar.devices import open_radar
-from tagid.radar.emulator import ServeOptions, serve, serve_udp
-from tagid.radar.emulator_core import EmulatorCore
+from tagid.radar.emulation.core import EmulatorCore
+from tagid.radar.emulation.emulator import ServeOptions, serve, serve_udp
+from tagid.radar.emulation.wires import PtyWire
 from tagid.radar.framing import Framing
 from tagid.radar.settings import RadarConfig
-from tagid.radar.wires import PtyWire
-from tagid.sources import Sources
+from tagid.recording.intake import Intake
+from tagid.recording.radars import open_radar
 from tagid.storage.journal import JournalWriter
 from tagid.storage.journal_queue import JournalQueue
 
@@ -86,7 +85,7 @@ def measure(name: str, wire: str, seconds: float, folder: Path, minutes: bool) -
     url = server.stdout.readline().strip()
     path = folder / f"{name}.tagid.journal"
     try:
-        with open_radar(url, Sources(), 2.0) as radar:
+        with open_radar(url, 2.0) as radar:
             config = radar.set_config(SETTINGS[name])
             header = {"range_start_m": 0.0, "range_step_m": config.range_step_m}
             with (

@@ -34,12 +34,13 @@ from tagid.batch.inputs import Source
 from tagid.batch.job import Job
 from tagid.batch.local import Results, Tasks, run_local
 from tagid.config import load_config
-from tagid.pipeline import ImagingSettings
+from tagid.pipeline.load import LoadSettings
+from tagid.pipeline.settings import ImagingSettings
 from tagid.simulate.acquisition import Acquisition
 from tagid.simulate.capture import simulate_capture
 from tagid.simulate.presets import scene_from_name
 from tagid.storage.hdf5 import write_capture
-from tagid.tags.layout import builtin_layouts
+from tagid.tags.layouts.layout import builtin_layouts
 
 OBJECTS = ("helmet-120", "container-90", "helmet-linear", "container-180")
 Runner = Callable[[Tasks, Job], Results]
@@ -98,7 +99,9 @@ def main() -> None:
         f"numpy {np.__version__}. Date: {datetime.now(UTC):%Y-%m-%d}."
     )
     print(f"Command: `python {' '.join(sys.argv)}`\n")
-    job = Job(ImagingSettings(method="bp"), tuple(builtin_layouts().values()), 1, load_config())
+    job = Job(
+        ImagingSettings(method="bp"), tuple(builtin_layouts().values()), 1, LoadSettings.of(load_config())
+    )
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         real = []

@@ -27,10 +27,10 @@ import numpy as np
 from identification_images import read_image
 from identification_scenes import SETS, TWISTS, Condition, Recorded, record
 
-from tagid.tags.decision import DecisionSettings, Evidence, decide
-from tagid.tags.field import MatchedField
-from tagid.tags.hypotheses import SearchSettings, search
-from tagid.tags.matcher import read_tag
+from tagid.tags.reading.decision import DecisionSettings, Evidence, decide
+from tagid.tags.reading.field import MatchedField
+from tagid.tags.reading.hypotheses import SearchSettings, search
+from tagid.tags.reading.matcher import read_tag
 
 VIEWS = (360, 36, 18, 12)
 SNRS_DB = (20, 10, 5, 0)

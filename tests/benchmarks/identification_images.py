@@ -1,7 +1,7 @@
 """Tags read from images instead of the scans: an image, a finder of reflectors, and the pairing with layouts.
 
 These rows show what each step of the textbook way costs against reading in the data; all share the matcher of
-`tagid.tags.constellation`, which may refuse as the product may.
+`tagid.tags.network.constellation`, which may refuse as the product may.
 """
 
 from __future__ import annotations
@@ -9,10 +9,10 @@ from __future__ import annotations
 from tagid.capture import Capture
 from tagid.imaging.ats.fit import AtsSettings, fit
 from tagid.imaging.backprojection import backproject
-from tagid.tags.constellation import read_constellation
-from tagid.tags.layout import Layout
-from tagid.tags.planes import GRID, NetworkInput
-from tagid.tags.second_look import shipped_detector
+from tagid.tags.layouts.layout import Layout
+from tagid.tags.network.constellation import read_constellation
+from tagid.tags.network.planes import GRID, NetworkInput
+from tagid.tags.network.second_look import shipped_detector
 from train.evaluate import local_maxima
 from train.images import focused_scans
 

@@ -1,7 +1,8 @@
 """What chance does: how well the enrolled layouts explain noise, boxes and strangers' tags.
 
-Run `python tests/benchmarks/identification_null.py --jobs 2` for the numbers that `tagid/tags/decision.py`
-rests on, `--short` for a check of a minute. Its seeds and its objects occur in no other benchmark.
+Run `python tests/benchmarks/identification_null.py --jobs 2` for the numbers that
+`tagid/tags/reading/decision.py` rests on, `--short` for a check of a minute. Its seeds and its objects occur
+in no other benchmark.
 """
 
 from __future__ import annotations
@@ -25,8 +26,9 @@ from tagid.simulate.capture import simulate_capture
 from tagid.simulate.presets import room_clutter, scene_from_layout, scene_from_name
 from tagid.simulate.scattering import Box, Points
 from tagid.simulate.scene import Scene
-from tagid.tags.codebook import rotational_distance
-from tagid.tags.decision import (
+from tagid.tags.layouts.codebook import rotational_distance
+from tagid.tags.layouts.layout import Layout, builtin_layouts
+from tagid.tags.reading.decision import (
     DecisionSettings,
     Evidence,
     chance,
@@ -34,8 +36,7 @@ from tagid.tags.decision import (
     least_preference,
     preference,
 )
-from tagid.tags.layout import Layout, builtin_layouts
-from tagid.tags.matcher import read_tag
+from tagid.tags.reading.matcher import read_tag
 
 FIRST_SEED = 90_000_000
 GROUPS = ("stranger", "tagged", "box", "noise")

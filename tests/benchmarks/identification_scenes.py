@@ -18,9 +18,9 @@ from tagid.simulate.capture import simulate_capture
 from tagid.simulate.presets import scene_from_layout, scene_from_name
 from tagid.simulate.scattering import Points, Returns
 from tagid.simulate.scene import Scene
-from tagid.tags.design import DesignRules, design
-from tagid.tags.layout import Layout, builtin_layouts
-from tagid.tags.objects import object_named
+from tagid.tags.layouts.design import DesignRules, design
+from tagid.tags.layouts.layout import Layout, builtin_layouts
+from tagid.tags.layouts.objects import object_named
 
 FIRST_SEED = 50_000_000
 UNTAGGED = ("can", "box", "untagged", "empty")

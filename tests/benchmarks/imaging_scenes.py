@@ -15,11 +15,11 @@ import numpy as np
 from tagid.capture import Capture
 from tagid.constants import RANGE_STEP_M, SPEED_OF_LIGHT
 from tagid.geometry import Aperture, ImageGrid
-from tagid.imaging.methods import METHODS, make_image
 from tagid.imaging.metrics import blank, localise, lpips, mse, pick_peaks, psnr, truth_image
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.imaging.restore import restore
 from tagid.imaging.types import BasebandScans, Image
+from tagid.pipeline.methods import METHODS, make_image
 from tagid.simulate import (
     Acquisition,
     ConductingCylinder,

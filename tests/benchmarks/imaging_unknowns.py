@@ -19,13 +19,14 @@ from tagid.geometry import ImageGrid
 from tagid.imaging.ats.fit import AtsSettings, fit
 from tagid.imaging.autofocus import focus_axis_distance
 from tagid.imaging.backprojection import backproject
-from tagid.imaging.methods import METHODS, make_image
 from tagid.imaging.metrics import localise, pick_peaks, psnr, truth_image
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.imaging.pulsefit import estimate_pulse
 from tagid.imaging.restore import restore
 from tagid.imaging.types import BasebandScans
-from tagid.pipeline import ImagingSettings, reconstruct
+from tagid.pipeline.methods import METHODS, make_image
+from tagid.pipeline.reconstruct import reconstruct
+from tagid.pipeline.settings import ImagingSettings
 from tagid.report.axes import Axes
 from tagid.report.canvas import Canvas
 from tagid.report.colours import BLUE, INK, ORANGE

@@ -26,12 +26,12 @@ from tagid.geometry import ImageGrid
 from tagid.imaging.autofocus import focus_axis_distance
 from tagid.simulate.scattering import Cylinder, Points
 from tagid.simulate.scene import Scene
-from tagid.tags.aspect import TRANSPARENT, Appearance
-from tagid.tags.codebook import best_pairing
-from tagid.tags.field import MatchedField
-from tagid.tags.precision import position_covariances
-from tagid.tags.reflectors import refine_positions
-from tagid.tags.views import fold_views
+from tagid.tags.enrolling.precision import position_covariances
+from tagid.tags.layouts.codebook import best_pairing
+from tagid.tags.reading.aspect import TRANSPARENT, Appearance
+from tagid.tags.reading.field import MatchedField
+from tagid.tags.reading.reflectors import refine_positions
+from tagid.tags.reading.views import fold_views
 
 CONDITIONS = ((36, 20), (36, 10), (36, 0), (12, 10))
 RADIUS_M = 0.18

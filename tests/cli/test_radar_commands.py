@@ -9,8 +9,8 @@ import pytest
 
 from tagid.config import SETTINGS
 from tagid.radar.discovery import addresses_from
-from tagid.radar.emulator import ServeOptions, UdpEmulator
-from tagid.radar.emulator_core import EmulatorCore, Identity
+from tagid.radar.emulation.core import EmulatorCore, Identity
+from tagid.radar.emulation.emulator import ServeOptions, UdpEmulator
 from tagid.radar.links import UdpLink
 from tagid.radar.p440 import P440
 from tagid.radar.settings import RadarConfig

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 from tagid.errors import TagidError
-from tagid.radar.emulator import ServeOptions, UdpEmulator
-from tagid.radar.emulator_core import EmulatorCore, Identity
+from tagid.radar.emulation.core import EmulatorCore, Identity
+from tagid.radar.emulation.emulator import ServeOptions, UdpEmulator
 from tagid.radar.links import UdpLink
 from tagid.radar.messages import MAX_SAMPLES_PER_SCAN, MessageType, encode
 from tagid.radar.p440 import P440

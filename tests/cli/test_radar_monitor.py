@@ -18,12 +18,12 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from tagid.monitoring import ROWS, Monitor
 from tagid.radar.assembler import Scan, Statistics
-from tagid.radar.emulator import ServeOptions, UdpEmulator
-from tagid.radar.emulator_core import EmulatorCore, Identity
-from tagid.radar.faults import Faults
+from tagid.radar.emulation.core import EmulatorCore, Identity
+from tagid.radar.emulation.emulator import ServeOptions, UdpEmulator
+from tagid.radar.emulation.faults import Faults
 from tagid.radar.settings import RadarConfig
+from tagid.recording.monitoring import ROWS, Monitor
 from tagid.report.waterfall import draw
 from tagid.waveform import nominal_pulse, pulse_at
 

@@ -15,13 +15,14 @@ import pytest
 
 from tagid.capture import ViewFlag
 from tagid.errors import DeviceTimeoutError, DiskFullError
-from tagid.long_recording import RecordingLimits, RecordingWatch, record_long
-from tagid.radar.emulator import ServeOptions, UdpEmulator
-from tagid.radar.emulator_core import EmulatorCore
-from tagid.radar.memory import MemoryLink
+from tagid.metadata import ObjectInfo
+from tagid.radar.emulation.core import EmulatorCore
+from tagid.radar.emulation.emulator import ServeOptions, UdpEmulator
+from tagid.radar.emulation.memory import MemoryLink
 from tagid.radar.p440 import P440
 from tagid.radar.settings import RadarConfig
-from tagid.recorder import RecordingPlan
+from tagid.recording.long_recording import RecordingLimits, RecordingWatch, record_long
+from tagid.recording.plan import RecordingPlan
 from tagid.storage import journal as journal_module
 from tagid.storage.importers import read_any
 from tagid.storage.journal_capture import write_captures
@@ -83,8 +84,8 @@ def test_records_to_one_file_with_the_radars_own_settings(tagid, tmp_path: Path)
     assert capture.samples.shape == (200, 96)
     np.testing.assert_array_equal(np.diff(capture.samples[:, 0]), np.diff(capture.scan_id))
     assert capture.complete
-    assert capture.object == {"note": "yard"}
-    assert capture.radar["config"]["base_integration_index"] == 6
+    assert capture.object == ObjectInfo(note="yard")
+    assert capture.radar.config.base_integration_index == 6
 
 
 def test_a_long_recording_becomes_parts_that_join_without_a_seam(tmp_path: Path) -> None:
@@ -97,8 +98,8 @@ def test_a_long_recording_becomes_parts_that_join_without_a_seam(tmp_path: Path)
         np.diff(np.concatenate([part.samples[:, 0] for part in parts])), np.ones(249)
     )
     assert len({part.uuid for part in parts}) == 3
-    assert {part.radar["recording"]["uuid"] for part in parts} == {parts[0].uuid}
-    assert [part.radar["recording"]["part"] for part in parts] == [1, 2, 3]
+    assert {part.radar.recording.uuid for part in parts} == {parts[0].uuid}
+    assert [part.radar.recording.part for part in parts] == [1, 2, 3]
     assert not list(tmp_path.glob("*.journal"))
 
 
@@ -236,7 +237,7 @@ def test_a_full_disk_keeps_the_journal_and_says_how_to_go_on(tmp_path: Path, mon
             raise OSError(28, os.strerror(28))
         return real(descriptor, data)
 
-    monkeypatch.setattr(journal_module.atomic.os, "write", write)
+    monkeypatch.setattr(journal_module.files.os, "write", write)
     with pytest.raises(DiskFullError) as caught:
         record_long(radar(), PLAN, RecordingLimits(), tmp_path / "a.tagid.h5")
     monkeypatch.undo()

@@ -78,9 +78,9 @@ def test_a_turning_helmet_is_named_and_everything_is_left_on_disk(
     assert capture.complete
     assert capture.angles_rad is not None
     assert np.ptp(capture.angles_rad) >= 2 * np.pi
-    assert capture.radar["scans_lost"] > 0
+    assert capture.radar.scans_lost > 0
     lost = int(capture.scan_id[-1] - capture.scan_id[0]) + 1 - capture.views
-    assert lost <= capture.radar["scans_lost"]
+    assert lost <= capture.radar.scans_lost
     assert not list((tmp_path / "out").glob("*.journal"))
 
 

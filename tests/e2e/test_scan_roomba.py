@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tagid.motion.emulator.truth import TrueAngle
-from tagid.motion.resolve import with_measured_angles
+from tagid.motion.emulation.truth import TrueAngle
+from tagid.pipeline.resolve import with_measured_angles
 from tagid.storage.importers import read_any
 
 pytestmark = pytest.mark.realtime
@@ -80,7 +80,7 @@ def test_the_helmet_on_a_robot_is_named(home: dict[str, str], tmp_path: Path) ->
         wait_until(lambda: not truth.state()["moving"])
         assert truth.state()["mode"] == 1
     capture = read_any(Path(document["data"]["files"]["capture"]))
-    assert capture.complete and "track" not in capture.motion
+    assert capture.complete and capture.motion.track is None
     assert np.all(capture.angle_sigma_rad < np.radians(3))
 
 

@@ -60,11 +60,11 @@ def test_every_stop_signal_ends_a_recording_alike(tmp_path: Path, command: str, 
 def test_the_journal_stays_where_the_file_does_not_read_back(tmp_path: Path) -> None:
     script = (
         "import sys\n"
-        "from tagid.storage import atomic\n"
+        "from tagid import files\n"
         "def damage(path):\n"
         "    with path.open('r+b') as file:\n"
         "        file.truncate(path.stat().st_size // 2)\n"
-        "atomic.forget_cached = damage\n"
+        "files.forget_cached = damage\n"
         "from tagid.cli.app import main\n"
         "main()\n"
     )

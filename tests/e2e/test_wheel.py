@@ -16,7 +16,7 @@ from tagid.simulate.acquisition import Acquisition
 from tagid.simulate.capture import simulate_capture
 from tagid.simulate.presets import scene_from_name
 from tagid.storage.hdf5 import write_capture
-from tagid.tags.detector import MODEL
+from tagid.tags.network.detector import MODEL
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from firmware_tools.cli.app import app
-from tagid.cli.frame import serve
+from tagid.cli.common.frame import serve
 from tests.firmware.esp32_rom import EspRom
 
 OFFSETS = {"esp32": 0x1000, "esp32c3": 0}

@@ -17,7 +17,7 @@ import pytest
 from firmware_tools.board import open_board
 from firmware_tools.build import compile_firmware, read_build, write_build
 from firmware_tools.cli.app import app
-from tagid.cli.frame import serve
+from tagid.cli.common.frame import serve
 from tagid.errors import DeviceError, DeviceRejectedError, FileFormatError, StorageError
 from tests.firmware.microvm import FOLDER, needs_vm
 

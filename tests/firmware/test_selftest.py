@@ -11,7 +11,7 @@ import pytest
 
 from firmware_tools.cli.app import app
 from firmware_tools.virtual.process import BoardProcess
-from tagid.cli.frame import serve
+from tagid.cli.common.frame import serve
 from tests.firmware.conftest import CONFIG, PASSKEY, Wire
 
 Run = Callable[..., tuple[int, dict[str, Any]]]

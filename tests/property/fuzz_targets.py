@@ -18,8 +18,9 @@ import numpy as np
 from tagid.capture import Capture, Pulse
 from tagid.constants import RANGE_STEP_M
 from tagid.errors import TagidError
+from tagid.metadata import RadarInfo, RadarSettings
 from tagid.radar.assembler import MAX_PENDING, MAX_READY, ScanAssembler
-from tagid.radar.emulator_core import EmulatorCore
+from tagid.radar.emulation.core import EmulatorCore
 from tagid.radar.framing import Framing, StreamDecoder, frame
 from tagid.radar.messages import MAX_PACKET_BYTES, MAX_SAMPLES_PER_SCAN, MessageType, decode, encode
 from tagid.radar.scan_info import read_fragment, scan_packets
@@ -27,9 +28,9 @@ from tagid.radar.settings import RadarConfig
 from tagid.storage.exporters import export
 from tagid.storage.importers import read_any
 from tagid.storage.journal import JournalWriter
-from tagid.tags.detector import Contract
-from tagid.tags.layout import Layout, builtin_layouts, layout_from_dict
-from tagid.tags.layout_file import layouts_to_toml, read_layouts
+from tagid.tags.layouts.layout import Layout, builtin_layouts, layout_from_dict
+from tagid.tags.layouts.layout_file import layouts_to_toml, read_layouts
+from tagid.tags.network.detector import Contract
 
 CONFIG = RadarConfig(scan_start_ps=10_000, scan_stop_ps=45_000)
 
@@ -174,7 +175,9 @@ def example(bins: int = 96, views: int = 4) -> Capture:
         radar_time_ms=20.0 * np.arange(views),
         scan_id=np.arange(views),
         pulse=Pulse(np.ones(5), 1e-11),
-        radar={"config": {"base_integration_index": 11}, "detection_lists": ["1: 4 5"], "node_id": 7},
+        radar=RadarInfo(
+            config=RadarSettings(base_integration_index=11), detection_lists=("1: 4 5",), node_id=7
+        ),
     )
 
 
@@ -186,7 +189,7 @@ def encoded(suffix: str, capture: Capture | None = None) -> bytes:
     if suffix != ".tagid.journal":
         export(capture, path)
     else:
-        header = {"range_start_m": 1.5, "range_step_m": RANGE_STEP_M, "radar": capture.radar}
+        header = {"range_start_m": 1.5, "range_step_m": RANGE_STEP_M, "radar": capture.radar.to_json()}
         with JournalWriter(path, header, sync_every=0) as journal:
             for number, row in enumerate(capture.samples):
                 journal.append(number, number, float(number), row)

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tagid.radar.assembler import MAX_PENDING, MAX_READY, Scan, ScanAssembler
-from tagid.radar.emulator_core import EmulatorCore
+from tagid.radar.emulation.core import EmulatorCore
 from tagid.radar.messages import MAX_SAMPLES_PER_SCAN, MalformedMessage, MessageType, decode, encode
 from tagid.radar.scan_info import Fragment, read_fragment, scan_packets
 from tagid.radar.settings import RadarConfig

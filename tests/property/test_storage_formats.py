@@ -15,6 +15,15 @@ from hypothesis.extra import numpy as npst
 
 from tagid.capture import Capture, Pulse
 from tagid.errors import TagidError
+from tagid.metadata import (
+    MotionInfo,
+    ObjectInfo,
+    RadarInfo,
+    RadarSettings,
+    ResolvedMotion,
+    ScanGap,
+    Track,
+)
 from tagid.storage.exporters import export
 from tagid.storage.importers import read_any
 from tagid.storage.recordings import encode_recording
@@ -22,8 +31,13 @@ from tagid.storage.recordings import encode_recording
 NUMBER = st.floats(-1e12, 1e12)
 POSITIVE = st.floats(1e-9, 1e12)
 INT64 = st.integers(-(2**63), 2**63 - 1)
+NAMES = {
+    field.name
+    for kind in (RadarInfo, RadarSettings, MotionInfo, ResolvedMotion, ObjectInfo)
+    for field in fields(kind)
+}
 JSON = st.dictionaries(
-    st.text(max_size=9),
+    st.text(max_size=9).filter(lambda key: key not in NAMES),
     st.recursive(
         st.none() | st.booleans() | INT64 | st.floats(allow_nan=False, allow_infinity=False) | st.text(),
         lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner, max_size=3),
@@ -31,6 +45,30 @@ JSON = st.dictionaries(
     ),
     max_size=4,
 )
+
+
+TEXT = st.none() | st.text(max_size=9)
+WHOLE = st.none() | st.integers(-(2**40), 2**40)
+REAL = st.none() | st.floats(-1e9, 1e9)
+GAPS = st.lists(st.builds(ScanGap, st.integers(0, 99), st.floats(0, 9), st.text(max_size=5), st.booleans()))
+SETTINGS = st.builds(RadarSettings, scan_start_ps=WHOLE, transmit_gain=WHOLE, extra=JSON)
+RADAR = st.builds(
+    RadarInfo, source=TEXT, serial=TEXT | WHOLE, config=st.none() | SETTINGS, cable_delay_ps=REAL,
+    statistics=st.none() | st.dictionaries(st.text(max_size=5), st.integers(0, 99)),
+    gaps=GAPS.map(tuple), window_actual_ps=st.none() | st.tuples(st.integers(), st.integers()), extra=JSON,
+)  # fmt: skip
+RESOLVED = st.builds(
+    ResolvedMotion, kind=TEXT, period_s=REAL, harmonic_ambiguous=st.none() | st.booleans(),
+    unexplained=st.none() | st.dictionaries(st.text(max_size=3), st.floats(0, 1)), extra=JSON,
+)  # fmt: skip
+TRACK = st.lists(st.tuples(INT64, st.floats(-9, 9), st.floats(0, 1)), max_size=3).map(
+    lambda readings: Track.of(readings, {"kind": "roomba"})
+)
+MOTION = st.builds(
+    MotionInfo, url=TEXT, nominal_rpm=REAL, resolved=st.none() | RESOLVED, track=st.none() | TRACK, extra=JSON
+)
+OBJECT = st.builds(ObjectInfo, label=TEXT, note=TEXT, demo=st.none() | st.booleans(), extra=JSON)
+"""Metadata with fields that are known and keys that no field has."""
 
 
 @st.composite
@@ -69,9 +107,9 @@ def captures(draw: st.DrawFn) -> Capture:
         center_frequency_hz=draw(POSITIVE),
         bandwidth_hz=draw(POSITIVE),
         pulse=None if pulse is None else Pulse(pulse, draw(POSITIVE)),
-        radar=draw(JSON),
-        motion=draw(JSON),
-        object=draw(JSON),
+        radar=draw(RADAR),
+        motion=draw(MOTION),
+        object=draw(OBJECT),
         complete=draw(st.booleans()),
     )
 
@@ -116,7 +154,7 @@ def test_recording_written_and_read_and_written(
         0.01,
         scan_id=first_id + np.arange(views),
         radar_time_ms=first_ms + 22.0 * np.arange(views),
-        radar={"config": {"scan_start_ps": start_ps, "scan_stop_ps": start_ps + 1000}},
+        radar=RadarInfo(config=RadarSettings(scan_start_ps=start_ps, scan_stop_ps=start_ps + 1000)),
     )
     data = encode_recording(capture)
     with tempfile.TemporaryDirectory() as folder:

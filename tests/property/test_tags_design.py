@@ -11,13 +11,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tagid.errors import UsageError
-from tagid.tags.capacity import capacity, confusion_rate
-from tagid.tags.cliques import SearchTooLongError, _Search, exact_clique, farthest_set, least_of
-from tagid.tags.codebook import all_distances, best_pairing, best_places, rotational_distance
-from tagid.tags.design import DesignRules, candidates, design, distance_matrix
-from tagid.tags.layout import Layout, rotation_matrix
-from tagid.tags.necklaces import mirrored, necklaces, occupied
-from tagid.tags.objects import Row, TaggedObject, object_named
+from tagid.tags.layouts.capacity import capacity, confusion_rate
+from tagid.tags.layouts.cliques import SearchTooLongError, _Search, exact_clique, farthest_set, least_of
+from tagid.tags.layouts.codebook import all_distances, best_pairing, best_places, rotational_distance
+from tagid.tags.layouts.design import DesignRules, candidates, design, distance_matrix
+from tagid.tags.layouts.layout import Layout, rotation_matrix
+from tagid.tags.layouts.necklaces import mirrored, necklaces, occupied
+from tagid.tags.layouts.objects import Row, TaggedObject, object_named
 
 HELMET = object_named("helmet")
 NAMES = st.integers(0, 10**6)

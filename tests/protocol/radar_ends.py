@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from tagid.radar.emulator import SerialEmulator, ServeOptions, UdpEmulator
-from tagid.radar.emulator_core import EmulatorCore
-from tagid.radar.faults import Faults
-from tagid.radar.firmware import Firmware, Identity
+from tagid.radar.emulation.core import EmulatorCore
+from tagid.radar.emulation.emulator import SerialEmulator, ServeOptions, UdpEmulator
+from tagid.radar.emulation.faults import Faults
+from tagid.radar.emulation.firmware import Firmware, Identity
 from tagid.radar.framing import Framing
 from tagid.radar.settings import RadarConfig
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from tagid.errors import DeviceError, DeviceRejectedError, DeviceTimeoutError, UsageError
-from tagid.radar.emulator_core import EmulatorCore, Identity
-from tagid.radar.faults import Faults
-from tagid.radar.memory import MemoryLink
+from tagid.radar.emulation.core import EmulatorCore, Identity
+from tagid.radar.emulation.faults import Faults
+from tagid.radar.emulation.memory import MemoryLink
 from tagid.radar.messages import MessageType, Status, decode, encode
 from tagid.radar.p440 import P440
 from tagid.radar.settings import RadarConfig

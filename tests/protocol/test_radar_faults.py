@@ -14,18 +14,19 @@ import pytest
 from radar_ends import THREE_FRAGMENTS, check, core, numbered, pty, udp
 
 from tagid.errors import DeviceError, DeviceGoneError, DeviceRejectedError, DeviceRestartedError
+from tagid.metadata import ScanGap
 from tagid.radar import p440
-from tagid.radar.devices import open_link, open_radar
-from tagid.radar.emulator_core import EmulatorCore
-from tagid.radar.firmware import Firmware, Identity
+from tagid.radar.emulation.core import EmulatorCore
+from tagid.radar.emulation.firmware import Firmware, Identity
 from tagid.radar.framing import Framing, frame
 from tagid.radar.links import UdpLink
 from tagid.radar.messages import MessageType, decode, encode
 from tagid.radar.p440 import P440
-from tagid.radar.resume import Gap, steady_scans
+from tagid.radar.resume import steady_scans
 from tagid.radar.scan_info import SCAN_INFO_HEAD, read_fragment
 from tagid.radar.settings import RadarConfig
-from tagid.sources import Sources
+from tagid.radar.urls import open_link
+from tagid.recording.radars import open_radar
 
 T = MessageType
 WIRES = pytest.mark.parametrize("wire", ["udp", "usb", "uart"])
@@ -126,7 +127,7 @@ def test_a_serial_radar_left_scanning_is_stopped_and_drained(framing: Framing) -
         os.write(killed, frame(encode(T.CONTROL_REQUEST, 40, scan_count=65_535), framing))
         assert len(os.read(killed, 3000)) > 0
         os.close(killed)  # without a word; the rest of a frame waits in the line
-        with open_radar(device.url, Sources()) as radar:
+        with open_radar(device.url) as radar:
             got = list(radar.scans(50))
             check(got, got[0].scan_id, radar.config.samples)
             assert (len(got), radar.statistics.lost_scans) == (50, 0)
@@ -149,7 +150,7 @@ def test_a_client_that_comes_back_to_its_port_is_not_confused_by_its_old_scans()
 def test_a_confirm_behind_residual_scans_ends_the_run(wire: str) -> None:
     with (
         radar_on(wire, core(Firmware(residual_scans=7))) as device,
-        open_radar(device.url, Sources()) as radar,
+        open_radar(device.url) as radar,
     ):
         for _ in range(3):
             run = radar.scans()
@@ -164,7 +165,7 @@ def test_a_confirm_behind_residual_scans_ends_the_run(wire: str) -> None:
 @WIRES
 def test_a_reboot_in_the_middle_is_told_and_the_scans_go_on_after_it(wire: str) -> None:
     the_core = core(identity=Identity(boot_s=0.3))
-    with radar_on(wire, the_core, rate=1.0) as device, open_radar(device.url, Sources(), 0.5) as radar:
+    with radar_on(wire, the_core, rate=1.0) as device, open_radar(device.url, 0.5) as radar:
         config = radar.set_config(RadarConfig(12_000, 17_000, base_integration_index=6))
         run = radar.scans()
         next(run)
@@ -173,7 +174,7 @@ def test_a_reboot_in_the_middle_is_told_and_the_scans_go_on_after_it(wire: str) 
             list(run)
         assert the_core.config != config  # flash does not know our settings
         radar.set_config(config)
-        gaps: list[Gap] = []
+        gaps: list[ScanGap] = []
         got = []
         for scan in steady_scans(radar, on_gap=gaps.append):
             got.append(scan)
@@ -196,7 +197,7 @@ def test_a_reboot_is_waited_for_where_the_port_vanishes_and_ready_info_is_lost(
     the_core = core(identity=Identity(boot_s=0.4))
     with (
         pty(link=tmp_path / "radar", the_core=the_core, rate=1.0) as device,
-        open_radar(device.url, Sources(), 0.5) as radar,
+        open_radar(device.url, 0.5) as radar,
     ):
         kept = radar.set_config(RadarConfig(12_000, 17_000, base_integration_index=6, persist=1))
         timers = [threading.Timer(0.1, device.unplug), threading.Timer(0.8, device.plug)]
@@ -208,7 +209,7 @@ def test_a_reboot_is_waited_for_where_the_port_vanishes_and_ready_info_is_lost(
             timer.join()
 
 
-def check_joined(got: list, gap: Gap, config: RadarConfig) -> None:
+def check_joined(got: list, gap: ScanGap, config: RadarConfig) -> None:
     """Numbers and clock rise, the gap is as wide in both, then comes the radar's new run."""
     ids = np.array([scan.scan_id for scan in got])
     clock = np.array([scan.radar_time_ms for scan in got])
@@ -224,9 +225,9 @@ def check_joined(got: list, gap: Gap, config: RadarConfig) -> None:
 @pytest.mark.parametrize("framing", list(Framing))
 def test_scans_go_on_after_the_plug_was_out(tmp_path, framing: Framing) -> None:
     link = tmp_path / "radar"
-    with pty(framing, rate=1.0, link=link) as device, open_radar(device.url, Sources(), 0.5) as radar:
+    with pty(framing, rate=1.0, link=link) as device, open_radar(device.url, 0.5) as radar:
         config = radar.set_config(RadarConfig(12_000, 17_000, base_integration_index=6))
-        gaps: list[Gap] = []
+        gaps: list[ScanGap] = []
         got = []
         for scan in steady_scans(radar, on_gap=gaps.append):
             got.append(scan)
@@ -245,7 +246,7 @@ def test_scans_go_on_after_the_plug_was_out(tmp_path, framing: Framing) -> None:
 def test_scans_go_on_after_a_radar_was_silent_for_a_while() -> None:
     """Nothing for 0.9 s where 0.3 s are too long: asked once more, the radar is there again."""
     with udp(rate=1.0) as device, P440(UdpLink(*device.address), timeout=0.3) as radar:
-        gaps: list[Gap] = []
+        gaps: list[ScanGap] = []
         got = []
         for scan in steady_scans(radar, on_gap=gaps.append):
             got.append(scan)
@@ -261,7 +262,7 @@ def test_scans_go_on_after_a_radar_was_silent_for_a_while() -> None:
 
 def test_a_plug_that_stays_out_ends_the_run_with_what_happened(tmp_path) -> None:
     link = tmp_path / "radar"
-    with pty(link=link) as device, open_radar(device.url, Sources(), 0.2) as radar:
+    with pty(link=link) as device, open_radar(device.url, 0.2) as radar:
         run = steady_scans(radar, resume_s=0.3)
         next(run)
         device.unplug()
@@ -272,7 +273,7 @@ def test_a_plug_that_stays_out_ends_the_run_with_what_happened(tmp_path) -> None
 
 def test_a_radar_that_comes_back_with_other_settings_is_not_recorded() -> None:
     the_core = core(identity=Identity(boot_s=0.1))
-    with udp(the_core, rate=1.0) as device, open_radar(device.url, Sources(), 0.5) as radar:
+    with udp(the_core, rate=1.0) as device, open_radar(device.url, 0.5) as radar:
         run = steady_scans(radar)
         next(run)
         device.order(lambda: setattr(the_core, "_firmware", Firmware(window_step_ps=7_000)))
@@ -286,14 +287,14 @@ def test_a_sleeping_radar_in_the_wrong_mode_is_woken_and_set(wire: str) -> None:
     the_core = core()
     the_core.handle(encode(T.SET_OPMODE_REQUEST, 1, mode=0))
     the_core.handle(encode(T.SET_SLEEPMODE_REQUEST, 2, mode=4))
-    with radar_on(wire, the_core) as device, open_radar(device.url, Sources()) as radar:
+    with radar_on(wire, the_core) as device, open_radar(device.url) as radar:
         assert (radar.get_opmode(), radar.get_sleep_mode()) == (1, 0)
         assert len(list(radar.scans(10))) == 10
 
 
 @WIRES
 def test_f10c_is_explained(wire: str) -> None:
-    with radar_on(wire) as device, open_radar(device.url, Sources()) as radar:
+    with radar_on(wire) as device, open_radar(device.url) as radar:
         with pytest.raises(DeviceRejectedError, match="GET_FILTER_REQUEST: message type not recognised"):
             radar._talk.request(T.GET_FILTER_REQUEST)
         assert len(list(radar.scans(5))) == 5
@@ -320,7 +321,7 @@ def test_ids_and_clock_wrap_unnoticed(wire: str) -> None:
     """The clock is 50 ms before 2^32 ms, the ids 30 before 65536."""
     with (
         radar_on(wire, core(booted_s=4294967.296 - 0.05)) as device,
-        open_radar(device.url, Sources()) as radar,
+        open_radar(device.url) as radar,
     ):
         radar._talk.next_id = 65_506
         got = list(radar.scans(200))
@@ -337,7 +338,7 @@ def test_ids_and_clock_wrap_unnoticed(wire: str) -> None:
 def test_settings_quantised_otherwise_are_read_back_and_lead(wire: str) -> None:
     with (
         radar_on(wire, core(Firmware(window_step_ps=4_000))) as device,
-        open_radar(device.url, Sources()) as radar,
+        open_radar(device.url) as radar,
     ):
         asked = RadarConfig(13_000, 18_500, base_integration_index=6)
         taken = radar.set_config(asked)

@@ -10,19 +10,19 @@ import pytest
 from radar_ends import THREE_FRAGMENTS, check, core, pty
 
 from tagid.errors import DeviceError, DeviceGoneError, DeviceTimeoutError, PortInUseError
-from tagid.radar.devices import open_link, open_radar
 from tagid.radar.discovery import discover
-from tagid.radar.firmware import Firmware, Identity
+from tagid.radar.emulation.firmware import Firmware, Identity
 from tagid.radar.framing import Framing
 from tagid.radar.p440 import P440
-from tagid.sources import Sources
+from tagid.radar.urls import open_link
+from tagid.recording.radars import open_radar
 
 BOTH = pytest.mark.parametrize("framing", list(Framing))
 
 
 @BOTH
 def test_settings_and_scans_come_over_a_serial_port(framing: Framing) -> None:
-    with pty(framing) as device, open_radar(device.url, Sources()) as radar:
+    with pty(framing) as device, open_radar(device.url) as radar:
         assert radar.status().serial == 0x440
         taken = radar.set_config(THREE_FRAGMENTS)
         assert taken == THREE_FRAGMENTS.quantised()
@@ -36,7 +36,7 @@ def test_settings_and_scans_come_over_a_serial_port(framing: Framing) -> None:
 @BOTH
 def test_noise_on_the_line_costs_only_what_it_hits(framing: Framing) -> None:
     """Garbage before frames, sync words in it, and half a frame: everything else arrives."""
-    with pty(framing) as device, open_radar(device.url, Sources(), 0.5) as radar:
+    with pty(framing) as device, open_radar(device.url, 0.5) as radar:
         radar.set_config(THREE_FRAGMENTS)
         run = radar.scans(40)
         got = [next(run)]
@@ -52,7 +52,7 @@ def test_noise_on_the_line_costs_only_what_it_hits(framing: Framing) -> None:
 
 def test_a_slow_uart_paces_the_scans_and_is_not_taken_for_silence() -> None:
     """At 115200 baud one message takes 127 ms, far longer than the scan itself."""
-    from tagid.radar.emulator import SerialEmulator, ServeOptions
+    from tagid.radar.emulation.emulator import SerialEmulator, ServeOptions
 
     emulator = SerialEmulator(core(), ServeOptions(rate=1.0), Framing.UART, baud=115_200)
     with emulator as device, P440(open_link(device.url)(), timeout=0.2) as radar:
@@ -65,20 +65,20 @@ def test_a_slow_uart_paces_the_scans_and_is_not_taken_for_silence() -> None:
 @BOTH
 def test_old_firmware_is_understood_over_the_wire(framing: Framing) -> None:
     firmware = Firmware(status_bytes=32, sleep_confirm_bytes=8)
-    with pty(framing, core(firmware)) as device, open_radar(device.url, Sources()) as radar:
+    with pty(framing, core(firmware)) as device, open_radar(device.url) as radar:
         assert radar.get_sleep_mode() == 0
         status = radar.status()
         assert (status.serial, status.package, status.temperature_c) == (0x440, "", 41.25)
 
 
 def test_a_port_that_is_taken_missing_or_no_port_is_named(tmp_path: Path) -> None:
-    with pty() as device, open_radar(device.url, Sources()), pytest.raises(PortInUseError):
-        open_radar(device.url, Sources())
+    with pty() as device, open_radar(device.url), pytest.raises(PortInUseError):
+        open_radar(device.url)
     with pytest.raises(DeviceGoneError, match="no serial port"):
-        open_radar(f"serial://{tmp_path}/ttyACM7", Sources())
+        open_radar(f"serial://{tmp_path}/ttyACM7")
     (tmp_path / "file").write_bytes(b"x")
     with pytest.raises(DeviceError) as caught:
-        open_radar(f"serial://{tmp_path}/file", Sources())
+        open_radar(f"serial://{tmp_path}/file")
     assert caught.value.remedy
 
 
@@ -94,7 +94,7 @@ def test_a_serial_port_without_a_radar_stays_silent() -> None:
 
 
 def test_pulling_the_plug_is_told_apart_from_silence() -> None:
-    with pty() as device, open_radar(device.url, Sources()) as radar:
+    with pty() as device, open_radar(device.url) as radar:
         run = radar.scans()
         next(run)
         device.unplug()

@@ -12,16 +12,16 @@ import numpy as np
 import pytest
 
 from tagid.errors import DeviceError, DeviceTimeoutError, PortInUseError, TagidError, UsageError
-from tagid.radar.devices import open_radar
-from tagid.radar.emulator import ServeOptions, UdpEmulator, serve_udp
-from tagid.radar.emulator_core import EmulatorCore
-from tagid.radar.faults import Faults
-from tagid.radar.firmware import SERVER_ONLY
+from tagid.radar.emulation.core import EmulatorCore
+from tagid.radar.emulation.emulator import ServeOptions, UdpEmulator, serve_udp
+from tagid.radar.emulation.faults import Faults
+from tagid.radar.emulation.firmware import SERVER_ONLY
+from tagid.radar.emulation.sources import RecordingSource, ScanSource
 from tagid.radar.links import UdpLink
 from tagid.radar.messages import CONFIG_DTYPE, SCAN_INFO_DTYPE, MessageType, decode, encode
 from tagid.radar.p440 import P440
 from tagid.radar.settings import RadarConfig
-from tagid.radar.sources import RecordingSource, ScanSource
+from tagid.recording.radars import open_radar
 
 T = MessageType
 ROOT = Path(os.environ.get("TAGID_SHARED", Path(__file__).resolve().parents[2].parent / "shared"))
@@ -258,7 +258,7 @@ def test_a_real_recording_comes_over_the_wire_sample_for_sample(path: Path) -> N
     assert wire == path.read_bytes()[32:]
 
 
-class Sources:
+class Seen:
     def recording(self, path: Path, loop: bool) -> RecordingSource:
         config = RadarConfig().quantised()
         return RecordingSource(np.stack([expected(i, config) for i in range(7)]), config, loop=loop)
@@ -268,17 +268,19 @@ class Sources:
         return Noise()
 
 
-def test_urls_open_the_same_client() -> None:
-    with open_radar("replay://some/file.tagid.h5", Sources()) as radar:
+def test_urls_open_the_same_client(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tagid.recording.radars.emulated_recording", Seen().recording)
+    monkeypatch.setattr("tagid.recording.radars.emulated_scene", Seen().scene)
+    with open_radar("replay://some/file.tagid.h5") as radar:
         assert len(list(radar.scans())) == 7  # a replay ends by itself
         assert len(list(radar.scans())) == 7
-    with open_radar("replay://file?loop=1", Sources()) as radar:
+    with open_radar("replay://file?loop=1") as radar:
         got = list(radar.scans(20))
         np.testing.assert_array_equal(got[15].samples, got[1].samples)
         assert (np.diff([s.radar_time_ms for s in got]) > 0).all()
-    with open_radar("emulator://helmet-120?seed=1&rpm=2&rate=0", Sources()) as radar:
+    with open_radar("emulator://helmet-120?seed=1&rpm=2&rate=0") as radar:
         assert len(list(radar.scans(5))) == 5
-    with emulator() as device, open_radar(device.url, Sources()) as radar:
+    with emulator() as device, open_radar(device.url) as radar:
         assert len(list(radar.scans(5))) == 5
 
 
@@ -309,7 +311,7 @@ def test_urls_open_the_same_client() -> None:
 )
 def test_urls_that_cannot_work_say_what_does(url: str) -> None:
     with pytest.raises(UsageError) as caught:
-        open_radar(url, Sources())
+        open_radar(url)
     assert isinstance(caught.value, TagidError)
     assert caught.value.remedy
 

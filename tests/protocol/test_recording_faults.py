@@ -16,13 +16,13 @@ from radar_ends import core, numbered, pty, udp
 
 from tagid.capture import ViewFlag
 from tagid.errors import DiskFullError
-from tagid.intake import Intake, notes
 from tagid.motion.urls import open_motion
 from tagid.radar.assembler import Scan
-from tagid.radar.devices import open_radar
 from tagid.radar.settings import RadarConfig
-from tagid.recorder import RecordingPlan, Watch, record
-from tagid.sources import Sources
+from tagid.recording.intake import Intake, notes
+from tagid.recording.plan import RecordingPlan
+from tagid.recording.radars import open_radar
+from tagid.recording.recorder import Watch, record
 from tagid.storage.importers import read_any
 from tagid.storage.journal import JournalScan, JournalWriter, open_journal, read_journal
 from tagid.storage.journal_queue import JournalQueue
@@ -44,25 +44,25 @@ def test_a_recording_goes_on_after_the_plug_was_out_and_marks_the_gap(tmp_path: 
 
         plan = RecordingPlan(FAST, 1.0, scans=1100)
         path = tmp_path / "x.tagid.h5"
-        radar = open_radar(device.url, Sources(), 0.5)
+        radar = open_radar(device.url, 0.5)
         capture = record(radar, open_motion("free?rpm=6"), plan, path, Watch(progress))
     assert pulled.is_set()
     assert capture.complete
-    assert capture.radar["gap_count"] == 1
-    (gap,) = capture.radar["gaps"]
+    assert capture.radar.gap_count == 1
+    (gap,) = capture.radar.gaps
     (at,) = np.flatnonzero(capture.flags & ViewFlag.AFTER_GAP)
     assert capture.flags[at] & ViewFlag.AFTER_LOSS
-    assert gap["seconds"] >= 0.2
-    assert capture.scan_id[at - 1] == gap["after_scan"]
+    assert gap.seconds >= 0.2
+    assert capture.scan_id[at - 1] == gap.after_scan
     assert capture.radar_time_ms[at] - capture.radar_time_ms[at - 1] == pytest.approx(
-        gap["seconds"] * 1e3, abs=1
+        gap.seconds * 1e3, abs=1
     )
     for k in (0, at - 1):
         np.testing.assert_array_equal(capture.samples[k], numbered(k, 96))
     for k in (at, capture.views - 1):
         np.testing.assert_array_equal(capture.samples[k], numbered(k - at, 96))
     assert "was gone once" in notes(capture.radar)[0]
-    assert read_any(path).radar["gaps"] == capture.radar["gaps"]
+    assert read_any(path).radar.gaps == capture.radar.gaps
 
 
 def scan_of(index: int, samples: int = 1000) -> JournalScan:
@@ -101,7 +101,7 @@ class SlowDisk:
 
 def test_a_slow_disk_costs_counted_scans_and_never_memory(tmp_path: Path) -> None:
     """The disk stands still: the queue fills, then scans are dropped and counted; the rest is there."""
-    with udp() as device, open_radar(device.url, Sources()) as radar:
+    with udp() as device, open_radar(device.url) as radar:
         radar.set_config(FAST)
         disk = SlowDisk(tmp_path / "pipe")
         with JournalWriter(disk.path, HEADER) as journal:
@@ -112,14 +112,14 @@ def test_a_slow_disk_costs_counted_scans_and_never_memory(tmp_path: Path) -> Non
                     arrived.append(scan)
                     assert queue._bytes <= 200_000
                 disk.recover()
-            summary = intake.summary()
-            journal.close({"radar": summary})
+            summary = intake.counted()
+            journal.close({"radar": summary.to_json()})
     read = read_journal(disk.journal(tmp_path / "copy.tagid.journal"))
-    assert summary["scans_lost"] == 0
-    assert summary["scans_dropped"] == 2000 - len(read.scans) > 1000
+    assert summary.scans_lost == 0
+    assert summary.scans_dropped == 2000 - len(read.scans) > 1000
     assert len(arrived) == len(read.scans) == intake.scans_taken > 200
     assert read.summary is not None
-    assert read.summary["radar"]["scans_dropped"] == summary["scans_dropped"]
+    assert read.summary["radar"]["scans_dropped"] == summary.scans_dropped
     ids = [scan.scan_id for scan in read.scans]
     assert ids == sorted(set(ids))
     first = radar.statistics.complete_scans - 2000 + ids[0]

@@ -15,17 +15,17 @@ pytest.importorskip("bumble", reason="needs bumble: pip install 'tagid[virtual]'
 
 from firmware_tools.virtual.process import BoardProcess
 from tagid.errors import DeviceError, DeviceGoneError
-from tagid.motion.emulator.body import BodySettings
-from tagid.motion.emulator.host import RoombaHost, wait_until_still
+from tagid.motion.emulation.body import BodySettings
+from tagid.motion.emulation.host import RoombaHost, wait_until_still
 from tagid.motion.roomba.device import Roomba
 from tagid.motion.roomba.messages import Mode
 from tagid.motion.tables.index import IndexTable
 from tagid.motion.urls import open_motion
-from tagid.radar.devices import open_radar
-from tagid.recorder import RecordingPlan, Watch, record
-from tagid.sources import Sources
+from tagid.pipeline.turn import resolve_turn
+from tagid.recording.plan import RecordingPlan
+from tagid.recording.radars import open_radar
+from tagid.recording.recorder import Watch, record
 from tagid.storage.importers import read_any
-from tagid.turn import resolve_turn
 
 pytestmark = pytest.mark.realtime
 
@@ -133,7 +133,7 @@ def test_links_cut_at_random_moments(
     for drive in range(6 * CUTS):
         motion = robot(board)
         path = tmp_path / f"{drive}.tagid.h5"
-        radar = open_radar(f"emulator://helmet-120?rate=1&turned_by={host.truth.address}", Sources())
+        radar = open_radar(f"emulator://helmet-120?rate=1&turned_by={host.truth.address}")
         cutter = Cutter(board, motion, rng.uniform(0.05, 0.35))
         plan = RecordingPlan(None, 1.0, motion="roomba+ble://robot-1", scans=20_000)
         with pytest.raises(DeviceError) as error:

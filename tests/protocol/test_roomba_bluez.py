@@ -18,7 +18,7 @@ if shutil.which("dbus-daemon") is None:
     pytest.skip("needs dbus-daemon (apt install dbus)", allow_module_level=True)
 
 from tagid.errors import DeviceError
-from tagid.motion.emulator.host import RoombaHost, wait_until_still
+from tagid.motion.emulation.host import RoombaHost, wait_until_still
 from tagid.motion.roomba.device import Roomba
 from tagid.motion.roomba.messages import Mode
 from tagid.motion.urls import open_motion

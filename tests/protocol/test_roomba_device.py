@@ -14,17 +14,17 @@ import serial
 
 from tagid.errors import DeviceError, DeviceGoneError, DeviceTimeoutError, PortInUseError
 from tagid.motion.device import MotionStoppedError
-from tagid.motion.emulator.body import BodySettings
-from tagid.motion.emulator.host import RoombaHost, happen, wait_until_still
-from tagid.motion.emulator.roomba import World
+from tagid.motion.emulation.body import BodySettings
+from tagid.motion.emulation.host import RoombaHost, happen, wait_until_still
+from tagid.motion.emulation.roomba import World
 from tagid.motion.roomba.device import Roomba
 from tagid.motion.roomba.messages import Mode
 from tagid.motion.urls import open_motion
-from tagid.radar.devices import open_radar
-from tagid.recorder import RecordingPlan, record
-from tagid.sources import Sources
+from tagid.pipeline.turn import resolve_turn
+from tagid.recording.plan import RecordingPlan
+from tagid.recording.radars import open_radar
+from tagid.recording.recorder import record
 from tagid.storage.importers import read_any
-from tagid.turn import resolve_turn
 
 pytestmark = pytest.mark.realtime
 
@@ -79,7 +79,7 @@ def test_what_happens_to_it_ends_the_recording_with_its_cause(
     host: RoombaHost, tmp_path: Path, event: str, cause: str
 ) -> None:
     motion = robot_at(host, "?step=3")
-    radar = open_radar(f"emulator://helmet-120?rate=1&turned_by={host.truth.address}", Sources())
+    radar = open_radar(f"emulator://helmet-120?rate=1&turned_by={host.truth.address}")
 
     def later() -> None:
         turned(motion, 0.3)
@@ -99,7 +99,7 @@ def test_what_happens_to_it_ends_the_recording_with_its_cause(
 
 
 def _watch() -> object:
-    from tagid.recorder import Watch
+    from tagid.recording.recorder import Watch
 
     return Watch(resolve=resolve_turn)
 
@@ -200,7 +200,7 @@ def test_no_permission(host: RoombaHost) -> None:
 
 def test_a_radar_that_fails_leaves_a_robot_that_stands(host: RoombaHost, tmp_path: Path) -> None:
     """The radar's packets stop in the middle of the turn."""
-    radar = open_radar(f"emulator://helmet-120?rate=1&turned_by={host.truth.address}", Sources(), 0.3)
+    radar = open_radar(f"emulator://helmet-120?rate=1&turned_by={host.truth.address}", 0.3)
     motion = robot_at(host, "?step=3")
 
     def silence() -> None:

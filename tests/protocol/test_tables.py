@@ -11,11 +11,11 @@ import pytest
 
 from tagid.errors import DeviceGoneError, DeviceRejectedError, DeviceTimeoutError, UsageError
 from tagid.motion.driven import DrivenMotion
-from tagid.motion.emulator.comxim import ComximCore
-from tagid.motion.emulator.gatt import GattPort
-from tagid.motion.emulator.pty import PtyPort
-from tagid.motion.emulator.revopoint import RevopointCore
-from tagid.motion.emulator.table import TurningTable
+from tagid.motion.emulation.comxim import ComximCore
+from tagid.motion.emulation.gatt import GattPort
+from tagid.motion.emulation.pty import PtyPort
+from tagid.motion.emulation.revopoint import RevopointCore
+from tagid.motion.emulation.table import TurningTable
 from tagid.motion.tables.revopoint import CHARACTERISTIC, SERVICE
 from tagid.motion.urls import open_motion
 

@@ -9,8 +9,9 @@ from tagid.batch.job import Job
 from tagid.batch.local import Results, Tasks
 from tagid.batch.work import work
 from tagid.config import load_config
-from tagid.pipeline import ImagingSettings
-from tagid.tags.layout import builtin_layouts
+from tagid.pipeline.load import LoadSettings
+from tagid.pipeline.settings import ImagingSettings
+from tagid.tags.layouts.layout import builtin_layouts
 
 OBJECTS = ("helmet-120", "container-90", "helmet-linear", "empty")
 
@@ -30,4 +31,4 @@ def in_this_process(tasks: Tasks, job: Job) -> Results:
 
 def a_job() -> Job:
     settings = ImagingSettings(method="bp", pixels=48)
-    return Job(settings, tuple(builtin_layouts().values()), 4, load_config())
+    return Job(settings, tuple(builtin_layouts().values()), 4, LoadSettings.of(load_config()))

@@ -96,7 +96,7 @@ def test_expectations_are_scored(make_report, captures: Path, tmp_path: Path) ->
 
 
 def read_layouts():
-    from tagid.tags.layout import builtin_layouts
+    from tagid.tags.layouts.layout import builtin_layouts
 
     return builtin_layouts().values()
 

@@ -10,7 +10,7 @@ import torch
 
 from tagid.errors import StorageError, UsageError
 from tagid.models_store import open_model
-from tagid.tags.detector import CELL_M, CELLS, MODEL, Contract, Detector
+from tagid.tags.network.detector import CELL_M, CELLS, MODEL, Contract, Detector
 from train.dataset import MOST_REFLECTORS, Plan, Samples, build, load, make_shard
 from train.distributions import Distribution
 from train.evaluate import Figures, score
@@ -124,7 +124,7 @@ def test_an_exported_network_says_what_torch_says(few: Samples, tmp_path: Path) 
 
 
 def test_each_reflector_is_hit_once() -> None:
-    from tagid.tags.detector import Detection
+    from tagid.tags.network.detector import Detection
 
     truth = np.full((MOST_REFLECTORS, 2), np.nan)
     truth[0], truth[1] = (0.05, 0.0), (-0.05, 0.0)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from tagid.capture import Capture, Pulse
+from tagid.metadata import MotionInfo, ObjectInfo, RadarInfo, RadarSettings
 
 
 def capture(**changes: Any) -> Capture:
@@ -28,9 +29,9 @@ def capture(**changes: Any) -> Capture:
         "center_frequency_hz": 4e9,
         "bandwidth_hz": 1.5e9,
         "pulse": Pulse(rng.standard_normal(31), 3.8e-12),
-        "radar": {"config": {"transmit_gain": 63}, "text": "é日本"},
-        "motion": {"rpm": 2.0},
-        "object": {"label": "helmet 7"},
+        "radar": RadarInfo(config=RadarSettings(transmit_gain=63), extra={"text": "é日本"}),
+        "motion": MotionInfo(nominal_rpm=2.0),
+        "object": ObjectInfo(label="helmet 7"),
         "complete": False,
     }
     return Capture(**{**values, **changes})
@@ -54,4 +55,4 @@ BARE = dict.fromkeys(("angles_rad", "angle_sigma_rad", "axis_distance_m", "host_
 COMPLEX = {"samples": (np.arange(360).reshape(9, 40) * (1 - 2j)).astype(np.complex64)}
 FLOAT = {"samples": np.linspace(-1, 1, 360, dtype=np.float32).reshape(9, 40)}
 TINY = {**BARE, "samples": np.ones((1, 1), np.int32), "radar_time_ms": None, "scan_id": None, "flags": None}
-LONG = {"radar": {"notes": "x" * 300_000}}
+LONG = {"radar": RadarInfo(extra={"notes": "x" * 300_000})}

@@ -9,7 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tagid.calibration import (
+from tagid.capture import Capture, Pulse, ViewFlag
+from tagid.constants import RANGE_STEP_M, SAMPLE_STEP_S, SPEED_OF_LIGHT
+from tagid.errors import DataError, UsageError
+from tagid.metadata import RadarInfo, RadarSettings
+from tagid.radar.emulation.core import EmulatorCore
+from tagid.radar.emulation.memory import MemoryLink
+from tagid.radar.p440 import P440
+from tagid.radar.settings import RadarConfig
+from tagid.recording.calibration import (
     calibration_window,
     estimate_delay,
     make_reference,
@@ -17,14 +25,7 @@ from tagid.calibration import (
     take_scans,
     without_background,
 )
-from tagid.capture import Capture, Pulse, ViewFlag
-from tagid.constants import RANGE_STEP_M, SAMPLE_STEP_S, SPEED_OF_LIGHT
-from tagid.errors import DataError, UsageError
-from tagid.radar.emulator_core import EmulatorCore
-from tagid.radar.memory import MemoryLink
-from tagid.radar.p440 import P440
-from tagid.radar.settings import RadarConfig
-from tagid.sources import Sources
+from tagid.recording.sources import emulated_scene
 from tagid.waveform import nominal_pulse, pulse_at
 
 DISTANCE = 2.0
@@ -48,7 +49,7 @@ def capture(
         settings["scan_start_ps"] * 1e-12 * SPEED_OF_LIGHT / 2,
         RANGE_STEP_M,
         flags=np.array([ViewFlag.FIRST] + [0] * (scans - 1), np.uint8),
-        radar={"config": settings, "cable_delay_ps": 0.0},
+        radar=RadarInfo(config=RadarSettings(**settings), cable_delay_ps=0.0),
     )
 
 
@@ -80,7 +81,7 @@ def test_the_empty_scene_is_taken_off() -> None:
     """Leakage ten times the target, right where its echo would be with less delay."""
     leakage = 50_000 * echo(15_000.0)
     empty = make_reference(capture(leakage, seed=2))
-    assert empty.radar["reference"]["noise_std"] == pytest.approx(120, rel=0.05)
+    assert empty.radar.reference.noise_std == pytest.approx(120, rel=0.05)
     both = capture(leakage + 5000 * echo(2e12 * DISTANCE / SPEED_OF_LIGHT + DELAY_PS))
     alone = estimate_delay(both, DISTANCE)
     assert abs(alone.delay_ps - DELAY_PS) > 5000  # the leakage was taken for the target
@@ -116,11 +117,11 @@ def test_the_reference_fits_a_window_that_starts_elsewhere() -> None:
     there = replace(
         there,
         range_start_m=other.range_start_m(DELAY_PS),
-        radar={**there.radar, "cable_delay_ps": DELAY_PS},
+        radar=replace(there.radar, cable_delay_ps=DELAY_PS),
     )
     left = without_background(there, reference)
     assert np.abs(left.samples).max() < 0.005 * np.abs(scene).max()
-    assert left.radar["background_reference"]["uuid"] == reference.uuid
+    assert left.radar.background_reference.uuid == reference.uuid
     with pytest.raises(DataError, match="transmit_gain"):
         without_background(capture(wide, transmit_gain=9), reference)
     late = capture(wide, **asdict(replace(other, scan_start_ps=60_000, scan_stop_ps=90_000)))
@@ -129,13 +130,13 @@ def test_the_reference_fits_a_window_that_starts_elsewhere() -> None:
 
 
 def test_through_the_radar_with_cables() -> None:
-    source = Sources().scene(
+    source = emulated_scene(
         "corner", {"axis_distance": "2", "rpm": "0", "seed": "3", "cable_delay": str(DELAY_PS)}
     )
     with P440(MemoryLink(EmulatorCore(source, CONFIG))) as radar:
         scans = take_scans(radar, 64)
     assert scans.samples.shape == (64, CONFIG.samples)
-    assert scans.radar["config"]["scan_start_ps"] == CONFIG.scan_start_ps
+    assert scans.radar.config.scan_start_ps == CONFIG.scan_start_ps
     found = estimate_delay(scans, DISTANCE)
     assert found.delay_ps == pytest.approx(DELAY_PS, abs=60)  # the room's echoes run into its own
 

@@ -4,9 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from tagid.config import load_config
+from tagid.config import change_file, load_config
 from tagid.errors import ConfigError, StorageError
-from tagid.storage.settings import change_file
 
 
 @pytest.fixture(autouse=True)

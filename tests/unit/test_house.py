@@ -13,40 +13,123 @@ ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = ROOT / "tagid"
 FILES = sorted(PACKAGE.rglob("*.py"))
 
-LEVELS = (
-    {"errors", "constants", "interrupts", "__init__"},
-    {"geometry", "capture", "config", "waveform", "ports"},
-    {"imaging", "tags", "storage", "radar", "motion", "simulate", "models_store"},
-    {"pipeline", "report", "doctor", "result", "sources", "inspection", "turn", "identification"}
-    | {"recorder", "long_recording", "intake", "calibration", "monitoring"},
-    {"batch", "defaults"},
+LAYERS = (
     {"cli", "__main__"},
+    {"batch"},
+    {"report", "doctor"},
+    {"pipeline", "recording"},
+    {"simulate"},
+    {"tags"},
+    {"imaging"},
+    {"angles", "motion", "radar", "storage"},
+    {"capture", "metadata", "geometry", "waveform", "signal", "files", "config", "result", "ports"}
+    | {"models_store", "interrupts"},
+    {"constants", "errors", "__init__"},
 )
-LEVEL_OF = {name: level for level, names in enumerate(LEVELS) for name in names}
+"""The layers of docs/architecture.md, from the top; a room imports from its own layer and those below."""
+LAYER_OF = {name: len(LAYERS) - number for number, names in enumerate(LAYERS) for name in names}
 
 
-def part(path: Path) -> str:
-    return path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+def module_name(path: Path) -> str:
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+MODULES = {module_name(path): path for path in FILES}
+
+
+def imported_modules(path: Path) -> set[str]:
+    """Modules of the package that a file imports, at any depth of its code."""
+    found: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        names: list[str] = []
+        if isinstance(node, ast.ImportFrom) and node.module and not node.level:
+            # `from tagid import x` imports the module x where there is one, else a name of the index.
+            inner = [f"{node.module}.{alias.name}" for alias in node.names]
+            names = [name if name in MODULES else node.module for name in inner]
+        elif isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        found |= {name for name in names if name in MODULES}
+    return found - {module_name(path)}
+
+
+def room_of(module: str) -> str:
+    """The file or folder directly below the package that holds a module."""
+    return module.split(".")[1] if "." in module else "__init__"
+
+
+def folder_of(module: str) -> str:
+    """The folder that holds a module; a package itself is its folder."""
+    return module if MODULES[module].name == "__init__.py" else module.rpartition(".")[0]
+
+
+def upward(graph: dict[str, set[str]]) -> list[str]:
+    """Imports of a room by one that stands below it."""
+    return [
+        f"{module} imports {other}, which stands above it"
+        for module, others in sorted(graph.items())
+        for other in sorted(others)
+        if LAYER_OF[room_of(other)] > LAYER_OF[room_of(module)]
+    ]
+
+
+def loops(graph: dict[str, set[str]]) -> list[str]:
+    """Circles between folders; the loose files of the package's own folder count one by one."""
+    edges: dict[str, set[str]] = {}
+    for module, others in graph.items():
+        places = [m if folder_of(m) == "tagid" else folder_of(m) for m in (module, *others)]
+        edges.setdefault(places[0], set()).update(set(places[1:]) - {places[0]})
+    found: list[str] = []
+    done: set[str] = set()
+
+    def visit(place: str, trail: tuple[str, ...]) -> None:
+        if place in trail:
+            found.append(" -> ".join((*trail[trail.index(place) :], place)))
+        elif place not in done:
+            for other in sorted(edges.get(place, ())):
+                visit(other, (*trail, place))
+            done.add(place)
+
+    for place in sorted(edges):
+        visit(place, ())
+    return found
+
+
+GRAPH = {module: imported_modules(path) for module, path in MODULES.items()}
+
+
+def test_every_room_has_a_place_in_the_plan() -> None:
+    assert {room_of(module) for module in MODULES} <= set(LAYER_OF)
+
+
+def test_imports_run_one_way() -> None:
+    assert upward({m: others - {"tagid"} for m, others in GRAPH.items() if m != "tagid"}) == []
+
+
+def test_no_folder_imports_another_in_a_circle() -> None:
+    assert loops({m: others - {"tagid"} for m, others in GRAPH.items() if m != "tagid"}) == []
+
+
+def test_a_lazy_upward_import_and_a_circle_would_be_found() -> None:
+    """The checks above are worth nothing if they see nothing."""
+    bent = {**GRAPH, "tagid.storage.npz": GRAPH["tagid.storage.npz"] | {"tagid.tags.layouts.layout"}}
+    assert any("tagid.storage.npz imports" in line for line in upward(bent))
+    bent = {**GRAPH, "tagid.radar.p440": GRAPH["tagid.radar.p440"] | {"tagid.radar.emulation.core"}}
+    assert any("tagid.radar.emulation" in line for line in loops(bent))
+    assert "tagid.pipeline.identify" in GRAPH["tagid.cli.identify"]  # imported inside of a function
 
 
 def imported_parts(tree: ast.AST) -> set[str]:
+    """Rooms that a file imports from."""
     found = set()
     for node in ast.walk(tree):
         if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("tagid."):
             found.add(node.module.split(".")[1])
         elif isinstance(node, ast.ImportFrom) and node.module == "tagid":
-            found |= {alias.name for alias in node.names if alias.name in LEVEL_OF}
+            found |= {alias.name for alias in node.names if alias.name in LAYER_OF}
         elif isinstance(node, ast.Import):
             found |= {a.name.split(".")[1] for a in node.names if a.name.startswith("tagid.")}
     return found
-
-
-@pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(ROOT)))
-def test_imports_run_one_way(path: Path) -> None:
-    own = part(path)
-    for other in imported_parts(ast.parse(path.read_text())):
-        assert other in LEVEL_OF, f"{other} has no place in the plan"
-        assert LEVEL_OF[other] <= LEVEL_OF[own], f"{own} imports {other}, which stands above it"
 
 
 @pytest.mark.parametrize("name", ["radar", "motion"])
@@ -73,7 +156,7 @@ def test_the_firmware_and_its_tools_are_imported_late() -> None:
 @pytest.mark.parametrize("path", sorted((ROOT / "firmware_tools").rglob("*.py")), ids=lambda p: p.name)
 def test_every_file_of_the_firmware_says_why_it_exists(path: Path) -> None:
     text = path.read_text()
-    assert ast.get_docstring(ast.parse(text)) and text.count("\n") <= 400
+    assert ast.get_docstring(ast.parse(text)) and text.count("\n") <= 600
 
 
 def test_torch_is_imported_only_where_it_belongs() -> None:
@@ -108,4 +191,4 @@ def test_every_module_says_why_it_exists_and_stays_readable(path: Path) -> None:
     text = path.read_text()
     if path.name != "__init__.py":
         assert ast.get_docstring(ast.parse(text)), "no docstring"
-    assert text.count("\n") <= 400, "split by meaning"
+    assert text.count("\n") <= 600, "more than one thought"

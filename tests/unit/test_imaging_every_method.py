@@ -14,11 +14,12 @@ from tagid.geometry import Aperture, ImageGrid
 from tagid.imaging import memory
 from tagid.imaging.ats.problem import view_subsets
 from tagid.imaging.ats.settings import AtsSettings
-from tagid.imaging.methods import METHODS, make_image
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.imaging.restore import restore
 from tagid.imaging.types import BasebandScans
-from tagid.pipeline import ImagingSettings, reconstruct
+from tagid.pipeline.methods import METHODS, make_image
+from tagid.pipeline.reconstruct import reconstruct
+from tagid.pipeline.settings import ImagingSettings
 from tagid.simulate import Acquisition, ConductingCylinder, Scene, simulate_capture
 
 GRID = ImageGrid(0.4, 56)

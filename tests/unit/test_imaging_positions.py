@@ -14,7 +14,9 @@ from tagid.imaging.metrics import localise, pick_peaks
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.imaging.rangefocus import focus_delay, is_straight
 from tagid.imaging.region import choose_region
-from tagid.pipeline import METHODS, ImagingSettings, prepare, reconstruct
+from tagid.pipeline.prepared import prepare
+from tagid.pipeline.reconstruct import reconstruct
+from tagid.pipeline.settings import METHODS, ImagingSettings
 from tests.unit.imaging_scenes import STEP_M, analytic_echo, record, turn
 
 POINTS = np.array([[-0.6, 2.3], [0.5, 3.6]])

@@ -12,8 +12,9 @@ import pytest
 
 from tagid.capture import Capture
 from tagid.constants import RANGE_STEP_M, SAMPLE_STEP_S
-from tagid.inspection import inspect, noise_power_of
-from tagid.report.curves import analytic
+from tagid.metadata import MotionInfo, RadarInfo, RadarSettings, ResolvedMotion
+from tagid.recording.curves import analytic
+from tagid.recording.inspection import inspect, noise_power_of
 
 BINS = 576
 
@@ -65,15 +66,15 @@ def test_clipping_by_the_integration_index() -> None:
     samples = np.zeros((10, 96), np.int32)
     samples[0, :5], samples[1, :3] = 127 * 2**11, -127 * 2**11
     samples[2, :] = 127 * 2**11 - 1
-    known = capture_of(samples, radar={"base_integration_index": 11})
+    known = capture_of(samples, radar=RadarInfo(config=RadarSettings(base_integration_index=11)))
     assert inspect(known).clipped_fraction == 8 / 960
     assert inspect(replace(known, samples=samples.astype(np.float32))).clipped_fraction == 8 / 960
 
 
-@pytest.mark.parametrize("index", [None, "11", 400, -3, True])
-def test_clipping_without_a_usable_index(index: object) -> None:
+@pytest.mark.parametrize("index", [None, 400, -3])
+def test_clipping_without_a_usable_index(index: int | None) -> None:
     samples = np.arange(960, dtype=np.int32).reshape(10, 96)
-    radar = {"base_integration_index": index}
+    radar = RadarInfo(config=RadarSettings(base_integration_index=index))
     assert inspect(capture_of(samples, radar=radar)).clipped_fraction == 0
     flat = np.minimum(samples, 949)  # 949..959 became 949
     assert inspect(capture_of(flat, radar=radar)).clipped_fraction == 11 / 960
@@ -88,9 +89,9 @@ def test_lost_scans_and_rate() -> None:
     assert summary.lost_scans == 4
     assert summary.scan_rate_hz == pytest.approx(1 / 0.021573, rel=0.01)
     assert summary.duration_s == pytest.approx(9 * 0.021573, abs=1e-3)
-    unnumbered = replace(capture, scan_id=None, radar={"scans_lost": 3})
+    unnumbered = replace(capture, scan_id=None, radar=RadarInfo(scans_lost=3))
     assert inspect(unnumbered).lost_scans == 3
-    assert inspect(replace(unnumbered, radar={})).lost_scans is None
+    assert inspect(replace(unnumbered, radar=RadarInfo())).lost_scans is None
     no_clock = inspect(replace(capture, radar_time_ms=None))
     assert (no_clock.scan_rate_hz, no_clock.duration_s) == (None, None)
 
@@ -144,7 +145,12 @@ def test_the_period_of_a_turning_object_is_found() -> None:
 
 
 @pytest.mark.parametrize(
-    "known", [{"motion": {"rpm": 10.0}}, {"motion": {"period_s": 6.1}}, {"angles": True}]
+    "known",
+    [
+        {"motion": MotionInfo(nominal_rpm=10.0)},
+        {"motion": MotionInfo(resolved=ResolvedMotion(period_s=6.1))},
+        {"angles": True},
+    ],
 )
 def test_a_known_speed_takes_the_doubt_away(known: dict[str, object]) -> None:
     capture = turning(2.5)
@@ -160,17 +166,19 @@ def test_a_period_found_in_the_same_scans_is_no_second_witness() -> None:
     capture = turning(2.5)
     assert capture.radar_time_ms is not None
     angles = 2 * np.pi * capture.radar_time_ms / 6e3
-    found = {"source": "data", "period_s": 6.0, "nominal_rpm": None}
-    summary = inspect(replace(capture, motion=found, angles_rad=angles, axis_distance_m=5.0))
+    found = ResolvedMotion(source="data", period_s=6.0)
+    motion = MotionInfo(resolved=found)
+    summary = inspect(replace(capture, motion=motion, angles_rad=angles, axis_distance_m=5.0))
     assert "1/n" in summary.period_note
-    told = inspect(replace(capture, motion={**found, "nominal_rpm": 10.0}))
+    told = inspect(replace(capture, motion=MotionInfo(resolved=replace(found, nominal_rpm=10.0))))
     assert told.period_s == pytest.approx(6.0, rel=5e-3)
     assert "1/n" not in told.period_note
 
 
-@pytest.mark.parametrize("broken", ["rpm", -3, 0, True, float("nan"), [1]])
-def test_a_senseless_speed_in_the_file_is_ignored(broken: object) -> None:
-    assert inspect(replace(turning(1.5), motion={"rpm": broken})).period_s == pytest.approx(6.0, rel=5e-3)
+@pytest.mark.parametrize("broken", [-3.0, 0.0, 1e9])
+def test_a_senseless_speed_in_the_file_is_ignored(broken: float) -> None:
+    motion = MotionInfo(nominal_rpm=broken)
+    assert inspect(replace(turning(1.5), motion=motion)).period_s == pytest.approx(6.0, rel=5e-3)
 
 
 def test_less_than_a_turn_gives_a_reason_instead_of_a_period() -> None:

@@ -13,7 +13,7 @@ from PIL import Image
 from tagid.errors import UsageError
 from tagid.report.drafting import Circle, Drawing, Line, Text, page_tiles, room, to_pdf, to_png, to_svg
 from tagid.report.layout_sheet import bands, in_terminal, plan, stacked, strip, template
-from tagid.tags.layout import builtin_layouts
+from tagid.tags.layouts.layout import builtin_layouts
 
 LAYOUTS = builtin_layouts()
 

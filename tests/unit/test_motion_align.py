@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tagid.angles.align import align, even_times, lower_edge
+from tagid.angles.clock import fit_clock
+from tagid.angles.measured import measured_angles, turn_in_own_angle
+from tagid.angles.period import find_period
 from tagid.errors import ConfigError, DataError
-from tagid.motion.align import align, even_times, lower_edge
+from tagid.metadata import ResolvedMotion, Track
 from tagid.motion.calibration import Calibration, recall, remember, wheel_base_from
-from tagid.motion.clock import fit_clock
-from tagid.motion.device import Track
-from tagid.motion.measured import measured_angles, turn_in_own_angle
-from tagid.motion.period import find_period
 from tagid.radar.settings import RadarConfig
 from tagid.simulate import Acquisition, TurningScene, scene_from_name
 from tagid.simulate.scene import Scene
@@ -119,7 +119,7 @@ def test_a_scan_scales_its_own_angles() -> None:
     arrivals = EPOCH_NS + (times * 1e9).astype(np.int64)
     angles = measured_angles(scans_over(true), fit_clock(np.floor(times * 1e3)), arrivals, track)
     assert np.abs(angles.angles_rad - true).max() < np.radians(1.5)
-    assert angles.info["checked_by_radar"] and angles.info["quality"] > 0.8
+    assert angles.info.checked_by_radar and angles.info.quality > 0.8
     robot, found = wheel_base_from(angles.info)
     # The robot thinks that it turned less than it did: its wheels are nearer together than it thinks.
     assert (robot, found.wheel_base_mm) == ("r", pytest.approx(0.92 * 235, rel=2e-3))
@@ -148,4 +148,4 @@ def test_a_robot_is_remembered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     with pytest.raises(ConfigError, match="damaged"):
         recall("/dev/x")
     with pytest.raises(DataError, match="did not see"):
-        wheel_base_from({"checked_by_radar": False, "reason": "no period"})
+        wheel_base_from(ResolvedMotion(checked_by_radar=False, reason="no period"))

@@ -7,10 +7,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tagid.angles.clock import fit_clock
+from tagid.angles.views import average_into_views, select_views
 from tagid.capture import Capture
 from tagid.errors import DataError, UsageError
-from tagid.motion import FreeTurntable, average_into_views, fit_clock, open_motion, select_views
-from tagid.motion.resolve import clock_of, one_turn, with_angles
+from tagid.motion.turntable import FreeTurntable
+from tagid.motion.urls import open_motion
+from tagid.pipeline.resolve import clock_of, one_turn, with_angles
 from tagid.simulate import Acquisition, Scene, simulate_capture
 
 SCAN_S = 0.021573
@@ -141,7 +144,7 @@ def test_recording_resolves_to_one_turn_of_right_angles(direction: int) -> None:
     assert (error[1:] < 5 * resolved.angle_sigma_rad[1:]).all()
     assert resolved.angle_sigma_rad[0] == 0
     assert (np.diff(resolved.angle_sigma_rad) >= 0).all()
-    assert resolved.motion["resolved"]["source"] == "data"
+    assert resolved.motion.resolved.source == "data"
     turn = one_turn(resolved, 360)
     assert turn.views == 360
     assert one_turn(resolved, 500).views == 400

@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from tagid.angles.clock import fit_clock
+from tagid.angles.period import PeriodEstimate, find_period
 from tagid.errors import DataError
-from tagid.motion import FreeTurntable, PeriodEstimate, find_period, fit_clock
+from tagid.motion.turntable import FreeTurntable
 from tagid.simulate import Acquisition, Placement, Scene, Wobble, scene_from_name, simulate_capture
 from tagid.simulate.acquisition import Recording
 
@@ -182,8 +184,8 @@ def test_nominal_speed_is_used_and_told_where_the_data_show_no_period() -> None:
     samples = np.random.default_rng(0).standard_normal((600, 64)).astype(np.float32)
     times = np.arange(600) * 0.05
     angles = FreeTurntable(rpm=2.4, direction=-1).resolve(samples, times)
-    assert angles.info["source"] == "nominal"
-    assert angles.info["reason"]
+    assert angles.info.source == "nominal"
+    assert angles.info.reason
     np.testing.assert_allclose(angles.angles_rad, -2 * np.pi * times / 25.0)
     assert angles.sigma_rad[-1] == pytest.approx(0.01 * abs(angles.angles_rad[-1]))
     with pytest.raises(DataError):

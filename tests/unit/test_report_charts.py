@@ -12,8 +12,8 @@ from PIL import Image
 from tagid.capture import Capture
 from tagid.constants import RANGE_STEP_M, SAMPLE_STEP_S
 from tagid.errors import StorageError
+from tagid.recording.curves import RecordingCurves, analytic, slow_time
 from tagid.report.charts import draw_recording, resample_views
-from tagid.report.curves import RecordingCurves, analytic, slow_time
 
 
 def burst(bins: int, at: float, frequency_hz: float, width_bins: float = 12.0) -> np.ndarray:

@@ -246,7 +246,7 @@ def test_every_preset_renders() -> None:
             scene_from_name(name.replace("N", "7"), 2), Acquisition(views=8, snr_db=20)
         )
         assert np.abs(capture.samples).max() > 0
-        assert capture.object["scene"] == name.replace("N", "7")
+        assert capture.object.scene == name.replace("N", "7")
 
 
 @pytest.mark.parametrize("name", ["", "nonsense", "points-0", "points-999", "points-"])

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 from storage_samples import BARE, COMPLEX, FLOAT, FREE, LONG, TINY, assert_equal, capture
 
+from tagid import files
 from tagid.errors import DiskFullError, FileFormatError, StorageError, TagidError
-from tagid.storage import atomic
 from tagid.storage.hdf5 import read_capture, write_capture
-from tagid.storage.migrations import RawCapture, migrate
+from tagid.storage.migrations import FORMAT_VERSION, RawCapture, migrate
 
 
 @pytest.mark.parametrize("changes", [{}, FREE, BARE, COMPLEX, FLOAT, TINY, LONG, {"complete": True}])
@@ -30,7 +30,9 @@ def test_round_trip(tmp_path: Path, changes: dict[str, Any]) -> None:
 def test_layout_is_the_documented_one(tmp_path: Path) -> None:
     write_capture(tmp_path / "a", capture())
     with h5py.File(tmp_path / "a") as file:
-        assert file.attrs["format"] == b"tagid.capture" and int(file.attrs["format_version"]) == 1
+        assert (
+            file.attrs["format"] == b"tagid.capture" and int(file.attrs["format_version"]) == FORMAT_VERSION
+        )
         assert file["scans/samples"].fletcher32 and file["scans/samples"].compression == "gzip"
         np.testing.assert_array_equal(file["scans/samples"][()], capture().samples)
         np.testing.assert_array_equal(file["scans/angle_rad"][()], capture().angles_rad)
@@ -50,7 +52,7 @@ def test_failed_write_keeps_the_old_file(tmp_path: Path, monkeypatch: pytest.Mon
     def full(descriptor: int, data: Any) -> int:
         raise OSError(28, os.strerror(28))
 
-    monkeypatch.setattr(atomic.os, "write", full)
+    monkeypatch.setattr(files.os, "write", full)
     with pytest.raises(DiskFullError) as caught:
         write_capture(tmp_path / "a", capture(**FLOAT))
     monkeypatch.undo()

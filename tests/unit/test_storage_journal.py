@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from tagid.errors import DataError, DiskFullError, FileFormatError, StorageError
+from tagid.metadata import ObjectInfo, RadarInfo, RadarSettings
 from tagid.storage.journal import JournalWriter, read_journal
 from tagid.storage.journal_capture import journal_to_capture
 
@@ -51,11 +52,11 @@ def test_what_is_written_is_read_back(tmp_path: Path) -> None:
     np.testing.assert_array_equal(capture.host_time_ns, 10**18 + np.arange(7))
     np.testing.assert_array_equal(capture.radar_time_ms, 21.5 * np.arange(7))
     np.testing.assert_array_equal(capture.flags, np.arange(7))
-    assert capture.radar == {"config": {"base_integration_index": 11}, "scans_lost": 2}
+    assert capture.radar == RadarInfo(config=RadarSettings(base_integration_index=11), scans_lost=2)
     assert (capture.axis_distance_m, capture.uuid, capture.object) == (
         1.5,
         HEADER["uuid"],
-        {"label": "helmet"},
+        ObjectInfo(label="helmet"),
     )
 
 
@@ -94,7 +95,7 @@ def test_damage_in_the_middle_costs_only_the_damaged_record(tmp_path: Path) -> N
     journal = read_journal(tmp_path / "j")
     assert [s.scan_id for s in journal.scans] == [100, 101, 103, 104, 105]
     assert journal.bytes_dropped == record
-    assert journal_to_capture(journal).radar["journal_bytes_dropped"] == record
+    assert journal_to_capture(journal).radar.journal_bytes_dropped == record
 
 
 def test_hostile_length_takes_no_memory(tmp_path: Path) -> None:

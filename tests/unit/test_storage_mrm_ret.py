@@ -10,6 +10,7 @@ import pytest
 from tagid.capture import Capture
 from tagid.constants import RANGE_STEP_M, SPEED_OF_LIGHT
 from tagid.errors import DataError, FileFormatError, UsageError
+from tagid.metadata import RadarInfo, RadarSettings
 from tagid.storage.exporters import export
 from tagid.storage.importers import read_any, remarks
 from tagid.storage.recordings import encode_recording
@@ -46,19 +47,19 @@ def test_a_stale_config_line_gives_its_settings_but_not_its_window(tmp_path: Pat
     )
     capture = read_any(path)
     assert capture.range_start_m == pytest.approx(10_000e-12 * SPEED_OF_LIGHT / 2)
-    assert capture.radar["config_stale"] is True
-    assert capture.radar["window_requested_ps"] == [20_000, 50_000]
-    assert capture.radar["window_actual_ps"] == [10_000, STOP]
-    assert capture.radar["config"]["scan_start_ps"] == 10_000
-    assert capture.radar["config"]["base_integration_index"] == 12
+    assert capture.radar.config_stale is True
+    assert capture.radar.window_requested_ps == (20_000, 50_000)
+    assert capture.radar.window_actual_ps == (10_000, STOP)
+    assert capture.radar.config.scan_start_ps == 10_000
+    assert capture.radar.config.base_integration_index == 12
     assert any("stale" in text and "20000" in text for text in remarks(capture))
 
 
 def test_of_several_config_lines_the_one_that_fits_the_scans_is_taken(tmp_path: Path, samples) -> None:
     lines = [config(7, pii=9), config(7, 20_000, 50_000, pii=12), scan(0, samples[0]), config(7, pii=15)]
     capture = read_any(log(tmp_path / "a.csv", *lines))
-    assert capture.radar["config"]["base_integration_index"] == 9
-    assert capture.radar["config_stale"] is False
+    assert capture.radar.config.base_integration_index == 9
+    assert capture.radar.config_stale is False
     assert remarks(capture) == ()
 
 
@@ -75,16 +76,16 @@ def test_several_radars_are_told_apart(tmp_path: Path, samples) -> None:
     for node, rows, pii, start in ((101, [1, 3, 5], 9, 10_000), (102, [0, 2, 4], 13, 20_000)):
         capture = read_any(path, node=node)
         np.testing.assert_array_equal(capture.samples, samples[rows])
-        assert capture.radar["node_id"] == node
-        assert capture.radar["config"]["base_integration_index"] == pii
+        assert capture.radar.node_id == node
+        assert capture.radar.config.base_integration_index == pii
         assert capture.range_start_m == pytest.approx(start * 1e-12 * SPEED_OF_LIGHT / 2)
-        assert capture.radar["packets_ignored"] == 0
+        assert capture.radar.packets_ignored == 0
 
 
 def test_several_radars_in_one_recording(tmp_path: Path, samples) -> None:
     parts = []
     for node in (3, 4):
-        radar = {"node_id": node, "config": {"node_id": node}}
+        radar = RadarInfo(node_id=node, config=RadarSettings(node_id=node))
         one = Capture(samples + node, 1.5, RANGE_STEP_M, radar_time_ms=np.arange(6.0), radar=radar)
         parts.append(encode_recording(one))
     packets = [[data[i : i + 1452] for i in range(32, len(data), 1452)] for data in parts]
@@ -111,7 +112,7 @@ def test_a_log_cut_anywhere_keeps_whole_scans_and_counts_the_rest(tmp_path: Path
         assert capture.views == 6
         return
     np.testing.assert_array_equal(capture.samples, samples[:5])
-    assert capture.radar["bytes_left_over"] == last - 2 - cut
+    assert capture.radar.bytes_left_over == last - 2 - cut
     assert any(f"{last - 2 - cut} bytes" in text for text in remarks(capture))
 
 
@@ -121,7 +122,7 @@ def test_a_recording_cut_anywhere_says_what_was_left_over(tmp_path: Path, sample
     (tmp_path / "a.prd").write_bytes(data[:-cut])
     capture = read_any(tmp_path / "a.prd")
     np.testing.assert_array_equal(capture.samples, samples[: 6 - -(-cut // 1452)])
-    assert capture.radar["bytes_left_over"] == -cut % 1452
+    assert capture.radar.bytes_left_over == -cut % 1452
 
 
 def test_the_vendors_c_example_logs_without_reserved_columns(tmp_path: Path, samples) -> None:
@@ -144,25 +145,26 @@ def test_out_and_back_with_detection_lists(tmp_path: Path, samples) -> None:
         lines.append(f"{1_700_000_000 + i}.124, MrmDetectionListInfo, {i}, 2, {10 + i}, 500, 40, {i}")
     lines.append("1700000004.124, MrmDetectionListInfo, 3, 5, 1")  # cut off
     first = read_any(log(tmp_path / "a.csv", *lines))
-    assert first.radar["detection_lists"][1] == "1: 11 500, 40 1"
-    assert len(first.radar["detection_lists"]) == 4
+    assert first.radar.detection_lists[1] == "1: 11 500, 40 1"
+    assert len(first.radar.detection_lists) == 4
     export(first, tmp_path / "b.csv")
     again = read_any(tmp_path / "b.csv")
     np.testing.assert_array_equal(again.samples, samples[:4])
     np.testing.assert_array_equal(again.host_time_ns, first.host_time_ns)
     np.testing.assert_array_equal(again.radar_time_ms, first.radar_time_ms)
     for name in ("detection_lists", "config", "window_requested_ps", "window_actual_ps", "scan_info"):
-        assert again.radar[name] == first.radar[name], name
+        assert getattr(again.radar, name) == getattr(first.radar, name), name
     export(again, tmp_path / "c.csv")
     assert (tmp_path / "c.csv").read_bytes() == (tmp_path / "b.csv").read_bytes()
 
 
 def test_what_a_log_cannot_hold_leaves_no_file(tmp_path: Path, samples) -> None:
     times = {"radar_time_ms": np.arange(6.0)}
+    too_loud = RadarInfo(config=RadarSettings(transmit_gain=2**33))
     for capture, kind in (
         (Capture(samples.astype(np.float32), 0.0, 0.01, **times), UsageError),
         (Capture(samples, 0.0, 0.01), DataError),
-        (Capture(samples, 0.0, 0.01, radar={"config": {"transmit_gain": "x"}}, **times), DataError),
+        (Capture(samples, 0.0, 0.01, radar=too_loud, **times), DataError),
     ):
         with pytest.raises(kind):
             export(capture, tmp_path / "a.csv")

@@ -14,6 +14,7 @@ from scipy.io import loadmat
 from storage_samples import COMPLEX, FLOAT, FREE, TINY, assert_equal, capture
 
 from tagid.errors import FileFormatError, StorageError, UsageError
+from tagid.metadata import ObjectInfo
 from tagid.storage.exporters import export
 from tagid.storage.importers import read_any
 from tagid.storage.journal import JournalWriter
@@ -37,7 +38,7 @@ def test_generic_file_of_another_radar(tmp_path: Path) -> None:
     assert c.samples.dtype == np.float32 and c.samples.shape == (4, 6)
     np.testing.assert_array_equal(c.angles_rad, np.arange(4.0))
     assert (c.axis_distance_m, c.antenna_height_m, c.center_frequency_hz) == (1.5, 0.2, 6e9)
-    assert c.object == {"label": "box 3"} and c.complete
+    assert c.object == ObjectInfo(label="box 3") and c.complete
 
 
 @pytest.mark.parametrize(
@@ -69,7 +70,7 @@ def test_times_or_positions_instead_of_angles(tmp_path: Path) -> None:
     c = read_any(npz(tmp_path / "a.npz", ("angles_rad",), antenna_positions_m=np.ones((4, 3))))
     assert c.antenna_positions_m is not None and c.angles_rad is None
     c = read_any(npz(tmp_path / "a.npz", object='{"kind": "helmet"}', pulse=[0, 1, 0], pulse_step_s=1e-11))
-    assert c.object == {"kind": "helmet"} and c.pulse is not None and c.pulse.step == 1e-11
+    assert c.object == ObjectInfo(extra={"kind": "helmet"}) and c.pulse is not None and c.pulse.step == 1e-11
 
 
 def test_small_is_not_bad(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ import pytest
 from tagid.capture import Capture, ViewFlag
 from tagid.constants import RANGE_STEP_M, SPEED_OF_LIGHT
 from tagid.errors import DataError, FileFormatError, UsageError
+from tagid.metadata import RadarInfo, RadarSettings
 from tagid.radar.messages import CONFIG_DTYPE, SCAN_INFO_DTYPE
 from tagid.storage.assembly import unwrap
 from tagid.storage.exporters import export
@@ -67,7 +68,7 @@ def test_samples_ranges_and_unwrapped_counters(tmp_path: Path) -> None:
     assert capture.range_step_m == pytest.approx(RANGE_STEP_M)
     np.testing.assert_array_equal(capture.scan_id, 65_530 + np.arange(12))
     np.testing.assert_array_equal(capture.radar_time_ms, 2**32 - 100 + 22 * np.arange(12))
-    assert capture.radar["scans_lost"] == 0 and capture.radar["config"]["transmit_gain"] == 40
+    assert capture.radar.scans_lost == 0 and capture.radar.config.transmit_gain == 40
     assert capture.flags is not None and capture.flags[0] == ViewFlag.FIRST and not capture.flags[1:].any()
 
 
@@ -85,7 +86,7 @@ def test_lost_fragment_costs_its_scan_only(tmp_path: Path) -> None:
     del kept[3 * 4 + 1]  # a fragment of scan 4
     capture = read_recording(save(tmp_path / "a.out", data[:32] + b"".join(kept)))
     np.testing.assert_array_equal(capture.samples, np.delete(samples, 4, axis=0))
-    assert capture.radar["scans_lost"] == 1
+    assert capture.radar.scans_lost == 1
     assert capture.flags is not None
     assert np.flatnonzero(capture.flags & ViewFlag.AFTER_LOSS).tolist() == [4]
 
@@ -94,14 +95,14 @@ def test_whole_scans_lost_are_counted(tmp_path: Path) -> None:
     _, data = recording()
     kept = packets(data)
     capture = read_recording(save(tmp_path / "a.out", data[:32] + b"".join(kept[:9] + kept[18:])))
-    assert capture.views == 9 and capture.radar["scans_lost"] == 3
+    assert capture.views == 9 and capture.radar.scans_lost == 3
 
 
 def test_end_in_the_middle_of_a_packet(tmp_path: Path) -> None:
     samples, data = recording()
     capture = read_recording(save(tmp_path / "a.out", data[:-2000]))
     np.testing.assert_array_equal(capture.samples, samples[:-1])
-    assert capture.radar["scans_lost"] == 1
+    assert capture.radar.scans_lost == 1
 
 
 def test_order_repeats_and_foreign_packets_do_not_matter(tmp_path: Path) -> None:
@@ -114,7 +115,7 @@ def test_order_repeats_and_foreign_packets_do_not_matter(tmp_path: Path) -> None
     shuffled = data[:32] + b"".join([*kept[:5], kept[2], foreign, wrong, *kept[5:]])
     capture = read_recording(save(tmp_path / "a.out", shuffled))
     np.testing.assert_array_equal(capture.samples, samples)
-    assert capture.radar["scans_lost"] == 0 and capture.radar["packets_ignored"] == 2
+    assert capture.radar.scans_lost == 0 and capture.radar.packets_ignored == 2
 
 
 def test_two_runs_in_one_file_lose_nothing(tmp_path: Path) -> None:
@@ -124,7 +125,7 @@ def test_two_runs_in_one_file_lose_nothing(tmp_path: Path) -> None:
     _, second = recording(first_id=0)
     capture = read_recording(save(tmp_path / "a.out", data + second[32:]))
     np.testing.assert_array_equal(capture.samples, np.concatenate([samples, samples]))
-    assert capture.radar["scans_lost"] == 0
+    assert capture.radar.scans_lost == 0
 
 
 def test_clipped_views_are_marked(tmp_path: Path) -> None:
@@ -136,7 +137,7 @@ def test_clipped_views_are_marked(tmp_path: Path) -> None:
         1.0,
         RANGE_STEP_M,
         radar_time_ms=np.arange(3.0),
-        radar={"config": {"base_integration_index": 11}},
+        radar=RadarInfo(config=RadarSettings(base_integration_index=11)),
     )
     write_recording(tmp_path / "a.out", capture)
     again = read_recording(tmp_path / "a.out")
@@ -148,7 +149,7 @@ def test_clipped_views_are_marked(tmp_path: Path) -> None:
 def test_capture_from_elsewhere_keeps_its_ranges(tmp_path: Path, start: float) -> None:
     samples, _ = recording()
     capture = Capture(
-        samples, start, RANGE_STEP_M, radar_time_ms=np.arange(12.0), radar={"cable_delay_ps": 11_000}
+        samples, start, RANGE_STEP_M, radar_time_ms=np.arange(12.0), radar=RadarInfo(cable_delay_ps=11_000.0)
     )
     write_recording(tmp_path / "a.out", capture)
     again = read_recording(tmp_path / "a.out", cable_delay_ps=11_000)
@@ -164,8 +165,8 @@ def test_what_the_format_cannot_hold(tmp_path: Path) -> None:
         export(Capture(np.ones((2, 96), np.int32), 0.0, 0.01), tmp_path / "a.out")
     with pytest.raises(DataError, match="bins"):
         export(Capture(np.ones((2, 9000), np.int32), 0.0, 0.01, **times), tmp_path / "a.out")
-    for bad in ("x", 2**40, [1, 2], None, 1.5):
-        radar = {"config": {"transmit_gain": bad}}
+    for bad in (2**40, -1):
+        radar = RadarInfo(config=RadarSettings(transmit_gain=bad))
         with pytest.raises(DataError, match="transmit_gain"):
             export(Capture(np.ones((2, 96), np.int32), 0.0, 0.01, radar=radar, **times), tmp_path / "a.out")
     assert list(tmp_path.iterdir()) == []
@@ -201,7 +202,7 @@ class TestReal:
     @pytest.mark.parametrize("path", REAL, ids=lambda p: p.stem)
     def test_shape_and_byte_for_byte(self, path: Path, tmp_path: Path) -> None:
         capture = read_any(path)
-        assert capture.samples.shape == (200, 1152) and capture.radar["scans_lost"] == 0
+        assert capture.samples.shape == (200, 1152) and capture.radar.scans_lost == 0
         export(capture, tmp_path / "a.tagid.h5")
         export(read_any(tmp_path / "a.tagid.h5"), tmp_path / "b.out")
         assert (tmp_path / "b.out").read_bytes() == path.read_bytes()
@@ -247,7 +248,7 @@ def test_mrm_ret_log(tmp_path: Path) -> None:
     # The window of the Config line is stale: that of the scan lines counts.
     assert capture.range_start_m == pytest.approx(10_000e-12 * SPEED_OF_LIGHT / 2)
     assert capture.range_step_m == pytest.approx(RANGE_STEP_M)
-    assert capture.radar["scans_lost"] == 2 and capture.radar["config"]["base_integration_index"] == 12
+    assert capture.radar.scans_lost == 2 and capture.radar.config.base_integration_index == 12
     assert capture.host_time_ns is not None and capture.host_time_ns[1] == 1_700_000_001_123_000_000
     assert capture.radar_time_ms is not None and capture.radar_time_ms.tolist() == [1000, 1020, 1060, 1080]
     export(capture, tmp_path / "a.out")

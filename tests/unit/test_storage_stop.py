@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 from storage_samples import FLOAT, assert_equal, capture
 
-from tagid import interrupts
+from tagid import files, interrupts
 from tagid.errors import StorageError, TagidError
-from tagid.storage import atomic, hdf5
+from tagid.storage import hdf5
 from tagid.storage.hdf5 import growing_capture, read_capture, write_capture
 from tagid.storage.journal import JournalWriter
 from tagid.storage.journal_capture import write_captures
@@ -26,7 +26,7 @@ from tagid.storage.journal_capture import write_captures
 @pytest.fixture
 def unsynced(monkeypatch: pytest.MonkeyPatch) -> None:
     """No waiting for the disk, in tests that write hundreds of files and cut no power."""
-    monkeypatch.setattr(atomic.os, "fsync", lambda descriptor: None)
+    monkeypatch.setattr(files.os, "fsync", lambda descriptor: None)
 
 
 class Injected(BaseException):
@@ -37,7 +37,7 @@ def injecting(monkeypatch: pytest.MonkeyPatch, at: int, do: Callable[[], Any]) -
     """Call `do` in operation number `at` of every file that is written; returns the operations so far."""
     operations: list[str] = []
 
-    class Sabotaged(atomic.PatientFile):
+    class Sabotaged(files.PatientFile):
         def _try(self, work: Callable[[], Any]) -> Any:
             operations.append(sys._getframe(1).f_code.co_name)
             if len(operations) - 1 != at:
@@ -49,7 +49,7 @@ def injecting(monkeypatch: pytest.MonkeyPatch, at: int, do: Callable[[], Any]) -
 
             return super()._try(sabotaged)
 
-    monkeypatch.setattr(atomic, "PatientFile", Sabotaged)
+    monkeypatch.setattr(files, "PatientFile", Sabotaged)
     return operations
 
 
@@ -123,7 +123,7 @@ def test_signals_in_any_operation_leave_the_whole_file(
 
 
 def test_reads_of_appended_parts_may_fail_as_well(tmp_path: Path) -> None:
-    with atomic.replacing(tmp_path / "a") as stream:
+    with files.replacing(tmp_path / "a") as stream:
         stream.write(b"abc")
         stream.seek(0)
         stream.failure = Injected("reading")
@@ -140,7 +140,7 @@ def damaged_after_sync(monkeypatch: pytest.MonkeyPatch, damage: Callable[[Path],
     def forget(path: Path) -> None:
         damage(path)
 
-    monkeypatch.setattr(atomic, "forget_cached", forget)
+    monkeypatch.setattr(files, "forget_cached", forget)
 
 
 def flipped(path: Path, where: int) -> None:
@@ -248,8 +248,8 @@ def test_a_long_recording_is_read_back_part_by_part(tmp_path: Path, monkeypatch:
 KILLED = """
 import os, signal, sys
 from pathlib import Path
-from tagid.storage import atomic
-with atomic.replacing(Path(sys.argv[1])) as stream:
+from tagid import files
+with files.replacing(Path(sys.argv[1])) as stream:
     stream.write(b"half")
     if sys.argv[2] == "die":
         os.kill(os.getpid(), signal.SIGKILL)
@@ -281,7 +281,7 @@ def test_the_next_writer_clears_what_killed_ones_left_and_nothing_else(tmp_path:
     assert left.endswith(".tmp")
     with writer(tmp_path / "b", "wait") as alive:
         assert alive.stdout is not None and alive.stdout.readline() == "writing\n"
-        atomic.write_bytes(tmp_path / "c", b"whole")
+        files.write_bytes(tmp_path / "c", b"whole")
         names = {path.name for path in tmp_path.iterdir()}
         assert left not in names
         assert len(names - {*foreign, "c"}) == 1, "the file of the living writer"
@@ -293,7 +293,7 @@ def test_the_next_writer_clears_what_killed_ones_left_and_nothing_else(tmp_path:
 def test_a_file_taken_for_abandoned_before_its_lock_is_made_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    real = atomic._lock
+    real = files._lock
     stolen: list[str] = []
 
     def lock(descriptor: int) -> bool | None:
@@ -303,14 +303,14 @@ def test_a_file_taken_for_abandoned_before_its_lock_is_made_again(
             path.unlink()
         return real(descriptor)
 
-    monkeypatch.setattr(atomic, "_lock", lock)
-    atomic.write_bytes(tmp_path / "a", b"whole")
+    monkeypatch.setattr(files, "_lock", lock)
+    files.write_bytes(tmp_path / "a", b"whole")
     assert (tmp_path / "a").read_bytes() == b"whole" and len(list(tmp_path.iterdir())) == 1
 
 
 def test_what_is_raised_in_the_block_leaves_nothing(tmp_path: Path) -> None:
     for error in (Injected("x"), KeyboardInterrupt(), TagidError("x"), GeneratorExit()):
-        with pytest.raises(type(error)), atomic.replacing(tmp_path / "a") as stream:
+        with pytest.raises(type(error)), files.replacing(tmp_path / "a") as stream:
             stream.write(b"half")
             raise error
         assert list(tmp_path.iterdir()) == []

@@ -9,13 +9,13 @@ import pytest
 from tags_synthetic import synthetic_scans
 
 from tagid.errors import DataError
-from tagid.tags.aspect import TRANSPARENT, Appearance
-from tagid.tags.averaging import Sighting, average
-from tagid.tags.codebook import best_pairing, rotational_distance
-from tagid.tags.field import MatchedField
-from tagid.tags.layout import Layout, rotation_matrix
-from tagid.tags.precision import position_covariances
-from tagid.tags.reflectors import refine_positions
+from tagid.tags.enrolling.averaging import Sighting, average
+from tagid.tags.enrolling.precision import position_covariances
+from tagid.tags.layouts.codebook import best_pairing, rotational_distance
+from tagid.tags.layouts.layout import Layout, rotation_matrix
+from tagid.tags.reading.aspect import TRANSPARENT, Appearance
+from tagid.tags.reading.field import MatchedField
+from tagid.tags.reading.reflectors import refine_positions
 
 SCALENE = np.array([[0.1, 0.0], [-0.02, 0.06], [-0.05, -0.04]])
 

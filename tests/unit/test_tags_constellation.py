@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tagid.tags.constellation import read_constellation
-from tagid.tags.detector import Detection
-from tagid.tags.layout import Layout, builtin_layouts, rotation_matrix
+from tagid.tags.layouts.layout import Layout, builtin_layouts, rotation_matrix
+from tagid.tags.network.constellation import read_constellation
+from tagid.tags.network.detector import Detection
 
 LAYOUTS = list(builtin_layouts().values())
 

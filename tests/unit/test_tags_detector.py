@@ -17,9 +17,9 @@ from tagid.models_store import model_bytes, open_model
 from tagid.simulate.acquisition import Acquisition
 from tagid.simulate.capture import simulate_capture
 from tagid.simulate.scene import Scene
-from tagid.tags.detector import CELL_M, CELLS, MODEL, Contract, Detector, decode
-from tagid.tags.planes import GRID, NetworkInput
-from tagid.tags.second_look import look_again, shipped_detector
+from tagid.tags.network.detector import CELL_M, CELLS, MODEL, Contract, Detector, decode
+from tagid.tags.network.planes import GRID, NetworkInput
+from tagid.tags.network.second_look import look_again, shipped_detector
 
 CONTRACT = Contract(1.0, 0.0, 1.0, 0.0, 1.0, {"0.1": 0.5, "0.01": 0.9}, {})
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from tagid.errors import FileFormatError, StorageError, UsageError
-from tagid.tags.codebook import CONFUSABLE_M, confusable, rotational_distance
-from tagid.tags.layout import Layout, builtin_layouts, layout_from_dict, read_layout
+from tagid.tags.layouts.codebook import CONFUSABLE_M, confusable, rotational_distance
+from tagid.tags.layouts.layout import Layout, builtin_layouts, layout_from_dict, read_layout
 
 SCALENE = np.array([[0.1, 0.0], [-0.02, 0.06], [-0.05, -0.04]])
 

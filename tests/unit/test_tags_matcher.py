@@ -12,11 +12,11 @@ from tags_synthetic import synthetic_scans
 from tagid.errors import DataError, RegistryError
 from tagid.geometry import Aperture
 from tagid.imaging.types import BasebandScans
-from tagid.tags.field import MatchedField
-from tagid.tags.layout import Layout, builtin_layouts
-from tagid.tags.matcher import ReaderSettings, Reading, read_tag
-from tagid.tags.reflectors import find_reflectors
-from tagid.tags.views import fold_views
+from tagid.tags.layouts.layout import Layout, builtin_layouts
+from tagid.tags.reading.field import MatchedField
+from tagid.tags.reading.matcher import ReaderSettings, Reading, read_tag
+from tagid.tags.reading.reflectors import find_reflectors
+from tagid.tags.reading.views import fold_views
 
 LAYOUTS = builtin_layouts()
 ALL = list(LAYOUTS.values())

@@ -8,9 +8,16 @@ from tags_synthetic import synthetic_scans
 
 from tagid.errors import DataError, UsageError
 from tagid.imaging.types import BasebandScans
-from tagid.tags.decision import DecisionSettings, Evidence, chance, decide, least_preference, preference
-from tagid.tags.layout import Layout, builtin_layouts
-from tagid.tags.vote import read_together
+from tagid.tags.layouts.layout import Layout, builtin_layouts
+from tagid.tags.reading.decision import (
+    DecisionSettings,
+    Evidence,
+    chance,
+    decide,
+    least_preference,
+    preference,
+)
+from tagid.tags.reading.vote import read_together
 
 LAYOUTS = builtin_layouts()
 ALL = list(LAYOUTS.values())

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tagid.pipeline.turn import resolve_turn
 from tagid.simulate import Acquisition, scene_from_name, simulate_capture
-from tagid.turn import resolve_turn
 
 
 def recording(name: str, turns: float, seed: int, axis_error: float = 0.0):
@@ -24,17 +24,17 @@ def recording(name: str, turns: float, seed: int, axis_error: float = 0.0):
 @pytest.mark.parametrize("axis_error", [0.0, 0.015])
 def test_the_turn_is_found_without_a_speed(name: str, repetitions: int, axis_error: float) -> None:
     found = resolve_turn(recording(name, 1.3, 5, axis_error))
-    resolved = found.motion["resolved"]
-    assert resolved["repetitions_a_turn"] == repetitions
-    assert resolved["period_s"] == pytest.approx(30.0, rel=0.01)
+    resolved = found.motion.resolved
+    assert resolved.repetitions_a_turn == repetitions
+    assert resolved.period_s == pytest.approx(30.0, rel=0.01)
     assert found.angles_rad is not None
     assert np.ptp(found.angles_rad) == pytest.approx(1.3 * 2 * np.pi, rel=0.02)
 
 
 def test_a_speed_that_is_given_is_not_doubted() -> None:
     found = resolve_turn(recording("helmet-120", 1.3, 5), "free?rpm=2")
-    assert "repetitions_a_turn" not in found.motion["resolved"]
-    assert found.motion["resolved"]["period_s"] == pytest.approx(30.0, rel=0.01)
+    assert found.motion.resolved.repetitions_a_turn is None
+    assert found.motion.resolved.period_s == pytest.approx(30.0, rel=0.01)
 
 
 def test_angles_that_are_there_stay() -> None:

@@ -1,0 +1,166 @@
+"""The radar's scans and the motion's readings on one time axis, and what is left unexplained.
+
+Both reach this computer late, never early, so the true course of each clock is the lower edge of its arrival
+times (S. B. Moon, P. Skelly, D. Towsley, "Estimation and removal of clock skew from network delay
+measurements", IEEE INFOCOM 1999).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tagid.angles.clock import UniformClock
+from tagid.errors import DataError
+from tagid.metadata import Track
+
+Floats = NDArray[np.float64]
+
+_WINDOW: Final = 33
+"""Readings to both sides that the local edge of the motion's arrival times is taken from."""
+_MIN_SIGMA_S: Final = 1e-3
+"""Whole-millisecond stamps of the radar and of host clocks."""
+_UNEVEN: Final = 0.01
+"""How far the speed of a table that runs by itself may change from turn to turn, relative."""
+_GAP_S: Final = 0.1
+"""Beyond the first or last reading by more than this, an angle is a guess and its sigma says so."""
+
+
+@dataclass(frozen=True, eq=False)
+class Alignment:
+    """Angles of scans from a motion track.
+
+    Attributes:
+        angles_rad, sigma_rad: (scans,) at the scans, without the device's common scale error.
+        drift: how much faster the host's clock runs than the radar's, relative.
+        radar_residual_ms: RMS of the scans' arrival times after the clocks were aligned.
+        motion_residual_ms: the same of the motion's readings.
+        clock_sigma_s: standard deviation of the time between radar and motion, but for a constant.
+        outside: scans before the first or after the last reading.
+    """
+
+    angles_rad: Floats
+    sigma_rad: Floats
+    drift: float
+    radar_residual_ms: float
+    motion_residual_ms: float
+    clock_sigma_s: float
+    outside: int
+
+    def facts(self) -> dict[str, Any]:
+        """What the capture keeps of it."""
+        return {
+            "clock_drift_ppm": self.drift * 1e6,
+            "radar_arrival_residual_ms": self.radar_residual_ms,
+            "motion_arrival_residual_ms": self.motion_residual_ms,
+            "clock_sigma_ms": self.clock_sigma_s * 1e3,
+            "scans_outside_motion": self.outside,
+        }
+
+
+def lower_edge(times_s: Floats, arrivals_s: Floats) -> tuple[float, float]:
+    """(offset, slope) of the line below all arrivals that lies closest to them.
+
+    The sum of distances is least for the edge of the lower convex hull over the mean of the times.
+    """
+    if len(times_s) < 3 or np.ptp(times_s) <= 0:
+        return float(np.min(arrivals_s - times_s)), 1.0
+    hull: list[int] = []
+    for i in range(len(times_s)):
+        while len(hull) > 1:
+            a, b = hull[-2], hull[-1]
+            cross = (times_s[b] - times_s[a]) * (arrivals_s[i] - arrivals_s[a]) - (
+                arrivals_s[b] - arrivals_s[a]
+            ) * (times_s[i] - times_s[a])
+            if cross > 0:
+                break
+            hull.pop()
+        hull.append(i)
+    middle = float(np.mean(times_s))
+    right = max(1, int(np.searchsorted(times_s[hull], middle)))
+    a, b = hull[min(right, len(hull) - 1) - 1], hull[min(right, len(hull) - 1)]
+    slope = float((arrivals_s[b] - arrivals_s[a]) / (times_s[b] - times_s[a]))
+    return float(arrivals_s[a] - slope * times_s[a]), slope
+
+
+def even_times(arrivals_s: Floats, step_s: float) -> Floats:
+    """When readings of an even pace were taken, up to a constant: the edge of the arrivals nearby.
+
+    A reading that came late is moved to where its neighbours that came early say it belongs; a lost one
+    disturbs only half a second.
+    """
+    index = np.arange(len(arrivals_s)) * step_s
+    late = arrivals_s - index
+    padded = np.pad(late, _WINDOW, mode="edge")
+    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * _WINDOW + 1)
+    return np.asarray(np.maximum.accumulate(index + windows.min(axis=1)))
+
+
+def align(clock: UniformClock, host_time_ns: NDArray[np.int64], track: Track) -> Alignment:
+    """Angles of scans from a track.
+
+    Args:
+        clock: of the scans, from the radar's stamps.
+        host_time_ns: (scans,) when they arrived.
+        track: of the motion; at least two readings.
+
+    Raises:
+        DataError: no readings, or not one of them during the recording.
+    """
+    if len(track) < 2:
+        raise DataError(
+            f"the motion gave {len(track)} readings: the angles are not known",
+            "Take the period from the scans: --motion free.",
+        )
+    zero = int(host_time_ns[0])
+    arrivals = np.asarray((host_time_ns - zero) * 1e-9, dtype=np.float64)
+    offset, slope = lower_edge(clock.times_s, arrivals)
+    if abs(slope - 1) > 1e-2:
+        # Not a drift of a crystal: arrivals too few or too disturbed to tell it.
+        offset, slope = float(np.min(arrivals - clock.times_s)), 1.0
+    scan_times = offset + slope * clock.times_s
+    heard = np.asarray((track.host_time_ns - zero) * 1e-9, dtype=np.float64)
+    angles, spread = track.angles_rad, track.sigma_rad
+    step = track.info.get("step_s")
+    if isinstance(step, int | float) and step > 0:
+        taken = even_times(heard, float(step))
+    else:
+        order = np.argsort(heard, kind="stable")
+        heard, angles, spread = heard[order], angles[order], spread[order]
+        taken = heard
+    if scan_times[-1] < taken[0] or scan_times[0] > taken[-1]:
+        raise DataError(
+            "no scan was recorded while the motion was measured", "Check the clock of this computer."
+        )
+    motion_residual = float(np.sqrt(np.mean((heard - taken) ** 2)))
+    radar_residual = float(np.sqrt(np.mean((arrivals - scan_times) ** 2)))
+    # An edge found from n late arrivals with mean lateness m lies about m / n above the true one; that of the
+    # motion is found anew every half second.
+    lateness = float(np.mean(heard - taken))
+    clock_sigma = float(np.hypot(_MIN_SIGMA_S, 3 * lateness / np.sqrt(_WINDOW)) + clock.sigma_s)
+    if step is None:
+        clock_sigma = max(clock_sigma, float(track.info.get("stamp_sigma_s") or 0.0))
+    speed = np.abs(np.gradient(angles, taken)) if (np.diff(taken) > 0).all() else np.zeros(len(taken))
+    fastest = float(np.percentile(speed, 95)) if len(speed) else 0.0
+    beyond = np.maximum(np.maximum(taken[0] - scan_times, scan_times - taken[-1]), 0.0)
+    at = np.interp(scan_times, taken, angles)
+    if track.info.get("runs_on") and len(taken) > 2:
+        # A table that turns by itself was turning before the first reading, too, and goes on after the last.
+        first = (angles[1] - angles[0]) / (taken[1] - taken[0])
+        last = (angles[-1] - angles[-2]) / (taken[-1] - taken[-2])
+        at += np.minimum(scan_times - taken[0], 0) * first + np.maximum(scan_times - taken[-1], 0) * last
+        beyond = beyond * _UNEVEN
+    outside = int(np.count_nonzero(beyond > _GAP_S))
+    sigma = np.hypot(np.interp(scan_times, taken, spread), fastest * (clock_sigma + beyond))
+    return Alignment(
+        at,
+        np.asarray(sigma),
+        slope - 1,
+        radar_residual * 1e3,
+        motion_residual * 1e3,
+        clock_sigma,
+        outside,
+    )

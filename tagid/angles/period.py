@@ -1,0 +1,247 @@
+"""The rotation period, from the sinogram repeating itself after each turn.
+
+A target that looks the same after half a turn repeats twice a turn; that case is decided by a nominal period
+where there is one, and always reported.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tagid.angles.kinematics import kinematic_period
+from tagid.angles.sinogram import Autocorrelation, autocorrelate, uniform_grid
+from tagid.errors import DataError
+
+MIN_TURNS = 1.1
+"""Least record in turns: the overlap of a tenth of a turn is where chance likeness begins."""
+OVERLAP = 0.08
+"""Least overlap of a lag, as a fraction of the lag."""
+SIGNIFICANT = 6.0
+"""A repetition counts from this many standard deviations of chance likeness on."""
+JACKKNIFE_SCALE = 2.5
+"""Neighbouring groups of bins share their echoes, so the jackknife is too small by this (simulated)."""
+ACCEPT = 0.6
+"""Least quality of a period: likeness after a turn relative to what noise leaves of it."""
+RIVAL = 0.7
+"""A fraction of the period whose quality reaches this part of the period's own makes it ambiguous."""
+ALIKE = 0.9
+"""The first repetition of this part of the best one's likeness is the period."""
+MARKED = 0.98
+"""The same where a marker stands off the axis: what misses it is a few per cent less alike."""
+SLOWER = 1.5
+"""A period is doubted where the echoes move as if a turn took this many times as long."""
+NOMINAL_TOLERANCE = 0.15
+"""A nominal period is believed to 15 %."""
+
+
+@dataclass(frozen=True)
+class PeriodEstimate:
+    """A rotation period.
+
+    Attributes:
+        period_s: s a turn.
+        sigma_s: its standard deviation (jackknife over range bins), s.
+        quality: 0..1, likeness of the scans after a turn relative to what noise lets through.
+        turns: turns in the record.
+        multiple: turns of the lag that was measured (the longest available).
+        harmonic_ambiguous: the scans also repeat after a fraction of this period, or are clearly more alike
+            after twice this period, or move too slowly for it.
+        rivals_s: those other periods, s.
+    """
+
+    period_s: float
+    sigma_s: float
+    quality: float
+    turns: float
+    multiple: int = 1
+    harmonic_ambiguous: bool = False
+    rivals_s: tuple[float, ...] = ()
+
+
+def _refine(rho: NDArray[np.float64], peak: int, half_width: int) -> float:
+    """Vertex of the least-squares parabola through the samples around a peak, in lags."""
+    low, high = max(1, peak - half_width), min(len(rho), peak + half_width + 1)
+    lag = np.arange(low, high) - peak
+    if len(lag) < 3:
+        return float(peak)
+    a, b, _ = np.polyfit(lag, rho[low:high], 2)
+    if a >= 0:
+        return float(peak)
+    return float(peak + np.clip(-b / (2 * a), -half_width, half_width))
+
+
+def _lobe(rho: NDArray[np.float64], level: float) -> int:
+    """First lag at which the correlation is below a level: half the width of the main lobe."""
+    below = np.flatnonzero(rho < level)
+    return int(below[0]) if len(below) else len(rho)
+
+
+def _near(rho: NDArray[np.float64], lag: float, tolerance: float) -> tuple[int, float]:
+    """Strongest lag within a relative tolerance of a lag, and its value; (0, 0) where out of reach."""
+    low = max(1, int(np.floor(lag * (1 - tolerance))))
+    high = min(len(rho), int(np.ceil(lag * (1 + tolerance))) + 1)
+    if low >= high:
+        return 0, 0.0
+    k = low + int(np.argmax(rho[low:high]))
+    return k, float(rho[k])
+
+
+def _enough(ac: Autocorrelation) -> NDArray[np.float64]:
+    """(lags,) least correlation that counts as a repetition: alike enough, and not by chance.
+
+    Chance is judged on Fisher's z = artanh(rho), which is normal also for the few samples of a short overlap.
+    """
+    return np.maximum(ACCEPT * ac.coherence, np.tanh(SIGNIFICANT * ac.noise))
+
+
+def _first_turn(ac: Autocorrelation, rho: NDArray[np.float64], within: tuple[int, int], marker: bool) -> int:
+    """The smallest lag that is a peak nearly as high as the highest one; 0 where none is high enough."""
+    low, high = within
+    enough = _enough(ac)
+    inner = rho[low : high + 1]
+    if len(inner) < 3:
+        return 0
+    peaks = low + 1 + np.flatnonzero((inner[1:-1] >= inner[:-2]) & (inner[1:-1] > inner[2:]))
+    peaks = peaks[rho[peaks] >= enough[peaks]]
+    if len(peaks) == 0:
+        return 0
+    best = float(rho[peaks].max())
+    slack = 2 * np.hypot(ac.noise[peaks], ac.noise[peaks[np.argmax(rho[peaks])]])
+    if marker:
+        # True turns are alike to half a per cent; what misses a weak marker is so by some per cent.
+        return int(peaks[rho[peaks] >= MARKED * best][0])
+    return int(peaks[rho[peaks] >= ALIKE * best - slack][0])
+
+
+def _peak_place(
+    ac: Autocorrelation, rho: NDArray[np.float64], peak: int, half_width: int
+) -> tuple[float, float]:
+    """(lag, sigma) of a peak.
+
+    sigma joins the jackknife over groups of bins with the place's scatter under strong noise, about
+    half_width * sigma_rho / rho where sigma_rho = noise (1 - rho^2); it is at least a hundredth of a lag.
+    """
+    lag = _refine(rho, peak, half_width)
+    active = [g for g in range(len(ac.products)) if ac.products[g, 0] > 0]
+    leave_one = np.array([_refine(ac.without(g), peak, half_width) for g in active])
+    n = len(leave_one)
+    jackknife = float(np.sqrt((n - 1) / n * np.sum((leave_one - leave_one.mean()) ** 2))) if n > 1 else 1.0
+    height = float(np.clip(rho[peak], 1e-3, 1))
+    chance = half_width * float(ac.noise[peak]) * (1 - height**2) / height
+    return lag, max(float(np.hypot(JACKKNIFE_SCALE * jackknife, chance)), 0.01)
+
+
+def find_period(
+    samples: NDArray[np.generic],
+    times_s: NDArray[np.floating],
+    nominal_s: float | None = None,
+    min_s: float = 0.5,
+    max_s: float = 600.0,
+    tolerance: float = NOMINAL_TOLERANCE,
+    marker: bool = False,
+) -> PeriodEstimate:
+    """Rotation period from the autocorrelation of the mean-removed sinogram.
+
+    The peak is measured by a parabola on the longest multiple of the period that still overlaps, which
+    divides its error by that multiple.
+
+    Args:
+        samples: (scans, bins) real RF or complex, any units.
+        times_s: (scans,) s, increasing; see `fit_clock`.
+        nominal_s: expected period, s; without it the shortest repetition is taken.
+        min_s, max_s: bounds of the search, s.
+        tolerance: how far the period may be from the expected one, relative.
+        marker: something off the axis breaks the target's symmetry: a clearly better repetition later wins.
+
+    Simulated at 20 scans/s and 20..30 s a turn: worst of 12 errors 0.08, 0.02, 0.02 % at 10 dB with 1.3, 2.3
+    and 3.2 turns for four points in 20 cm, up to 0.26 % for a container's tag. At 0 dB a search without a
+    nominal period takes a multiple or a fraction now and then, mostly but not always reported: give
+    the nominal one.
+
+    Raises:
+        DataError: less than 1.1 turns, nothing moves, or no repetition is found.
+    """
+    ac = autocorrelate(samples, times_s)
+    rho = ac.values
+    duration = ac.step_s * ac.scans
+    longest = int(ac.scans / (1 + OVERLAP))
+    if nominal_s is not None:
+        if duration < MIN_TURNS * nominal_s * (1 - tolerance):
+            raise DataError(
+                f"the record of {duration:.1f} s is {duration / nominal_s:.2f} turns of {nominal_s:.1f} s",
+                f"Record at least {1.3 * nominal_s:.0f} s.",
+            )
+        peak, value = _near(rho[: longest + 1], nominal_s / ac.step_s, tolerance)
+        if value < _enough(ac)[peak]:
+            peak = 0
+    else:
+        lobe = _lobe(rho, 0.5 * ac.coherence)
+        low = max(2 * lobe, int(min_s / ac.step_s), 2)
+        peak = _first_turn(ac, rho, (low, min(longest, int(max_s / ac.step_s))), marker)
+    if peak == 0:
+        raise DataError(
+            f"the scans do not repeat within {duration:.1f} s: no rotation period found",
+            "Record longer (1.3 turns or more), check that the table turns, or give its speed: free?rpm=2.",
+        )
+    half_width = max(1, _lobe(rho, 0.7 * ac.coherence))
+    lag, multiple = float(peak), 1
+    lag, sigma = _peak_place(ac, rho, peak, half_width)
+    for m in range(2, int(longest / lag) + 1):
+        k, value = _near(
+            rho[: longest + 1], lag / multiple * m, 0.25 * half_width / (lag / multiple * m) + 0.01
+        )
+        if value < ACCEPT * ac.coherence:
+            break
+        place, spread = _peak_place(ac, rho, k, half_width)
+        if spread / m < sigma / multiple:
+            lag, sigma, multiple = place, spread, m
+    period = lag / multiple
+    rivals = _rivals(ac, rho, period, peak, half_width)
+    if nominal_s is None and not any(r > period for r in rivals):
+        rivals += _slower(samples, times_s, period * ac.step_s, ac.step_s)
+    return PeriodEstimate(
+        period_s=period * ac.step_s,
+        sigma_s=sigma / multiple * ac.step_s,
+        quality=float(np.clip(rho[peak] / ac.coherence, 0, 1)),
+        turns=ac.scans / period,
+        multiple=multiple,
+        harmonic_ambiguous=bool(rivals),
+        rivals_s=tuple(r * ac.step_s for r in rivals),
+    )
+
+
+def _rivals(
+    ac: Autocorrelation, rho: NDArray[np.float64], period: float, peak: int, half_width: int
+) -> list[float]:
+    """Other periods, in lags, that the scans allow: a fraction about as alike, the double if clearly more.
+
+    Where noise is strong, "about" is two standard deviations of chance.
+    """
+    found: list[float] = []
+    value = float(rho[peak])
+    for divisor in (2, 3, 4):
+        lag = period / divisor
+        if lag < 2 * half_width:
+            continue
+        k, other = _near(rho, lag, 0.5 * half_width / lag)
+        if other >= min(RIVAL * value, value - 2 * ac.noise[peak]) and other >= 4 * ac.noise[k]:
+            found.append(lag)
+    _, other = _near(rho[: int(ac.scans / (1 + OVERLAP)) + 1], 2 * period, 0.5 * half_width / period)
+    if value < 0.85 * other:
+        found.append(2 * period)
+    return found
+
+
+def _slower(
+    samples: NDArray[np.generic], times_s: NDArray[np.floating], period_s: float, step_s: float
+) -> list[float]:
+    """Multiple of a period, in lags, at which the echoes seem to move; empty where they agree with it."""
+    x, received, _ = uniform_grid(np.real(samples), times_s)
+    x[received] -= x[received].mean(axis=0)
+    moving = kinematic_period(x, received, step_s)
+    if moving is None or moving < SLOWER * period_s:
+        return []
+    return [max(2, round(moving / period_s)) * period_s / step_s]

@@ -1,0 +1,130 @@
+"""An angle for every scan, and fewer, better views out of many scans.
+
+A free-running table gives hundreds of scans a turn and some more than a turn; imaging wants one turn evenly
+covered, and as many views as the object's size asks for.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tagid.capture import Capture
+from tagid.errors import DataError, UsageError
+from tagid.metadata import ResolvedMotion
+
+
+@dataclass(frozen=True, eq=False)
+class Angles:
+    """Object angles of a recording.
+
+    Attributes:
+        angles_rad: (scans,) object angle, counter-clockwise from above, zero at the first scan, rad.
+        sigma_rad: (scans,) standard deviation relative to the first scan, rad.
+        info: how they were found.
+    """
+
+    angles_rad: NDArray[np.float64]
+    sigma_rad: NDArray[np.float64]
+    info: ResolvedMotion = field(default_factory=ResolvedMotion)
+
+
+def _one_turn(angles_rad: NDArray[np.floating]) -> tuple[NDArray[np.float64], NDArray[np.bool_], float]:
+    """Turned angle since the outermost view, which views lie in the first turn, and the angle between."""
+    a = np.asarray(angles_rad, dtype=np.float64)
+    if a.ndim != 1 or len(a) == 0 or not np.isfinite(a).all():
+        raise DataError(f"angles have shape {a.shape}, expected (views,), finite")
+    # From the lowest or highest angle, not from the first scan: imported ones come in any order or wrapped.
+    turned = a - a.min() if a[-1] >= a[0] else a.max() - a
+    # Half of a view's step is left open at the end: the view after a full turn is the first one again.
+    step = float(np.ptp(turned)) / max(1, len(a) - 1)
+    return turned, turned < 2 * np.pi - 0.5 * step, step
+
+
+def select_views(
+    angles_rad: NDArray[np.floating], views: int | None = None, step_rad: float | None = None
+) -> NDArray[np.int64]:
+    """Indexes of views evenly spread over one turn, or over less where there is less; the overlap is dropped.
+
+    Args:
+        angles_rad: (scans,) object angles, rad, in the order of recording.
+        views: views a turn wanted; all of the turn where neither this nor step_rad is given.
+        step_rad: angle between views instead, rad.
+
+    Returns:
+        (n,) increasing indexes, the scan nearest to each wanted angle; fewer than asked where scans lack.
+    """
+    turned, inside, scan_step = _one_turn(angles_rad)
+    candidates = np.flatnonzero(inside)
+    if views is None and step_rad is None:
+        return candidates
+    if (views is not None and views < 1) or (step_rad is not None and not step_rad > 0):
+        raise UsageError(f"{views} views, step {step_rad} rad", "Give a positive number of views or a step.")
+    count = views if views is not None else max(1, round(2 * np.pi / float(step_rad or 1)))
+    step = 2 * np.pi / count
+    wanted = np.arange(count) * step
+    wanted = wanted[wanted <= turned[candidates[-1]] + 0.5 * scan_step]
+    order = np.argsort(turned[candidates])
+    ordered = turned[candidates][order]
+    right = np.clip(np.searchsorted(ordered, wanted), 1, max(1, len(ordered) - 1))
+    if len(ordered) == 1:
+        return candidates
+    nearer_left = wanted - ordered[right - 1] <= ordered[right] - wanted
+    picked = np.unique(candidates[order[np.where(nearer_left, right - 1, right)]])
+    return np.asarray(picked, dtype=np.int64)
+
+
+def average_into_views(capture: Capture, views: int) -> Capture:
+    """Average scans into evenly spaced angular sectors: noise falls by sqrt(scans a view).
+
+    Scans in a sector are smeared over its width w: the echo of a reflector at radius r turns its phase by
+    up to 4 pi r w / lambda across the sector and loses sinc(2 r w / lambda). That is 1 dB at
+    w = 0.13 lambda / r, at 3.95 GHz 5.7 deg for r = 0.1 m and 1.7 deg for 0.34 m.
+
+    Args:
+        capture: with angles; integer samples become float32.
+        views: sectors a turn.
+
+    Returns:
+        a capture with one view per sector that holds scans, at the mean angle of its scans. Flags are
+        combined; times, scan numbers and antenna positions do not survive the averaging.
+
+    Raises:
+        DataError: the capture has no angles. UsageError: no views asked.
+    """
+    if capture.angles_rad is None:
+        raise DataError(
+            "views cannot be averaged: the capture holds no angles",
+            "Resolve the angles first: --motion free.",
+        )
+    if views < 1:
+        raise UsageError(f"{views} views a turn", "Give 1 or more.")
+    angles = capture.angles_rad
+    wrapped = (angles - angles[0]) % (2 * np.pi)
+    # Sectors are centred on multiples of the step, the last half joins the first.
+    sector = np.rint(wrapped / (2 * np.pi) * views).astype(np.int64) % views
+    offset = (wrapped - sector * 2 * np.pi / views + np.pi) % (2 * np.pi) - np.pi
+    present, slot, count = np.unique(sector, return_inverse=True, return_counts=True)
+    complex_data = np.iscomplexobj(capture.samples)
+    total = np.zeros((len(present), capture.bins), dtype=np.complex128 if complex_data else np.float64)
+    np.add.at(total, slot, capture.samples)
+    mean_offset = np.bincount(slot, offset) / count
+    sigma = capture.angle_sigma_rad
+    flags = None
+    if capture.flags is not None:
+        flags = np.zeros(len(present), dtype=np.uint8)
+        np.bitwise_or.at(flags, slot, capture.flags)
+    return replace(
+        capture,
+        samples=(total / count[:, None]).astype(np.complex64 if complex_data else np.float32),
+        angles_rad=angles[0] + present * 2 * np.pi / views + mean_offset,
+        # Errors of the angles are common to neighbouring scans (clock, period): they do not average out.
+        angle_sigma_rad=None if sigma is None else np.bincount(slot, sigma) / count,
+        flags=flags,
+        host_time_ns=None,
+        radar_time_ms=None,
+        scan_id=None,
+        motion=replace(capture.motion, averaged_into_views=views),
+    )

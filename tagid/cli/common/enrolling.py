@@ -1,0 +1,211 @@
+"""What enrolling shows and asks before anything is stored, the same whatever the layouts come from.
+
+A script gets the same as JSON and decides by itself: it is asked nothing.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from tagid.cli.common.frame import Output, Terminal
+from tagid.config import load_config
+from tagid.errors import CaptureInterrupted, LayoutConflictError, TagidError
+from tagid.result import Result
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+
+    from tagid.tags.enrolling.enrolment import Outlook
+    from tagid.tags.layouts.layout import Layout
+    from tagid.tags.layouts.registry import Registry
+
+Yes = Annotated[bool, typer.Option("--yes", "-y", help="Store without asking.", show_default=False)]
+DryRun = Annotated[
+    bool, typer.Option("--dry-run", help="Show what it would mean and store nothing.", show_default=False)
+]
+SHOWN = 6
+"""Neighbours listed for people; JSON has them all."""
+
+
+def direction_known() -> bool:
+    """Whether the configuration knows which way objects turn."""
+    return bool(load_config({})["tags.direction"] == "known")
+
+
+def about(outlook: Outlook) -> str:
+    """The expected confusion in words."""
+    place = outlook.place
+    sigma = outlook.layout.sigma_m
+    own = f", its own positions known to {sigma * 1e3:.1f} mm" if sigma > 0 else ""
+    return (
+        f"expected confusion with all of them: {rate_in_words(outlook.confusion_rate)} of readings at "
+        f"{place.views} views and {place.snr_db} dB (each coordinate off by {place.sigma_m * 1e3:.1f} mm, as "
+        f"measured on an object with a shell and a handle{own})"
+    )
+
+
+def neighbours(outlook: Outlook, shown: int = SHOWN) -> RenderableType:
+    """The nearest enrolled layouts of one, for people."""
+    from rich.console import Group
+    from rich.table import Table
+    from rich.text import Text
+
+    if not outlook.neighbours:
+        return Text("nothing else is enrolled that it could be confused with")
+    table = Table(box=None)
+    for head in ("nearest enrolled", "worst mm", "RMS mm", "confused", "remark"):
+        table.add_column(head, no_wrap=head != "remark")
+    for one in outlook.neighbours[: max(shown, len(outlook.confusable))]:
+        distance = one.distance
+        same = distance.worst_m < float("inf")
+        remark = "not of its size" if not same else ""
+        if distance.nested:
+            remark = "one is a part of the other"
+        if one.confusable:
+            remark = "COULD BE CONFUSED"
+        table.add_row(
+            one.name,
+            f"{distance.worst_m * 1e3:.1f}" if same else "-",
+            f"{distance.rms_m * 1e3:.1f}" if same else "-",
+            rate_in_words(one.confusion_rate) if same else "-",
+            remark + (", as its mirror image" if one.mirrored else ""),
+        )
+    return Group(table, Text(about(outlook)))
+
+
+def family_neighbours(outlooks: Sequence[Outlook]) -> RenderableType:
+    """The nearest other layout of each of several, for people."""
+    from rich.console import Group
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(box=None)
+    for head in ("layout", "nearest", "worst mm", "confused", "remark"):
+        table.add_column(head, no_wrap=head != "remark")
+    for outlook in outlooks:
+        near = outlook.neighbours[0] if outlook.neighbours else None
+        far = near is None or near.distance.worst_m == float("inf")
+        table.add_row(
+            outlook.layout.name,
+            "-" if near is None or far else near.name,
+            "-" if near is None or far else f"{near.distance.worst_m * 1e3:.1f}",
+            rate_in_words(outlook.confusion_rate),
+            "COULD BE CONFUSED" if outlook.confusable else "",
+        )
+    worst = max(outlooks, key=lambda outlook: outlook.confusion_rate)
+    return Group(table, Text(f"{worst.layout.name}: {about(worst)}"))
+
+
+def as_data(outlook: Outlook) -> dict[str, Any]:
+    """The same for scripts."""
+    place = outlook.place
+    return {
+        "nearest": [
+            {
+                "name": n.name,
+                "worst_m": n.distance.worst_m,
+                "rms_m": n.distance.rms_m,
+                "rotation_deg": n.distance.rotation_deg,
+                "confusion_rate": n.confusion_rate,
+                "nested": n.distance.nested,
+                "mirrored": n.mirrored,
+                "confusable": n.confusable,
+            }
+            for n in outlook.neighbours
+        ],
+        "confusion_rate": outlook.confusion_rate,
+        "reference": {"views": place.views, "snr_db": place.snr_db, "sigma_m": place.sigma_m},
+        "confusable": list(outlook.confusable),
+    }
+
+
+def agree(terminal: Terminal, shown: RenderableType, question: str, yes: bool) -> bool:
+    """Show what enrolling would mean and ask, where a person is there to be asked.
+
+    Returns whether it was shown. Raises CaptureInterrupted where the answer is no: nothing is stored then.
+    """
+    if yes or terminal.output != Output.human or not (sys.stdin.isatty() and sys.stderr.isatty()):
+        return False
+    from rich.console import Console
+
+    Console(stderr=True, highlight=False).print(shown)
+    try:
+        agreed = typer.confirm(question, default=False, err=True)
+    except typer.Abort:
+        agreed = False
+    if not agreed:
+        raise CaptureInterrupted("not agreed: nothing was stored")
+    return True
+
+
+@dataclass(frozen=True)
+class Wish:
+    """How layouts are to be stored: over conflicts, without being asked, or not at all."""
+
+    force: bool = False
+    yes: bool = False
+    dry_run: bool = False
+
+
+@dataclass(frozen=True)
+class Stored:
+    """What became of several layouts.
+
+    Attributes:
+        version: the registry's version since; None where nothing was stored.
+        data: their neighbours, for scripts.
+        seen: the same for people; None where they have seen it before they agreed.
+        error: why nothing was stored.
+    """
+
+    version: int | None
+    data: dict[str, Any]
+    seen: RenderableType | None
+    error: TagidError | None = None
+
+    def result(
+        self, name: str, data: dict[str, Any], lines: Sequence[RenderableType], messages: Sequence[str] = ()
+    ) -> Result:
+        """The command's result around it."""
+        from rich.console import Group
+
+        human = Group(*([] if self.seen is None else [self.seen]), *([] if self.error else lines))
+        if self.error is None:
+            return Result(name, data, human, messages=tuple(messages))
+        entry = {"code": self.error.code, "message": self.error.message, "remedy": self.error.remedy}
+        return Result(name, data, human, "error", self.error.exit_code, tuple(messages), (entry,))
+
+
+def store_family(
+    terminal: Terminal, registry: Registry, layouts: Sequence[Layout], source: str, wish: Wish
+) -> Stored:
+    """Show what enrolling layouts together would mean, ask, and store them all or none.
+
+    Raises CaptureInterrupted where the answer is no, RegistryError.
+    """
+    from tagid.tags.enrolling.enrolment import check_merge, family_outlooks, merge
+
+    known, (seen, enrolled) = direction_known(), registry.snapshot()
+    outlooks = family_outlooks(layouts, enrolled, direction_known=known)
+    shown = family_neighbours(outlooks)
+    data = {"confusion": [{"layout": one.layout.name, **as_data(one)} for one in outlooks]}
+    if not wish.force:
+        try:
+            check_merge(outlooks, enrolled)
+        except LayoutConflictError as error:
+            return Stored(None, data, shown, error)
+    if wish.dry_run:
+        return Stored(None, data, shown)
+    asked = agree(terminal, shown, f"Enrol {len(layouts)} layouts?", wish.yes)
+    version = merge(registry, layouts, source, force=wish.force, direction_known=known, checked=seen)
+    return Stored(version, data, None if asked else shown)
+
+
+def rate_in_words(rate: float) -> str:
+    """A rate for people: nothing under one in a million million is worth a figure."""
+    return "under 1e-12" if rate < 1e-12 else f"{rate:.1e}"

@@ -1,0 +1,258 @@
+"""What `scan`, `identify` and `reconstruct` do alike: load, prepare, draw and word an answer.
+
+Kept apart from the commands so that the same capture gives the same words whoever asks.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from tagid.cli.common.frame import Terminal
+from tagid.config import Config, data_folder
+from tagid.errors import EXIT_BATCH, EXIT_FAILED, EXIT_OK, EXIT_UNCERTAIN, TagidError, UsageError
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+
+    from tagid.imaging.autofocus import AxisFocus
+    from tagid.imaging.pulsefit import PulseEstimate
+    from tagid.imaging.region import Region
+    from tagid.pipeline.answer import Identification
+    from tagid.pipeline.prepared import PreparedCapture
+    from tagid.pipeline.reconstruct import Reconstruction
+    from tagid.pipeline.settings import ImagingSettings
+    from tagid.storage.history import History
+    from tagid.tags.layouts.registry import Registry
+
+
+def open_registry() -> Registry:
+    """The user's registry of layouts."""
+    from tagid.tags.layouts.registry import Registry
+
+    return Registry(data_folder() / "registry.sqlite")
+
+
+def begin_history(
+    command: str, settings: dict[str, Any]
+) -> tuple[tuple[History, int] | None, tuple[str, ...]]:
+    """The history of identifications beside the registry with a new run in it; None and a remark where it
+    cannot be kept, which is no reason to withhold an answer."""
+    from tagid.storage.history import FILE_NAME, History
+
+    try:
+        history = History(data_folder() / FILE_NAME)
+        return (history, history.begin(command, settings)), ()
+    except TagidError as error:
+        return None, (f"not kept in the history: {error.message}",)
+
+
+def remember(command: str, items: list[dict[str, Any]], settings: dict[str, Any]) -> tuple[str, ...]:
+    """Keep answers in the history; returns remarks where that failed."""
+    history, remarks = begin_history(command, settings)
+    if history is None:
+        return remarks
+    try:
+        history[0].add(history[1], items)
+    except TagidError as error:
+        return (f"not kept in the history: {error.message}",)
+    return ()
+
+
+def settings_from(config: Config, background: str = "mean", focus: bool = True) -> ImagingSettings:
+    """Imaging settings of the configuration and the command line."""
+    from tagid.imaging.ats.options import parse_settings
+    from tagid.imaging.ats.settings import AtsSettings
+    from tagid.pipeline.settings import FOCUS_M, ImagingSettings
+
+    if background not in ("mean", "median", "reference", "none"):
+        raise UsageError(f"--background is {background!r}", "Use mean, median, reference or none.")
+    if background == "reference":
+        background = "none"  # subtracted while loading, by `load_capture`
+    return ImagingSettings(
+        method=config["imaging.method"],
+        extent_m=config["imaging.extent_m"],
+        pixels=config["imaging.pixels"],
+        background=background,  # type: ignore[arg-type]
+        focus_m=FOCUS_M if focus else 0.0,
+        false_accept=config["tags.false_accept"],
+        direction_known=config["tags.direction"] == "known",
+        pulse=config["imaging.pulse"],
+        ats=AtsSettings(**parse_settings([config["imaging.ats"]])),
+    )
+
+
+def parse_centre(text: str | None) -> tuple[float, float] | None:
+    """X,Y in metres of --centre."""
+    if text is None:
+        return None
+    try:
+        x, y = (float(part) for part in text.split(","))
+    except ValueError:
+        raise UsageError(f"--centre is {text!r}", "Give X,Y in metres, such as --centre 0.5,2.") from None
+    return x, y
+
+
+def region_words(region: Region | None) -> list[str]:
+    """What was found about free antenna positions, a line each."""
+    if region is None:
+        return []
+    x, y = region.centre_m
+    lines = [f"{region.grid.extent:g} m about ({x:g}, {y:g}) m, {region.grid.pixels} pixels a side"]
+    focus = region.focus
+    if focus is not None and focus.reliable:
+        lines.append(f"path delay {focus.delay_m * 1e3:+.0f} mm one way, taken off")
+    elif focus is not None:
+        lines.append("the path delay could not be told from the data; the ranges are taken as given")
+    if region.mirrored:
+        lines.append("the path is straight: what lies on one side shows on the other side, too")
+    return lines
+
+
+def focus_words(focus: AxisFocus | None) -> list[str]:
+    """A remark where the axis distance was searched in vain."""
+    if focus is None or focus.axis_distance_m is None or focus.reliable:
+        return []
+    return ["the axis distance could not be told from the data; it is taken as given"]
+
+
+def pulse_words(pulse: PulseEstimate | None) -> list[str]:
+    """What the estimate of the pulse came to, where one was asked for."""
+    if pulse is None:
+        return []
+    if math.isnan(pulse.residual):
+        return ["too few views to estimate the pulse; the assumed one is kept"]
+    unseen = f"leaves {100 * pulse.residual:.1f} % of unseen views unexplained"
+    if pulse.taken:
+        return [f"pulse estimated: {unseen}, the assumed one {100 * pulse.assumed_residual:.1f} %"]
+    return [f"assumed pulse kept: an estimate {unseen}, it {100 * pulse.assumed_residual:.1f} %"]
+
+
+def calibration_words(settings: dict[str, Any]) -> list[str]:
+    """What ats learned of the recording beside the scene, a line each, with standard errors."""
+    found: dict[str, Any] = settings.get("calibration") or {}
+    lines: list[str] = []
+    if "axis" in found:
+        axis = found["axis"]
+        lines.append(
+            f"axis distance {axis['distance_m']:.4f} ± {axis['sigma_m']:.4f} m, "
+            f"{axis['offset_m'] * 1e3:+.1f} mm from the one given or focused"
+        )
+    for w in found.get("wobble", ()):
+        lines.append(
+            f"wobble, harmonic {w['harmonic']}: {w['amplitude_deg']:.2f} ± {w['sigma_deg']:.2f} deg "
+            f"at {w['phase_deg']:+.0f} deg, {w['speed_percent']:.1f} % of the speed"
+        )
+    if "gain" in found:
+        gain = found["gain"]
+        error = sum(gain["sigma"]) / len(gain["sigma"])
+        low, high = min(gain["scans"]), max(gain["scans"])
+        lines.append(f"gain of the scans {low:.3f} to {high:.3f}, each ± {error:.3f}")
+    if "static" in found:
+        lines.append(f"static component of {found['static']['rms']:.3g} rms taken off")
+    return lines
+
+
+def learned(result: Reconstruction) -> dict[str, Any]:
+    """What was found of the recording beside the image, for the JSON document."""
+    settings = result.image.settings
+    return {name: settings[name] for name in ("axis_distance_m", "pulse", "calibration") if name in settings}
+
+
+def learned_words(result: Reconstruction) -> list[str]:
+    """The same for a person, a line each."""
+    return [
+        *focus_words(result.focus),
+        *region_words(result.region),
+        *pulse_words(result.pulse),
+        *calibration_words(result.image.settings),
+    ]
+
+
+def image_with_progress(terminal: Terminal, prepared: PreparedCapture) -> Reconstruction:
+    """Reconstruct a prepared capture under a progress line."""
+    from tagid.pipeline.reconstruct import reconstruct
+
+    with terminal.progress("image", total=1.0) as advance:
+        return reconstruct(
+            prepared, progress=lambda done, total, remark: advance(done / max(total, 1), remark)
+        )
+
+
+def draw(result: Reconstruction, answer: Identification | None, png: Path) -> None:
+    """Write the picture of an image, with the reflectors that were read in it."""
+    from tagid.report.picture import Marker, draw_image
+
+    markers = []
+    reading = answer.reading if answer else None
+    if reading:
+        offset = 1
+        for reflector in reading.reflectors:
+            markers.append(Marker(reflector.x_m, reflector.y_m, str(offset), reflector.matched))
+            offset += 1
+    name = "ATS, paper" if result.image.settings.get("preset") == "paper" else result.method.upper()
+    title = name if answer is None else f"{headline(answer)}  ({name})"
+    image = result.image
+    draw_image(image.values, image.grid.extent, png, title=title, reflectors=markers, centre_m=image.centre_m)
+
+
+def in_terminal(result: Reconstruction) -> RenderableType:
+    """The image as text, in colour where the terminal has it and NO_COLOR does not forbid."""
+    from rich.console import Console
+
+    from tagid.report.preview import colour_wanted, preview
+
+    image = result.image
+    colour = colour_wanted(Console())
+    return preview(image.values, image.grid.extent, colour=colour, centre_m=image.centre_m)
+
+
+def headline(answer: Identification) -> str:
+    """The answer in a few words, for a title or a first line."""
+    reading = answer.reading
+    if answer.status == "identified" and reading:
+        return f"{reading.layout}, score {reading.score:.2f}"
+    words = {"unknown": "unknown tag", "ambiguous": "ambiguous", "no_tag": "no tag", "failed": "failed"}
+    return words[answer.status]
+
+
+def describe(answer: Identification, name: str) -> RenderableType:
+    """The answer for a person: one bold line, then what stands behind it."""
+    from rich.console import Group
+    from rich.text import Text
+
+    colours = {"identified": "bold green", "failed": "bold red"}
+    style = colours.get(answer.status, "bold yellow")
+    first = Text.assemble((headline(answer).upper(), style), f"   {answer.label}   {name}")
+    lines = [first]
+    reading = answer.reading
+    if answer.error:
+        lines.append(Text(f"  {answer.error['message']} {answer.error['remedy']}"))
+    if reading:
+        if reading.reason:
+            lines.append(Text(f"  why: {reading.reason}"))
+        if reading.layout:
+            x, y = (value * 1e3 for value in reading.centre_m)
+            lines.append(
+                Text(
+                    f"  turned {reading.rotation_deg:.1f} deg, centre ({x:.1f}, {y:.1f}) mm, "
+                    f"margin {reading.margin:.2f}, {len(reading.reflectors)} reflectors"
+                )
+            )
+    return Group(*lines)
+
+
+def failed(capture_uuid: str | None, error: TagidError) -> Identification:
+    """The Identification of an item that could not be read."""
+    from tagid.pipeline.answer import Identification
+
+    entry = {"code": error.code, "message": error.message, "remedy": error.remedy}
+    return Identification("failed", None, capture_uuid, None, error=entry)
+
+
+def exit_code_of(answers: list[Identification]) -> int:
+    """0 all identified, 3 some unknown/ambiguous/no tag, 1 the only one failed, 5 some of many failed."""
+    if any(answer.status == "failed" for answer in answers):
+        return EXIT_FAILED if len(answers) == 1 else EXIT_BATCH
+    return EXIT_OK if all(answer.status == "identified" for answer in answers) else EXIT_UNCERTAIN

@@ -1,0 +1,71 @@
+"""What the commands that record a turn have in common: from the configuration to a recording plan."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from tagid.config import Config
+from tagid.errors import ConfigError
+
+if TYPE_CHECKING:
+    from tagid.metadata import ObjectInfo
+    from tagid.radar.settings import RadarConfig
+    from tagid.recording.plan import RecordingPlan
+
+
+@dataclass(frozen=True)
+class Limits:
+    """When a recording ends, whatever the motion says.
+
+    Attributes:
+        scans: number of scans; None until a turn is complete.
+        max_seconds: longest duration, s.
+    """
+
+    scans: int | None
+    max_seconds: float
+
+
+def plan_of(config: Config, url: str, limits: Limits, about: ObjectInfo) -> RecordingPlan:
+    """What to record. Raises ConfigError."""
+    from tagid.motion.urls import public_url
+    from tagid.recording.plan import RecordingPlan
+
+    if limits.scans is not None and not 1 <= limits.scans <= 65534:
+        raise ConfigError(f"--scans is {limits.scans}", "Give 1 to 65534.")
+    if not 0 < limits.max_seconds <= 86400:
+        raise ConfigError(f"--max-seconds is {limits.max_seconds}", "Give a positive number of seconds.")
+    return RecordingPlan(
+        _window(config, url),
+        config["motion.axis_distance_m"],
+        config["motion.antenna_height_m"],
+        config["radar.cable_delay_ps"],
+        limits.scans,
+        limits.max_seconds,
+        public_url(config["motion.url"]),
+        about,
+        config["radar.resume_s"],
+    )
+
+
+def _window(config: Config, url: str) -> RadarConfig | None:
+    """The radar settings to ask for; None leaves a replayed recording its own."""
+    from tagid.radar.settings import RadarConfig
+    from tagid.recording.plan import plan_window
+
+    distance = config["motion.axis_distance_m"]
+    if url.startswith("replay://"):
+        return None
+    base = RadarConfig(
+        base_integration_index=config["radar.integration"],
+        transmit_gain=config["radar.gain"],
+        antenna_mode=config["radar.antenna_mode"],
+    )
+    if distance is None:
+        raise ConfigError(
+            "the distance from the radar to the rotation axis is not known",
+            "Measure it to a centimetre or two and give --axis-distance METRES, or keep it with "
+            "`tagid config set motion.axis_distance_m METRES`.",
+        )
+    return plan_window(distance, config["imaging.extent_m"], config["radar.cable_delay_ps"], base)

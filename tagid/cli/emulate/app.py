@@ -1,0 +1,137 @@
+"""`tagid emulate`: devices that are not there, on real wires."""
+
+from __future__ import annotations
+
+import json
+import sys
+import threading
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from tagid import interrupts
+from tagid.cli.common import options
+from tagid.cli.common.frame import Output, Terminal, command
+from tagid.cli.emulate import motion as emulate_motion
+from tagid.errors import UsageError
+from tagid.result import Result
+
+if TYPE_CHECKING:
+    from tagid.radar.emulation.wires import PtyWire
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands."""
+    group = typer.Typer(help="Emulate a device on a real wire.", no_args_is_help=True)
+    app.add_typer(group, name="emulate")
+
+    @group.callback()
+    def _group() -> None:
+        """Emulate a device on a real wire."""
+
+    emulate_motion.register(group)
+
+    @command(group, "emulate p440")
+    def p440(
+        terminal: Terminal,
+        bind: Annotated[str, typer.Option("--bind", help="HOST:PORT to listen on; 0 any free port.")] = (
+            "127.0.0.1:21210"
+        ),
+        serial: Annotated[bool, typer.Option("--serial", help="A serial port instead of UDP.")] = False,
+        framing: Annotated[str, typer.Option("--framing", help="On the serial port: usb or uart.")] = "usb",
+        baud: Annotated[int, typer.Option("--baud", help="Of the uart; 0 as fast as taken.")] = 115200,
+        link: Annotated[Path | None, typer.Option("--link", help="A name for the port that stays.")] = (None),
+        scene: Annotated[str, typer.Option("--scene", help="helmet-120, points-3, can, empty ...")] = (
+            "helmet-120"
+        ),
+        replay: Annotated[str | None, typer.Option("--replay", help="Replay a recording instead.")] = None,
+        rpm: Annotated[float, typer.Option("--rpm", help="Turns a minute of the emulated table.")] = 2.0,
+        turned_by: Annotated[
+            str | None,
+            typer.Option("--turned-by", help="HOST:PORT of an emulated robot that turns it."),
+        ] = None,
+        axis_distance: Annotated[float, typer.Option("--axis-distance", help="Radar to axis, metres.")] = 1.0,
+        snr: Annotated[float, typer.Option("--snr", help="dB a sample of a reflector on the axis.")] = 20.0,
+        cable_delay: Annotated[
+            float, typer.Option("--cable-delay", help="Of the emulated cables, ps.")
+        ] = 0.0,
+        rate: Annotated[float, typer.Option("--rate", help="Speed of time; 0 as fast as taken.")] = 1.0,
+        loop: Annotated[bool, typer.Option("--loop", help="Replay for ever.")] = False,
+        lose: Annotated[float, typer.Option("--lose", help="Share of packets lost.")] = 0.0,
+        duplicate: Annotated[float, typer.Option("--duplicate", help="Share of packets sent twice.")] = 0.0,
+        reorder: Annotated[float, typer.Option("--reorder", help="Share of packets held back.")] = 0.0,
+        delay: Annotated[float, typer.Option("--delay", help="Share of packets that come late.")] = 0.0,
+        delay_ms: Annotated[float, typer.Option("--delay-ms", help="How late, milliseconds.")] = 20.0,
+        status_bytes: Annotated[int, typer.Option("--status-bytes", help="64, or 32 as old firmware.")] = 64,
+        sleep_bytes: Annotated[int, typer.Option("--sleep-bytes", help="Sleep confirm: 12 or 8.")] = 12,
+        server: Annotated[bool, typer.Option("--server", help="Confirm SERVER_CONNECT and filters.")] = False,
+        seed: options.Seed = 0,
+    ) -> Result:
+        """Be a P440 on UDP, or on a serial port whose path is printed, until stopped.
+
+        Example: tagid emulate p440 --bind 127.0.0.1:21210 --scene helmet-120 --rpm 2
+        """
+        from tagid.radar.emulation.core import EmulatorCore
+        from tagid.radar.emulation.emulator import ServeOptions, serve, serve_udp
+        from tagid.radar.emulation.faults import Faults
+        from tagid.radar.emulation.firmware import Firmware
+        from tagid.radar.emulation.sources import ScanSource
+        from tagid.recording.sources import emulated_recording, emulated_scene
+
+        faults = Faults(
+            lose=lose, duplicate=duplicate, reorder=reorder, delay=delay, delay_s=delay_ms * 1e-3, seed=seed
+        )
+        firmware = Firmware(status_bytes, sleep_bytes, server)
+        host, port = ("", 0) if serial else _address(bind)
+        source: ScanSource
+        if replay is not None:
+            source = emulated_recording(Path(replay), loop)
+        else:
+            wanted = {"seed": seed, "rpm": rpm, "axis_distance": axis_distance, "snr": snr}
+            wanted["cable_delay"] = cable_delay
+            given = {key: str(value) for key, value in wanted.items()}
+            source = emulated_scene(scene, given | ({"turned_by": turned_by} if turned_by else {}))
+        core = EmulatorCore(source, firmware=firmware)
+        stop = threading.Event()
+        with interrupts.asked_to_stop(stop.set):
+            if serial:
+                wire = _pty(framing, baud, link)
+                end = link or wire.path
+                _announce(terminal, f"serial://{end}{'?framing=uart' * (framing == 'uart')}", str(end))
+                serve(core, wire, ServeOptions(rate=rate, faults=faults), stop)
+            else:
+                udp = ServeOptions(host, port, rate, faults)
+                serve_udp(core, udp, stop, lambda a, p: _announce(terminal, f"udp://{a}:{p}", ""))
+        raise typer.Exit(0)
+
+
+def _address(bind: str) -> tuple[str, int]:
+    host, _, port = bind.rpartition(":")
+    if not host or not port.isdecimal() or int(port) > 65535:
+        raise UsageError(f"--bind is {bind!r}", "Give HOST:PORT, e.g. 127.0.0.1:21210.")
+    return host, int(port)
+
+
+def _pty(framing: str, baud: int, link: Path | None) -> PtyWire:
+    from tagid.radar.emulation.wires import PtyWire
+    from tagid.radar.framing import Framing
+    from tagid.radar.serial_link import BAUD_RATES
+
+    if framing not in ("usb", "uart"):
+        raise UsageError(f"--framing is {framing!r}", "Give usb or uart.")
+    if baud and baud not in BAUD_RATES:
+        raise UsageError(f"--baud is {baud}", "Give 9600 to 921600, or 0 for no limit.")
+    return PtyWire(Framing(framing), baud if framing == "uart" and baud else None, link)
+
+
+def _announce(terminal: Terminal, url: str, port: str) -> None:
+    """Tells where the emulator listens, at once: whoever starts it must learn that while it runs."""
+    if terminal.output is Output.json:
+        data = {"url": url, **({"port": port} if port else {})}
+        sys.stdout.write(json.dumps(Result("emulate p440", data).envelope()) + "\n")
+    elif port:
+        sys.stdout.write(port + "\n")
+    sys.stdout.flush()
+    if terminal.output is Output.human and not terminal.quiet:
+        typer.echo(f"P440 emulator at {url}; stop with Ctrl-C", err=True)

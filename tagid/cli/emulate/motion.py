@@ -1,0 +1,145 @@
+"""`tagid emulate roomba | comxim | revopoint`: robots and tables that are not there, on real wires.
+
+They print one line with their port when they listen, and run until stopped.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from tagid import interrupts
+from tagid.cli.common import options
+from tagid.cli.common.frame import Output, Terminal, command
+from tagid.errors import UsageError
+from tagid.result import Result
+
+_Truth = Annotated[int, typer.Option("--truth", help="UDP port that tells the true angle; 0 any free one.")]
+
+
+def register(group: typer.Typer) -> None:
+    """Add the commands."""
+
+    @command(group, "emulate roomba")
+    def roomba(
+        terminal: Terminal,
+        pty: Annotated[bool, typer.Option("--pty", help="On a pseudo-terminal (the default).")] = False,
+        ble: Annotated[bool, typer.Option("--ble", help="Behind an emulated Bluetooth bridge.")] = False,
+        link: Annotated[Path | None, typer.Option("--link", help="A name for the port.")] = None,
+        name: Annotated[str, typer.Option("--name", help="Of the bridge.")] = "tagid-bridge",
+        passkey: Annotated[str | None, typer.Option("--passkey", help="Six digits; open without.")] = None,
+        baud: Annotated[int, typer.Option("--baud", help="Rate of its port.")] = 115200,
+        wheel_base: Annotated[float, typer.Option("--wheel-base", help="True wheel base, mm.")] = 243.0,
+        slip: Annotated[float, typer.Option("--slip", help="Share of the way that does not turn it.")] = 0.01,
+        slip_noise: Annotated[float, typer.Option("--slip-noise", help="How much slip wanders.")] = 0.002,
+        encoder_noise: Annotated[float, typer.Option("--encoder-noise", help="Counts.")] = 0.5,
+        first_count: Annotated[int, typer.Option("--first-count", help="Encoders begin here.")] = 32_000,
+        mode_offset: Annotated[int, typer.Option("--mode-offset", help="Added to packet 35.")] = 0,
+        charge: Annotated[int, typer.Option("--charge", help="Battery, per cent.")] = 90,
+        on_charger: Annotated[bool, typer.Option("--on-charger", help="It stands on its base.")] = False,
+        asleep: Annotated[bool, typer.Option("--asleep", help="It sleeps; BRC wakes it.")] = False,
+        event: Annotated[
+            str | None,
+            typer.Option("--event", help="bump, wheel-drop, cliff or charger @SECONDS of turning."),
+        ] = None,
+        truth: _Truth = 0,
+        seed: options.Seed = 0,
+    ) -> Result:
+        """Be a Roomba until stopped; its true angle is told on UDP, so that an emulated radar sees it turn.
+
+        Example: tagid emulate roomba --pty
+        """
+        from tagid.motion.emulation.body import BodySettings
+        from tagid.motion.emulation.host import RoombaHost
+        from tagid.motion.emulation.roomba import World
+
+        if pty and ble:
+            raise UsageError("--pty and --ble are both given", "Choose one.")
+        body = BodySettings(
+            wheel_base_mm=wheel_base,
+            slip=slip,
+            slip_noise=slip_noise,
+            encoder_noise=encoder_noise,
+            first_count=first_count,
+            seed=seed,
+        )
+        world = World(on_charger=on_charger, mode_offset=mode_offset)
+        world.charge = round(world.capacity * max(0, min(100, charge)) / 100)
+        with RoombaHost(body, world, baud, asleep, event, truth, link) as host:
+            if not ble:
+                facts = {"url": f"roomba+serial://{link or host.port.path}", "truth": host.truth.address}
+                serve(terminal, "emulate roomba", facts)
+            else:
+                from tagid.cli.emulate.virtual_bridge import bridge_before
+
+                with bridge_before(host, name, passkey) as hci:
+                    url = f"roomba+ble://{name}?hci={hci}" + (f"&passkey={passkey}" if passkey else "")
+                    serve(terminal, "emulate roomba", {"url": url, "truth": host.truth.address})
+        raise typer.Exit(0)
+
+    @command(group, "emulate comxim")
+    def comxim(
+        terminal: Terminal,
+        link: Annotated[Path | None, typer.Option("--link", help="A name for the port.")] = None,
+        rate_error: Annotated[float, typer.Option("--rate-error", help="Slower than it says.")] = 0.03,
+        fail: Annotated[int | None, typer.Option("--fail", help="Error code of CT+RUN.")] = None,
+        truth: _Truth = 0,
+    ) -> Result:
+        """Be a Comxim turntable on a pseudo-terminal until stopped.
+
+        Example: tagid emulate comxim
+        """
+        from tagid.motion.emulation.comxim import ComximCore
+        from tagid.motion.emulation.pty import PtyPort
+        from tagid.motion.emulation.truth import TruthServer
+
+        core = ComximCore(rate_error, time.monotonic(), fail)
+        with PtyPort(core, link) as port, TruthServer(core.table.state, truth) as told:
+            facts = {"url": f"comxim+serial://{link or port.path}", "truth": told.address}
+            serve(terminal, "emulate comxim", facts)
+        raise typer.Exit(0)
+
+    @command(group, "emulate revopoint")
+    def revopoint(
+        terminal: Terminal,
+        rate_error: Annotated[float, typer.Option("--rate-error", help="Slower than it says.")] = 0.02,
+        truth: _Truth = 0,
+    ) -> Result:
+        """Be a Revopoint dual-axis table on a virtual Bluetooth controller until stopped.
+
+        Example: tagid emulate revopoint
+        """
+        from tagid.motion.discovery import REVOPOINT
+        from tagid.motion.emulation.gatt import GattPort
+        from tagid.motion.emulation.revopoint import RevopointCore
+        from tagid.motion.emulation.truth import TruthServer
+        from tagid.motion.tables.revopoint import CHARACTERISTIC, SERVICE
+
+        core = RevopointCore(rate_error, time.monotonic())
+        with (
+            GattPort(core, REVOPOINT, SERVICE, CHARACTERISTIC) as port,
+            TruthServer(core.table.state, truth) as told,
+        ):
+            facts = {"url": f"revopoint+ble://?hci={port.hci}", "truth": told.address}
+            serve(terminal, "emulate revopoint", facts)
+        raise typer.Exit(0)
+
+
+def serve(terminal: Terminal, name: str, facts: dict[str, Any]) -> None:
+    """Say what listens, and wait for a stop signal."""
+    stop = threading.Event()
+    with interrupts.asked_to_stop(stop.set):
+        if terminal.output is Output.json:
+            # Written on one line when it listens: whoever starts it must learn its port while it runs.
+            sys.stdout.write(json.dumps(Result(name, facts).envelope()) + "\n")
+            sys.stdout.flush()
+        elif not terminal.quiet:
+            shown = ", ".join(f"{key} {value}" for key, value in facts.items())
+            typer.echo(f"{name.partition(' ')[2]} emulator: {shown}; stop with Ctrl-C", err=True)
+        stop.wait()

@@ -1,0 +1,57 @@
+"""The bridge's unmodified firmware in front of an emulated robot, on a virtual Bluetooth controller.
+
+It belongs to `tagid emulate`, because it needs the firmware's own tools.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+from tagid.errors import DeviceError, UsageError
+
+if TYPE_CHECKING:
+    from tagid.motion.emulation.host import RoombaHost
+
+BRC_PIN = 6
+
+
+@contextmanager
+def bridge_before(host: RoombaHost, name: str, passkey: str | None) -> Iterator[str]:
+    """A bridge whose UART and BRC pin lead to the robot; yields where a host finds its controller.
+
+    Raises MissingExtraError, UsageError.
+    """
+    from tagid.motion.links import require
+
+    require("bumble", "virtual", "an emulated bridge")
+    from firmware_tools.virtual.process import BoardProcess
+
+    if passkey is not None and not (len(passkey) == 6 and passkey.isdecimal()):
+        raise UsageError("the pass-key is not six digits", "Give --passkey 123456.")
+    config: dict[str, Any] = {
+        "name": name,
+        "passkey": passkey,
+        "uart_tx": 4,
+        "uart_rx": 5,
+        "brc_pin": BRC_PIN,
+        "index_pin": 7,
+    }
+    with BoardProcess(config, host.port.path) as board:
+
+        def watch_brc() -> None:
+            while True:
+                try:
+                    change = board.wait_for("pin")
+                except DeviceError:
+                    if board.process.poll() is not None:
+                        return
+                    continue
+                if change.get("pin") == BRC_PIN and not change.get("value"):
+                    with host.port.lock:
+                        host.core.pulse_brc()
+
+        threading.Thread(target=watch_brc, name="brc", daemon=True).start()
+        yield board.hci

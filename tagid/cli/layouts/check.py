@@ -1,0 +1,105 @@
+"""`tagid layouts check`: which of the enrolled layouts can be taken for another."""
+
+from __future__ import annotations
+
+from itertools import combinations
+from typing import Annotated
+
+import typer
+
+from tagid.cli.common.enrolling import rate_in_words
+from tagid.cli.common.frame import Terminal, command
+from tagid.errors import LayoutConflictError
+from tagid.result import Result
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+
+    @command(app, "layouts check")
+    def check(
+        terminal: Terminal,
+        sigma: Annotated[
+            float | None,
+            typer.Option("--sigma", help="Error of one coordinate, metres; what was measured without."),
+        ] = None,
+    ) -> Result:
+        """Check the registry: every pair's distance and how often noise confuses it.
+
+        Example: tagid layouts check
+        """
+        from rich.table import Table
+        from rich.text import Text
+
+        from tagid.cli.common.enrolling import direction_known
+        from tagid.cli.common.imaging import open_registry
+        from tagid.tags.enrolling.enrolment import neighbour
+        from tagid.tags.layouts.capacity import reference
+        from tagid.tags.layouts.codebook import CONFUSABLE_M
+
+        registry = open_registry()
+        version, enrolled = registry.snapshot()
+        lost = [change for change in registry.history() if change.layout is None]
+        remarks = [
+            f"version {c.version} ({c.action} {c.name}) cannot be read and not be gone back to" for c in lost
+        ]
+        known = direction_known()
+        pairs, nested = [], []
+        for a, b in combinations(enrolled, 2):
+            error_m = sigma if sigma is not None else reference(min(a.radius_m, b.radius_m)).sigma_m
+            if a.size == b.size:
+                pairs.append((a.name, neighbour(a, b, error_m, known)))
+            elif neighbour(a, b, error_m, known).distance.nested:
+                nested.append(sorted((a, b), key=lambda layout: layout.size))
+        pairs.sort(key=lambda pair: pair[1].distance.rms_m)
+        bad = [pair for pair in pairs if pair[1].confusable]
+        table = Table(box=None)
+        for head in ("pair", "RMS mm", "worst mm", "confused", "remark"):
+            table.add_column(head, no_wrap=head != "remark")
+        for name, other in pairs[: max(10, len(bad))]:
+            distance = other.distance
+            remark = "CONFUSABLE" if other.confusable else ""
+            table.add_row(
+                f"{name} - {other.name}",
+                f"{distance.rms_m * 1e3:.1f}",
+                f"{distance.worst_m * 1e3:.1f}",
+                rate_in_words(other.confusion_rate),
+                remark + (", as its mirror image" if other.mirrored else ""),
+            )
+        for part, whole in nested[:10]:
+            table.add_row(f"{part.name} - {whole.name}", "-", "-", "-", "the first is a part of the second")
+        data = {
+            "layouts": len(enrolled),
+            "registry_version": version,
+            "sigma_m": sigma,
+            "pairs": [
+                {
+                    "a": name,
+                    "b": other.name,
+                    "rms_m": other.distance.rms_m,
+                    "worst_m": other.distance.worst_m,
+                    "confusion_rate": other.confusion_rate,
+                    "confusable": other.confusable,
+                    "mirrored": other.mirrored,
+                }
+                for name, other in pairs
+            ],
+            "damaged_versions": [change.version for change in lost],
+            "nested": [{"part": part.name, "of": whole.name} for part, whole in nested],
+        }
+        if not pairs and not nested:
+            return Result(
+                "layouts check",
+                data,
+                messages=tuple(remarks),
+                human=Text(f"{len(enrolled)} layouts, no two of one size"),
+            )
+        if not bad:
+            return Result("layouts check", data, table, messages=tuple(remarks))
+        error = LayoutConflictError(
+            f"{len(bad)} pair(s) of layouts could be confused: within {CONFUSABLE_M * 1e3:.0f} mm, or "
+            "more often than enrolling allows",
+            "Remove one of each pair with `tagid layouts --remove NAME`, or move a reflector.",
+        )
+        entry = {"code": error.code, "message": error.message, "remedy": error.remedy}
+        return Result("layouts check", data, table, "error", error.exit_code, tuple(remarks), (entry,))

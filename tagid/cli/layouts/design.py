@@ -1,0 +1,278 @@
+"""`tagid layouts design` and `capacity`: families of layouts for an object, and how large they can be."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from tagid.cli.common import enrolling
+from tagid.cli.common.frame import Terminal, command
+from tagid.errors import UsageError
+from tagid.result import Result
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+
+    from tagid.tags.layouts.design import DesignRules, Family
+    from tagid.tags.layouts.objects import TaggedObject
+
+ObjectName = Annotated[str, typer.Option("--object", help="helmet, mug or container.")]
+Radius = Annotated[
+    list[float] | None,
+    typer.Option("--radius", help="Your own object: a row's radius in metres; once for each row."),
+]
+Height = Annotated[
+    list[float] | None, typer.Option("--height", help="Heights of these rows, metres; as many as radii.")
+]
+Rows = Annotated[
+    int | None,
+    typer.Option("--rows", help="Use so many of the object's rows, 1 without.", show_default=False),
+]
+Slots = Annotated[int, typer.Option("--slots", help="Equal steps around the object.")]
+Spacing = Annotated[
+    float | None, typer.Option("--spacing", help="Least distance of two reflectors, metres (0.04).")
+]
+Mirror = Annotated[
+    bool | None,
+    typer.Option(
+        "--mirror/--no-mirror",
+        help="Whether mirror images are two layouts; without, as tags.direction is set.",
+        show_default=False,
+    ),
+]
+Seed = Annotated[int, typer.Option("--seed", help="Of the search for the best set.")]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands."""
+
+    @command(app, "layouts design")
+    def design(
+        terminal: Terminal,
+        target: ObjectName = "helmet",
+        reflectors: Annotated[int, typer.Option("--reflectors", help="Reflectors on each layout.")] = 3,
+        slots: Slots = 12,
+        count: Annotated[int, typer.Option("--count", help="Layouts wanted.")] = 10,
+        rows: Rows = None,
+        radius: Radius = None,
+        height: Height = None,
+        spacing: Spacing = None,
+        mirror: Mirror = None,
+        seed: Seed = 0,
+        alone: Annotated[
+            bool, typer.Option("--alone", help="Do not keep away from the layouts that are enrolled.")
+        ] = False,
+        prefix: Annotated[
+            str | None, typer.Option("--prefix", help="Of the names, e.g. mug-r3s12.", show_default=False)
+        ] = None,
+        out: Annotated[
+            Path | None, typer.Option("--out", help="Write them as TOML.", show_default=False)
+        ] = None,
+        enroll: Annotated[bool, typer.Option("--enroll", help="Enrol them all, or none.")] = False,
+        yes: enrolling.Yes = False,
+    ) -> Result:
+        """Design layouts that a radar tells apart best in any turn of the object.
+
+        Example: tagid layouts design --object helmet --reflectors 3 --slots 12 --count 10 --out helmets.toml
+        """
+        from tagid.cli.common.imaging import open_registry
+        from tagid.tags.layouts.design import design as make
+
+        rules = rules_from(reflectors, slots, spacing, mirror, seed)
+        beside = [] if alone else open_registry().layouts()
+        family = make(object_from(target, rows, radius, height), rules, count, prefix, beside)
+        return _designed(terminal, family, out, enrolling.Wish(False, yes, not enroll))
+
+    @command(app, "layouts capacity")
+    def capacity(
+        terminal: Terminal,
+        target: ObjectName = "helmet",
+        slots: Slots = 12,
+        rows: Rows = None,
+        radius: Radius = None,
+        height: Height = None,
+        spacing: Spacing = None,
+        mirror: Mirror = None,
+        seed: Seed = 0,
+        error_rate: Annotated[
+            float, typer.Option("--error-rate", help="Rate of wrong names allowed.")
+        ] = 0.001,
+        sigma: Annotated[
+            float | None,
+            typer.Option("--sigma", help="Your own measured error of one coordinate, metres."),
+        ] = None,
+    ) -> Result:
+        """Tell how many identities an object carries at a stated rate of wrong names.
+
+        Example: tagid layouts capacity --object mug --error-rate 0.001
+        """
+        return _capacity(
+            object_from(target, rows, radius, height),
+            [rules_from(k, slots, spacing, mirror, seed) for k in (2, 3, 4)],
+            sigma,
+            error_rate,
+        )
+
+
+def object_from(
+    name: str, rows: int | None, radii: list[float] | None, heights: list[float] | None
+) -> TaggedObject:
+    """The built-in object with its rows, or one's own from radii and heights. Raises UsageError."""
+    from tagid.tags.layouts.objects import Row, TaggedObject, object_named
+
+    if not radii:
+        if heights:
+            raise UsageError("--height without --radius", "Give a --radius for every --height.")
+        return object_named(name).with_rows(rows if rows is not None else 1)
+    if heights and len(heights) != len(radii):
+        raise UsageError(
+            f"{len(radii)} radii and {len(heights)} heights", "Give as many --height as --radius."
+        )
+    if rows is not None:
+        raise UsageError("--rows with --radius", "Every --radius is a row; leave --rows out.")
+    given = tuple(Row(r, h) for r, h in zip(radii, heights or [0.0] * len(radii), strict=True))
+    return TaggedObject("own", "other", given, "Own object")
+
+
+def rules_from(
+    reflectors: int, slots: int, spacing: float | None, mirror: bool | None, seed: int
+) -> DesignRules:
+    """Design rules of the command line. Raises UsageError."""
+    from tagid.tags.layouts.design import REFLECTOR_M, DesignRules
+
+    return DesignRules(
+        reflectors,
+        slots,
+        REFLECTOR_M if spacing is None else spacing,
+        mirror_counts=enrolling.direction_known() if mirror is None else mirror,
+        seed=seed,
+    )
+
+
+def _designed(terminal: Terminal, family: Family, out: Path | None, wish: enrolling.Wish) -> Result:
+    import numpy as np
+    from rich.console import Group
+    from rich.table import Table
+    from rich.text import Text
+
+    from tagid.cli.common.imaging import open_registry
+    from tagid.tags.layouts.capacity import confusion_rate, reference
+    from tagid.tags.layouts.codebook import CONFUSABLE_M, confusable
+    from tagid.tags.layouts.design import GHOST_M
+    from tagid.tags.layouts.layout_file import write_layouts
+
+    messages = []
+    near = sum(len(confusable(a, family.layouts[:i])) for i, a in enumerate(family.layouts))
+    if near:
+        messages.append(
+            f"{near} pairs of them are too near to be told apart in noise (reflectors within "
+            f"{CONFUSABLE_M * 1e3:.0f} mm): ask for fewer, or give more --slots or --rows"
+        )
+    if family.ghost_m < GHOST_M:
+        messages.append(
+            f"reflectors as near as {family.ghost_m * 1e3:.0f} mm can make a ghost (under "
+            f"{GHOST_M * 1e3:.0f} mm); --spacing {GHOST_M:g} avoids it"
+        )
+    if out is not None:
+        write_layouts(family.layouts, out)
+    stored = None
+    if not wish.dry_run:
+        stored = enrolling.store_family(terminal, open_registry(), family.layouts, "design", wish)
+    table = Table("layout", "angles deg", "radii mm", "heights mm", box=None)
+    for layout in family.layouts:
+        x, y = layout.positions.T
+        angles = np.rad2deg(np.arctan2(y, x)) % 360
+        table.add_row(
+            layout.name,
+            " ".join(f"{a:.0f}" for a in angles),
+            " ".join(f"{r * 1e3:.0f}" for r in np.hypot(x, y)),
+            " ".join(f"{float(h) * 1e3:.0f}" for h in np.asarray(layout.heights)),
+        )
+    place = reference(family.layouts[0].radius_m)
+    rate = 0.0
+    if len(family.layouts) > 1:
+        one = confusion_rate(family.distance_m, family.rules.reflectors, place.sigma_m)
+        rate = min(1.0, one * (len(family.layouts) - 1))
+    least = "-" if family.distance_m == float("inf") else f"{family.distance_m * 1e3:.1f} mm"
+    lines: list[RenderableType] = [
+        Text(
+            f"{len(family.layouts)} of {family.candidates} possible layouts ({family.necklaces} necklaces), "
+            f"least rotational distance {least}" + ("" if family.proven else ", the largest found")
+        )
+    ]
+    lines.append(
+        Text(
+            f"expected to be taken for another of them: {enrolling.rate_in_words(rate)} of readings at "
+            f"{place.views} views and {place.snr_db} dB"
+        )
+    )
+    if out is not None:
+        lines.append(Text(f"written to {out}; enrol them with: tagid layouts import {out}"))
+    data = {
+        "layouts": [layout.to_dict() for layout in family.layouts],
+        "distance_m": None if family.distance_m == float("inf") else family.distance_m,
+        "proven_best": family.proven,
+        "confusion_rate": rate,
+        "nearest_reflectors_m": family.ghost_m,
+        "candidates": family.candidates,
+        "necklaces": family.necklaces,
+        "path": None if out is None else str(out),
+        "registry_version": None if stored is None else stored.version,
+        **({} if stored is None else stored.data),
+    }
+    lines.append(table)
+    if stored is None:
+        return Result("layouts design", data, Group(*lines), messages=tuple(messages))
+    if stored.version is not None:
+        lines.append(Text(f"enrolled, registry version {stored.version}"))
+    return stored.result("layouts design", data, lines, messages)
+
+
+def _capacity(
+    target: TaggedObject, rules: list[DesignRules], sigma: float | None, error_rate: float
+) -> Result:
+    from rich.console import Group
+    from rich.table import Table
+    from rich.text import Text
+
+    from tagid.tags.layouts.capacity import Localisation, capacity, measured_on
+
+    known = [Localisation(0, 0, sigma)] if sigma is not None else measured_on(target.rows[0].radius_m)
+    table = Table(box=None)
+    for head in ("recording", "own echoes", "error mm", *(f"{r.reflectors} refl." for r in rules)):
+        table.add_column(head, no_wrap=True)
+    rows = []
+    for place in known:
+        found = [capacity(target, rule, place.sigma_m, error_rate) for rule in rules]
+        name = f"{place.views} views {place.snr_db} dB" if place.views else "as given"
+        cells = [
+            f"{c.identities}" + (f" ({c.distance_m * 1e3:.0f} mm)" if c.identities > 1 else "") for c in found
+        ]
+        echoes = "shell, handle" if place.own_echoes else "none" if place.views else ""
+        table.add_row(name, echoes, f"{place.sigma_m * 1e3:.2f}", *cells)
+        rows += [
+            {
+                "views": place.views or None,
+                "snr_db": place.snr_db if place.views else None,
+                "own_echoes": place.own_echoes if place.views else None,
+                "sigma_m": place.sigma_m,
+                "reflectors": c.reflectors,
+                "identities": c.identities,
+                "distance_m": c.distance_m if c.identities > 1 else None,
+                "error_rate": c.error_rate,
+            }
+            for c in found
+        ]
+    radii = ", ".join(f"{row.radius_m * 1e3:.0f} mm" for row in target.rows)
+    line = Text(
+        f"{target.label or target.name} (radius {radii}), {rules[0].slots} slots: identities with at most "
+        f"{error_rate:g} wrong names, and the distance they then keep"
+        + ("" if sigma is not None else f"; errors measured on a radius of {known[0].radius_m * 1e3:.0f} mm")
+    )
+    return Result(
+        "layouts capacity",
+        {"object": target.name, "error_rate": error_rate, "rows": rows},
+        Group(line, table),
+    )

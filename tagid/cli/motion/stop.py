@@ -1,0 +1,25 @@
+"""`tagid motion stop`: stop a robot or table, whoever set it in motion."""
+
+from __future__ import annotations
+
+import typer
+
+from tagid.cli.common.frame import Terminal, command
+from tagid.cli.motion.device import Url, driven
+from tagid.result import Result
+
+
+def register(group: typer.Typer) -> None:
+    """Add the command."""
+
+    @command(group, "motion stop")
+    def stop(terminal: Terminal, url: Url = None) -> Result:
+        """Stop it, and leave a robot in Passive.
+
+        Example: tagid motion stop roomba+ble://tagid-bridge
+        """
+        from rich.text import Text
+
+        device, _ = driven(url)
+        device.halt_now()
+        return Result("motion stop", {"stopped": True}, Text(f"{device.name} stands"))

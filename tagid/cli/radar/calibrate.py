@@ -1,0 +1,204 @@
+"""`tagid radar calibrate`: the delay of cables and antennas, and the empty scene."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from tagid.cli.common import options
+from tagid.cli.common.frame import Terminal, command
+from tagid.cli.radar.device import open_configured, radar_url
+from tagid.config import Config, data_folder, load_config
+from tagid.errors import DataError, StorageError, UsageError
+from tagid.result import Result
+
+if TYPE_CHECKING:
+    from tagid.capture import Capture
+    from tagid.radar.p440 import P440
+    from tagid.radar.settings import RadarConfig
+    from tagid.recording.calibration import DelayEstimate
+
+REFERENCE_NAME = "background.tagid.h5"
+
+
+def register(group: typer.Typer) -> None:
+    """Add the command."""
+
+    @command(group, "radar calibrate")
+    def calibrate(
+        terminal: Terminal,
+        distance: Annotated[
+            float | None,
+            typer.Option("--distance", help="Taped from the antennas to the target, metres."),
+        ] = None,
+        tape_error: Annotated[
+            float, typer.Option("--tape-error", help="Standard deviation of the tape, metres.")
+        ] = 0.005,
+        step: Annotated[
+            str | None,
+            typer.Option("--step", help="empty, target, or both with a pause to place the target."),
+        ] = None,
+        scans: Annotated[int, typer.Option("--scans", help="Scans of each step.")] = 200,
+        longest_delay: Annotated[
+            float, typer.Option("--longest-delay", help="Longest delay looked for, ns.")
+        ] = 25.0,
+        dry_run: Annotated[bool, typer.Option("--dry-run", help="Measure, but keep nothing.")] = False,
+        radar: options.RadarUrl = None,
+        axis_distance: options.AxisDistance = None,
+    ) -> Result:
+        """Find the cable and antenna delay with a target at a taped distance; keep the empty scene.
+
+        First the empty scene is recorded, then the target; both are kept in the configuration.
+
+        Example: tagid radar calibrate --distance 2.00
+        """
+        config = load_config({"radar.url": radar, "motion.axis_distance_m": axis_distance})
+        radar_url(config)
+        chosen = _steps(step, distance)
+        session = _Session(terminal, config, scans, longest_delay * 1e3, distance)
+        if not 0 < longest_delay <= 200:
+            raise UsageError(f"--longest-delay is {longest_delay} ns", "Give up to 200 ns.")
+        with open_configured(config) as device:
+            before = device.config
+            try:
+                session.set_window(device)
+                if chosen == "both":
+                    _ask("Take the target out of the beam")
+                empty = None if chosen == "target" else session.take(device, "empty scene")
+                if chosen == "both":
+                    _ask(f"Put the target at {distance:g} m from the antennas")
+                target = None if chosen == "empty" else session.take(device, "target")
+            finally:
+                _put_back(device, before)
+        return _keep(session, empty, target, tape_error, dry_run)
+
+
+class _Session:
+    """What the steps of one calibration share."""
+
+    def __init__(
+        self, terminal: Terminal, config: Config, scans: int, longest_ps: float, distance_m: float | None
+    ) -> None:
+        self.terminal, self.config, self.scans = terminal, config, scans
+        self.longest_ps, self.distance_m = longest_ps, distance_m
+
+    def set_window(self, device: P440) -> None:
+        """One window for both steps, which also holds what a scan will look at, and a scan's settings."""
+        from tagid.recording.calibration import calibration_window
+
+        distances = [] if self.distance_m is None else [self.distance_m]
+        axis, reach = self.config["motion.axis_distance_m"], self.config["imaging.extent_m"] + 0.35
+        if axis is not None:
+            distances += [max(axis - reach, 0.0), axis + reach]
+        if not distances:
+            return  # nothing says what will be looked at: the radar's own window
+        base = replace(
+            device.config,
+            base_integration_index=self.config["radar.integration"],
+            transmit_gain=self.config["radar.gain"],
+            antenna_mode=self.config["radar.antenna_mode"],
+        )
+        device.set_config(calibration_window(distances, self.longest_ps, base))
+
+    def take(self, device: P440, what: str) -> Capture:
+        """The scans of one step."""
+        from tagid.recording.calibration import take_scans
+
+        with self.terminal.progress(what, self.scans) as advance:
+            return take_scans(device, self.scans, lambda done: advance(done, f"{done} scans"))
+
+
+def _steps(step: str | None, distance: float | None) -> str:
+    if step is None:
+        asks = sys.stdin.isatty() and sys.stderr.isatty()
+        step = "empty" if distance is None else "both" if asks else "target"
+        if distance is None and asks:
+            raise UsageError(
+                "the target's distance is missing",
+                "Give --distance METRES, or --step empty to keep the empty scene alone.",
+            )
+    if step not in ("empty", "target", "both"):
+        raise UsageError(f"--step is {step!r}", "Give empty, target or both.")
+    if step != "empty" and distance is None:
+        raise UsageError(f"--step {step} needs the target's distance", "Give --distance METRES.")
+    if distance is not None and not 0.1 <= distance <= 100:
+        raise UsageError(f"--distance is {distance} m", "Give 0.1 to 100 m.")
+    return step
+
+
+def _ask(what: str) -> None:
+    typer.echo(f"{what}, then press Enter.", err=True)
+    if not sys.stdin.readline():
+        raise UsageError("nobody pressed Enter", "Use --step empty and --step target where nobody can.")
+
+
+def _put_back(device: P440, before: RadarConfig) -> None:
+    """The radar's own settings, unless it is gone."""
+    from tagid.errors import DeviceError
+
+    try:
+        device.set_config(replace(before, persist=0))
+    except DeviceError:
+        return
+
+
+def _keep(
+    session: _Session, empty: Capture | None, target: Capture | None, tape_error: float, dry_run: bool
+) -> Result:
+    from tagid.config import change_settings
+    from tagid.recording.calibration import estimate_delay, make_reference
+    from tagid.report.calibration import calibration_table
+    from tagid.storage.hdf5 import write_capture
+
+    reference = None if empty is None else make_reference(empty)
+    estimate: DelayEstimate | None = None
+    notes: list[str] = []
+    if target is not None and session.distance_m is not None:
+        background, note = _background(session, reference, target)
+        notes += [note] if note else []
+        estimate = estimate_delay(target, session.distance_m, tape_error, background, session.longest_ps)
+    changes: dict[str, Any] = {}
+    if estimate is not None:
+        changes["radar.cable_delay_ps"] = round(estimate.delay_ps, 1)
+        changes["radar.cable_delay_sigma_ps"] = round(estimate.sigma_ps, 1)
+    path: Path | None = None
+    if reference is not None and not dry_run:
+        path = data_folder() / REFERENCE_NAME
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise StorageError(f"cannot make the folder {path.parent}: {error.strerror}") from None
+        write_capture(path, reference)
+        changes["radar.background"] = str(path)
+    stored = None if dry_run or not changes else change_settings(changes)
+    facts = None if reference is None else reference.radar.reference
+    data = {
+        "estimate": None if estimate is None else asdict(estimate),
+        "distance_m": session.distance_m,
+        "reference": None if facts is None else facts.to_json(),
+        "background": None if path is None else str(path),
+        "config": None if stored is None else str(stored),
+        "changes": changes,
+    }
+    table = calibration_table(estimate, facts, None if stored is None else str(stored))
+    return Result("radar calibrate", data, table, messages=tuple(notes))
+
+
+def _background(session: _Session, fresh: Capture | None, target: Capture) -> tuple[Any, str]:
+    """(mean empty scene on the target's grid or None, what to say of it)."""
+    from tagid.recording.calibration import reference_on
+    from tagid.storage.importers import read_any
+
+    if fresh is not None:
+        return reference_on(fresh, target), ""
+    alone = "the empty scene was not taken off: leakage or a wall may have been taken for the target"
+    if not session.config["radar.background"]:
+        return None, f"{alone}; use --step empty before"
+    try:
+        return reference_on(read_any(Path(session.config["radar.background"])), target), ""
+    except (DataError, StorageError) as error:
+        return None, f"{alone} ({error.message})"

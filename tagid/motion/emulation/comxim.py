@@ -1,0 +1,86 @@
+"""A Comxim table as its serial port shows it: `CT+` commands, acknowledgements, angle and events."""
+
+from __future__ import annotations
+
+import re
+from typing import Final
+
+from tagid.motion.emulation.table import TurningTable
+
+_COMMAND: Final = re.compile(r"CT\+([A-Z]+)\(([-0-9.,]*)\)")
+_UNKNOWN, _OUT_OF_RANGE = 80, 81
+SECONDS_A_TURN: Final = 20.0
+
+
+class ComximCore:
+    """An emulated table; times are seconds of one clock.
+
+    Args:
+        rate_error: how much slower it turns than it says.
+        now_s: time at the start.
+        fail: error code that it answers to CT+RUN with; None for none.
+    """
+
+    baud = 115200
+
+    def __init__(self, rate_error: float = 0.03, now_s: float = 0.0, fail: int | None = None) -> None:
+        self.table = TurningTable(now_s)
+        self._rate_error = rate_error
+        self._fail = fail
+        self._speed, self._way, self._ack, self._events = 1, 1, False, False
+        self._buffer = ""
+        self._ends_at: float | None = None
+
+    def handle(self, data: bytes, now_s: float) -> bytes:
+        """Bytes that arrived; returns its answers."""
+        out = self.advance(now_s)
+        self._buffer = (self._buffer + data.decode("ascii", "ignore"))[-256:]
+        while ";" in self._buffer:
+            text, self._buffer = self._buffer.split(";", 1)
+            found = _COMMAND.search(text)
+            out += self._obey(found[1], found[2]) if found else _error(_UNKNOWN)
+        return out
+
+    def advance(self, now_s: float) -> bytes:
+        """Let time pass; an ended step is told as an event."""
+        self.table.advance(now_s)
+        if self._ends_at is not None and now_s >= self._ends_at:
+            self._ends_at = None
+            self.table.turn(0.0)
+            return b"CR+EVENT=TB_END;" if self._events else b""
+        return b""
+
+    def _obey(self, name: str, arguments: str) -> bytes:
+        try:
+            values = [float(part) for part in arguments.split(",") if part]
+        except ValueError:
+            return _error(_OUT_OF_RANGE)
+        first = values[0] if values else 0.0
+        speed = 360 / (SECONDS_A_TURN * self._speed * (1 + self._rate_error))
+        if name == "GETOFFSETANGLE":
+            return f"OffsetAngle= {self.table.angle_deg % 360:+.2f}".encode() + b"\xb0;CR+OK;"
+        if name == "SETSPEED":
+            if first < 1:
+                return _error(_OUT_OF_RANGE)
+            self._speed = int(first)
+        elif name == "SETDIR":
+            self._way = -1 if first else 1
+        elif name == "RUN":
+            if self._fail is not None:
+                return _error(self._fail)
+            self.table.turn(self._way * speed)
+        elif name == "SETSTOP":
+            self.table.turn(0.0)
+        elif name == "TRUNSINGLE" and len(values) == 2:
+            self.table.turn((-1 if first else 1) * speed)
+            self._ends_at = self.table.now_s + values[1] / speed
+        elif name in ("ACK", "EVENT"):
+            self._ack = bool(first) if name == "ACK" else self._ack
+            self._events = bool(first) if name == "EVENT" else self._events
+        elif name not in ("STARTUP", "SETMODE"):
+            return _error(_UNKNOWN)
+        return b"CR+OK;" if self._ack else b""
+
+
+def _error(code: int) -> bytes:
+    return f"CR+ERR={code};".encode()

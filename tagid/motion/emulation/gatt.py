@@ -1,0 +1,119 @@
+"""An emulated device whose serial line is one Bluetooth characteristic, on a virtual controller of its own.
+
+A host reaches it with hci=tcp-client:...; bumble plays both controllers.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+import time
+from typing import Any, Final
+
+from tagid.errors import DeviceTimeoutError
+from tagid.motion.emulation.pty import SerialCore
+from tagid.motion.links import require
+
+_START_S: Final = 20.0
+_TICK_S: Final = 0.01
+_INTERVAL_MS: Final = 20.0
+
+
+class GattPort:
+    """Serves a core on one characteristic from a thread; a context manager.
+
+    Args:
+        core: the device.
+        name: that it advertises.
+        service, characteristic: UUIDs.
+
+    Attributes:
+        hci: where a host finds its controller.
+        lock: held while the core is used; hold it to look into the core.
+
+    Raises MissingExtraError without bumble.
+    """
+
+    def __init__(self, core: SerialCore, name: str, service: str, characteristic: str) -> None:
+        require("bumble", "virtual", "an emulated Bluetooth table")
+        self._core, self._name = core, name
+        self._uuids = service, characteristic
+        self.lock = threading.Lock()
+        self.hci = ""
+        self._ready = threading.Event()
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._end: asyncio.Event | None = None
+        self._error: BaseException | None = None
+        self._thread = threading.Thread(target=self._work, name="gatt-port", daemon=True)
+
+    def __enter__(self) -> GattPort:
+        self._thread.start()
+        if not self._ready.wait(_START_S):
+            raise DeviceTimeoutError("the emulated table does not start", "Try again.") from self._error
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._loop is not None and self._end is not None:
+            self._loop.call_soon_threadsafe(self._end.set)
+        self._thread.join(timeout=5)
+
+    def _work(self) -> None:
+        try:
+            asyncio.run(self._serve())
+        except (OSError, RuntimeError) as error:
+            self._error = error
+
+    async def _serve(self) -> None:
+        from bumble import hci
+        from bumble.core import UUID, AdvertisingData
+        from bumble.device import Device
+        from bumble.gatt import Characteristic, CharacteristicValue, Service
+        from bumble.host import Host
+
+        from firmware_tools.virtual.air import Air, HciServer, make_controller
+
+        self._loop, self._end = asyncio.get_running_loop(), asyncio.Event()
+        air = Air(0.0, 2.0)
+        controller = make_controller("table", air)
+        host = Host()
+        host.controller = controller
+        device = Device(name=self._name, address=hci.Address("F0:F1:F2:F3:F4:02"), host=host)
+        kind = Characteristic.Properties
+        line: Any = Characteristic(
+            UUID(self._uuids[1]),
+            kind.WRITE_WITHOUT_RESPONSE | kind.NOTIFY,
+            Characteristic.WRITEABLE,
+            CharacteristicValue(write=lambda connection, value: self._written(device, line, bytes(value))),
+        )
+        device.add_service(Service(UUID(self._uuids[0]), [line]))
+        await device.power_on()
+        data = bytes(AdvertisingData([(AdvertisingData.COMPLETE_LOCAL_NAME, self._name.encode())]))
+        await device.start_advertising(
+            auto_restart=True,
+            advertising_data=data,
+            advertising_interval_min=_INTERVAL_MS,
+            advertising_interval_max=_INTERVAL_MS,
+        )
+        server = HciServer(air, controller)
+        port = await server.start("127.0.0.1", 0)
+        self.hci = f"tcp-client:127.0.0.1:{port}"
+        self._ready.set()
+        while not self._end.is_set():
+            with self.lock:
+                out = self._core.advance(time.monotonic())
+            await self._tell(device, line, out)
+            await asyncio.sleep(_TICK_S)
+        await server.close()
+        await asyncio.sleep(0)
+
+    def _written(self, device: Any, line: Any, data: bytes) -> None:
+        with self.lock:
+            out = self._core.handle(data, time.monotonic())
+        task = asyncio.get_running_loop().create_task(self._tell(device, line, out))
+        task.add_done_callback(lambda done: done.exception())
+
+    async def _tell(self, device: Any, line: Any, data: bytes) -> None:
+        for connection in list(device.connections.values()):
+            size = connection.att_mtu - 3
+            for at in range(0, len(data), size):
+                await device.notify_subscriber(connection, line, data[at : at + size])

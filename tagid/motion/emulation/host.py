@@ -1,0 +1,126 @@
+"""An emulated robot with all its ends: a pty for its serial port, loopback UDP for its true angle.
+
+Events (a bump, a cliff) come at a set time after it began to turn, so that a test can provoke each.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Final
+
+from tagid.errors import UsageError
+from tagid.motion.emulation.body import BodySettings
+from tagid.motion.emulation.pty import PtyPort
+from tagid.motion.emulation.roomba import RoombaCore, World
+from tagid.motion.emulation.truth import TruthServer
+
+EVENTS: Final = ("bump", "wheel-drop", "cliff", "charger")
+
+
+class _Timed:
+    """A core to which something happens after it has turned for a while."""
+
+    def __init__(self, core: RoombaCore, event: str, after_s: float) -> None:
+        self._core, self._event, self._after = core, event, after_s
+        self._since: float | None = None
+
+    @property
+    def baud(self) -> int:
+        return self._core.baud
+
+    def handle(self, data: bytes, now_s: float) -> bytes:
+        return self._core.handle(data, now_s)
+
+    def advance(self, now_s: float) -> bytes:
+        if self._since is None and self._core.body.moving:
+            self._since = now_s
+        if self._since is not None and now_s - self._since >= self._after:
+            happen(self._core.world, self._event)
+        return self._core.advance(now_s)
+
+
+def happen(world: World, event: str) -> None:
+    """Let one of EVENTS happen."""
+    if event == "bump":
+        world.bump = 1
+    elif event == "wheel-drop":
+        world.wheel_drop = 2
+    elif event == "cliff":
+        world.cliff = True
+    else:
+        world.on_charger = True
+
+
+class RoombaHost:
+    """A robot that runs; a context manager.
+
+    Args:
+        body, world, baud, asleep: see RoombaCore.
+        event: WHAT@SECONDS; None for a quiet life.
+        truth_port: UDP port of the true angle; 0 takes any.
+        link: a name for the serial port.
+
+    Attributes:
+        core: the robot; look into it under port.lock.
+        port: its serial port.
+        truth: tells `angle_rad`, `moving` and `still_since_s` (time.monotonic()).
+
+    Raises UsageError for an event that makes no sense.
+    """
+
+    def __init__(
+        self,
+        body: BodySettings | None = None,
+        world: World | None = None,
+        baud: int = 115200,
+        asleep: bool = False,
+        event: str | None = None,
+        truth_port: int = 0,
+        link: Path | None = None,
+    ) -> None:
+        self.core = RoombaCore(body, world, time.monotonic(), baud, asleep)
+        served: RoombaCore | _Timed = self.core
+        if event is not None:
+            what, _, after = event.partition("@")
+            try:
+                served = _Timed(self.core, what, float(after or 0))
+            except ValueError:
+                what = ""
+            if what not in EVENTS:
+                raise UsageError(f"the event is {event!r}", f"Give {', '.join(EVENTS)} with @SECONDS.")
+        self.port = PtyPort(served, link)
+        self.truth = TruthServer(self._state, truth_port)
+        self._stack = ExitStack()
+
+    def _state(self, moment_s: float) -> dict[str, float | int | bool]:
+        with self.port.lock:
+            body = self.core.body
+            return {
+                "angle_rad": body.heading_at(moment_s),
+                "moving": body.moving,
+                "still_since_s": body.still_since_s,
+                "mode": int(self.core.mode),
+            }
+
+    def __enter__(self) -> RoombaHost:
+        self._stack.enter_context(self.port)
+        self._stack.enter_context(self.truth)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stack.close()
+
+
+def wait_until_still(host: RoombaHost, timeout_s: float) -> float | None:
+    """Seconds until the wheels stand, None where they do not within the timeout."""
+    begin = time.monotonic()
+    pause = threading.Event()
+    while time.monotonic() - begin < timeout_s:
+        with host.port.lock:
+            if not host.core.body.moving:
+                return max(0.0, host.core.body.still_since_s - begin)
+        pause.wait(0.002)
+    return None

@@ -1,0 +1,270 @@
+"""A Roomba as its serial port shows it: modes and their fall-backs, sleep, sensors, the stream every 15 ms.
+
+It answers what a Create 2 answers, also to clients that are not ours (iRobot, "Create 2 Open Interface").
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Final
+
+from tagid.motion.emulation.body import Body, BodySettings
+from tagid.motion.roomba import messages as oi
+from tagid.motion.roomba.messages import Mode, Op, Packet
+
+SLEEP_AFTER_S: Final = 300.0
+_RESET_S: Final = 3.0
+_BANNER: Final = b"bl-start\r\nSTR730\r\nbootloader id: #x4756435E\r\nr3_robot/tags/release-3.5.4\r\n"
+_DATA_BYTES: Final = {
+    7: 0, 128: 0, 129: 1, 130: 0, 131: 0, 132: 0, 133: 0, 134: 0, 135: 0, 136: 0, 137: 4, 138: 1, 139: 3,
+    141: 1, 142: 1, 143: 0, 144: 3, 145: 4, 146: 4, 147: 1, 150: 1, 151: 1, 162: 2, 163: 4, 164: 4, 165: 1,
+    167: 15, 168: 3, 173: 0,
+}  # fmt: skip
+_COUNTED: Final = {140: (1, 2), 148: (0, 1), 149: (0, 1)}
+"""Commands with a count: its place in the data, and the bytes that each of so many takes."""
+_CLEANING: Final = (134, 135, 136, 143)
+
+
+@dataclass
+class World:
+    """What happens to the robot; may be changed at any time.
+
+    Attributes:
+        bump, wheel_drop: bits 0..1 of packet 7 (right, left), and of wheel drops.
+        cliff: whether the front left cliff sensor sees nothing.
+        on_charger: home base contacts.
+        charge, capacity: mAh. temperature_c, voltage_mv: of the battery.
+        mode_offset: what the firmware adds to the mode that it reports.
+    """
+
+    bump: int = 0
+    wheel_drop: int = 0
+    cliff: bool = False
+    on_charger: bool = False
+    charge: int = 2500
+    capacity: int = 2696
+    temperature_c: int = 24
+    voltage_mv: int = 15_800
+    mode_offset: int = 0
+
+
+@dataclass
+class _State:
+    mode: Mode = Mode.OFF
+    asleep: bool = False
+    baud: int = 115200
+    streamed: tuple[int, ...] = ()
+    streaming: bool = False
+    next_frame_s: float = 0.0
+    used_s: float = 0.0
+    starts_at_s: float | None = None
+    buffer: bytearray = field(default_factory=bytearray)
+    speeds: tuple[int, int] = (0, 0)
+
+
+class RoombaCore:
+    """One emulated robot; times are seconds of one clock that never runs backwards.
+
+    Args:
+        body: what it is like.
+        world: what happens to it.
+        now_s: time at the start.
+        baud: rate of its port at the start.
+        asleep: whether it has to be woken by a pulse on BRC.
+    """
+
+    def __init__(
+        self,
+        body: BodySettings | None = None,
+        world: World | None = None,
+        now_s: float = 0.0,
+        baud: int = 115200,
+        asleep: bool = False,
+    ) -> None:
+        self.body = Body(body, now_s)
+        self.world = world or World()
+        self._now = now_s
+        self._state = _State(baud=baud, asleep=asleep, used_s=now_s)
+        self.ignored = 0
+        """Bytes that were no command."""
+
+    @property
+    def mode(self) -> Mode:
+        """The true mode."""
+        return self._state.mode
+
+    @property
+    def asleep(self) -> bool:
+        """Whether it sleeps: deaf until woken."""
+        return self._state.asleep
+
+    @property
+    def baud(self) -> int:
+        """The rate of its port."""
+        return self._state.baud
+
+    def pulse_brc(self) -> None:
+        """A low pulse on BRC: wakes a robot that sleeps, and keeps one awake that does not."""
+        self._state.asleep = False
+        self._state.used_s = self._now
+
+    def handle(self, data: bytes, now_s: float) -> bytes:
+        """Bytes that arrived at the robot; returns what it sends by then, in order."""
+        out = self.advance(now_s)
+        state = self._state
+        if state.asleep or state.starts_at_s is not None or not data:
+            return out
+        state.used_s = self._now
+        state.buffer += data
+        while (command := self._next_command()) is not None:
+            out += self._obey(*command)
+        return out
+
+    def advance(self, now_s: float) -> bytes:
+        """Let time pass; returns what the robot sends by itself."""
+        out = b""
+        state = self._state
+        while True:
+            due = state.next_frame_s if state.streaming and state.streamed else None
+            if due is None or due > now_s:
+                break
+            self._move_to(max(due, self._now))
+            state.next_frame_s += oi.FRAME_S
+            out += self._fit_frame()
+        self._move_to(now_s)
+        if state.starts_at_s is not None and self._now >= state.starts_at_s:
+            state.starts_at_s = None
+            out += _BANNER
+        if state.mode is Mode.PASSIVE and self._now - state.used_s > SLEEP_AFTER_S and not state.streaming:
+            state.asleep, state.mode = True, Mode.OFF
+        return out
+
+    def _fit_frame(self) -> bytes:
+        frame = oi.stream_frame(self._state.streamed, self._sensors())
+        # What does not fit into 15 ms at this rate is cut off, as on the real wire.
+        return frame[: int(self._state.baud / 10 * oi.FRAME_S)]
+
+    def _move_to(self, now_s: float) -> None:
+        if now_s <= self._now:
+            return
+        self._now = now_s
+        self.body.advance(now_s)
+        w = self.world
+        if self._state.mode is Mode.SAFE and (w.wheel_drop or w.cliff or w.on_charger):
+            self._enter(Mode.PASSIVE)
+        if self._state.mode is Mode.FULL and w.on_charger and not self.body.moving:
+            self._enter(Mode.PASSIVE)
+
+    def _enter(self, mode: Mode) -> None:
+        """Every change of mode stops the wheels."""
+        if mode not in (Mode.SAFE, Mode.FULL) or self._state.mode not in (Mode.SAFE, Mode.FULL):
+            self._drive(0, 0)
+        self._state.mode = mode
+        if mode is Mode.OFF:
+            self._state.streaming = False
+
+    def _drive(self, right: int, left: int) -> None:
+        self._state.speeds = (right, left)
+        self.body.drive(right, left)
+
+    def _next_command(self) -> tuple[int, bytes] | None:
+        buffer = self._state.buffer
+        while buffer:
+            opcode = buffer[0]
+            size = _DATA_BYTES.get(opcode)
+            if opcode in _COUNTED:
+                place, each = _COUNTED[opcode]
+                if len(buffer) < place + 2:
+                    return None
+                size = place + 1 + each * buffer[place + 1]
+            if size is None:
+                del buffer[0]
+                self.ignored += 1
+                continue
+            if len(buffer) < size + 1:
+                return None
+            data = bytes(buffer[1 : size + 1])
+            del buffer[: size + 1]
+            return opcode, data
+        return None
+
+    def _obey(self, opcode: int, data: bytes) -> bytes:
+        state = self._state
+        if opcode == Op.RESET:
+            self._enter(Mode.OFF)
+            state.starts_at_s = self._now + _RESET_S
+            state.buffer.clear()
+            return b""
+        if opcode == Op.START:
+            self._enter(Mode.PASSIVE)
+            return b""
+        if state.mode is Mode.OFF:
+            return b""
+        if opcode == Op.STOP:
+            self._enter(Mode.OFF)
+        elif opcode == Op.BAUD and data[0] < len(oi.BAUD_CODES):
+            state.baud = oi.BAUD_CODES[data[0]]
+        elif opcode in (Op.SAFE, 130, Op.FULL):
+            self._enter(Mode.FULL if opcode == Op.FULL else Mode.SAFE)
+        elif opcode == 133:
+            self._enter(Mode.PASSIVE)
+            state.asleep, state.mode, state.streaming = True, Mode.OFF, False
+        elif opcode in _CLEANING:
+            self._enter(Mode.PASSIVE)
+        elif opcode in (Op.DRIVE, Op.DRIVE_DIRECT, 146) and state.mode in (Mode.SAFE, Mode.FULL):
+            self._drive(*_wheel_speeds(opcode, data))
+        elif opcode == Op.SENSORS:
+            return self._answer([data[0]])
+        elif opcode == Op.QUERY_LIST:
+            return self._answer(data[1:])
+        elif opcode == Op.STREAM:
+            state.streamed = tuple(p for p in data[1:] if p in oi.PACKETS or p in oi.GROUPS)
+            state.streaming, state.next_frame_s = bool(state.streamed), self._now + oi.FRAME_S
+        elif opcode == Op.PAUSE_STREAM:
+            state.streaming = bool(data[0]) and bool(state.streamed)
+            state.next_frame_s = self._now + oi.FRAME_S
+        return b""
+
+    def _answer(self, packets: bytes | list[int]) -> bytes:
+        known = [packet for packet in packets if packet in oi.PACKETS or packet in oi.GROUPS]
+        values = self._sensors()
+        return b"".join(oi.pack_packet(packet, values) for packet in known)
+
+    def _sensors(self) -> dict[int, int]:
+        w, state = self.world, self._state
+        left, right = self.body.encoders()
+        return {
+            Packet.BUMPS_AND_DROPS: (w.bump & 3) | (w.wheel_drop & 3) << 2,
+            Packet.CLIFF_FRONT_LEFT: int(w.cliff),
+            Packet.CHARGING_STATE: 2 if w.on_charger else 0,
+            Packet.VOLTAGE: w.voltage_mv,
+            Packet.CURRENT: 1200 if w.on_charger else (-350 if self.body.moving else -180),
+            Packet.TEMPERATURE: w.temperature_c,
+            Packet.CHARGE: w.charge,
+            Packet.CAPACITY: w.capacity,
+            Packet.CHARGER: 2 if w.on_charger else 0,
+            Packet.MODE: state.mode + w.mode_offset & 0xFF,
+            Packet.LEFT_ENCODER: left,
+            Packet.RIGHT_ENCODER: right,
+            38: len(state.streamed),
+            41: state.speeds[0],
+            42: state.speeds[1],
+        }
+
+
+def _wheel_speeds(opcode: int, data: bytes) -> tuple[int, int]:
+    """Right and left speeds, mm/s, of Drive, Drive Direct and Drive PWM; limited as the robot limits them."""
+    first = int.from_bytes(data[:2], "big", signed=True)
+    second = int.from_bytes(data[2:], "big", signed=True)
+    if opcode == Op.DRIVE_DIRECT:
+        right, left = first, second
+    elif opcode == 146:
+        right, left = round(first / 255 * 500), round(second / 255 * 500)
+    elif second in (-32768, 32767):
+        right = left = first
+    elif second in (1, -1):
+        right, left = second * first, -second * first
+    else:
+        half = 117.5 / second if second else 0.0
+        right, left = round(first * (1 + half)), round(first * (1 - half))
+    return max(-500, min(500, right)), max(-500, min(500, left))

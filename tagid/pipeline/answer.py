@@ -1,0 +1,76 @@
+"""The answer to "what is this object" as a value: the contract's fields, and nothing of how it was found.
+
+Commands, batch runs and the history pass it on, so it has one way to become JSON.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from tagid import __version__
+
+if TYPE_CHECKING:
+    from tagid.tags.network.second_look import SecondLook
+    from tagid.tags.reading.matcher import Reading
+
+
+@dataclass(frozen=True, eq=False)
+class Identification:
+    """The answer to "what is this object" (contract: Identification).
+
+    Attributes:
+        reading: what the scans say; None where status is "failed".
+        status: "identified", "unknown", "ambiguous", "no_tag" or "failed".
+        capture_uuid, registry_version, label: provenance and the name for people.
+        seconds: of each stage.
+        error: {code, message, remedy} where status is "failed".
+        second: what the network says of the image; None for free antenna positions and where status is
+            "failed".
+    """
+
+    status: str
+    reading: Reading | None
+    capture_uuid: str | None
+    registry_version: int | None
+    label: str = ""
+    seconds: dict[str, float] = field(default_factory=dict)
+    error: dict[str, str] | None = None
+    second: SecondLook | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain JSON values, with all fields of the contract."""
+        r = self.reading
+        second = self.second
+        scores = r.scores if r else ()
+        return {
+            "status": self.status,
+            "reason": r.reason if r else (self.error or {}).get("message", ""),
+            "layout": r.layout if r else None,
+            "label": self.label,
+            "score": r.score if r else 0.0,
+            "margin": r.margin if r else 0.0,
+            "rotation_deg": r.rotation_deg if r and r.layout else None,
+            "centre_m": list(r.centre_m) if r and r.layout else None,
+            "reflectors": self._reflectors(),
+            "missing": r.missing if r else 0,
+            "extra": r.extra if r else 0,
+            "reflector_probability": second.present if second else None,
+            "scores": [{"layout": s.name, "criterion": s.criterion, "share": s.share} for s in scores],
+            "capture_uuid": self.capture_uuid,
+            "tool_version": __version__,
+            "model_sha256": second.model_sha256 if second else None,
+            "registry_version": self.registry_version,
+            "seconds": {name: round(value, 4) for name, value in self.seconds.items()},
+            "error": self.error,
+        }
+
+    def _reflectors(self) -> list[dict[str, Any]]:
+        """Those of the reading, with the network's probabilities where it was asked."""
+        found = self.reading.reflectors if self.reading else ()
+        rows: list[dict[str, Any]] = [
+            {"x_m": p.x_m, "y_m": p.y_m, "amplitude_db": p.amplitude_db, "matched": p.matched} for p in found
+        ]
+        for row, opinion in zip(rows, self.second.opinions if self.second else (), strict=False):
+            row |= {"probability": round(opinion.probability, 4), "ghost": round(opinion.ghost, 4)}
+        return rows

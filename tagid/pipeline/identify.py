@@ -1,0 +1,141 @@
+"""From a prepared capture to a name, without printing: one function for commands, reports and notebooks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from tagid.capture import Capture
+from tagid.errors import DataError
+from tagid.geometry import ImageGrid
+from tagid.imaging.autofocus import focus_axis_distance
+from tagid.imaging.preprocess import PreprocessSettings
+from tagid.pipeline.answer import Identification
+from tagid.pipeline.prepared import PreparedCapture, as_prepared
+from tagid.pipeline.settings import ImagingSettings, Stopwatch
+
+if TYPE_CHECKING:
+    from tagid.tags.enrolling.averaging import Sighting
+    from tagid.tags.layouts.layout import Layout
+    from tagid.tags.network.second_look import SecondLook
+    from tagid.tags.reading.matcher import ReaderSettings, Reading
+
+_FEWEST_VIEWS = 3
+
+
+def identify(
+    capture: Capture | PreparedCapture,
+    layouts: Sequence[Layout],
+    settings: ImagingSettings | None = None,
+    registry_version: int | None = None,
+) -> Identification:
+    """Name the object of a prepared capture.
+
+    The tag is read in the scans and not in an image, whose artefacts could mislead it. The reader itself
+    finds an error of the axis distance, as a range offset.
+
+    Args:
+        capture: the result of `prepare`, or a `PreparedCapture`, which brings its settings.
+        layouts: the candidates.
+        settings: only with a plain capture.
+        registry_version: noted in the answer.
+
+    Raises:
+        DataError: too few views or bins, or the object lies outside the range window.
+        RegistryError: no layout is enrolled.
+    """
+    from tagid.tags.reading.matcher import read_tag
+
+    prepared = as_prepared(capture, settings)
+    _check_views(prepared)
+    watch = Stopwatch()
+    scans = prepared.scans(prepared.settings.preprocessing(matched_filter=False))
+    with watch.stage("read"):
+        reading = read_tag(scans, layouts, _reader_settings(prepared.settings))
+    with watch.stage("look again"):
+        second = _second_look(prepared, reading)
+    label = next((layout.label for layout in layouts if layout.name == reading.layout), "")
+    seconds = {**prepared.watch.seconds, **watch.seconds}
+    uuid = prepared.given.uuid
+    return Identification(reading.status, reading, uuid, registry_version, label, seconds, second=second)
+
+
+def identify_together(
+    captures: Sequence[Capture],
+    layouts: Sequence[Layout],
+    settings: ImagingSettings | None = None,
+    registry_version: int | None = None,
+) -> tuple[Identification, list[Identification]]:
+    """Name the object of several prepared captures jointly, and of each alone (see `tags.reading.vote`).
+
+    Raises as `identify` does.
+    """
+    from tagid.tags.reading.vote import read_together
+
+    settings = settings or ImagingSettings()
+    watch = Stopwatch()
+    prepared = [PreparedCapture(capture, settings) for capture in captures]
+    for one in prepared:
+        _check_views(one)
+    recordings = [one.scans(settings.preprocessing(matched_filter=False)) for one in prepared]
+    with watch.stage("read"):
+        joint, alone = read_together(recordings, layouts, _reader_settings(settings))
+    labels = {layout.name: layout.label for layout in layouts}
+    with watch.stage("look again"):
+        seconds = [_second_look(one, reading) for reading, one in zip(alone, prepared, strict=True)]
+    for one in prepared:
+        watch.add(one.watch)
+
+    def answer(reading: Reading, uuid: str | None, second: SecondLook | None) -> Identification:
+        label, spent = labels.get(reading.layout or "", ""), dict(watch.seconds)
+        return Identification(reading.status, reading, uuid, registry_version, label, spent, second=second)
+
+    each = [answer(r, c.uuid, second) for r, c, second in zip(alone, captures, seconds, strict=True)]
+    only = len(captures) == 1
+    return answer(joint, captures[0].uuid if only else None, seconds[0] if only else None), each
+
+
+def sight_reflectors(capture: Capture, name: str, settings: ImagingSettings | None = None) -> Sighting:
+    """Strong reflectors of a prepared capture and their covariance, without knowledge of any layout.
+
+    Raises DataError as `identify` does.
+    """
+    from tagid.tags.enrolling.averaging import MOST_SEARCHED_M, SEARCHED_M, Sighting
+
+    prepared = PreparedCapture(capture, settings)
+    settings = prepared.settings
+    scans = prepared.scans(settings.preprocessing_for_focus(matched_filter=False))
+    if settings.focus_m > 0 and scans.aperture.angles is not None:
+        grid = ImageGrid(settings.extent_m, settings.pixels)
+        scans, _ = focus_axis_distance(scans, grid, settings.focus_m)
+    radius = float(np.clip(settings.extent_m / 2 - 0.01, SEARCHED_M, MOST_SEARCHED_M))
+    return Sighting.of(scans, name, radius)
+
+
+def _check_views(prepared: PreparedCapture) -> None:
+    views = prepared.given.views
+    if views < _FEWEST_VIEWS:
+        raise DataError(
+            f"the capture has {views} views, too few to read a tag", "Record at least 12 views per turn."
+        )
+
+
+def _second_look(prepared: PreparedCapture, reading: Reading) -> SecondLook | None:
+    """The network's opinion of the backprojection, on its own grid; None for free antenna positions."""
+    from tagid.tags.network.planes import GRID
+    from tagid.tags.network.second_look import look_again
+
+    if prepared.given.angles_rad is None:
+        return None
+    matched = PreprocessSettings(prepared.settings.background, matched_filter=True, extent_m=GRID.extent)
+    return look_again(prepared.scans(matched), reading.reflectors, reading.offset_m)
+
+
+def _reader_settings(settings: ImagingSettings) -> ReaderSettings:
+    from tagid.tags.reading.decision import DecisionSettings
+    from tagid.tags.reading.matcher import ReaderSettings
+
+    decision = DecisionSettings(false_accept=settings.false_accept)
+    return ReaderSettings(decision=decision, direction_known=settings.direction_known)

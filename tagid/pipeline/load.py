@@ -1,0 +1,157 @@
+"""The way in: any recording becomes a capture that is ready for imaging and reading.
+
+read -> missing geometry -> reference background -> angles -> one turn. Every command and every batch worker
+loads through `load_capture`, so that a shared option means the same everywhere.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from tagid.capture import Capture
+from tagid.config import Config
+from tagid.errors import ConfigError, UsageError
+from tagid.pipeline.prepared import prepare
+from tagid.recording.calibration import without_background
+from tagid.storage.importers import read_any
+
+BACKGROUNDS = ("mean", "median", "reference", "none")
+
+
+@dataclass(frozen=True)
+class Default:
+    """A value for captures that lack it.
+
+    Attributes:
+        value: the value; None where there is none.
+        overrides: whether it also replaces what the capture holds (it was given on the command line).
+    """
+
+    value: Any = None
+    overrides: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class LoadSettings:
+    """What is applied to a capture while it is loaded.
+
+    Attributes:
+        cable_delay_ps: two-way cable delay to subtract from the ranges of raw recordings, ps.
+        node: number of the radar to read, where a log holds several.
+        axis_distance_m, antenna_height_m: geometry for captures that lack it, m.
+        motion: device URL of what turned the object.
+        motion_is_default: whether `motion` is only the built-in default; a capture's own URL then wins.
+        as_recorded: keep the angles of a capture, even where the command line names the motion: it was
+            recorded with this very motion.
+        reference: recording of the empty scene to subtract; None where none is wanted.
+    """
+
+    cable_delay_ps: float = 0.0
+    node: int | None = None
+    axis_distance_m: Default = Default()
+    antenna_height_m: Default = Default()
+    motion: Default = Default("free")
+    motion_is_default: bool = True
+    as_recorded: bool = False
+    reference: Capture | None = None
+
+    @classmethod
+    def of(
+        cls, config: Config, background: str = "mean", node: int | None = None, as_recorded: bool = False
+    ) -> LoadSettings:
+        """The settings of a configuration and of the option `--background`.
+
+        Raises:
+            UsageError: unknown background.
+            ConfigError: a reference background is wanted and none was recorded; StorageError and
+                FileFormatError where its file cannot be read.
+        """
+        if background not in BACKGROUNDS:
+            raise UsageError(f"--background is {background!r}", f"Use {', '.join(BACKGROUNDS)}.")
+
+        def default(name: str) -> Default:
+            given = config.values[name]
+            return Default(given.value, given.value is not None and given.source == "command line")
+
+        return cls(
+            config["radar.cable_delay_ps"],
+            node,
+            default("motion.axis_distance_m"),
+            default("motion.antenna_height_m"),
+            default("motion.url"),
+            config.values["motion.url"].source == "default",
+            as_recorded,
+            _reference(config) if background == "reference" else None,
+        )
+
+    def described(self) -> dict[str, Any]:
+        """Everything here that an answer depends on, as plain JSON values."""
+        given = {
+            "motion.url": self.motion,
+            "motion.axis_distance_m": self.axis_distance_m,
+            "motion.antenna_height_m": self.antenna_height_m,
+        }
+        return {
+            "given": {
+                name: {"value": default.value, "from the command line": default.overrides}
+                for name, default in given.items()
+            },
+            "cable_delay_ps": self.cable_delay_ps,
+            "node": self.node,
+            "reference_uuid": None if self.reference is None else self.reference.uuid,
+        }
+
+    def motion_for(self, capture: Capture) -> str | None:
+        """Motion that gives the capture its angles; None keeps those it has.
+
+        The command line comes first, then the angles or positions of the capture, then the URL that it was
+        recorded with, then the configuration.
+        """
+        known = capture.angles_rad is not None
+        if self.motion.overrides and not (known and self.as_recorded):
+            return str(self.motion.value)
+        if capture.angles_rad is not None or capture.antenna_positions_m is not None:
+            return None
+        if self.motion_is_default and capture.motion.url is not None:
+            return capture.motion.url
+        return str(self.motion.value)
+
+
+def load_capture(source: Path | Capture, settings: LoadSettings | None = None, turn: bool = True) -> Capture:
+    """A recording, ready for imaging and reading.
+
+    Args:
+        source: a file in any format that `tagid` reads, or a capture that is in memory already.
+        settings: what to apply; by default nothing is known beyond the file.
+        turn: resolve the angles and reduce the scans to one turn of views; False keeps every scan, for
+            inspection.
+
+    Raises:
+        StorageError: the file cannot be read. FileFormatError: unknown format, or damaged.
+        UsageError: scans of several radars and no `node`.
+        DataError: no angles and none to be found, or a reference background that does not fit.
+    """
+    settings = settings or LoadSettings()
+    capture = (
+        source if isinstance(source, Capture) else read_any(source, settings.cable_delay_ps, settings.node)
+    )
+    distance, height = settings.axis_distance_m, settings.antenna_height_m
+    if distance.overrides or (capture.axis_distance_m is None and distance.value is not None):
+        capture = replace(capture, axis_distance_m=distance.value)
+    if height.overrides:
+        capture = replace(capture, antenna_height_m=height.value)
+    if settings.reference is not None:
+        capture = without_background(capture, settings.reference)
+    return prepare(capture, settings.motion_for(capture)) if turn else capture
+
+
+def _reference(config: Config) -> Capture:
+    path = config["radar.background"]
+    if not path:
+        raise ConfigError(
+            "there is no background reference",
+            "Record one of the empty scene with `tagid radar calibrate --step empty`.",
+        )
+    return read_any(Path(path))

@@ -1,0 +1,113 @@
+"""A capture made ready for imaging and reading; each derived quantity is computed once and shared.
+
+A scan is imaged, read and shown to the network. All three take their baseband scans and pulse from here.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from tagid.capture import Capture
+from tagid.errors import UsageError
+from tagid.geometry import ImageGrid
+from tagid.imaging.preprocess import PreprocessSettings, nominal, preprocess
+from tagid.imaging.pulsefit import PulseEstimate, estimate_pulse
+from tagid.imaging.types import BasebandScans
+from tagid.pipeline.resolve import one_turn
+from tagid.pipeline.settings import ImagingSettings, Stopwatch
+from tagid.pipeline.turn import resolve_turn
+
+MAX_VIEWS = 360
+"""Scans are averaged into at most this many views per turn: 1 degree, the paper's step; it moves a reflector
+on the rim of a 0.25 m object by 4.4 mm, under an eighth of a wavelength."""
+MAX_POSITIONS = 2000
+"""Free antenna positions are not averaged but thinned to this number."""
+
+
+def prepare(capture: Capture, motion: str | None = None) -> Capture:
+    """The capture as imaging needs it: known angles, one turn, at most 360 views.
+
+    Args:
+        capture: any capture.
+        motion: device URL of what turned the object; None keeps the angles of the capture, or estimates the
+            rotation period from the data where it has none.
+
+    Raises:
+        DataError: the angles are neither given nor found in the data.
+    """
+    turned = resolve_turn(capture, motion)
+    return one_turn(turned, MAX_VIEWS if turned.antenna_positions_m is None else MAX_POSITIONS)
+
+
+class PreparedCapture:
+    """A prepared capture with its settings, its pulse and its baseband scans.
+
+    Args:
+        capture: the result of `prepare`.
+        settings: of imaging and reading.
+
+    Attributes:
+        settings: as given.
+        watch: seconds spent here, by stage ("pulse", "preprocess").
+    """
+
+    def __init__(self, capture: Capture, settings: ImagingSettings | None = None) -> None:
+        self.settings = settings or ImagingSettings()
+        self.watch = Stopwatch()
+        self._given = capture
+        self._with_pulse: Capture | None = None
+        self._estimate: PulseEstimate | None = None
+        self._scans: dict[PreprocessSettings, BasebandScans] = {}
+
+    @property
+    def given(self) -> Capture:
+        """The capture as it was given, before the choice of a pulse."""
+        return self._given
+
+    @property
+    def capture(self) -> Capture:
+        """The capture with the pulse that the settings ask for. Raises DataError where the estimate fails."""
+        if self._with_pulse is None:
+            self._with_pulse = self._choose_pulse()
+        return self._with_pulse
+
+    @property
+    def pulse_estimate(self) -> PulseEstimate | None:
+        """The estimate of the pulse; None where the settings ask for none."""
+        return self._estimate if self.capture is not None else None
+
+    def scans(self, settings: PreprocessSettings) -> BasebandScans:
+        """The baseband scans for these settings, computed at the first call.
+
+        Raises:
+            DataError: too few views or bins, or the object lies outside the range window.
+        """
+        if settings not in self._scans:
+            capture = self.capture
+            with self.watch.stage("preprocess"):
+                self._scans[settings] = preprocess(capture, settings=settings)
+        return self._scans[settings]
+
+    def _choose_pulse(self) -> Capture:
+        settings = self.settings
+        if settings.pulse == "nominal":
+            return replace(self._given, pulse=nominal(self._given))
+        if settings.pulse == "auto":
+            return self._given
+        with self.watch.stage("pulse"):
+            grid = ImageGrid(settings.extent_m, settings.pixels)
+            found = estimate_pulse(self._given, grid, settings.background, settings.focus_m)
+        self._estimate = found
+        return replace(self._given, pulse=found.pulse)
+
+
+def as_prepared(capture: Capture | PreparedCapture, settings: ImagingSettings | None) -> PreparedCapture:
+    """The prepared capture itself, or one of a plain capture and settings.
+
+    Raises UsageError where settings accompany a `PreparedCapture`, which has its own.
+    """
+    if isinstance(capture, Capture):
+        return PreparedCapture(capture, settings)
+    if settings is not None and settings != capture.settings:
+        raise UsageError("a PreparedCapture brings its own settings", "Make a new one with other settings.")
+    return capture

@@ -1,0 +1,113 @@
+"""From a recording without angles to one turn of views with angles: what imaging asks of motion.
+
+It joins the clock, the motion device and the thinning of views, so that scanning and reading a file agree.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from tagid.angles.clock import UniformClock, fit_clock
+from tagid.angles.measured import measured_angles
+from tagid.angles.views import average_into_views, select_views
+from tagid.capture import Capture
+from tagid.errors import DataError
+from tagid.metadata import ResolvedMotion
+from tagid.motion.urls import open_motion
+
+
+def clock_of(capture: Capture) -> UniformClock:
+    """The clock of a capture: of the radar's stamps where there are any, else of the host's arrival times.
+
+    Raises:
+        DataError: neither is known, or they do not advance.
+    """
+    if capture.radar_time_ms is not None:
+        return fit_clock(capture.radar_time_ms, capture.scan_id)
+    if capture.host_time_ns is not None:
+        # Relative to the first scan, because nanoseconds since the epoch do not fit a float64.
+        return fit_clock((capture.host_time_ns - capture.host_time_ns[0]) * 1e-6, capture.scan_id)
+    raise DataError(
+        "the capture holds neither angles nor the times of its scans",
+        "Import it with angles_rad, timestamps_s or antenna_positions_m.",
+    )
+
+
+def with_angles(capture: Capture, motion: str | None = None) -> Capture:
+    """The capture with an angle and a sigma for every scan.
+
+    Args:
+        capture: any capture.
+        motion: device URL of what turned the object. None keeps angles or antenna positions that are there,
+            and else takes the period from the data. Of a device that measures, the angles are those of the
+            recording.
+
+    Raises:
+        UsageError: the URL makes no sense. DataError: no times, or no period in the data and no speed given.
+    """
+    known = capture.angles_rad is not None or capture.antenna_positions_m is not None
+    if motion is None and known:
+        return capture
+    device = open_motion(motion or "free")
+    track = capture.motion.track
+    if device.measures and track is None and known:
+        return capture
+    clock = clock_of(capture)
+    if track is not None and capture.host_time_ns is not None and (motion is None or device.measures):
+        angles = measured_angles(capture.samples, clock, capture.host_time_ns, track)
+        motion = motion or capture.motion.url
+    else:
+        angles = device.resolve(capture.samples, clock.times_s, clock.sigma_s)
+    found = replace(angles.info, scan_period_s=clock.period_s, clock_residual_ms=clock.residual_ms)
+    return replace(
+        capture,
+        angles_rad=angles.angles_rad,
+        angle_sigma_rad=angles.sigma_rad,
+        antenna_positions_m=None,
+        motion=capture.motion.without_track(url=motion or "free", resolved=found),
+    )
+
+
+def with_measured_angles(capture: Capture) -> Capture:
+    """A recovered capture with the angles that its motion measured, where it did; else as it is."""
+    if capture.motion.track is None:
+        return capture
+    try:
+        return with_angles(capture)
+    except DataError as error:
+        return replace(capture, motion=capture.motion.without_track(not_resolved=error.message))
+
+
+def turn_line(resolved: ResolvedMotion | None) -> str:
+    """How the angles were found, in one line; "" where that is not known.
+
+    >>> turn_line(ResolvedMotion(turns=1.312, period_s=8.63, quality=0.97, kind="free"))
+    '1.31 turns of 8.63 s (free), period quality 0.97'
+    """
+    if resolved is None or not resolved.turns or not resolved.period_s:
+        return ""
+    line = f"{resolved.turns:.2f} turns of {resolved.period_s:.2f} s ({resolved.kind or 'free'})"
+    if resolved.quality is not None:
+        line += f", period quality {resolved.quality:.2f}"
+    if resolved.source == "measured":
+        line += f", clocks aligned to {resolved.clock_sigma_ms or 0.0:.1f} ms"
+        if not resolved.checked_by_radar:
+            line += ", not checked by the radar"
+    if resolved.kind == "roomba" and not resolved.calibrated:
+        line += "; `tagid motion calibrate` stores the wheel base"
+    return line
+
+
+def one_turn(capture: Capture, max_views: int) -> Capture:
+    """At most so many views, evenly over one turn.
+
+    Denser scans are averaged into views, which lowers the noise; otherwise the scans of the first turn
+    stay as they are. A capture of free antenna positions is thinned only.
+    """
+    if capture.angles_rad is None:
+        every = -(-capture.views // max_views)
+        return capture if every == 1 else capture.select(slice(None, None, every))
+    inside = select_views(capture.angles_rad)
+    if len(inside) > max_views:
+        return average_into_views(capture, max_views)
+    return capture if len(inside) == capture.views else capture.select(inside)

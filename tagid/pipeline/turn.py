@@ -1,0 +1,96 @@
+"""Which multiple of the shortest repetition is a whole turn, decided by the image that explains the scans.
+
+An object alike after 1/n of a turn repeats n times a turn, which no autocorrelation can tell from a faster
+table; but only at the true speed do a few points at rest explain how the echoes move.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from tagid.capture import Capture
+from tagid.errors import DataError
+from tagid.geometry import ImageGrid
+from tagid.imaging.operator import ForwardOperator
+from tagid.imaging.preprocess import PreprocessSettings, preprocess
+from tagid.imaging.sparse import omp
+from tagid.motion.urls import open_motion
+from tagid.pipeline.resolve import one_turn, with_angles
+
+MULTIPLES = (1, 2, 3, 4)
+"""Symmetries that are looked for: a tag of four reflectors can be alike four times a turn."""
+_SHORTEST_TURN = 0.3
+"""Part of a turn that must be recorded before a multiple can be judged."""
+_POINTS = 6
+_GRID = ImageGrid(0.3, 60)
+"""Holds the layouts (radius up to 130 mm) at the Nyquist step of the point response, 5 mm < lambda / 8."""
+_VIEWS = 90
+_BETTER = 0.7
+"""A multiple is believed where it leaves less than this share of what the shortest repetition leaves: on
+the four layouts at 10 and 20 dB the true one leaves 0.05 to 0.4."""
+
+
+def resolve_turn(capture: Capture, motion: str | None = None) -> Capture:
+    """The capture with angles; a period from the data alone is checked for being a part of a turn.
+
+    Args:
+        capture: any capture; angles and positions that are there stay unless a motion is named.
+        motion: device URL; None takes the period from the data.
+
+    Raises:
+        DataError: no times, or no period. UsageError: a bad URL.
+    """
+    known = capture.angles_rad is not None or capture.antenna_positions_m is not None
+    if motion is None and known:
+        return capture
+    first = with_angles(capture, motion)
+    resolved = first.motion.resolved
+    url = first.motion.url or "free"
+    table = open_motion(url)
+    if table.measures or table.nominal_s is not None or capture.axis_distance_m is None:
+        return first
+    if resolved is None or resolved.period_s is None or resolved.turns is None:
+        return first
+    shortest, turns = resolved.period_s, resolved.turns
+    direction = "cw" if table.direction < 0 else "ccw"
+    candidates: dict[int, Capture] = {}
+    left: dict[int, float] = {}
+    for multiple in MULTIPLES:
+        if turns / multiple < _SHORTEST_TURN:
+            break
+        speed = f"free?rpm={60 / (multiple * shortest)}&direction={direction}"
+        candidates[multiple] = first if multiple == 1 else with_angles(capture, speed)
+        try:
+            left[multiple] = unexplained_share(candidates[multiple])
+        except DataError:
+            # The object lies outside the window or nothing turns: imaging will say so better.
+            return first
+    best = min(left, key=lambda multiple: left[multiple])
+    if left[best] >= _BETTER * left[1]:
+        best = 1
+    found = candidates[best]
+    info = replace(
+        found.motion.resolved or resolved,
+        nominal_rpm=None,
+        shortest_repetition_s=shortest,
+        repetitions_a_turn=best,
+        unexplained={str(multiple): share for multiple, share in left.items()},
+    )
+    return replace(found, motion=replace(found.motion, url=url, resolved=info))
+
+
+def unexplained_share(capture: Capture) -> float:
+    """Share of the energy above noise that six points at rest leave unexplained (matching pursuit).
+
+    Raises DataError where the capture cannot be imaged.
+    """
+    settings = PreprocessSettings(extent_m=_GRID.extent, matched_filter=False)
+    scans = preprocess(one_turn(capture, _VIEWS), settings=settings)
+    operator = ForwardOperator(scans, _GRID)
+    image = omp(scans, _GRID, _POINTS, operator=operator)
+    residual = scans.samples - operator.forward(image.values.ravel()).reshape(scans.samples.shape)
+    energy = float((np.abs(scans.samples) ** 2).sum())
+    noise = scans.noise_std**2 * scans.samples.size / energy
+    return max(float((np.abs(residual) ** 2).sum()) / energy - noise, 1e-3)

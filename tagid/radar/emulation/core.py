@@ -1,0 +1,305 @@
+"""A P440 as a state machine: bytes in, bytes out, time handed in; no sockets, no clock of its own.
+
+The UDP emulator, the replay and the tests all drive this one core, so that they show the same radar.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from tagid.errors import ConfigError
+from tagid.radar.emulation.firmware import SERVER_ONLY, Firmware, Identity
+from tagid.radar.emulation.sources import FixedSource, FollowingSource, ScanSource
+from tagid.radar.messages import (
+    CONFIG_DTYPE,
+    OPMODE_MRM,
+    SCAN_FOREVER,
+    SLEEP_ACTIVE,
+    MalformedMessage,
+    Message,
+    MessageType,
+    Status,
+    decode,
+    encode,
+)
+from tagid.radar.scan_info import RAW_FILTER, scan_packets
+from tagid.radar.settings import RadarConfig
+
+_T = MessageType
+_BAUD_RATES: Final = range(9_600, 921_601)
+_MRM_REQUESTS: Final = (_T.SET_CONFIG_REQUEST, _T.GET_CONFIG_REQUEST, _T.CONTROL_REQUEST)
+
+
+@dataclass
+class _Run:
+    """A scan series under way; times are seconds since boot."""
+
+    first_id: int
+    count: int
+    period_s: float
+    started_s: float
+    index: int = 0
+
+    def due_s(self) -> float:
+        return self.started_s + (self.index + 1) * self.period_s
+
+
+@dataclass
+class _State:
+    config: RadarConfig
+    flash: RadarConfig
+    opmode: int = OPMODE_MRM
+    sleep: int = SLEEP_ACTIVE
+    filter_mask: int = RAW_FILTER
+    boots_until_s: float | None = None
+    run: _Run | None = None
+    clipped: int = 0
+    ended: bool = False
+
+
+class EmulatorCore:
+    """One emulated radar.
+
+    Times are seconds of the emulated clock. `handle` takes a request, `advance_by_one` lets time pass, `step`
+    jumps to the next scan; all return the packets that leave the radar, in order.
+
+    Args:
+        source: what the radar sees; a `FixedSource` (recording) also fixes the settings and the timestamps.
+        config: settings at power-up.
+        identity: what GET_STATUSINFO says.
+        booted_s: emulated time since boot at the start.
+        firmware: what its firmware does its own way.
+    """
+
+    def __init__(
+        self,
+        source: ScanSource,
+        config: RadarConfig | None = None,
+        identity: Identity | None = None,
+        booted_s: float = 10.0,
+        firmware: Firmware | None = None,
+    ) -> None:
+        self._source = source
+        self._fixed = source if isinstance(source, FixedSource) else None
+        self._firmware = firmware or Firmware()
+        start = self._fixed.config if self._fixed else self._firmware.take(config or RadarConfig())
+        self._state = _State(start, start)
+        self._identity = identity or Identity()
+        self._now = booted_s
+        self._booted_at = 0.0
+        self._handlers: dict[MessageType, Callable[[Message], bytes]] = {
+            _T.SET_CONFIG_REQUEST: self._set_config,
+            _T.GET_CONFIG_REQUEST: self._get_config,
+            _T.CONTROL_REQUEST: self._control,
+            _T.SERVER_CONNECT_REQUEST: lambda m: _confirm(_T.SERVER_CONNECT_CONFIRM, m),
+            _T.SERVER_DISCONNECT_REQUEST: lambda m: _confirm(_T.SERVER_DISCONNECT_CONFIRM, m),
+            _T.SET_FILTER_REQUEST: self._set_filter,
+            _T.GET_FILTER_REQUEST: lambda m: encode(
+                _T.GET_FILTER_CONFIRM, m.id, mask=self._state.filter_mask
+            ),
+            _T.GET_STATUSINFO_REQUEST: lambda m: self._firmware.status_info(m.id, self._identity),
+            _T.REBOOT_REQUEST: self._reboot,
+            _T.SET_OPMODE_REQUEST: self._set_opmode,
+            _T.GET_OPMODE_REQUEST: lambda m: encode(_T.GET_OPMODE_CONFIRM, m.id, mode=self._state.opmode),
+            _T.SET_SLEEPMODE_REQUEST: self._set_sleep,
+            _T.GET_SLEEPMODE_REQUEST: lambda m: self._firmware.sleep_mode(m.id, self._state.sleep),
+            _T.SET_BAUD_REQUEST: self._set_baud,
+        }
+
+    def follow(self, monotonic: Callable[[float], float]) -> None:
+        """Tell a source that needs it what moment of time.monotonic() an emulated time is."""
+        if isinstance(self._source, FollowingSource):
+            self._source.follow(monotonic)
+
+    @property
+    def config(self) -> RadarConfig:
+        """The settings in force."""
+        return self._state.config
+
+    @property
+    def now_s(self) -> float:
+        """The emulated clock."""
+        return self._now
+
+    @property
+    def scanning(self) -> bool:
+        """Whether a run is under way."""
+        return self._state.run is not None
+
+    @property
+    def ended(self) -> bool:
+        """Whether a recording has come to its end: the run stopped for want of scans."""
+        return self._state.ended and self._state.run is None
+
+    @property
+    def clipped_samples(self) -> int:
+        """Samples that were clipped at the radar's full scale."""
+        return self._state.clipped
+
+    @property
+    def next_due_s(self) -> float | None:
+        """Emulated time at which the next packet leaves by itself; None where nothing is planned."""
+        if self._state.boots_until_s is not None:
+            return self._state.boots_until_s
+        return self._state.run.due_s() if self._state.run else None
+
+    def handle(self, packet: bytes) -> list[bytes]:
+        """Answers to one packet of a client; a booting radar is deaf."""
+        if self._state.boots_until_s is not None or len(packet) < 4:
+            return []
+        try:
+            message = decode(packet)
+        except MalformedMessage as error:
+            return [_invalid(packet, error.status)]
+        handler = self._handlers.get(message.type)
+        if handler is None or (message.type in SERVER_ONLY and not self._firmware.server):
+            return [_invalid(packet, Status.UNRECOGNISED)]
+        if message.type in _MRM_REQUESTS and self._state.opmode != OPMODE_MRM:
+            return [self._refuse(message, Status.WRONG_OPMODE)]
+        if message.type is _T.CONTROL_REQUEST and self._state.sleep != SLEEP_ACTIVE:
+            return [self._refuse(message, Status.INVALID_DURING_SLEEP)]
+        residual: list[bytes] = []
+        if message.type is _T.CONTROL_REQUEST and message["scan_count"] == 0:
+            for _ in range(self._firmware.residual_scans):
+                residual += self.step() if self.scanning else []
+        return [*residual, handler(message)]
+
+    def hold_back(self, now_s: float) -> None:
+        """Lets time pass without a scan: the wire has no room, and the radar waits for it."""
+        run = self._state.run
+        if run is not None and run.due_s() < now_s:
+            run.started_s += now_s - run.due_s()
+        self._now = max(self._now, now_s)
+
+    def advance_by_one(self, now_s: float) -> list[bytes]:
+        """Lets time pass until `now_s` or the next scan, whichever is first; returns what left the radar.
+
+        One scan a call, so that a slow source cannot keep a request (a stop!) from being heard.
+        """
+        due = self.next_due_s
+        if due is not None and due <= now_s:
+            return self.step()
+        self._now = max(self._now, now_s)
+        return []
+
+    def step(self) -> list[bytes]:
+        """Jumps to the next thing that happens by itself (a scan, the end of a boot)."""
+        due = self.next_due_s
+        if due is None:
+            return []
+        self._now = max(self._now, due)
+        if self._state.boots_until_s is not None:
+            self._state.boots_until_s = None
+            self._booted_at = self._now
+            return [encode(_T.READY_INFO, 0)]
+        return self._next_scan()
+
+    def _next_scan(self) -> list[bytes]:
+        state = self._state
+        run = state.run
+        assert run is not None
+        index = run.index
+        if self._fixed and not self._fixed.has(index):
+            state.run = None
+            state.ended = True
+            return []
+        run.index += 1
+        if run.index == run.count and run.count != SCAN_FOREVER:
+            state.run = None
+        config = state.config
+        # The scan was taken during the period that ends now.
+        samples = np.asarray(self._source.scan(index, self._now - run.period_s, config))
+        if samples.shape != (config.samples,):
+            raise ValueError(f"source gave shape {samples.shape}, expected ({config.samples},)")
+        limit = config.clip_counts
+        state.clipped += int(np.count_nonzero(np.abs(samples) > limit))
+        stamp = self._fixed.timestamp_ms(index) & 0xFFFFFFFF if self._fixed else self._timestamp()
+        return scan_packets(
+            np.clip(samples, -limit, limit).astype(np.int32),
+            config,
+            (run.first_id + index) & 0xFFFF,
+            stamp,
+        )
+
+    def _set_config(self, message: Message) -> bytes:
+        self._state.run = None  # silently, as the real radar does
+        try:
+            wanted = self._firmware.take(RadarConfig.from_record(message.fields["config"]))
+        except ConfigError:
+            return _confirm(_T.SET_CONFIG_CONFIRM, message, Status.UNSUPPORTED_VALUE)
+        self._state.config = self._fixed.config if self._fixed else wanted
+        if wanted.persist:
+            self._state.flash = self._state.config
+        return _confirm(_T.SET_CONFIG_CONFIRM, message)
+
+    def _get_config(self, message: Message) -> bytes:
+        record = self._state.config.to_record()
+        return encode(_T.GET_CONFIG_CONFIRM, message.id, config=record, timestamp_ms=self._timestamp())
+
+    def _control(self, message: Message) -> bytes:
+        count = message["scan_count"]
+        if count == 0:
+            self._state.run = None
+            return _confirm(_T.CONTROL_CONFIRM, message)
+        period = max(self._state.config.scan_period_s, message["interval_us"] * 1e-6)
+        self._state.run = _Run(message.id, count, period, self._now)
+        self._state.ended = False
+        return _confirm(_T.CONTROL_CONFIRM, message)
+
+    def _set_filter(self, message: Message) -> bytes:
+        status = Status.OK if message["mask"] == RAW_FILTER else Status.UNSUPPORTED_VALUE
+        return _confirm(_T.SET_FILTER_CONFIRM, message, status)
+
+    def power_cycle(self) -> None:
+        """Boots anew: settings from flash, no run, and deaf until READY_INFO."""
+        flash = self._state.flash
+        self._state = _State(flash, flash, boots_until_s=self._now + self._identity.boot_s)
+
+    def _reboot(self, message: Message) -> bytes:
+        self.power_cycle()
+        return encode(_T.REBOOT_CONFIRM, message.id)
+
+    def _set_opmode(self, message: Message) -> bytes:
+        mode = message["mode"]
+        known = mode in (0, OPMODE_MRM)  # 0 is ranging: possible on a P440, but no radar then
+        if known:
+            self._state.opmode, self._state.run = mode, None
+        status = Status.OK if known else Status.UNSUPPORTED_VALUE
+        return encode(_T.SET_OPMODE_CONFIRM, message.id, mode=self._state.opmode, status=int(status))
+
+    def _set_sleep(self, message: Message) -> bytes:
+        mode = message["mode"]
+        if mode > 4:
+            return _confirm(_T.SET_SLEEPMODE_CONFIRM, message, Status.UNSUPPORTED_VALUE)
+        self._state.sleep = mode
+        if mode != SLEEP_ACTIVE:
+            self._state.run = None
+        return _confirm(_T.SET_SLEEPMODE_CONFIRM, message)
+
+    def _set_baud(self, message: Message) -> bytes:
+        status = Status.OK if message["baud"] in _BAUD_RATES else Status.UNSUPPORTED_VALUE
+        return _confirm(_T.SET_BAUD_CONFIRM, message, status)
+
+    def _timestamp(self) -> int:
+        return math.floor((self._now - self._booted_at) * 1e3) & 0xFFFFFFFF
+
+    def _refuse(self, message: Message, status: Status) -> bytes:
+        if message.type is _T.GET_CONFIG_REQUEST:
+            return encode(
+                _T.GET_CONFIG_CONFIRM, message.id, config=np.zeros((), CONFIG_DTYPE), status=int(status)
+            )
+        return _confirm(MessageType(message.type + 0x100), message, status)
+
+
+def _confirm(confirm: MessageType, request: Message, status: Status = Status.OK) -> bytes:
+    return encode(confirm, request.id, status=int(status))
+
+
+def _invalid(packet: bytes, status: Status) -> bytes:
+    bad_type, bad_id = int.from_bytes(packet[:2], "big"), int.from_bytes(packet[2:4], "big")
+    return encode(_T.INVALID_MESSAGE_CONFIRM, bad_id, bad_type=bad_type, bad_id=bad_id, status=int(status))

@@ -1,0 +1,261 @@
+"""The emulated radar on a real wire: what stands behind `tagid emulate`.
+
+It adds to the core only what a wire adds: faults, real time, and a pace the receiver can take.
+"""
+
+from __future__ import annotations
+
+import queue
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Final, Protocol, Self
+
+from tagid.errors import UsageError
+from tagid.radar.emulation.core import EmulatorCore
+from tagid.radar.emulation.faults import Faults, FaultyPath
+from tagid.radar.emulation.wires import PtyWire, UdpWire, Wire
+from tagid.radar.framing import Framing
+from tagid.radar.links import DEFAULT_PORT, bind_udp
+
+_IDLE_S: Final = 0.05
+_WORST_LAG_S: Final = 0.5
+
+
+class StopEvent(Protocol):
+    """`threading.Event` and `multiprocessing.Event` alike."""
+
+    def is_set(self) -> bool:
+        """Whether to stop."""
+        ...
+
+
+@dataclass(frozen=True)
+class ServeOptions:
+    """How the emulator runs.
+
+    Attributes:
+        host, port: address to listen on; port 0 takes any free one.
+        rate: emulated seconds per second; 1 is real time, 0 as fast as the receiver takes scans.
+        faults: of the network.
+    """
+
+    host: str = "127.0.0.1"
+    port: int = DEFAULT_PORT
+    rate: float = 1.0
+    faults: Faults = field(default_factory=Faults)
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.rate <= 1e6:
+            raise UsageError(f"emulator rate is {self.rate}", "Give 1 for real time, 0 for no limit.")
+
+
+def serve(core: EmulatorCore, wire: Wire, options: ServeOptions, stop_event: StopEvent) -> None:
+    """Serves one emulated radar on a wire until `stop_event` is set; closes the wire."""
+    try:
+        Server(core, options, wire).run(stop_event)
+    finally:
+        wire.close()
+
+
+def serve_udp(
+    core: EmulatorCore,
+    options: ServeOptions,
+    stop_event: StopEvent,
+    on_ready: Callable[[str, int], None] | None = None,
+) -> None:
+    """Serves one emulated radar on UDP. `on_ready` is told the address when it listens.
+
+    Raises PortInUseError where another program holds the port.
+    """
+    sock = bind_udp(options.host, options.port)
+    host, port = sock.getsockname()
+    if on_ready:
+        on_ready(host, port)
+    serve(core, UdpWire(sock), options, stop_event)
+
+
+class Server:
+    """Moves packets between the core and a wire as time passes.
+
+    Args:
+        core: the radar.
+        options: rate and faults.
+        wire: carries the packets.
+    """
+
+    def __init__(self, core: EmulatorCore, options: ServeOptions, wire: Wire) -> None:
+        self._core = core
+        self._rate = options.rate
+        self._wire = wire
+        self._path = FaultyPath(options.faults)
+        self._origin = time.monotonic() - (core.now_s / options.rate if options.rate else 0.0)
+        self._orders: queue.SimpleQueue[Callable[[], Any]] = queue.SimpleQueue()
+        if options.rate:
+            core.follow(lambda emulated_s: self._origin + emulated_s / options.rate)
+
+    def order(self, what: Callable[[], Any]) -> None:
+        """Has something done between two packets, by the thread that serves."""
+        self._orders.put(what)
+
+    def run(self, stop_event: StopEvent) -> None:
+        """Serves until told to stop."""
+        while not stop_event.is_set():
+            while not self._orders.empty():
+                self._orders.get()()
+            for packet in self._wire.requests(self._wait_s()):
+                if self._path.request_arrives():
+                    self.send(self._core.handle(packet))
+            if self._rate:
+                self._keep_time()
+            elif self._core.next_due_s is not None and self._wire.ready():
+                self.send(self._core.step())
+            self._release()
+
+    def send(self, packets: list[bytes]) -> None:
+        """Packets leave the radar and go the way that loses some of them."""
+        if packets:
+            self._wire.send(self._path.pass_on(packets, self._core.now_s))
+
+    def _keep_time(self) -> None:
+        now = (time.monotonic() - self._origin) * self._rate
+        if self._wire.paces and self._core.scanning and not self._wire.ready():
+            self._core.hold_back(now)
+            return
+        self.send(self._core.advance_by_one(now))
+        # A source slower than the radar slows the emulated clock; it must not end in bursts.
+        lag = time.monotonic() - self._origin - self._core.now_s / self._rate
+        self._origin += lag if lag > _WORST_LAG_S else 0.0
+
+    def _release(self) -> None:
+        """What was held back goes when its time has come, or at once where nothing can follow it."""
+        if self._path.holding:
+            if self._core.next_due_s is None:
+                late = self._path.flush(self._core.now_s if self._rate else None)
+            else:
+                late = self._path.pass_on([], self._core.now_s)
+            self._wire.send(late)
+
+    def _wait_s(self) -> float:
+        due = self._core.next_due_s
+        held = self._path.next_due_s
+        if due is None and held is None:
+            return _IDLE_S
+        if not self._rate:
+            return 0.0
+        first = min(time_s for time_s in (due, held) if time_s is not None)
+        return min(max(self._origin + first / self._rate - time.monotonic(), 0.0), _IDLE_S)
+
+
+class _Emulator:
+    """The emulator on a thread, for tests and demos in one process; a context manager."""
+
+    def __init__(self, core: EmulatorCore, options: ServeOptions) -> None:
+        self.core = core
+        self._options = options
+        self._stop = threading.Event()
+        self._thread: threading.Thread | None = None
+        self._server: Server | None = None
+
+    def _start(self, wire: Wire) -> None:
+        self._server = server = Server(self.core, self._options, wire)
+
+        def work() -> None:
+            try:
+                server.run(self._stop)
+            finally:
+                wire.close()
+
+        self._thread = threading.Thread(target=work, name="p440-emulator", daemon=True)
+        self._thread.start()
+
+    def order(self, what: Callable[[], Any]) -> None:
+        """Has something done by the emulator's thread and waits until it is done."""
+        assert self._server is not None
+        done = threading.Event()
+
+        def work() -> None:
+            what()
+            done.set()
+
+        self._server.order(work)
+        done.wait(10)
+
+    def power_cycle(self) -> None:
+        """Takes the power away for a moment: the radar boots, loses its run and says READY_INFO then."""
+        self.order(self.core.power_cycle)
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stop.set()
+        if self._thread:
+            self._thread.join(timeout=5)
+
+
+class UdpEmulator(_Emulator):
+    """An emulated radar on a UDP port.
+
+    Raises PortInUseError on entry where the port is taken.
+    """
+
+    def __init__(self, core: EmulatorCore, options: ServeOptions | None = None) -> None:
+        super().__init__(core, options or ServeOptions(port=0))
+        self.address: tuple[str, int] = ("", 0)
+
+    @property
+    def url(self) -> str:
+        """The radar URL to connect to."""
+        return f"udp://{self.address[0]}:{self.address[1]}"
+
+    def __enter__(self) -> Self:
+        sock = bind_udp(self._options.host, self._options.port)
+        self.address = sock.getsockname()
+        self._start(UdpWire(sock))
+        return self
+
+
+class SerialEmulator(_Emulator):
+    """An emulated radar on a pseudo-terminal.
+
+    Args:
+        core: the radar.
+        options: rate and faults.
+        framing: USB or UART.
+        baud: bytes leave no faster than this; None is as fast as they are taken.
+        link: path of a symbolic link to the port, whose name stays when the port is replugged.
+    """
+
+    def __init__(
+        self,
+        core: EmulatorCore,
+        options: ServeOptions | None = None,
+        framing: Framing = Framing.USB,
+        baud: int | None = None,
+        link: Path | None = None,
+    ) -> None:
+        super().__init__(core, options or ServeOptions())
+        self._framing = framing
+        self._link = link
+        self.wire = PtyWire(framing, baud, link)
+
+    @property
+    def url(self) -> str:
+        """The radar URL to connect to."""
+        path = self._link or self.wire.path
+        return f"serial://{path}" + ("?framing=uart" if self._framing is Framing.UART else "")
+
+    def unplug(self) -> None:
+        """Pulls the plug; the radar, which has its own power, goes on."""
+        self.order(self.wire.unplug)
+
+    def plug(self) -> None:
+        """Puts the plug back; the port may have another name."""
+        self.order(self.wire.plug)
+
+    def __enter__(self) -> Self:
+        self._start(self.wire)
+        return self

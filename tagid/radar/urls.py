@@ -1,0 +1,112 @@
+"""Radar URLs: their syntax, and the wire that a udp:// or serial:// URL names."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+from urllib.parse import parse_qsl, unquote, urlsplit
+
+from tagid.errors import UsageError
+from tagid.radar.framing import Framing
+from tagid.radar.links import DEFAULT_PORT, Link, UdpLink
+
+WHAT_WORKS: Final = (
+    "Give udp://HOST[:PORT] (a P440 in a network), serial:///dev/ttyACM0 (on USB), "
+    "serial:///dev/ttyUSB0?framing=uart&baud=115200 (on its UART), replay://FILE (a recording) or "
+    "emulator://SCENE?seed=1 (a simulated radar)."
+)
+
+
+@dataclass(frozen=True)
+class RadarUrl:
+    """A radar URL taken apart.
+
+    Attributes:
+        scheme: "udp", "serial", "replay" or "emulator".
+        target: host, device file, file path or scene name.
+        port: UDP port; 0 for other schemes.
+        options: what stands behind the question mark.
+    """
+
+    scheme: str
+    target: str
+    port: int
+    options: dict[str, str]
+
+
+def parse_radar_url(url: str) -> RadarUrl:
+    """Takes a radar URL apart. Raises UsageError with what would work.
+
+    >>> parse_radar_url("udp://192.168.1.100").port
+    21210
+    >>> parse_radar_url("emulator://helmet-120?seed=1").options
+    {'seed': '1'}
+    """
+    scheme, separator, rest = url.partition("://")
+    if not separator:
+        raise UsageError(f"radar {url!r} is not a URL", WHAT_WORKS)
+    path, _, query = rest.partition("?")
+    try:
+        pairs = parse_qsl(query, keep_blank_values=True, strict_parsing=True) if query else []
+    except ValueError as error:
+        raise UsageError(f"radar {url!r}: the options {query!r} cannot be read", WHAT_WORKS) from error
+    options = dict(pairs)
+    if scheme not in _TARGET_NAMES:
+        raise UsageError(f"radar {url!r}: {scheme}:// is unknown", WHAT_WORKS)
+    if not path.strip("/"):
+        raise UsageError(f"radar {url!r} names no {_TARGET_NAMES[scheme]}", WHAT_WORKS)
+    if scheme != "udp":
+        return RadarUrl(scheme, unquote(path), 0, options)
+    try:
+        parts = urlsplit(f"udp://{path}")
+        host, port = parts.hostname, parts.port
+    except ValueError as error:
+        raise UsageError(f"radar {url!r} has a bad address or port", WHAT_WORKS) from error
+    if not host or parts.path.strip("/") or parts.username or port == 0:
+        raise UsageError(f"radar {url!r} has a bad address or port", WHAT_WORKS)
+    if options:
+        raise UsageError(f"radar {url!r}: udp:// takes no options", WHAT_WORKS)
+    return RadarUrl(scheme, host, port or DEFAULT_PORT, {})
+
+
+_TARGET_NAMES: Final = {"udp": "host", "serial": "port", "replay": "file", "emulator": "scene"}
+
+
+def open_link(url: str) -> Callable[[], Link]:
+    """What opens the wire that a udp:// or serial:// URL names; the URL itself is judged at once.
+
+    Raises UsageError for another scheme, a bad address or a bad option. Calling the result raises DeviceError
+    for an unknown host or a port that is missing, taken or forbidden.
+    """
+    parsed = parse_radar_url(url)
+    if parsed.scheme == "udp":
+        return lambda: UdpLink(parsed.target, parsed.port)
+    if parsed.scheme != "serial":
+        raise UsageError(f"radar {url!r} stands on no wire", WHAT_WORKS)
+    options = dict(parsed.options)
+    framing_name, baud_text = options.pop("framing", "usb"), options.pop("baud", None)
+    if options:
+        raise UsageError(f"radar {url!r}: option {next(iter(options))!r} is unknown", WHAT_WORKS)
+    if not parsed.target.startswith("/"):
+        raise UsageError(f"radar {url!r} names no device file", WHAT_WORKS)
+    if framing_name not in ("usb", "uart"):
+        raise UsageError(f"radar {url!r}: framing is {framing_name!r}", "Give framing=usb or framing=uart.")
+    from tagid.radar.serial_link import BAUD_RATES, DEFAULT_BAUD, SerialLink, SerialPort
+
+    baud = DEFAULT_BAUD if baud_text is None else int(number_option(url, "baud", baud_text))
+    if baud not in BAUD_RATES:
+        raise UsageError(f"radar {url!r}: baud is {baud}", "Give 9600 to 921600; at delivery: 115200.")
+    port = SerialPort(parsed.target, Framing(framing_name), baud)
+    return lambda: SerialLink(port)
+
+
+def number_option(url: str, name: str, text: str) -> float:
+    """A finite number of a URL's option. Raises UsageError."""
+    try:
+        value = float(text)
+    except ValueError as error:
+        raise UsageError(f"radar {url!r}: {name} is {text!r}", f"Give a number for {name}.") from error
+    if value != value or abs(value) == float("inf"):
+        raise UsageError(f"radar {url!r}: {name} is {text!r}", f"Give a finite number for {name}.")
+    return value

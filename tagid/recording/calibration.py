@@ -1,0 +1,300 @@
+"""The delay of cables and antennas, from the echo of a target at a taped distance, and the empty scene.
+
+Imaging takes ranges for true to a centimetre, while ten nanoseconds of cable are a metre and a half; so the
+delay is measured with the very pulse and the very peak that imaging means, and comes with its uncertainty.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tagid.capture import Capture, ViewFlag
+from tagid.constants import BIN_PS, SPEED_OF_LIGHT
+from tagid.errors import DataError, UsageError
+from tagid.metadata import RadarInfo, RadarSettings, ReferenceFacts, ReferenceName
+from tagid.radar.p440 import P440
+from tagid.radar.settings import RadarConfig
+from tagid.waveform import nominal_pulse, pulse_at
+
+LONGEST_DELAY_PS = 25_000.0
+"""Longer delays are not looked for: 10 to 13 ns are met, a metre more of cable to each antenna adds 10."""
+
+EDGE_PS = 3_000.0
+"""Window kept beyond the times that are searched, so that no echo stands on the edge."""
+
+_MOST_SCANS = 5000
+_FINER = 16
+_BLOCKS = 8
+_LEAST_SNR_DB = 10.0
+_APART_PS = 1_200.0
+"""A pulse is 0.7 to 1.14 ns wide (measured); two maxima further apart than that are two echoes."""
+_SIMILAR = 0.5
+
+
+@dataclass(frozen=True)
+class DelayEstimate:
+    """The two-way delay of cables and antennas.
+
+    Attributes:
+        delay_ps: the delay, ps; goes into `radar.cable_delay_ps`.
+        sigma_ps: its standard deviation, ps: the parts below, added in squares.
+        echo_ps: two-way time of the echo's peak on the radar's clock, ps.
+        snr_db: power of the echo over the noise in the mean of all scans, dB.
+        tape_ps: what the tape's error makes of it, ps.
+        noise_ps: scatter between parts of the recording, ps.
+        shape_ps: what the matched filter moves the echo's peak by: the pulse is not the nominal one.
+    """
+
+    delay_ps: float
+    sigma_ps: float
+    echo_ps: float
+    snr_db: float
+    tape_ps: float
+    noise_ps: float
+    shape_ps: float
+
+
+def estimate_delay(
+    target: Capture,
+    distance_m: float,
+    tape_error_m: float = 0.005,
+    empty: NDArray[np.float64] | None = None,
+    longest_ps: float = LONGEST_DELAY_PS,
+) -> DelayEstimate:
+    """The delay from scans of a target at rest: echo time less 2 d / c.
+
+    The scans are averaged, the empty scene is taken off, and the peak of the envelope behind a filter matched
+    to the nominal pulse is found between delay 0 and `longest_ps`.
+
+    Args:
+        target: (views, bins) raw samples, ranges with no delay taken off.
+        distance_m: taped from the antennas to the target's reflecting point, m.
+        tape_error_m: standard deviation of that, m.
+        empty: (bins,) mean scan without the target on the same grid, counts; None where there is none.
+        longest_ps: longest delay looked for, ps.
+
+    Raises:
+        UsageError: the distance or its error make no sense.
+        DataError: too few scans, no echo stands out, two do, or the echo is clipped.
+    """
+    if not (0.1 <= distance_m <= 100 and 0 <= tape_error_m <= 1):
+        raise UsageError(
+            f"the target is taped at {distance_m} m, give or take {tape_error_m} m",
+            "Give 0.1 to 100 m, and an error of at most 1 m.",
+        )
+    scans = usable(target)
+    if len(scans) < 2 * _BLOCKS:
+        raise DataError(f"{len(scans)} scans are too few for a calibration", f"Record {2 * _BLOCKS} or more.")
+    air_ps = 2e12 * distance_m / SPEED_OF_LIGHT
+    step_ps = 2e12 * target.range_step_m / SPEED_OF_LIGHT
+    start_ps = 2e12 * target.range_start_m / SPEED_OF_LIGHT
+    low, high = (round((t - start_ps) / step_ps * _FINER) for t in (air_ps, air_ps + longest_ps))
+    low, high = max(low, 0), min(high, target.bins * _FINER - 1)
+    if high - low < 4 * _FINER:
+        raise DataError(
+            f"the scans do not reach the target's echo at {air_ps / 1e3:.1f} ns or later",
+            "Record a later window: `tagid radar calibrate` chooses one itself.",
+        )
+    background = np.zeros(target.bins) if empty is None else empty
+    raw, matched = _envelopes(scans.mean(axis=0) - background, step_ps * 1e-12)
+    peak = _peak(matched, low, high)
+    snr_db = _check_echo(target, scans, matched, (low, high, peak), start_ps, step_ps)
+    edges = np.linspace(0, len(scans), _BLOCKS + 1).astype(int)
+    near = round(_APART_PS / step_ps * _FINER)
+    around = max(low, round(peak) - near), min(high, round(peak) + near)
+    parts = [
+        _peak(_envelopes(scans[a:b].mean(axis=0) - background, step_ps * 1e-12)[1], *around)
+        for a, b in pairwise(edges)
+    ]
+    to_ps = step_ps / _FINER
+    noise_ps = float(np.std(parts, ddof=1)) / math.sqrt(_BLOCKS) * to_ps
+    shape_ps = abs(_peak(raw, *around) - peak) * to_ps
+    tape_ps = 2e12 * tape_error_m / SPEED_OF_LIGHT
+    # The radar reports its window in whole ps and starts it on a grid of 1.9 ps.
+    grid_ps = BIN_PS / math.sqrt(12)
+    echo_ps = start_ps + peak * to_ps
+    sigma = math.sqrt(tape_ps**2 + noise_ps**2 + shape_ps**2 + grid_ps**2)
+    return DelayEstimate(echo_ps - air_ps, sigma, echo_ps, snr_db, tape_ps, noise_ps, shape_ps)
+
+
+def usable(capture: Capture) -> NDArray[np.float64]:
+    """(views, bins) samples without the first scan of a run, which is often bad (measured)."""
+    samples = capture.samples
+    if capture.flags is not None and len(samples) > 1:
+        samples = samples[(capture.flags & ViewFlag.FIRST) == 0]
+    if np.iscomplexobj(samples):
+        raise DataError("complex samples cannot be calibrated with", "Use what the radar sends.")
+    return np.asarray(samples, dtype=np.float64)
+
+
+def make_reference(empty: Capture) -> Capture:
+    """The empty scene as it is kept: the recording, with its noise and mean power in `radar.reference`.
+
+    Raises DataError for fewer than 16 scans.
+    """
+    scans = usable(empty)
+    if len(scans) < 2 * _BLOCKS:
+        raise DataError(f"{len(scans)} scans are too few for a reference", f"Record {2 * _BLOCKS} or more.")
+    noise = float(np.sqrt(np.var(scans, axis=0, ddof=1).mean()))
+    rms = float(np.sqrt((scans.mean(axis=0) ** 2).mean()))
+    return replace(empty, radar=replace(empty.radar, reference=ReferenceFacts(noise, len(scans), rms)))
+
+
+def reference_on(reference: Capture, capture: Capture) -> NDArray[np.float64]:
+    """(bins,) mean scan of the empty scene on the ranges of a capture, counts.
+
+    The two windows may differ by any part of a sample: the mean is brought to a 16 times finer step by the
+    Fourier transform and interpolated linearly there. Integration scales it by 2^PII.
+
+    Raises DataError where the reference does not cover the capture or was taken with other settings.
+    """
+    here, there = capture.radar.config or RadarSettings(), reference.radar.config or RadarSettings()
+    for name in ("transmit_gain", "antenna_mode", "code_channel"):
+        now, then = getattr(here, name), getattr(there, name)
+        if now != then:
+            raise DataError(
+                f"the background reference was recorded with {name} {then}, not {now}",
+                "Record it again with `tagid radar calibrate --step empty`.",
+            )
+    shift = _two_way(capture) - _two_way(reference)
+    first = (capture.range_start_m - reference.range_start_m + shift) / reference.range_step_m
+    at = first + np.arange(capture.bins) * (capture.range_step_m / reference.range_step_m)
+    if at[0] < -0.5 or at[-1] > reference.bins - 0.5:
+        raise DataError(
+            "the background reference does not cover the window of these scans",
+            "Take it again with `tagid radar calibrate --step empty`.",
+        )
+    mean = usable(reference).mean(axis=0)
+    fine = np.fft.irfft(np.fft.rfft(np.concatenate([mean, mean[::-1]])), 2 * len(mean) * _FINER) * _FINER
+    values = np.interp(at * _FINER, np.arange(len(fine)), fine)
+    more = (here.base_integration_index or 0) - (there.base_integration_index or 0)
+    return np.asarray(values * 2.0**more)
+
+
+def without_background(capture: Capture, reference: Capture) -> Capture:
+    """The capture with the empty scene taken off, float32; raises as `reference_on`.
+
+    Unlike the mean over the angles it leaves what the object itself sends back evenly all around.
+    """
+    if np.iscomplexobj(capture.samples):
+        raise DataError("complex samples have no background reference", "Use --background mean.")
+    samples = (capture.samples - reference_on(reference, capture)).astype(np.float32)
+    name = ReferenceName(reference.uuid, reference.created_utc)
+    return replace(capture, samples=samples, radar=replace(capture.radar, background_reference=name))
+
+
+def calibration_window(distances_m: Sequence[float], longest_ps: float, base: RadarConfig) -> RadarConfig:
+    """The settings whose window holds the echoes from all these distances, whatever the delay is."""
+    times = [2e12 * distance / SPEED_OF_LIGHT for distance in distances_m]
+    start = max(round(min(times) - EDGE_PS), 0)
+    stop = round(max(times) + longest_ps + EDGE_PS)
+    return replace(base, scan_start_ps=start, scan_stop_ps=stop, persist=0)
+
+
+def take_scans(radar: P440, count: int, progress: Callable[[int], None] = lambda done: None) -> Capture:
+    """A capture of `count` scans with the radar's settings, no delay taken off, in memory.
+
+    Raises UsageError for more than 5000 scans, DataError where none arrives, DeviceError and its kinds.
+    """
+    if not 2 * _BLOCKS <= count <= _MOST_SCANS:
+        raise UsageError(f"{count} scans are asked for", f"Give {2 * _BLOCKS} to {_MOST_SCANS}.")
+    config, status = radar.config, radar.status()
+    scans = []
+    for scan in radar.scans(count):
+        scans.append(scan)
+        progress(len(scans))
+    if not scans:
+        raise DataError("no complete scan arrived", "Look at the radar with `tagid radar monitor`.")
+    return Capture(
+        np.stack([scan.samples for scan in scans]),
+        config.range_start_m(),
+        config.range_step_m,
+        host_time_ns=np.array([scan.host_time_ns for scan in scans], dtype=np.int64),
+        radar_time_ms=np.array([scan.radar_time_ms for scan in scans], dtype=np.float64),
+        scan_id=np.array([scan.scan_id for scan in scans], dtype=np.int64),
+        flags=np.array([ViewFlag.FIRST] + [0] * (len(scans) - 1), dtype=np.uint8),
+        radar=RadarInfo(config=config.stored(), serial=status.serial, cable_delay_ps=0.0),
+    )
+
+
+def _envelopes(scan: NDArray[np.float64], step_s: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(bins * 16,) envelope as it is, and behind a filter matched to the nominal pulse."""
+    bins = len(scan)
+    length = 1 << (2 * bins - 1).bit_length()
+    half = length // 2
+    spectrum = np.fft.fft(scan - scan.mean(), length)[:half]
+    spectrum[1:] *= 2
+    offset = (np.arange(length) + half) % length - half
+    pulse = np.fft.fft(pulse_at(nominal_pulse(), offset * step_s))[:half]
+    padded = np.zeros((2, length * _FINER), dtype=np.complex128)
+    padded[0, :half] = spectrum
+    padded[1, :half] = spectrum * np.conj(pulse)
+    envelopes = np.abs(np.fft.ifft(padded, axis=1))[:, : bins * _FINER] * _FINER
+    return envelopes[0], envelopes[1]
+
+
+def _peak(envelope: NDArray[np.float64], low: int, high: int) -> float:
+    """Where the envelope is largest in low..high, refined by a parabola."""
+    best = low + int(envelope[low : high + 1].argmax())
+    if not 0 < best < len(envelope) - 1:
+        return float(best)
+    before, at, after = envelope[best - 1 : best + 2]
+    bend = before - 2 * at + after
+    return best + (0.5 * float((before - after) / bend) if bend < 0 else 0.0)
+
+
+def _check_echo(
+    target: Capture,
+    scans: NDArray[np.float64],
+    matched: NDArray[np.float64],
+    found: tuple[int, int, float],
+    start_ps: float,
+    step_ps: float,
+) -> float:
+    """SNR of the echo, dB; DataError where it is none, not the only one, or clipped."""
+    low, high, peak = found
+    near = round(_APART_PS / step_ps * _FINER)
+    away = np.ones(len(matched), dtype=bool)
+    away[max(0, round(peak) - 2 * near) : round(peak) + 2 * near + 1] = False
+    height = float(matched[round(peak)])
+    # Of white noise of variance s^2 the filter leaves 4 s^2 sum |p|^2, as negative frequencies are folded.
+    offset = np.arange(-200, 201) * step_ps * 1e-12
+    energy = float((np.abs(pulse_at(nominal_pulse(), offset)) ** 2).sum())
+    floor = 4 * energy * (float(scans.var(axis=0, ddof=1).mean()) + 1 / 12) / len(scans)
+    if away.any():
+        floor = max(floor, float(np.median(matched[away] ** 2)) / math.log(2))
+    snr_db = 10 * math.log10(max(height**2 / floor, 1e-9))
+    if snr_db < _LEAST_SNR_DB or not low < peak < high:
+        raise DataError(
+            f"no echo of a target stands out ({snr_db:.1f} dB over the rest)",
+            "Use a larger reflector, point both antennas at it, and check the taped distance.",
+        )
+    rivals = matched.copy()
+    rivals[max(0, round(peak) - near) : round(peak) + near + 1] = 0
+    rival = low + int(rivals[low : high + 1].argmax())
+    if rivals[rival] > _SIMILAR * height:
+        times = [f"{(start_ps + each * step_ps / _FINER) / 1e3:.2f} ns" for each in sorted((peak, rival))]
+        raise DataError(
+            f"two echoes of similar strength stand out, at {times[0]} and {times[1]}",
+            "Record the scene without the target first (--step both), or use a larger reflector.",
+        )
+    clip = target.radar.clip_counts
+    sample = round(peak / _FINER)
+    gate = scans[:, max(0, sample - 8) : sample + 9]
+    if clip is not None and np.abs(gate).max() >= clip:
+        raise DataError(
+            "the target's echo is clipped, its peak cannot be found",
+            "Lower the gain (`tagid config set radar.gain`), or use a smaller or further reflector.",
+        )
+    return snr_db
+
+
+def _two_way(capture: Capture) -> float:
+    """Range that was taken off for the cable delay, m."""
+    return (capture.radar.cable_delay_ps or 0.0) * 1e-12 * SPEED_OF_LIGHT / 2

@@ -1,0 +1,295 @@
+"""The short table about a recording: is it strong enough, unclipped, complete, and does the object turn?
+
+`tagid show` prints it, and `tagid doctor` and bug reports quote it, so every figure says how it was obtained.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tagid.angles.clock import fit_clock
+from tagid.angles.period import find_period
+from tagid.capture import Capture
+from tagid.errors import DataError
+from tagid.metadata import ResolvedMotion
+from tagid.recording.curves import TIME_LABEL, analytic, slow_time
+
+_BLOCK_BINS = 16
+_GATE_BINS = 64
+
+
+@dataclass(frozen=True, eq=False)
+class StrongReturn:
+    """The strongest return and how still it stands.
+
+    Attributes:
+        bin: range bin of its peak in the mean envelope.
+        range_m: one-way range of that bin, m.
+        bins: (views,) float64 bin at which each view shows it, fractions of a bin included.
+        coherence: 0..1, power of the mean scan over the scans' mean power around the return; 1 is at rest.
+    """
+
+    bin: int
+    range_m: float
+    bins: NDArray[np.float64]
+    coherence: float
+
+    @property
+    def spread_bins(self) -> float:
+        """Largest minus smallest bin of any view."""
+        return float(np.ptp(self.bins))
+
+
+@dataclass(frozen=True, eq=False)
+class RecordingSummary:
+    """What is worth knowing of a recording before using it.
+
+    Attributes:
+        views, bins: size of the recording.
+        range_from_m, range_to_m: one-way range of the first and last bin, m.
+        noise: standard deviation of the noise of one sample, counts; None where one view alone is there.
+        snr_db: power of the strongest return over the noise's in one view, dB; None where there is no return.
+        changing_snr_db: the same for what is left without the mean scan: what moves or turns.
+        changing_range_m: one-way range at which most changes, m; None with `changing_snr_db`.
+        clipped_fraction: saturated samples over all samples; None where the limit is not known.
+        lost_scans: scans missing between the first and the last; None where scans are not numbered.
+        scan_rate_hz: scans a second; None where there is no clock.
+        duration_s: from the first view to the last, s; None where there is no clock.
+        period_s, period_sigma_s: seconds a turn and their standard deviation; None where none was found.
+        period_note: why there is no period, or what is doubtful about it; empty otherwise.
+        strongest: the strongest return; None where all samples are zero.
+    """
+
+    views: int
+    bins: int
+    range_from_m: float
+    range_to_m: float
+    noise: float | None
+    snr_db: float | None
+    changing_snr_db: float | None
+    changing_range_m: float | None
+    clipped_fraction: float | None
+    lost_scans: int | None
+    scan_rate_hz: float | None
+    duration_s: float | None
+    period_s: float | None
+    period_sigma_s: float | None
+    period_note: str
+    strongest: StrongReturn | None
+
+
+@dataclass(frozen=True)
+class Turning:
+    """A period of rotation, or why there is none.
+
+    Attributes:
+        period_s, sigma_s: seconds a turn and their standard deviation; None where none was found.
+        note: why there is none, or what is doubtful about it; empty otherwise.
+    """
+
+    period_s: float | None = None
+    sigma_s: float | None = None
+    note: str = ""
+
+
+NO_CHANGE = Turning(note="nothing changes from scan to scan beyond the noise")
+
+
+def inspect(capture: Capture) -> RecordingSummary:
+    """The summary of a capture; a figure that its data cannot give is None, never a guess."""
+    signal = analytic(capture.samples)
+    noise_power = noise_power_of(signal)
+    strongest = strongest_return(signal, capture)
+    changing_snr, changing_bin = signal_to_noise_db(signal - signal.mean(axis=0), noise_power)
+    rate, duration = scan_rate(capture)
+    turning = turning_period(capture) if changing_snr is not None else NO_CHANGE
+    ranges = capture.ranges_m
+    # Of a real sample's analytic noise power, half is the sample's own.
+    own = 1.0 if np.iscomplexobj(capture.samples) else 0.5
+    return RecordingSummary(
+        views=capture.views,
+        bins=capture.bins,
+        range_from_m=float(ranges[0]),
+        range_to_m=float(ranges[-1]),
+        noise=None if noise_power is None else math.sqrt(own * noise_power),
+        snr_db=signal_to_noise_db(signal, noise_power)[0],
+        changing_snr_db=changing_snr,
+        changing_range_m=None if changing_bin is None else float(ranges[changing_bin]),
+        clipped_fraction=clipped_fraction(capture),
+        lost_scans=lost_scans(capture),
+        scan_rate_hz=rate,
+        duration_s=duration,
+        period_s=turning.period_s,
+        period_sigma_s=turning.sigma_s,
+        period_note=turning.note,
+        strongest=strongest,
+    )
+
+
+def noise_power_of(signal: NDArray[np.complex64]) -> float | None:
+    """Noise power of one analytic sample, (views, bins) -> counts^2; None for a single view.
+
+    Second differences over slow time cancel what rests and what drifts evenly, and multiply the power of
+    white noise by 6 (first differences, with two views: by 2). What turns survives them where it is strong;
+    so the power is taken in blocks of 16 bins, and the lower quartile of the blocks is given.
+    """
+    views, bins = signal.shape
+    if views < 2:
+        return None
+    change, gain = (np.diff(signal, axis=0), 2.0) if views == 2 else (np.diff(signal, 2, axis=0), 6.0)
+    power = (np.abs(change) ** 2).mean(axis=0, dtype=np.float64) / gain
+    starts = np.arange(0, max(bins - _BLOCK_BINS + 1, 1), _BLOCK_BINS)
+    widths = np.diff(np.append(starts, bins))
+    return float(np.percentile(np.add.reduceat(power, starts) / widths, 25))
+
+
+def signal_to_noise_db(
+    signal: NDArray[np.complex64], noise_power: float | None
+) -> tuple[float | None, int | None]:
+    """(dB, bin) of the largest mean power of a range bin, less the noise's, over the noise power of one view.
+
+    For real samples this is A^2 / (2 sigma^2), A the envelope's peak and sigma the noise of a sample.
+    (None, None) without noise to compare with or where nothing stands out of it by five standard errors of
+    the mean noise power (of some hundred bins, noise alone brings one over four).
+    """
+    if not noise_power:
+        return None, None
+    power = (np.abs(signal) ** 2).mean(axis=0, dtype=np.float64)
+    peak = int(power.argmax())
+    ratio = float(power[peak]) / noise_power - 1
+    return (10 * math.log10(ratio), peak) if ratio > 5 / math.sqrt(len(signal)) else (None, None)
+
+
+def clipped_fraction(capture: Capture) -> float | None:
+    """Fraction of samples at saturation: 127 * 2^PII counts where the integration index PII is recorded.
+
+    Without it, whole-number samples count as clipped at their exact extremes, where more than one sample has
+    that value (a lone maximum is no clipping). None for complex samples, and for floating-point samples
+    without an index.
+    """
+    samples = capture.samples
+    if np.iscomplexobj(samples):
+        return None
+    limit = capture.radar.clip_counts
+    if limit is not None:
+        return float(np.mean((samples >= limit) | (samples <= -limit)))
+    if not np.issubdtype(samples.dtype, np.integer):
+        return None
+    high, low = samples.max(), samples.min()
+    if high == low:
+        return 0.0
+    counts = [int(np.count_nonzero(samples == extreme)) for extreme in (high, low)]
+    return sum(count for count in counts if count > 1) / samples.size
+
+
+def lost_scans(capture: Capture) -> int | None:
+    """Scans missing between the first and the last: gaps of the number, else what the importer counted."""
+    if capture.scan_id is not None and capture.views > 1:
+        steps = np.diff(capture.scan_id)
+        return int((steps[steps > 1] - 1).sum())
+    counted = capture.radar.scans_lost
+    return counted if counted is not None and counted >= 0 else None
+
+
+def scan_rate(capture: Capture) -> tuple[float | None, float | None]:
+    """(scans a second, seconds from first to last) by the radar's clock, else the host's; None without one.
+
+    Scan numbers are used where known, so that lost scans do not slow the rate.
+    """
+    position, label = slow_time(capture)
+    if label != TIME_LABEL:
+        return None, None
+    duration = float(position[-1])
+    scans = capture.views - 1
+    if capture.scan_id is not None and np.all(np.diff(capture.scan_id) > 0):
+        scans = int(capture.scan_id[-1] - capture.scan_id[0])
+    return scans / duration, duration
+
+
+def turning_period(capture: Capture) -> Turning:
+    """The period after which the scans repeat.
+
+    Where the recording tells a speed (motion settings, or its angles), a period near that is looked for;
+    otherwise the shortest repetition is given, which for a symmetric object is a part of a turn.
+    """
+    times, label = slow_time(capture)
+    if label != TIME_LABEL:
+        return Turning(note="the scans carry no times")
+    nominal = nominal_period_s(capture, float(times[-1]))
+    try:
+        if capture.radar_time_ms is not None:
+            times = fit_clock(capture.radar_time_ms, capture.scan_id).times_s
+        found = find_period(capture.samples, times, nominal_s=nominal)
+    except DataError as error:
+        return Turning(note=error.message)
+    notes = []
+    if nominal is None:
+        notes.append("shortest repetition; an object alike after 1/n turn takes n times as long")
+    if found.harmonic_ambiguous:
+        others = ", ".join(f"{rival:.2f} s" for rival in found.rivals_s)
+        notes.append(f"the scans also repeat after {others}" if others else "a multiple is possible")
+    return Turning(float(found.period_s), float(found.sigma_s), "; ".join(notes))
+
+
+def nominal_period_s(capture: Capture, duration_s: float) -> float | None:
+    """Seconds a turn by the motion settings, else by the angles; None where nobody told the speed.
+
+    A period or angles that were themselves found in these scans (`source` is "data") are no second witness.
+    """
+    resolved = capture.motion.resolved or ResolvedMotion()
+    for stated in (resolved.nominal_rpm, capture.motion.nominal_rpm):
+        rpm = _sensible(stated)
+        if rpm is not None:
+            return 60 / rpm
+    if resolved.source == "data":
+        return None
+    told = _sensible(resolved.period_s)
+    if told is not None or capture.angles_rad is None:
+        return told
+    turns = abs(float(capture.angles_rad[-1] - capture.angles_rad[0])) / (2 * math.pi)
+    return duration_s / turns if turns > 0.5 else None
+
+
+def _sensible(value: float | None) -> float | None:
+    """A speed or a period that a turntable can have; None for anything else that a file may hold."""
+    return value if value is not None and 1e-3 < value < 1e6 else None
+
+
+def strongest_return(signal: NDArray[np.complex64], capture: Capture) -> StrongReturn | None:
+    """Where the strongest return stands, in the mean and in each view; None where all is zero.
+
+    A view's own maximum jumps between returns of like strength and between cycles of the carrier. So the mean
+    scan around the strongest return serves as template, every view is correlated with it, and the peak of the
+    correlation's magnitude, refined by a parabola, gives the shift.
+    """
+    bins = signal.shape[1]
+    envelope = np.abs(signal).mean(axis=0, dtype=np.float64)
+    peak = int(envelope.argmax())
+    if not envelope[peak] > 0:
+        return None
+    low, high = max(0, peak - _GATE_BINS), min(bins, peak + _GATE_BINS + 1)
+    gate = signal[:, low:high]
+    template = gate.mean(axis=0)
+    mean_power = float((np.abs(gate) ** 2).mean(axis=0, dtype=np.float64).sum())
+    coherence = min(1.0, float((np.abs(template) ** 2).sum()) / mean_power)
+    length = 1 << (2 * (high - low) - 1).bit_length()
+    spectra = np.fft.fft(gate, length, axis=1) * np.conj(np.fft.fft(template, length))
+    magnitude = np.fft.fftshift(np.abs(np.fft.ifft(spectra, axis=1)), axes=1)
+    best = magnitude.argmax(axis=1)
+    shifts = best - length // 2 + _parabola(magnitude, best)
+    ranges = capture.ranges_m
+    return StrongReturn(peak, float(ranges[peak]), peak + shifts, coherence)
+
+
+def _parabola(curves: NDArray[np.floating], best: NDArray[np.intp]) -> NDArray[np.float64]:
+    """Fraction of a sample, -0.5..0.5, by which a parabola through three points moves each row's maximum."""
+    rows = np.arange(len(curves))
+    inner = np.clip(best, 1, curves.shape[1] - 2)
+    before, at, after = (curves[rows, inner + k].astype(np.float64) for k in (-1, 0, 1))
+    bend = before - 2 * at + after
+    move = np.where(bend < 0, 0.5 * (before - after) / np.where(bend < 0, bend, 1.0), 0.0)
+    return np.asarray(np.where(inner == best, np.clip(move, -0.5, 0.5), 0.0))

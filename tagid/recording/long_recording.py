@@ -1,0 +1,168 @@
+"""Recording for hours: every scan to the journal and forgotten, and capture files made of it at the end.
+
+Nothing grows with the time it takes, so a day in the field ends because somebody stops it and not the memory.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from tagid import interrupts
+from tagid.errors import DataError, StorageError
+from tagid.metadata import ScanGap
+from tagid.radar.messages import SCAN_FOREVER
+from tagid.radar.p440 import P440
+from tagid.recording.plan import RecordingPlan, journal_beside
+from tagid.recording.session import (
+    Recorded,
+    Session,
+    check_all_read,
+    record_to_journal,
+    recover_remedy,
+    where_kept,
+    with_remedy,
+)
+from tagid.storage.hdf5 import SUFFIX as CAPTURE_SUFFIX
+from tagid.storage.journal_capture import PART_BYTES, WrittenCaptures, write_captures
+
+
+@dataclass(frozen=True)
+class RecordingLimits:
+    """When a long recording ends.
+
+    Attributes:
+        scans: after so many; None never.
+        seconds: after so long on the radar's clock, s; None never.
+        interval_us: time between scans, us; 0 as fast as the settings allow.
+        part_bytes: samples in one capture file, bytes; a longer recording becomes several.
+    """
+
+    scans: int | None = None
+    seconds: float | None = None
+    interval_us: int = 0
+    part_bytes: int = PART_BYTES
+
+
+@dataclass(frozen=True)
+class RecordingState:
+    """How far it is.
+
+    Attributes:
+        scans: in the journal.
+        seconds: since the first, on the radar's clock, s.
+        lost: scans that did not come whole.
+        journal_bytes: size of the journal.
+    """
+
+    scans: int
+    seconds: float
+    lost: int
+    journal_bytes: int
+
+
+@dataclass(frozen=True)
+class RecordingWatch:
+    """Callbacks of a recording, and what ends it.
+
+    Attributes:
+        progress: told about twice a second of scans.
+        gap: told when scans arrive again after the radar was gone.
+        stop: asked after every scan; True ends the recording, which is complete where it had no limit.
+    """
+
+    progress: Callable[[RecordingState], None] = lambda state: None
+    stop: Callable[[], bool] = lambda: False
+    gap: Callable[[ScanGap], None] = lambda gap: None
+
+
+def part_path(first: Path, part: int) -> Path:
+    """The path of part 1, 2, ... of a recording that is too long for one file; `first` is that of part 1.
+
+    Raises StorageError where it is taken.
+    """
+    if part == 1:
+        return first
+    path = first.with_name(f"{first.name.removesuffix(CAPTURE_SUFFIX)}.part{part}{CAPTURE_SUFFIX}")
+    if path.exists():
+        raise StorageError(f"{path} exists already", "Move it away; captures are never overwritten.")
+    return path
+
+
+def record_long(
+    radar: P440, plan: RecordingPlan, limits: RecordingLimits, path: Path, watch: RecordingWatch | None = None
+) -> WrittenCaptures:
+    """Record until a limit or until told to stop, in constant memory, and write the capture file or files.
+
+    The journal lies beside them while recording. It is removed after all of them were read back and compared.
+    If the radar fails, what arrived is written as not complete, and the error says where. A stop signal takes
+    effect while scans arrive; later ones wait for the files.
+
+    Args:
+        radar: not connected yet.
+        plan: settings and geometry; its scans, seconds and motion are not used.
+        limits: when it ends.
+        path: of the first capture file.
+        watch: callbacks.
+
+    Raises:
+        DeviceError and its kinds: the radar failed. DiskFullError, StorageError: files; the journal stays.
+        DataError: no scan arrived.
+    """
+    watch = watch or RecordingWatch()
+    journal_path = journal_beside(path)
+    try:
+        with interrupts.deferred() as signals:
+
+            def receive(session: Session) -> bool:
+                return _receive(session, limits, watch)
+
+            recorded = record_to_journal(radar, plan, journal_path, receive, watch.gap, signals)
+            return _finish(journal_path, path, limits, recorded)
+    except KeyboardInterrupt as stop:
+        raise interrupts.stopped_by_user(stop, where_kept(path, journal_path)) from stop
+
+
+def _receive(session: Session, limits: RecordingLimits, watch: RecordingWatch) -> bool:
+    """Whether the recording came to the end that it was to have."""
+    intake = session.intake
+    period_s = max(intake.config.scan_period_s, limits.interval_us * 1e-6)
+    check_every = max(1, round(0.5 / period_s))
+    first_ms: int | None = None
+    for scan in intake.scans(SCAN_FOREVER, limits.interval_us):
+        first_ms = scan.radar_time_ms if first_ms is None else first_ms
+        seconds = (scan.radar_time_ms - first_ms) * 1e-3
+        done = limits.scans is not None and intake.scans_taken >= limits.scans
+        done |= limits.seconds is not None and seconds >= limits.seconds
+        if done or intake.scans_taken % check_every == 0:
+            watch.progress(
+                RecordingState(intake.scans_taken, seconds, intake.scans_lost, session.journal.size)
+            )
+        if done:
+            return True
+        if watch.stop():
+            break
+    return limits.scans is None and limits.seconds is None
+
+
+def _finish(journal_path: Path, path: Path, limits: RecordingLimits, recorded: Recorded) -> WrittenCaptures:
+    """Make the capture files of the journal, which is removed only when they were read back and compared."""
+    ended_by = recorded.ended_by
+    if not recorded.scans:
+        journal_path.unlink(missing_ok=True)
+        raise ended_by or DataError(
+            "no complete scan arrived", "Check the network for lost packets with `tagid radar monitor`."
+        )
+    try:
+        written = write_captures(
+            journal_path, lambda part: part_path(path, part), recorded.counters, limits.part_bytes
+        )
+        check_all_read(journal_path, written.views, recorded.scans)
+    except StorageError as error:
+        raise with_remedy(error, recover_remedy(journal_path)) from error
+    journal_path.unlink(missing_ok=True)
+    if ended_by is not None:
+        places = ", ".join(str(each) for each in written.paths)
+        raise with_remedy(ended_by, f"The {written.views} scans that arrived are in {places}.") from ended_by
+    return written

@@ -1,0 +1,90 @@
+"""What is to be recorded: the settings of the radar, the geometry, the limits, and the names of the files."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from tagid.constants import SPEED_OF_LIGHT
+from tagid.errors import ConfigError, StorageError
+from tagid.metadata import ObjectInfo
+from tagid.radar.resume import RESUME_S
+from tagid.radar.settings import RadarConfig
+from tagid.storage.hdf5 import SUFFIX as CAPTURE_SUFFIX
+from tagid.storage.journal import SUFFIX as JOURNAL_SUFFIX
+
+_MARGIN_M = 0.35
+"""Kept on both sides of the image: the pulse's length, the autofocus and clutter-free bins for the noise."""
+
+
+@dataclass(frozen=True)
+class RecordingPlan:
+    """What is recorded.
+
+    Attributes:
+        config: the radar settings asked for; None leaves the radar's own.
+        axis_distance_m, antenna_height_m: of the antenna, m; the distance may be unknown (None).
+        cable_delay_ps: two-way delay to subtract from the ranges, ps.
+        scans: number of scans; None until the motion says that a turn is complete.
+        max_seconds: longest recording, s.
+        motion: URL of what turns the object, kept with the capture.
+        object: what is known of the object.
+        resume_s: how long a radar that went away is waited for, s.
+    """
+
+    config: RadarConfig | None
+    axis_distance_m: float | None
+    antenna_height_m: float = 0.0
+    cable_delay_ps: float = 0.0
+    scans: int | None = None
+    max_seconds: float = 180.0
+    motion: str = "free"
+    object: ObjectInfo = field(default_factory=ObjectInfo)
+    resume_s: float = RESUME_S
+
+
+def plan_window(
+    axis_distance_m: float, extent_m: float, cable_delay_ps: float, base: RadarConfig
+) -> RadarConfig:
+    """The settings whose range window holds the object and a margin around it.
+
+    Raises ConfigError where the radar would stand inside the object.
+    """
+    reach = extent_m / np.sqrt(2) + _MARGIN_M
+    if axis_distance_m <= extent_m / 2:
+        raise ConfigError(
+            f"the axis distance is {axis_distance_m} m, but the image reaches {extent_m / 2} m from the axis",
+            "Move the radar away or make the extent smaller.",
+        )
+
+    def picoseconds(range_m: float) -> int:
+        return round(2e12 * range_m / SPEED_OF_LIGHT + cable_delay_ps)
+
+    return replace(
+        base,
+        scan_start_ps=picoseconds(max(axis_distance_m - reach, 0.0)),
+        scan_stop_ps=picoseconds(axis_distance_m + reach),
+    )
+
+
+def journal_beside(path: Path) -> Path:
+    """The journal of a capture file that is to be written.
+
+    Raises StorageError where the capture exists already.
+    """
+    if path.exists():
+        raise StorageError(f"{path} exists already", "Choose another name; captures are never overwritten.")
+    return path.with_name(path.name.removesuffix(CAPTURE_SUFFIX) + JOURNAL_SUFFIX)
+
+
+def capture_path(folder: Path, now: float | None = None) -> Path:
+    """A new capture file's path in a folder: named after the second, numbered where that is taken."""
+    stem = time.strftime("scan-%Y%m%d-%H%M%S", time.localtime(now))
+    for number in range(1, 1000):
+        path = folder / f"{stem}{'' if number == 1 else f'-{number}'}{CAPTURE_SUFFIX}"
+        if not path.exists():
+            return path
+    raise StorageError(f"{folder} holds a thousand captures of this second", "Choose another folder.")

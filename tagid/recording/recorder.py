@@ -1,0 +1,197 @@
+"""From two devices to a capture of one turn: scans go to the journal first, then to a capture file."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from tagid import interrupts
+from tagid.capture import Capture
+from tagid.constants import RANGE_STEP_M
+from tagid.errors import DataError, StorageError
+from tagid.metadata import ScanGap, Track
+from tagid.motion.device import Motion
+from tagid.motion.turntable import OVERLAP_TURNS
+from tagid.radar.assembler import Scan
+from tagid.radar.messages import SCAN_FOREVER
+from tagid.radar.p440 import P440
+from tagid.recording.plan import RecordingPlan, journal_beside
+from tagid.recording.session import (
+    Recorded,
+    Session,
+    check_all_read,
+    record_to_journal,
+    recover_remedy,
+    where_kept,
+    with_remedy,
+)
+from tagid.storage.hdf5 import write_capture
+from tagid.storage.journal import read_journal
+from tagid.storage.journal_capture import journal_to_capture
+
+_JUDGED_SCANS = 2000
+"""Scans examined while recording; more are thinned, so that the radar's queue never waits long."""
+
+Progress = Callable[[int, float], None]
+"""Called with (scans, seconds)."""
+
+
+@dataclass(frozen=True)
+class Watch:
+    """Callbacks of a recording.
+
+    Attributes:
+        progress: told after every half second of scans.
+        gap: told when scans arrive again after the radar was gone.
+        resolve: gives a capture its angles, from the motion's URL; asked when the motion believes that a turn
+            is complete (imaging knows whether the shortest repetition is a turn, the motion does not), and
+            at the end. It raises DataError where it cannot.
+    """
+
+    progress: Progress | None = None
+    resolve: Callable[[Capture, str], Capture] | None = None
+    gap: Callable[[ScanGap], None] = lambda gap: None
+
+
+def record(
+    radar: P440, motion: Motion, plan: RecordingPlan, path: Path, watch: Watch | None = None
+) -> Capture:
+    """Record until a turn is complete and write the capture file at `path`, with angles where they are known.
+
+    The journal lies beside it while recording. It is removed after the capture file was read back and
+    compared. If recording ends early, the capture file holds what arrived, marked as not complete, and the
+    error says so. A stop signal takes effect while scans arrive; later ones wait for the file.
+
+    Args:
+        radar: a client, not connected.
+        motion: what turns the object; started before and stopped after, whatever happens.
+        plan: what to record.
+        path: the capture file to write; it must not exist.
+        watch: callbacks.
+
+    Raises:
+        DeviceError and its kinds: the radar or the table failed. DiskFullError, StorageError: files.
+        CaptureInterrupted: stopped by the user. DataError: no scan arrived.
+    """
+    journal_path = journal_beside(path)
+    watch = watch or Watch()
+
+    def receive(session: Session) -> bool:
+        _OneTurn(session, motion, watch).run()
+        return True
+
+    try:
+        with interrupts.deferred() as signals:
+            recorded = record_to_journal(radar, plan, journal_path, receive, watch.gap, signals)
+            return _finish(journal_path, path, recorded, watch)
+    except KeyboardInterrupt as stop:
+        raise interrupts.stopped_by_user(stop, where_kept(path, journal_path)) from stop
+
+
+class _OneTurn:
+    """Takes scans until a turn is complete, and the motion's readings beside them."""
+
+    def __init__(self, session: Session, motion: Motion, watch: Watch) -> None:
+        self._session = session
+        self._plan = session.plan
+        self._motion = motion
+        self._watch = watch
+        self._scans: list[Scan] = []
+        self._needed_s = 0.0
+        self._readings_kept = 0
+
+    def run(self) -> None:
+        check_every = max(1, round(0.5 / self._session.config.scan_period_s))
+        try:
+            self._motion.start()
+            for scan in self._session.intake.scans(self._plan.scans or SCAN_FOREVER):
+                self._scans.append(scan)
+                self._motion.check()
+                if len(self._scans) % max(1, check_every // 5) == 0:
+                    self._keep_readings()
+                if len(self._scans) % check_every == 0 and self._complete(scan):
+                    return
+        finally:
+            with interrupts.deferred():
+                try:
+                    self._motion.stop()
+                finally:
+                    self._keep_readings()
+
+    def _complete(self, scan: Scan) -> bool:
+        seconds = (scan.radar_time_ms - self._scans[0].radar_time_ms) * 1e-3
+        if self._watch.progress:
+            self._watch.progress(len(self._scans), seconds)
+        if seconds >= self._plan.max_seconds:
+            return True
+        if self._plan.scans is not None or seconds < self._needed_s:
+            return False
+        if self._motion.measures:
+            return self._motion.finished([], [])
+        samples = [each.samples for each in self._scans]
+        times = [each.radar_time_ms * 1e-3 for each in self._scans]
+        if not (self._needed_s or self._motion.finished(samples, times)):
+            return False
+        self._needed_s = self._needed_seconds()
+        return seconds >= self._needed_s
+
+    def _keep_readings(self) -> None:
+        """Put the motion's new readings into the journal."""
+        track = self._motion.track()
+        kept = self._readings_kept
+        if track is None or len(track) <= kept:
+            return
+        new = Track(track.host_time_ns[kept:], track.angles_rad[kept:], track.sigma_rad[kept:], track.info)
+        self._session.queue.put_motion(new.to_json())
+        self._readings_kept = len(track)
+
+    def _needed_seconds(self) -> float:
+        """Seconds to record; 0 where what arrived does not tell, because then more of it is no help."""
+        if not self._watch.resolve:
+            return 0.0
+        every = -(-len(self._scans) // _JUDGED_SCANS)
+        some = self._scans[::every]
+        capture = Capture(
+            np.stack([scan.samples for scan in some]),
+            self._session.config.range_start_m(self._plan.cable_delay_ps),
+            RANGE_STEP_M,
+            axis_distance_m=self._plan.axis_distance_m,
+            antenna_height_m=self._plan.antenna_height_m,
+            radar_time_ms=np.array([scan.radar_time_ms for scan in some], dtype=np.float64),
+        )
+        try:
+            resolved = self._watch.resolve(capture, self._plan.motion).motion.resolved
+        except DataError:
+            return 0.0
+        return OVERLAP_TURNS * (resolved.period_s or 0.0) if resolved else 0.0
+
+
+def _finish(journal_path: Path, path: Path, recorded: Recorded, watch: Watch) -> Capture:
+    """Make the capture file of the journal, which is removed only when that was read back and compared."""
+    ended_by = recorded.ended_by
+    journal = read_journal(journal_path)
+    if not journal.scans:
+        journal_path.unlink(missing_ok=True)
+        raise ended_by or DataError(
+            "no complete scan arrived", "Check the network for lost packets with `tagid doctor`."
+        )
+    capture = journal_to_capture(journal)
+    if ended_by is not None:
+        capture = replace(capture, radar=capture.radar.with_known(recorded.counters))
+    if watch.resolve and (ended_by is None or capture.motion.track is not None):
+        try:
+            capture = watch.resolve(capture, capture.motion.url or "free")
+        except DataError as error:
+            capture = replace(capture, motion=capture.motion.without_track(not_resolved=error.message))
+    try:
+        write_capture(path, capture)
+        check_all_read(journal_path, capture.views, recorded.scans)
+    except StorageError as error:
+        raise with_remedy(error, recover_remedy(journal_path)) from error
+    journal_path.unlink(missing_ok=True)
+    if ended_by is not None:
+        raise with_remedy(ended_by, f"The {capture.views} scans that arrived are in {path}.") from ended_by
+    return capture

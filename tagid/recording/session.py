@@ -1,0 +1,171 @@
+"""The frame of every recording: radar -> queue -> journal, and the journal kept until its files are safe.
+
+Whatever ends a recording early, what arrived stays on disk and the error says where.
+"""
+
+from __future__ import annotations
+
+import uuid
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from tagid import __version__, interrupts
+from tagid.constants import RANGE_STEP_M
+from tagid.errors import CaptureInterrupted, StorageError, TagidError
+from tagid.metadata import METADATA_VERSION, MotionInfo, RadarInfo, ScanGap
+from tagid.radar.p440 import P440
+from tagid.radar.settings import RadarConfig
+from tagid.recording.intake import Intake
+from tagid.recording.plan import RecordingPlan
+from tagid.storage.journal import JournalWriter
+from tagid.storage.journal_queue import JournalQueue
+from tagid.storage.metadata import VERSION_KEY
+
+SYNC_S = 0.5
+"""Shortest time between two syncs of the disk, s: what a power cut may cost."""
+
+
+@dataclass(frozen=True)
+class Session:
+    """A recording while scans arrive.
+
+    Attributes:
+        plan: what to record.
+        config: the radar's settings in force.
+        intake: gives the scans.
+        queue: takes readings of the motion.
+        journal: where everything goes.
+    """
+
+    plan: RecordingPlan
+    config: RadarConfig
+    intake: Intake
+    queue: JournalQueue
+    journal: JournalWriter
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """What a journal holds after the last scan.
+
+    Attributes:
+        scans: number of scans.
+        counters: what was counted meanwhile.
+        ended_by: what ended the recording early; None where it came to its end.
+    """
+
+    scans: int
+    counters: RadarInfo
+    ended_by: TagidError | None
+
+
+def record_to_journal(
+    radar: P440,
+    plan: RecordingPlan,
+    path: Path,
+    receive: Callable[[Session], bool],
+    on_gap: Callable[[ScanGap], None],
+    signals: interrupts.Deferred,
+) -> Recorded:
+    """Connect, configure, and record into the journal at `path`.
+
+    A stop signal takes effect while the radar is set and while scans arrive, not while the journal is opened
+    or closed. The journal gets its end record where `receive` says that the recording is complete.
+
+    Args:
+        radar: not connected yet.
+        plan: what to record.
+        path: of the journal.
+        receive: takes the scans; returns whether the recording is complete.
+        on_gap: called when scans arrive again after the radar was gone.
+        signals: the deferral of stop signals that the caller keeps until its files are written.
+
+    Raises:
+        DeviceError and its kinds: the radar does not answer. DiskFullError, StorageError: the journal.
+    """
+    with ExitStack() as connected:
+        with signals.listening():
+            connected.enter_context(radar)
+            status = radar.status()
+            taken = radar.config if plan.config is None else radar.set_config(plan.config)
+        header = journal_header(plan, taken, RadarInfo(serial=status.serial, package=status.package))
+        ended_by: TagidError | None = None
+        complete = False
+        with JournalWriter(path, header, sync_seconds=SYNC_S) as journal:
+            try:
+                with JournalQueue(journal) as queue:
+                    intake = Intake(radar, queue, plan.resume_s, on_gap)
+                    try:
+                        with signals.listening():
+                            complete = receive(Session(plan, radar.config, intake, queue, journal))
+                    except KeyboardInterrupt:
+                        ended_by = CaptureInterrupted(f"stopped by the user after {intake.scans_taken} scans")
+                    except StorageError:
+                        raise
+                    except TagidError as error:
+                        ended_by = error
+            except StorageError as error:
+                raise with_remedy(error, recover_remedy(path)) from error
+            counters = intake.counted()
+            if ended_by is None and complete:
+                journal.close({"radar": counters.to_json()})
+            return Recorded(journal.scans, counters, ended_by)
+
+
+def journal_header(plan: RecordingPlan, taken: RadarConfig, radar: RadarInfo) -> dict[str, Any]:
+    """The header of a journal, as JSON values.
+
+    Args:
+        plan: what was asked for.
+        taken: the radar's settings in force.
+        radar: what the radar says of itself.
+    """
+    info = replace(
+        radar,
+        config=taken.stored(),
+        config_asked=None if plan.config is None else plan.config.stored(),
+        cable_delay_ps=plan.cable_delay_ps,
+    )
+    return {
+        "range_start_m": taken.range_start_m(plan.cable_delay_ps),
+        "range_step_m": RANGE_STEP_M,
+        "axis_distance_m": plan.axis_distance_m,
+        "antenna_height_m": plan.antenna_height_m,
+        "uuid": str(uuid.uuid4()),
+        "created_utc": datetime.now(UTC).isoformat(timespec="seconds"),
+        "tool_version": __version__,
+        VERSION_KEY: METADATA_VERSION,
+        "radar": info.to_json(),
+        "motion": MotionInfo(url=plan.motion).to_json(),
+        "object": plan.object.to_json(),
+    }
+
+
+def check_all_read(journal: Path, read: int, written: int) -> None:
+    """Raises StorageError where a journal gave fewer scans than were written to it; it must then be kept."""
+    if read < written:
+        raise StorageError(
+            f"{journal}: only {read} of the {written} recorded scans could be read back",
+            "The disk may be faulty; the capture file holds those that could be read.",
+        )
+
+
+def recover_remedy(journal: Path) -> str:
+    """What to do where the capture file of a journal could not be written."""
+    return f"The scans are kept in {journal}; `tagid recover {journal}` makes the capture file."
+
+
+def where_kept(path: Path, journal: Path) -> str:
+    """Where the scans are after a stop signal that came outside the recording itself."""
+    if path.exists():
+        return f"The recording is complete in {path}."
+    return recover_remedy(journal) if journal.exists() else ""
+
+
+def with_remedy(error: TagidError, remedy: str) -> TagidError:
+    """The same error with more to do next."""
+    return type(error)(error.message, f"{error.remedy} {remedy}".strip())

@@ -1,0 +1,126 @@
+"""Metadata of a capture in files: three JSON objects with a version, and the step from version to version.
+
+Every format (HDF5, journal, NPZ, MATLAB) reads and writes them here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import Any
+
+from tagid.capture import Capture
+from tagid.errors import DataError, FileFormatError
+from tagid.metadata import METADATA_VERSION, MotionInfo, ObjectInfo, RadarInfo, RadarSettings, ResolvedMotion
+
+PARTS = ("radar", "motion", "object")
+VERSION_KEY = "metadata_version"
+"""Where a format has no version of its own, the version stands beside the parts; absent means 1."""
+
+Objects = Mapping[str, Mapping[str, Any]]
+"""The JSON objects by part."""
+
+
+def metadata_of(capture: Capture) -> dict[str, dict[str, Any]]:
+    """The JSON objects of a capture, at the present version."""
+    return {name: getattr(capture, name).to_json() for name in PARTS}
+
+
+def read_metadata(objects: Mapping[str, Any], where: str, version: int = METADATA_VERSION) -> dict[str, Any]:
+    """The fields `radar`, `motion` and `object` of a Capture.
+
+    Args:
+        objects: JSON objects by part; a missing part is empty.
+        where: the file, for messages.
+        version: of the objects.
+
+    Raises:
+        FileFormatError: a part is not an object, a known key holds something else than it should, or the
+            version is newer than this tagid reads.
+    """
+    parts: dict[str, Mapping[str, Any]] = {}
+    for name in PARTS:
+        value = objects.get(name) or {}
+        if not isinstance(value, Mapping):
+            raise FileFormatError(f"{where}: {name} is not a JSON object")
+        parts[name] = value
+    migrated = migrate_metadata(parts, version, where)
+    try:
+        return {
+            "radar": RadarInfo.from_json(migrated["radar"]),
+            "motion": MotionInfo.from_json(migrated["motion"]),
+            "object": ObjectInfo.from_json(migrated["object"]),
+        }
+    except DataError as error:
+        raise FileFormatError(f"{where}: {error.message}", error.remedy) from error
+
+
+def stored_version(values: Mapping[str, Any], where: str) -> int:
+    """The version that stands beside the parts; 1 where none does. Raises FileFormatError."""
+    version = values.get(VERSION_KEY, 1)
+    if not isinstance(version, int) or isinstance(version, bool):
+        raise FileFormatError(f"{where}: {VERSION_KEY} is {str(version)[:60]}, expected a whole number")
+    return version
+
+
+def migrate_metadata(parts: Objects, version: int, where: str) -> Objects:
+    """The JSON objects at the present version. Raises FileFormatError for a version that is not known."""
+    if not 1 <= version <= METADATA_VERSION:
+        raise FileFormatError(
+            f"{where}: metadata of version {version}, this tagid reads up to version {METADATA_VERSION}",
+            "It was made by a newer tagid; upgrade.",
+        )
+    for number in range(version, METADATA_VERSION):
+        parts = STEPS[number](parts)
+    return parts
+
+
+def _typed(parts: Objects) -> Objects:
+    """Version 1 to 2: settings that stood beside `config` and facts beside `resolved` go where they belong.
+
+    Version 1 had no types. What does not fit a field of version 2 is dropped and not refused, because no
+    version of tagid has ever used it.
+    """
+    radar, motion = dict(parts["radar"]), dict(parts["motion"])
+    loose = {name: radar.pop(name) for name in _SETTINGS & set(radar)}
+    config = radar.get("config")
+    if loose and not isinstance(config, Mapping):
+        radar["config"] = loose
+    facts = {name: motion.pop(name) for name in _FACTS & set(motion)}
+    resolved = motion.get("resolved")
+    if facts and not isinstance(resolved, Mapping):
+        motion["resolved"] = facts
+    if "rpm" in motion:
+        motion.setdefault("nominal_rpm", motion.pop("rpm"))
+    return {
+        "radar": _fitting(RadarInfo, radar),
+        "motion": _fitting(MotionInfo, motion),
+        "object": _fitting(ObjectInfo, parts["object"]),
+    }
+
+
+_SETTINGS = set(RadarSettings.__dataclass_fields__) - {"extra", "node_id"}
+_FACTS = {"period_s", "period_sigma_s", "source", "quality", "direction", "turns"}
+
+Part = type[RadarInfo] | type[MotionInfo] | type[ObjectInfo] | type[RadarSettings] | type[ResolvedMotion]
+
+
+def _fitting(kind: Part, values: Mapping[str, Any]) -> dict[str, Any]:
+    """The entries of an object that the typed value takes, key by key."""
+    nested: Mapping[str, Part] = {
+        "config": RadarSettings, "config_asked": RadarSettings, "resolved": ResolvedMotion
+    }  # fmt: skip
+    taken: dict[str, Any] = {}
+    for key, value in values.items():
+        inner = nested.get(key)
+        entry = _fitting(inner, value) if inner and isinstance(value, Mapping) else value
+        try:
+            kind.from_json({key: entry})
+        except DataError:
+            continue
+        taken[key] = entry
+    return taken
+
+
+STEPS: Mapping[int, Callable[[Objects], Objects]] = MappingProxyType({1: _typed})
+"""The step from version n to n + 1, by n."""

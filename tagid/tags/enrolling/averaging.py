@@ -1,0 +1,297 @@
+"""A layout measured on the real object: captures brought onto one another, checked, and averaged.
+
+One capture that shows something else would spoil every later reading, so it is named and nothing is enrolled.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tagid.errors import DataError
+from tagid.imaging.types import BasebandScans
+from tagid.tags.enrolling.precision import position_covariances
+from tagid.tags.layouts.codebook import CENTRE_TOLERANCE_M, CONFUSABLE_M, best_pairing
+from tagid.tags.layouts.layout import Layout, rotation_matrix
+from tagid.tags.reading.field import MatchedField
+from tagid.tags.reading.reflectors import FinderSettings, find_reflectors
+from tagid.tags.reading.views import fold_views
+
+STRONG_DB = -9.0
+"""Reflectors of a tag are alike: one this far under the strongest is not taken for a part of the layout."""
+SEARCHED_M = 0.24
+"""A reflector outside what is searched is not only missed: its echo is explained by others inside."""
+MOST_SEARCHED_M = 0.4
+"""Of wider objects, with `imaging.extent_m` set: a disc of this radius has 20,000 pixels."""
+AGREE_M = 3e-3
+"""Captures agree where every reflector lies within this of its counterpart, or within AGREE_SIGMAS of what
+noise explains: simulated captures at 36 views and 10 dB, with 3 % of wobble, differ by 3 mm at most."""
+AGREE_SIGMAS = 5.0
+UNKNOWN_SCATTER_M = 1e-3
+"""Scatter a coordinate that is taken for granted where fewer than three captures cannot show their own: what
+was measured at 36 views and 0 dB."""
+_ROUNDS = 8
+
+
+@dataclass(frozen=True, eq=False)
+class Sighting:
+    """The strong reflectors of one capture.
+
+    Attributes:
+        name: of the capture, for messages.
+        positions: (K, 2) m, in the turntable's frame.
+        covariances: (K, 2, 2) m^2, of the positions from noise alone.
+    """
+
+    name: str
+    positions: NDArray[np.float64]
+    covariances: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, scans: BasebandScans, name: str, radius_m: float = SEARCHED_M) -> Sighting:
+        """What focused scans show in a disc of that radius about the axis, m.
+
+        Raises DataError where they do not hold the object's range.
+        """
+        settings = FinderSettings(radius_m=radius_m)
+        found = [r for r in find_reflectors(scans, settings) if r.amplitude_db >= STRONG_DB]
+        positions = np.array([(r.x_m, r.y_m) for r in found]).reshape(-1, 2)
+        if not found:
+            return cls(name, positions, np.zeros((0, 2, 2)))
+        radius = radius_m + 0.02
+        field = MatchedField(fold_views(scans, radius), radius)
+        return cls(name, positions, position_covariances(field, positions))
+
+    @property
+    def sigma_m(self) -> NDArray[np.float64]:
+        """(K,) largest standard deviation of each position, m."""
+        return np.asarray(np.sqrt(np.linalg.eigvalsh(self.covariances)[:, -1]))
+
+    def mirrored(self) -> Sighting:
+        """As it looks where the object turned the other way."""
+        flip = np.array([1.0, -1.0])
+        return Sighting(self.name, self.positions * flip, self.covariances * np.outer(flip, flip))
+
+
+@dataclass(frozen=True, eq=False)
+class LayoutEstimate:
+    """A layout measured on the real object.
+
+    Attributes:
+        layout: mean positions with their covariance, about the object's mean axis, the outermost reflector
+            on +x.
+        spread_m: (K,) RMS scatter of each reflector over the captures, m.
+        scatter_m: standard deviation a coordinate that the captures show beyond their noise, m.
+        rotations_deg: turn of each capture against the layout, degrees.
+        mirrored: names of the captures that had to be mirrored, the turn's direction being unknown.
+    """
+
+    layout: Layout
+    spread_m: NDArray[np.float64]
+    scatter_m: float
+    rotations_deg: tuple[float, ...]
+    mirrored: tuple[str, ...] = ()
+
+
+def average(
+    sightings: Sequence[Sighting],
+    name: str,
+    kind: str = "other",
+    label: str = "",
+    *,
+    direction_known: bool = True,
+) -> LayoutEstimate:
+    """Layout from captures of one object in any turn and place.
+
+    They are paired, turned and shifted onto their mean (generalised Procrustes analysis, Gower 1975), each
+    reflector with the inverse of its covariance in that capture plus a scatter common to all, which is what
+    the captures show beyond their noise (Paule and Mandel 1982): wobble, aspect, an axis a little off. The
+    origin is the mean place of the turntable's axis on the object: the errors of placing it average out.
+
+    Args:
+        sightings: of three captures or more; of fewer, the scatter is taken for granted.
+        name, kind, label: of the layout.
+        direction_known: whether every capture turned the way that is set; else mirror images agree, too.
+
+    Raises:
+        DataError: fewer than two reflectors are seen, or a capture does not agree with the others; it is
+            named with what is wrong with it.
+    """
+    if not sightings:
+        raise DataError("no capture to take a layout from", "Give at least one capture of the object.")
+    used, heart, flipped = _agreeing(sightings, direction_known)
+    mean = used[heart].positions
+    axis = np.zeros(2)
+    turns = np.zeros(len(used))
+    scatter = UNKNOWN_SCATTER_M**2
+    k = len(mean)
+    for _ in range(_ROUNDS):
+        placed, weights, axes = [], [], []
+        for i, one in enumerate(used):
+            # Off the axis in both captures by as much as the reader allows; more is another pairing,
+            # since two reflectors can always be exchanged by half a turn and a shift.
+            pair = best_pairing(one.positions, mean, 2 * CENTRE_TOLERANCE_M)
+            order = np.argsort(pair.partner)
+            points, noise = one.positions[order], one.covariances[order]
+            turn, shift = _placed(points, noise, mean, (pair.rotation_rad, pair.shift_m), scatter)
+            rotation = rotation_matrix(turn)
+            placed.append(points @ rotation.T + shift)
+            weights.append(np.linalg.inv(rotation @ noise @ rotation.T + scatter * np.eye(2)))
+            turns[i] = turn
+            axes.append(shift)
+        seen, weight = np.array(placed), np.array(weights)
+        covariance = np.linalg.inv(weight.sum(axis=0))
+        mean = np.einsum("kij,kj->ki", covariance, np.einsum("nkij,nkj->ki", weight, seen))
+        axis = np.mean(axes, axis=0)
+        if len(used) >= 3:
+            scatter = _excess(seen - mean, np.linalg.inv(weight) - scatter * np.eye(2), k)
+    spread = np.sqrt(np.mean(np.sum((seen - mean) ** 2, axis=2), axis=0))
+    positions = mean - axis
+    outermost = int(np.argmax(np.linalg.norm(positions, axis=1)))
+    turn = -float(np.arctan2(positions[outermost, 1], positions[outermost, 0]))
+    final = rotation_matrix(turn)
+    notes = f"Measured on {len(used)} captures, scatter up to {spread.max() * 1e3:.1f} mm."
+    if len(used) < 3:
+        notes = f"Measured on {len(used)} capture(s); three or more show their scatter."
+    # To 0.1 micrometres: more digits say nothing, and would be read as if they did.
+    places = np.round(positions @ final.T, 7) + 0.0
+    layout = Layout(
+        name, places, kind, notes=notes, label=label, covariance=np.round(final @ covariance @ final.T, 12)
+    )
+    degrees = tuple(float(np.rad2deg(-(t + turn)) % 360) for t in turns)
+    return LayoutEstimate(layout, spread, float(np.sqrt(scatter)), degrees, flipped)
+
+
+def _agreeing(
+    sightings: Sequence[Sighting], direction_known: bool
+) -> tuple[list[Sighting], int, tuple[str, ...]]:
+    """The sightings, turned over where need be, the one that the others agree with, and who was turned over.
+
+    Raises DataError naming those that do not agree with the largest group that does.
+    """
+    n = len(sightings)
+    pairs = {(i, j): _misfit_m(sightings[i], sightings[j]) for i in range(n) for j in range(i)}
+
+    def agree(i: int, j: int) -> bool:
+        straight, mirrored, allowed = pairs[max(i, j), min(i, j)]
+        return min(straight, np.inf if direction_known else mirrored) <= allowed
+
+    groups = [[j for j in range(n) if j == i or agree(i, j)] for i in range(n)]
+    heart = max(range(n), key=lambda i: (len(groups[i]), len(sightings[i].positions)))
+    odd = [i for i in range(n) if i not in groups[heart]]
+    size = len(sightings[heart].positions)
+    if size < 2 and 2 * len(groups[heart]) > n:
+        raise DataError(
+            f"{len(groups[heart])} of {n} captures show {size} reflectors, a layout needs two",
+            "Check that the object is tagged and in the beam, and record more views; a reflector over the "
+            "axis is not seen.",
+        )
+    if odd:
+        against = {i: pairs[max(i, heart), min(i, heart)] for i in odd}
+        raise _disagreement(sightings, groups[heart], against)
+    worst = max(range(n), key=lambda i: float(sightings[i].sigma_m.max()))
+    if sightings[worst].sigma_m.max() > CONFUSABLE_M / 2:
+        raise DataError(
+            f"{sightings[worst].name} tells where a reflector is to "
+            f"{sightings[worst].sigma_m.max() * 1e3:.1f} mm only",
+            "Record it again with more views or nearer, or leave it out.",
+        )
+    over = [i for i in range(n) if i != heart and _turned_over(pairs[max(i, heart), min(i, heart)])]
+    if direction_known:
+        over = []
+    used = [one.mirrored() if i in over else one for i, one in enumerate(sightings)]
+    return used, heart, tuple(sightings[i].name for i in over)
+
+
+def _turned_over(pair: tuple[float, float, float]) -> bool:
+    straight, mirrored, allowed = pair
+    return straight > allowed >= mirrored
+
+
+def _misfit_m(a: Sighting, b: Sighting) -> tuple[float, float, float]:
+    """Worst distance of counterparts, the same with one of the two mirrored, and how much is allowed, m."""
+    if len(a.positions) != len(b.positions):
+        return np.inf, np.inf, 0.0
+    if len(a.positions) < 2:
+        return 0.0, 0.0, 0.0
+    straight, mirrored = (
+        best_pairing(points, b.positions, 2 * CENTRE_TOLERANCE_M).worst_m
+        for points in (a.positions, a.mirrored().positions)
+    )
+    noise = float(np.hypot(a.sigma_m.max(), b.sigma_m.max()))
+    return straight, mirrored, max(AGREE_M, min(AGREE_SIGMAS * noise, CONFUSABLE_M))
+
+
+def _disagreement(
+    sightings: Sequence[Sighting],
+    together: list[int],
+    odd: dict[int, tuple[float, float, float]],
+) -> DataError:
+    """What to tell about captures that differ from the others."""
+    size = len(sightings[together[0]].positions)
+    if 2 * len(together) <= len(sightings):
+        seen = ", ".join(f"{one.name}: {len(one.positions)} reflectors" for one in sightings)
+        return DataError(
+            f"no majority of the captures agrees with one another ({seen})",
+            "Check that all show one object that turns the way that is set, record again with more views, or "
+            "give the positions as numbers.",
+        )
+    reasons, remedy = [], "Leave it out or record it again; nothing was stored."
+    for i, (straight, mirrored, allowed) in odd.items():
+        count = len(sightings[i].positions)
+        if count != size:
+            reason = f"shows {count} reflectors, the others {size}"
+        elif mirrored <= allowed:
+            reason = "is the mirror image of the others: the object turned the other way"
+            remedy += " Where the direction is not known: tagid config set tags.direction unknown."
+        else:
+            reason = f"has a reflector {straight * 1e3:.1f} mm from where the others have it"
+        reasons.append(f"{sightings[i].name} {reason}")
+    return DataError("; ".join(reasons), remedy)
+
+
+def _placed(
+    points: NDArray[np.float64],
+    noise: NDArray[np.float64],
+    mean: NDArray[np.float64],
+    start: tuple[float, NDArray[np.float64]],
+    scatter: float,
+) -> tuple[float, NDArray[np.float64]]:
+    """Turn and shift of points (K, 2) with noise (K, 2, 2) onto the mean, by weighted least squares."""
+    turn, shift = start[0], np.array(start[1])
+    for _ in range(5):
+        rotation = rotation_matrix(turn)
+        weight = np.linalg.inv(rotation @ noise @ rotation.T + scatter * np.eye(2))
+        turned = points @ rotation.T
+        left = mean - turned - shift
+        slope = np.zeros((len(points), 2, 3))
+        slope[:, 0, 0], slope[:, 1, 0] = -turned[:, 1], turned[:, 0]
+        slope[:, 0, 1] = slope[:, 1, 2] = 1.0
+        normal = np.einsum("kia,kij,kjb->ab", slope, weight, slope)
+        step = np.linalg.solve(normal, np.einsum("kia,kij,kj->a", slope, weight, left))
+        turn, shift = turn + float(step[0]), shift + step[1:]
+    return turn, shift
+
+
+def _excess(left: NDArray[np.float64], noise: NDArray[np.float64], k: int) -> float:
+    """Variance a coordinate, m^2, that makes the residuals (n, K, 2) of a mean as large as they should be.
+
+    Their weighted sum of squares has (n - 1) (2 K - 3) degrees of freedom: every capture spends three on its
+    turn and shift, and the mean the rest of one capture.
+    """
+    expected = (len(left) - 1) * (2 * k - 3)
+
+    def total(scatter: float) -> float:
+        weight = np.linalg.inv(noise + scatter * np.eye(2))
+        return float(np.einsum("nki,nkij,nkj->", left, weight, left))
+
+    low, high = 0.0, AGREE_M**2
+    if total(low) <= expected:
+        return low
+    for _ in range(40):
+        middle = (low + high) / 2
+        low, high = (middle, high) if total(middle) > expected else (low, middle)
+    return high

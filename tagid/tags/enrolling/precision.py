@@ -1,0 +1,53 @@
+"""How exactly one recording tells where each reflector is: the covariance of its positions.
+
+Captures of one object differ in views, noise and place; a mean that takes them alike wastes the good ones.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tagid.tags.reading.field import MatchedField
+
+_STEP_M = 2e-4
+_LOAD = 1e-9
+
+
+def position_covariances(
+    field: MatchedField, positions: NDArray[np.float64], offset_m: float = 0.0
+) -> NDArray[np.float64]:
+    """Covariance of least-squares positions with free complex amplitudes: the inverse Fisher information.
+
+    With templates S, amplitudes a and J the derivatives of S a by the coordinates, made orthogonal to S (the
+    amplitudes are fitted with them), it is (2 / v Re(J^H J))^-1 (Kay 1993, section 15.7; v is the variance of
+    a complex sample). v is that of the noise or of what the points leave unexplained, whichever is larger, so
+    that echoes of the object count as noise. Correlations between reflectors are left out of the answer.
+
+    Args:
+        field: of the scans.
+        positions: (K, 2) m, at the least-squares solution.
+        offset_m: added to every distance, m.
+
+    Returns:
+        (K, 2, 2), m^2.
+    """
+    k = len(positions)
+    own = field.templates(field.distances(positions) + offset_m).astype(np.complex128)
+    amplitudes, *_ = np.linalg.lstsq(own.T, field.data.astype(np.complex128), rcond=None)
+    left = field.data - amplitudes @ own
+    variance = max(float(np.mean(np.abs(left) ** 2)), field.noise_variance, 1e-30)
+    slopes = []
+    for axis in range(2):
+        step = np.zeros(2)
+        step[axis] = _STEP_M
+        ahead = field.templates(field.distances(positions + step) + offset_m)
+        behind = field.templates(field.distances(positions - step) + offset_m)
+        slopes.append((ahead - behind).astype(np.complex128) / (2 * _STEP_M) * amplitudes[:, None])
+    jacobian = np.stack(slopes, axis=1).reshape(2 * k, -1)
+    basis, _ = np.linalg.qr(own.T)
+    jacobian = jacobian - (jacobian @ basis.conj()) @ basis.T
+    information = 2 / variance * np.real(jacobian.conj() @ jacobian.T)
+    information += _LOAD * np.trace(information) / (2 * k) * np.eye(2 * k) + 1e-6 * np.eye(2 * k)
+    whole = np.linalg.inv(information)
+    return np.array([whole[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] for i in range(k)])

@@ -1,0 +1,286 @@
+"""How far apart layouts are when any turn may lie between them: what decides whether two can be told apart.
+
+A family of tags is judged by its smallest distance, as AprilTag families are by their Hamming distance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from itertools import permutations
+from math import perm
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tagid.tags.layouts.layout import Layout, rotation_matrix
+
+CONFUSABLE_M = 12e-3
+"""Nearer than this (worst reflector) two layouts are confusable: about one null radius of the point response,
+2.405 / 2k = 14.5 mm at 3.95 GHz, less wobble and fit."""
+CENTRE_TOLERANCE_M = 14e-3
+"""The reader looks for an object's centre within +- this, so a shift of this size tells no layouts apart."""
+MAX_PAIRINGS = 5040
+_ROTATION_STEP_RAD = np.deg2rad(4.0)
+_ARC_STEPS = 16
+_SECANTS = 12
+_BLOCK = 1 << 18
+
+
+@dataclass(frozen=True)
+class LayoutDistance:
+    """Distance of two layouts under the best rotation, shift within the centre's tolerance, and assignment.
+
+    Attributes:
+        rms_m: root mean square over reflectors, m; infinite where their numbers differ.
+        worst_m: largest over reflectors, m; infinite where their numbers differ.
+        rotation_deg: turn of the first that brings it onto the second.
+        nested_m: where the numbers differ, the worst distance of the smaller one's reflectors from their
+            counterparts in the larger: near zero means that one is a part of the other. Else infinite.
+    """
+
+    rms_m: float
+    worst_m: float
+    rotation_deg: float
+    nested_m: float = np.inf
+
+    @property
+    def nested(self) -> bool:
+        """Whether one layout is a part of the other."""
+        return self.nested_m < CONFUSABLE_M
+
+
+def rotational_distance(
+    a: Layout, b: Layout, centre_tolerance_m: float = CENTRE_TOLERANCE_M
+) -> LayoutDistance:
+    """Smallest distance of two layouts over turns, shifts of up to the tolerance, and pairings.
+
+    Mirror images count as different: an object is never seen from below.
+
+    >>> from tagid.tags.layouts.layout import builtin_layouts
+    >>> b = builtin_layouts()
+    >>> round(rotational_distance(b["helmet-120"], b["helmet-120"]).worst_m, 6)
+    0.0
+    """
+    small, large = (a, b) if a.size <= b.size else (b, a)
+    pair = best_pairing(small.positions, large.positions, centre_tolerance_m)
+    turn = float(np.rad2deg(pair.rotation_rad if small is a else -pair.rotation_rad) % 360)
+    if a.size == b.size:
+        return LayoutDistance(pair.rms_m, pair.worst_m, turn)
+    return LayoutDistance(np.inf, np.inf, turn, pair.worst_m)
+
+
+@dataclass(frozen=True, eq=False)
+class Pairing:
+    """How one set of points is brought nearest to another.
+
+    Attributes:
+        rms_m, worst_m: distances left, m.
+        rotation_rad, shift_m: R(rotation) p + shift lies near its partner.
+        partner: (K,) index of each point's partner in the other set.
+    """
+
+    rms_m: float
+    worst_m: float
+    rotation_rad: float
+    shift_m: NDArray[np.float64]
+    partner: NDArray[np.intp]
+
+
+def best_pairing(
+    small: NDArray[np.float64], large: NDArray[np.float64], tolerance_m: float = np.inf
+) -> Pairing:
+    """Turn, shift up to the tolerance and pairing that bring points (K, 2) nearest to (L, 2), L >= K.
+
+    Every pairing is tried where there are few, else every start of a grid of turns is brought to its own
+    minimum by pairing and turning alternately.
+    """
+    if perm(len(large), len(small)) > MAX_PAIRINGS:
+        return _nearest_pairing(small, large, tolerance_m)
+    partners = np.array(list(permutations(range(len(large)), len(small))), dtype=np.intp)
+    rms, angle, shift = best_places(small[None], large[partners], tolerance_m)
+    i = int(np.argmin(rms))
+    turned = small @ rotation_matrix(float(angle[i])).T + shift[i]
+    worst = float(np.linalg.norm(turned - large[partners[i]], axis=1).max())
+    return Pairing(float(rms[i]), worst, float(angle[i]), shift[i], partners[i])
+
+
+def best_places(
+    points: NDArray[np.float64], partners: NDArray[np.float64], tolerance_m: float = np.inf
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Turns and shifts, within the tolerance, that bring points nearest to their partners.
+
+    The unlimited optimum is Kabsch's (1976); where its shift is too long, see `_held_turn`.
+
+    Args:
+        points, partners: (..., K, 2), broadcast against each other, m.
+        tolerance_m: longest shift, m.
+
+    Returns:
+        RMS distance left (...), m; turn (...), rad; shift (..., 2), m.
+    """
+    p = points[..., 0] + 1j * points[..., 1]
+    q = partners[..., 0] + 1j * partners[..., 1]
+    p, q = np.broadcast_arrays(p, q)
+    shape = p.shape[:-1]
+    p, q = p.reshape(-1, p.shape[-1]), q.reshape(-1, p.shape[-1])
+    p_mean, q_mean = p.mean(axis=-1), q.mean(axis=-1)
+    centred = np.sum(p.conj() * q, axis=-1) - p.shape[-1] * p_mean.conj() * q_mean
+    turn = np.exp(1j * np.angle(centred))
+    shift = q_mean - turn * p_mean
+    far = np.abs(shift) > tolerance_m
+    if far.any():
+        turn[far] = np.exp(1j * _held_turn(centred[far] / p.shape[-1], p_mean[far], q_mean[far], tolerance_m))
+        free = q_mean[far] - turn[far] * p_mean[far]
+        shift[far] = free * np.minimum(1, tolerance_m / np.maximum(np.abs(free), 1e-30))
+    error = turn[..., None] * p + shift[..., None] - q
+    rms = np.sqrt(np.mean(np.abs(error) ** 2, axis=-1))
+    xy = np.stack([shift.real, shift.imag], axis=-1)
+    return rms.reshape(shape), np.angle(turn).reshape(shape), xy.reshape(*shape, 2)
+
+
+def _misfit(
+    angle: NDArray[np.float64],
+    cross: NDArray[np.complex128],
+    own: NDArray[np.complex128],
+    other: NDArray[np.complex128],
+    tolerance_m: float,
+) -> NDArray[np.float64]:
+    """What a turn leaves of the mean square distance, but for a constant, where the shift is limited, m^2.
+
+    The centred points leave const - 2 Re(exp(-i angle) cross); the means leave what the shift cannot bridge.
+    """
+    turn = np.exp(1j * angle)
+    beyond = np.maximum(np.abs(other - turn * own) - tolerance_m, 0)
+    return np.asarray(beyond**2 - 2 * (turn.conj() * cross).real)
+
+
+def _held_turn(
+    cross: NDArray[np.complex128],
+    own: NDArray[np.complex128],
+    other: NDArray[np.complex128],
+    tolerance_m: float,
+) -> NDArray[np.float64]:
+    """Turns (n,), rad, that minimise `_misfit`.
+
+    One of its terms grows with the distance from the turn that fits the shapes, the other with that from the
+    turn that fits the means: the minimum lies on the shorter arc between the two, is bracketed there on a
+    grid and found by secants of the slope.
+
+    Args:
+        cross: (n,) mean of conj(p) q of the centred points, m^2.
+        own, other: (n,) means of the points and of their partners, m.
+        tolerance_m: longest shift, m.
+    """
+    begin = np.angle(cross)
+    arc = np.angle(other * own.conj() * np.exp(-1j * begin))
+    grid = np.linspace(0, 1, _ARC_STEPS + 1)[:, None]
+    best = np.argmin(_misfit(begin + grid * arc, cross, own, other, tolerance_m), axis=0)
+    low, high = (np.clip(best + step, 0, _ARC_STEPS) / _ARC_STEPS for step in (-1, 1))
+    fall, rise = (_slope(begin + t * arc, cross, own, other, tolerance_m) * arc for t in (low, high))
+    for _ in range(_SECANTS):
+        # Illinois: a secant that halves the slope of an end which stays, so that both ends come in.
+        middle = low + (high - low) * np.clip(fall / np.minimum(fall - rise, -1e-300), 0.0, 1.0)
+        middle = np.where((fall < 0) & (rise > 0), middle, np.where(fall >= 0, low, high))
+        slope = _slope(begin + middle * arc, cross, own, other, tolerance_m) * arc
+        up = slope > 0
+        low, high = np.where(up, low, middle), np.where(up, middle, high)
+        fall, rise = np.where(up, fall / 2, slope), np.where(up, slope, rise / 2)
+    return np.asarray(begin + middle * arc)
+
+
+def _slope(
+    angle: NDArray[np.float64],
+    cross: NDArray[np.complex128],
+    own: NDArray[np.complex128],
+    other: NDArray[np.complex128],
+    tolerance_m: float,
+) -> NDArray[np.float64]:
+    """Derivative of `_misfit` by the angle, m^2."""
+    turn = np.exp(1j * angle)
+    gap = other - turn * own
+    length = np.maximum(np.abs(gap), 1e-30)
+    beyond = np.maximum(length - tolerance_m, 0)
+    pull = (gap.conj() * turn * own).imag / length
+    return np.asarray(2 * beyond * pull - 2 * (turn.conj() * cross).imag)
+
+
+def all_distances(
+    points: NDArray[np.float64], centre_tolerance_m: float = CENTRE_TOLERANCE_M, *, mirrored: bool = False
+) -> NDArray[np.float64]:
+    """(n, n) rotational distances (RMS over reflectors, m) of layouts (n, K, 2), K! pairings each.
+
+    The same as `rotational_distance` of every two, at once: an unlimited shift gives every pairing's least
+    possible distance, so the limited one is worked out only where it could still be the smallest.
+
+    Args:
+        points: (n, K, 2) m.
+        centre_tolerance_m: longest shift, m.
+        mirrored: of every layout to the mirror image of every other instead.
+    """
+    z = points[..., 0] + 1j * points[..., 1]
+    images = z.conj() if mirrored else z
+    n, k = z.shape
+    mean = z.mean(axis=1)
+    centred = z - mean[:, None]
+    image_mean = images.mean(axis=1)
+    image = images - image_mean[:, None]
+    energy = np.mean(np.abs(centred) ** 2, axis=1)
+    orders = list(permutations(range(k)))
+    out = np.zeros((n, n))
+    rows = max(1, _BLOCK // (n * len(orders)))
+    for at in range(0, n, rows):
+        a = slice(at, min(at + rows, n))
+        cross = np.stack([centred[a].conj() @ image[at:, list(order)].T for order in orders]) / k
+        own, other = mean[a, None], image_mean[None, at:]
+        both = energy[a, None] + energy[None, at:]
+        size = np.abs(cross)
+        least = both - 2 * size
+        shifted = np.abs(other - own * (cross / np.maximum(size, 1e-300)))
+        by_shape = least + np.maximum(shifted - centre_tolerance_m, 0) ** 2
+        toward = np.exp(1j * np.angle(other * own.conj()))
+        by_mean = both - 2 * (toward.conj() * cross).real
+        by_mean += np.maximum(np.abs(np.abs(other) - np.abs(own)) - centre_tolerance_m, 0) ** 2
+        square = np.minimum(by_shape, by_mean).min(axis=0)
+        open_ = (least < square - 1e-15) & (by_shape > least + 1e-15)
+        which, i, j = np.nonzero(open_)
+        held = _held_turn(cross[which, i, j], mean[a][i], image_mean[at:][j], centre_tolerance_m)
+        value = both[i, j] + _misfit(
+            held, cross[which, i, j], mean[a][i], image_mean[at:][j], centre_tolerance_m
+        )
+        np.minimum.at(square, (i, j), value)
+        out[a, at:] = np.sqrt(np.maximum(square, 0))
+    out = np.triu(out, 1)
+    return out + out.T
+
+
+def _nearest_pairing(small: NDArray[np.float64], large: NDArray[np.float64], tolerance_m: float) -> Pairing:
+    from scipy.optimize import linear_sum_assignment
+
+    best: Pairing | None = None
+    for rotation in np.arange(0, 2 * np.pi, _ROTATION_STEP_RAD):
+        angle, shift = float(rotation), np.zeros(2)
+        for _ in range(4):
+            turned = small @ rotation_matrix(angle).T
+            gap = np.linalg.norm(turned[:, None] + shift - large[None], axis=2)
+            columns = np.asarray(linear_sum_assignment(gap**2)[1])
+            rms, angles, shifts = best_places(small, large[columns], tolerance_m)
+            angle, shift = float(angles), shifts
+        if best is None or rms < best.rms_m:
+            turned = small @ rotation_matrix(angle).T
+            worst = float(np.linalg.norm(turned + shift - large[columns], axis=1).max())
+            best = Pairing(float(rms), worst, angle, shift, columns)
+    assert best is not None
+    return best
+
+
+def confusable(
+    layout: Layout, others: Iterable[Layout], tolerance_m: float = CONFUSABLE_M
+) -> dict[str, LayoutDistance]:
+    """Those of the others, by name, whose worst reflector lies within the tolerance of the layout's."""
+    near = {}
+    for other in others:
+        distance = rotational_distance(layout, other)
+        if distance.worst_m < tolerance_m:
+            near[other.name] = distance
+    return near

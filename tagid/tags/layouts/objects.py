@@ -1,0 +1,98 @@
+"""Objects that carry reflectors, as data: the radii and heights at which a reflector can be stuck on.
+
+A family of layouts is designed for an object, and whoever has another object gives its radii, not new code.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+
+import numpy as np
+
+from tagid.errors import UsageError
+from tagid.tags.layouts.layout import KINDS, MAX_RADIUS_M
+
+MAX_ROWS = 4
+MAX_HEIGHT_M = 1.0
+
+
+@dataclass(frozen=True)
+class Row:
+    """A circle around the object's axis on which reflectors can sit.
+
+    Attributes:
+        radius_m: of the reflectors' centres, m.
+        height_m: above the object's plane (that of the first row), m.
+    """
+
+    radius_m: float
+    height_m: float = 0.0
+
+
+@dataclass(frozen=True)
+class TaggedObject:
+    """Where an object has room for reflectors.
+
+    Attributes:
+        name: for the command line.
+        kind: of the layouts made for it, one of `tagid.tags.layouts.layout.KINDS`.
+        rows: the first is the main one; the others are used where asked for.
+        label: for people.
+
+    Raises UsageError where a row is impossible.
+    """
+
+    name: str
+    kind: str
+    rows: tuple[Row, ...]
+    label: str = ""
+
+    def __post_init__(self) -> None:
+        if self.kind not in KINDS:
+            raise UsageError(f"object {self.name}: kind {self.kind!r} is unknown", f"Use {', '.join(KINDS)}.")
+        if not 1 <= len(self.rows) <= MAX_ROWS:
+            raise UsageError(f"object {self.name} has {len(self.rows)} rows", f"Give 1 to {MAX_ROWS}.")
+        for row in self.rows:
+            if not (np.isfinite(row.radius_m) and 0.01 <= row.radius_m <= MAX_RADIUS_M):
+                raise UsageError(
+                    f"object {self.name}: a row has a radius of {row.radius_m:g} m",
+                    f"Give 0.01 to {MAX_RADIUS_M:g} m, in metres and not in millimetres.",
+                )
+            if not (np.isfinite(row.height_m) and abs(row.height_m) <= MAX_HEIGHT_M):
+                raise UsageError(
+                    f"object {self.name}: a row is {row.height_m:g} m high", f"Give up to {MAX_HEIGHT_M:g} m."
+                )
+
+    def with_rows(self, count: int) -> TaggedObject:
+        """The same object with its first rows only. Raises UsageError where it has not so many."""
+        if not 1 <= count <= len(self.rows):
+            raise UsageError(
+                f"{self.name} has room for 1 to {len(self.rows)} rows, not {count}", "Give fewer --rows."
+            )
+        return TaggedObject(self.name, self.kind, self.rows[:count], self.label)
+
+
+@cache
+def builtin_objects() -> dict[str, TaggedObject]:
+    """The objects that come with the package, by name."""
+    found = {}
+    for file in (resources.files("tagid.tags.layouts") / "data" / "objects").iterdir():
+        if file.name.endswith(".toml"):
+            data = tomllib.loads(file.read_text("utf-8"))
+            rows = tuple(Row(row["radius_m"], row["height_m"]) for row in data["rows"])
+            found[data["name"]] = TaggedObject(data["name"], data["kind"], rows, data["label"])
+    return dict(sorted(found.items()))
+
+
+def object_named(name: str) -> TaggedObject:
+    """A built-in object. Raises UsageError listing the names where there is none."""
+    objects = builtin_objects()
+    if name not in objects:
+        raise UsageError(
+            f"there is no object {name[:80]!r}",
+            f"Use {', '.join(objects)}, or give your own with --radius METRES.",
+        )
+    return objects[name]

@@ -1,0 +1,209 @@
+"""Reflectors in an image, found by the shipped network: where, how surely, and what is a ghost.
+
+It knows no layout, so it serves objects that nobody enrolled, and tells interaction images, shell arcs and
+handles from reflectors where a test for point echoes alone cannot.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tagid.errors import ModelError
+from tagid.models_store import Model, open_model
+from tagid.tags.network.planes import GRID, NORMALISATION, PLANES, NetworkInput
+
+MODEL = "reflector_detector"
+CONTRACT_KEY = "tagid.contract"
+SCHEMA = 1
+CELLS = GRID.pixels // 2
+CELL_M = GRID.extent / CELLS
+SEPARATION_M = 0.02
+"""Two detections nearer than this are one reflector: the paper's octahedra are 20 mm."""
+_MOST = 16
+
+
+@dataclass(frozen=True)
+class Detection:
+    """A reflector that the network sees.
+
+    Attributes:
+        x_m, y_m: position in the object's plane, m.
+        sigma_m: standard deviation of each coordinate, m.
+        probability: of being a reflector, calibrated on scenes not trained on.
+        ghost: probability that the place shows something else that echoes.
+        amplitude: complex value of the image there, in the image's units.
+    """
+
+    x_m: float
+    y_m: float
+    sigma_m: float
+    probability: float
+    ghost: float
+    amplitude: complex
+
+
+@dataclass(frozen=True)
+class Detections:
+    """What the network says of one image.
+
+    Attributes:
+        present: probability that there is any reflector.
+        found: detections above the threshold, surest first.
+        threshold: probability that was asked of them.
+    """
+
+    present: float
+    found: tuple[Detection, ...]
+    threshold: float
+
+
+@dataclass(frozen=True)
+class Contract:
+    """What the model's file says of itself (metadata_props, key `tagid.contract`).
+
+    Attributes:
+        slope, intercept: calibrated logit = slope * logit + intercept.
+        present_slope, present_intercept: the same of the presence.
+        sigma_scale: factor on the network's sigma that makes it the error's.
+        thresholds: probability to ask for a false detection in a share `pfa` of images without reflectors,
+            by pfa as text.
+        training: commit, seed, dataset; for the record.
+    """
+
+    slope: float
+    intercept: float
+    present_slope: float
+    present_intercept: float
+    sigma_scale: float
+    thresholds: dict[str, float]
+    training: dict[str, Any]
+
+    def threshold(self, pfa: float) -> float:
+        """Probability to ask for that false-alarm rate: of those measured, the nearest that keeps to it.
+
+        0 for a rate of 1; the strictest measured for a rate under all of them.
+        """
+        if pfa >= 1:
+            return 0.0
+        measured = sorted((float(rate), value) for rate, value in self.thresholds.items())
+        fitting = [value for rate, value in measured if rate <= pfa * (1 + 1e-9)]
+        return fitting[-1] if fitting else measured[0][1]
+
+    def to_text(self) -> str:
+        """JSON for the model's file."""
+        grid = {"extent_m": GRID.extent, "pixels": GRID.pixels}
+        fixed = {"kind": "reflector-detector", "schema": SCHEMA, "grid": grid, "planes": PLANES}
+        fixed["normalisation"] = NORMALISATION
+        return json.dumps({**fixed, **vars(self)}, sort_keys=True)
+
+    @classmethod
+    def from_text(cls, text: str, where: str) -> Contract:
+        """Read and check the JSON. Raises ModelError naming what it says and what is needed."""
+        try:
+            raw = json.loads(text)
+            said = (raw["kind"], raw["schema"], raw["grid"]["extent_m"], raw["grid"]["pixels"], raw["planes"])
+            needed = ("reflector-detector", SCHEMA, GRID.extent, GRID.pixels, PLANES)
+            if said != needed:
+                raise ModelError(
+                    f"{where}: its contract says {said}, this program needs {needed}",
+                    "Use the model that came with this version, or train one with `python -m train`.",
+                )
+            # Files from before this was written say nothing of it, and mean the same.
+            if (scaled := raw.get("normalisation", NORMALISATION)) != NORMALISATION:
+                raise ModelError(
+                    f"{where}: its contract normalises by {scaled}, this program by {NORMALISATION}",
+                    "Use the model that came with this version, or train one with `python -m train`.",
+                )
+            contract = cls(**{name: raw[name] for name in cls.__dataclass_fields__})
+            numbers = [contract.slope, contract.intercept, contract.present_slope]
+            numbers += [contract.present_intercept, contract.sigma_scale, *contract.thresholds.values()]
+            if not contract.thresholds or not np.isfinite(np.array(numbers, dtype=np.float64)).all():
+                raise ValueError("numbers are missing or not finite")
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            raise ModelError(
+                f"{where}: its contract cannot be read: {error}", "Use the model that came with this version."
+            ) from error
+        return contract
+
+
+def sigmoid(logit: NDArray[np.floating] | float) -> NDArray[np.float64]:
+    """The probability of a logit."""
+    return np.asarray(1 / (1 + np.exp(-np.clip(np.asarray(logit, dtype=np.float64), -60, 60))))
+
+
+def candidates(cells: NDArray[np.float32]) -> list[tuple[int, int]]:
+    """(row, column) of the local maxima of the reflector logit in cells (5, 48, 48), strongest first."""
+    logit = cells[0]
+    padded = np.pad(logit, 1, constant_values=-np.inf)
+    around = np.lib.stride_tricks.sliding_window_view(padded, (3, 3)).max(axis=(2, 3))
+    rows, columns = np.nonzero(logit >= around)
+    order = np.argsort(-logit[rows, columns])[: 4 * _MOST]
+    return [(int(rows[i]), int(columns[i])) for i in order]
+
+
+def decode(cells: NDArray[np.float32], seen: NetworkInput, contract: Contract) -> list[Detection]:
+    """All detections in the network's cells (5, 48, 48), surest first, none nearer than `SEPARATION_M`."""
+    found: list[Detection] = []
+    for row, column in candidates(cells):
+        _, ghost, dx, dy, log_sigma = (float(v) for v in cells[:, row, column])
+        x = (column + float(np.clip(dx, -1, 1)) - CELLS / 2 + 0.5) * CELL_M
+        y = (row + float(np.clip(dy, -1, 1)) - CELLS / 2 + 0.5) * CELL_M
+        if any(np.hypot(x - d.x_m, y - d.y_m) < SEPARATION_M for d in found):
+            continue
+        logit = contract.slope * float(cells[0, row, column]) + contract.intercept
+        found.append(
+            Detection(
+                x,
+                y,
+                contract.sigma_scale * CELL_M * float(np.exp(np.clip(log_sigma, -4, 1))),
+                float(sigmoid(logit)),
+                float(sigmoid(ghost)),
+                seen.value_at(x, y) * seen.peak,
+            )
+        )
+        if len(found) == _MOST:
+            break
+    return found
+
+
+class Detector:
+    """The network with its contract.
+
+    Attributes:
+        contract: as read from the file.
+        sha256: of the file, for the record of an answer.
+    """
+
+    def __init__(self, model: Model) -> None:
+        """Of an opened model. Raises ModelError where its contract is another one."""
+        self._model = model
+        self.contract = Contract.from_text(model.metadata.get(CONTRACT_KEY, ""), f"model {model.entry.name}")
+        self.sha256 = model.entry.sha256
+
+    @classmethod
+    def shipped(cls, threads: int = 1) -> Detector:
+        """The one that came with the package. Raises ModelError or StorageError as `open_model` does."""
+        return cls(open_model(MODEL, threads))
+
+    def run(self, seen: NetworkInput) -> tuple[NDArray[np.float32], float]:
+        """The network's cells (5, 48, 48) and the presence logit of one image."""
+        out = self._model.run({"planes": seen.planes()[None]})
+        return np.asarray(out["cells"])[0], float(out["present"][0])
+
+    def detect(self, seen: NetworkInput, pfa: float = 0.01) -> Detections:
+        """Reflectors of an image.
+
+        Args:
+            seen: the image as `NetworkInput.of` prepares it.
+            pfa: share of images without any reflector in which one may be seen.
+        """
+        cells, present = self.run(seen)
+        threshold = self.contract.threshold(pfa)
+        found = tuple(d for d in decode(cells, seen, self.contract) if d.probability >= threshold)
+        there = self.contract.present_slope * present + self.contract.present_intercept
+        return Detections(float(sigmoid(there)), found, threshold)

@@ -1,0 +1,358 @@
+"""Where each layout fits best: rotation, centre and range offset found jointly, in the data domain.
+
+A coarse grid reads one image per range offset; the best few places of every layout are then refined on exact
+templates, because three degrees are 6 mm at a helmet's rim and decide between layouts of one size.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tagid.tags.layouts.layout import Layout, rotation_matrix
+from tagid.tags.reading.aspect import PATTERNS, ROUND, TRANSPARENT, Appearance, Aspect, outward
+from tagid.tags.reading.coarse import CoarseImage
+from tagid.tags.reading.field import MatchedField
+
+ALIKE = 0.25
+"""Spread of the logarithm of a tag's amplitudes: its reflectors differ by up to 20 %, and by aspect."""
+ODD_NATS = 8.0
+"""What one reflector of another strength can cost a layout: a factor of 2.7, or a missing one."""
+BEGINNING = 2
+"""Rounds of refinement from all starts, before the hopeless are left where they are."""
+FINISHED = 6
+"""Layouts refined to the end, at most: the name hangs on the best and the runner-up."""
+REACH_NATS, REACH_SHARE = 15.0, 0.4
+"""The hopeless lack so many nats and this share of the best's energy: the coarse grid costs up to a quarter,
+the runner-up matters within the decision's margins, and noise gains some nats."""
+FULLY_VISIBLE = 0.5
+"""Visibility from which an amplitude is taken as measured."""
+
+
+@dataclass(frozen=True)
+class SearchSettings:
+    """Extent and steps of the search.
+
+    Attributes:
+        arc_step_m, centre_step_m: the coarse grid, at the outermost reflector and of the centre.
+        centre_range_m: the object's axis is searched within +- this in x and y of the turntable's axis.
+        offsets_m: range offsets (errors of the axis distance) tried coarsely; refined between.
+        starts: places a layout that are refined.
+        iterations: halvings of the refinement's steps.
+        balance: amplitudes whose smallest is under this share of the largest are charged for.
+        aspects: patterns of the search; every layout is looked for with each of them.
+        patterns: patterns tried at the best places that were found.
+    """
+
+    arc_step_m: float = 6e-3
+    centre_step_m: float = 4.5e-3
+    centre_range_m: float = 14e-3
+    offsets_m: tuple[float, ...] = tuple(i * 8e-3 for i in range(-2, 3))
+    starts: int = 3
+    iterations: int = 7
+    balance: float = 0.35
+    aspects: tuple[Aspect, ...] = (TRANSPARENT, ROUND)
+    patterns: tuple[Aspect, ...] = PATTERNS
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """The best place of one layout.
+
+    Attributes:
+        layout: which.
+        aspect: from which sides its reflectors are seen.
+        place: (4,) counter-clockwise turn about the layout's origin, where that lies in x and y, and range
+            offset: measured distances are this much longer than the aperture says; rad, m.
+        positions: (K, 2) reflectors, m.
+        amplitudes: (K,) complex least-squares amplitudes.
+        sizes: (K,) their magnitudes, see `visible_sizes`.
+        visibility: (K,) share of a template's energy that is seen and varies over the views.
+        explained: b^H G^-1 b, energy.
+        charged: the same after the charge for unlike amplitudes.
+        criterion: J of `criterion`, lower is better.
+    """
+
+    layout: Layout
+    aspect: Aspect
+    place: NDArray[np.float64]
+    positions: NDArray[np.float64]
+    amplitudes: NDArray[np.complex128]
+    sizes: NDArray[np.float64]
+    visibility: NDArray[np.float64]
+    explained: float
+    charged: float
+    criterion: float
+
+    @property
+    def rotation_rad(self) -> float:
+        """The turn within the layout's symmetry, rad."""
+        return float(np.mod(self.place[0], 2 * np.pi / self.layout.symmetry))
+
+    @property
+    def centre_m(self) -> NDArray[np.float64]:
+        """(2,) where the layout's origin lies, m."""
+        return self.place[1:3]
+
+    @property
+    def offset_m(self) -> float:
+        """The range offset, m."""
+        return float(self.place[3])
+
+    @property
+    def look(self) -> Appearance:
+        """How any other point of this object would look."""
+        return Appearance(self.aspect, self.centre_m, self.offset_m)
+
+
+@dataclass(frozen=True, eq=False)
+class Values:
+    """Least squares at many places (H, ...), fields as of `Fit`."""
+
+    amplitudes: NDArray[np.complex128]
+    sizes: NDArray[np.float64]
+    visibility: NDArray[np.float64]
+    explained: NDArray[np.float64]
+    charged: NDArray[np.float64]
+
+
+def least_squares(
+    b: NDArray[np.complex128], gram: NDArray[np.complex128]
+) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
+    """Amplitudes (..., K) = G^-1 b and explained energy (...) = b^H G^-1 b; G is loaded by 1e-2 of itself."""
+    k = b.shape[-1]
+    size = np.maximum(np.abs(np.trace(gram, axis1=-2, axis2=-1)) / k, 1e-30)  # one that nobody sees is 0
+    load = 1e-2 * size[..., None, None] * np.eye(k)
+    amplitudes = np.linalg.solve(gram + load, b[..., None])[..., 0]
+    explained = np.real(np.sum(b.conj() * amplitudes, axis=-1))
+    return np.asarray(amplitudes, dtype=np.complex128), np.maximum(
+        np.asarray(explained, dtype=np.float64), 0.0
+    )
+
+
+def visible_sizes(
+    amplitudes: NDArray[np.complex128], visibility: NDArray[np.floating]
+) -> NDArray[np.float64]:
+    """|amplitudes| (..., K), drawn to the mean of the visible ones where a reflector can hardly be seen.
+
+    Visibility is the share of a template's energy that varies over the views; near the axis it goes to zero.
+    """
+    trust = np.minimum(visibility / FULLY_VISIBLE, 1.0)
+    size = np.abs(amplitudes)
+    typical = np.sum(trust * size, axis=-1, keepdims=True) / np.maximum(trust.sum(-1, keepdims=True), 1e-9)
+    return np.asarray(trust * size + (1 - trust) * typical, dtype=np.float64)
+
+
+def charge(
+    explained: NDArray[np.float64], size: NDArray[np.floating], balance: float, axis: int = -1
+) -> NDArray[np.float64]:
+    """Explained energy (...) scaled down where reflectors, all alike, come out of unlike size (..., K)."""
+    ratio = size.min(axis=axis) / np.maximum(size.max(axis=axis), 1e-30)
+    return np.asarray(explained * np.minimum(ratio / balance, 1.0), dtype=np.float64)
+
+
+def likeness(size: NDArray[np.float64], each: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(...) nats against amplitudes |a| (..., K) that belong to one tag, measured with e = `each` (...) nats.
+
+    Their logarithms spread by ALIKE and by the error of 1 / (2 e); one reflector costs ODD_NATS at most,
+    because a damaged one says nothing about where the others are.
+    """
+    logarithm = np.log(np.maximum(size, 1e-6 * size.max(axis=-1, keepdims=True) + 1e-30))
+    off = logarithm - np.median(logarithm, axis=-1, keepdims=True)
+    spread = ALIKE**2 + 0.5 / np.maximum(each, 0.5)
+    return np.asarray(np.minimum(off**2 / (2 * spread[..., None]), ODD_NATS).sum(axis=-1))
+
+
+def criterion(field: MatchedField, value: Values, aspect: Aspect) -> NDArray[np.float64]:
+    """(...) J = n log(1 - e / E) + sum_k log(1 + n v_k) + log n where the pattern is not uniform + likeness.
+
+    Each amplitude is charged for what the data say about it (G. Schwarz, 1978, with the template's own share
+    v (..., K) of the samples), so a layout gains nothing by reflectors that nobody could have seen.
+    """
+    n = field.independent_samples
+    left = np.maximum(1 - value.charged / field.energy, 1e-9)
+    unknowns = np.log1p(n * value.visibility).sum(axis=-1)
+    noise = field.noise_variance if field.noise_variance > 0 else left * field.energy / n
+    each = value.explained / noise / value.sizes.shape[-1]
+    odd = likeness(value.sizes, np.asarray(each))
+    return np.asarray(n * np.log(left) + unknowns + (0.0 if aspect.uniform else np.log(n)) + odd)
+
+
+def search(field: MatchedField, layouts: Sequence[Layout], settings: SearchSettings) -> list[Fit]:
+    """The best fit of every layout, in the order given.
+
+    All layouts are refined a little, and only those that may still win or come second to the end.
+    """
+    reach = max(layout.radius_m for layout in layouts) + settings.centre_range_m * np.sqrt(2)
+    images = [CoarseImage(field, reach, aspect, settings.offsets_m) for aspect in settings.aspects]
+    coarse = [[_coarse_starts(field, layout, image, settings) for image in images] for layout in layouts]
+    most = max(score for found in coarse for _, score in found)
+    begun: list[list[Fit]] = []
+    for layout, found in zip(layouts, coarse, strict=True):
+        fits = []
+        for image, (starts, score) in zip(images, found, strict=True):
+            places = starts
+            if score >= (1 - REACH_SHARE) * most - REACH_NATS * field.noise_variance:
+                places = _refine(field, layout, image.aspect, starts, settings, range(BEGINNING))
+            fits.append(_best_fit(field, layout, image.aspect, places, settings.balance))
+        begun.append(fits)
+    least = min(fit.criterion for fits in begun for fit in fits)
+    leaders = sorted(min(fit.criterion for fit in fits) for fits in begun)[:FINISHED]
+    reach_nats = min(least + REACH_NATS + REACH_SHARE * abs(least), leaders[-1])
+    results = []
+    for fits in begun:
+        hopeful = [fit for fit in fits if fit.criterion <= reach_nats]
+        results.append(_finished(field, hopeful, settings) if hopeful else min(fits, key=_criterion))
+    return results
+
+
+def _criterion(fit: Fit) -> float:
+    return fit.criterion
+
+
+def _finished(field: MatchedField, found: list[Fit], settings: SearchSettings) -> Fit:
+    """Fits of one layout refined to the end, every other pattern tried there, and the best one moved."""
+    layout = found[0].layout
+    rest = range(BEGINNING, settings.iterations)
+    fits = []
+    for fit in found:
+        places = _refine(field, layout, fit.aspect, fit.place[None], settings, rest)
+        fits.append(_best_fit(field, layout, fit.aspect, places, settings.balance))
+    others = [aspect for aspect in settings.patterns if aspect not in settings.aspects]
+    fits += [
+        _best_fit(field, layout, aspect, fit.place[None], settings.balance)
+        for fit in list(fits)
+        for aspect in others
+    ]
+    best = min(fits, key=_criterion)
+    if best.aspect in settings.aspects:
+        return best
+    places = _refine(field, layout, best.aspect, best.place[None], settings, range(2, 5))
+    moved = _best_fit(field, layout, best.aspect, places, settings.balance)
+    return min(best, moved, key=_criterion)
+
+
+def _coarse_starts(
+    field: MatchedField, layout: Layout, coarse: CoarseImage, settings: SearchSettings
+) -> tuple[NDArray[np.float64], float]:
+    """(starts, 4) rotation, x, y, offset of the best distinct places, and the charged energy of the best."""
+    turn = 2 * np.pi / layout.symmetry
+    rotations = np.arange(0, turn - 1e-9, _rotation_step(layout, settings))
+    count = int(np.floor(settings.centre_range_m / settings.centre_step_m))
+    line = np.linspace(-1, 1, 2 * count + 1) * settings.centre_range_m
+    x, y = np.meshgrid(line, line)
+    shifts = np.stack([x.ravel(), y.ravel()], axis=-1)
+    shifts = shifts[np.linalg.norm(shifts, axis=1) <= settings.centre_range_m * 1.05]
+    placed = layout.positions @ np.swapaxes(rotation_matrix(rotations), -1, -2)
+    points = placed[:, None] + shifts[None, :, None]
+    weight = coarse.aspect.weight(field, placed, outward(placed, np.zeros(2)))
+    gram = field.full_gram(field.distances(placed), weight)[:, None] - coarse.static_overlap(points)
+    visibility = np.real(np.diagonal(gram, axis1=-2, axis2=-1)) / field.template_energy
+    load = 1e-2 * field.template_energy * np.eye(layout.size)
+    inverse = np.moveaxis(np.linalg.inv(gram + load).astype(np.complex64), (-2, -1), (0, 1)).copy()
+    # The reflectors lead, so that sums over them run along the memory.
+    b = np.stack([coarse.read(points[..., k, :]) for k in range(layout.size)])
+    amplitudes = np.stack([sum(inverse[k, j] * b[j] for j in range(layout.size)) for k in range(layout.size)])
+    explained = np.maximum(sum((b[k].conj() * amplitudes[k]).real for k in range(layout.size)), 0)
+    trust = np.minimum(np.moveaxis(visibility, -1, 0)[:, None] / FULLY_VISIBLE, 1.0).astype(np.float32)
+    size = np.abs(amplitudes)
+    typical = (trust * size).sum(axis=0) / np.maximum(trust.sum(axis=0), 1e-9)
+    size = trust * size + (1 - trust) * typical
+    scores = charge(explained, size, settings.balance, axis=0)
+    starts: list[tuple[float, float, float, float]] = []
+    best = scores.max(axis=2)
+    most = float(best.max())
+    for _ in range(settings.starts):
+        i, a = divmod(int(np.argmax(best)), best.shape[1])
+        s = int(np.argmax(scores[i, a]))
+        starts.append((rotations[a], shifts[s, 0], shifts[s, 1], settings.offsets_m[i]))
+        gap = np.abs(np.angle(np.exp(1j * (rotations - rotations[a]) * layout.symmetry))) / layout.symmetry
+        best[:, gap < np.deg2rad(8)] = -1
+    return np.array(starts), most
+
+
+def _rotation_step(layout: Layout, settings: SearchSettings) -> float:
+    """Coarse step of the rotation, rad: that of the arc at the outermost reflector, within 3 to 8 degrees."""
+    return float(np.clip(settings.arc_step_m / layout.radius_m, np.deg2rad(3.0), np.deg2rad(8.0)))
+
+
+def _evaluate(
+    field: MatchedField, layout: Layout, aspect: Aspect, places: NDArray[np.float64], balance: float
+) -> Values:
+    """Exact templates at places (H, 4) of rotation, x, y and offset."""
+    turned = np.swapaxes(rotation_matrix(places[:, 0]), -1, -2)
+    points = layout.positions @ turned + places[:, None, 1:3]
+    d = field.distances(points, np.asarray(layout.heights))
+    facing = outward(layout.positions, np.zeros(2)) @ turned
+    templates = field.templates(d + places[:, 3, None, None], aspect.weight(field, points, facing))
+    b, gram = field.correlate(templates), field.gram(templates)
+    amplitudes, explained = least_squares(b, gram)
+    visibility = np.real(np.diagonal(gram, axis1=-2, axis2=-1)) / field.template_energy
+    sizes = visible_sizes(amplitudes, visibility)
+    return Values(amplitudes, sizes, visibility, explained, charge(explained, sizes, balance))
+
+
+def _best_fit(
+    field: MatchedField, layout: Layout, aspect: Aspect, places: NDArray[np.float64], balance: float
+) -> Fit:
+    """The best of places (H, 4)."""
+    value = _evaluate(field, layout, aspect, places, balance)
+    criteria = criterion(field, value, aspect)
+    i = int(np.argmin(criteria))
+    place = places[i]
+    return Fit(
+        layout,
+        aspect,
+        place,
+        layout.placed(float(place[0]), place[1:3]),
+        value.amplitudes[i],
+        value.sizes[i],
+        value.visibility[i],
+        float(value.explained[i]),
+        float(value.charged[i]),
+        float(criteria[i]),
+    )
+
+
+def _refine(
+    field: MatchedField,
+    layout: Layout,
+    aspect: Aspect,
+    starts: NDArray[np.float64],
+    settings: SearchSettings,
+    rounds: range,
+) -> NDArray[np.float64]:
+    """(H, 4) places after parabolic steps along every coordinate of all starts at once, on exact templates.
+
+    The steps shrink with every round; `rounds` says which of them are taken.
+    """
+    gap = settings.offsets_m[1] - settings.offsets_m[0] if len(settings.offsets_m) > 1 else 2e-3
+    low = np.array([-np.inf, -settings.centre_range_m, -settings.centre_range_m, settings.offsets_m[0] - gap])
+    high = np.array([np.inf, settings.centre_range_m, settings.centre_range_m, settings.offsets_m[-1] + gap])
+    step = np.array([_rotation_step(layout, settings), settings.centre_step_m, settings.centre_step_m, gap])
+    places = starts.copy()
+    unit = np.eye(4)
+
+    def charged(at: NDArray[np.float64]) -> NDArray[np.float64]:
+        return _evaluate(field, layout, aspect, at, settings.balance).charged
+
+    for turn in rounds:
+        now = step * 0.5 * 0.6**turn
+        stencil = np.concatenate([np.zeros((1, 4)), unit * now, -unit * now])
+        trial = np.clip(places[:, None] + stencil[None], low, high)
+        value = charged(trial.reshape(-1, 4)).reshape(len(places), 9)
+        middle, plus, minus = value[:, :1], value[:, 1:5], value[:, 5:]
+        bend = 2 * middle - plus - minus
+        slope = (plus - minus) / 2
+        with np.errstate(divide="ignore", invalid="ignore"):
+            jump = np.where(bend > 0, slope / bend, np.sign(slope))
+        jump = np.clip(np.nan_to_num(jump), -1, 1) * now
+        joint = np.clip(places + jump, low, high)
+        joint_value = charged(joint)
+        single = trial[np.arange(len(places)), value.argmax(axis=1)]
+        better = joint_value >= value.max(axis=1)
+        places = np.where(better[:, None], joint, single)
+    return places

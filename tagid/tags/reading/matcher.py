@@ -1,0 +1,249 @@
+"""From scans to a name: the best place of every layout, what it leaves unexplained, and the decision.
+
+Layouts are compared in the data domain with a charge for every reflector, because any two reflectors of three
+look like some layout of two when only peaks are matched.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tagid.errors import RegistryError
+from tagid.imaging.types import BasebandScans
+from tagid.tags.layouts.layout import Layout
+from tagid.tags.reading.decision import PLACES_PER_METRE, DecisionSettings, Evidence, decide
+from tagid.tags.reading.field import MatchedField
+from tagid.tags.reading.hypotheses import Fit, SearchSettings, search
+from tagid.tags.reading.reflectors import (
+    FinderSettings,
+    Reflector,
+    SearchDisc,
+    as_reflectors,
+    clean,
+    separate,
+)
+from tagid.tags.reading.rivals import rivals
+from tagid.tags.reading.views import fold_views
+
+EXTRA_NATS = 11.0
+"""Extra reflectors are looked for more eagerly than the finder does, at 1000 exp(-11) = 2 % of false alarms:
+they only count where they are as strong as the layout's own."""
+
+
+@dataclass(frozen=True)
+class ReaderSettings:
+    """Search, finder and decision in one value.
+
+    Attributes:
+        search, finder, decision: see there.
+        direction_known: whether angles rise as the object turns counter-clockwise. Where that is not known,
+            every layout is tried as its mirror image too; of two that mirror each other none wins.
+    """
+
+    search: SearchSettings = field(default_factory=SearchSettings)
+    finder: FinderSettings = field(default_factory=lambda: FinderSettings(detection_nats=EXTRA_NATS))
+    decision: DecisionSettings = field(default_factory=DecisionSettings)
+    direction_known: bool = True
+
+
+@dataclass(frozen=True)
+class LayoutScore:
+    """One row of the comparison.
+
+    Attributes:
+        name: layout.
+        criterion: J = n log(E - e) + K log n relative to no reflectors; lower is better.
+        share: part of the energy above noise that it explains.
+        rotation_deg, centre_m: where it fits best.
+    """
+
+    name: str
+    criterion: float
+    share: float
+    rotation_deg: float
+    centre_m: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Reading:
+    """What the scans say.
+
+    Attributes:
+        status: "identified", "unknown", "ambiguous" or "no_tag".
+        reason: why it is not identified, in words; empty otherwise.
+        layout: name of the layout; the nearest one where ambiguous, None where unknown or no tag.
+        nearest: name of the best-fitting layout whatever the status.
+        score: 0..1, share of the energy above noise that the nearest layout explains.
+        margin: 0..1, the lead over the runner-up as a share of the explained energy.
+        rotation_deg: counter-clockwise turn of the layout, within its symmetry.
+        centre_m: where the layout's origin lies, m.
+        offset_m: range offset found, i.e. the error of the axis distance, m.
+        reflectors: those of the layout (matched) and those beyond it.
+        missing, extra: counts.
+        scores: every layout, best first.
+        evidence: the numbers behind the decision.
+    """
+
+    status: str
+    reason: str
+    layout: str | None
+    nearest: str
+    score: float
+    margin: float
+    rotation_deg: float
+    centre_m: tuple[float, float]
+    offset_m: float
+    reflectors: tuple[Reflector, ...]
+    missing: int
+    extra: int
+    scores: tuple[LayoutScore, ...]
+    evidence: Evidence
+
+
+def read_tag(
+    scans: BasebandScans, layouts: Sequence[Layout], settings: ReaderSettings | None = None
+) -> Reading:
+    """Which of the layouts turned before the radar, if any.
+
+    Args:
+        scans: preprocessed without the matched filter (the reader correlates with the response itself).
+        layouts: the enrolled ones.
+        settings: search, finder and decision.
+
+    Raises:
+        RegistryError: no layouts. DataError: the scans do not hold the object's range.
+    """
+    scan = MatchedScan(scans, layouts, settings or ReaderSettings())
+    return scan.read(np.argsort(scan.criteria))
+
+
+class MatchedScan:
+    """One recording with the best place of every layout in it.
+
+    Args:
+        scans, layouts, settings: see `read_tag`.
+
+    Attributes:
+        criteria: (layouts,) J of `LayoutScore`, lower is better; of several recordings they add up.
+
+    Raises:
+        RegistryError: no layouts. DataError: the scans do not hold the object's range.
+    """
+
+    def __init__(self, scans: BasebandScans, layouts: Sequence[Layout], settings: ReaderSettings) -> None:
+        if not layouts:
+            raise RegistryError("no layout is enrolled", "Enrol one with tagid enroll.")
+        reach = max(layout.radius_m for layout in layouts) + settings.search.centre_range_m * np.sqrt(2)
+        self._radius = max(reach, settings.finder.radius_m)
+        self._settings = settings
+        self._field = MatchedField(fold_views(scans, self._radius + 0.02), self._radius + 0.02)
+        self._fits = search(self._field, layouts, settings.search)
+        if not settings.direction_known:
+            turned = search(self._field, [layout.mirrored() for layout in layouts], settings.search)
+            pairs = zip(self._fits, turned, strict=True)
+            self._fits = [min(pair, key=lambda fit: fit.criterion) for pair in pairs]
+        self._places = sum(2 * np.pi * one.radius_m / one.symmetry for one in layouts) * PLACES_PER_METRE
+        self._places *= len(settings.search.patterns) * (1 if settings.direction_known else 2)
+        self.criteria = np.array([fit.criterion for fit in self._fits])
+
+    def read(self, order: NDArray[np.intp]) -> Reading:
+        """What this recording says if the layouts rank in this order."""
+        settings, matched = self._settings, self._field
+        ranked = [self._fits[i] for i in order]
+        best, runner_up = ranked[0], ranked[1] if len(ranked) > 1 else None
+        disc = SearchDisc(matched, self._radius, settings.finder.step_m, best.look)
+        positions, amplitudes, level = clean(disc, best.positions, best.amplitudes, settings.finder)
+        apart = separate(positions, amplitudes, best.layout.size)
+        positions, amplitudes = positions[apart], amplitudes[apart]
+        evidence = _evidence(disc, (best, runner_up), (amplitudes, level), self._places, settings)
+        status, reason = decide(evidence, settings.decision)
+        signal = _signal_energy(matched, best, level)
+        return Reading(
+            status=status,
+            reason=reason,
+            layout=best.layout.name if status in ("identified", "ambiguous") else None,
+            nearest=best.layout.name,
+            score=0.0 if status == "no_tag" else _certain_share(matched, best, level),
+            margin=float(np.clip(evidence.margin_share, 0, 1)),
+            rotation_deg=float(np.rad2deg(best.rotation_rad)),
+            centre_m=(float(best.centre_m[0]), float(best.centre_m[1])),
+            offset_m=best.offset_m,
+            reflectors=as_reflectors(positions, amplitudes, level, matched.template_energy, best.layout.size),
+            missing=evidence.missing,
+            extra=evidence.extra,
+            scores=tuple(_score(matched, fit, signal) for fit in ranked),
+            evidence=evidence,
+        )
+
+
+def _signal_energy(matched: MatchedField, fit: Fit, level: float) -> float:
+    """Energy above noise, at least what the fit explains.
+
+    The noise is what the scans say or what the residual shows, but no more than twice the former: in strong
+    echoes the residual is the model's error, which is not to be forgiven.
+    """
+    stated = matched.noise_variance * matched.independent_samples
+    noise = float(np.clip(level * matched.independent_samples, stated, 2 * stated)) if stated > 0 else 0.0
+    return float(max(matched.energy - noise, fit.explained, 1e-30))
+
+
+def _certain_share(matched: MatchedField, fit: Fit, level: float) -> float:
+    """Explained share with the signal's energy taken two standard deviations of the noise's larger."""
+    n, variance = matched.independent_samples, matched.noise_variance
+    return float(min(fit.charged / (_signal_energy(matched, fit, level) + 2 * np.sqrt(n) * variance), 1.0))
+
+
+def _score(matched: MatchedField, fit: Fit, signal: float) -> LayoutScore:
+    return LayoutScore(
+        fit.layout.name,
+        fit.criterion,
+        float(min(fit.charged / signal, 1.0)),
+        float(np.rad2deg(fit.rotation_rad)),
+        (float(fit.centre_m[0]), float(fit.centre_m[1])),
+    )
+
+
+def _evidence(
+    disc: SearchDisc,
+    fits: tuple[Fit, Fit | None],
+    cleaned: tuple[NDArray[np.complex128], float],
+    places: float,
+    settings: ReaderSettings,
+) -> Evidence:
+    best, runner_up = fits
+    matched, decision = disc.field, settings.decision
+    amplitudes, level = np.abs(cleaned[0]), cleaned[1]
+    size = best.layout.size
+    beyond = amplitudes[size:]
+    noise = matched.noise_variance if matched.noise_variance > 0 else level
+    other = rivals(disc, best, noise, settings.search)
+    own = other.sizes
+    each = max(best.explained / level / size, 1.0)
+    missing = max(
+        decision.missing_least, decision.missing_share - decision.missing_deviations / np.sqrt(2 * each)
+    )
+    lead = best.charged - (runner_up.charged if runner_up else 0.0)
+    fewer = (best.layout.size - runner_up.layout.size) if runner_up else size
+    return Evidence(
+        size=size,
+        nats=best.explained / level,
+        places=places,
+        share=float(min(best.charged / _signal_energy(matched, best, level), 1.0)),
+        weakest=float(own.min() / max(float(own.max()), 1e-30)),
+        missing=int(np.count_nonzero(own < missing * own.max())),
+        extra=int(np.count_nonzero(beyond > decision.extra_share * np.median(own))),
+        gain_nats=other.gain_nats,
+        further_nats=other.further_nats,
+        odds_nats=other.odds_nats,
+        outward=other.outward,
+        noise_nats=best.explained / noise,
+        displacement_m=other.displacement_m,
+        displacement_sigma_m=float(1 / (2 * matched.wavenumber * np.sqrt(2 * each))),
+        margin_share=lead / max(best.charged, 1e-30),
+        margin_nats=lead / level - fewer * np.log(matched.independent_samples),
+        views=matched.views,
+    )

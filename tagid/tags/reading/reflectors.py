@@ -1,0 +1,253 @@
+"""The classical reflector finder: strongest point first, its whole response subtracted before the next.
+
+A full turn's point response is J0(2kr), whose first sidelobe is only 7.9 dB down, so local maxima alone would
+report rings; subtracting templates (CLEAN, Hogbom 1974, with a joint fit after every step) leaves reflectors.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tagid.imaging.types import BasebandScans
+from tagid.tags.layouts.layout import MIN_SPACING_M
+from tagid.tags.reading.aspect import TRANSPARENT, Appearance
+from tagid.tags.reading.field import MatchedField
+from tagid.tags.reading.hypotheses import least_squares
+from tagid.tags.reading.views import fold_views
+
+DETECTION_NATS = 18.0
+"""|a|^2 ||s||^2 over the noise level that a peak must reach: the largest of about 1000 independent cells of
+exponential noise exceeds it with a probability of 1000 exp(-18) = 1.5e-5."""
+
+NOISE_MARGIN = 2.0
+"""The residual's level may be this much over the stated noise and still be noise (it is estimated off the
+object); what is more is echoes that nothing explains yet, which must not hide themselves."""
+
+
+@dataclass(frozen=True)
+class Reflector:
+    """A point found in the scans.
+
+    Attributes:
+        x_m, y_m: position in the object's plane, m.
+        amplitude: complex, in units of the scans.
+        amplitude_db: relative to the strongest reflector found, dB.
+        snr_db: energy over the level of noise and clutter, dB.
+        matched: whether it belongs to the layout that was read.
+    """
+
+    x_m: float
+    y_m: float
+    amplitude: complex
+    amplitude_db: float
+    snr_db: float
+    matched: bool = False
+
+
+@dataclass(frozen=True)
+class FinderSettings:
+    """How far and how deep the finder looks.
+
+    Attributes:
+        radius_m: disc around the axis that is searched, m.
+        step_m: pixel of the search image, m.
+        maximum: largest number of reflectors.
+        floor_db: weaker ones than this under the strongest are not reported, dB.
+        detection_nats: energy over the level of noise that a peak must reach.
+    """
+
+    radius_m: float = 0.16
+    step_m: float = 5e-3
+    maximum: int = 8
+    floor_db: float = -12.0
+    detection_nats: float = DETECTION_NATS
+
+
+class SearchDisc:
+    """b on the pixels of a disc, and what is left of it after some points have been subtracted."""
+
+    def __init__(self, field: MatchedField, radius_m: float, step_m: float, look: Appearance) -> None:
+        half = int(np.ceil(radius_m / step_m))
+        axis = np.arange(-half, half + 1) * step_m
+        x, y = np.meshgrid(axis, axis)
+        inside = x**2 + y**2 <= radius_m**2
+        self.field = field
+        self.radius_m = radius_m
+        self.step_m = step_m
+        self.look = look
+        self.points = np.stack([x[inside], y[inside]], axis=-1)
+        self.templates = look.templates(field, self.points)
+        self.image = field.correlate(self.templates)
+
+    def residual(
+        self, positions: NDArray[np.float64], amplitudes: NDArray[np.complex128]
+    ) -> NDArray[np.complex128]:
+        """(pixels,) b of the data minus that of points (K, 2) with complex amplitudes (K,)."""
+        if not len(positions):
+            return self.image.copy()
+        own = self.look.templates(self.field, positions)
+        left = self.field.data - amplitudes.astype(np.complex64) @ own
+        return np.asarray(self.templates.conj() @ left, dtype=np.complex128)
+
+    def level(self, residual: NDArray[np.complex128]) -> float:
+        """Noise and clutter of |b|^2 / ||s||^2: the median of an exponential is ln 2 times its mean."""
+        own = float(np.median(np.abs(residual) ** 2) / np.log(2) / self.field.template_energy)
+        return float(max(own, self.field.noise_variance, 1e-12 * self.field.energy))
+
+    def noise_level(self, residual: NDArray[np.complex128]) -> float:
+        """`level`, held to between the stated noise and NOISE_MARGIN times it where there is one."""
+        stated, own = self.field.noise_variance, self.level(residual)
+        return min(own, NOISE_MARGIN * stated) if stated > 0 else own
+
+
+def refine_positions(
+    field: MatchedField, positions: NDArray[np.float64], look: Appearance, reach_m: float = 12e-3
+) -> tuple[NDArray[np.float64], NDArray[np.complex128], float]:
+    """Free least-squares positions (K, 2), m, within +- reach of where they start; amplitudes; energy.
+
+    Parabolic steps in every coordinate at once, taken jointly where that helps and singly where it does not.
+    """
+    start = positions
+    k = len(positions)
+    places = positions.copy()
+    unit = np.eye(2 * k).reshape(2 * k, k, 2)
+    step = 2e-3
+
+    def explained(points: NDArray[np.float64]) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
+        templates = look.templates(field, points)
+        return least_squares(field.correlate(templates), field.gram(templates))
+
+    for _ in range(6):
+        trial = places + np.concatenate([np.zeros((1, k, 2)), unit * step, -unit * step])
+        trial = np.clip(trial, start - reach_m, start + reach_m)
+        value = explained(trial)[1]
+        plus, minus = value[1 : 2 * k + 1], value[2 * k + 1 :]
+        bend = 2 * value[0] - plus - minus
+        slope = (plus - minus) / 2
+        jump = np.where(bend > 0, slope / np.where(bend > 0, bend, 1), np.sign(slope))
+        joint = places + np.clip(jump, -2, 2).reshape(k, 2) * step
+        joint = np.clip(joint, start - reach_m, start + reach_m)
+        best = int(np.argmax(value))
+        places = joint if explained(joint[None])[1][0] >= value[best] else trial[best]
+        step *= 0.7
+    amplitudes, energy = explained(places[None])
+    return places, amplitudes[0], float(energy[0])
+
+
+def clean(
+    disc: SearchDisc,
+    positions: NDArray[np.float64],
+    amplitudes: NDArray[np.complex128],
+    settings: FinderSettings,
+) -> tuple[NDArray[np.float64], NDArray[np.complex128], float]:
+    """Add points to those given until nothing significant is left.
+
+    Returns:
+        (K', 2) positions, those given first and unmoved; (K',) amplitudes; the level that remains.
+    """
+    residual = disc.residual(positions, amplitudes)
+    steps = list(_added(disc, positions, amplitudes, residual, settings))
+    positions, amplitudes, residual, _ = steps[-1] if steps else (positions, amplitudes, residual, 0.0)
+    return positions, amplitudes, disc.level(residual)
+
+
+def clean_steps(disc: SearchDisc, settings: FinderSettings) -> list[float]:
+    """Energy that 1, 2, ... points explain, found from nothing and all moved freely after each is added."""
+    empty = np.zeros((0, 2)), np.zeros(0, dtype=np.complex128)
+    return [energy for *_, energy in _added(disc, *empty, disc.image.copy(), settings)]
+
+
+def _added(
+    disc: SearchDisc,
+    positions: NDArray[np.float64],
+    amplitudes: NDArray[np.complex128],
+    residual: NDArray[np.complex128],
+    settings: FinderSettings,
+) -> Iterator[tuple[NDArray[np.float64], NDArray[np.complex128], NDArray[np.complex128], float]]:
+    """Positions, amplitudes, residual image and energy explained after each point that is added."""
+    field, given = disc.field, len(positions)
+    while len(positions) < given + settings.maximum:
+        power = np.abs(residual) ** 2 / field.template_energy
+        level = disc.noise_level(residual)
+        peak = int(np.argmax(power))
+        strongest = float(np.max(np.abs(amplitudes) ** 2, initial=0.0)) * field.template_energy
+        floor = strongest * 10 ** (settings.floor_db / 10)
+        if power[peak] < max(settings.detection_nats * level, floor):
+            return
+        added = np.concatenate([positions, disc.points[peak][None]])
+        positions, _, _ = _polish(field, added, given, disc)
+        templates = disc.look.templates(field, positions)
+        amplitudes, energy = least_squares(field.correlate(templates), field.gram(templates))
+        residual = disc.residual(positions, amplitudes)
+        yield positions, amplitudes, residual, float(energy)
+
+
+def _polish(
+    field: MatchedField, points: NDArray[np.float64], fixed: int, disc: SearchDisc
+) -> tuple[NDArray[np.float64], NDArray[np.complex128], float]:
+    """Free refinement of all but the first `fixed` points."""
+    if fixed == 0:
+        return refine_positions(field, points, disc.look)
+    moved, amplitudes, energy = refine_positions(field, points, disc.look, disc.step_m)
+    return np.concatenate([points[:fixed], moved[fixed:]]), amplitudes, energy
+
+
+def separate(
+    positions: NDArray[np.float64], amplitudes: NDArray[np.complex128], given: int
+) -> NDArray[np.intp]:
+    """Indexes of the first `given` points and of those at least MIN_SPACING_M from every stronger one kept.
+
+    What a reflector's aspect pattern leaves of it looks like a second point a few millimetres away.
+    """
+    kept = list(range(given))
+    for i in given + np.argsort(-np.abs(amplitudes[given:])):
+        gap = np.linalg.norm(positions[kept] - positions[i], axis=1)
+        if not kept or gap.min() >= MIN_SPACING_M:
+            kept.append(int(i))
+    return np.array(kept, dtype=np.intp)
+
+
+def as_reflectors(
+    positions: NDArray[np.float64],
+    amplitudes: NDArray[np.complex128],
+    level: float,
+    template_energy: float,
+    matched: int = 0,
+) -> tuple[Reflector, ...]:
+    """Points as values; the first `matched` of them belong to a layout."""
+    if not len(positions):
+        return ()
+    power = np.maximum(np.abs(amplitudes) ** 2, 1e-30)
+    return tuple(
+        Reflector(
+            float(x),
+            float(y),
+            complex(a),
+            float(10 * np.log10(p / power.max())),
+            float(10 * np.log10(p * template_energy / level)),
+            i < matched,
+        )
+        for i, ((x, y), a, p) in enumerate(zip(positions, amplitudes, power, strict=True))
+    )
+
+
+def find_reflectors(scans: BasebandScans, settings: FinderSettings | None = None) -> tuple[Reflector, ...]:
+    """Reflectors in focused scans without knowledge of any layout, strongest first.
+
+    Raises DataError where the scans do not hold the object's range.
+    """
+    settings = settings or FinderSettings()
+    radius = settings.radius_m + 0.02
+    field = MatchedField(fold_views(scans, radius), radius)
+    look = Appearance(TRANSPARENT, np.zeros(2))
+    disc = SearchDisc(field, settings.radius_m, settings.step_m, look)
+    empty = np.zeros((0, 2)), np.zeros(0, dtype=np.complex128)
+    positions, amplitudes, level = clean(disc, *empty, settings)
+    apart = separate(positions, amplitudes, 0)
+    found = as_reflectors(positions[apart], amplitudes[apart], level, field.template_energy)
+    floor = [r for r in found if r.amplitude_db >= settings.floor_db]
+    return tuple(sorted(floor, key=lambda r: -abs(r.amplitude)))

@@ -1,0 +1,140 @@
+"""What else could have made the echo: free points in any number, against the best layout in its best place.
+
+An enrolled layout is one arrangement out of all that a stranger's tag may have; the likelihood ratio of the
+two, each averaged over where it may lie, says how much the scans prefer it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tagid.tags.layouts.layout import MIN_SPACING_M
+from tagid.tags.reading.aspect import TRANSPARENT
+from tagid.tags.reading.field import MatchedField
+from tagid.tags.reading.hypotheses import ALIKE, Fit, SearchSettings, least_squares, visible_sizes
+from tagid.tags.reading.reflectors import FinderSettings, SearchDisc, clean_steps, refine_positions
+from tagid.tags.reading.uneven import UnevenFit
+
+
+@dataclass(frozen=True)
+class Rivals:
+    """Energies against noise.
+
+    Attributes:
+        further_nats: what one point more than the layout's, all free, explains beyond the layout with
+            reflectors that may shine unevenly.
+        gain_nats: the same beyond the layout with even reflectors where that is the likelier.
+        odds_nats: log likelihood ratio of the layout, even or not, over the best number of free points, each
+            averaged over its places and amplitudes (Laplace's approximation).
+        displacement_m: RMS distance of the layout's reflectors, when freed, from its places.
+        sizes: (K,) magnitudes of the layout's reflectors, however unevenly they shine.
+        outward: see `Evidence`.
+    """
+
+    gain_nats: float
+    further_nats: float
+    odds_nats: float
+    displacement_m: float
+    sizes: NDArray[np.float64]
+    outward: float
+
+
+def rivals(disc: SearchDisc, best: Fit, noise: float, search: SearchSettings) -> Rivals:
+    """Free points in every number up to one more than the layout's.
+
+    They are found in two ways: from the layout's places and the strongest peak beyond, and from nothing.
+
+    Args:
+        disc: where they may lie, seen as the layout's own reflectors are.
+        best: the best layout's fit.
+        noise: variance of b / ||s|| from noise alone.
+        search: where the layout's centre may lie.
+    """
+    matched, size = disc.field, best.layout.size
+    uneven = UnevenFit.of(matched, best, noise)
+    energy, moved = _free_energies(disc, best)
+    further = _further(disc, best, uneven)
+    if not best.aspect.uniform:
+        # Another object need not be opaque as well, nor have its axis where the layout would have it.
+        plain = replace(disc.look, aspect=TRANSPARENT)
+        clear = SearchDisc(matched, disc.radius_m, disc.step_m, plain)
+        energy = np.maximum(energy, _free_energies(clear, best)[0])
+        further = max(further, _further(clear, best, uneven))
+    each = max(best.explained / noise / size, 1.0)
+    free = energy / noise - np.arange(1, size + 2) * _point_cost(matched, disc, each)
+    even, less = best.explained / noise, uneven.explained / noise
+    beyond = max(further, float(energy[size] - max(uneven.explained, best.explained))) / noise
+    less_charged = less - uneven.cost_nats - float(np.log(matched.independent_samples))
+    own = max(even, less_charged) - _layout_cost(matched, best, each, search)
+    return Rivals(
+        gain_nats=float(energy[size]) / noise - even if even >= less_charged else beyond,
+        further_nats=beyond,
+        odds_nats=float(own - free.max()),
+        displacement_m=rigid_distance(moved, best.positions),
+        sizes=visible_sizes(uneven.sizes.astype(np.complex128), best.visibility),
+        outward=uneven.outward,
+    )
+
+
+def _further(disc: SearchDisc, best: Fit, uneven: UnevenFit) -> float:
+    """Largest energy of one point more than the layout's, whose reflectors may shine unevenly."""
+    gap = np.linalg.norm(disc.points[:, None] - best.positions[None], axis=-1).min(axis=1)
+    return float(np.where(gap > MIN_SPACING_M, uneven.gains(disc.field, disc.templates), 0.0).max())
+
+
+def _free_energies(disc: SearchDisc, best: Fit) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(K + 1,) energies that 1 to K + 1 free points explain, and where the layout's go when freed (K, 2)."""
+    matched, size = disc.field, best.layout.size
+    own = disc.look.templates(matched, best.positions)
+    amplitudes, _ = least_squares(matched.correlate(own), matched.gram(own))
+    gap = np.linalg.norm(disc.points[:, None] - best.positions[None], axis=-1).min(axis=1)
+    power = np.abs(disc.residual(best.positions, amplitudes)) ** 2
+    peak = disc.points[int(np.argmax(np.where(gap > MIN_SPACING_M, power, 0.0)))]
+    moved, _, freed = refine_positions(matched, best.positions, disc.look)
+    more = refine_positions(matched, np.concatenate([best.positions, peak[None]]), disc.look)[2]
+    only = FinderSettings(maximum=size + 1, floor_db=-30.0, detection_nats=0.0)
+    energy = np.zeros(size + 1)
+    for count, step in enumerate(clean_steps(disc, only)):
+        energy[count:] = step
+    energy[size - 1] = max(energy[size - 1], freed)
+    energy[size] = max(energy[size], more)
+    return energy, moved
+
+
+def _place_variance(matched: MatchedField, each: float) -> float:
+    """Variance, m^2, of one coordinate of a point of so many nats, seen from all round: 1 / (4 k^2 e)."""
+    return 1 / (4 * matched.wavenumber**2 * each)
+
+
+def _amplitude_cost(each: float) -> float:
+    """Nats: an amplitude of any phase and known size to within ALIKE, against its error."""
+    return float(np.log1p(2 * np.sqrt(2 * np.pi) * ALIKE * each))
+
+
+def _point_cost(matched: MatchedField, disc: SearchDisc, each: float) -> float:
+    """Nats: the disc's area over that of a point's error, and its amplitude."""
+    area = len(disc.points) * disc.step_m**2
+    place = np.log1p(area / (2 * np.pi * _place_variance(matched, each)))
+    return float(place) + _amplitude_cost(each)
+
+
+def _layout_cost(matched: MatchedField, best: Fit, each: float, search: SearchSettings) -> float:
+    """Nats: turn and centre over their errors, and the amplitudes."""
+    variance = _place_variance(matched, each)
+    lever = float(np.sum(best.layout.positions**2))
+    turn = np.log1p(2 * np.pi / best.layout.symmetry / np.sqrt(2 * np.pi * variance / lever))
+    area = np.pi * search.centre_range_m**2
+    centre = np.log1p(area / (2 * np.pi * variance / best.layout.size))
+    return float(turn + centre) + best.layout.size * _amplitude_cost(each)
+
+
+def rigid_distance(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
+    """RMS distance, m, of points (K, 2) paired in order after the best turn and shift (Kabsch 1976)."""
+    a = a - a.mean(axis=0)
+    b = b - b.mean(axis=0)
+    turn = np.angle(np.sum((a[:, 0] + 1j * a[:, 1]).conj() * (b[:, 0] + 1j * b[:, 1])))
+    turned = (a[:, 0] + 1j * a[:, 1]) * np.exp(1j * turn)
+    return float(np.sqrt(np.mean(np.abs(turned - (b[:, 0] + 1j * b[:, 1])) ** 2)))

@@ -1,0 +1,103 @@
+"""A layout whose reflectors each shine unevenly, as no table of patterns foresees: a handle in front of one,
+a sector that a cable hides, a corner that looks askew.
+
+What such unevenness leaves of a reflector would otherwise be taken for further reflectors.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tagid.tags.reading.aspect import outward
+from tagid.tags.reading.field import MatchedField
+from tagid.tags.reading.hypotheses import Fit
+
+ORDERS, VIEWS_PER_ORDER = 3, 8
+"""Harmonics of the view's angle that a reflector's amplitude may have: steps of some 60 degrees. A few views
+allow fewer, or three reflectors could shine so unevenly that they explain anything."""
+UNEVENNESS = 0.3
+"""Prior standard deviation of each of their coefficients, of the amplitude: a sector of 120 degrees without
+any echo has 0.28 in the first."""
+
+
+@dataclass(frozen=True, eq=False)
+class UnevenFit:
+    """The layout with A_k(v) = a_k w_k(v) + sum_m c_km f_m(v), f_m the cosines and sines of the view's angle.
+
+    The c_km are drawn to zero by their prior, so an echo in the noise is fitted as if it were even.
+
+    Attributes:
+        templates: (P, views * rank), of the even part first.
+        inverse: (P, P) of the Gram matrix with the prior's inverse added.
+        residual: (views * rank,) what the fit leaves of the data.
+        explained: energy that the fit takes from the data, less what the prior charges.
+        cost_nats: what the freedom to be uneven costs the evidence: log det(1 + C_prior / C_error).
+        sizes: (K,) RMS of A_k over that of w_k.
+        outward: mean cosine of psi, see `Aspect`, weighted by |A_k(v)|^2, less its mean over the views.
+    """
+
+    templates: NDArray[np.complex64]
+    inverse: NDArray[np.complex128]
+    residual: NDArray[np.complex64]
+    explained: float
+    cost_nats: float
+    sizes: NDArray[np.float64]
+    outward: float
+
+    @classmethod
+    def of(cls, field: MatchedField, best: Fit, noise: float) -> UnevenFit:
+        """The uneven fit where the even one is best.
+
+        Args:
+            field: the scans.
+            best: the even fit.
+            noise: variance of b / ||s|| from noise alone.
+        """
+        size = best.layout.size
+        d = field.distances(best.positions, np.asarray(best.layout.heights)) + best.offset_m
+        facing = outward(best.positions, best.centre_m)
+        even = best.aspect.weight(field, best.positions, facing)
+        angle = np.arctan2(field.antenna[:, 1], field.antenna[:, 0])
+        orders = min(ORDERS, max(field.views // VIEWS_PER_ORDER, 1))
+        turns = angle * np.arange(1, orders + 1)[:, None]
+        waves = np.concatenate([np.cos(turns), np.sin(turns)]).astype(np.float32)
+        parts = [field.templates(d, even)]
+        parts += [field.templates(d, np.broadcast_to(wave, d.shape)) for wave in waves]
+        templates = np.concatenate(parts)
+        # Least squares with white noise of this variance a sample, and a prior of (UNEVENNESS a)^2.
+        usual = max(float(np.mean(np.abs(best.amplitudes) ** 2)), 1e-30)
+        load = np.full(len(templates), noise / (UNEVENNESS**2 * usual))
+        load[:size] = 1e-2 * field.template_energy * float(np.mean(best.visibility)) + 1e-30
+        b, gram = field.correlate(templates), field.gram(templates)
+        inverse = np.asarray(np.linalg.inv(gram + np.diag(load)), dtype=np.complex128)
+        found = inverse @ b
+        even_part = np.linalg.solve(gram[:size, :size] + np.diag(load[:size]), gram[:size, size:])
+        own = gram[size:, size:] - gram[size:, :size] @ even_part
+        cost = np.linalg.slogdet(np.eye(len(own)) + own / load[size])[1]
+        shine = np.outer(found[:size], np.ones(field.views)) * (1.0 if even is None else even)
+        shine = shine + found[size:].reshape(len(waves), size).T @ waves
+        power = np.abs(shine) ** 2
+        side = facing @ np.stack([np.cos(angle), np.sin(angle)])
+        whole = float(field.views) if even is None else np.maximum(np.sum(even**2, axis=1), 1e-9)
+        return cls(
+            templates,
+            inverse,
+            np.asarray(field.data - found.astype(np.complex64) @ templates, dtype=np.complex64),
+            float(np.real(np.vdot(b, found))),
+            float(cost),
+            np.asarray(np.sqrt(power.sum(axis=1) / whole), dtype=np.float64),
+            float(
+                np.mean((power * side).sum(axis=1) / np.maximum(power.sum(axis=1), 1e-30) - side.mean(axis=1))
+            ),
+        )
+
+    def gains(self, field: MatchedField, others: NDArray[np.complex64]) -> NDArray[np.float64]:
+        """(N,) energy that one more template of (N, views * rank) explains beyond the uneven layout."""
+        shared = others.conj() @ self.templates.T
+        own = np.sum(np.abs(others) ** 2, axis=1)
+        left = own - np.real(np.einsum("np,pq,nq->n", shared, self.inverse, shared.conj(), optimize=True))
+        power = np.abs(others.conj() @ self.residual) ** 2
+        return np.asarray(power / np.maximum(left, 0.05 * field.template_energy), dtype=np.float64)

@@ -1,0 +1,97 @@
+"""One answer from several recordings of the same object, each with the object in another turn and place.
+
+Energies over noise add up where counted heads do not: three weak readings that lean one way are one good one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from tagid.errors import DataError
+from tagid.imaging.types import BasebandScans
+from tagid.tags.layouts.layout import Layout
+from tagid.tags.reading.decision import Evidence, decide
+from tagid.tags.reading.matcher import MatchedScan, ReaderSettings, Reading
+
+MAX_SCANS = 100
+
+
+def read_together(
+    recordings: Sequence[BasebandScans], layouts: Sequence[Layout], settings: ReaderSettings | None = None
+) -> tuple[Reading, list[Reading]]:
+    """Which layout all the recordings are of.
+
+    Args:
+        recordings: 1 to MAX_SCANS recordings of one object, each as `read_tag` takes it.
+        layouts: the enrolled ones.
+        settings: as of a single reading.
+
+    Returns:
+        The joint reading, with turn, place and reflectors of the recording with the most energy over noise;
+        and what each recording says alone.
+
+    Raises:
+        RegistryError: no layouts. DataError: no or too many recordings, or one without the object's range.
+    """
+    if not 1 <= len(recordings) <= MAX_SCANS:
+        raise DataError(f"{len(recordings)} recordings to vote", f"Give 1 to {MAX_SCANS}.")
+    settings = settings or ReaderSettings()
+    scans = [MatchedScan(recording, layouts, settings) for recording in recordings]
+    order = np.argsort(np.sum([scan.criteria for scan in scans], axis=0))
+    alone, agreed = [], []
+    for scan in scans:
+        own = np.argsort(scan.criteria)
+        reading = scan.read(own)
+        alone.append(reading)
+        agreed.append(reading if list(own[:2]) == list(order[:2]) else scan.read(order))
+    evidence = joint_evidence([reading.evidence for reading in agreed])
+    status, reason = decide(evidence, settings.decision)
+    clearest = max(agreed, key=lambda reading: reading.evidence.nats)
+    joint = replace(
+        clearest,
+        status=status,
+        reason=reason,
+        layout=clearest.nearest if status in ("identified", "ambiguous") else None,
+        score=0.0 if status == "no_tag" else float(np.mean([reading.score for reading in agreed])),
+        margin=float(np.clip(evidence.margin_share, 0, 1)),
+        missing=evidence.missing,
+        extra=evidence.extra,
+        evidence=evidence,
+    )
+    return joint, alone
+
+
+def joint_evidence(parts: Sequence[Evidence]) -> Evidence:
+    """Evidence of several recordings for one layout: energies add up, shares are weighted by energy.
+
+    A reflector counts as missing or extra where more than half of the recordings say so.
+    """
+    energy = np.array([part.noise_nats for part in parts])
+    weight = energy / max(float(energy.sum()), 1e-30)
+
+    def mean(values: list[float]) -> float:
+        return float(np.dot(weight, values))
+
+    return Evidence(
+        size=parts[0].size,
+        nats=sum(part.nats for part in parts),
+        places=parts[0].places,
+        share=mean([part.share for part in parts]),
+        weakest=mean([part.weakest for part in parts]),
+        missing=int(np.median([part.missing for part in parts])),
+        extra=int(np.median([part.extra for part in parts])),
+        gain_nats=sum(part.gain_nats for part in parts),
+        further_nats=sum(part.further_nats for part in parts),
+        odds_nats=sum(part.odds_nats for part in parts),
+        outward=mean([part.outward for part in parts]),
+        noise_nats=float(energy.sum()),
+        displacement_m=float(np.sqrt(mean([part.displacement_m**2 for part in parts]))),
+        displacement_sigma_m=float(np.sqrt(mean([part.displacement_sigma_m**2 for part in parts]))),
+        margin_share=mean([part.margin_share for part in parts]),
+        margin_nats=sum(part.margin_nats for part in parts),
+        views=min(part.views for part in parts),
+        scans=sum(part.scans for part in parts),
+    )

@@ -1,0 +1,106 @@
+"""Every shared option means the same in each command that takes it: one way in, compared from outside."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tagid.simulate import Acquisition, scene_from_name, simulate_capture
+from tagid.storage.npz import encode_npz
+
+SCENE = "axis_distance=1&seed=3&cable_delay=0"
+
+
+def bare_npz(path: Path) -> Path:
+    """A scan of 1.3 turns that knows the times of its scans, but neither angles nor where the radar stood."""
+    capture, _ = simulate_capture(
+        scene_from_name("container-90", 4), Acquisition(views=120, turns=1.3, snr_db=20), seed=4
+    )
+    path.write_bytes(encode_npz(capture))
+    with np.load(path, allow_pickle=False) as file:
+        kept = {key: file[key] for key in file if key not in ("angles_rad", "angle_sigma_rad", "tagid")}
+    kept.pop("axis_distance_m")
+    np.savez(path, **kept)
+    return path
+
+
+def answers(tagid: Any, folder: Path, file: Path, words: tuple[object, ...]) -> dict[str, Any]:
+    """The answer of each command for a file, and what the image was made with."""
+    found: dict[str, Any] = {}
+    identified = tagid("identify", file, *words, "--output", "json")
+    found["identify"] = identified.json["data"]["items"][0]
+    out = folder / f"report-{abs(hash(words))}"
+    tagid("report", file, "--out", out, "--jobs", 1, "--no-pictures", *words, "--output", "json")
+    found["report"] = json.loads((out / "items.jsonl").read_text().splitlines()[0])
+    image = tagid("reconstruct", file, *words, "--method", "bp", "--no-focus", "--pixels", 48,
+                  "--out", "i.npz", "--output", "json")  # fmt: skip
+    found["reconstruct"] = image.json["data"].get("settings")
+    if image.code == 0:
+        with np.load(folder / "i.npz") as arrays:
+            found["image"] = arrays["image"]
+    return found
+
+
+SAME = ("status", "layout", "score", "rotation_deg", "centre_m", "reflectors", "scores")
+
+
+def assert_alike(found: dict[str, Any]) -> None:
+    for key in SAME:
+        assert found["identify"][key] == found["report"][key], key
+
+
+@pytest.mark.parametrize("motion", ["free?rpm=2", "free?rpm=2&direction=cw", None])
+def test_motion_and_geometry(tagid: Any, tmp_path: Path, motion: str | None) -> None:
+    file = bare_npz(tmp_path / "bare.npz")
+    words = ("--axis-distance", 1.0, "--antenna-height", 0.0, *(("--motion", motion) if motion else ()))
+    found = answers(tagid, tmp_path, file, words)
+    assert_alike(found)
+    assert found["reconstruct"]["axis_distance_m"] == pytest.approx(1.0)
+
+
+def test_a_missing_axis_distance_is_the_same_error_everywhere(tagid: Any, tmp_path: Path) -> None:
+    file = bare_npz(tmp_path / "bare.npz")
+    found = answers(tagid, tmp_path, file, ("--motion", "free?rpm=2"))
+    assert found["identify"]["status"] == found["report"]["status"] == "failed"
+    assert found["identify"]["error"]["code"] == found["report"]["error"]["code"]
+
+
+def test_the_reference_background_is_subtracted_by_every_command(tagid: Any, tmp_path: Path) -> None:
+    """`report` used to accept it and subtract nothing."""
+    scene = "axis_distance=1&seed=3"
+    empty = tagid("radar", "calibrate", "--step", "empty", "--radar", f"emulator://empty?rpm=0&{scene}",
+                  "--axis-distance", 1, "--distance", 1, "--scans", 40, "--output", "json")  # fmt: skip
+    assert empty.code == 0, empty.out
+    scan = tagid("scan", "--radar", f"emulator://helmet-120?rpm=20&{scene}", "--axis-distance", 1,
+                 "--motion", "free?rpm=20", "--method", "bp", "--save-dir", "s",
+                 "--output", "json")  # fmt: skip
+    file = Path(scan.json["data"]["files"]["capture"])
+    reference = answers(tagid, tmp_path, file, ("--background", "reference"))
+    untouched = answers(tagid, tmp_path, file, ("--background", "none"))
+    assert_alike(reference)
+    assert_alike(untouched)
+    assert reference["report"]["scores"] != untouched["report"]["scores"]
+    assert not np.allclose(reference["image"], untouched["image"])
+
+
+def test_scan_answers_as_identify_does_on_its_own_file(tagid: Any, tmp_path: Path) -> None:
+    scan = tagid("scan", "--radar", f"emulator://helmet-120?rpm=20&{SCENE}", "--axis-distance", 1,
+                 "--motion", "free?rpm=20", "--method", "bp", "--save-dir", "s",
+                 "--output", "json")  # fmt: skip
+    file = Path(scan.json["data"]["files"]["capture"])
+    found = answers(tagid, tmp_path, file, ())
+    assert_alike(found)
+    for key in SAME:
+        assert scan.json["data"]["items"][0][key] == found["identify"][key], key
+
+
+def test_show_reads_the_file_as_the_others_do(tagid: Any, tmp_path: Path) -> None:
+    """`show` keeps every scan; range and geometry are those of `import`."""
+    file = bare_npz(tmp_path / "bare.npz")
+    shown = tagid("show", file, "--png", tmp_path / "s.png", "--output", "json").json["data"]
+    imported = tagid("import", file, "--out", "x.tagid.h5", "--axis-distance", 1.0, "--output", "json")
+    assert imported.json["data"]["views"] == shown["views"] == 156

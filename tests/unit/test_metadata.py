@@ -1,0 +1,139 @@
+"""The metadata of a capture: types, files of older versions, and a recording made over the wire."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tagid.capture import Capture
+from tagid.errors import DataError, FileFormatError
+from tagid.metadata import (
+    METADATA_VERSION,
+    MotionInfo,
+    ObjectInfo,
+    RadarInfo,
+    RadarSettings,
+    ResolvedMotion,
+    ScanGap,
+    Track,
+)
+from tagid.motion.urls import open_motion
+from tagid.pipeline.turn import resolve_turn
+from tagid.radar.settings import RadarConfig
+from tagid.recording.inspection import inspect
+from tagid.recording.plan import RecordingPlan
+from tagid.recording.radars import open_radar
+from tagid.recording.recorder import Watch, record
+from tagid.storage.hdf5 import read_capture, write_capture
+from tagid.storage.importers import read_any
+from tagid.storage.metadata import migrate_metadata, read_metadata
+
+GOLDEN = Path(__file__).parents[1] / "data" / "captures"
+
+
+@pytest.mark.parametrize("suffix", [".tagid.h5", ".npz", ".tagid.journal"])
+@pytest.mark.parametrize("version", range(1, METADATA_VERSION + 1))
+def test_files_of_every_version_are_read_alike(version: int, suffix: str) -> None:
+    capture = read_any(GOLDEN / f"version-{version}{suffix}")
+    assert capture.samples.shape == (64, 192) and capture.complete
+    assert capture.radar.config == RadarSettings(
+        scan_start_ps=3156, scan_stop_ps=14875, node_id=1, base_integration_index=13,
+        antenna_mode=2, transmit_gain=50, code_channel=0, persist=0,
+    )  # fmt: skip
+    assert capture.radar.config_asked is not None and capture.radar.config_asked.scan_start_ps == 3157
+    assert (capture.radar.serial, capture.radar.scans_lost, capture.radar.gap_count) == (1088, 0, 0)
+    assert capture.motion.url == "free?rpm=20" and capture.object == ObjectInfo(note="golden")
+    if suffix != ".tagid.journal":
+        assert capture.motion.resolved is not None
+        assert capture.motion.resolved.nominal_rpm == 20.0 and capture.motion.resolved.period_s == 3.0
+    assert not capture.radar.extra and not capture.motion.extra
+
+
+def test_a_recording_over_the_wire_is_shown_with_its_own_clipping_limit(tmp_path: Path) -> None:
+    """Integration 6 clips at 127 * 2^6 = 8128 counts, far below what a sample can hold."""
+    path = tmp_path / "loud.tagid.h5"
+    plan = RecordingPlan(RadarConfig(base_integration_index=6), 1.0, scans=40, motion="free?rpm=20")
+    watch = Watch(resolve=resolve_turn)
+    radar = open_radar("emulator://helmet-120?seed=3&rpm=20&snr=70")
+    capture = record(radar, open_motion("free?rpm=20"), plan, path, watch)
+    limit = 127 << 6
+    clipped = float(np.mean(np.abs(capture.samples) >= limit))
+    assert capture.radar.clip_counts == limit and inspect(capture).clipped_fraction == clipped
+    shown = subprocess.run(
+        [sys.executable, "-m", "tagid", "show", str(path), "--output", "json"], capture_output=True, text=True
+    )
+    data = json.loads(shown.stdout)["data"]
+    assert data["clipped_fraction"] == clipped
+
+
+def test_a_clipped_recording_is_reported_as_clipped(tmp_path: Path) -> None:
+    """The limit comes from where the recorder stores it; 400 of 260096 counts are not clipped at index 11."""
+    radar = RadarInfo(config=RadarConfig(base_integration_index=11).stored())
+    samples = np.full((10, 96), 400, np.int32)
+    assert inspect(Capture(samples, 1.0, 0.01, radar=radar)).clipped_fraction == 0.0
+    samples[0, 0] = 127 << 11
+    assert inspect(Capture(samples, 1.0, 0.01, radar=radar)).clipped_fraction == 1 / 960
+
+
+@pytest.mark.parametrize(
+    ("part", "values", "named"),
+    [
+        ("radar", {"scans_lost": "many"}, "scans_lost"),
+        ("radar", {"scans_lost": True}, "scans_lost"),
+        ("radar", {"config": [1]}, "config"),
+        ("radar", {"config": {"transmit_gain": 6.5}}, "transmit_gain"),
+        ("radar", {"gaps": [{"after_scan": 1}]}, "restarted"),
+        ("radar", {"gaps": [{"unknown": 1}]}, "unknown"),
+        ("motion", {"resolved": {"period_s": float("inf")}}, "period_s"),
+        ("motion", {"track": {"host_time_ns": [1], "angle_rad": [], "sigma_rad": []}}, "track"),
+        ("object", {"label": 5}, "label"),
+    ],
+)
+def test_a_known_key_of_another_type_is_an_error_that_names_it(part: str, values: dict, named: str) -> None:
+    with pytest.raises(FileFormatError, match="a file") as caught:
+        read_metadata({part: values}, "a file")
+    assert named in caught.value.message
+
+
+def test_values_made_by_hand_are_checked_as_well() -> None:
+    with pytest.raises(DataError, match="whole number"):
+        RadarSettings(transmit_gain="x")  # type: ignore[arg-type]
+    with pytest.raises(DataError, match="finite"):
+        ResolvedMotion(period_s=float("nan"))
+
+
+def test_keys_that_no_field_has_survive(tmp_path: Path) -> None:
+    radar = RadarInfo.from_json({"site": {"name": "hall 2"}, "scans_lost": 1})
+    assert radar.extra == {"site": {"name": "hall 2"}}
+    capture = Capture(np.ones((2, 4), np.float32), 0.0, 0.01, radar=radar)
+    write_capture(tmp_path / "a.tagid.h5", capture)
+    assert read_capture(tmp_path / "a.tagid.h5").radar == radar
+
+
+def test_version_1_put_settings_and_facts_where_nobody_looked() -> None:
+    old = {
+        "radar": {"base_integration_index": 11, "scans_lost": "?", "site": 3},
+        "motion": {"rpm": 2.0, "period_s": 6.0, "source": "data"},
+        "object": {"label": "x"},
+    }
+    new = read_metadata(old, "a file", version=1)
+    assert new["radar"] == RadarInfo(config=RadarSettings(base_integration_index=11), extra={"site": 3})
+    assert new["motion"] == MotionInfo(nominal_rpm=2.0, resolved=ResolvedMotion(period_s=6.0, source="data"))
+    assert migrate_metadata({k: v.to_json() for k, v in new.items()}, METADATA_VERSION, "") == {
+        k: v.to_json() for k, v in new.items()
+    }
+    with pytest.raises(FileFormatError, match="version 3"):
+        read_metadata(old, "a file", version=METADATA_VERSION + 1)
+
+
+def test_a_track_and_gaps_round_trip() -> None:
+    track = Track.of([(10**18, 0.5, 0.01), (10**18 + 5, 0.6, 0.01)], {"kind": "roomba"})
+    motion = MotionInfo(track=track)
+    assert MotionInfo.from_json(json.loads(json.dumps(motion.to_json()))) == motion
+    radar = RadarInfo(gaps=(ScanGap(3, 1.5, "plug", False),), detection_lists=("1: 2 3",))
+    assert RadarInfo.from_json(json.loads(json.dumps(radar.to_json()))) == radar
