@@ -123,7 +123,7 @@ def tagged_object(
     scatterer = Octahedron(reflector.size_m)
     unit = unit_of(scatterer)
     base = carrier(body, unit, change)
-    p = np.asarray(positions, dtype=np.float64).reshape(len(positions), -1)
+    p = np.asarray(positions, dtype=np.float64)
     made: list[Body] = []
     if len(p):
         p = np.concatenate([p, np.zeros((len(p), 3 - p.shape[1]))], axis=1)

@@ -42,14 +42,15 @@ def random_pulse(rng: np.random.Generator, shapes: PulseShapes | None = None) ->
     """A pulse of main lobe, ring and late echo with random phases."""
     d = shapes or PulseShapes()
     t = np.arange(-300, 501) * PULSE_STEP_S
-    atoms = (
+    ranges = (
         ((1.0, 1.0), (0.0, 0.0), d.main_hz, d.main_sigma_s),
         (d.ring_amplitude, d.ring_delay_s, d.ring_hz, d.ring_sigma_s),
         (d.late_amplitude, d.late_delay_s, d.late_hz, d.late_sigma_s),
     )
+    # Fixed values take nothing from the generator.
+    atoms = [[low if low == high else float(rng.uniform(low, high)) for low, high in atom] for atom in ranges]
     samples = np.zeros(len(t))
-    for ranges in atoms:
-        a, delay, frequency, sigma = (float(rng.uniform(*bounds)) for bounds in ranges)
+    for a, delay, frequency, sigma in atoms:
         envelope = a * np.exp(-((t - delay) ** 2) / (2 * sigma**2))
         samples += envelope * np.cos(2 * np.pi * frequency * (t - delay) + rng.uniform(0, 2 * np.pi))
     # A pulse's time zero is its middle sample, so the shorter side is padded with zeros.
