@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tagid.errors import UsageError
+from tagid.errors import DataError, UsageError
 from tagid.simulate.objects import Variation, object_scene
 from tagid.simulate.scattering import Box, Cylinder, Points
 from tagid.simulate.scene import Scene, StaticReturns
@@ -88,8 +88,7 @@ def scene_on_body(
         strength_db: standard deviation of the reflectors' strengths, dB.
 
     Raises:
-        UsageError: the scene is unknown or holds no tag.
-        DataError: a reflector lies inside the body's wall.
+        UsageError: the scene is unknown or holds no tag, or its reflectors do not fit on the body.
     """
     rng = np.random.default_rng(seed)
     plain = scene_from_name(name, seed)
@@ -101,16 +100,14 @@ def scene_on_body(
         )
     positions = plain.tag.positions if tagged and plain.tag is not None else np.zeros((0, 3))
     about: dict[str, Any] = {"layout": name, "seed": seed} if tagged else {"seed": seed}
-    return object_scene(
-        name,
-        positions,
-        body,
-        reflector,
-        rng=rng,
-        room=room_clutter(rng),
-        variation=Variation(float(rng.uniform(0, 2 * np.pi)), strength_db=strength_db),
-        about=about,
-    )
+    room = room_clutter(rng)
+    change = Variation(float(rng.uniform(0, 2 * np.pi)), strength_db=strength_db)
+    try:
+        return object_scene(
+            name, positions, body, reflector, rng=rng, room=room, variation=change, about=about
+        )
+    except DataError as error:
+        raise UsageError(f"{name} does not fit on {body}: {error.message}", error.remedy) from None
 
 
 def preset_names() -> list[str]:
