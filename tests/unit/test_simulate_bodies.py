@@ -102,6 +102,15 @@ def test_the_bodys_own_echo_comes_earlier_when_it_moves_to_the_radar(text: str) 
     assert np.abs(turn - turn.mean(axis=0)).max() > 0.2 * np.abs(turn).max()
 
 
+@pytest.mark.parametrize(("place", "view"), [((0.045, 0.0), 0), ((0.0, 0.045), 3), ((0.0, -0.045), 1)])
+def test_a_tag_on_a_can_is_bright_where_it_faces_the_radar(place: tuple[float, float], view: int) -> None:
+    """The object turns counter-clockwise, so what points to +y comes round last."""
+    made = tagged_object(np.array([place]), parse_body("can:35mm"), ReflectorSpec(), np.random.default_rng(0))
+    strength = np.abs(clean(Scene("tag", made[:1]))).max(axis=1)
+    assert int(np.argmax(strength)) == view
+    assert np.sort(strength)[-2] < 0.4 * strength[view]
+
+
 @pytest.mark.parametrize("text", BODIES)
 def test_objects_turn_with_their_placement(text: str) -> None:
     scene = replace(scene_of(text), room=None)
