@@ -242,9 +242,11 @@ def document(rows: list[Row], arguments: argparse.Namespace) -> str:
     lines = [
         f"# Reading tags on bodies: {arguments.label}",
         "",
-        f"Command: `python tests/benchmarks/reading_bodies.py {' '.join(sys.argv[1:])}`, commit {commit()}.",
+        f"Command: `python tests/benchmarks/reading_bodies.py --label {arguments.label} --population "
+        f"{arguments.population}` (continued until the time was up), commit {commit()}.",
         f"Machine: {platform.machine()}, {os.cpu_count()} cores, one thread per scene, Python "
         f"{platform.python_version()}, numpy {np.__version__}. Date: {datetime.now(UTC):%Y-%m-%d}.",
+        f"Seconds are wall-clock times of a machine with a load average of {os.getloadavg()[2]:.0f}.",
         f"{len(used)} scenes in {cells} of the {grid} cells; population `{arguments.population}`, numbers 0",
         f"to {last} (`seed_of` in reading_bodies_scenes.py). SHA-256 of the sealed seeds:",
         f"{scenes.SEALED_SHA256}.",
@@ -263,6 +265,8 @@ def run(arguments: argparse.Namespace, path: Path) -> list[Row]:
     path.parent.mkdir(parents=True, exist_ok=True)
     until = time.monotonic() + arguments.seconds
     missing = [task for task in tasks(arguments) if task not in known][: arguments.most]
+    if not missing:
+        return rows
     with multiprocessing.get_context("fork").Pool(arguments.jobs) as pool, path.open("a") as file:
         for row in pool.imap(one, missing):
             rows.append(row)
@@ -282,7 +286,9 @@ def main() -> None:
     parser.add_argument("--modes", nargs="+", choices=tuple(MODES), default=["blind"])
     parser.add_argument("--rounds", type=int, default=1, help="scenes per cell")
     parser.add_argument("--seconds", type=float, default=1e9, help="stop reading after this time")
-    parser.add_argument("--most", type=int, default=10**9, help="read at most so many scenes more")
+    parser.add_argument(
+        "--most", type=int, default=10**9, help="read at most so many scenes more; 0 only writes the table"
+    )
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--work", type=Path, default=ROOT / "build" / "reading-bodies", help="results folder")
     parser.add_argument("--out", type=Path, default=ROOT / "docs" / "results", help="folder of the table")
