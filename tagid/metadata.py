@@ -367,13 +367,40 @@ class MotionInfo(JsonValue):
 
 
 @dataclass(frozen=True)
+class SimulatedTruth(JsonValue):
+    """How a simulated object was recorded, for those who check an answer; no reading command uses it.
+
+    Attributes:
+        rotation_deg, centre_m, elevation_m: pose of the object: rotation, (x, y) off the axis, height.
+        axis_distance_m: true distance of the axis.
+        wobble_speed, wobble_radial_m: relative amplitude of the speed's wobble, and of the axis, m.
+        pulse: "nominal" or "other".
+        noise_colour: slope of the noise's spectrum.
+        snr_reflector_db, snr_summed_db: SNR per reflector and of the summed echo, dB; None without a tag.
+        extra: what else was varied.
+    """
+
+    rotation_deg: float | None = None
+    centre_m: tuple[float, ...] | None = None
+    elevation_m: float | None = None
+    axis_distance_m: float | None = None
+    wobble_speed: float | None = None
+    wobble_radial_m: float | None = None
+    pulse: str | None = None
+    noise_colour: float | None = None
+    snr_reflector_db: float | None = None
+    snr_summed_db: float | None = None
+    extra: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
 class ObjectInfo(JsonValue):
     """What is known of the object of a capture.
 
     Attributes:
         label: name of an imported object. note: the operator's remark.
         scene: name of a simulated scene. layout: layout that a simulated object carries.
-        demo: whether an emulated radar recorded it.
+        demo: whether an emulated radar recorded it. truth: of a simulation.
         extra: other keys of the file.
     """
 
@@ -382,6 +409,7 @@ class ObjectInfo(JsonValue):
     scene: str | None = None
     layout: str | None = None
     demo: bool | None = None
+    truth: SimulatedTruth | None = None
     extra: Mapping[str, Any] = field(default_factory=dict)
 
 

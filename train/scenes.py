@@ -1,6 +1,7 @@
 """One training scene from the distributions and a seed: an object, how it is recorded, and the truth.
 
-It is drawn with the package's own simulator, so that what is learnt is what the field's physics says.
+It is drawn with the package's own simulator. Body, handle, rim, seam and contents belong to the object and
+are placed off the axis with its reflectors.
 """
 
 from __future__ import annotations
@@ -13,17 +14,26 @@ from numpy.typing import NDArray
 from tagid.capture import Capture, Pulse
 from tagid.simulate.acquisition import Acquisition, Placement, Wobble
 from tagid.simulate.capture import simulate_capture
+from tagid.simulate.noise import Interference, NoiseShape
+from tagid.simulate.objects import HANDLE_REACH_M, Variation, tagged_object
 from tagid.simulate.presets import room_clutter
+from tagid.simulate.pulses import random_pulse
 from tagid.simulate.scattering import Body, Box, Cylinder, DoubleBounce, Points
 from tagid.simulate.scene import Scene
-from train.distributions import Distribution, ObjectDistribution, PulseDistribution, spaced_points, uniform
-
-PULSE_STEP_S = 1e-11
+from tagid.simulate.specification import SHAPES, BodySpec, ReflectorSpec
+from train.distributions import (
+    BodyDistribution,
+    Distribution,
+    ObjectDistribution,
+    PulseDistribution,
+    spaced_points,
+    uniform,
+)
 
 
 @dataclass(frozen=True, eq=False)
 class Ghost:
-    """Where something that is no reflector shows: a ring of that radius, m, about a centre (x, y), m."""
+    """Where something other than a reflector shows: a ring of a radius, m, about a centre (x, y), m."""
 
     centre_m: NDArray[np.float64]
     radius_m: float = 0.0
@@ -34,10 +44,10 @@ class TrainingScene:
     """A recording and what is in it.
 
     Attributes:
-        capture: as a file would be.
+        capture: as a file would hold it.
         reflectors_m: (K, 2) true reflectors at angle zero, m.
         ghosts: what else echoes.
-        snr_db, views: how it was recorded.
+        snr_db, views: of the recording; the SNR is per reflector.
         kinds: names of what is on the object, for the evaluation by condition.
     """
 
@@ -51,37 +61,12 @@ class TrainingScene:
 
 def draw_pulse(d: PulseDistribution, rng: np.random.Generator) -> Pulse | None:
     """A pulse of main lobe, ring and late echo, or None for the nominal one."""
-    if rng.uniform() < d.nominal:
-        return None
-    t = np.arange(-300, 501) * PULSE_STEP_S
-    atoms = (
-        (1.0, 0.0, uniform(rng, d.main_hz), uniform(rng, d.main_sigma_s)),
-        (
-            uniform(rng, d.ring_amplitude),
-            uniform(rng, d.ring_delay_s),
-            uniform(rng, d.ring_hz),
-            uniform(rng, d.ring_sigma_s),
-        ),
-        (
-            uniform(rng, d.late_amplitude),
-            uniform(rng, d.late_delay_s),
-            uniform(rng, d.late_hz),
-            uniform(rng, d.late_sigma_s),
-        ),
-    )
-    samples = sum(
-        a
-        * np.exp(-((t - delay) ** 2) / (2 * sigma**2))
-        * np.cos(2 * np.pi * f * (t - delay) + rng.uniform(0, 2 * np.pi))
-        for a, delay, f, sigma in atoms
-    )
-    # A pulse's time zero is its middle sample, so the shorter side is filled with silence.
-    return Pulse(np.concatenate([np.zeros(200), np.asarray(samples)]), PULSE_STEP_S)
+    return None if rng.uniform() < d.nominal else random_pulse(rng, d.shapes)
 
 
 @dataclass
 class _Drawing:
-    """The object as it is put together."""
+    """The object while it is put together."""
 
     turning: list[Body]
     ghosts: list[Ghost]
@@ -103,7 +88,7 @@ def _reflectors(d: ObjectDistribution, radius: float, rng: np.random.Generator) 
 
 
 def _bounces(drawing: _Drawing, points: Points, amplitude: float) -> None:
-    """Interaction images of reflectors nearer than 8 cm, as reported for coupled patches."""
+    """Interaction images of reflectors closer than 8 cm, as reported for coupled patches."""
     p = points.positions[:, :2]
     pairs = [(i, j) for i in range(len(p)) for j in range(i) if np.linalg.norm(p[i] - p[j]) < 0.08]
     for i, j in pairs:
@@ -142,18 +127,10 @@ def _extras(drawing: _Drawing, d: ObjectDistribution, radius: float, rng: np.ran
         drawing.kinds.append("box")
 
 
-def draw_scene(seed: int, distribution: Distribution | None = None) -> TrainingScene:
-    """The scene of a seed.
-
-    Args:
-        seed: of everything in it.
-        distribution: what it is drawn from.
-    """
-    dist = distribution or Distribution()
-    d, r = dist.object, dist.recording
-    rng = np.random.default_rng(seed)
-    radius = uniform(rng, d.radius_m)
-    drawing = _Drawing([], [], [])
+def _simple(
+    drawing: _Drawing, d: ObjectDistribution, radius: float, rng: np.random.Generator
+) -> NDArray[np.float64]:
+    """An object of points, a specular shell and extras; returns its (K, 2) reflectors, m."""
     points = _reflectors(d, radius, rng)
     if points is not None:
         drawing.turning.append(points)
@@ -167,18 +144,81 @@ def draw_scene(seed: int, distribution: Distribution | None = None) -> TrainingS
         drawing.ghosts.append(Ghost(np.array(centre), shell.radius_m))
         drawing.kinds.append("shell")
     _extras(drawing, d, radius, rng)
+    none = np.zeros((0, 2))
+    return none if points is None else np.asarray(points.positions[:, :2], dtype=np.float64)
+
+
+def _body(kind: str, wall_m: float, d: BodyDistribution, rng: np.random.Generator) -> BodySpec:
+    """A body whose wall lies so far from its axis, with the parts that chance gives it."""
+    if kind == "none":
+        return BodySpec()
+    if kind == "helmet" and wall_m < SHAPES[kind].least_m:
+        kind = "cup"
+    shape = SHAPES[kind]
+    # A box's faces are nearest in their middle.
+    size = float(np.clip(2 * wall_m if kind == "box" else wall_m, shape.least_m, shape.most_m))
+    shares = {"handle": d.handle, "seam": d.seam, "filled": d.filled}
+    parts = tuple(part for part in shape.parts if rng.uniform() < shares[part])
+    lengths = []
+    if "oval" in shape.lengths and rng.uniform() < d.oval:
+        lengths.append(("oval", float(rng.uniform(0, 0.5e-3))))
+    return BodySpec(kind, size, parts, tuple(lengths))
+
+
+def _physical(
+    drawing: _Drawing, d: ObjectDistribution, radius: float, rng: np.random.Generator
+) -> NDArray[np.float64]:
+    """A physical body with octahedra around it; returns its (K, 2) reflectors, m."""
+    b = d.bodies
+    weights = np.array([weight for _, weight in b.kinds])
+    kind = b.kinds[int(rng.choice(len(weights), p=weights / weights.sum()))][0]
+    count = int(rng.choice(len(d.counts), p=np.array(d.counts) / sum(d.counts)))
+    positions = spaced_points(count, radius, d.spacing_m, True, rng)
+    body = _body(kind, radius - uniform(rng, b.standoff_m), b, rng)
+    ring, turn = uniform(rng, b.ring_m), rng.uniform(0, 2 * np.pi)
+    change = Variation(
+        rng.uniform(0, 2 * np.pi), (ring * np.cos(turn), ring * np.sin(turn)), uniform(rng, b.strength_db)
+    )
+    # Whole millimetres, so that scenes share tables of octahedra.
+    reflector = ReflectorSpec("octahedron", round(uniform(rng, b.reflector_m), 3))
+    drawing.turning += tagged_object(positions, body, reflector, rng, change)
+    centre = -np.array(change.ring_m)
+    if body.kind != "none":
+        wall = body.size_m / 2 if body.kind == "box" else body.size_m
+        drawing.ghosts.append(Ghost(centre, wall))
+        drawing.kinds.append(body.kind)
+    if "handle" in body.parts:
+        out = np.array([np.cos(change.parts_rad), np.sin(change.parts_rad)])
+        drawing.ghosts.append(Ghost(centre + (body.size_m + HANDLE_REACH_M) * out))
+        drawing.kinds.append("handle")
+    return positions
+
+
+def draw_scene(seed: int, distribution: Distribution | None = None) -> TrainingScene:
+    """The scene of a seed.
+
+    Args:
+        seed: random seed of everything in it.
+        distribution: what it is drawn from.
+    """
+    dist = distribution or Distribution()
+    d, r = dist.object, dist.recording
+    rng = np.random.default_rng(seed)
+    radius = uniform(rng, d.radius_m)
+    drawing = _Drawing([], [], [])
+    make = _physical if rng.uniform() < d.physical else _simple
+    reflectors = make(drawing, d, radius, rng)
     scene = Scene(
         "training",
         tuple(drawing.turning),
         room=room_clutter(rng) if rng.uniform() < r.room else None,
-        reference_amplitude=1.0,
+        reference_amplitude=None if len(reflectors) else 1.0,
     )
     acquisition = _acquisition(dist, rng)
-    capture, _ = simulate_capture(scene, acquisition, seed)
-    none = np.zeros((0, 2))
+    capture, truth = simulate_capture(scene, acquisition, seed)
     return TrainingScene(
         capture,
-        none if points is None else acquisition.placement.apply(points.positions[:, :2]),
+        truth.positions_m if len(reflectors) else np.zeros((0, 2)),
         tuple(Ghost(acquisition.placement.apply(g.centre_m[None])[0], g.radius_m) for g in drawing.ghosts),
         float(acquisition.snr_db or 0.0),
         acquisition.views,
@@ -193,12 +233,20 @@ def _acquisition(dist: Distribution, rng: np.random.Generator) -> Acquisition:
     offset, turn = uniform(rng, r.centre_m), rng.uniform(0, 2 * np.pi)
     spreading = bool(rng.uniform() < r.range_law)
     pulse = draw_pulse(dist.pulse, rng)
+    tone = None
+    if rng.uniform() < r.interference:
+        tone = Interference(uniform(rng, r.interference_db), rng.uniform(3.1e9, 4.8e9), rng.uniform(0.1, 1.0))
     return Acquisition(
         views=views,
         snr_db=uniform(rng, r.snr_db),
         axis_distance_m=uniform(rng, r.axis_distance_m),
         axis_distance_error_m=uniform(rng, r.axis_error_m),
-        placement=Placement((offset * np.cos(turn), offset * np.sin(turn)), rng.uniform(0, 2 * np.pi)),
+        placement=Placement(
+            (offset * np.cos(turn), offset * np.sin(turn)),
+            rng.uniform(0, 2 * np.pi),
+            uniform(rng, r.elevation_m),
+        ),
+        noise=NoiseShape(uniform(rng, r.colour), tone),
         wobble=Wobble(uniform(rng, r.wobble), uniform(rng, r.radial_m)),
         pulse=pulse,
         tell_pulse=bool(rng.uniform() < dist.pulse.told),

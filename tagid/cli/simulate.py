@@ -1,16 +1,22 @@
-"""`tagid simulate`: captures of scenes that were never built."""
+"""`tagid simulate`: captures of scenes that exist only as models."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from tagid.cli.common import options
 from tagid.cli.common.frame import Terminal, command
-from tagid.errors import StorageError
+from tagid.errors import StorageError, UsageError
 from tagid.result import Result
+
+if TYPE_CHECKING:
+    from tagid.capture import Pulse
+    from tagid.simulate import Scene
+
+PULSES = ("nominal", "random")
 
 
 def register(app: typer.Typer) -> None:
@@ -21,50 +27,89 @@ def register(app: typer.Typer) -> None:
         terminal: Terminal,
         scene: Annotated[str, typer.Argument(help="helmet-120, container-90, points-3, can, box, empty ...")],
         out: Annotated[Path, typer.Option("--out", "-o", help="Capture to write.")],
-        views: Annotated[int, typer.Option("--views", help="Views a turn.")] = 360,
+        body: options.Body = None,
+        reflector: options.Reflector = None,
+        elevation: options.Elevation = "0m",
+        unlike: Annotated[
+            float, typer.Option("--unlike", help="Spread of the reflectors' strengths, dB.", min=0, max=20)
+        ] = 0.0,
+        views: Annotated[int, typer.Option("--views", help="Views per turn.")] = 360,
         turns: Annotated[float, typer.Option("--turns", help="Turns recorded.")] = 1.0,
-        snr: Annotated[float | None, typer.Option("--snr", help="dB a sample, strongest echo.")] = 20.0,
-        noise: Annotated[float | None, typer.Option("--noise", help="Noise std instead of --snr.")] = None,
+        snr: Annotated[
+            float | None, typer.Option("--snr", help="Peak echo over noise of one sample, dB.")
+        ] = 20.0,
+        snr_of: Annotated[
+            str, typer.Option("--snr-of", help="What --snr sets: strongest reflector, or summed echo.")
+        ] = "reflector",
+        noise: Annotated[
+            float | None, typer.Option("--noise", help="Noise standard deviation; replaces --snr.")
+        ] = None,
+        colour: Annotated[
+            float, typer.Option("--noise-colour", help="Share of noise in the radar's band, 0 to 1.")
+        ] = 0.0,
+        interference: Annotated[
+            float | None,
+            typer.Option("--interference", help="Narrow-band tone, dB over the noise.", show_default=False),
+        ] = None,
+        pulse: Annotated[
+            str, typer.Option("--pulse", help="nominal, or random (the capture does not state it).")
+        ] = "nominal",
         axis_distance: Annotated[float, typer.Option("--axis-distance", help="Radar to axis, metres.")] = 1.0,
-        axis_error: Annotated[float, typer.Option("--axis-error", help="Told minus true distance, m.")] = 0.0,
+        axis_error: Annotated[
+            float, typer.Option("--axis-error", help="Stated minus true distance, m.")
+        ] = 0.0,
         height: Annotated[float, typer.Option("--antenna-height", help="Metres.")] = 0.0,
-        rotation: Annotated[float, typer.Option("--rotation", help="Turn of the object, degrees.")] = 0.0,
-        centre: Annotated[str, typer.Option("--centre", help="X,Y off the axis, metres.")] = "0,0",
+        rotation: Annotated[float, typer.Option("--rotation", help="Rotation of the object, degrees.")] = 0.0,
+        centre: options.ObjectCentre = "0,0",
         wobble: Annotated[float, typer.Option("--wobble", help="Uneven speed, 0.01 is 1 %.")] = 0.0,
         beam_deg: Annotated[float | None, typer.Option("--beam", help="-3 dB beam width, degrees.")] = None,
         range_law: Annotated[bool, typer.Option("--range-law", help="1/R^4 in power.")] = False,
         seed: options.Seed = 0,
-        force: Annotated[bool, typer.Option("--force", help="Write over a file that exists.")] = False,
+        force: Annotated[bool, typer.Option("--force", help="Replace a file that exists.")] = False,
     ) -> Result:
         """Simulate the capture of a turning scene.
 
-        Example: tagid simulate helmet-120 --snr 10 --views 36 --out helmet.tagid.h5
+        Example: tagid simulate container-90 --body can:35mm,handle --centre 0.004,0 --out can.tagid.h5
         """
         import numpy as np
         from rich.text import Text
 
         from tagid.cli.enroll import parse_point
-        from tagid.simulate import Acquisition, Placement, Wobble, scene_from_name, simulate_capture
+        from tagid.simulate import (
+            Acquisition,
+            Interference,
+            NoiseShape,
+            Placement,
+            Wobble,
+            parse_elevation,
+            simulate_capture,
+        )
         from tagid.storage.exporters import export
 
         if out.exists() and not force:
             raise StorageError(f"{out} exists already", "Choose another name, or add --force.")
+        place = Placement(
+            parse_point("--centre", centre), float(np.deg2rad(rotation)), parse_elevation(elevation)
+        )
         acquisition = Acquisition(
             views=views,
             turns=turns,
             axis_distance_m=axis_distance,
             axis_distance_error_m=axis_error,
             antenna_height_m=height,
+            pulse=_pulse(pulse, seed),
             snr_db=None if noise is not None else snr,
+            snr_reference=snr_of,
             noise_std=noise,
-            placement=Placement(parse_point("--centre", centre), float(np.deg2rad(rotation))),
+            noise=NoiseShape(colour, None if interference is None else Interference(interference)),
+            placement=place,
             wobble=Wobble(speed=wobble),
             beam_width_rad=None if beam_deg is None else float(np.deg2rad(beam_deg)),
             range_law=range_law,
         )
-        capture, truth = simulate_capture(scene_from_name(scene, seed), acquisition, seed)
+        capture, truth = simulate_capture(_scene(scene, body, reflector, unlike, seed), acquisition, seed)
         export(capture, out)
-        line = Text(f"{out}: {scene}, {capture.views} scans of {capture.bins} samples")
+        line = Text(f"{out}: {scene}, {capture.views} scans of {capture.bins} samples, {truth.snr}")
         data = {
             "path": str(out),
             "scene": scene,
@@ -74,6 +119,32 @@ def register(app: typer.Typer) -> None:
                 "axis_distance_m": truth.axis_distance_m,
                 "positions_m": truth.positions_m,
                 "noise_std": truth.noise_std,
+                "snr_reflector_db": truth.snr.reflector_db,
+                "snr_summed_db": truth.snr.summed_db,
             },
         }
         return Result("simulate", data, line)
+
+
+def _scene(name: str, body: str | None, reflector: str | None, unlike_db: float, seed: int) -> Scene:
+    """The preset, or its tag on a physical body where one of the options asks for that."""
+    from tagid.simulate import parse_body, parse_reflector, scene_from_name, scene_on_body
+
+    if body is None and reflector is None:
+        if unlike_db:
+            raise UsageError("--unlike needs physical reflectors", "Add --reflector octahedron:20mm.")
+        return scene_from_name(name, seed)
+    carried = parse_body(body or "none")
+    return scene_on_body(name, carried, parse_reflector(reflector or "octahedron"), seed, unlike_db)
+
+
+def _pulse(name: str, seed: int) -> Pulse | None:
+    """The received pulse; None for the nominal one."""
+    import numpy as np
+
+    from tagid.simulate import random_pulse
+
+    if name not in PULSES:
+        raise UsageError(f"--pulse is {name!r}", f"Use {' or '.join(PULSES)}.")
+    # A stream of its own, so that the pulse is the same whatever else is drawn from the seed.
+    return random_pulse(np.random.default_rng([seed, 1])) if name == "random" else None

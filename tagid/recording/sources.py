@@ -25,31 +25,61 @@ def emulated_recording(path: Path, loop: bool) -> RecordingSource:
 
 
 def emulated_scene(name: str, options: dict[str, str]) -> ScanSource:
-    """A turning scene; options `seed`, `rpm` (6), `axis_distance` (1.0 m), `snr` (20 dB),
-    `cable_delay` (0, two-way ps), and `turned_by`: HOST:PORT of an emulated robot that turns it instead,
-    which asks for rate=1.
+    """A turning scene.
 
-    Raises UsageError for an unknown scene, option or a value that is no number.
+    Options: `seed`, `rpm` (6), `axis_distance` (1.0 m), `snr` (20 dB, per reflector), `cable_delay` (0,
+    two-way ps), `centre` (X,Y in metres off the axis), `elevation` (0m), `body` and `reflector` (see
+    `tagid.simulate.specification`), and `turned_by`: HOST:PORT of an emulated robot that turns the scene
+    instead, which needs rate=1.
+
+    Raises UsageError for an unknown scene or option, or a value that cannot be read.
     """
     from tagid.motion.emulation.truth import TrueAngle
-    from tagid.simulate import Acquisition, TurningScene, scene_from_name
+    from tagid.simulate import (
+        Acquisition,
+        Placement,
+        TurningScene,
+        parse_body,
+        parse_elevation,
+        parse_reflector,
+        scene_from_name,
+        scene_on_body,
+    )
 
     values = {"seed": 0.0, "rpm": 6.0, "axis_distance": 1.0, "snr": 20.0, "cable_delay": 0.0}
-    turner = TrueAngle(options["turned_by"]).at if "turned_by" in options else None
+    texts = {"turned_by": "", "centre": "0,0", "elevation": "0m", "body": "", "reflector": ""}
     for key, text in options.items():
-        if key == "turned_by":
-            continue
-        if key not in values:
-            known = ", ".join((*values, "turned_by"))
+        if key in texts:
+            texts[key] = text
+        elif key in values:
+            values[key] = _number(name, key, text)
+        else:
+            known = ", ".join((*values, *texts))
             raise UsageError(f"scene {name}: there is no option {key!r}", f"Use {known}.")
-        try:
-            values[key] = float(text)
-        except ValueError:
-            raise UsageError(f"scene {name}: {key} is {text!r}", "Give a number.") from None
+    turner = TrueAngle(texts["turned_by"]).at if texts["turned_by"] else None
     seed = int(values["seed"])
-    acquisition = Acquisition(axis_distance_m=values["axis_distance"], snr_db=values["snr"])
     if not abs(values["cable_delay"]) <= 1e6:
         raise UsageError(f"scene {name}: cable_delay is {values['cable_delay']}", "Give picoseconds.")
+    x, comma, y = texts["centre"].partition(",")
+    centre = (_number(name, "centre", x), _number(name, "centre", y if comma else "none"))
+    acquisition = Acquisition(
+        axis_distance_m=values["axis_distance"],
+        snr_db=values["snr"],
+        placement=Placement(centre, height_m=parse_elevation(texts["elevation"])),
+    )
+    if texts["body"] or texts["reflector"]:
+        body = parse_body(texts["body"] or "none")
+        scene = scene_on_body(name, body, parse_reflector(texts["reflector"] or "octahedron"), seed)
+    else:
+        scene = scene_from_name(name, seed)
     delay_s = values["cable_delay"] * 1e-12
-    scene = scene_from_name(name, seed)
     return TurningScene(scene, values["rpm"], seed, acquisition, delay_s, true_angle=turner)
+
+
+def _number(scene: str, key: str, text: str) -> float:
+    """A number from the text of an option. Raises UsageError."""
+    try:
+        return float(text)
+    except ValueError:
+        remedy = "Give X,Y in metres." if key == "centre" else "Give a number."
+        raise UsageError(f"scene {scene}: {key} is {text!r}", remedy) from None

@@ -1,35 +1,50 @@
-"""Simulated scenes and recordings, so that every stage is tested against a known truth.
+"""Simulated scenes and recordings with a known truth, to test every stage against.
 
-The same scenes feed the capture simulator and the radar emulator's turning object.
+The same scenes feed the capture simulator and the radar emulator.
 """
 
 from tagid.simulate.acquisition import Acquisition, Placement, RangeWindow, Recording, Wobble
 from tagid.simulate.capture import Truth, simulate_capture
 from tagid.simulate.electromagnetic import ConductingCylinder, Plate, cardboard_box, metal_box
-from tagid.simulate.presets import preset_names, scene_from_layout, scene_from_name
+from tagid.simulate.noise import Interference, NoiseShape
+from tagid.simulate.presets import preset_names, scene_from_layout, scene_from_name, scene_on_body
+from tagid.simulate.pulses import random_pulse
 from tagid.simulate.scattering import Box, Cylinder, Points
 from tagid.simulate.scene import Scene, StaticReturns
+from tagid.simulate.snr import EchoLevels, Snr
 from tagid.simulate.source import TurningScene
+from tagid.simulate.specification import BodySpec, ReflectorSpec, parse_body, parse_elevation, parse_reflector
 
 __all__ = [
     "Acquisition",
+    "BodySpec",
     "Box",
     "ConductingCylinder",
     "Cylinder",
+    "EchoLevels",
+    "Interference",
+    "NoiseShape",
     "Placement",
     "Plate",
     "Points",
     "RangeWindow",
     "Recording",
+    "ReflectorSpec",
     "Scene",
+    "Snr",
     "StaticReturns",
     "Truth",
     "TurningScene",
     "Wobble",
     "cardboard_box",
     "metal_box",
+    "parse_body",
+    "parse_elevation",
+    "parse_reflector",
     "preset_names",
+    "random_pulse",
     "scene_from_layout",
     "scene_from_name",
+    "scene_on_body",
     "simulate_capture",
 ]

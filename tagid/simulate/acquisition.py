@@ -1,7 +1,7 @@
-"""How a scene is recorded: geometry, turn, noise, imperfections, and what the file will claim about them.
+"""How a scene is recorded: geometry, rotation, noise, imperfections, and what the file states about them.
 
-Each imperfection of a field recording is one field here, all zero by default, so that a test can switch on
-exactly the one that it is about.
+Each imperfection of a field recording is one field here, zero by default, so that a test can switch on
+exactly the one it is about.
 """
 
 from __future__ import annotations
@@ -14,13 +14,15 @@ from numpy.typing import NDArray
 from tagid.capture import Pulse
 from tagid.constants import RANGE_STEP_M
 from tagid.errors import UsageError
+from tagid.simulate.noise import NoiseShape
+from tagid.simulate.snr import REFERENCES
 
 MAX_SAMPLES = 50_000_000
 
 
 @dataclass(frozen=True)
 class RangeWindow:
-    """Range bins: bin b lies at start_m + b * step_m one way, cable delay taken off."""
+    """Range bins: bin b lies at start_m + b * step_m one way, without the cable delay."""
 
     start_m: float
     bins: int = 192
@@ -28,7 +30,7 @@ class RangeWindow:
 
     @classmethod
     def around(cls, axis_distance_m: float, bins: int = 192) -> RangeWindow:
-        """The window of that many bins with the rotation axis in its middle."""
+        """The window of so many bins with the rotation axis in its middle."""
         return cls(axis_distance_m - RANGE_STEP_M * (bins // 2), bins)
 
     @property
@@ -39,24 +41,38 @@ class RangeWindow:
 
 @dataclass(frozen=True)
 class Placement:
-    """How the object stands on the table: turned by rotation_rad, then shifted by centre_m (x, y)."""
+    """How the object stands on the table: turned by rotation_rad, then shifted by centre_m (x, y).
+
+    Attributes:
+        centre_m: (x, y) of the object's origin from the rotation axis, m.
+        rotation_rad: about its origin, rad.
+        height_m: how far the tag's plane stands above the plane that the capture's antenna height refers to;
+            the capture does not state it.
+    """
 
     centre_m: tuple[float, float] = (0.0, 0.0)
     rotation_rad: float = 0.0
+    height_m: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not np.isfinite((*self.centre_m, self.rotation_rad, self.height_m)).all():
+            raise UsageError(
+                "the object's place is not finite", "Give numbers for centre, rotation and height."
+            )
 
     def apply(self, points: NDArray[np.floating]) -> NDArray[np.float64]:
-        """Points (n, 2) of the object, m, where they stand on the table."""
+        """Where points (n, 2) of the object, m, stand on the table."""
         c, s = np.cos(self.rotation_rad), np.sin(self.rotation_rad)
         return np.asarray(points @ np.array([[c, s], [-s, c]]) + np.asarray(self.centre_m), dtype=np.float64)
 
 
 @dataclass(frozen=True)
 class Wobble:
-    """An uneven turn, as four harmonics of the turn with random phases (a bent axle, an off-centre belt).
+    """Uneven rotation, as four harmonics with random phases (a bent axle, an off-centre belt).
 
     Attributes:
-        speed: RMS of the angular speed's deviation, as a fraction of the speed.
-        radial_m: RMS of the distance from radar to axis, m.
+        speed: RMS deviation of the angular speed, as a fraction of the speed.
+        radial_m: RMS deviation of the distance from radar to axis, m.
     """
 
     speed: float = 0.0
@@ -65,11 +81,11 @@ class Wobble:
 
 @dataclass(frozen=True)
 class Recording:
-    """What the radar makes of the field: counts, type, clipping.
+    """How the radar digitises the field.
 
     Attributes:
         dtype: "float32", "int32" or "complex64" (analytic signal, circular noise).
-        counts_per_unit: counts of a unit reflector at the axis.
+        counts_per_unit: counts of a unit reflector on the axis.
         clip_counts: saturation, counts; None for no saturation.
     """
 
@@ -89,20 +105,23 @@ class Acquisition:
     """One recording of a turning scene.
 
     Attributes:
-        views: scans a turn.
+        views: scans per turn.
         turns: turns recorded; scans are round(views * turns).
-        period_s: seconds a turn.
+        period_s: seconds per turn.
         direction: +1 counter-clockwise from above, -1 clockwise.
-        axis_distance_m, antenna_height_m: true place of the antenna, m.
+        axis_distance_m, antenna_height_m: antenna position, m; the height refers to the plane at z = 0.
         window: range bins; None for 192 bins with the axis in the middle.
         pulse: as received from a point; None for the nominal one.
         tell_pulse: whether the capture carries the pulse.
-        snr_db: 20 log10(peak of the strongest object echo / noise std of one sample); None for no noise.
-        noise_std: noise std of one sample where a unit reflector at the axis peaks at 1; wins over snr_db.
+        snr_db: SNR of the recording, defined in `snr`; None for no noise.
+        snr_reference: what snr_db refers to, "reflector" or "summed".
+        noise_std: standard deviation of one sample, where a unit reflector on the axis peaks at 1; replaces
+            snr_db.
+        noise: white, coloured, with interference.
         placement, wobble: see there.
-        axis_distance_error_m: what the capture says minus the truth, m.
-        angle_error_rad: standard deviation of the error of the angles that the capture says, rad.
-        beam_width_rad: full -3 dB width of the Gaussian one-way power pattern, rad; None for all round.
+        axis_distance_error_m: stated minus true axis distance, m.
+        angle_error_rad: standard deviation of the error of the stated angles, rad.
+        beam_width_rad: full -3 dB width of the Gaussian one-way power pattern, rad; None for isotropic.
         range_law: amplitude ~ 1/R^2 (power 1/R^4), 1 at the axis.
         recording: counts, type and clipping.
     """
@@ -117,7 +136,9 @@ class Acquisition:
     pulse: Pulse | None = None
     tell_pulse: bool = False
     snr_db: float | None = None
+    snr_reference: str = "reflector"
     noise_std: float | None = None
+    noise: NoiseShape = field(default_factory=NoiseShape)
     placement: Placement = field(default_factory=Placement)
     wobble: Wobble = field(default_factory=Wobble)
     axis_distance_error_m: float = 0.0
@@ -128,22 +149,24 @@ class Acquisition:
 
     def __post_init__(self) -> None:
         if self.views < 1 or not (np.isfinite(self.turns) and self.turns > 0):
-            raise UsageError(f"{self.views} views a turn and {self.turns} turns", "Give positive numbers.")
+            raise UsageError(f"{self.views} views per turn and {self.turns} turns", "Give positive numbers.")
         if self.views * self.turns * self.range_window.bins > MAX_SAMPLES:
             raise UsageError(
-                f"{self.views} views x {self.turns} turns x {self.range_window.bins} bins is too much",
+                f"{self.views} views x {self.turns} turns x {self.range_window.bins} bins are too many",
                 f"Stay below {MAX_SAMPLES:,} samples.",
             )
         if not (self.axis_distance_m > 0 and self.period_s > 0 and self.range_window.bins > 0):
-            raise UsageError("axis distance, period and bins must be positive", "Check the acquisition.")
+            raise UsageError("axis distance, period and bins must be positive", "Give positive numbers.")
         if self.direction not in (1, -1):
             raise UsageError(
                 f"direction is {self.direction}", "Use +1 (counter-clockwise) or -1 (clockwise)."
             )
         if self.beam_width_rad is not None and not 0 < self.beam_width_rad <= 2 * np.pi:
-            raise UsageError(f"beam width is {self.beam_width_rad} rad", "Give 0 to 2 pi.")
+            raise UsageError(f"the beam width is {self.beam_width_rad} rad", "Give 0 to 2 pi.")
+        if self.snr_reference not in REFERENCES:
+            raise UsageError(f"the SNR refers to {self.snr_reference!r}", f"Use {' or '.join(REFERENCES)}.")
         if self.noise_std is not None and self.noise_std < 0:
-            raise UsageError(f"noise std is {self.noise_std}", "Give 0 or more.")
+            raise UsageError(f"the noise has a standard deviation of {self.noise_std}", "Give 0 or more.")
 
     @property
     def scans(self) -> int:
@@ -152,13 +175,13 @@ class Acquisition:
 
     @property
     def range_window(self) -> RangeWindow:
-        """The window given, or the default one around the axis."""
+        """The given window, or the default one around the axis."""
         return self.window if self.window is not None else RangeWindow.around(self.axis_distance_m)
 
 
 @dataclass(frozen=True, eq=False)
 class Turn:
-    """The true turn: object angle and axis distance as functions of the time in turns since the start.
+    """The true rotation: object angle and axis distance against the time in turns since the start.
 
     speed deviation = wobble.speed * sum_k c_k cos(2 pi k u + phi_k), so its integral is added to 2 pi u.
     """
@@ -170,7 +193,7 @@ class Turn:
 
     @classmethod
     def random(cls, wobble: Wobble, direction: int, rng: np.random.Generator) -> Turn:
-        """Harmonics 1..4 with random phases and falling random weights, RMS normalised to 1."""
+        """Harmonics 1..4 with random phases and decreasing random weights, normalised to an RMS of 1."""
         weights = rng.uniform(0.3, 1.0, (2, 4)) / np.arange(1, 5)
         weights *= np.sqrt(2) / np.linalg.norm(weights, axis=1, keepdims=True)
         return cls(wobble, direction, weights, rng.uniform(0, 2 * np.pi, (2, 4)))

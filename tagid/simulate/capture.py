@@ -1,34 +1,37 @@
-"""A simulated recording as an ordinary capture, with the truth beside it.
+"""A simulated recording as an ordinary capture, together with the truth.
 
-What the capture claims (angles, axis distance) may be wrong on purpose; the truth never is.
+What the capture states (angles, axis distance, height) may be wrong on purpose; the truth never is.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tagid.capture import Capture, ViewFlag
-from tagid.metadata import MotionInfo, ObjectInfo, RadarInfo, ResolvedMotion
-from tagid.simulate.acquisition import Acquisition, Recording, Turn
+from tagid.metadata import MotionInfo, ObjectInfo, RadarInfo, ResolvedMotion, SimulatedTruth
+from tagid.simulate.acquisition import Acquisition, Turn
+from tagid.simulate.noise import draw_noise
 from tagid.simulate.render import PulseTable, antennas, render_bodies, render_room
 from tagid.simulate.scene import Scene
+from tagid.simulate.snr import EchoLevels, Snr, echo_levels, noise_std_for
 
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """What really was.
+    """The true values behind a capture.
 
     Attributes:
         angles_rad: (views,) object angle, rad.
         times_s: (views,) since the start, s.
         axis_distance_m: mean distance, m.
-        positions_m: (n, 2) point reflectors as placed, at angle zero, m.
-        amplitudes: (n,) complex128.
-        noise_std: of one sample, in the capture's units.
-        reference: peak that the SNR refers to, in the capture's units.
+        positions_m: (n, 2) reflectors as placed, at angle zero, m.
+        amplitudes: (n,) complex128 relative strengths of the reflectors.
+        noise_std: of one sample, in the capture's units, without interference.
+        levels: peaks that the SNR refers to, in the capture's units.
+        snr: both SNRs.
         clean: (views, bins) samples without noise, quantisation and clipping, float64 or complex128.
     """
 
@@ -38,33 +41,23 @@ class Truth:
     positions_m: NDArray[np.float64]
     amplitudes: NDArray[np.complex128]
     noise_std: float
-    reference: float
+    levels: EchoLevels
+    snr: Snr
     clean: NDArray[np.float64] | NDArray[np.complex128]
 
 
-def _noise_level(
-    scene: Scene, acquisition: Acquisition, turning: NDArray[np.complex128]
-) -> tuple[float, float]:
-    """(noise std, reference peak) where a unit reflector at the axis peaks at 1."""
-    peak = float(np.abs(turning).max(initial=0.0))
-    reference = scene.reference_amplitude if scene.reference_amplitude is not None else peak or 1.0
-    if acquisition.noise_std is not None:
-        return acquisition.noise_std, reference
-    if acquisition.snr_db is None:
-        return 0.0, reference
-    return reference / 10 ** (acquisition.snr_db / 20), reference
-
-
 def _recorded(
-    clean: NDArray[np.complex128], noise_std: float, recording: Recording, rng: np.random.Generator
+    clean: NDArray[np.complex128], noise_std: float, acquisition: Acquisition, rng: np.random.Generator
 ) -> tuple[NDArray[np.float32] | NDArray[np.int32] | NDArray[np.complex64], NDArray[np.uint8]]:
     """Samples in the wanted type and (views,) flags; complex noise has std noise_std in all."""
     flags = np.zeros(len(clean), dtype=np.uint8)
+    recording, ranges = acquisition.recording, acquisition.range_window.ranges_m
+    noise = draw_noise(acquisition.noise, ranges, len(clean), rng)
     if recording.dtype == "complex64":
-        noise = rng.standard_normal(clean.shape) + 1j * rng.standard_normal(clean.shape)
-        signal = clean + noise_std / np.sqrt(2) * noise
+        both = noise + 1j * draw_noise(acquisition.noise, ranges, len(clean), rng)
+        signal = clean + noise_std / np.sqrt(2) * both
         return (recording.counts_per_unit * signal).astype(np.complex64), flags
-    counts = recording.counts_per_unit * (clean.real + noise_std * rng.standard_normal(clean.shape))
+    counts = recording.counts_per_unit * (clean.real + noise_std * noise)
     if recording.clip_counts is not None:
         clipped = (np.abs(counts) >= recording.clip_counts).any(axis=1)
         flags[clipped] |= np.uint8(ViewFlag.CLIPPED)
@@ -75,21 +68,52 @@ def _recorded(
     return counts.astype(np.float32), flags
 
 
+def _noise_std(acquisition: Acquisition, levels: EchoLevels) -> float:
+    """Standard deviation of one sample, where a unit reflector on the axis peaks at 1."""
+    if acquisition.noise_std is not None:
+        return acquisition.noise_std
+    if acquisition.snr_db is None:
+        return 0.0
+    return noise_std_for(acquisition.snr_db, levels.of(acquisition.snr_reference))
+
+
+def object_settings(scene: Scene, acquisition: Acquisition, snr: Snr) -> ObjectInfo:
+    """The capture's object field: what the scene is, and the truth about how it was recorded.
+
+    This is the one place that writes it. No reading command uses these values; they are for those who check
+    an answer.
+    """
+    place = acquisition.placement
+    truth = SimulatedTruth(
+        rotation_deg=float(np.rad2deg(place.rotation_rad)),
+        centre_m=tuple(float(value) for value in place.centre_m),
+        elevation_m=place.height_m,
+        axis_distance_m=acquisition.axis_distance_m,
+        wobble_speed=acquisition.wobble.speed,
+        wobble_radial_m=acquisition.wobble.radial_m,
+        pulse="nominal" if acquisition.pulse is None else "other",
+        noise_colour=acquisition.noise.colour,
+        snr_reflector_db=snr.reflector_db,
+        snr_summed_db=snr.summed_db,
+    )
+    return replace(ObjectInfo.from_json({"scene": scene.name, **scene.description}), truth=truth)
+
+
 def simulate_capture(
     scene: Scene, acquisition: Acquisition | None = None, seed: int = 0
 ) -> tuple[Capture, Truth]:
     """Record a turning scene.
 
     y[v, b] = sum_k a_k(v) s(2 (R_b - d_k(v)) / c) + noise, with the pulse s at RF (paper, eq. 1) and d_k the
-    distance from the antenna, which in the object's frame stands where `Aperture.turntable` puts it.
+    distance from the antenna, whose position in the object's frame is that of `Aperture.turntable`.
 
     Args:
         scene: what reflects.
         acquisition: how it is recorded; the default is one noise-free turn of 360 views.
-        seed: of wobble, angle errors and noise; the same seed gives the same capture.
+        seed: random seed of wobble, angle errors and noise.
 
     Returns:
-        the capture (its angles, axis distance and whole-millisecond radar clock as a file would claim them),
+        the capture (its angles, axis distance and whole-millisecond radar clock as a file would state them),
         and the truth.
     """
     acq = Acquisition() if acquisition is None else acquisition
@@ -100,21 +124,22 @@ def simulate_capture(
     angles = turn.angles(turns)
     antenna = antennas(angles, acq.axis_distance_m + turn.radial(turns), acq.antenna_height_m)
 
-    turning = np.zeros((acq.scans, window.bins), dtype=np.complex128)
-    render_bodies(scene.object, acq.placement, antenna, acq, table, turning)
-    noise_std, reference = _noise_level(scene, acq, turning)
-    clean = turning + render_room(scene, window, table)
-    render_bodies(scene.turntable, type(acq.placement)(), antenna, acq, table, clean)
+    clean = np.zeros((acq.scans, window.bins), dtype=np.complex128)
+    render_bodies(scene.object, acq.placement, antenna, acq, table, clean)
+    clean += render_room(scene, window, table)
+    levels = echo_levels(scene, acq, antenna, table)
+    noise_std = _noise_std(acq, levels)
+    snr = Snr.of(levels, noise_std)
 
-    believed = acq.direction * 2 * np.pi * turns + acq.angle_error_rad * rng.standard_normal(acq.scans)
-    samples, flags = _recorded(clean, noise_std, acq.recording, rng)
+    stated = acq.direction * 2 * np.pi * turns + acq.angle_error_rad * rng.standard_normal(acq.scans)
+    samples, flags = _recorded(clean, noise_std, acq, rng)
     times = turns * acq.period_s
     flags[0] |= np.uint8(ViewFlag.FIRST)
     capture = Capture(
         samples=samples,
         range_start_m=window.start_m,
         range_step_m=window.step_m,
-        angles_rad=believed,
+        angles_rad=stated,
         angle_sigma_rad=np.full(acq.scans, acq.angle_error_rad),
         axis_distance_m=acq.axis_distance_m + acq.axis_distance_error_m,
         antenna_height_m=acq.antenna_height_m,
@@ -129,26 +154,26 @@ def simulate_capture(
                 kind="simulated", source="simulated", period_s=acq.period_s, direction=acq.direction
             ),
         ),
-        object=ObjectInfo.from_json({"scene": scene.name, **scene.description}),
+        object=object_settings(scene, acq, snr),
     )
     gain = acq.recording.counts_per_unit
+    tag = scene.tag
     truth = Truth(
         angles_rad=angles,
         times_s=times,
         axis_distance_m=acq.axis_distance_m,
         positions_m=placed_positions(scene, acq),
-        amplitudes=scene.points.amplitudes.astype(np.complex128)
-        if scene.points
-        else np.zeros(0, np.complex128),
+        amplitudes=np.zeros(0, complex) if tag is None else tag.amplitudes.astype(np.complex128),
         noise_std=noise_std * gain,
-        reference=reference * gain,
+        levels=EchoLevels(levels.reflector * gain, levels.summed * gain),
+        snr=snr,
         clean=gain * (clean if acq.recording.dtype == "complex64" else clean.real),
     )
     return capture, truth
 
 
 def placed_positions(scene: Scene, acquisition: Acquisition) -> NDArray[np.float64]:
-    """(n, 2) point reflectors after placement: turned by its rotation, then shifted by its centre."""
-    if scene.points is None:
+    """(n, 2) reflectors after placement: turned by its rotation, then shifted by its centre."""
+    if scene.tag is None:
         return np.zeros((0, 2))
-    return acquisition.placement.apply(scene.points.positions[:, :2])
+    return acquisition.placement.apply(scene.tag.positions[:, :2])

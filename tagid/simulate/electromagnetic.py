@@ -1,7 +1,8 @@
-"""Bodies that scatter as physics says: cylinders by the exact series, plates by physical optics.
+"""Cylinders by the exact series and plates by physical optics, for scenes without a tag.
 
-Point models cannot show what an imaging method does to a can or a box; these bodies have the right
-amplitude, phase and frequency dependence, in one unit, so that cans and boxes may stand together.
+Point models cannot show what an imaging method does to a can or a box. These bodies have the right amplitude,
+phase and frequency dependence, in one unit, so cans and boxes can share a scene. Bodies that carry a tag are
+in `bodies`.
 
 Amplitudes are scattering lengths b in metres, E_scattered = b exp(-jkR) / R for a unit incident field; the
 radar cross-section is 4 pi |b|^2. Bodies give points (`scattering.Body`): a response that depends on
@@ -19,15 +20,10 @@ from numpy.typing import NDArray
 from tagid.constants import SPEED_OF_LIGHT
 from tagid.errors import DataError
 from tagid.simulate.scattering import Floats, Returns
-
-BAND_HZ = (1.8e9, 6.2e9)
-"""Frequencies over which the point models hold: the P440's pulse is 40 dB down at 2.2 and 5.7 GHz."""
-
-_TAP_M = 0.016
-"""Spacing of the points that carry a cylinder's response: half of c / (2 x 4.4 GHz)."""
+from tagid.simulate.taps import BAND_HZ, fit_taps, tap_offsets
 
 _DIFFERENCE_M = 1e-3
-"""Half distance of the point pair that carries the factor jk of physical optics; sin(2 k d) errs by 1 % at
+"""Half distance of the point pair that carries the factor jk of physical optics; sin(2 k d) is off by 1 % at
 6 GHz."""
 
 
@@ -60,7 +56,7 @@ def cylinder_series(ka: Floats, polarisation: str = "TM") -> NDArray[np.complex1
 
 @dataclass(frozen=True)
 class ConductingCylinder:
-    """An upright conducting cylinder, such as a can: the exact series, creeping waves included.
+    """An upright conducting cylinder, such as a can, by the exact series, which includes creeping waves.
 
     Scattering length of a length h at broadside: b = j h S(ka) / pi (a slice of the infinite cylinder's
     current, valid beyond 2 h^2 / lambda: 0.4 m for a can of 12 cm).
@@ -98,20 +94,11 @@ class ConductingCylinder:
 
 @lru_cache(maxsize=64)
 def _taps(cylinder: ConductingCylinder) -> tuple[Floats, NDArray[np.complex128]]:
-    """Offsets behind the axis (n,), m, and amplitudes (n,): b(f) ~ sum_i a_i exp(-2jk offset_i) in the band.
-
-    Least squares with a little ridge, as the points stand closer than the band resolves.
-    """
+    """Offsets behind the axis (n,), m, and amplitudes (n,)."""
     a = cylinder.radius_m
-    # From before the specular point to behind the wave that creeps round the back.
-    offset = np.arange(-a - 0.1, np.pi / 2 * a + 0.2, _TAP_M)
-    frequency = np.linspace(*BAND_HZ, 8 * len(offset))
-    k = 2 * np.pi * frequency / SPEED_OF_LIGHT
-    model = np.exp(-2j * np.outer(k, offset))
-    ridge = 1e-6 * len(k)
-    right = model.conj().T @ cylinder.scattering_length(frequency)
-    amplitude = np.linalg.solve(model.conj().T @ model + ridge * np.eye(len(offset)), right)
-    return offset, np.asarray(amplitude, dtype=np.complex128)
+    # From in front of the specular point to behind the wave that creeps round the back.
+    offset = tap_offsets(-a - 0.1, np.pi / 2 * a + 0.2)
+    return offset, fit_taps(cylinder.scattering_length, offset)
 
 
 @dataclass(frozen=True)
@@ -120,14 +107,14 @@ class Plate:
 
     b = -(jk / 2 pi) Gamma integral cos(theta) exp(-2jk (R' - R)) dS, over Gauss points with their own
     distances; at normal incidence and far away |b| = width height / lambda. Edge diffraction and
-    what bounces between plates are left out.
+    reflection between plates are left out.
 
     Attributes:
         width_m, height_m: m; the height is centred on z = 0.
         centre_m: (x, y), m.
         normal_rad: direction of the normal seen from above, rad.
         reflectivity: Gamma against a conductor's 1: 1 for metal, less for a thin dielectric sheet.
-        both_sides: seen from behind too (a sheet that lets the wave through), or only from the front.
+        both_sides: visible from behind too (a sheet that lets the wave through), or only from the front.
     """
 
     width_m: float
@@ -172,7 +159,7 @@ def _gauss(length: float, count: int) -> tuple[Floats, Floats]:
 def metal_box(
     side_m: float, height_m: float, centre_m: tuple[float, float] = (0.0, 0.0), rotation_rad: float = 0.0
 ) -> tuple[Plate, ...]:
-    """Four conducting plates, normals outwards: a square box, closed, so that only lit sides return."""
+    """A closed square box: four conducting plates with outward normals, of which only the lit ones return."""
     return _walls(side_m, height_m, centre_m, rotation_rad, 1.0, False)
 
 
@@ -183,7 +170,7 @@ def cardboard_box(
     permittivity: float = 1.7,
     rotation_rad: float = 0.0,
 ) -> tuple[Plate, ...]:
-    """Four thin dielectric sheets about the origin, seen from both sides; the wave passes them unchanged.
+    """Four thin dielectric sheets about the origin, visible from both sides; the wave passes them unchanged.
 
     A sheet much thinner than the wavelength reflects |Gamma| = k t (eps - 1) / 2 at normal incidence (first
     order in t; 0.12 for 4 mm of corrugated board of permittivity 1.7), 90 degrees behind a conductor.

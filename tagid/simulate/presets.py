@@ -1,18 +1,22 @@
 """Scenes by name, for the command line, the emulator and the tests.
 
 Each is drawn from a seed, so that "helmet-120?seed=1" means the same reflectors, shell and room everywhere.
+Shells and handles belong to the object: they are placed off the axis with its reflectors.
 """
 
 from __future__ import annotations
 
 import re
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tagid.errors import UsageError
+from tagid.errors import DataError, UsageError
+from tagid.simulate.objects import Variation, object_scene
 from tagid.simulate.scattering import Box, Cylinder, Points
 from tagid.simulate.scene import Scene, StaticReturns
+from tagid.simulate.specification import BodySpec, ReflectorSpec
 
 CAN_RADIUS_M = 0.033
 """A 330 ml drink can is 66 mm wide."""
@@ -34,7 +38,7 @@ def room_clutter(rng: np.random.Generator, returns: int = 8) -> StaticReturns:
 def tag_points(positions: NDArray[np.floating], rng: np.random.Generator) -> Points:
     """A tag's reflectors: amplitudes within 10 % of one another, facing away from the axis.
 
-    A reflector less than 1 cm from the axis has no outer side and is alike to every side.
+    A reflector less than 1 cm from the axis has no outer side and is isotropic.
     """
     p = np.asarray(positions, dtype=np.float64)
     facing = np.where(np.linalg.norm(p, axis=1) < 0.01, np.nan, np.arctan2(p[:, 1], p[:, 0]))
@@ -42,23 +46,24 @@ def tag_points(positions: NDArray[np.floating], rng: np.random.Generator) -> Poi
 
 
 def scene_from_layout(positions: NDArray[np.floating], name: str = "tag", seed: int = 0) -> Scene:
-    """A tagged object with its shell and its room.
+    """A tagged object with a simple round shell, in a room.
 
     Args:
         positions: (n, 2) reflectors in the object's plane, m.
         name: of the scene.
-        seed: of amplitudes and room.
+        seed: random seed of amplitudes and room.
     """
     rng = np.random.default_rng(seed)
     points = tag_points(positions, rng)
-    # The wall that carries the reflectors, a little inside them: 20 mm octahedra stand proud of it.
+    # The wall that carries the reflectors; octahedra of 20 mm stand off it.
     radius = max(0.02, float(np.linalg.norm(points.positions[:, :2], axis=1).max()) - 0.02)
     shell = Cylinder(radius, amplitude=0.5)
-    return Scene(name, (points,), (shell,), room_clutter(rng), description={"layout": name, "seed": seed})
+    about = {"layout": name, "seed": seed}
+    return Scene(name, (points, shell), room=room_clutter(rng), description=about)
 
 
 def random_points(count: int, rng: np.random.Generator, radius_m: float = 0.2) -> Points:
-    """Points of amplitude 0.6..1 in a disc, at least 4 cm apart where there is room for that."""
+    """Points of amplitude 0.6..1 in a disc, at least 4 cm apart where there is room."""
     chosen: list[NDArray[np.float64]] = []
     spacing = 0.04
     while len(chosen) < count:
@@ -67,12 +72,46 @@ def random_points(count: int, rng: np.random.Generator, radius_m: float = 0.2) -
         if all(np.linalg.norm(point - other) >= spacing for other in chosen):
             chosen.append(point)
         else:
-            spacing *= 0.995  # so that a full disc ends the search
+            spacing *= 0.995  # so that the search ends in a full disc
     return Points(np.array(chosen), rng.uniform(0.6, 1.0, count))
 
 
+def scene_on_body(
+    name: str, body: BodySpec, reflector: ReflectorSpec, seed: int = 0, strength_db: float = 0.0
+) -> Scene:
+    """A named tag on a physical body in a room.
+
+    Args:
+        name: a built-in layout, points-N, or untagged for the body alone.
+        body, reflector: see `specification`.
+        seed: random seed of room, direction of handle and seam, and strengths.
+        strength_db: standard deviation of the reflectors' strengths, dB.
+
+    Raises:
+        UsageError: the scene is unknown or holds no tag, or its reflectors do not fit on the body.
+    """
+    rng = np.random.default_rng(seed)
+    plain = scene_from_name(name, seed)
+    tagged = plain.tag is not None and plain.reference_amplitude is None and name != "corner"
+    if not tagged and name != "untagged":
+        raise UsageError(
+            f"scene {name!r} has no tag to put on a body",
+            "Use a layout, points-N or untagged (the body alone).",
+        )
+    positions = plain.tag.positions if tagged and plain.tag is not None else np.zeros((0, 3))
+    about: dict[str, Any] = {"layout": name, "seed": seed} if tagged else {"seed": seed}
+    room = room_clutter(rng)
+    change = Variation(float(rng.uniform(0, 2 * np.pi)), strength_db=strength_db)
+    try:
+        return object_scene(
+            name, positions, body, reflector, rng=rng, room=room, variation=change, about=about
+        )
+    except DataError as error:
+        raise UsageError(f"{name} does not fit on {body}: {error.message}", error.remedy) from None
+
+
 def preset_names() -> list[str]:
-    """Every name that `scene_from_name` takes; "points-N" stands for any number."""
+    """Every name that `scene_from_name` takes; N in "points-N" is any number."""
     from tagid.tags.layouts.layout import builtin_layouts
 
     return [*sorted(builtin_layouts()), *_PLAIN, "points-N"]
@@ -83,10 +122,10 @@ def scene_from_name(name: str, seed: int = 0) -> Scene:
 
     Args:
         name: see `preset_names`.
-        seed: of everything random in it.
+        seed: random seed.
 
     Raises:
-        UsageError: the name is none of them.
+        UsageError: the name is unknown.
     """
     rng = np.random.default_rng(seed)
     about = {"seed": seed}
@@ -97,20 +136,21 @@ def scene_from_name(name: str, seed: int = 0) -> Scene:
         return Scene(name, (random_points(count, rng),), description=about)
     if name == "can":
         can = Cylinder(CAN_RADIUS_M, 1.0, (0.05, 0.0), 0.12)
-        return Scene(name, (can,), (), room_clutter(rng), description=about)
+        return Scene(name, (can,), room=room_clutter(rng), description=about)
     if name == "box":
         box = Box(BOX_SIDE_M, BOX_SIDE_M, rotation_rad=float(rng.uniform(0, 2 * np.pi)))
-        return Scene(name, (box,), (), room_clutter(rng), description=about)
+        return Scene(name, (box,), room=room_clutter(rng), description=about)
     if name == "corner":
         # A reflector on the axis, ten times a tag's: what a calibration looks at, in the room of "empty".
-        return Scene(name, (Points(np.zeros((1, 2)), np.array([10.0])),), (), room_clutter(rng), None, about)
+        corner = Points(np.zeros((1, 2)), np.array([10.0]))
+        return Scene(name, (corner,), room=room_clutter(rng), description=about)
     if name == "empty":
-        return Scene(name, (), (), room_clutter(rng), reference_amplitude=1.0, description=about)
+        return Scene(name, room=room_clutter(rng), reference_amplitude=1.0, description=about)
     if name == "untagged":
         # A handle and a scratch: far weaker than a reflector, but they turn with the object.
         weak = Points(random_points(2, rng, 0.1).positions, rng.uniform(0.03, 0.1, 2))
-        shell = Cylinder(0.09, amplitude=0.5)
-        return Scene(name, (weak,), (shell,), room_clutter(rng), reference_amplitude=1.0, description=about)
+        parts = (weak, Cylinder(0.09, amplitude=0.5))
+        return Scene(name, parts, room=room_clutter(rng), reference_amplitude=1.0, description=about)
     from tagid.tags.layouts.layout import builtin_layouts
 
     layouts = builtin_layouts()

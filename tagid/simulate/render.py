@@ -1,6 +1,6 @@
-"""From reflecting points to RF samples: the sum of delayed pulses, computed only where a pulse reaches.
+"""From reflecting points to RF samples: the sum of delayed pulses, computed only where a pulse is not zero.
 
-Both the capture simulator and the emulator's source render here, so that they agree sample for sample.
+The capture simulator and the emulator's source both render here, so they agree sample for sample.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class PulseTable:
 
     @classmethod
     def of(cls, pulse: Pulse | None) -> PulseTable:
-        """Table of a pulse, or of the nominal one, scaled so that its envelope peaks at 1."""
+        """Table of a pulse (None: the nominal one), scaled so that its envelope peaks at 1."""
         chosen = nominal_pulse() if pulse is None else pulse
         oversampling = max(1, int(np.ceil(chosen.step / TABLE_STEP_S)))
         z = analytic_pulse(chosen, oversampling)
@@ -56,7 +56,7 @@ class PulseTable:
         scale = 2 / SPEED_OF_LIGHT / self.step
         stride = window.step_m * scale
         reach = int(np.ceil(len(self.samples) / stride)) + 1
-        # Position in the table of bin 0, then of the first bin at or after the table's begin.
+        # Table position of bin 0, then the first bin at or after the start of the table.
         at_zero = (window.start_m - distance_m) * scale + self.zero
         first = np.ceil(-at_zero / stride)
         keep = (amplitude != 0) & (first < bins) & (first + reach > 0)
@@ -83,7 +83,7 @@ def antennas(
 ) -> NDArray[np.float64]:
     """(views, 3) antenna positions in the frame of an object turned by angles, as `Aperture.turntable`.
 
-    The axis distance may differ from view to view, which an `Aperture` does not know.
+    Unlike in an `Aperture`, the axis distance may differ from view to view.
     """
     return np.stack(
         [axis_distance_m * np.cos(-angles), axis_distance_m * np.sin(-angles), np.full(angles.shape, height)],
@@ -92,10 +92,10 @@ def antennas(
 
 
 def _placed(antenna: NDArray[np.float64], placement: Placement) -> NDArray[np.float64]:
-    """The antenna in the frame of an object that stands turned by r and shifted by c: R(-r) (p - c)."""
+    """Antenna positions in the frame of an object turned by r, shifted by c and raised: R(-r) (p - c)."""
     x, y = antenna[:, 0] - placement.centre_m[0], antenna[:, 1] - placement.centre_m[1]
     c, s = np.cos(placement.rotation_rad), np.sin(placement.rotation_rad)
-    return np.stack([c * x + s * y, c * y - s * x, antenna[:, 2]], axis=1)
+    return np.stack([c * x + s * y, c * y - s * x, antenna[:, 2] - placement.height_m], axis=1)
 
 
 def _boresight_cosine(
@@ -118,8 +118,8 @@ def render_bodies(
 ) -> None:
     """Add the analytic echoes of placed bodies to out (views, bins), range law and beam pattern included.
 
-    The beam points at the rotation axis at height zero. Its two-way amplitude equals the one-way power
-    pattern 2^-(2 theta / width)^2, half at half of the -3 dB width.
+    The beam points at the rotation axis at height zero of the room. Its two-way amplitude equals the one-way
+    power pattern 2^-(2 theta / width)^2, half at half of the -3 dB width.
     """
     local = _placed(antenna, placement)
     axis = _placed(np.zeros((1, 3)), placement)
@@ -136,7 +136,7 @@ def render_bodies(
 
 
 def render_room(scene: Scene, window: RangeWindow, table: PulseTable) -> NDArray[np.complex128]:
-    """(bins,) analytic echoes of what stands still."""
+    """(bins,) analytic echoes of the room."""
     out = np.zeros((1, window.bins), dtype=np.complex128)
     if scene.room is not None:
         table.add(out, window, scene.room.ranges_m[None], scene.room.amplitudes[None].astype(np.complex128))

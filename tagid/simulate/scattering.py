@@ -1,11 +1,12 @@
-"""Reflecting bodies and where, and how strongly, each of them sends the radar's pulse back.
+"""Simple reflecting bodies: points, cylinders and boxes whose amplitudes are given as numbers.
 
-Every body answers one question (given antenna positions, which points reflect with which amplitude), so that
-scenes mix points, cans and boxes freely and the renderer knows only points.
+Every body answers one question: which points reflect with which amplitude, given antenna positions. So scenes
+mix bodies freely, and the renderer knows only points. Physical bodies are in `bodies` and `electromagnetic`.
 """
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -44,17 +45,17 @@ def _wrapped(angle: Floats) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class Points:
-    """Point reflectors, all alike to every side or each with a side to which it is brightest.
+    """Point reflectors, isotropic or each with a brightest side.
 
     With a facing, the amplitude falls with the angle psi between facing and antenna, both seen from above, as
-    floor + (1 - floor) 2^-(2 psi / width)^2: half way down at half the width, floor on the far side.
+    floor + (1 - floor) 2^-(2 psi / width)^2: halfway down at half the width, floor on the far side.
 
     Attributes:
         positions: (n, 2) or (n, 3), m.
         amplitudes: (n,) real or complex.
-        facing_rad: (n,) direction of the brightest side, rad; None or NaN for alike to every side.
+        facing_rad: (n,) direction of the brightest side, rad; None or NaN for isotropic.
         aspect_width_rad: full width of the bright side, rad.
-        aspect_floor: 0..1, what is left on the far side.
+        aspect_floor: 0..1, relative amplitude on the far side.
     """
 
     positions: NDArray[np.floating]
@@ -79,6 +80,16 @@ class Points:
         object.__setattr__(self, "positions", p)
         object.__setattr__(self, "amplitudes", a)
 
+    def single(self, index: int) -> Points:
+        """One of the points, of whatever class the points are."""
+        one = copy(self)
+        part = slice(index, index + 1)
+        object.__setattr__(one, "positions", self.positions[part])
+        object.__setattr__(one, "amplitudes", self.amplitudes[part])
+        if self.facing_rad is not None:
+            object.__setattr__(one, "facing_rad", self.facing_rad[part])
+        return one
+
     def returns(self, antennas: Floats) -> Returns:
         """All points in every view; aspect changes the amplitude only."""
         views, n = len(antennas), len(self.positions)
@@ -96,14 +107,14 @@ class Points:
 
 @dataclass(frozen=True, eq=False)
 class DoubleBounce:
-    """The interaction of two near reflectors: radar to one, across to the other, and back, both ways at once.
+    """The interaction of two close reflectors: from the radar to one, to the other, and back, in both orders.
 
     The path is |a - p| + |p - q| + |q - a|, so the image shows a ring of radius |p - q| / 2 about their
-    middle; reported for reflectors about a wavelength apart.
+    midpoint; reported for reflectors about a wavelength apart.
 
     Attributes:
         positions: (2, 3), m.
-        amplitude: of both ways together.
+        amplitude: of both orders together.
     """
 
     positions: NDArray[np.float64]
@@ -114,7 +125,7 @@ class DoubleBounce:
             raise DataError("a double bounce needs two points (2, 3), finite")
 
     def returns(self, antennas: Floats) -> Returns:
-        """One point a view, as far away as half the path is long, in the direction of the middle."""
+        """One point per view, at half the path length in the direction of the midpoint."""
         p, q = self.positions
         path = np.linalg.norm(antennas - p, axis=1) + np.linalg.norm(antennas - q, axis=1)
         distance = (path + np.linalg.norm(p - q)) / 2
@@ -126,16 +137,15 @@ class DoubleBounce:
 
 @dataclass(frozen=True)
 class Cylinder:
-    """An upright metal cylinder: a specular return from its nearest surface point, alike from every side.
+    """An upright cylinder as a single specular return of constant amplitude from its nearest surface point.
 
-    Creeping waves round the back are left out. A shell symmetric about the rotation axis is a cylinder with
-    its centre at the origin.
+    Creeping waves and back walls are left out; `bodies.RoundBody` has them.
 
     Attributes:
         radius_m: m.
         amplitude: of the specular return.
         centre_m: (x, y) of its axis, m.
-        height_m: full height, m; seen from above it, the rim returns.
+        height_m: full height, m; from above, the rim returns.
     """
 
     radius_m: float
@@ -148,7 +158,7 @@ class Cylinder:
             raise DataError(f"cylinder of radius {self.radius_m} m and height {self.height_m} m")
 
     def returns(self, antennas: Floats) -> Returns:
-        """One point a view: on the line from the cylinder's axis to the antenna, at the antenna's height."""
+        """One point per view, on the line from the cylinder's axis to the antenna, at its height."""
         offset = antennas[:, :2] - np.asarray(self.centre_m)
         direction = offset / np.maximum(np.linalg.norm(offset, axis=1, keepdims=True), 1e-12)
         xy = np.asarray(self.centre_m) + self.radius_m * direction
@@ -161,9 +171,9 @@ class Cylinder:
 class Box:
     """An upright metal box: a flash from a face seen head-on, and weak returns from its four edges.
 
-    A face returns from its point nearest the antenna, with amplitude falling as a Gaussian of the angle
-    between the face's normal and the line of sight from there; that angle is zero as long as the foot of the
-    perpendicular lies on the face. A vertical edge is seen where one of its two faces is.
+    A face returns from its point nearest the antenna. The amplitude falls as a Gaussian of the angle between
+    the face's normal and the line of sight from that point, which is zero while the foot of the perpendicular
+    lies on the face. A vertical edge is visible where one of its two faces is.
 
     Attributes:
         width_m, depth_m: sides along x and y before it is turned, m.
@@ -186,7 +196,7 @@ class Box:
             raise DataError(f"box of {self.width_m} x {self.depth_m} m, flash {self.flash_width_rad} rad")
 
     def returns(self, antennas: Floats) -> Returns:
-        """Eight points a view: four faces, then four edges; those not seen have amplitude zero."""
+        """Eight points per view: four faces, then four edges; hidden ones have amplitude zero."""
         c, s = np.cos(self.rotation_rad), np.sin(self.rotation_rad)
         to_world = np.array([[c, -s], [s, c]])
         a = (antennas[:, :2] - np.asarray(self.centre_m)) @ to_world

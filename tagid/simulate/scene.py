@@ -1,28 +1,28 @@
-"""What stands in front of the radar, sorted by how it moves: the object, the turntable's own parts, the room.
+"""What stands in front of the radar: an object that turns, and a room that stands still.
 
-The sorting is what the imaging must cope with: only the object is placed off-centre and turned, what is
-symmetric about the axis or stands in the room gives the same echo in every view.
+Everything that belongs to the object (reflectors, body, handle, rim, seam, contents) is placed with it, so an
+object off the rotation axis takes its body along.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tagid.errors import DataError
-from tagid.simulate.scattering import Body, Points
+from tagid.simulate.scattering import Body, Points, Returns
 
 
 @dataclass(frozen=True, eq=False)
 class StaticReturns:
-    """Echoes that no turn changes: walls, the table's foot, the leakage from antenna to antenna.
+    """Echoes that do not change as the object turns: walls, the table's foot, antenna leakage.
 
     Attributes:
         ranges_m: (n,) one-way range, m.
-        amplitudes: (n,) as received (spreading and beam already in it); 1 is a unit reflector at the axis.
+        amplitudes: (n,) as received (spreading and beam included); 1 is a unit reflector on the axis.
     """
 
     ranges_m: NDArray[np.float64]
@@ -35,26 +35,48 @@ class StaticReturns:
             raise DataError("static returns are not finite")
 
 
+@runtime_checkable
+class Tag(Protocol):
+    """The reflectors of an object: a body that knows each of them."""
+
+    @property
+    def positions(self) -> NDArray[np.float64]:
+        """(n, 3) m, in the object's frame."""
+        ...
+
+    @property
+    def amplitudes(self) -> NDArray[np.complex128]:
+        """(n,) relative strengths."""
+        ...
+
+    def single(self, index: int) -> Body:
+        """One reflector alone."""
+        ...
+
+    def returns(self, antennas: NDArray[np.float64]) -> Returns:
+        """As `scattering.Body`."""
+        ...
+
+
 @dataclass(frozen=True, eq=False)
 class Scene:
     """A frozen scene.
 
     Attributes:
         name: for people and for the capture's object field.
-        object: bodies that turn and are placed with an offset and a rotation.
-        turntable: bodies that turn about the axis but are never off-centre (a shell around the axis).
+        object: bodies that turn with the object and are placed with its offset and rotation. The first one
+            that is a `Tag` holds the reflectors.
         room: echoes that stand still, or None.
-        reference_amplitude: peak that an SNR refers to, where it is not the strongest turning echo of the
-            object itself (an untagged object, an empty table).
+        reference_amplitude: peak that an SNR refers to in a scene without reflectors (an untagged object, an
+            empty table); None refers to the object's own peak.
         description: plain JSON values that go into the capture's object field.
     """
 
     name: str
     object: tuple[Body, ...] = ()
-    turntable: tuple[Body, ...] = ()
-    room: StaticReturns | None = None
-    reference_amplitude: float | None = None
-    description: dict[str, Any] = field(default_factory=dict)
+    room: StaticReturns | None = field(default=None, kw_only=True)
+    reference_amplitude: float | None = field(default=None, kw_only=True)
+    description: dict[str, Any] = field(default_factory=dict, kw_only=True)
 
     @classmethod
     def of_points(
@@ -68,6 +90,11 @@ class Scene:
         return cls(name, (Points(positions, a),))
 
     @property
+    def tag(self) -> Tag | None:
+        """The object's reflectors, where the scene has any."""
+        return next((body for body in self.object if isinstance(body, Tag)), None)
+
+    @property
     def points(self) -> Points | None:
-        """The object's first set of points: a tag's reflectors, where the scene has one."""
+        """The object's first set of points."""
         return next((body for body in self.object if isinstance(body, Points)), None)

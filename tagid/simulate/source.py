@@ -1,7 +1,7 @@
 """A turning scene as the radar emulator asks for it: one scan at a time, at the time of the scan.
 
-It renders with the capture simulator's own functions, so that a scan over the wire and a simulated capture of
-the same moment hold the same echo.
+It renders with the capture simulator's functions, so a scan over the wire and a simulated capture of the same
+moment hold the same echo.
 """
 
 from __future__ import annotations
@@ -15,21 +15,25 @@ from numpy.typing import NDArray
 
 from tagid.constants import CLIP_COUNTS_PER_INTEGRATION, SPEED_OF_LIGHT
 from tagid.errors import UsageError
-from tagid.simulate.acquisition import Acquisition, Placement, RangeWindow, Turn
+from tagid.simulate.acquisition import Acquisition, RangeWindow, Turn
+from tagid.simulate.noise import draw_noise
 from tagid.simulate.render import PulseTable, antennas, render_bodies, render_room
 from tagid.simulate.scene import Scene
+from tagid.simulate.snr import Snr, echo_levels, noise_std_for
 
 NOISE_COUNTS = 120.0
 """Noise std of one sample at integration index 11, counts (recordings: 90 to 160)."""
 NOISE_INDEX = 11
+_LEVEL_VIEWS = 72
+"""Views of a turn over which the peaks that the SNR refers to are taken."""
 
 
 class ScanConfig(Protocol):
-    """What a source needs of the radar's configuration."""
+    """What a source needs from the radar's configuration."""
 
     @property
     def samples(self) -> int:
-        """Samples a scan."""
+        """Samples per scan."""
         ...
 
     @property
@@ -39,25 +43,28 @@ class ScanConfig(Protocol):
 
     @property
     def base_integration_index(self) -> int:
-        """Integration index: 2^index pulses a sample."""
+        """Integration index: 2^index pulses per sample."""
         ...
 
 
 class TurningScene:
-    """A scene on a turntable that turns evenly (but for its wobble) from time zero on.
+    """A scene on a turntable that turns evenly (except for its wobble) from time zero on.
 
     Echoes grow with the number of pulses integrated, 2^index, and noise with its square root; samples
     saturate at 127 * 2^index (P440 MRM API; measured on recordings).
 
     Args:
         scene: what turns.
-        rpm: turns a minute; 0 stands still.
-        seed: of the wobble and of the noise; scan `index` has the same noise whenever it is asked for.
-        acquisition: axis distance, height, pulse, placement, wobble, beam, range law, direction. Its window,
-            period, turns and recording are not used: the radar's configuration and rpm say those. Its snr_db
-            (20 where it says nothing) is what a unit reflector at the axis has at integration index 11.
-        cable_delay_s: two-way delay that the radar sees on top of the way through the air, s.
-        true_angle: what turns the scene instead of rpm: the angle in rad at a moment of time.monotonic().
+        rpm: turns per minute; 0 stands still.
+        seed: random seed of wobble and noise; scan `index` has the same noise whenever it is requested.
+        acquisition: axis distance, height, pulse, placement, wobble, noise, beam, range law, direction. Its
+            window, period, turns and recording are not used: the radar's configuration and rpm replace them.
+            Its snr_db (20 by default) holds at integration index 11 and refers to what `snr` defines.
+        cable_delay_s: two-way delay that the radar sees on top of the path through the air, s.
+        true_angle: turns the scene instead of rpm: the angle in rad at a moment of time.monotonic().
+
+    Attributes:
+        snr: both SNRs at integration index 11.
     """
 
     def __init__(
@@ -70,19 +77,25 @@ class TurningScene:
         true_angle: Callable[[float], float] | None = None,
     ) -> None:
         if not (np.isfinite(rpm) and 0 <= rpm <= 1000):
-            raise UsageError(f"the emulated table turns at {rpm} rpm", "Give 0 to 1000 turns a minute.")
+            raise UsageError(f"the emulated table turns at {rpm} rpm", "Give 0 to 1000 turns per minute.")
         acq = Acquisition() if acquisition is None else acquisition
         self.scene, self.rpm, self.seed, self.cable_delay_s = scene, rpm, seed, cable_delay_s
         self._acquisition = acq
         self._table = PulseTable.of(acq.pulse)
         self._turn = Turn.random(acq.wobble, acq.direction, np.random.default_rng(seed))
-        self._snr = 10 ** ((20.0 if acq.snr_db is None else acq.snr_db) / 20)
+        every = self._turn.angles(np.arange(_LEVEL_VIEWS) / _LEVEL_VIEWS)
+        antenna = antennas(every, np.full(_LEVEL_VIEWS, acq.axis_distance_m), acq.antenna_height_m)
+        around = replace(acq, window=RangeWindow.around(acq.axis_distance_m))
+        levels = echo_levels(scene, around, antenna, self._table)
+        snr_db = 20.0 if acq.snr_db is None else acq.snr_db
+        self._noise = noise_std_for(snr_db, levels.of(acq.snr_reference))
+        self.snr = Snr.of(levels, self._noise)
         self._true_angle = true_angle
         self._monotonic: Callable[[float], float] | None = None
         self._room: tuple[RangeWindow, NDArray[np.complex128]] | None = None
 
     def follow(self, monotonic: Callable[[float], float]) -> None:
-        """Learn from the emulator what moment of time.monotonic() a time since the start is."""
+        """Take from the emulator which moment of time.monotonic() a time since the start is."""
         self._monotonic = monotonic
 
     def _turns(self, time_s: float) -> float:
@@ -93,7 +106,7 @@ class TurningScene:
             raise UsageError(
                 "a scene that another device turns needs an emulated radar in real time", "Give rate=1."
             )
-        # The turn's direction is in the angle already.
+        # The angle includes the direction of rotation.
         angle = self._true_angle(self._monotonic(time_s))
         return self._turn.direction * angle / (2 * np.pi)
 
@@ -102,13 +115,13 @@ class TurningScene:
         return float(self._turn.angles(np.array([self._turns(time_s)]))[0])
 
     def window(self, config: ScanConfig) -> RangeWindow:
-        """The range bins of a configuration, cable delay taken off."""
+        """The range bins of a configuration, without the cable delay."""
         start_s = config.scan_start_ps * 1e-12 - self.cable_delay_s
         return RangeWindow(start_s * SPEED_OF_LIGHT / 2, config.samples)
 
     def counts_per_unit(self, config: ScanConfig) -> float:
-        """Counts of a unit reflector at the axis."""
-        return float(NOISE_COUNTS * self._snr * 2.0 ** (config.base_integration_index - NOISE_INDEX))
+        """Counts of a unit reflector on the axis."""
+        return float(NOISE_COUNTS / self._noise * 2.0 ** (config.base_integration_index - NOISE_INDEX))
 
     def clean(self, time_s: float, config: ScanConfig) -> NDArray[np.float64]:
         """(samples,) noise-free scan, counts, neither rounded nor clipped."""
@@ -121,15 +134,14 @@ class TurningScene:
         antenna = antennas(self._turn.angles(turns), distance, acq.antenna_height_m)
         out = self._room[1][None].copy()
         render_bodies(self.scene.object, acq.placement, antenna, acq, self._table, out)
-        render_bodies(self.scene.turntable, Placement(), antenna, acq, self._table, out)
         return np.asarray(out[0].real * self.counts_per_unit(config), dtype=np.float64)
 
     def scan(self, index: int, time_s: float, config: ScanConfig) -> NDArray[np.int32]:
         """One scan as the radar would send it.
 
         Args:
-            index: number of the scan, which picks its noise.
-            time_s: since the table began to turn, s.
+            index: number of the scan, which seeds its noise.
+            time_s: since the table started to turn, s.
             config: the radar's configuration.
 
         Returns:
@@ -137,6 +149,7 @@ class TurningScene:
         """
         rng = np.random.default_rng([self.seed & 0xFFFFFFFF, index & 0xFFFFFFFF])
         noise = NOISE_COUNTS * 2.0 ** ((config.base_integration_index - NOISE_INDEX) / 2)
-        counts = self.clean(time_s, config) + noise * rng.standard_normal(config.samples)
+        shape, ranges = self._acquisition.noise, self.window(config).ranges_m
+        counts = self.clean(time_s, config) + noise * draw_noise(shape, ranges, 1, rng)[0]
         clip = CLIP_COUNTS_PER_INTEGRATION * 2**config.base_integration_index
         return np.asarray(np.clip(np.rint(counts), -clip, clip), dtype=np.int32)

@@ -164,7 +164,7 @@ def others(runner: Runner, arguments: argparse.Namespace) -> None:
             (f"{v} | {s}", runner.run(Condition(group, "paper", v, s), arguments.scenes)) for v, s in HARD
         ]
         table("views | SNR dB", rows, OUTCOMES[1:])
-    print("SNR as `tagid simulate --snr` means it: at the peak of the summed echo, up to 6 dB less each\n")
+    print("SNR of the summed echo (`tagid simulate --snr-of summed`): up to 6 dB less per reflector\n")
     rows = []
     for views, snr in HARD:
         condition = Condition("tagged", "paper", views, snr, "SNR of the summed echo")

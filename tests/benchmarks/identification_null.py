@@ -80,7 +80,7 @@ def scene_of(group: str, rng: np.random.Generator, seed: int) -> tuple[Scene, st
     if group == "box":
         width, depth = rng.uniform(0.06, 0.25, 2)
         box = Box(width, depth, rng.uniform(0.5, 3.0), rng.uniform(0.1, 0.8), rng.uniform(0.03, 0.2))
-        return Scene("box", (replace(box, rotation_rad=rng.uniform(0, 6.28)),), (), room_clutter(rng)), "box"
+        return Scene("box", (replace(box, rotation_rad=rng.uniform(0, 6.28)),), room=room_clutter(rng)), "box"
     if group == "tagged":
         layout = list(builtin_layouts().values())[seed % 4]
         points, name = layout.positions, layout.name

@@ -1,6 +1,6 @@
 """Scenes of the identification benchmark: what stands on the table, and how it is recorded.
 
-Seeds begin at 50 000 000, which no training draws; SNR is that of one sample of the strongest echo.
+Seeds begin at 50 000 000, which no training draws; SNR is per reflector (`tagid.simulate.snr`).
 """
 
 from __future__ import annotations
@@ -217,12 +217,9 @@ def record_scene(scene: Scene, name: str, condition: Condition, number: int) -> 
     """The recording of a scene under a condition, with everything random drawn from a number."""
     rng = np.random.default_rng([FIRST_SEED + number, 1])
     radius, turn = 0.01 * np.sqrt(rng.uniform()), rng.uniform(0, 2 * np.pi)
-    strongest = scene.reference_amplitude or (3.0 if name == "box" else 1.0)
-    if scene.points is not None and scene.reference_amplitude is None:
-        strongest = float(np.abs(scene.points.amplitudes).max())
     acquisition = Acquisition(
         views=condition.views,
-        noise_std=strongest * 10 ** (-condition.snr_db / 20),
+        snr_db=float(condition.snr_db),
         placement=Placement((radius * np.cos(turn), radius * np.sin(turn)), rng.uniform(0, 2 * np.pi)),
         wobble=Wobble(speed=0.01),
         axis_distance_error_m=rng.uniform(-0.015, 0.015),
@@ -232,8 +229,7 @@ def record_scene(scene: Scene, name: str, condition: Condition, number: int) -> 
     elif condition.twist in SCENE_TWISTS:
         scene = SCENE_TWISTS[condition.twist](scene, rng)
     elif condition.twist == "SNR of the summed echo":
-        # As `tagid simulate --snr` means it: the peak where the echoes of several reflectors add up.
-        acquisition = replace(acquisition, noise_std=None, snr_db=float(condition.snr_db))
+        acquisition = replace(acquisition, snr_reference="summed")
     capture, truth = simulate_capture(scene, acquisition, FIRST_SEED + number)
     scans = preprocess(capture, None, PreprocessSettings(matched_filter=False, extent_m=0.3))
     return Recorded(capture, scans, name, truth.positions_m, -acquisition.axis_distance_error_m)

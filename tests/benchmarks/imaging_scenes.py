@@ -280,6 +280,7 @@ def wobbling_problem(views: int, error_m: float, wobble: float, seed: int) -> tu
         axis_distance_m=AXIS_DISTANCE_M,
         axis_distance_error_m=error_m,
         snr_db=20.0,
+        snr_reference="summed",
         wobble=Wobble(speed=wobble),
     )
     capture, truth = record_scene(Scene.of_points(points), acquisition, seed=seed)
@@ -295,7 +296,7 @@ def wobbling_problem(views: int, error_m: float, wobble: float, seed: int) -> tu
 def field_problem(layout: str, seed: int) -> Problem:
     """A tag on its object in a room with clutter, 15 dB SNR, 360 views, the mean over angle taken off."""
     scene = scene_from_name(layout)
-    acquisition = Acquisition(views=360, axis_distance_m=AXIS_DISTANCE_M, snr_db=15.0)
+    acquisition = Acquisition(views=360, axis_distance_m=AXIS_DISTANCE_M, snr_db=15.0, snr_reference="summed")
     capture, truth = record_scene(scene, acquisition, seed=FIRST_SEED + seed)
     grid = ImageGrid(0.4, 96)
     points = truth.positions_m[:, :2]

@@ -215,7 +215,11 @@ def try_pulses(cell: PulseCell) -> PulseFound:
     points = np.random.default_rng([FIRST_SEED + cell.seed, 99]).uniform(-0.2, 0.2, (3, 2))
     pulse = pulse_of(cell.kind, cell.seed)
     acquisition = Acquisition(
-        views=cell.views, axis_distance_m=AXIS_DISTANCE_M, snr_db=cell.snr_db, pulse=pulse
+        views=cell.views,
+        axis_distance_m=AXIS_DISTANCE_M,
+        snr_db=cell.snr_db,
+        snr_reference="summed",
+        pulse=pulse,
     )
     capture, _ = record_scene(Scene.of_points(points), acquisition, seed=cell.seed)
     estimate = estimate_pulse(capture, GRID, "none")

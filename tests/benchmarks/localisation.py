@@ -38,7 +38,7 @@ RADIUS_M = 0.18
 
 
 def with_own_echoes(scene: Scene, rng: np.random.Generator) -> Scene:
-    """The scene with a shell up to 6 mm off the axis, a handle and a rim in place of the shell on the axis.
+    """The scene with a shell up to 6 mm off the tag's middle, a handle and a rim in place of its own shell.
 
     The handle is a point of 0.1 to 0.5 of a reflector 20 to 40 mm outside the shell, the rim an arc of 20 to
     60 degrees of points of 0.03 to 0.15 each on it.
@@ -51,7 +51,8 @@ def with_own_echoes(scene: Scene, rng: np.random.Generator) -> Scene:
     handle = Points(np.array([[out * np.cos(at), out * np.sin(at)]]), np.array([rng.uniform(0.1, 0.5)]))
     arc = rng.uniform(0, 2 * np.pi) + np.linspace(0, np.deg2rad(rng.uniform(20, 60)), 7)
     rim = Points(radius * np.stack([np.cos(arc), np.sin(arc)], axis=-1), np.full(7, rng.uniform(0.03, 0.15)))
-    return replace(scene, object=(*scene.object, shell, handle, rim), turntable=())
+    kept = tuple(body for body in scene.object if not isinstance(body, Cylinder))
+    return replace(scene, object=(*kept, shell, handle, rim))
 
 
 def errors(task: tuple[str, bool, int, int, int, int]) -> tuple[np.ndarray, np.ndarray]:

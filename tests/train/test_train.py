@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from tagid.errors import StorageError, UsageError
 from tagid.models_store import open_model
 from tagid.tags.network.detector import CELL_M, CELLS, MODEL, Contract, Detector
 from train.dataset import MOST_REFLECTORS, Plan, Samples, build, load, make_shard
-from train.distributions import Distribution
+from train.distributions import Distribution, ObjectDistribution
 from train.evaluate import Figures, score
 from train.export import export
 from train.fit import FitSettings, fit
@@ -32,7 +33,10 @@ def test_a_seed_is_a_scene() -> None:
     assert not np.array_equal(first.reflectors_m, other.reflectors_m)
 
 
-def test_images_are_bright_where_the_truth_says(few: Samples) -> None:
+def test_images_are_bright_where_the_truth_says() -> None:
+    """Of simple objects: a metal body off the axis outshines its tag in the image."""
+    simple = replace(Distribution(), object=ObjectDistribution(physical=0.0))
+    few = make_shard([(seed, "bp") for seed in range(16)], simple)
     hits = total = 0
     for i in range(len(few)):
         if few.scene_snr_db[i] < 8:
@@ -44,6 +48,20 @@ def test_images_are_bright_where_the_truth_says(few: Samples) -> None:
             total += 1
     assert total > 8
     assert hits / total > 0.8
+
+
+def test_bodies_stand_in_the_middle_of_their_tags() -> None:
+    """All reflectors of a physical object lie equally far, to 2 mm each, from the middle of its body."""
+    cells = replace(Distribution(), object=ObjectDistribution(physical=1.0))
+    checked = 0
+    for seed in range(10):
+        scene = draw_scene(seed, cells)
+        if scene.ghosts and len(scene.reflectors_m) > 1:
+            away = np.linalg.norm(scene.reflectors_m - scene.ghosts[0].centre_m, axis=1)
+            assert np.ptp(away) <= 0.004
+            assert away.min() > scene.ghosts[0].radius_m - 0.002
+            checked += 1
+    assert checked > 3
 
 
 @pytest.mark.parametrize("which", range(8))

@@ -144,7 +144,7 @@ def test_cylinder_is_seen_at_its_near_surface_and_shell_is_constant() -> None:
     window = RangeWindow(capture.range_start_m, capture.bins)
     assert envelope_peak_m(capture.samples[0], window) == pytest.approx(1 - 0.05 - 0.033, abs=2e-4)
     assert envelope_peak_m(capture.samples[1], window) == pytest.approx(1 + 0.05 - 0.033, abs=2e-4)
-    shell, _ = simulate_capture(Scene("shell", (), (Cylinder(0.1),)), Acquisition(views=16))
+    shell, _ = simulate_capture(Scene("shell", (Cylinder(0.1),)), Acquisition(views=16))
     assert np.ptp(shell.samples, axis=0).max() < 1e-6
     assert np.abs(shell.samples).max() > 0.9
 
@@ -171,19 +171,19 @@ def test_box_edges_hide_behind_the_box() -> None:
 
 def test_room_is_constant_and_outside_echoes_are_dropped() -> None:
     room = StaticReturns(np.array([0.9, 50.0, -3.0]), np.array([2.0, 9.0, 9.0]))
-    capture, _ = simulate_capture(Scene("room", (), (), room), Acquisition(views=4))
+    capture, _ = simulate_capture(Scene("room", room=room), Acquisition(views=4))
     assert np.ptp(capture.samples, axis=0).max() == 0
     assert np.abs(capture.samples).max() == pytest.approx(2.0, rel=0.1)
 
 
 @pytest.mark.parametrize("snr_db", [0.0, 20.0])
-def test_snr_is_strongest_object_echo_over_noise_std(snr_db: float) -> None:
-    room = StaticReturns(np.array([1.4]), np.array([30.0]))  # must not count
-    scene = Scene("x", (Points(POINTS, np.array([1.0, 0.3])),), (), room)
+def test_snr_is_the_strongest_reflectors_peak_over_the_noise(snr_db: float) -> None:
+    room = StaticReturns(np.array([1.4]), np.array([30.0]))  # neither room nor body counts
+    scene = Scene("x", (Points(POINTS, np.array([1.0, 0.3])), Cylinder(0.05, 8.0)), room=room)
     capture, truth = simulate_capture(scene, Acquisition(views=90, snr_db=snr_db), seed=4)
     noise = capture.samples - truth.clean
-    assert truth.reference == pytest.approx(1.0, rel=0.35)
-    assert 20 * np.log10(truth.reference / noise.std()) == pytest.approx(snr_db, abs=0.15)
+    assert truth.levels.reflector == pytest.approx(1.0, rel=0.01)
+    assert 20 * np.log10(truth.levels.reflector / noise.std()) == pytest.approx(snr_db, abs=0.15)
     assert noise.std() == pytest.approx(truth.noise_std, rel=0.02)
 
 
@@ -320,6 +320,6 @@ def test_turning_scene_cable_delay_moves_the_echo_out() -> None:
 
 
 def test_turning_scene_saturates() -> None:
-    scene = Scene("x", (), (), StaticReturns(np.array([1.0]), np.array([1e4])))
+    scene = Scene("x", room=StaticReturns(np.array([1.0]), np.array([1e4])))
     low = SimpleNamespace(samples=288, scan_start_ps=3000, base_integration_index=6)
     assert np.abs(TurningScene(scene).scan(0, 0.0, low)).max() == 127 * 2**6

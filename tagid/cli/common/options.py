@@ -74,4 +74,19 @@ Preview = Annotated[bool, typer.Option("--preview", help="Draw the image in the 
 PngFile = Annotated[
     Path | None, typer.Option("--png", help="Write the image as a picture.", show_default=False)
 ]
-Seed = Annotated[int, typer.Option("--seed", help="Of everything random.")]
+Body = Annotated[
+    str | None,
+    typer.Option(
+        "--body",
+        help="What carries the tag: can:35mm, cup:40mm,handle, helmet, box:120mm or none.",
+        show_default=False,
+    ),
+]
+Reflector = Annotated[
+    str | None, typer.Option("--reflector", help="Its reflectors: octahedron:20mm.", show_default=False)
+]
+Elevation = Annotated[
+    str, typer.Option("--elevation", help="Tag above the stated plane, e.g. 50mm; not in the capture.")
+]
+ObjectCentre = Annotated[str, typer.Option("--centre", help="Object off the axis, X,Y in metres.")]
+Seed = Annotated[int, typer.Option("--seed", help="Random seed.")]

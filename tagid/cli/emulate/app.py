@@ -52,7 +52,13 @@ def register(app: typer.Typer) -> None:
             typer.Option("--turned-by", help="HOST:PORT of an emulated robot that turns it."),
         ] = None,
         axis_distance: Annotated[float, typer.Option("--axis-distance", help="Radar to axis, metres.")] = 1.0,
-        snr: Annotated[float, typer.Option("--snr", help="dB a sample of a reflector on the axis.")] = 20.0,
+        body: options.Body = None,
+        reflector: options.Reflector = None,
+        elevation: options.Elevation = "0m",
+        centre: options.ObjectCentre = "0,0",
+        snr: Annotated[
+            float, typer.Option("--snr", help="Strongest reflector's peak over noise of one sample, dB.")
+        ] = 20.0,
         cable_delay: Annotated[
             float, typer.Option("--cable-delay", help="Of the emulated cables, ps.")
         ] = 0.0,
@@ -91,7 +97,10 @@ def register(app: typer.Typer) -> None:
             wanted = {"seed": seed, "rpm": rpm, "axis_distance": axis_distance, "snr": snr}
             wanted["cable_delay"] = cable_delay
             given = {key: str(value) for key, value in wanted.items()}
-            source = emulated_scene(scene, given | ({"turned_by": turned_by} if turned_by else {}))
+            given |= {"centre": centre, "elevation": elevation}
+            chosen = {"body": body, "reflector": reflector, "turned_by": turned_by}
+            given |= {key: text for key, text in chosen.items() if text}
+            source = emulated_scene(scene, given)
         core = EmulatorCore(source, firmware=firmware)
         stop = threading.Event()
         with interrupts.asked_to_stop(stop.set):

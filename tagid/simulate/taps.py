@@ -1,0 +1,97 @@
+"""Responses that depend on frequency, as a few points along the line of sight whose delayed pulses add up.
+
+The renderer knows only reflecting points. A body or a small scatterer whose response b(f) is known over the
+pulse's band becomes a row of points (taps) with complex amplitudes, by least squares.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tagid.constants import SPEED_OF_LIGHT
+
+Floats = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+BAND_HZ = (1.8e9, 6.2e9)
+"""Frequencies over which the taps hold: the P440's pulse is 40 dB down at 2.2 and 5.7 GHz."""
+
+CENTRE_HZ = 4.0e9
+"""Frequency at which strengths are stated and narrow-band factors are evaluated: the middle of the P440's
+band, 3.1 to 4.8 GHz."""
+
+_STEP_M = 0.016
+"""Spacing of the taps: just under half of c / (2 x 4.4 GHz), the resolution of the band."""
+
+_RIDGE = 1e-6
+"""Taps stand closer than the band resolves; the ridge keeps their amplitudes finite."""
+
+
+def wavenumber(frequency_hz: Floats) -> Floats:
+    """k = 2 pi f / c, rad/m."""
+    return np.asarray(2 * np.pi / SPEED_OF_LIGHT * np.asarray(frequency_hz), dtype=np.float64)
+
+
+def tap_offsets(low_m: float, high_m: float) -> Floats:
+    """(T,) offsets behind the phase reference, m, that cover echoes from low_m to high_m."""
+    return np.arange(low_m, high_m + _STEP_M, _STEP_M)
+
+
+def fit_taps(response: Callable[[Floats], Complex], offset_m: Floats) -> Complex:
+    """Amplitudes whose sum a_i exp(-2jk offset_i) is nearest to a response over the band.
+
+    Args:
+        response: from frequencies (F,) in Hz to (F,) or (F, A) complex, phase reference at offset zero.
+        offset_m: (T,) one-way offsets behind the reference, m.
+
+    Returns:
+        (T,) or (T, A) complex128.
+    """
+    frequency = np.linspace(*BAND_HZ, 3 * len(offset_m))
+    model = np.exp(-2j * np.outer(wavenumber(frequency), offset_m))
+    normal = model.conj().T @ model + _RIDGE * len(frequency) * np.eye(len(offset_m))
+    return np.asarray(np.linalg.solve(normal, model.conj().T @ response(frequency)), dtype=np.complex128)
+
+
+@dataclass(frozen=True, eq=False)
+class AspectTaps:
+    """Taps that change with the direction of the antenna.
+
+    Attributes:
+        offset_m: (T,) one-way offsets behind the phase reference, m.
+        amplitude: (T, A + 1) complex128 at A + 1 equidistant angles over span_rad, both ends included.
+        span_rad: 2 pi, or pi for a response that is symmetric about angle zero.
+    """
+
+    offset_m: Floats
+    amplitude: Complex
+    span_rad: float
+
+    @classmethod
+    def fit(
+        cls, response: Callable[[Floats, Floats], Complex], reach_m: tuple[float, float], symmetric: bool
+    ) -> AspectTaps:
+        """Tabulate a response(frequency (F,), angle (A,)) -> (F, A) at every degree.
+
+        At one degree linear interpolation is off by less than 0.2 % for a phase that turns 8 rad per rad,
+        as it does for a scatterer 45 mm off the phase reference.
+        """
+        span = np.pi if symmetric else 2 * np.pi
+        angle = np.linspace(0, span, 181 if symmetric else 361)
+        offset = tap_offsets(*reach_m)
+        return cls(offset, fit_taps(lambda f: response(f, angle), offset), span)
+
+    def at(self, angle_rad: Floats) -> Complex:
+        """(views, T) amplitudes at antenna directions (views,), rad."""
+        turned = np.mod(angle_rad, 2 * np.pi)
+        if self.span_rad < 2 * np.pi:
+            turned = np.minimum(turned, 2 * np.pi - turned)
+        steps = self.amplitude.shape[1] - 1
+        position = turned / self.span_rad * steps
+        index = np.minimum(position.astype(np.intp), steps - 1)
+        low, high = self.amplitude[:, index], self.amplitude[:, index + 1]
+        return np.asarray((low + (position - index) * (high - low)).T, dtype=np.complex128)

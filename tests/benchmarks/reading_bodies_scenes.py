@@ -1,0 +1,313 @@
+"""Scenes of the benchmark on real bodies: tagged, foreign and untagged objects, from two sources of waves.
+
+"own" scenes come from `tagid.simulate`; "full-wave" scenes from the solved responses in `shared/fullwave`
+beside the checkout (or where TAGID_SHARED points), through that folder's own `scenes.py`. SNR is per
+reflector (`tagid.simulate.snr`) in both.
+
+Seeds come in two populations. "development" is for choosing constants. "sealed" is for reporting: nothing may
+be chosen on it, continuous integration does not run it, and SEALED_SHA256 shows that its seeds are unchanged.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+import os
+import zlib
+from dataclasses import asdict, dataclass
+from functools import lru_cache
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+from identification_scenes import SETS
+
+from tagid.capture import Capture, Pulse
+from tagid.simulate import (
+    Acquisition,
+    Interference,
+    NoiseShape,
+    Placement,
+    ReflectorSpec,
+    Wobble,
+    parse_body,
+    simulate_capture,
+)
+from tagid.simulate.objects import Variation, object_scene
+from tagid.simulate.presets import room_clutter
+from tagid.tags.layouts.codebook import rotational_distance
+from tagid.tags.layouts.layout import Layout
+
+SHARED = Path(os.environ.get("TAGID_SHARED", Path(__file__).resolve().parents[3] / "shared"))
+POPULATIONS = {"development": "reading-bodies/development/1", "sealed": "reading-bodies/sealed/1"}
+SEALED_SHA256 = "e36cbbdfc43a76241d73851e75f6b64cca0d653cc42d26e941d57e9a8441107d"
+"""SHA-256 of the first 10,000 sealed seeds in decimal, one per line."""
+
+BODIES = ("none", "cup", "cup-handle", "can", "helmet", "box")
+FULL_WAVE_BODIES = ("none", "can", "helmet")
+OFFSETS_MM = (0, 2, 6, 10)
+SNRS_DB = (20, 10, 5, 0)
+VIEWS = (72, 36, 18, 12)
+PULSES = ("nominal", "measured")
+GROUPS = ("tagged", "foreign", "untagged")
+APART_M = 0.012
+"""Nearer than this in RMS, a foreign tag counts as the enrolled one: enrolment calls them confusable."""
+
+FULL_WAVE = {
+    ("tagged", "none"): {
+        **{f"free{d}_c90": "container-90" for d in (20, 40)},
+        **{f"free{d}_c180": "container-180" for d in (20, 40)},
+        **{f"free{d}_h120": "helmet-120" for d in (20, 40)},
+        **{f"free{d}_lin": "helmet-linear" for d in (20, 40)},
+    },
+    ("tagged", "can"): {"can35_c90": "container-90", "can28_c180": "container-180"},
+    ("tagged", "helmet"): {"shell_h120_20": "helmet-120", "shell_h120_40": "helmet-120"},
+    ("foreign", "none"): {"free20_one": "", "free40_one": ""},
+    ("foreign", "can"): {"can35_one": "", "can28_one": "", "can35_c90": "-", "can28_c180": "-"},
+    ("foreign", "helmet"): {"shell_h120_20": "-", "shell_h120_40": "-"},
+    ("untagged", "can"): {"can35": "", "can28": "", "can35_handle": ""},
+    ("untagged", "helmet"): {"shell": ""},
+}
+"""(group, body) -> solved object and the layout that it carries. A foreign object marked "-" carries one of
+the set's layouts, which is left out of the registry for that scene."""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One cell of the grid.
+
+    Attributes:
+        world: "own" or "full-wave".
+        group: one of GROUPS.
+        enrolled: name of the set of enrolled layouts.
+        body: one of BODIES.
+        offset_mm: distance of the object from the rotation axis, in a random direction.
+        snr_db, views: of the recording.
+        pulse: one of PULSES; the capture states neither.
+    """
+
+    world: str
+    group: str
+    enrolled: str
+    body: str
+    offset_mm: int
+    snr_db: int
+    views: int
+    pulse: str
+
+
+@dataclass(frozen=True, eq=False)
+class Drawn:
+    """A recording, what is enrolled, and the right name; empty where no name is right."""
+
+    capture: Capture
+    layouts: tuple[Layout, ...]
+    name: str
+    what: str
+
+
+def seed_of(population: str, number: int) -> int:
+    """The seed of a scene: the first 8 bytes of a hash of the population's key and the number."""
+    digest = hashlib.sha256(f"{POPULATIONS[population]}/{number}".encode()).digest()
+    return int.from_bytes(digest[:8], "big")
+
+
+def sealed_hash() -> str:
+    """SHA-256 of the first 10,000 sealed seeds."""
+    seeds = "\n".join(str(seed_of("sealed", number)) for number in range(10_000))
+    return hashlib.sha256(seeds.encode()).hexdigest()
+
+
+def draw(cell: Cell, population: str, number: int) -> Drawn:
+    """The recording of a cell and a number, independent of all others."""
+    words = "/".join(str(value) for value in asdict(cell).values())
+    rng = np.random.default_rng([seed_of(population, number), zlib.crc32(words.encode())])
+    return _own(cell, rng) if cell.world == "own" else _full_wave(cell, rng)
+
+
+@lru_cache(maxsize=1)
+def _measured_pulses() -> tuple[Pulse, ...]:
+    """Pulses recorded with P440 radars."""
+    with np.load(SHARED / "data" / "p440" / "pulse.npz", allow_pickle=False) as file:
+        step = float(file["dt_ns"]) * 1e-9
+        return tuple(Pulse(file[name] - file[name].mean(), step) for name in _pulse_names())
+
+
+@lru_cache(maxsize=1)
+def _pulse_names() -> tuple[str, ...]:
+    with np.load(SHARED / "data" / "p440" / "pulse.npz", allow_pickle=False) as file:
+        return tuple(sorted(name for name in file if name != "dt_ns"))
+
+
+def _layouts_for(cell: Cell) -> tuple[Layout, ...]:
+    """The layouts of the set that fit on the body."""
+    layouts = SETS[cell.enrolled]
+    if cell.enrolled != "paper" or cell.body in ("none", "box"):
+        return layouts
+    kind = "helmet" if cell.body == "helmet" else "container"
+    return tuple(layout for layout in layouts if layout.kind == kind)
+
+
+def _body_text(body: str, size_mm: float, rng: np.random.Generator) -> str:
+    """A body of random size for reflectors of a size, as `--body` takes it."""
+    if body == "can":
+        # The octahedra stand 45 mm from the axis and reach inwards by half their size.
+        most = 35.0 if size_mm < 30 else 28.0
+        return f"can:{rng.uniform(24, most):.2f}mm,height={rng.uniform(80, 120):.0f}mm,seam"
+    if body in ("cup", "cup-handle"):
+        handle = ",handle" if body == "cup-handle" else ""
+        filled = ",filled" if rng.uniform() < 0.3 else ""
+        oval = f",oval={rng.uniform(0, 0.3):.2f}mm"
+        return f"cup:{rng.uniform(30, 38):.2f}mm,wall={rng.uniform(3, 5):.2f}mm{oval}{handle}{filled}"
+    if body == "helmet":
+        # Not where a reflector of helmet-linear, 90 mm from the axis, would stand in the wall.
+        return f"helmet:{rng.uniform(96, 104):.2f}mm"
+    if body == "box":
+        return f"box:{rng.uniform(100, 150):.1f}mm,height={rng.uniform(80, 150):.0f}mm"
+    return "none"
+
+
+def _foreign(cell: Cell, rng: np.random.Generator) -> np.ndarray:
+    """(K, 2) one to five reflectors 40 mm or more apart on a ring around the body, none of the enrolled."""
+    radius = 0.110 if cell.body == "helmet" else 0.045
+    most = 3 if radius < 0.05 else 5
+    while True:
+        count = int(rng.integers(1, most + 1))
+        angle = rng.uniform(0, 2 * np.pi, count)
+        points = radius * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+        if count == 1:
+            return points
+        gap = np.linalg.norm(points[:, None] - points[None], axis=2) + np.eye(count)
+        if gap.min() < 0.04:
+            continue
+        same = [other for other in SETS[cell.enrolled] if other.size == count]
+        layout = Layout("foreign", points)
+        if all(rotational_distance(layout, other).rms_m > APART_M for other in same):
+            return points
+
+
+def _own(cell: Cell, rng: np.random.Generator) -> Drawn:
+    layouts = SETS[cell.enrolled]
+    fitting = _layouts_for(cell)
+    layout = fitting[int(rng.integers(len(fitting)))]
+    size_mm = float(rng.choice([20.0, 40.0]))
+    body = _body_text(cell.body, size_mm, rng)
+    name, positions = "", np.zeros((0, 3))
+    if cell.group == "tagged":
+        name = layout.name
+        positions = np.concatenate([layout.positions, np.asarray(layout.heights)[:, None]], axis=1)
+    elif cell.group == "foreign":
+        positions = _foreign(cell, rng)
+    ring = rng.normal(0, 0.5e-3, 2)
+    scene = object_scene(
+        cell.group,
+        positions,
+        parse_body(body),
+        ReflectorSpec("octahedron", size_mm * 1e-3),
+        rng=rng,
+        room=room_clutter(rng),
+        variation=Variation(rng.uniform(0, 2 * np.pi), (float(ring[0]), float(ring[1])), 0.5),
+    )
+    place = rng.uniform(0, 2 * np.pi)
+    off = cell.offset_mm * 1e-3
+    pulse_number, tone, colour = int(rng.integers(7)), rng.uniform() < 0.2, rng.uniform(0, 1)
+    pulses = _measured_pulses() if cell.pulse == "measured" else (None,)
+    acquisition = Acquisition(
+        views=cell.views,
+        snr_db=float(cell.snr_db),
+        noise=NoiseShape(colour, Interference(-6.0, rng.uniform(3.1e9, 4.8e9), 0.3) if tone else None),
+        pulse=pulses[pulse_number % len(pulses)],
+        placement=Placement(
+            (off * np.cos(place), off * np.sin(place)), rng.uniform(0, 2 * np.pi), rng.uniform(-0.1, 0.1)
+        ),
+        wobble=Wobble(speed=0.01),
+        axis_distance_error_m=rng.uniform(-0.015, 0.015),
+    )
+    capture, _ = simulate_capture(scene, acquisition, int(rng.integers(2**32)))
+    return Drawn(capture, layouts, name, f"{layout.name if name else cell.group} {size_mm:g}mm on {body}")
+
+
+@lru_cache(maxsize=1)
+def full_wave() -> ModuleType:
+    """`scenes.py` of the folder with the solved responses."""
+    path = SHARED / "fullwave" / "scenes.py"
+    if not path.is_file():
+        raise SystemExit(f"{path} is missing: set TAGID_SHARED, or leave out --worlds full-wave")
+    spec = importlib.util.spec_from_file_location("fullwave_scenes", path)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def _reference(solved: str) -> str:
+    """The object whose echo is that of one reflector: a tag alone, or what it adds to its body."""
+    base = solved.split("_")[0]
+    if base.startswith("free"):
+        return f"{base}_one"
+    if base == "shell":
+        return "free40_one" if solved.endswith("40") else "free20_one"
+    return f"{base}_one-{base}"
+
+
+def _full_wave(cell: Cell, rng: np.random.Generator) -> Drawn:
+    objects = FULL_WAVE[cell.group, cell.body]
+    solved = sorted(objects)[int(rng.integers(len(objects)))]
+    layouts, name = SETS[cell.enrolled], objects[solved]
+    if name == "-":
+        carried = FULL_WAVE["tagged", cell.body][solved]
+        layouts, name = tuple(layout for layout in layouts if layout.name != carried), ""
+    place, off = rng.uniform(0, 2 * np.pi), cell.offset_mm * 1e-3
+    names = _pulse_names()
+    pulse = names[int(rng.integers(len(names)))]
+    scan, _ = full_wave().make(
+        solved,
+        rng,
+        reference=_reference(solved),
+        views=cell.views,
+        centre=(off * np.cos(place), off * np.sin(place)),
+        pulse=pulse if cell.pulse == "measured" else "gauss",
+        snr_db=float(cell.snr_db),
+        wobble=0.01,
+        distance_error=rng.uniform(-0.015, 0.015),
+    )
+    capture = Capture(
+        samples=scan["samples"],
+        range_start_m=float(scan["range_start_m"]),
+        range_step_m=float(scan["range_step_m"]),
+        angles_rad=scan["angles_rad"],
+        axis_distance_m=float(scan["axis_distance_m"]),
+    )
+    return Drawn(capture, layouts, name, solved)
+
+
+def cells(worlds: tuple[str, ...]) -> list[Cell]:
+    """The grid: tagged objects in full, the others at 36 views."""
+    grid = []
+    for world in worlds:
+        bodies = BODIES if world == "own" else FULL_WAVE_BODIES
+        for body in bodies:
+            grid += [
+                Cell(world, "tagged", "paper", body, offset, snr, views, pulse)
+                for offset in OFFSETS_MM
+                for snr in SNRS_DB
+                for views in VIEWS
+                for pulse in PULSES
+            ]
+            grid += [
+                Cell(world, group, "paper", body, offset, snr, 36, pulse)
+                for group in ("foreign", "untagged")
+                for offset in (0, 6)
+                for snr in (20, 10)
+                for pulse in PULSES
+                if world == "own" or (group, body) in FULL_WAVE
+            ]
+    if "own" in worlds:
+        designed = (("helmet-16", "helmet"), ("mug-8", "cup"))
+        grid += [
+            Cell("own", "tagged", enrolled, body, offset, snr, 36, "nominal")
+            for enrolled, body in designed
+            for offset in (0, 6)
+            for snr in SNRS_DB
+        ]
+    return grid
