@@ -11,13 +11,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tagid.cli import emulate_motion, options
+from tagid.cli import emulate_motion, options, response_options
 from tagid.cli.frame import Output, Terminal, command
 from tagid.errors import UsageError
 from tagid.result import Result
 
 if TYPE_CHECKING:
     from tagid.radar.wires import PtyWire
+    from tagid.simulate import Placement
 
 
 def register(app: typer.Typer) -> None:
@@ -44,6 +45,16 @@ def register(app: typer.Typer) -> None:
         scene: Annotated[str, typer.Option("--scene", help="helmet-120, points-3, can, empty ...")] = (
             "helmet-120"
         ),
+        response: response_options.ResponseFile = None,
+        polarisation: response_options.Polarisation = None,
+        snr_reference: response_options.SnrReference = None,
+        snr_reference_body: response_options.SnrReferenceBody = None,
+        centre: Annotated[
+            str, typer.Option("--centre", help="With --response: X,Y off the axis, metres.")
+        ] = ("0,0"),
+        rotation: Annotated[
+            float, typer.Option("--rotation", help="With --response: rotation of the object, degrees.")
+        ] = 0.0,
         replay: Annotated[str | None, typer.Option("--replay", help="Replay a recording instead.")] = None,
         rpm: Annotated[float, typer.Option("--rpm", help="Turns a minute of the emulated table.")] = 2.0,
         turned_by: Annotated[
@@ -83,6 +94,9 @@ def register(app: typer.Typer) -> None:
         )
         firmware = Firmware(status_bytes, sleep_bytes, server)
         host, port = ("", 0) if serial else _address(bind)
+        files = response_options.response_files(response, polarisation, snr_reference, snr_reference_body)
+        if replay is not None and files is not None:
+            raise UsageError("--replay and --response are both given", "Choose one.")
         source: ScanSource
         if replay is not None:
             source = Sources().recording(Path(replay), loop)
@@ -90,7 +104,11 @@ def register(app: typer.Typer) -> None:
             wanted = {"seed": seed, "rpm": rpm, "axis_distance": axis_distance, "snr": snr}
             wanted["cable_delay"] = cable_delay
             given = {key: str(value) for key, value in wanted.items()}
-            source = Sources().scene(scene, given | ({"turned_by": turned_by} if turned_by else {}))
+            given |= {"turned_by": turned_by} if turned_by else {}
+            if files is None:
+                source = Sources().scene(scene, given)
+            else:
+                source = Sources().response(files, given, _placement(centre, rotation))
         core = EmulatorCore(source, firmware=firmware)
         stop = threading.Event()
         for number in (signal.SIGINT, signal.SIGTERM):
@@ -111,6 +129,15 @@ def _address(bind: str) -> tuple[str, int]:
     if not host or not port.isdecimal() or int(port) > 65535:
         raise UsageError(f"--bind is {bind!r}", "Give HOST:PORT, e.g. 127.0.0.1:21210.")
     return host, int(port)
+
+
+def _placement(centre: str, rotation: float) -> Placement:
+    import numpy as np
+
+    from tagid.cli.enroll import parse_point
+    from tagid.simulate import Placement
+
+    return Placement(parse_point("--centre", centre), float(np.deg2rad(rotation)))
 
 
 def _pty(framing: str, baud: int, link: Path | None) -> PtyWire:

@@ -1,16 +1,19 @@
-"""`tagid simulate`: captures of scenes that were never built."""
+"""`tagid simulate`: captures of simulated scenes and of objects whose response is known."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tagid.cli import options
+from tagid.cli import options, response_options
 from tagid.cli.frame import Terminal, command
-from tagid.errors import StorageError
+from tagid.errors import DataError, StorageError, UsageError
 from tagid.result import Result
+
+if TYPE_CHECKING:
+    from tagid.capture import Pulse
 
 
 def register(app: typer.Typer) -> None:
@@ -19,8 +22,18 @@ def register(app: typer.Typer) -> None:
     @command(app, "simulate")
     def simulate(
         terminal: Terminal,
-        scene: Annotated[str, typer.Argument(help="helmet-120, container-90, points-3, can, box, empty ...")],
         out: Annotated[Path, typer.Option("--out", "-o", help="Capture to write.")],
+        scene: Annotated[
+            str | None,
+            typer.Argument(help="helmet-120, container-90, points-3, can, box, empty ...; or --response."),
+        ] = None,
+        response: response_options.ResponseFile = None,
+        polarisation: response_options.Polarisation = None,
+        snr_reference: response_options.SnrReference = None,
+        snr_reference_body: response_options.SnrReferenceBody = None,
+        pulse_of: Annotated[
+            Path | None, typer.Option("--pulse-of", help="Capture that holds the pulse to transmit.")
+        ] = None,
         views: Annotated[int, typer.Option("--views", help="Views a turn.")] = 360,
         turns: Annotated[float, typer.Option("--turns", help="Turns recorded.")] = 1.0,
         snr: Annotated[float | None, typer.Option("--snr", help="dB a sample, strongest echo.")] = 20.0,
@@ -36,7 +49,7 @@ def register(app: typer.Typer) -> None:
         seed: options.Seed = 0,
         force: Annotated[bool, typer.Option("--force", help="Write over a file that exists.")] = False,
     ) -> Result:
-        """Simulate the capture of a turning scene.
+        """Simulate the capture of a turning scene, or of an object whose response is in a file.
 
         Example: tagid simulate helmet-120 --snr 10 --views 36 --out helmet.tagid.h5
         """
@@ -49,6 +62,11 @@ def register(app: typer.Typer) -> None:
 
         if out.exists() and not force:
             raise StorageError(f"{out} exists already", "Choose another name, or add --force.")
+        files = response_options.response_files(response, polarisation, snr_reference, snr_reference_body)
+        if (scene is None) == (files is None):
+            raise UsageError("give either a scene or --response FILE", "tagid simulate --help has examples.")
+        if files is not None and range_law:
+            raise UsageError("--range-law is part of every response", "Omit --range-law.")
         acquisition = Acquisition(
             views=views,
             turns=turns,
@@ -61,13 +79,15 @@ def register(app: typer.Typer) -> None:
             wobble=Wobble(speed=wobble),
             beam_width_rad=None if beam_deg is None else float(np.deg2rad(beam_deg)),
             range_law=range_law,
+            pulse=None if pulse_of is None else _pulse(pulse_of),
         )
-        capture, truth = simulate_capture(scene_from_name(scene, seed), acquisition, seed)
+        shown = scene_from_name(scene or "", seed) if files is None else files.scene(acquisition, seed)
+        capture, truth = simulate_capture(shown, acquisition, seed)
         export(capture, out)
-        line = Text(f"{out}: {scene}, {capture.views} scans of {capture.bins} samples")
+        line = Text(f"{out}: {shown.name}, {capture.views} scans of {capture.bins} samples")
         data = {
             "path": str(out),
-            "scene": scene,
+            "scene": shown.name,
             "views": capture.views,
             "bins": capture.bins,
             "truth": {
@@ -77,3 +97,13 @@ def register(app: typer.Typer) -> None:
             },
         }
         return Result("simulate", data, line)
+
+
+def _pulse(path: Path) -> Pulse:
+    """The pulse that a capture holds. Raises the reader's errors, and DataError where it holds none."""
+    from tagid.storage.importers import read_any
+
+    pulse = read_any(path).pulse
+    if pulse is None:
+        raise DataError(f"{path} holds no pulse", "Give a capture with `pulse` and `pulse_step_s`.")
+    return pulse

@@ -66,7 +66,7 @@ def read_npz(path: Path) -> Capture:
         StorageError: the file cannot be read.
         FileFormatError: damaged, a key is missing, of the wrong shape, dtype or size, or not finite.
     """
-    arrays = _load(path, atomic.read_bytes(path))
+    arrays = read_arrays(path, atomic.read_bytes(path), _KEYS)
     missing = [key for key in ("samples", "range_start_m", "range_step_m") if key not in arrays]
     if missing:
         raise FileFormatError(
@@ -76,7 +76,7 @@ def read_npz(path: Path) -> Capture:
             + ".",
         )
     ours = (
-        decode_settings(_string(arrays["tagid"], f"{path} (tagid)"), f"{path} (tagid)")
+        decode_settings(one_text(arrays["tagid"], f"{path} (tagid)"), f"{path} (tagid)")
         if "tagid" in arrays
         else {}
     )
@@ -131,8 +131,16 @@ def encode_npz(capture: Capture) -> bytes:
     return buffer.getvalue()
 
 
-def _load(path: Path, data: bytes) -> dict[str, NDArray[Any]]:
-    """The arrays under known keys, each checked before memory is taken for it."""
+def read_arrays(path: Path, data: bytes, keys: frozenset[str]) -> dict[str, NDArray[Any]]:
+    """The arrays of an NPZ file under known keys, each checked before memory is allocated for it.
+
+    Args:
+        path: of the file, for messages.
+        data: its content.
+        keys: others are ignored.
+
+    Raises FileFormatError: damaged, Python objects, or sizes that are not plausible.
+    """
     arrays: dict[str, NDArray[Any]] = {}
     budget = atomic.MAX_FILE_BYTES
     try:
@@ -140,7 +148,7 @@ def _load(path: Path, data: bytes) -> dict[str, NDArray[Any]]:
             warnings.simplefilter("ignore")  # numpy warns of headers that it parses with effort
             for member in archive.infolist():
                 key = member.filename.removesuffix(".npy")
-                if key not in _KEYS or key in arrays:
+                if key not in keys or key in arrays:
                     continue
                 budget -= member.file_size
                 large = member.file_size > _SMALL_BYTES
@@ -235,7 +243,7 @@ def _provenance(path: Path, arrays: dict[str, NDArray[Any]], ours: dict[str, Any
         raise FileFormatError(f"{path}: complete in tagid is not true or false")
     fields["complete"] = ours.get("complete", True)
     if "object" in arrays:
-        fields["object"] = _object(_string(arrays["object"], f"{path} (object)"))
+        fields["object"] = _object(one_text(arrays["object"], f"{path} (object)"))
     return fields
 
 
@@ -248,7 +256,8 @@ def _object(content: str) -> dict[str, Any]:
     return value if isinstance(value, dict) else {"label": content}
 
 
-def _string(value: NDArray[Any], where: str) -> str:
+def one_text(value: NDArray[Any], where: str) -> str:
+    """The text of an array that holds one. Raises FileFormatError naming `where`."""
     if value.shape != () or value.dtype.kind not in "US":
         raise FileFormatError(f"{where}: has shape {value.shape} and dtype {value.dtype}, expected one text")
     item = value.item()

@@ -5,22 +5,24 @@ Galerkin's method with RWG functions f_m (Rao, Wilton, Glisson, IEEE Trans. Ante
     A_mn = int int (f_m . f_n - div f_m div f_n / k^2) exp(-jkR) / R dS' dS
     S = -V^T A^-1 V,    V_m = int f_m . E dS
 
-for time convention exp(+j omega t). E is the incident field of a Hertzian dipole at the antenna, scaled so that
-far away E = p exp(-jkR) / R for its polarisation p. By reciprocity S is the component along p, at the antenna,
-of the scattered field (Z = j omega mu / (4 pi) A; a dipole of that scale has moment I l = -4 pi / (j omega mu)).
+for time convention exp(+j omega t). E is the incident field of a Hertzian dipole at the antenna, scaled so
+that far away E = p exp(-jkR) / R for its polarisation p. By reciprocity S is the component along p, at the
+antenna, of the scattered field (impedance matrix Z = j omega mu / (4 pi) A; a dipole of that scale has the
+moment I l = -4 pi / (j omega mu)).
 
 A dielectric sheet of thickness t much thinner than the wavelength carries a polarisation current that is
-tangential and constant across it: E_incident + E_scattered = J / (j omega eps0 (eps - 1) t) (Harrington, Mautz,
-IEEE Trans. Antennas Propag. 23, 531, 1975). Hence A_mn - 4 pi / (k^2 (eps - 1) t) int f_m . f_n dS.
+tangential and constant across it: E_incident + E_scattered = J / (j omega eps0 (eps - 1) t) (Harrington,
+Mautz, IEEE Trans. Antennas Propag. 23, 531, 1975). Hence A_mn - 4 pi / (k^2 (eps - 1) t) int f_m . f_n dS.
 
 Limits. A mesh edge should be at most 1/7 of the wavelength: 8 mm at 5 GHz, about 100 unknowns per square
-wavelength. Closed metal surfaces fail near their interior resonances (the field inside is not excited, but the
-matrix is nearly singular); open cans, boxes and crossing plates have no such frequencies. The sheet model
-leaves out the current across the sheet, and holds while k t sqrt(eps) is below about 0.5.
+wavelength. Closed metal surfaces fail near their interior resonances (the field inside is not excited, but
+the matrix is nearly singular); open cans, boxes and crossing plates have no such frequencies. The sheet
+model leaves out the current across the sheet, and holds while k t sqrt(eps) is below about 0.5.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -58,6 +60,23 @@ class _Near:
     scalar: sparse.csr_array
 
 
+@dataclass(frozen=True, eq=False)
+class _FarBlock:
+    """The distances from a block of triangles to itself and to all later triangles.
+
+    Attributes:
+        begin, end: the block's triangles.
+        distance: (3 (all - begin), 3 (end - begin)) between their points, m.
+        row, col: (n,) near pairs to leave out, as triangles after `begin`; row is in the block.
+    """
+
+    begin: int
+    end: int
+    distance: Floats
+    row: NDArray[np.int64]
+    col: NDArray[np.int64]
+
+
 class Efie:
     """The integral equation of one mesh at any frequency; what does not depend on it is computed once.
 
@@ -83,14 +102,16 @@ class Efie:
         arm = np.einsum("qi,tic->tqc", bary, mesh.corners)[:, :, None] - mesh.corners[:, None]
         area = weight[None, :, None] * mesh.areas_m2[:, None, None] * half.scale[:, None, :]
         row = np.repeat(np.arange(3 * t), 3)
-        local = (3 * np.arange(t)[:, None, None] + np.arange(3)[None, None] + np.zeros((1, 3, 1), int)).ravel()
+        local = (
+            3 * np.arange(t)[:, None, None] + np.arange(3)[None, None] + np.zeros((1, 3, 1), int)
+        ).ravel()
         parts = [*(area * arm[..., c] for c in range(3)), 2 * area]
         self._sampled = [
             (sparse.csr_array((part.ravel(), (row, local)), (3 * t, 3 * t)) @ self._compose).tocsr()
             for part in parts
         ]
         self._near = self._near_pairs()
-        self._distances = list(self._far_distances())
+        self._blocks = list(self._far_distances())
         self._gram = self._sheet_gram()
 
     @property
@@ -98,13 +119,16 @@ class Efie:
         """Number of basis functions."""
         return len(self.halves.plus)
 
-    def _functions_of(self, local: Complexes | Floats, p: NDArray[np.int64], q: NDArray[np.int64]) -> sparse.csr_array:
+    def _functions_of(
+        self, local: Complexes | Floats, p: NDArray[np.int64], q: NDArray[np.int64]
+    ) -> sparse.csr_array:
         """(functions, functions) from interactions (n, 3, 3) of the halves of triangles p and q."""
         t = len(self.mesh.triangles)
         row = (3 * p[:, None, None] + np.arange(3)[None, :, None] + np.zeros((1, 1, 3), int)).ravel()
         col = (3 * q[:, None, None] + np.arange(3)[None, None, :] + np.zeros((1, 3, 1), int)).ravel()
         halves = sparse.csr_array((local.ravel(), (row, col)), (3 * t, 3 * t))
-        return (self._compose.T @ halves @ self._compose).tocsr()
+        functions: sparse.csr_array = (self._compose.T @ halves @ self._compose).tocsr()
+        return functions
 
     def _near_pairs(self) -> _Near:
         """Pairs and their static interaction: 1/R in closed form inside, seven points outside."""
@@ -138,13 +162,10 @@ class Efie:
         vector, scalar = 0.5 * (vector + vector.T), 0.5 * (scalar + scalar.T)
         return _Near(p, q, vector.tocsr(), scalar.tocsr())
 
-    def _far_distances(self):  # type: ignore[no-untyped-def]
-        """(first triangle, last, distances (points from the first on, points of the block), near pairs)."""
+    def _far_distances(self) -> Iterator[_FarBlock]:
+        """The upper block triangle of the distances; the matrix is symmetric."""
         t = len(self.mesh.triangles)
-        order = np.argsort(self._near.p, kind="stable")
-        p, q = self._near.p[order], self._near.q[order]
-        swap = p > q
-        p, q = np.where(swap, q, p), np.where(swap, p, q)
+        p, q = np.minimum(self._near.p, self._near.q), np.maximum(self._near.p, self._near.q)
         order = np.argsort(p, kind="stable")
         p, q = p[order], q[order]
         for begin in range(0, t, _BLOCK):
@@ -155,7 +176,7 @@ class Efie:
             distance = np.sqrt(np.maximum(square, 1e-12))
             row, col = p[here] - begin, q[here] - begin
             inside = col < end - begin  # the diagonal block is full, so it holds these pairs twice
-            yield begin, end, distance, (np.append(row, col[inside]), np.append(col, row[inside]))
+            yield _FarBlock(begin, end, distance, np.append(row, col[inside]), np.append(col, row[inside]))
 
     def _sheet_gram(self) -> sparse.csr_array | None:
         """int f_m . f_n / ((eps - 1) t) dS over the dielectric sheets; None where all is metal."""
@@ -168,7 +189,9 @@ class Efie:
         arm = r[:, :, None] - mesh.corners[own][:, None]
         gram = np.einsum("q,tqic,tqjc->tij", weight, arm, arm, optimize=True)
         factor = scale[own][:, :, None] * scale[own][:, None, :]
-        gram = gram * factor * (mesh.areas_m2 / np.where(mesh.sheet_m == 0, 1, mesh.sheet_m))[own][:, None, None]
+        gram = (
+            gram * factor * (mesh.areas_m2 / np.where(mesh.sheet_m == 0, 1, mesh.sheet_m))[own][:, None, None]
+        )
         return self._functions_of(gram, own, own)
 
     def _near_remainder(self, k: float) -> sparse.csr_array:
@@ -188,8 +211,11 @@ class Efie:
             kernel.real = -2 * np.sin(phase / 2) ** 2 / safe
             kernel.imag = np.where(distance > 1e-9, -np.sin(phase) / safe, -k)
             c = scale[p][:, :, None] * scale[q][:, None, :]
-            local = -4 / k**2 * np.einsum("na,nab,nb->n", w[p], kernel, w[q], optimize=True)[:, None, None] + sum(
-                np.matmul(np.matmul(arm[p][..., x].transpose(0, 2, 1), kernel), arm[q][..., x]) for x in range(3)
+            local = -4 / k**2 * np.einsum("na,nab,nb->n", w[p], kernel, w[q], optimize=True)[
+                :, None, None
+            ] + sum(
+                np.matmul(np.matmul(arm[p][..., x].transpose(0, 2, 1), kernel), arm[q][..., x])
+                for x in range(3)
             )
             # The transpose is added in the end; the self pair is its own transpose.
             local = local * c * np.where(p == q, 0.5, 1.0)[:, None, None]
@@ -197,18 +223,19 @@ class Efie:
         return (total + total.T).tocsr()
 
     def matrix(self, k: float) -> Complexes:
-        """A (functions, functions), symmetric, in m^2 times m^-1 ... for the wavenumber k, 1/m."""
+        """A (functions, functions) in m^3 for the wavenumber k, 1/m; symmetric, not Hermitian."""
         n = self.unknowns
         upper = np.zeros((n, n), dtype=np.complex128)
-        for begin, end, distance, (row, col) in self._distances:
-            kernel = np.empty(distance.shape, dtype=np.complex128)
-            phase = k * distance
+        for block in self._blocks:
+            begin, end = block.begin, block.end
+            kernel = np.empty(block.distance.shape, dtype=np.complex128)
+            phase = k * block.distance
             np.cos(phase, out=kernel.real)
             np.sin(phase, out=kernel.imag)
             np.negative(kernel.imag, out=kernel.imag)
-            kernel /= distance
+            kernel /= block.distance
             width = end - begin
-            kernel.reshape(-1, 3, width, 3)[col, :, row, :] = 0.0
+            kernel.reshape(-1, 3, width, 3)[block.col, :, block.row, :] = 0.0
             kernel[: 3 * width] *= 0.5  # the diagonal block is full already, and the transpose is added below
             flat = kernel.view(np.float64)
             for part, factor in zip(self._sampled, (1.0, 1.0, 1.0, -1 / k**2), strict=True):
@@ -253,8 +280,12 @@ class Efie:
                 total[:, chunk] += tested[c] @ (polarisation[chunk, c] * direct - sight[..., c] * radial)
         return total
 
+    def currents(self, k: float, excitation: Complexes) -> Complexes:
+        """A^-1 V (functions, antennas), 1/m^2: the current that each excitation drives, up to a factor."""
+        factors = lu_factor(self.matrix(k), overwrite_a=True, check_finite=False)
+        return np.asarray(lu_solve(factors, excitation, check_finite=False))
+
     def monostatic(self, k: float, antennas: Floats, polarisation: Floats) -> Complexes:
         """S (antennas,) in 1/m: what comes back to each antenna, along its own polarisation."""
         v = self.excitation(k, antennas, polarisation)
-        current = lu_solve(lu_factor(self.matrix(k), overwrite_a=True, check_finite=False), v, check_finite=False)
-        return np.asarray(-(v * current).sum(axis=0))
+        return np.asarray(-(v * self.currents(k, v)).sum(axis=0))

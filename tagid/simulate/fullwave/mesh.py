@@ -111,9 +111,9 @@ class HalfFunction:
     """The two halves of RWG functions, and how functions are made of them.
 
     The half (t, i) lives on triangle t and flows out through its edge i, which lies opposite to corner i:
-    h_ti(r) = c_ti (r - v_ti), div h_ti = 2 c_ti, with c_ti = edge length / (2 area). Its normal component is 1
-    along that edge and 0 along the other two (Rao, Wilton, Glisson, IEEE Trans. Antennas Propag. 30, 409,
-    1982).
+    h_ti(r) = c_ti (r - v_ti), div h_ti = 2 c_ti, with c_ti = edge length / (2 area). Its normal component
+    is 1 along that edge and 0 along the other two (Rao, Wilton, Glisson, IEEE Trans. Antennas Propag. 30,
+    409, 1982).
 
     Attributes:
         scale: (t, 3) c_ti, 1/m.
@@ -130,8 +130,9 @@ class HalfFunction:
     def of(cls, mesh: Mesh) -> HalfFunction:
         """The functions of a mesh.
 
-        An edge with n triangles carries n - 1 functions: the first triangle is paired with each of the others.
-        They span every current whose sum over the edge is zero, which is Kirchhoff's law at a junction.
+        An edge with n triangles carries n - 1 functions: the first triangle is paired with each of the
+        others. They span every current whose sum over the edge is zero, which is Kirchhoff's law at a
+        junction.
 
         Raises DataError where no edge is shared, so that no current can flow.
         """

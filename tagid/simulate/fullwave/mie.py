@@ -10,8 +10,8 @@ from scipy.special import spherical_jn, spherical_yn
 def sphere_backscatter(radius_m: float, k: NDArray[np.floating]) -> NDArray[np.complex128]:
     """Scattering length b (m) of a conducting sphere towards the radar, phase reference at its centre.
 
-    b = (j / 2k) sum_n (-1)^n (2n + 1) (a_n - b_n), a_n = [x j_n(x)]' / [x h_n(x)]', b_n = j_n(x) / h_n(x), with
-    h = j - jy for exp(+j omega t) and x = k radius (Mie series; Balanis, Advanced Engineering
+    b = (j / 2k) sum_n (-1)^n (2n + 1) (a_n - b_n), a_n = [x j_n(x)]' / [x h_n(x)]', b_n = j_n(x) / h_n(x),
+    with h = j - jy for exp(+j omega t) and x = k radius (Mie series; Balanis, Advanced Engineering
     Electromagnetics, 2nd edition, section 11.8). Radar cross-section 4 pi |b|^2.
 
     Args:

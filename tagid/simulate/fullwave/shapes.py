@@ -42,23 +42,48 @@ def _cut(a: Floats, b: Floats, c: Floats, pieces: int) -> Mesh:
     return Mesh.of(vertices, t)
 
 
-def octahedron(tip_m: float, pieces: int = 3) -> Mesh:
+def octahedron(tip_m: float, pieces: int = 4, grading: float = 2.5) -> Mesh:
     """An octahedral reflector: three square plates that cross at right angles, their corners at +-tip_m / 2.
 
     The plates are cut along the axes, so that the lines where two of them cross are edges of four triangles.
+    The current is singular at the rim; with edges of equal length the cross-section converges as 1 / pieces
+    only. A mesh that narrows towards the rim is within 0.15 dB with 4 pieces where an even one of 3 pieces is
+    1 dB too low (measured for 20 and 40 mm, both against 10 even or 8 graded pieces).
 
     Args:
         tip_m: from tip to tip.
         pieces: mesh edges from the centre to a tip.
+        grading: 1 for edges of equal length; the layer at share s of the way to the rim is moved to
+            1 - (1 - s)^grading.
     """
-    axes = np.eye(3) * tip_m / 2
+    axes = np.eye(3)
     parts = [
         _cut(np.zeros(3), u * axes[a], v * axes[b], pieces)
         for a, b in ((0, 1), (0, 2), (1, 2))
         for u in (1, -1)
         for v in (1, -1)
     ]
-    return Mesh.join(*parts)
+    mesh = Mesh.join(*parts)
+    share = np.clip(np.abs(mesh.vertices).sum(axis=1), 1e-12, 1.0)
+    factor = (1 - (1 - share) ** grading) / share * tip_m / 2
+    return Mesh(mesh.vertices * factor[:, None], mesh.triangles, mesh.sheet_m)
+
+
+def tag(tip_m: float, places_m: NDArray[np.floating], pieces: int = 4, grading: float = 2.5) -> Mesh:
+    """Octahedral reflectors at places (n, 2) in the plane z = 0.
+
+    Each stands with two of its upright edges, not with a tip, towards the axis, so that it fits closer to a
+    wall; one on the axis itself is not turned.
+    """
+    reflector = octahedron(tip_m, pieces, grading)
+    return Mesh.join(
+        *(
+            reflector.moved(
+                (x, y, 0.0), float(np.arctan2(y, x) + np.pi / 4) if np.hypot(x, y) > 1e-6 else 0.0
+            )
+            for x, y in np.asarray(places_m, dtype=np.float64).tolist()
+        )
+    )
 
 
 def sphere(radius_m: float, pieces: int) -> Mesh:
