@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from tagid.errors import UsageError
-from tagid.sources import ResponseFiles
+
+if TYPE_CHECKING:
+    from tagid.sources import ResponseFiles
 
 ResponseFile = Annotated[
     Path | None,
@@ -34,6 +36,8 @@ def response_files(
 
     Raises UsageError where one of the others is given without it.
     """
+    from tagid.sources import ResponseFiles
+
     if response is not None:
         return ResponseFiles(response, (polarisation or "V").upper(), reference, body)
     if polarisation is not None or reference is not None or body is not None:

@@ -83,11 +83,11 @@ def test_with_one_distance_the_near_field_is_that_of_its_ring() -> None:
 def test_antenna_heights_are_interpolated_too() -> None:
     rings = tuple(Ring(d, "V", h) for d in (0.8, 1.0, 1.2) for h in (-0.1, 0.0, 0.1))
     place = np.array([0.04, 0.025, 0.03])
-    response = point_response(place, rings=rings)
+    response = point_response(place, np.linspace(2.8e9, 5.2e9, 41), rings=rings)
     antennas = np.array([[0.6, 0.7, 0.04], [-0.9, 0.5, -0.07]])
     d, r = np.linalg.norm(antennas - place, axis=1), np.linalg.norm(antennas, axis=1)
     exact = 0.01 * np.exp(-2j * np.outer(d - r, response.wavenumber)) * ((r / d) ** 2)[:, None]
-    assert np.abs(response.seen_from(antennas) / exact - 1).max() < 0.01
+    assert np.abs(response.seen_from(antennas) / exact - 1).max() < 0.03
     with pytest.raises(UsageError, match=r"0\.200 m above"):
         response.seen_from(np.array([[1.0, 0.0, 0.2]]))
 
@@ -132,10 +132,7 @@ def test_the_snr_refers_to_the_reference() -> None:
     assert np.std(capture.samples - truth.clean) == pytest.approx(0.1, rel=0.05)
     # The body is ten times the tag, whose peak is the unit.
     assert peak_echo(scene.object[0], acq) == pytest.approx(10, rel=0.15)
-    assert (
-        scene.description["snr_reference"] == "both without both"
-        or "without" in scene.description["snr_reference"]
-    )
+    assert scene.description["snr_reference"] == "both without point"
 
 
 def test_the_emulated_turntable_shows_what_the_capture_holds() -> None:
