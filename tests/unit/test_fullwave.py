@@ -3,6 +3,9 @@ law."""
 
 from __future__ import annotations
 
+import os
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -10,11 +13,15 @@ from scipy.spatial.transform import Rotation
 from tagid.constants import SPEED_OF_LIGHT
 from tagid.errors import DataError
 from tagid.simulate.fullwave import Efie, Mesh, Sweep, ring_antennas, shapes, solve_response
+from tagid.simulate.fullwave.efie import dipole_field
 from tagid.simulate.fullwave.mesh import HalfFunction
 from tagid.simulate.fullwave.mie import sphere_backscatter
 from tagid.simulate.fullwave.singular import RULE_7, static_potentials
 from tagid.simulate.response import Ring
+from tagid.simulate.response_file import read_response
 
+SHARED = Path(os.environ.get("TAGID_SHARED", Path(__file__).resolve().parents[2].parent / "shared"))
+FULLWAVE = SHARED / "fullwave" / "responses"
 FAR_M = 300.0
 K = 2 * np.pi * 4e9 / SPEED_OF_LIGHT
 UP = np.array([[0.0, 0.0, 1.0]])
@@ -202,6 +209,39 @@ def test_turning_the_object_equals_turning_the_antennas_back() -> None:
     plain = solve_response("pair", mesh, sweep).scattering_length_m
     turned = solve_response("pair", mesh.moved(turn_rad=2 * np.pi * 5 / 24), sweep).scattering_length_m
     np.testing.assert_allclose(turned, np.roll(plain, 5, axis=2), atol=1e-4 * np.abs(plain).max())
+
+
+def test_the_field_of_a_dipole_obeys_maxwell_near_it_too() -> None:
+    """Divergence zero and the wave equation, by differences; one sign wrong in the near terms breaks them."""
+    p = np.array([[0.0, 0.6, 0.8]])
+    at = np.array([0.04, 0.01, -0.03])
+    h = 1e-3
+
+    def field(offset: np.ndarray) -> np.ndarray:
+        return dipole_field(K, (at + offset)[None], np.zeros((1, 3)), p)[:, 0, 0]
+
+    steps = h * np.eye(3)
+    divergence = sum((field(steps[c]) - field(-steps[c]))[c] for c in range(3)) / (2 * h)
+    laplacian = sum(field(s) + field(-s) - 2 * field(0 * s) for s in steps) / h**2
+    scale = np.linalg.norm(field(np.zeros(3)))
+    assert abs(divergence) < 0.01 * K * scale
+    np.testing.assert_allclose(laplacian, -(K**2) * field(np.zeros(3)), atol=0.02 * K**2 * scale)
+
+
+@pytest.mark.skipif(not FULLWAVE.is_dir(), reason="the full-wave responses are not in the shared data folder")
+@pytest.mark.parametrize("name", ["free20_one", "free20_c90"])
+def test_the_shared_responses_are_reproduced(name: str) -> None:
+    """Another solver with a mesh of the same fineness: amplitude and phase at 1 m, both polarisations."""
+    theirs = read_response(FULLWAVE / f"{name}.npz")
+    places = np.array([[0.045, 0.0], [0.0, 0.045]]) if name.endswith("c90") else np.zeros((1, 2))
+    equation = Efie(shapes.tag(0.02, places, 3, 1.0))
+    k = float(theirs.wavenumber[20])
+    for i in (1, 3):
+        ring = theirs.rings[i]
+        b = equation.monostatic(k, *ring_antennas(ring, 12)) * ring.range_m**2 * np.exp(2j * k * ring.range_m)
+        there = theirs.scattering_length_m[20, i, ::6]
+        assert np.abs(db(b / there)).max() < 0.1
+        assert np.abs(b - there).max() < 0.01 * np.abs(there).max()
 
 
 def test_a_shift_towards_the_antenna_advances_the_phase() -> None:

@@ -253,31 +253,21 @@ class Efie:
         return upper
 
     def excitation(self, k: float, antennas: Floats, polarisation: Floats) -> Complexes:
-        """V (functions, antennas): the incident field of dipoles, tested with every function.
-
-        E = exp(-jkR) / R [p (1 + q) - R^ (R^ . p) (1 + 3 q)], q = -j / (kR) - 1 / (kR)^2 (Balanis, Antenna
-        Theory, 4th edition, section 4.2).
+        """V (functions, antennas) in m: the incident field of dipoles, tested with every function.
 
         Args:
             k: wavenumber, 1/m.
             antennas: (n, 3), m.
             polarisation: (n, 3) unit vectors.
+
+        Raises DataError where an antenna touches the mesh.
         """
         total = np.zeros((self.unknowns, len(antennas)), dtype=np.complex128)
         tested = [part.T.tocsr() for part in self._sampled[:3]]
         for chunk in np.array_split(np.arange(len(antennas)), 1 + len(antennas) // 64):
-            sight = self.points[:, None] - antennas[chunk]
-            distance = np.linalg.norm(sight, axis=2)
-            if distance.min(initial=np.inf) < 1e-3:
-                raise DataError("an antenna touches the object", "Move the antenna away from the mesh.")
-            sight /= distance[..., None]
-            along = np.einsum("pac,ac->pa", sight, polarisation[chunk])
-            kr = k * distance
-            q = -1j / kr - 1 / kr**2
-            wave = np.exp(-1j * kr) / distance
-            direct, radial = wave * (1 + q), wave * along * (1 + 3 * q)
+            field = dipole_field(k, self.points, antennas[chunk], polarisation[chunk])
             for c in range(3):
-                total[:, chunk] += tested[c] @ (polarisation[chunk, c] * direct - sight[..., c] * radial)
+                total[:, chunk] += tested[c] @ field[c]
         return total
 
     def currents(self, k: float, excitation: Complexes) -> Complexes:
@@ -289,3 +279,24 @@ class Efie:
         """S (antennas,) in 1/m: what comes back to each antenna, along its own polarisation."""
         v = self.excitation(k, antennas, polarisation)
         return np.asarray(-(v * self.currents(k, v)).sum(axis=0))
+
+
+def dipole_field(k: float, points: Floats, antennas: Floats, polarisation: Floats) -> Complexes:
+    """Field E (3, points, antennas) of Hertzian dipoles, p exp(-jkR) / R far away across the line of sight.
+
+    E = exp(-jkR) / R [p (1 + q) - R^ (R^ . p) (1 + 3 q)], q = -j / (kR) - 1 / (kR)^2 (Balanis, Antenna
+    Theory, 4th edition, section 4.2).
+
+    Raises DataError where a point is within 1 mm of an antenna.
+    """
+    sight = points[:, None] - antennas
+    distance = np.linalg.norm(sight, axis=2)
+    if distance.min(initial=np.inf) < 1e-3:
+        raise DataError("an antenna touches the object", "Move the antenna away from the mesh.")
+    sight /= distance[..., None]
+    along = np.einsum("pac,ac->pa", sight, polarisation)
+    kr = k * distance
+    q = -1j / kr - 1 / kr**2
+    wave = np.exp(-1j * kr) / distance
+    direct, radial = wave * (1 + q), wave * along * (1 + 3 * q)
+    return np.stack([polarisation[:, c] * direct - sight[..., c] * radial for c in range(3)])
