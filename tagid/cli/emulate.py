@@ -82,11 +82,13 @@ def register(app: typer.Typer) -> None:
 
         Example: tagid emulate p440 --bind 127.0.0.1:21210 --scene helmet-120 --rpm 2
         """
+        from tagid.motion.emulator.truth import TrueAngle
         from tagid.radar.emulator import ServeOptions, serve, serve_udp
         from tagid.radar.emulator_core import EmulatorCore
         from tagid.radar.faults import Faults
         from tagid.radar.firmware import Firmware
         from tagid.radar.sources import ScanSource
+        from tagid.simulate import Acquisition
         from tagid.sources import Sources
 
         faults = Faults(
@@ -100,15 +102,17 @@ def register(app: typer.Typer) -> None:
         source: ScanSource
         if replay is not None:
             source = Sources().recording(Path(replay), loop)
+        elif files is not None:
+            placed = Acquisition(
+                axis_distance_m=axis_distance, snr_db=snr, placement=_placement(centre, rotation)
+            )
+            turner = TrueAngle(turned_by).at if turned_by else None
+            source = files.turning(placed, rpm, seed, cable_delay * 1e-12, turner)
         else:
             wanted = {"seed": seed, "rpm": rpm, "axis_distance": axis_distance, "snr": snr}
             wanted["cable_delay"] = cable_delay
             given = {key: str(value) for key, value in wanted.items()}
-            given |= {"turned_by": turned_by} if turned_by else {}
-            if files is None:
-                source = Sources().scene(scene, given)
-            else:
-                source = Sources().response(files, given, _placement(centre, rotation))
+            source = Sources().scene(scene, given | ({"turned_by": turned_by} if turned_by else {}))
         core = EmulatorCore(source, firmware=firmware)
         stop = threading.Event()
         for number in (signal.SIGINT, signal.SIGTERM):

@@ -10,7 +10,7 @@ import typer
 from tagid.errors import UsageError
 
 if TYPE_CHECKING:
-    from tagid.sources import ResponseFiles
+    from tagid.simulate.response_files import ResponseFiles
 
 ResponseFile = Annotated[
     Path | None,
@@ -36,9 +36,9 @@ def response_files(
 
     Raises UsageError where one of the others is given without it.
     """
-    from tagid.sources import ResponseFiles
-
     if response is not None:
+        from tagid.simulate.response_files import ResponseFiles
+
         return ResponseFiles(response, (polarisation or "V").upper(), reference, body)
     if polarisation is not None or reference is not None or body is not None:
         raise UsageError(

@@ -79,7 +79,7 @@ def register(app: typer.Typer) -> None:
             wobble=Wobble(speed=wobble),
             beam_width_rad=None if beam_deg is None else float(np.deg2rad(beam_deg)),
             range_law=range_law,
-            pulse=None if pulse_of is None else _pulse(pulse_of),
+            pulse=None if pulse_of is None else _pulse_of(pulse_of),
         )
         shown = scene_from_name(scene or "", seed) if files is None else files.scene(acquisition, seed)
         capture, truth = simulate_capture(shown, acquisition, seed)
@@ -99,7 +99,7 @@ def register(app: typer.Typer) -> None:
         return Result("simulate", data, line)
 
 
-def _pulse(path: Path) -> Pulse:
+def _pulse_of(path: Path) -> Pulse:
     """The pulse that a capture holds. Raises the reader's errors, and DataError where it holds none."""
     from tagid.storage.importers import read_any
 

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from tagid.constants import SPEED_OF_LIGHT
 from tagid.errors import DataError, FileFormatError
 from tagid.simulate.response import MAX_VALUES, Response, Ring
-from tagid.storage.assembly import decode_settings, encode_settings
+from tagid.storage.assembly import decode_settings, encode_settings, text
 from tagid.storage.atomic import read_bytes, write_bytes
-from tagid.storage.npz import one_text, read_arrays
+from tagid.storage.npz import read_arrays
 
 FORMAT = "tagid.response"
 FORMAT_VERSION = 1
@@ -50,9 +50,9 @@ def read_response(path: Path) -> Response:
             f"{path}: is no response file: it holds neither `format` nor {', '.join(_PLAIN)}",
             "docs/responses.md describes the file.",
         )
-    found = one_text(arrays["format"], f"{path} (format)")
-    if found != FORMAT:
-        raise FileFormatError(f"{path}: format is {found[:40]!r}, expected {FORMAT!r}")
+    named = _text(path, arrays, "format")
+    if named != FORMAT:
+        raise FileFormatError(f"{path}: format is {named[:40]!r}, expected {FORMAT!r}")
     missing = [key for key in _OWN if key not in arrays]
     if missing:
         raise FileFormatError(
@@ -65,19 +65,17 @@ def read_response(path: Path) -> Response:
         raise FileFormatError(
             f"{path}: format version {int(version)} is newer than {FORMAT_VERSION}", "Update tagid."
         )
-    about = {}
+    about: dict[str, str] = {}
     if "provenance" in arrays:
-        where = f"{path} (provenance)"
-        about = {
-            str(k): str(v) for k, v in decode_settings(one_text(arrays["provenance"], where), where).items()
-        }
+        found = decode_settings(_text(path, arrays, "provenance"), f"{path} (provenance)")
+        about = {str(key): str(value) for key, value in found.items()}
     rings = _rings(path, arrays["ring_distance_m"], arrays["ring_polarisation"], arrays["ring_height_m"])
     values = _complex(path, "scattering_length_m", arrays["scattering_length_m"])
     _check_aspects(path, _real(path, "aspect_rad", arrays["aspect_rad"]), values)
     reflectors = arrays.get("reflectors_m", np.zeros((0, 2)))
     return _build(
         path,
-        name=one_text(arrays["name"], f"{path} (name)")[:200],
+        name=_text(path, arrays, "name")[:200],
         frequency_hz=_real(path, "frequency_hz", arrays["frequency_hz"]),
         rings=rings,
         scattering_length_m=values.astype(np.complex64),
@@ -173,6 +171,13 @@ def _check_aspects(path: Path, aspect: NDArray[np.float64], values: NDArray[Any]
             f"{path}: the aspects are not 2 pi i / {count}",
             "Resample them evenly from 0 over the whole circle, without 2 pi itself.",
         )
+
+
+def _text(path: Path, arrays: dict[str, NDArray[Any]], key: str) -> str:
+    values = arrays[key]
+    if values.shape != () or values.dtype.kind not in "US":
+        raise FileFormatError(f"{path}: {key} has shape {values.shape}, expected one text")
+    return text(values.item(), f"{path} ({key})")
 
 
 def _real(path: Path, key: str, values: NDArray[Any]) -> NDArray[np.float64]:

@@ -141,4 +141,4 @@ def response_scene(
         "reflectors_m": response.reflectors_m.tolist(),
         **{f"response_{key}": value for key, value in response.provenance.items()},
     }
-    return Scene(response.name, (body,), (), room, reference_amplitude=1.0, description=about)
+    return Scene(response.name, (body,), room=room, reference_amplitude=1.0, description=about)

@@ -76,7 +76,7 @@ def read_npz(path: Path) -> Capture:
             + ".",
         )
     ours = (
-        decode_settings(one_text(arrays["tagid"], f"{path} (tagid)"), f"{path} (tagid)")
+        decode_settings(_string(arrays["tagid"], f"{path} (tagid)"), f"{path} (tagid)")
         if "tagid" in arrays
         else {}
     )
@@ -243,7 +243,7 @@ def _provenance(path: Path, arrays: dict[str, NDArray[Any]], ours: dict[str, Any
         raise FileFormatError(f"{path}: complete in tagid is not true or false")
     fields["complete"] = ours.get("complete", True)
     if "object" in arrays:
-        fields["object"] = _object(one_text(arrays["object"], f"{path} (object)"))
+        fields["object"] = _object(_string(arrays["object"], f"{path} (object)"))
     return fields
 
 
@@ -256,8 +256,7 @@ def _object(content: str) -> dict[str, Any]:
     return value if isinstance(value, dict) else {"label": content}
 
 
-def one_text(value: NDArray[Any], where: str) -> str:
-    """The text of an array that holds one. Raises FileFormatError naming `where`."""
+def _string(value: NDArray[Any], where: str) -> str:
     if value.shape != () or value.dtype.kind not in "US":
         raise FileFormatError(f"{where}: has shape {value.shape} and dtype {value.dtype}, expected one text")
     item = value.item()
