@@ -400,6 +400,10 @@ class ObjectInfo(JsonValue):
     Attributes:
         label: name of an imported object. note: the operator's remark.
         scene: name of a simulated scene. layout: layout that a simulated object carries.
+        body, reflector: of a simulated object, as the command line names them.
+        seed: of a simulated scene.
+        reflectors_m: true (x, y) of the reflectors of a solved object, m.
+        snr_reference: what the SNR of a solved object refers to.
         demo: whether an emulated radar recorded it. truth: of a simulation.
         extra: other keys of the file.
     """
@@ -408,6 +412,11 @@ class ObjectInfo(JsonValue):
     note: str | None = None
     scene: str | None = None
     layout: str | None = None
+    body: str | None = None
+    reflector: str | None = None
+    seed: int | None = None
+    reflectors_m: tuple[tuple[float, ...], ...] | None = None
+    snr_reference: str | None = None
     demo: bool | None = None
     truth: SimulatedTruth | None = None
     extra: Mapping[str, Any] = field(default_factory=dict)

@@ -10,6 +10,7 @@ import typer
 
 from tagid.cli.common import enrolling, options
 from tagid.cli.common.frame import Terminal, command
+from tagid.cli.common.points import parse_point
 from tagid.config import Config, load_config
 from tagid.errors import RegistryError, UsageError
 from tagid.result import Result
@@ -206,16 +207,6 @@ def _result(
     human = line if shown else Group(_shown(found, estimate), line)
     status, code = ("error", errors[0].exit_code) if errors else ("success", 0)
     return Result("enroll", data, human, status, code, tuple(messages), entries)  # type: ignore[arg-type]
-
-
-def parse_point(option: str, text: str) -> tuple[float, float]:
-    """X,Y in metres from the text of an option. Raises UsageError."""
-    parts = text.split(",")
-    try:
-        x, y = (float(part) for part in parts)
-    except ValueError:
-        raise UsageError(f"{option} {text!r} is not X,Y", f"Give metres, e.g. {option} 0.11,-0.02") from None
-    return x, y
 
 
 def _from_points(name: str, points: list[str], sigma: float | None) -> Layout:

@@ -1,4 +1,4 @@
-"""`tagid simulate`: captures of scenes that exist only as models."""
+"""`tagid simulate`: captures of simulated scenes and of objects whose response is known."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tagid.cli.common import options
+from tagid.cli.common import options, response_options
 from tagid.cli.common.frame import Terminal, command
-from tagid.errors import StorageError, UsageError
+from tagid.errors import DataError, StorageError, UsageError
 from tagid.result import Result
 
 if TYPE_CHECKING:
@@ -25,7 +25,6 @@ def register(app: typer.Typer) -> None:
     @command(app, "simulate")
     def simulate(
         terminal: Terminal,
-        scene: Annotated[str, typer.Argument(help="helmet-120, container-90, points-3, can, box, empty ...")],
         out: Annotated[Path, typer.Option("--out", "-o", help="Capture to write.")],
         body: options.Body = None,
         reflector: options.Reflector = None,
@@ -33,6 +32,17 @@ def register(app: typer.Typer) -> None:
         unlike: Annotated[
             float, typer.Option("--unlike", help="Spread of the reflectors' strengths, dB.", min=0, max=20)
         ] = 0.0,
+        scene: Annotated[
+            str | None,
+            typer.Argument(help="helmet-120, container-90, points-3, can, box, empty ...; or --response."),
+        ] = None,
+        response: response_options.ResponseFile = None,
+        polarisation: response_options.Polarisation = None,
+        snr_reference: response_options.SnrReference = None,
+        snr_reference_body: response_options.SnrReferenceBody = None,
+        pulse_of: Annotated[
+            Path | None, typer.Option("--pulse-of", help="Capture that holds the pulse to transmit.")
+        ] = None,
         views: Annotated[int, typer.Option("--views", help="Views per turn.")] = 360,
         turns: Annotated[float, typer.Option("--turns", help="Turns recorded.")] = 1.0,
         snr: Annotated[
@@ -67,14 +77,14 @@ def register(app: typer.Typer) -> None:
         seed: options.Seed = 0,
         force: Annotated[bool, typer.Option("--force", help="Replace a file that exists.")] = False,
     ) -> Result:
-        """Simulate the capture of a turning scene.
+        """Simulate the capture of a turning scene, or of an object whose response is in a file.
 
         Example: tagid simulate container-90 --body can:35mm,handle --centre 0.004,0 --out can.tagid.h5
         """
         import numpy as np
         from rich.text import Text
 
-        from tagid.cli.enroll import parse_point
+        from tagid.cli.common.points import parse_point
         from tagid.simulate import (
             Acquisition,
             Interference,
@@ -91,13 +101,18 @@ def register(app: typer.Typer) -> None:
         place = Placement(
             parse_point("--centre", centre), float(np.deg2rad(rotation)), parse_elevation(elevation)
         )
+        files = response_options.response_files(response, polarisation, snr_reference, snr_reference_body)
+        if (scene is None) == (files is None):
+            raise UsageError("give either a scene or --response FILE", "tagid simulate --help has examples.")
+        if files is not None and range_law:
+            raise UsageError("--range-law is part of every response", "Omit --range-law.")
         acquisition = Acquisition(
             views=views,
             turns=turns,
             axis_distance_m=axis_distance,
             axis_distance_error_m=axis_error,
             antenna_height_m=height,
-            pulse=_pulse(pulse, seed),
+            pulse=_pulse(pulse, seed) if pulse_of is None else _pulse_of(pulse_of),
             snr_db=None if noise is not None else snr,
             snr_reference=snr_of,
             noise_std=noise,
@@ -107,12 +122,18 @@ def register(app: typer.Typer) -> None:
             beam_width_rad=None if beam_deg is None else float(np.deg2rad(beam_deg)),
             range_law=range_law,
         )
-        capture, truth = simulate_capture(_scene(scene, body, reflector, unlike, seed), acquisition, seed)
+        if files is not None and (body or reflector or unlike):
+            raise UsageError("--body and --reflector belong to a scene", "A response file holds the object.")
+        if files is None:
+            shown = _scene(scene or "", body, reflector, unlike, seed)
+        else:
+            shown = files.scene(acquisition, seed)
+        capture, truth = simulate_capture(shown, acquisition, seed)
         export(capture, out)
-        line = Text(f"{out}: {scene}, {capture.views} scans of {capture.bins} samples, {truth.snr}")
+        line = Text(f"{out}: {shown.name}, {capture.views} scans of {capture.bins} samples, {truth.snr}")
         data = {
             "path": str(out),
-            "scene": scene,
+            "scene": shown.name,
             "views": capture.views,
             "bins": capture.bins,
             "truth": {
@@ -148,3 +169,13 @@ def _pulse(name: str, seed: int) -> Pulse | None:
         raise UsageError(f"--pulse is {name!r}", f"Use {' or '.join(PULSES)}.")
     # A stream of its own, so that the pulse is the same whatever else is drawn from the seed.
     return random_pulse(np.random.default_rng([seed, 1])) if name == "random" else None
+
+
+def _pulse_of(path: Path) -> Pulse:
+    """The pulse that a capture holds. Raises the reader's errors, and DataError where it holds none."""
+    from tagid.storage.importers import read_any
+
+    pulse = read_any(path).pulse
+    if pulse is None:
+        raise DataError(f"{path} holds no pulse", "Give a capture with `pulse` and `pulse_step_s`.")
+    return pulse

@@ -67,7 +67,7 @@ def read_npz(path: Path) -> Capture:
         StorageError: the file cannot be read.
         FileFormatError: damaged, a key is missing, of the wrong shape, dtype or size, or not finite.
     """
-    arrays = _load(path, files.read_bytes(path))
+    arrays = read_arrays(path, files.read_bytes(path), _KEYS)
     missing = [key for key in ("samples", "range_start_m", "range_step_m") if key not in arrays]
     if missing:
         raise FileFormatError(
@@ -133,8 +133,16 @@ def encode_npz(capture: Capture) -> bytes:
     return buffer.getvalue()
 
 
-def _load(path: Path, data: bytes) -> dict[str, NDArray[Any]]:
-    """The arrays under known keys, each checked before memory is taken for it."""
+def read_arrays(path: Path, data: bytes, keys: frozenset[str]) -> dict[str, NDArray[Any]]:
+    """The arrays of an NPZ file under known keys, each checked before memory is allocated for it.
+
+    Args:
+        path: of the file, for messages.
+        data: its content.
+        keys: others are ignored.
+
+    Raises FileFormatError: damaged, Python objects, or sizes that are not plausible.
+    """
     arrays: dict[str, NDArray[Any]] = {}
     budget = files.MAX_FILE_BYTES
     try:
@@ -142,7 +150,7 @@ def _load(path: Path, data: bytes) -> dict[str, NDArray[Any]]:
             warnings.simplefilter("ignore")  # numpy warns of headers that it parses with effort
             for member in archive.infolist():
                 key = member.filename.removesuffix(".npy")
-                if key not in _KEYS or key in arrays:
+                if key not in keys or key in arrays:
                     continue
                 budget -= member.file_size
                 large = member.file_size > _SMALL_BYTES

@@ -30,9 +30,9 @@ def test_a_tag_on_a_can_is_written_with_its_truth(tagid, tmp_path: Path) -> None
     assert truth["snr_summed_db"] > 10
     capture = read_any(tmp_path / "can.tagid.h5")
     told = capture.object
-    assert (told["body"], told["reflector"]) == ("can:35mm,handle", "octahedron:20mm")
-    assert told["truth"]["elevation_m"] == pytest.approx(0.05)
-    assert told["truth"]["rotation_deg"] == pytest.approx(30)
+    assert (told.body, told.reflector) == ("can:35mm,handle", "octahedron:20mm")
+    assert told.truth.elevation_m == pytest.approx(0.05)
+    assert told.truth.rotation_deg == pytest.approx(30)
     assert capture.pulse is None
     assert capture.antenna_height_m == 0
     # The echo on the wire is that of the can and its handle: far above the tag's.

@@ -25,6 +25,8 @@ from tagid.radar.framing import Framing, StreamDecoder, frame
 from tagid.radar.messages import MAX_PACKET_BYTES, MAX_SAMPLES_PER_SCAN, MessageType, decode, encode
 from tagid.radar.scan_info import read_fragment, scan_packets
 from tagid.radar.settings import RadarConfig
+from tagid.simulate.response import Response, Ring
+from tagid.simulate.response_file import read_response, write_response
 from tagid.storage.exporters import export
 from tagid.storage.importers import read_any
 from tagid.storage.journal import JournalWriter
@@ -197,6 +199,33 @@ def encoded(suffix: str, capture: Capture | None = None) -> bytes:
     return path.read_bytes()
 
 
+def _response(data: bytes) -> None:
+    path = _folder() / "response"
+    path.write_bytes(data)
+    try:
+        read_response(path)
+    except TagidError as error:
+        assert error.message
+
+
+def _response_seeds() -> list[bytes]:
+    """A small response in the own layout, once compressed and once stored, and one in the plain layout."""
+    rings = (Ring(0.8, "V"), Ring(1.0, "V"))
+    values = np.full((2, 2, 4), 0.01 + 0.02j, dtype=np.complex64)
+    path = _folder() / "response.npz"
+    write_response(path, Response("seed", np.array([3e9, 4e9]), rings, values, provenance={"made": "here"}))
+    with np.load(path) as loaded:
+        own = dict(loaded)
+    plain = {"S": values, "freqs": own["frequency_hz"], "azimuth": own["aspect_rad"]}
+    plain |= {"ring_distance": own["ring_distance_m"], "ring_pol": own["ring_polarisation"]}
+    seeds = [path.read_bytes()]
+    for arrays in (own, plain):
+        buffer = io.BytesIO()
+        np.savez(buffer, allow_pickle=False, **arrays)
+        seeds.append(buffer.getvalue())
+    return seeds
+
+
 def _stored_npz() -> bytes:
     """Not compressed, so that mutations reach the arrays and not only the deflate stream."""
     buffer = io.BytesIO()
@@ -241,7 +270,7 @@ def _seeds_of(*suffixes: str) -> Callable[[], list[bytes]]:
 
 
 TARGETS = (
-    Target("message", _message, _messages, 0.87, 1600),
+    Target("message", _message, _messages, 0.867, 1600),
     Target("framing-usb", _framing(Framing.USB), _frames(Framing.USB), 0.03, 3200),
     Target("framing-uart", _framing(Framing.UART), _frames(Framing.UART), 0.03, 3200),
     Target("regrouping", _scans, _scan_headers, 0.005, 260),
@@ -250,6 +279,7 @@ TARGETS = (
     Target("mrm-ret", _importer, _seeds_of(".csv"), 0.006, 8000),
     Target("journal", _importer, _seeds_of(".tagid.journal"), 0.01, 8000),
     Target("npz", _importer, lambda: [*_seeds_of(".npz")(), _stored_npz()], 0.008, 8000),
+    Target("response", _response, _response_seeds, 0.003, 6000),
     Target("hdf5", _importer, _seeds_of(".tagid.h5"), 0.003, 30_000),
     Target("layouts", _layouts(".toml"), _layout_seeds, 0.005, 2000),
     Target("contract", _contract, _contract_seeds, 0.005, 2000),

@@ -15,7 +15,7 @@ import pytest
 
 from tagid.constants import SPEED_OF_LIGHT
 from tagid.errors import DataError, UsageError
-from tagid.recording.sources import Sources
+from tagid.recording.sources import emulated_scene
 from tagid.simulate import (
     Acquisition,
     BodySpec,
@@ -279,7 +279,7 @@ def test_elevation_is_in_the_echo_and_not_in_the_capture() -> None:
     )
     np.testing.assert_allclose(truth.clean, expected.samples, atol=1e-5)
     assert capture.antenna_height_m == 0.0
-    assert capture.object["truth"]["elevation_m"] == 0.1
+    assert capture.object.truth.elevation_m == 0.1
 
 
 @pytest.mark.parametrize("text", ["can:35mm", "box:120mm", "helmet:98mm"])
@@ -307,8 +307,8 @@ def test_snr_is_measured_on_the_samples(reference: str, index: int) -> None:
     measured = [20 * np.log10(level / noise) for level in (single, both)]
     assert measured[index] == pytest.approx(12.0, abs=0.1)
     assert (truth.snr.reflector_db, truth.snr.summed_db) == pytest.approx(measured, abs=0.1)
-    told = capture.object["truth"]
-    assert (told["snr_reflector_db"], told["snr_summed_db"]) == pytest.approx(measured, abs=0.1)
+    told = capture.object.truth
+    assert (told.snr_reflector_db, told.snr_summed_db) == pytest.approx(measured, abs=0.1)
     with pytest.raises(UsageError):
         Acquisition(snr_reference="loudest")
 
@@ -342,21 +342,21 @@ def test_random_pulses_differ_and_are_not_stated() -> None:
     assert not np.allclose(first.samples, second.samples)
     capture, _ = simulate_capture(scene_from_name("helmet-120"), Acquisition(views=3, pulse=first))
     assert capture.pulse is None
-    assert capture.object["truth"]["pulse"] == "other"
+    assert capture.object.truth.pulse == "other"
 
 
 def test_the_truth_is_in_the_capture() -> None:
     scene = scene_on_body("container-90", parse_body("can:35mm,handle"), ReflectorSpec(), 7)
     how = Acquisition(views=4, placement=Placement((0.003, -0.002), np.deg2rad(40)), wobble=Wobble(0.01))
     told = simulate_capture(scene, how)[0].object
-    assert (told["layout"], told["body"], told["reflector"]) == (
+    assert (told.layout, told.body, told.reflector) == (
         "container-90",
         "can:35mm,handle",
         "octahedron:20mm",
     )
-    assert told["truth"]["rotation_deg"] == pytest.approx(40)
-    assert told["truth"]["centre_m"] == [0.003, -0.002]
-    assert told["truth"]["wobble_speed"] == 0.01
+    assert told.truth.rotation_deg == pytest.approx(40)
+    assert told.truth.centre_m == (0.003, -0.002)
+    assert told.truth.wobble_speed == 0.01
 
 
 def test_the_emulator_sees_a_body_off_the_axis_as_the_simulator_does() -> None:
@@ -397,7 +397,7 @@ def test_an_emulated_radars_scene_takes_a_body_and_its_place() -> None:
         "centre": "0.004,-0.002",
         "elevation": "5cm",
     }
-    source = Sources().scene("container-90", options)
+    source = emulated_scene("container-90", options)
     assert isinstance(source, TurningScene)
     expected = TurningScene(
         scene_on_body("container-90", parse_body("can:35mm"), ReflectorSpec()),
@@ -414,7 +414,7 @@ def test_an_emulated_radars_scene_takes_a_body_and_its_place() -> None:
         {"handle": "1"},
     ):
         with pytest.raises(UsageError) as error:
-            Sources().scene("container-90", wrong)
+            emulated_scene("container-90", wrong)
         assert error.value.remedy
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from tagid import interrupts
-from tagid.cli.common import options
+from tagid.cli.common import options, response_options
 from tagid.cli.common.frame import Output, Terminal, command
 from tagid.cli.emulate import motion as emulate_motion
 from tagid.errors import UsageError
@@ -19,6 +19,7 @@ from tagid.result import Result
 
 if TYPE_CHECKING:
     from tagid.radar.emulation.wires import PtyWire
+    from tagid.simulate import Placement
 
 
 def register(app: typer.Typer) -> None:
@@ -45,6 +46,13 @@ def register(app: typer.Typer) -> None:
         scene: Annotated[str, typer.Option("--scene", help="helmet-120, points-3, can, empty ...")] = (
             "helmet-120"
         ),
+        response: response_options.ResponseFile = None,
+        polarisation: response_options.Polarisation = None,
+        snr_reference: response_options.SnrReference = None,
+        snr_reference_body: response_options.SnrReferenceBody = None,
+        rotation: Annotated[
+            float, typer.Option("--rotation", help="With --response: rotation of the object, degrees.")
+        ] = 0.0,
         replay: Annotated[str | None, typer.Option("--replay", help="Replay a recording instead.")] = None,
         rpm: Annotated[float, typer.Option("--rpm", help="Turns a minute of the emulated table.")] = 2.0,
         turned_by: Annotated[
@@ -78,21 +86,32 @@ def register(app: typer.Typer) -> None:
 
         Example: tagid emulate p440 --bind 127.0.0.1:21210 --scene helmet-120 --rpm 2
         """
+        from tagid.motion.emulation.truth import TrueAngle
         from tagid.radar.emulation.core import EmulatorCore
         from tagid.radar.emulation.emulator import ServeOptions, serve, serve_udp
         from tagid.radar.emulation.faults import Faults
         from tagid.radar.emulation.firmware import Firmware
         from tagid.radar.emulation.sources import ScanSource
         from tagid.recording.sources import emulated_recording, emulated_scene
+        from tagid.simulate import Acquisition
 
         faults = Faults(
             lose=lose, duplicate=duplicate, reorder=reorder, delay=delay, delay_s=delay_ms * 1e-3, seed=seed
         )
         firmware = Firmware(status_bytes, sleep_bytes, server)
         host, port = ("", 0) if serial else _address(bind)
+        files = response_options.response_files(response, polarisation, snr_reference, snr_reference_body)
+        if replay is not None and files is not None:
+            raise UsageError("--replay and --response are both given", "Choose one.")
         source: ScanSource
         if replay is not None:
             source = emulated_recording(Path(replay), loop)
+        elif files is not None:
+            placed = Acquisition(
+                axis_distance_m=axis_distance, snr_db=snr, placement=_placement(centre, rotation)
+            )
+            turner = TrueAngle(turned_by).at if turned_by else None
+            source = files.turning(placed, rpm, seed, cable_delay * 1e-12, turner)
         else:
             wanted = {"seed": seed, "rpm": rpm, "axis_distance": axis_distance, "snr": snr}
             wanted["cable_delay"] = cable_delay
@@ -120,6 +139,15 @@ def _address(bind: str) -> tuple[str, int]:
     if not host or not port.isdecimal() or int(port) > 65535:
         raise UsageError(f"--bind is {bind!r}", "Give HOST:PORT, e.g. 127.0.0.1:21210.")
     return host, int(port)
+
+
+def _placement(centre: str, rotation: float) -> Placement:
+    import numpy as np
+
+    from tagid.cli.common.points import parse_point
+    from tagid.simulate import Placement
+
+    return Placement(parse_point("--centre", centre), float(np.deg2rad(rotation)))
 
 
 def _pty(framing: str, baud: int, link: Path | None) -> PtyWire:

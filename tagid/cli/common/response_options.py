@@ -1,0 +1,48 @@
+"""The options with which `tagid simulate` and `tagid emulate p440` take an object from a response file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from tagid.errors import UsageError
+
+if TYPE_CHECKING:
+    from tagid.simulate.response_files import ResponseFiles
+
+ResponseFile = Annotated[
+    Path | None,
+    typer.Option("--response", help="Response file of the object, instead of a scene (docs/responses.md)."),
+]
+Polarisation = Annotated[
+    str | None, typer.Option("--polarisation", help="With --response: V (default) or H.")
+]
+SnrReference = Annotated[
+    Path | None,
+    typer.Option("--snr-reference", help="With --response: response whose peak --snr refers to."),
+]
+SnrReferenceBody = Annotated[
+    Path | None,
+    typer.Option("--snr-reference-body", help="Response subtracted from --snr-reference."),
+]
+
+
+def response_files(
+    response: Path | None, polarisation: str | None, reference: Path | None, body: Path | None
+) -> ResponseFiles | None:
+    """The files of these options, None without --response.
+
+    Raises UsageError where one of the others is given without it.
+    """
+    if response is not None:
+        from tagid.simulate.response_files import ResponseFiles
+
+        return ResponseFiles(response, (polarisation or "V").upper(), reference, body)
+    if polarisation is not None or reference is not None or body is not None:
+        raise UsageError(
+            "--polarisation, --snr-reference and --snr-reference-body need --response",
+            "Add --response FILE.",
+        )
+    return None

@@ -1,0 +1,65 @@
+"""An object named by its response file on the command line, as a scene or on an emulated turntable."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from tagid.errors import UsageError
+from tagid.simulate.acquisition import Acquisition
+from tagid.simulate.presets import room_clutter
+from tagid.simulate.response_file import read_response
+from tagid.simulate.response_scene import ResponseBody, peak_echo, response_scene
+from tagid.simulate.scene import Scene, StaticReturns
+from tagid.simulate.source import TurningScene
+
+
+@dataclass(frozen=True)
+class ResponseFiles:
+    """An object given by its response file, and what the SNR of its recordings refers to.
+
+    Attributes:
+        response: of the object.
+        polarisation: "V" or "H".
+        reference: response whose strongest echo is the SNR's signal; the object's own where it is None.
+        reference_body: response that is subtracted from the reference: tagged object minus its body.
+    """
+
+    response: Path
+    polarisation: str = "V"
+    reference: Path | None = None
+    reference_body: Path | None = None
+
+    def __post_init__(self) -> None:
+        if self.reference_body is not None and self.reference is None:
+            raise UsageError("a reference body is given without a reference", "Add --snr-reference FILE.")
+
+    def scene(self, acquisition: Acquisition, seed: int = 0) -> Scene:
+        """The object in a room drawn from the seed, as strong as the object where that exceeds its reference.
+
+        Raises the reader's errors, and UsageError where the response does not cover the acquisition.
+        """
+        response = read_response(self.response)
+        reference = None if self.reference is None else read_response(self.reference)
+        if reference is not None and self.reference_body is not None:
+            reference = reference.without(read_response(self.reference_body))
+        alone = response_scene(response, acquisition, self.polarisation, reference)
+        strengths = [peak_echo(body, acquisition) for body in alone.object if isinstance(body, ResponseBody)]
+        room = room_clutter(np.random.default_rng(seed))
+        room = StaticReturns(room.ranges_m, room.amplitudes * max(1.0, *strengths))
+        return response_scene(response, acquisition, self.polarisation, reference, room)
+
+    def turning(
+        self,
+        acquisition: Acquisition,
+        rpm: float,
+        seed: int = 0,
+        cable_delay_s: float = 0.0,
+        true_angle: Callable[[float], float] | None = None,
+    ) -> TurningScene:
+        """The object on an emulated turntable, for the radar emulator; arguments as for `TurningScene`."""
+        scene = self.scene(acquisition, seed)
+        return TurningScene(scene, rpm, seed, acquisition, cable_delay_s, true_angle)

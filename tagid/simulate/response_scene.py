@@ -1,0 +1,144 @@
+"""Scenes made of a response: the object moves, turns and is recorded as any other body.
+
+Its echo is rendered from points along the line of sight to the object's origin, whose delayed pulses add up
+to the response. So noise, room, wobble, placement and the emulator work unchanged.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tagid.constants import SPEED_OF_LIGHT
+from tagid.errors import DataError
+from tagid.geometry import Aperture
+from tagid.simulate.acquisition import Acquisition, RangeWindow
+from tagid.simulate.render import PulseTable, render_bodies
+from tagid.simulate.response import Floats, Response
+from tagid.simulate.scattering import Returns
+from tagid.simulate.scene import Scene, StaticReturns
+
+TAPER_HZ = 0.2e9
+"""Width of the raised cosine at either end of the response's frequencies.
+
+The pulse still has a few per cent of its amplitude there; without a taper its echo would ring over the whole
+window. At the band's edges of 3.1 and 4.8 GHz the taper of a response over 2.8 to 5.2 GHz is 1.
+"""
+
+_BEFORE = 1 / 3
+"""Share of the unambiguous depth in front of the object's origin; what rings comes later, behind it."""
+
+_TAP_M = 0.03
+"""Spacing of the points. Their sum repeats every c / (2 * 0.03 m) = 5 GHz: repetitions of 2.8 to 5.2 GHz lie
+where the pulse has nothing."""
+
+
+@dataclass(frozen=True, eq=False)
+class ResponseBody:
+    """A response as a reflecting body (`scattering.Body`).
+
+    Spreading is part of it: the echo falls as (axis_distance_m / R)^2 with the distance R from the antenna to
+    the object's origin, so that `Acquisition.range_law` must not be added.
+
+    Attributes:
+        response: of the object.
+        polarisation: "V" or "H".
+        axis_distance_m: distance at which an echo has the amplitude gain * b.
+        gain: amplitude of a scattering length of 1 m, 1/m.
+    """
+
+    response: Response
+    polarisation: str = "V"
+    axis_distance_m: float = 1.0
+    gain: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.axis_distance_m) and self.axis_distance_m > 0):
+            raise DataError(f"axis distance is {self.axis_distance_m} m, expected a positive number")
+        if not (np.isfinite(self.gain) and self.gain > 0):
+            raise DataError(f"gain of a response is {self.gain}, expected a positive number")
+
+    def returns(self, antennas: Floats) -> Returns:
+        """Points x_i before and behind the origin, with a_i = sum_f b(f) taper(f) exp(2jk x_i) df 2 dx / c.
+
+        Their pulses add up to the inverse Fourier transform of b * taper * (spectrum of the pulse).
+        """
+        r = self.response
+        depth = r.unambiguous_m
+        count = int(np.floor(depth / _TAP_M))
+        offset = -_BEFORE * depth + depth / count * np.arange(count)
+        step_hz = r.frequency_hz[1] - r.frequency_hz[0]
+        kernel = np.exp(2j * np.outer(r.wavenumber, offset)) * (step_hz * 2 * depth / count / SPEED_OF_LIGHT)
+        b = r.seen_from(antennas, self.polarisation) * _taper(r.frequency_hz)
+        away = np.linalg.norm(antennas, axis=1)
+        along = -antennas / away[:, None]
+        points = antennas[:, None] + along[:, None] * (away[:, None] + offset)[..., None]
+        # Points that would lie behind the antenna belong to no echo.
+        ahead = away[:, None] + offset > 0
+        spread = (self.axis_distance_m / away) ** 2
+        return Returns(points, np.asarray(self.gain * spread[:, None] * (b @ kernel) * ahead))
+
+
+def _taper(frequency_hz: Floats) -> Floats:
+    """(f,) 1 in the band, a raised cosine towards the ends, zero one step beyond them."""
+    step = frequency_hz[1] - frequency_hz[0]
+    width = min(TAPER_HZ, (frequency_hz[-1] - frequency_hz[0]) / 4)
+    inside = np.minimum(frequency_hz - frequency_hz[0], frequency_hz[-1] - frequency_hz) + step
+    return np.asarray(0.5 - 0.5 * np.cos(np.pi * np.clip(inside / (width + step), 0, 1)))
+
+
+def peak_echo(body: ResponseBody, acquisition: Acquisition) -> float:
+    """Largest envelope of the echo over a turn of 72 views, with the object's origin on the axis.
+
+    The same pulse, distance and antenna height as in the acquisition; no wobble, no placement.
+    """
+    distance = acquisition.axis_distance_m
+    antennas = Aperture.turntable(
+        2 * np.pi * np.arange(72) / 72, distance, acquisition.antenna_height_m
+    ).positions
+    window = RangeWindow.around(distance)
+    out = np.zeros((72, window.bins), dtype=np.complex128)
+    plain = Acquisition(axis_distance_m=distance, window=window)
+    render_bodies((body,), plain.placement, antennas, plain, PulseTable.of(acquisition.pulse), out)
+    return float(np.abs(out).max())
+
+
+def response_scene(
+    response: Response,
+    acquisition: Acquisition,
+    polarisation: str = "V",
+    reference: Response | None = None,
+    room: StaticReturns | None = None,
+) -> Scene:
+    """A scene of one object whose response is known.
+
+    Amplitudes are scaled so that the strongest echo of the reference, its origin on the axis, is 1. The SNR
+    of the acquisition refers to that echo, and the room's amplitudes are in its unit.
+
+    Args:
+        response: of the object.
+        acquisition: how it will be recorded: the scale depends on distance, antenna height and pulse.
+        polarisation: "V" or "H".
+        reference: what the SNR refers to, for example one reflector alone or `tagged.without(untagged)`; the
+            response itself where it is not given.
+        room: echoes that stand still.
+
+    Raises:
+        UsageError: the response cannot be seen from there, or with that polarisation.
+        DataError: the reference has no echo.
+    """
+    distance = acquisition.axis_distance_m
+    shown = response if reference is None else reference
+    peak = peak_echo(ResponseBody(shown, polarisation, distance), acquisition)
+    if not peak > 0:
+        raise DataError(f"response {shown.name} has no echo, so that no SNR can refer to it")
+    body = ResponseBody(response, polarisation, distance, 1 / peak)
+    about = {
+        "response": response.name,
+        "polarisation": polarisation,
+        "snr_reference": shown.name,
+        "reflectors_m": response.reflectors_m.tolist(),
+        **{f"response_{key}": value for key, value in response.provenance.items()},
+    }
+    return Scene(response.name, (body,), room=room, reference_amplitude=1.0, description=about)
