@@ -185,7 +185,7 @@ def test_configuration_files_with_mistakes(run: Run, tmp_path: Path, text: str, 
 def test_a_build_is_the_same_every_time_and_checked_when_read(run: Run, tmp_path: Path) -> None:
     folder = tmp_path / "bridge"
     code, document = run("build", "--out", str(folder))
-    assert code == 0 and document["data"]["version"] == "1.0.0"
+    assert code == 0 and document["data"]["version"] == "1.1.0"
     build = read_build(folder)
     assert build.hashes == compile_firmware().hashes
     assert all(data[:2] == b"M\x06" for name, data in build.files.items() if name.endswith(".mpy"))
