@@ -31,7 +31,7 @@ _PER_EVENT = 6
 """Notifications that one connection event carries."""
 _OUR_SECRET = 1
 _NIMBLE_BOND = struct.Struct("<7sBH6x8s16s")
-"""Begin of NimBLE's `ble_store_value_sec`: peer address, key size, ediv, rand, long-term key (host/ble_store.h)."""
+"""Begin of NimBLE's `ble_store_value_sec` (host/ble_store.h): peer, key size, ediv, rand, long-term key."""
 _ADVERTISE_MS = 20.0
 
 

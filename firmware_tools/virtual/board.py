@@ -26,8 +26,8 @@ RESET_CAUSES = {
     "DEEPSLEEP_RESET": 4,
     "SOFT_RESET": 5,
 }
-"""Numbers of MicroPython's ESP32 port (ports/esp32/modmachine.c). A brown-out is reported as PWRON_RESET and a
-crash as HARD_RESET, so the cause cannot tell whether the robot was driving."""
+"""Numbers of MicroPython's ESP32 port (ports/esp32/modmachine.c). A brown-out is reported as PWRON_RESET and
+a crash as HARD_RESET, so the cause cannot tell whether the robot was driving."""
 SCHEDULED = 8
 """Pin interrupts that wait for the interpreter (MICROPY_SCHEDULER_DEPTH of the ESP32 port); more are lost."""
 _SPEEDS = {
@@ -60,7 +60,7 @@ class Board:
         self._interrupts.put(handler)
 
     def schedule(self, handler: Callable[[], None]) -> None:
-        """Queue a pin's handler as MicroPython does: run late where the firmware is busy, lost beyond SCHEDULED.
+        """Queue a pin's handler as MicroPython does: late where the firmware is busy, lost beyond SCHEDULED.
 
         From one thread only.
         """

@@ -23,6 +23,10 @@ class MotionStoppedError(DeviceError):
     code = "motion_stopped"
 
 
+class PausedError(MotionStoppedError):
+    """This program was paused while something turned: it was stopped, and its angle is lost."""
+
+
 @dataclass(frozen=True, eq=False)
 class Track:
     """Angles as a device measured them.

@@ -77,6 +77,16 @@ class Options:
             raise self.wrong(f"direction is {text[:50]!r}, not cw or ccw")
         return _DIRECTIONS[text]
 
+    def reversed(self, device: str) -> bool:
+        """The option `reversed`: 1 where the device turns the other way than its documents say.
+
+        Without it, what `tagid motion calibrate --direction` found for this device; else 0.
+        """
+        from tagid.motion.calibration import recall_reversed
+
+        given = self.number("reversed", None, 0, 1)
+        return recall_reversed(device) if given is None else bool(given)
+
     def done(self) -> None:
         """Raise UsageError for an option that nobody took."""
         if self.given:

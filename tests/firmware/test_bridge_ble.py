@@ -27,7 +27,10 @@ from tagid.motion.bridge.protocol import (
     Status,
     encode,
 )
-from tests.firmware.conftest import CONFIG, PASSKEY, Wire, bridge_on, host
+from tests.firmware.conftest import CONFIG, PASSKEY, STOP, Wire, bridge_on, host
+
+AFTER_ONE_FAILED_S = 2.1
+"""Longer than the bridge waits after one failed try."""
 
 
 def test_bytes_cross_both_ways_unchanged_and_in_order(board: BoardProcess, wire: Wire) -> None:
@@ -45,7 +48,7 @@ def test_bytes_cross_both_ways_unchanged_and_in_order(board: BoardProcess, wire:
                 while len(received) < len(from_robot):
                     await asyncio.sleep(0.01)
             status = await bridge.status()
-            assert (status.to_robot, status.from_robot) == (900, 3000)
+            assert (status.to_robot, status.from_robot) == (3 * len(STOP) + 900, 3000)
             assert (status.lost_to_robot, status.lost_from_robot) == (0, 0)
             await bridge.disarm()
 
@@ -85,6 +88,7 @@ def test_a_stranger_can_read_the_version_and_nothing_else(board: BoardProcess, w
     asyncio.run(attempt(None))
     asyncio.run(attempt("111111"))
     asyncio.run(wrong())
+    time.sleep(AFTER_ONE_FAILED_S)
     asyncio.run(_owner(board))
     assert wire.waiting() == b"" and not [line for line in board.changes if "pin" in line]
 
@@ -110,6 +114,7 @@ def test_failed_tries_are_counted_over_reboots_and_owners(
 
     for failed in range(2):
         with boot() as board:
+            time.sleep(failed * AFTER_ONE_FAILED_S)
             with pytest.raises(DeviceRejectedError):
                 asyncio.run(attempt(board, "100000"))
             assert json.loads(tries.read_text()) == failed + 1
@@ -117,7 +122,7 @@ def test_failed_tries_are_counted_over_reboots_and_owners(
                 asyncio.run(attempt(board, PASSKEY))
             assert json.loads(tries.read_text()) == failed + 1
             if failed == 0:
-                time.sleep(2.1)
+                time.sleep(AFTER_ONE_FAILED_S)
                 asyncio.run(attempt(board, PASSKEY))  # the owner's own success changes nothing
                 assert json.loads(tries.read_text()) == 1
     tries.write_text("5")
@@ -133,6 +138,7 @@ def test_legacy_pairing_with_the_right_passkey_arms_nothing(board: BoardProcess,
     with pytest.raises(DeviceError):
         asyncio.run(run())
     assert wire.waiting() == b""
+    time.sleep(AFTER_ONE_FAILED_S)
     asyncio.run(_owner(board))
 
 

@@ -1,4 +1,4 @@
-"""Who may pair: the bonds, the tries of the pass-key over all reboots, and the check for LE Secure Connections.
+"""Who may pair: bonds, tries of the pass-key over all reboots, and the check for LE Secure Connections.
 
 A fixed pass-key is a weak secret. Pass-key entry compares its 20 bits one after the other (Bluetooth Core
 Specification, volume 3, part H, 2.3.5.6.3), so every failed try tells how many bits were right. Failed tries
@@ -104,7 +104,9 @@ class Pairing:
         """Writes the bonds, where they changed; from the loop."""
         if self._changed:
             self._changed = False
-            rows = [[kind, hexlify(key).decode(), hexlify(value).decode()] for kind, key, value in self._bonds]
+            rows = [
+                [kind, hexlify(key).decode(), hexlify(value).decode()] for kind, key, value in self._bonds
+            ]
             _write(BONDS, rows)
 
 

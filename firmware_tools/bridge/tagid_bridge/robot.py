@@ -156,7 +156,7 @@ class Robot:
         if len(self.to_robot) and not self._repeats and ticks_diff(now, self._free_at) >= 0:
             # Only what the line carries in a few milliseconds leaves the queue: see the module's docstring.
             data = self.to_robot.peek(max(1, self.baud * _SLICE_MS // 10000))
-            self.drove = self.drove or any([byte in _MOVING for byte in data])
+            self.drove = self.drove or any(byte in _MOVING for byte in data)
             self.uart.write(data)
             self.to_robot.drop(len(data))
             self.sent += len(data)

@@ -173,7 +173,7 @@ class OpenInterface:
                     return
         raise DeviceError(
             f"the robot at {self.link} was told to stop, but does not confirm it",
-            "Look whether it stands; press its Clean button if not.",
+            "Then check the plug or the distance.",
         )
 
     def _drain(self) -> None:

@@ -63,4 +63,7 @@ def open_ble(options: Options) -> Roomba:
     from tagid.motion.ble_urls import ble_address
 
     address = ble_address(options)
-    return Roomba(lambda: BridgeLink(address), _settings(options, address.target, fast=True), address.target)
+    robot = Roomba(lambda: BridgeLink(address), _settings(options, address.target, fast=True), address.target)
+    robot.stops_by = "its bridge stops it within half a second, and if it turns on, lift it"
+    robot.warning = ""
+    return robot
