@@ -222,7 +222,10 @@ def _write_file(path: Path, found: Mapping[str, Any]) -> None:
     temporary = path.with_suffix(".new")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        temporary.write_text(tomli_w.dumps(tables), encoding="utf-8")
+        # It may hold a bridge's pass-key, which is for its owner alone.
+        with os.fdopen(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600), "w") as file:
+            temporary.chmod(0o600)
+            file.write(tomli_w.dumps(tables))
         temporary.replace(path)
     except OSError as error:
         temporary.unlink(missing_ok=True)

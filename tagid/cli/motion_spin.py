@@ -36,7 +36,11 @@ def register(group: typer.Typer) -> None:
         device, _ = driven(url)
         device.turns = turns
         way = "clockwise" if device.direction < 0 else "counter-clockwise"
-        agree(f"{device.name} will turn {way} by {turns:g} turns, {device.nominal_s:.0f} s a turn", yes)
+        agree(
+            f"{device.name} will turn {way} by {turns:g} turns, {device.nominal_s:.0f} s per turn",
+            yes,
+            device.warning,
+        )
         begin = time.monotonic()
         with terminal.progress("turn", turns) as advance:
             try:

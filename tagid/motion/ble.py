@@ -27,6 +27,7 @@ from tagid.motion.bridge.client import Bridge
 from tagid.motion.bridge.find import Backends, bluetooth_errors, find
 from tagid.motion.guardian import Guardian, Watch
 from tagid.motion.links import WAKE_S, require
+from tagid.motion.virtual import virtual_bluetooth
 
 T = TypeVar("T")
 _OPEN_S: Final = 60.0
@@ -62,8 +63,7 @@ async def backends_of(address: BleAddress) -> AsyncIterator[Backends]:
         yield Backends()
         return
     require("bumble", "virtual", "a Bluetooth controller of its own (hci=)")
-    from firmware_tools.virtual.backend import open_backend
-
+    open_backend = virtual_bluetooth("backend")
     async with AsyncExitStack() as stack:
         try:
             pair = await stack.enter_async_context(open_backend(address.hci, address.passkey))

@@ -1,4 +1,4 @@
-"""Nothing turns without a live owner: drivers that hang, die or are asked to stop, in processes of their own."""
+"""Nothing turns without a live owner: drivers that hang, die or are asked to stop, in their own processes."""
 
 from __future__ import annotations
 
