@@ -156,7 +156,7 @@ class Memory:
 
 
 def test_no_cut_leaves_a_new_passkey_with_old_bonds() -> None:
-    """Wherever the plug is pulled, and also after provisioning again, whoever paired before must pair anew."""
+    """Wherever the plug is pulled, and after provisioning again, whoever paired before must pair again."""
     build = Build("1.1.0", "none", {"main.py": b"start", "tagid_bridge/control.mpy": b"M\x06"})
     old, new = (make_config("esp32c3", {"passkey": key}) for key in ("111111", "222222"))
     start = {**build.files, CONFIG: json.dumps(old).encode(), BONDS: b"[1]", TRIES: b"3"}

@@ -1,4 +1,4 @@
-"""Slip that both wheels share: no encoder sees it, so the stated sigma must allow for it or the radar close it."""
+"""Slip that both wheels share: no encoder sees it; the sigma must allow for it, or the radar close it."""
 
 from __future__ import annotations
 

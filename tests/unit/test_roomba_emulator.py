@@ -1,4 +1,4 @@
-"""The emulated robot against the Open Interface document: special radii, sleep, and what a stop must end in."""
+"""The emulated robot against the Open Interface document: special radii, sleep, and the end of a stop."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ def drive(velocity: int, radius: int) -> bytes:
     ("radius", "sign"), [(1, 1), (-1, -1), (-32768, 0), (32767, 0), (500, 1), (-500, -1)]
 )
 def test_the_special_radii_of_drive(radius: int, sign: int) -> None:
-    """OI specification, Drive: 1 turns in place counter-clockwise, -1 clockwise, 8000 and 7FFF hex go straight."""
+    """OI specification, Drive: 1 turns counter-clockwise, -1 clockwise, 8000 and 7FFF hex go straight."""
     core = RoombaCore(BodySettings(encoder_noise=0))
-    core.handle(START_SAFE + drive(57, radius), 0.0)
+    core.handle(START_SAFE + drive(171, radius), 0.0)
     core.advance(2.0)
     left, right = core.body.encoders()
     heading = core.body.heading_rad
@@ -33,7 +33,7 @@ def test_the_special_radii_of_drive(radius: int, sign: int) -> None:
     assert (abs(heading) < 1e-9) if sign == 0 else math.copysign(1, heading) == sign
     if abs(radius) == 1:
         assert left == pytest.approx(-right, abs=1) and abs(heading) == pytest.approx(
-            2 * 57 / 117.5, rel=0.05
+            2 * 171 / 117.5, rel=0.05
         )
     elif sign == 0:
         assert left == right > 0
