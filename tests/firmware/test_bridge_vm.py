@@ -132,9 +132,9 @@ def test_failed_passkeys_wait_longer_each_time_and_then_close_the_door(board: Pa
     for n, wait in enumerate((0, 2_000, 10_000, 60_000, 300_000)):
         at += wait
         if n:
-            actions += [[at - 20, "connect", 247], [at - 15, "passkey", 0], [at - 10, "lose", 0]]
-        at += 30
-        actions += [[at - 5, "connect", 247], [at, "passkey", 0], [at + 5, "lose", 0]]
+            actions += [[at - 600, "connect", 247], [at - 500, "passkey", 0], [at - 200, "lose", 0]]
+        at += 300
+        actions += [[at - 200, "connect", 247], [at, "passkey", 0], [at + 200, "lose", 0]]
     late = at + 900_000
     actions += [[late, "connect", 247], [late + 100, "passkey", 0]]
     (result,) = run_in_vm(board, {"end_ms": late + 300, "actions": actions, "round_us": 49_000})
@@ -305,4 +305,4 @@ def test_the_firmware_fits_the_chips_heap(board: Path, capsys: pytest.CaptureFix
         print(f"\nfirmware memory: {peak} bytes at most in a round, {alive} of them alive")
     assert 0 < alive < peak < HEAP_BYTES
     # The same work again needs as much, not more.
-    assert abs(second["memory"]["alive"] - alive) < 1024
+    assert second["memory"]["alive"] < alive + 1024
