@@ -49,9 +49,10 @@ def turned_the_other_way(capture: Capture, layout: Layout) -> bool:
         )
     mirror = replace(layout.mirrored(), name=f"{layout.name}-mirrored")
     answer = identify(capture, [layout, mirror], ImagingSettings(direction_known=True))
-    if answer.status != "identified" or answer.reading.layout not in (layout.name, mirror.name):
+    read = answer.reading.layout if answer.status == "identified" and answer.reading is not None else None
+    if read not in (layout.name, mirror.name):
         raise DataError(
             f"neither layout {layout.name} nor its mirror image was read ({answer.status})",
             "Check --layout and the axis distance, and record a full turn with a clear view of the object.",
         )
-    return answer.reading.layout == mirror.name
+    return read == mirror.name

@@ -62,7 +62,18 @@ def test_the_firmware_and_its_tools_are_imported_late() -> None:
             names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
             names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
             assert not any(name.split(".")[0] == "firmware_tools" for name in names), path
-    board = {"time", "struct", "json", "sys", "array", "binascii", "machine", "bluetooth", "micropython"}
+    board = {
+        "time",
+        "struct",
+        "json",
+        "os",
+        "sys",
+        "array",
+        "binascii",
+        "machine",
+        "bluetooth",
+        "micropython",
+    }
     for path in (ROOT / "firmware_tools" / "bridge" / "tagid_bridge").glob("*.py"):
         for node in ast.walk(ast.parse(path.read_text())):
             names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
