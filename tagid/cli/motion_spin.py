@@ -1,4 +1,4 @@
-"""`tagid motion spin`: turn without a radar, to see that all is well."""
+"""`tagid motion spin`: turn without a radar, as a check."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ def register(group: typer.Typer) -> None:
     def spin(
         terminal: Terminal,
         url: Url = None,
-        turns: Annotated[float, typer.Option("--turns", help="How far, 0.01 to 20.")] = 1.0,
+        turns: Annotated[float, typer.Option("--turns", help="Number of turns, 0.01 to 20.")] = 1.0,
         yes: Yes = False,
     ) -> Result:
-        """Turn by so much and stop.
+        """Turn by a number of turns and stop.
 
         Example: tagid motion spin roomba+serial:///dev/ttyUSB1 --turns 0.5
         """

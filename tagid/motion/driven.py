@@ -1,4 +1,4 @@
-"""What every commanded device shares: a thread that reads and watches, and that always ends with a halt.
+"""The base of every commanded device: a thread that reads and watches, and that always ends with a halt.
 
 A driver adds four steps (begin, poll, halt, close); whatever happens in them, the halt is run.
 """
@@ -34,7 +34,7 @@ class DrivenMotion(ABC):
     Args:
         name: what messages call it.
         direction: +1 counter-clockwise from above, -1 clockwise.
-        nominal_s: seconds a turn.
+        nominal_s: seconds per turn.
         scale_sigma: relative standard deviation of a factor common to all its angles.
         turns: turns to record; None for one and the overlap that scale_sigma asks for.
         max_seconds: longest time it turns without being stopped.
@@ -74,7 +74,7 @@ class DrivenMotion(ABC):
 
     @abstractmethod
     def _begin(self) -> None:
-        """Open, arm what stops it when this program dies, set in motion."""
+        """Open the link, arm what stops the device when this program dies, and start the motion."""
 
     @abstractmethod
     def _poll(self) -> list[Reading]:
@@ -86,21 +86,21 @@ class DrivenMotion(ABC):
 
     @abstractmethod
     def _close(self) -> None:
-        """Let go of the link."""
+        """Close the link."""
 
     @abstractmethod
     def describe(self) -> dict[str, Any]:
-        """What the device says of itself, as plain values; nothing moves, and it is let go of again.
+        """What the device reports about itself, as plain values; nothing moves, and the link is closed again.
 
         Raises DeviceError and its kinds.
         """
 
     @abstractmethod
     def halt_now(self) -> None:
-        """Stop whatever it does, whoever started it. Raises DeviceError where it does not confirm."""
+        """Stop it, whoever started it. Raises DeviceError where it does not confirm."""
 
     def _facts(self) -> dict[str, Any]:
-        """What a Track tells besides its readings."""
+        """What a Track carries besides its readings."""
         return {}
 
     def start(self) -> None:
@@ -173,7 +173,7 @@ class DrivenMotion(ABC):
             raise self._error
 
     def stop(self) -> None:
-        """Stop turning and let go; safe to call twice.
+        """Stop turning and close the link; safe to call twice.
 
         Raises:
             DeviceError: it did not confirm that it stands.

@@ -1,4 +1,4 @@
-"""Byte links to what turns the object: a serial port here, Bluetooth in `ble`; they know nothing of messages.
+"""Byte links to robots and tables: a serial port here, Bluetooth in `ble`; they know nothing of messages.
 
 A driver is written against ByteLink and cannot tell a cable from a bridge.
 """
@@ -51,7 +51,7 @@ class ByteLink(Protocol):
         ...
 
     def close(self) -> None:
-        """Let go of the link; harmless when closed already."""
+        """Close the link; harmless when closed already."""
         ...
 
 
@@ -147,7 +147,7 @@ class SerialLink:
         self._serial.baudrate = self.baud = baud
 
     def close(self) -> None:
-        """Let go of the port; a helper that was not ended by `disarm` stops the device now."""
+        """Close the port; a helper that was not ended by `disarm` stops the device now."""
         guard, self._guard = self._guard, None
         if guard is not None:
             guard.release(farewell=False)

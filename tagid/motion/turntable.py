@@ -67,7 +67,7 @@ class FreeTurntable:
     """A free-running turntable.
 
     Args:
-        rpm: nominal speed, turns a minute, believed to 15 %; None to take it from the data alone.
+        rpm: nominal speed, turns per minute, believed to 15 %; None to take it from the data alone.
         direction: +1 counter-clockwise from above, -1 clockwise.
         max_seconds: when to give up waiting for a period.
         marker: a reflector off the axis was put on the table, so that a symmetric object is alike only after
@@ -86,7 +86,7 @@ class FreeTurntable:
     ) -> None:
         if rpm is not None and not (np.isfinite(rpm) and 0 < rpm <= 1000):
             raise UsageError(
-                f"the table's speed is {rpm} rpm", "Give more than 0 and up to 1000 turns a minute."
+                f"the table's speed is {rpm} rpm", "Give more than 0 and up to 1000 turns per minute."
             )
         if direction not in (1, -1):
             raise UsageError(f"direction is {direction}", "Use +1 (counter-clockwise) or -1 (clockwise).")
@@ -98,7 +98,7 @@ class FreeTurntable:
 
     @property
     def nominal_s(self) -> float | None:
-        """Nominal period, s a turn."""
+        """Nominal period, s per turn."""
         return None if self.rpm is None else 60.0 / self.rpm
 
     def start(self) -> None:

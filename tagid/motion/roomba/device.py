@@ -1,6 +1,6 @@
-"""A Roomba as a turntable: it spins in place at a step it really has, and stops when anything looks wrong.
+"""A Roomba as a turntable: it turns in place at one of its speed steps and stops when anything looks wrong.
 
-Everything that can hurt is bounded here: speed, time, silence; and the robot is always left in Passive.
+Speed, time and silence are bounded here, and the robot is always left in Passive.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from tagid.motion.roomba.messages import FRAME_S, Mode, Packet
 from tagid.motion.roomba.odometry import NOMINAL_SCALE_SIGMA, WHEEL_BASE_MM, SpinOdometry
 
 SPEED_STEP_MM_S: Final = 28.5
-"""The wheels' speed moves in steps of about this (seen on Create 2 robots): 13.9 deg/s a step in place."""
+"""The wheels' speed moves in steps of about this (seen on Create 2 robots): 13.9 deg/s per step in place."""
 MAX_STEP: Final = 3
-"""41.7 deg/s, 8.6 s a turn: fast enough, and an object on top does not slide."""
+"""41.7 deg/s, 8.6 s per turn: fast enough, and an object on top does not slide."""
 DEAD_MAN_S: Final = 0.35
 _FEED_S: Final = 0.05
 _SILENCE_S: Final = 0.4
@@ -52,7 +52,7 @@ WATCHED_FAST: Final = (*WATCHED, Packet.TEMPERATURE, Packet.CHARGE, Packet.CAPAC
 
 
 def step_period_s(step: int, wheel_base_mm: float = WHEEL_BASE_MM) -> float:
-    """Seconds a turn at a speed step.
+    """Seconds per turn at a speed step.
 
     >>> [round(step_period_s(step), 1) for step in (1, 2, 3)]
     [25.9, 13.0, 8.6]

@@ -1,6 +1,6 @@
-"""A table that is asked for its angle again and again: what Comxim's and Revopoint's have in common.
+"""Tables that are polled for their angle: what Comxim's and Revopoint's have in common.
 
-An answer belongs to the middle between question and answer, and half of that time is how little is known.
+An angle is stamped with the middle between question and answer; half of that time is its uncertainty.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class PolledTable(DrivenMotion):
         open_link: opens the link.
         name: what messages call it.
         direction: +1 counter-clockwise from above, -1 clockwise.
-        nominal_s: seconds a turn as set; real rates differ.
+        nominal_s: seconds per turn as set; real rates differ.
         turns: turns to record; None for one and the overlap.
         resolution_rad: of its angle.
     """
@@ -76,7 +76,7 @@ class PolledTable(DrivenMotion):
 
     @abstractmethod
     def _ask_angle(self) -> float | None:
-        """Its angle, degrees; None where it does not tell one now."""
+        """Its angle, degrees; None where it reports none now."""
 
     @abstractmethod
     def _tell_stop(self) -> None:
@@ -165,7 +165,7 @@ class PolledTable(DrivenMotion):
             return []
         late = (answered - asked) * 1e-9 > _SLOW_S and time.monotonic() - self._told < _PATIENCE_S
         if late:
-            # Nobody knows when in that time it looked at its angle.
+            # It is not known when in that time the table sampled its angle.
             return []
         self._told = time.monotonic()
         if self._last_deg is not None:
@@ -176,7 +176,7 @@ class PolledTable(DrivenMotion):
         self._last_deg = degrees
         spread = 0.5 * (answered - asked) * 1e-9 * 2 * math.pi / self.nominal_s / math.sqrt(3)
         sigma = math.hypot(self.resolution_rad / math.sqrt(12), spread)
-        # Its own sign tells nothing that is documented alike for all: the direction is the command's.
+        # The sign that tables report is not documented consistently: the direction is the commanded one.
         angle = self.direction * math.radians(abs(self._turned_deg))
         return [((asked + answered) // 2, angle, sigma)]
 
