@@ -15,7 +15,9 @@ PARTS = (motion_find, motion_info, motion_spin, motion_stop, motion_calibrate)
 
 def register(app: typer.Typer) -> None:
     """Add the group."""
-    group = typer.Typer(help="Find, query, turn, stop and calibrate robots and turntables.", no_args_is_help=True)
+    group = typer.Typer(
+        help="Find, query, turn, stop and calibrate robots and turntables.", no_args_is_help=True
+    )
     app.add_typer(group, name="motion")
 
     @group.callback()

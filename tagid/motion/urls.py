@@ -128,8 +128,8 @@ def schemes() -> dict[str, metadata.EntryPoint]:
 def open_motion(url: str) -> Motion:
     """The motion device of a URL; nothing is connected yet.
 
-    `free` takes rpm (turns per minute), direction (ccw, the default, or cw), max_seconds (how long to wait for
-    a period where rpm is not given) and marker=1 (a reflector off the axis breaks the object's symmetry).
+    `free` takes rpm (turns per minute), direction (ccw, the default, or cw), max_seconds (how long to wait
+    for a period where rpm is not given) and marker=1 (a reflector off the axis breaks the object's symmetry).
     `emulator://SCENE?rpm=...` is the emulated radar's own table, which runs freely; options of the scene are
     ignored here. All others are told in docs/motion.md.
 
