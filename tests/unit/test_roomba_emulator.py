@@ -27,6 +27,10 @@ def test_the_special_radii_of_drive(radius: int, sign: int) -> None:
     core = RoombaCore(BodySettings(encoder_noise=0))
     core.handle(START_SAFE + drive(171, radius), 0.0)
     core.advance(2.0)
+    # Packets 41 and 42, the velocities asked for: a radius of 32 m would hide in the wheels' speed steps.
+    wanted = struct.unpack(">hh", core.handle(bytes((149, 2, 41, 42)), 2.0))
+    if sign == 0:
+        assert wanted == (171, 171)
     left, right = core.body.encoders()
     heading = core.body.heading_rad
     assert core.body.moving
