@@ -5,8 +5,9 @@ A wrong choice of port is answered with the list of what is there.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 from tagid.errors import DeviceGoneError, UsageError
 
@@ -30,19 +31,65 @@ class Chip:
         image_id: chip number in the header of an image (ESP-IDF `esp_chip_id_t`).
         offset: where a complete image starts in flash.
         pins: default wiring, keys of the configuration file.
+        outputs: GPIO numbers that may drive; not those of the flash memory and of UART0, the prompt.
+        inputs: GPIO numbers that may listen.
+        uarts: UARTs besides UART0.
     """
 
     name: str
     image_id: int
     offset: int
     pins: dict[str, int]
+    outputs: frozenset[int]
+    inputs: frozenset[int]
+    uarts: frozenset[int]
 
+    def problem_of(self, config: Mapping[str, Any]) -> str:
+        """What of a configuration this chip cannot do, naming the key; "" where it can do all of it."""
+        if config["uart_id"] not in self.uarts:
+            free = ", ".join(map(str, sorted(self.uarts)))
+            return (
+                f"uart_id is {config['uart_id']}, but on the {self.name} the robot's line can be UART {free}"
+            )
+        for key, able, what in (
+            ("uart_tx", self.outputs, "an output"),
+            ("brc_pin", self.outputs, "an output"),
+            ("uart_rx", self.inputs, "an input"),
+            # The index sensor is an open collector and needs the pin's own pull-up, which inputs only lack.
+            ("index_pin", self.outputs, "an input with a pull-up"),
+        ):
+            if config[key] is not None and config[key] not in able:
+                return f"{key} is {config[key]}, which is no free pin of the {self.name} for {what}"
+        return ""
+
+
+# ESP32 datasheet, pin overview: 34 to 39 are inputs without pulls, 6 to 11 belong to the flash, 1 and 3 to
+# UART0; 20, 24 and 28 to 31 do not exist. ESP32-C3 datasheet: 11 to 17 belong to the flash, 18 and 19 to USB,
+# 20 and 21 to UART0.
+_ESP32: Final = frozenset({0, 2, 4, 5, *range(12, 20), 21, 22, 23, 25, 26, 27, 32, 33})
+_C3: Final = frozenset(range(11))
 
 # Free on the common modules, no strapping pins, none of UART0: MicroPython keeps its prompt there, and
 # a 3 in the stream of a robot (its mode Full) would be a Ctrl-C.
 CHIPS: Final = {
-    "esp32": Chip("ESP32", 0, 0x1000, {"uart_tx": 17, "uart_rx": 16, "brc_pin": 25, "index_pin": 27}),
-    "esp32c3": Chip("ESP32-C3", 5, 0x0, {"uart_tx": 6, "uart_rx": 7, "brc_pin": 4, "index_pin": 5}),
+    "esp32": Chip(
+        "ESP32",
+        0,
+        0x1000,
+        {"uart_tx": 17, "uart_rx": 16, "brc_pin": 25, "index_pin": 27},
+        _ESP32,
+        _ESP32 | set(range(34, 40)),
+        frozenset({1, 2}),
+    ),
+    "esp32c3": Chip(
+        "ESP32-C3",
+        5,
+        0x0,
+        {"uart_tx": 6, "uart_rx": 7, "brc_pin": 4, "index_pin": 5},
+        _C3,
+        _C3,
+        frozenset({1}),
+    ),
 }
 
 

@@ -21,6 +21,7 @@ from tagid.files import read_bytes
 
 CONFIG: Final = settings.PATH
 BONDS: Final = "bonds.json"
+TRIES: Final = "tries.json"
 _LARGEST: Final = 4096
 
 
@@ -53,9 +54,13 @@ def make_config(chip: str, given: Mapping[str, Any], path: Path | None = None) -
         keys.update(read)
     keys.update({key: value for key, value in given.items() if value is not None})
     try:
-        return dict(settings.check(keys))
+        config = dict(settings.check(keys))
     except ValueError as error:
         raise ConfigError(f"{where}: {error}", "See docs/bridge.md for keys and bounds.") from error
+    problem = CHIPS[chip].problem_of(config)
+    if problem:
+        raise ConfigError(f"{where}: {problem}", "See docs/bridge.md for the pins of each chip.")
+    return config
 
 
 def new_passkey() -> str:
@@ -95,14 +100,16 @@ def provision(
         changed.append("main.py")
     if changed:
         board.remove("main.py")
+    # Computers that paired with an old pass-key must show that they know the new one. Their bonds go before
+    # it is written, so that no cut leaves a board with both; the tries counted are those of the old one.
+    if old is None or old.get("passkey") != config["passkey"]:
+        board.remove(BONDS)
+        board.remove(TRIES)
     done = 0
     for name in changed:
         start = done
         board.write(name, contents[name], lambda count, start=start, name=name: progress(start + count, name))  # type: ignore[misc]
         done += len(contents[name])
-    # Computers that paired with an old pass-key must show that they know the new one.
-    if old is None or old.get("passkey") != config["passkey"]:
-        board.remove(BONDS)
     board.restart()
     return Provisioned(python, changed, kept, config)
 

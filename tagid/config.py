@@ -231,4 +231,5 @@ def _write(path: Path, found: Mapping[str, Any]) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise files.storage_error(error, path, "making its folder") from error
-    files.write_bytes(path, tomli_w.dumps(tables).encode())
+    # It may hold a bridge's pass-key, which is for its owner alone.
+    files.write_bytes(path, tomli_w.dumps(tables).encode(), private=True)

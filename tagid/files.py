@@ -91,9 +91,9 @@ def open_regular(path: Path) -> Iterator[tuple[BinaryIO, int]]:
         raise storage_error(error, path, "reading") from error
 
 
-def write_bytes(path: Path, data: bytes | memoryview) -> None:
+def write_bytes(path: Path, data: bytes | memoryview, private: bool = False) -> None:
     """Write a file so that its final name holds all of `data` or what it held before; see `replacing`."""
-    with replacing(path) as stream:
+    with replacing(path, private=private) as stream:
         stream.write(data)
 
 
@@ -174,7 +174,9 @@ class PatientFile(io.RawIOBase):
 
 
 @contextmanager
-def replacing(path: Path, verify: Callable[[Path], None] | None = None) -> Iterator[PatientFile]:
+def replacing(
+    path: Path, verify: Callable[[Path], None] | None = None, private: bool = False
+) -> Iterator[PatientFile]:
     """A file to fill, whose final name holds all of it or what it held before, even after a power cut.
 
     The bytes go to a temporary file in the same folder, are synced, and the file is renamed over the final
@@ -184,6 +186,7 @@ def replacing(path: Path, verify: Callable[[Path], None] | None = None) -> Itera
     Args:
         path: the final name.
         verify: called with the path of the synced temporary file; what it raises stops the replacement.
+        private: whether only the owner may read the file.
 
     Raises:
         DiskFullError: no space left.
@@ -199,6 +202,8 @@ def replacing(path: Path, verify: Callable[[Path], None] | None = None) -> Itera
         try:
             # The file is renamed before it is closed: closing it ends its lock.
             with stream:
+                if private:
+                    os.fchmod(stream.fileno(), 0o600)
                 try:
                     yield stream
                 except Exception as error:

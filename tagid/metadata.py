@@ -237,6 +237,7 @@ class ResolvedMotion(JsonValue):
         clock_drift_ppm, radar_arrival_residual_ms, motion_arrival_residual_ms, clock_sigma_ms,
             scans_outside_motion: alignment of the device's clock with the radar's.
         robot, wheel_base_mm, calibrated: of a Roomba.
+        table: of a commanded table, its device. reversed: whether its directions are swapped.
         extra: what else the device reports.
     """
 
@@ -268,6 +269,8 @@ class ResolvedMotion(JsonValue):
     robot: str | None = None
     wheel_base_mm: float | None = None
     calibrated: bool | None = None
+    table: str | None = None
+    reversed: bool | None = None
     extra: Mapping[str, Any] = field(default_factory=dict)
 
 

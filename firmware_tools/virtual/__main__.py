@@ -16,6 +16,7 @@ import tempfile
 import threading
 import time
 import traceback
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -26,13 +27,19 @@ from bumble.host import Host
 
 from firmware_tools.virtual.air import Air, HciServer, make_controller
 from firmware_tools.virtual.ble import VirtualBle
-from firmware_tools.virtual.board import Board
+from firmware_tools.virtual.board import RESET_CAUSES, Board
 from firmware_tools.virtual.modules import install
 
 _FIRMWARE = Path(__file__).resolve().parent.parent / "bridge"
-_WATCHDOG_RESET = 3
+_ROOT = _FIRMWARE.parent.parent
+_CAUSES = {name.removesuffix("_RESET").lower(): number for name, number in RESET_CAUSES.items()}
+_WATCHDOG, _RESET = 70, 71
+"""Exit codes of a board whose watchdog fired, and of one that called machine.reset()."""
 _REPORTS = sys.stdout
-COMMANDS = "cut: the link vanishes; drop: it closes; index: a pulse; stall MS: the firmware hangs; quit"
+COMMANDS = (
+    "cut: the link vanishes; drop: it closes; index: a pulse; stall MS: the firmware hangs; "
+    "break: an interrupt of the radio fails; quit"
+)
 
 
 def report(document: dict[str, Any]) -> None:
@@ -61,7 +68,12 @@ def arguments(words: list[str]) -> argparse.Namespace:
     parser.add_argument(
         "--supervision-ms", type=float, default=2000.0, help="link loss is noticed after this"
     )
-    parser.add_argument("--after-watchdog", action="store_true", help="boot as after a watchdog reset")
+    parser.add_argument(
+        "--reset-cause", choices=sorted(_CAUSES), default="pwron", help="what machine.reset_cause() answers"
+    )
+    parser.add_argument(
+        "--reboot", action="store_true", help="boot again after a reset, as a board does; otherwise end"
+    )
     return parser.parse_args(words)
 
 
@@ -75,6 +87,23 @@ def run_firmware(board: Board) -> None:
         board.end(1)
 
 
+def make_end(options: argparse.Namespace) -> Callable[[int], None]:
+    """What a reset does: the process ends with its exit code, or begins anew with the cause of the reset."""
+
+    def end(code: int) -> None:
+        if options.reboot and code in (_WATCHDOG, _RESET):
+            cause = "wdt" if code == _WATCHDOG else "hard"
+            words = [word for word in sys.argv[1:] if not word.startswith("--reset-cause")]
+            os.chdir(_ROOT)
+            os.execv(
+                sys.executable,
+                [sys.executable, "-m", "firmware_tools.virtual", *words, f"--reset-cause={cause}"],
+            )
+        os._exit(code)
+
+    return end
+
+
 async def serve(options: argparse.Namespace) -> None:
     """Sets up the air, starts the firmware and follows commands."""
     loop = asyncio.get_running_loop()
@@ -83,7 +112,7 @@ async def serve(options: argparse.Namespace) -> None:
     host = Host()
     host.controller = controller
     device = Device(name="bridge", address=hci.Address(options.address), host=host)
-    board = Board(options.uart, report, os._exit, _WATCHDOG_RESET if options.after_watchdog else 1)
+    board = Board(options.uart, report, make_end(options), _CAUSES[options.reset_cause])
     advertising = asyncio.Event()
     ble = VirtualBle(board, device, loop, air)
     ble.on_advertise = advertising.set
@@ -110,6 +139,8 @@ async def serve(options: argparse.Namespace) -> None:
                 pin.pulse()
         elif line[0] == "stall":
             board.interrupt(partial(time.sleep, float(line[1]) / 1000))
+        elif line[0] == "break":
+            ble.break_next_event()
         elif line[0] == "quit":
             return
         report({"done": line[0], "us": time.monotonic_ns() // 1000})

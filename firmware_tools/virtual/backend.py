@@ -231,7 +231,11 @@ class BumbleClient(BaseBleakClient):
 
 @asynccontextmanager
 async def open_backend(
-    where: str, passkey: str | None = None, store: KeyStore | None = None, address: str | None = None
+    where: str,
+    passkey: str | None = None,
+    store: KeyStore | None = None,
+    address: str | None = None,
+    secure: bool = True,
 ) -> AsyncIterator[tuple[type[BaseBleakScanner], type[BaseBleakClient]]]:
     """(scanner, client) backends on the controller at `where`, e.g. "tcp-client:127.0.0.1:4711".
 
@@ -240,12 +244,13 @@ async def open_backend(
         passkey: the six digits that this host's user types; None: a host without a keyboard.
         store: keys of earlier pairings; None: none.
         address: this host's own; None: a random one, so that two hosts on one air never share one.
+        secure: whether it knows LE Secure Connections; otherwise it pairs the legacy way.
     """
     async with await open_transport(where) as transport:
         own = address or "F2:" + ":".join(f"{byte:02X}" for byte in secrets.token_bytes(5))
         device = Device(name="host", address=hci.Address(own), host=Host(transport.source, transport.sink))
         device.keystore = store or MemoryKeyStore()
-        config = pairing.PairingConfig(mitm=passkey is not None, delegate=_Keyboard(passkey))
+        config = pairing.PairingConfig(sc=secure, mitm=passkey is not None, delegate=_Keyboard(passkey))
         device.pairing_config_factory = lambda connection: config
         await device.power_on()
         yield (

@@ -8,6 +8,8 @@ from __future__ import annotations
 import asyncio
 import concurrent.futures
 import json
+import secrets
+import struct
 import threading
 import uuid
 from collections.abc import Awaitable, Callable, Coroutine
@@ -27,7 +29,9 @@ _IN_FLIGHT = 12
 """Notifications that the stack holds before it refuses the next, as NimBLE with its dozen buffers does."""
 _PER_EVENT = 6
 """Notifications that one connection event carries."""
-_BOND = 1
+_OUR_SECRET = 1
+_NIMBLE_BOND = struct.Struct("<7sBH6x8s16s")
+"""Begin of NimBLE's `ble_store_value_sec` (host/ble_store.h): peer, key size, ediv, rand, long-term key."""
 _ADVERTISE_MS = 20.0
 
 
@@ -48,15 +52,35 @@ class _Bonds(keys.KeyStore):
         self._ask = ask
 
     async def update(self, name: str, keys: keys.PairingKeys) -> None:
-        text = json.dumps(keys.to_dict(), default=int).encode()
-        await self._ask(_SET_SECRET, (_BOND, name.encode(), text))
+        value = _nimble_bond(name, keys) + json.dumps(keys.to_dict(), default=int).encode()
+        await self._ask(_SET_SECRET, (_OUR_SECRET, _peer(name), value))
 
     async def get(self, name: str) -> keys.PairingKeys | None:
-        text = await self._ask(_GET_SECRET, (_BOND, 0, name.encode()))
-        return None if text is None else keys.PairingKeys.from_dict(json.loads(text))
+        value = await self._ask(_GET_SECRET, (_OUR_SECRET, 0, _peer(name)))
+        if value is None:
+            return None
+        return keys.PairingKeys.from_dict(json.loads(value[_NIMBLE_BOND.size :]))
 
     async def delete(self, name: str) -> None:
-        await self._ask(_SET_SECRET, (_BOND, name.encode(), None))
+        await self._ask(_SET_SECRET, (_OUR_SECRET, _peer(name), None))
+
+
+def _peer(name: str) -> bytes:
+    """NimBLE's `ble_addr_t` of "AA:BB:CC:DD:EE:FF" or "AA:BB:CC:DD:EE:FF/P": type and address."""
+    address, _, public = name.partition("/")
+    return bytes([not public]) + bytes.fromhex(address.replace(":", ""))[::-1]
+
+
+def _nimble_bond(name: str, keys: keys.PairingKeys) -> bytes:
+    """What NimBLE would hand to the firmware for these keys.
+
+    bumble leaves ediv and rand of its own legacy keys zero; NimBLE draws them at random.
+    """
+    if keys.ltk is not None:
+        return _NIMBLE_BOND.pack(_peer(name), 16, 0, bytes(8), keys.ltk.value)
+    own = keys.ltk_central or keys.ltk_peripheral
+    ltk = bytes(16) if own is None else own.value
+    return _NIMBLE_BOND.pack(_peer(name), 16, secrets.randbits(16), secrets.token_bytes(8), ltk)
 
 
 class _Delegate(pairing.PairingDelegate):
@@ -176,6 +200,10 @@ class VirtualBle:
                 await self._connection.disconnect()
 
         asyncio.run_coroutine_threadsafe(end(), self._loop)
+
+    def break_next_event(self) -> None:
+        """The next event reaches the firmware with data that make its handler fail."""
+        self._event(_MTU, ())
 
     # What happens in the event loop.
 

@@ -19,6 +19,17 @@ from collections.abc import Callable
 from typing import Any
 
 Report = Callable[[dict[str, Any]], None]
+RESET_CAUSES = {
+    "PWRON_RESET": 1,
+    "HARD_RESET": 2,
+    "WDT_RESET": 3,
+    "DEEPSLEEP_RESET": 4,
+    "SOFT_RESET": 5,
+}
+"""Numbers of MicroPython's ESP32 port (ports/esp32/modmachine.c). A brown-out is reported as PWRON_RESET and
+a crash as HARD_RESET, so the cause cannot tell whether the robot was driving."""
+SCHEDULED = 8
+"""Pin interrupts that wait for the interpreter (MICROPY_SCHEDULER_DEPTH of the ESP32 port); more are lost."""
 _SPEEDS = {
     int(name[1:]): getattr(termios, name) for name in dir(termios) if name[1:].isdigit() and name[0] == "B"
 }
@@ -42,10 +53,27 @@ class Board:
         self.pins: dict[int, VirtualPin] = {}
         self.watchdog_due: float | None = None
         self._interrupts: queue.Queue[Callable[[], None]] = queue.Queue()
+        self._scheduled = 0
 
     def interrupt(self, handler: Callable[[], None]) -> None:
         """Queue a handler for the firmware's thread; from any thread."""
         self._interrupts.put(handler)
+
+    def schedule(self, handler: Callable[[], None]) -> None:
+        """Queue a pin's handler as MicroPython does: late where the firmware is busy, lost beyond SCHEDULED.
+
+        From one thread only.
+        """
+        if self._scheduled >= SCHEDULED:
+            self.report({"lost_interrupt": True})
+            return
+        self._scheduled += 1
+
+        def run() -> None:
+            self._scheduled -= 1
+            handler()
+
+        self.interrupt(run)
 
     def sleep_ms(self, duration: int) -> None:
         """The firmware's sleep: interrupts are served as they come."""
@@ -105,7 +133,7 @@ class VirtualPin:
         """The edge that the interrupt waits for."""
         handler = self._handler
         if handler is not None:
-            self._board.interrupt(lambda: handler(self))
+            self._board.schedule(lambda: handler(self))
 
 
 class VirtualUart:

@@ -6,12 +6,13 @@ from __future__ import annotations
 
 import sys
 import time
+import traceback
 import types
 from functools import partial
 from typing import Any
 
 from firmware_tools.virtual.ble import MicroUUID
-from firmware_tools.virtual.board import Board, VirtualPin, VirtualUart
+from firmware_tools.virtual.board import RESET_CAUSES, Board, VirtualPin, VirtualUart
 
 _PERIOD = 1 << 30
 """The ticks of an ESP32 wrap at 2^30."""
@@ -41,7 +42,7 @@ def install(board: Board, ble: Any, folder: str) -> None:
         "Pin": pin,
         "UART": partial(VirtualUart, board),
         "WDT": Watchdog,
-        "WDT_RESET": 3,
+        **RESET_CAUSES,
         "reset_cause": lambda: board.reset_cause,
         "reset": lambda: board.end(71),
     }
@@ -62,5 +63,5 @@ def install(board: Board, ble: Any, folder: str) -> None:
     }
     for name, value in clock.items():
         setattr(time, name, value)
-    sys.print_exception = sys.excepthook  # type: ignore[attr-defined]
+    sys.print_exception = traceback.print_exception  # type: ignore[attr-defined]
     sys.path.insert(0, folder)

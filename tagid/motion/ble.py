@@ -8,7 +8,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import threading
-from collections.abc import AsyncIterator, Callable, Coroutine
+from collections.abc import AsyncIterator, Callable, Coroutine, Sequence
 from concurrent.futures import Future
 from concurrent.futures import TimeoutError as FutureTimeoutError
 from contextlib import AsyncExitStack, asynccontextmanager
@@ -25,14 +25,18 @@ from tagid.errors import (
 from tagid.motion.bridge import Event, Op, Tripped
 from tagid.motion.bridge.client import Bridge
 from tagid.motion.bridge.find import Backends, bluetooth_errors, find
-from tagid.motion.links import require
+from tagid.motion.guardian import Guardian, Watch
+from tagid.motion.links import WAKE_S, require
+from tagid.motion.virtual import virtual_bluetooth
 
 T = TypeVar("T")
 _OPEN_S: Final = 60.0
 _WRITE_S: Final = 2.0
 _RELAXED_MS: Final = 5000
 """Dead-man's time while nothing is driven: questions may take a while."""
-_WAKE_MS: Final = 1000
+_WAKE_MS: Final = round(1000 * WAKE_S)
+_GUARD_S: Final = 2 * _WRITE_S
+"""Longest time between two heartbeats to the helper process: a write may take _WRITE_S."""
 
 
 @dataclass(frozen=True)
@@ -59,8 +63,7 @@ async def backends_of(address: BleAddress) -> AsyncIterator[Backends]:
         yield Backends()
         return
     require("bumble", "virtual", "a Bluetooth controller of its own (hci=)")
-    from firmware_tools.virtual.backend import open_backend
-
+    open_backend = virtual_bluetooth("backend")
     async with AsyncExitStack() as stack:
         try:
             pair = await stack.enter_async_context(open_backend(address.hci, address.passkey))
@@ -160,6 +163,7 @@ class BridgeLink:
         self._inbox = _Inbox()
         self._armed = False
         self._relaxed = False
+        self._guard: Guardian | None = None
         self._stack = AsyncExitStack()
         self._loop = _Loop()
         try:
@@ -225,14 +229,30 @@ class BridgeLink:
         return self._inbox.take(timeout)
 
     def arm(self, timeout_s: float) -> None:
-        """Arm the bridge's dead-man; it is fed by writes alone, so a driver that hangs stops it, too."""
+        """Arm the bridge's dead-man; it is fed by writes alone, so a driver that hangs stops it, too.
+
+        The helper process stops nothing here: it takes the request of `tagid motion stop`.
+        """
         self.request(Op.ARM, round(timeout_s * 1000))
         self._armed = True
+        if self._guard is None:
+            self._guard = Guardian(Watch(self._address.target, _GUARD_S))
+
+    def beat(self) -> None:
+        """Ask whether another process wants the robot to stop."""
+        if self._guard is not None:
+            self._guard.beat()
 
     def disarm(self) -> None:
         """The robot stands in Passive: nothing is left to stop."""
         self._armed = self._relaxed = False
+        self._release()
         self.request(Op.DISARM)
+
+    def _release(self) -> None:
+        guard, self._guard = self._guard, None
+        if guard is not None:
+            guard.release()
 
     def wake(self) -> None:
         """A second's low pulse on BRC, where the bridge has that wire."""
@@ -241,6 +261,7 @@ class BridgeLink:
 
     def close(self) -> None:
         """End the link; where it is still armed, the bridge then stops the robot."""
+        self._release()
         if self._relaxed and not self._armed:
             with contextlib.suppress(TagidError):
                 self.disarm()
@@ -258,13 +279,18 @@ class CharacteristicLink:
     Args:
         address: its name or address; the name may be the beginning of one.
         service, characteristic: UUIDs.
+        stop: words of a command that connects anew and stops the device, for where this process dies.
 
     Raises:
         DeviceError and its kinds: no adapter, no such device.
     """
 
-    def __init__(self, address: BleAddress, service: str, characteristic: str) -> None:
+    def __init__(
+        self, address: BleAddress, service: str, characteristic: str, stop: Sequence[str] = ()
+    ) -> None:
         require("bleak", "motion", "Bluetooth")
+        self._stop = tuple(stop)
+        self._guard: Guardian | None = None
         self._address, self._service, self._characteristic = address, service, characteristic
         self._inbox = _Inbox()
         self._stack = AsyncExitStack()
@@ -330,18 +356,32 @@ class CharacteristicLink:
         return self._inbox.take(timeout)
 
     def arm(self, timeout_s: float) -> None:
-        """Not possible: such a table has no dead-man."""
+        """Start the helper that stops the table where this process dies; the table has no dead-man itself."""
+        if self._guard is None:
+            limit = max(timeout_s, _GUARD_S)
+            self._guard = Guardian(Watch(self._address.target, limit, command=self._stop))
+
+    def beat(self) -> None:
+        """Tell the helper that this process is alive."""
+        if self._guard is not None:
+            self._guard.beat()
 
     def disarm(self) -> None:
-        """Nothing was armed."""
+        """End the helper."""
+        guard, self._guard = self._guard, None
+        if guard is not None:
+            guard.release()
 
     def wake(self) -> None:
         """Nothing to wake."""
 
     def close(self) -> None:
-        """End the link."""
+        """End the link; a helper that was not ended by `disarm` then connects and stops the table."""
         self._closing = True
         self._shut()
+        guard, self._guard = self._guard, None
+        if guard is not None:
+            guard.release(farewell=False)
 
     def _shut(self) -> None:
         with contextlib.suppress(TagidError, OSError):

@@ -6,9 +6,21 @@ shoulder.
 
 from __future__ import annotations
 
+import os
+from pathlib import Path
+
 from tagid.config import load_config
+from tagid.errors import ConfigError
 from tagid.motion.ble import BleAddress
 from tagid.motion.urls import Options
+
+
+def _refuse_a_readable_file(path: Path) -> None:
+    """Raise ConfigError where others can read the file that holds the pass-key."""
+    if os.name == "posix" and path.exists() and path.stat().st_mode & 0o077:
+        raise ConfigError(
+            f"{path} holds the bridge's pass-key and other users can read it", f"Run: chmod 600 {path}"
+        )
 
 
 def ble_address(options: Options, default: str = "") -> BleAddress:
@@ -16,7 +28,10 @@ def ble_address(options: Options, default: str = "") -> BleAddress:
     target = options.target or default
     if not target:
         raise options.wrong("names no device")
-    passkey = options.text("passkey") or load_config()["motion.passkey"]
+    config = load_config()
+    passkey = options.text("passkey") or config["motion.passkey"]
+    if passkey is not None and config.values["motion.passkey"].source == "file":
+        _refuse_a_readable_file(config.path)
     if passkey is not None and not (len(passkey) == 6 and passkey.isdecimal()):
         raise options.wrong("the pass-key is not six digits")
     seconds = options.number("wait", 5.0, 0.5, 60)

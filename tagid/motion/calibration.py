@@ -17,6 +17,7 @@ from tagid.errors import ConfigError, DataError, StorageError
 from tagid.metadata import ResolvedMotion
 
 _FILE: Final = "robots.toml"
+_DIRECTIONS: Final = "directions.toml"
 _LEAST_SIGMA: Final = 2e-3
 """Tyres and floor change from day to day by more than one recording can tell."""
 
@@ -81,6 +82,36 @@ def _load() -> dict[str, Calibration]:
         raise StorageError(f"cannot read {path}: {error.strerror}", "Check its permissions.") from None
     except (ValueError, TypeError, AttributeError):
         raise ConfigError(f"{path} is damaged", "Delete it and calibrate again.") from None
+
+
+def recall_reversed(device: str) -> bool:
+    """Whether a device was found to turn the other way than its documents say. Raises ConfigError."""
+    path = data_folder() / _DIRECTIONS
+    try:
+        found = tomllib.loads(path.read_text(encoding="utf-8")).get(device, False)
+    except FileNotFoundError:
+        return False
+    except OSError as error:
+        raise StorageError(f"cannot read {path}: {error.strerror}", "Check its permissions.") from None
+    except (ValueError, AttributeError):
+        found = None
+    if not isinstance(found, bool):
+        raise ConfigError(f"{path} is damaged", "Delete it and calibrate the direction again.")
+    return found
+
+
+def remember_reversed(device: str, is_reversed: bool) -> Path:
+    """Keep the direction of a device; returns the file. Raises StorageError, ConfigError."""
+    import tomli_w
+
+    from tagid.files import write_bytes
+
+    recall_reversed(device)  # a damaged file is told, not overwritten
+    path = data_folder() / _DIRECTIONS
+    known = tomllib.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_bytes(path, tomli_w.dumps({**known, device: is_reversed}).encode())
+    return path
 
 
 def recall(robot: str) -> Calibration | None:

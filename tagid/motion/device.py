@@ -1,7 +1,7 @@
-"""What turns the object, as a capture sees it: one interface for tables that run freely and ones that obey.
+"""The common interface of everything that turns the object: free-running tables and commanded devices.
 
-A device either measures its angle (then its readings are a Track, stamped with the host's clock) or leaves it
-to the period in the scans; nothing above this file asks which one it is.
+A device either measures its angle (its readings are then a Track, stamped with the host's clock) or leaves it
+to the period in the scans; no caller needs to know which.
 """
 
 from __future__ import annotations
@@ -23,6 +23,10 @@ class MotionStoppedError(DeviceError):
     code = "motion_stopped"
 
 
+class PausedError(MotionStoppedError):
+    """This program was paused while something turned: it was stopped, and its angle is lost."""
+
+
 class Motion(Protocol):
     """What turns the object."""
 
@@ -38,7 +42,7 @@ class Motion(Protocol):
 
     @property
     def nominal_s(self) -> float | None:
-        """Seconds a turn as far as known beforehand."""
+        """Seconds per turn as far as known beforehand."""
         ...
 
     @property

@@ -1,4 +1,4 @@
-"""What every commanded device shares: a thread that reads and watches, and that always ends with a halt.
+"""The base of every commanded device: a thread that reads and watches, and that always ends with a halt.
 
 A driver adds four steps (begin, poll, halt, close); whatever happens in them, the halt is run.
 """
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from tagid.angles.views import Angles
 from tagid.errors import DataError, DeviceError, TagidError, UsageError
 from tagid.metadata import Track
-from tagid.motion.device import MotionStoppedError
+from tagid.motion.device import MotionStoppedError, PausedError
 
 _JOIN_S: Final = 5.0
 MEASURED_TURNS: Final = 1.15
@@ -35,7 +35,7 @@ class DrivenMotion(ABC):
     Args:
         name: what messages call it.
         direction: +1 counter-clockwise from above, -1 clockwise.
-        nominal_s: seconds a turn.
+        nominal_s: seconds per turn.
         scale_sigma: relative standard deviation of a factor common to all its angles.
         turns: turns to record; None for one and the overlap that scale_sigma asks for.
         max_seconds: longest time it turns without being stopped.
@@ -44,6 +44,10 @@ class DrivenMotion(ABC):
     moves = True
     measures = True
     kind = "driven"
+    stops_by = "switch it off"
+    """What a person does where the program can no longer stop it; follows "It may still be turning: "."""
+    warning = ""
+    """What does not stop it by itself, for the question before it moves; "" where something always does."""
 
     def __init__(
         self,
@@ -64,13 +68,14 @@ class DrivenMotion(ABC):
         self.turns = turns if turns is not None else MEASURED_TURNS * (1 + 3 * scale_sigma)
         self._readings: list[Reading] = []
         self._error: TagidError | None = None
+        self._unconfirmed = False
         self._thread: threading.Thread | None = None
         self._stopping = threading.Event()
         self._lock = threading.Lock()
 
     @abstractmethod
     def _begin(self) -> None:
-        """Open, arm what stops it when this program dies, set in motion."""
+        """Open the link, arm what stops the device when this program dies, and start the motion."""
 
     @abstractmethod
     def _poll(self) -> list[Reading]:
@@ -82,33 +87,36 @@ class DrivenMotion(ABC):
 
     @abstractmethod
     def _close(self) -> None:
-        """Let go of the link."""
+        """Close the link."""
 
     @abstractmethod
     def describe(self) -> dict[str, Any]:
-        """What the device says of itself, as plain values; nothing moves, and it is let go of again.
+        """What the device reports about itself, as plain values; nothing moves, and the link is closed again.
 
         Raises DeviceError and its kinds.
         """
 
     @abstractmethod
     def halt_now(self) -> None:
-        """Stop whatever it does, whoever started it. Raises DeviceError where it does not confirm."""
+        """Stop it, whoever started it. Raises DeviceError where it does not confirm."""
 
     def _facts(self) -> dict[str, Any]:
-        """What a Track tells besides its readings."""
+        """What a Track carries besides its readings."""
         return {}
 
     def start(self) -> None:
         """Begin to turn. Raises DeviceError and its kinds; then nothing moves."""
         if self._thread is not None:
             raise UsageError(f"{self.name} is turning already", "Stop it first.")
-        self._readings, self._error = [], None
+        self._readings, self._error, self._unconfirmed = [], None, False
         self._stopping.clear()
         try:
             self._begin()
-        except BaseException:
+        except BaseException as error:
+            self._error = error if isinstance(error, TagidError) else None
             self._end()
+            if self._unconfirmed and self._error is not None:
+                raise self._error from error
             raise
         self._thread = threading.Thread(target=self._work, name=f"motion-{self.kind}", daemon=True)
         self._thread.start()
@@ -127,6 +135,8 @@ class DrivenMotion(ABC):
                     )
         except TagidError as error:
             self._error = error
+            if isinstance(error, PausedError):
+                self._lose_angle()
         except Exception as error:
             # Whatever breaks here, the wheels must stop and the recording must hear of it.
             logging.getLogger("tagid").debug("motion thread", exc_info=True)
@@ -134,12 +144,22 @@ class DrivenMotion(ABC):
         finally:
             self._safely_halt()
 
+    def _lose_angle(self) -> None:
+        """Nobody knows how far it turned since the last reading: any angle is as likely as another."""
+        with self._lock:
+            if self._readings:
+                self._readings.append((time.time_ns(), self._readings[-1][1], math.pi))
+
     def _safely_halt(self) -> None:
         try:
             self._halt()
-        except (TagidError, OSError) as error:
-            if self._error is None:
-                self._error = error if isinstance(error, TagidError) else DeviceError(str(error))
+        except Exception as error:
+            logging.getLogger("tagid").debug("halt", exc_info=True)
+            self._unconfirmed = True
+            found = error if isinstance(error, TagidError) else DeviceError(f"{self.name}: {error}")
+            cause = self._error or found
+            text = f"It may still be turning: {self.stops_by}. {cause.message}"
+            self._error = type(cause)(text, cause.remedy)
 
     def _end(self) -> None:
         self._safely_halt()
@@ -154,10 +174,10 @@ class DrivenMotion(ABC):
             raise self._error
 
     def stop(self) -> None:
-        """Stop turning and let go; safe to call twice.
+        """Stop turning and close the link; safe to call twice.
 
         Raises:
-            DeviceError: it did not confirm that it stands, and nothing had gone wrong before.
+            DeviceError: it did not confirm that it stands.
         """
         before = self._error
         self._stopping.set()
@@ -165,7 +185,8 @@ class DrivenMotion(ABC):
         if thread is not None:
             thread.join(_JOIN_S)
         self._end()
-        if before is None and self._error is not None:
+        unconfirmed, self._unconfirmed = self._unconfirmed, False
+        if self._error is not None and (before is None or unconfirmed):
             raise self._error
 
     def track(self) -> Track:

@@ -1,4 +1,4 @@
-"""Byte links to what turns the object: a serial port here, Bluetooth in `ble`; they know nothing of messages.
+"""Byte links to robots and tables: a serial port here, Bluetooth in `ble`; they know nothing of messages.
 
 A driver is written against ByteLink and cannot tell a cable from a bridge.
 """
@@ -9,9 +9,12 @@ import errno
 from typing import Final, Protocol
 
 from tagid.errors import DeviceGoneError, DeviceTimeoutError, MissingExtraError
+from tagid.motion.guardian import Guardian, Watch
 from tagid.ports import open_port
 
 _WRITE_TIMEOUT_S: Final = 1.0
+WAKE_S: Final = 1.0
+"""Width of the pulse on BRC that wakes a robot."""
 
 
 class ByteLink(Protocol):
@@ -32,6 +35,13 @@ class ByteLink(Protocol):
         """From now on stop the robot by itself where nothing is written for so long, or the link ends."""
         ...
 
+    def beat(self) -> None:
+        """Tell whatever watches that the driver is alive; call it several times within the armed time.
+
+        Raises MotionStoppedError where it has stopped the device, DeviceError where it is gone.
+        """
+        ...
+
     def disarm(self) -> None:
         """End of `arm`, when the robot stands still."""
         ...
@@ -41,7 +51,7 @@ class ByteLink(Protocol):
         ...
 
     def close(self) -> None:
-        """Let go of the link; harmless when closed already."""
+        """Close the link; harmless when closed already."""
         ...
 
 
@@ -61,7 +71,7 @@ class SerialLink:
     Args:
         port: device path or name.
         baud: rate.
-        halt: what a helper process writes where this process dies while armed; b"" for no helper.
+        halt: what a helper process writes where this process dies or hangs while armed; b"" for no helper.
 
     Raises:
         DeviceGoneError, DeviceError, PortInUseError: see `tagid.ports.open_port`.
@@ -71,7 +81,7 @@ class SerialLink:
         self.port, self.baud = port, baud
         self._halt = halt
         self._serial = open_port(port, baud, _WRITE_TIMEOUT_S, "`tagid motion find` lists the ports")
-        self._guard: object | None = None
+        self._guard: Guardian | None = None
 
     def __repr__(self) -> str:
         return self.port
@@ -101,27 +111,31 @@ class SerialLink:
         return DeviceGoneError(f"the link at {self.port} is gone ({error})", "Check the plug and its power.")
 
     def arm(self, timeout_s: float) -> None:
-        """Start the helper that stops the robot where this process dies; a cut cable nobody can help."""
-        from tagid.motion.guardian import Guardian
-
+        """Start the helper that stops the device where this process dies or hangs; no cable, no stop."""
         if self._guard is None and self._halt:
-            self._guard = Guardian(self._serial.fileno(), self._halt)
+            self._guard = Guardian(Watch(self.port, timeout_s, self._serial.fileno(), self._halt))
+
+    def beat(self) -> None:
+        """Tell the helper that this process is alive."""
+        if self._guard is not None:
+            self._guard.beat()
 
     def disarm(self) -> None:
-        """Send the helper home."""
-        from tagid.motion.guardian import Guardian
-
+        """End the helper."""
         guard, self._guard = self._guard, None
-        if isinstance(guard, Guardian):
+        if guard is not None:
             guard.release()
 
     def wake(self) -> None:
-        """A pulse on RTS, to which adapters for robots wire BRC; a port without RTS is left alone."""
+        """A pulse on RTS, to which adapters for robots wire BRC; a port without RTS is left alone.
+
+        It lasts a second (Create 2 OI specification): three pulses of 50 to 500 ms would change the rate.
+        """
         import time
 
         try:
             self._serial.rts = True
-            time.sleep(0.2)
+            time.sleep(WAKE_S)
             self._serial.rts = False
             time.sleep(0.1)
         except OSError as error:
@@ -133,10 +147,8 @@ class SerialLink:
         self._serial.baudrate = self.baud = baud
 
     def close(self) -> None:
-        """Let go of the port; a helper that was not sent home stops the robot now."""
-        from tagid.motion.guardian import Guardian
-
+        """Close the port; a helper that was not ended by `disarm` stops the device now."""
         guard, self._guard = self._guard, None
-        if isinstance(guard, Guardian):
+        if guard is not None:
             guard.release(farewell=False)
         self._serial.close()

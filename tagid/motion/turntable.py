@@ -15,6 +15,7 @@ from tagid.angles.period import PeriodEstimate, find_period
 from tagid.angles.views import Angles
 from tagid.errors import DataError, UsageError
 from tagid.metadata import ResolvedMotion
+from tagid.motion.device import MotionStoppedError
 
 OVERLAP_TURNS = 1.3
 """Turns to record: one, and the overlap that gives the period to 0.1 % at 10 dB."""
@@ -26,11 +27,48 @@ MAX_SEARCH_SCANS = 2000
 """Scans that the running search looks at; more are thinned."""
 
 
+STILL_S = 12.0
+"""Seconds after which a table that shows no change at all is taken for one that stands still."""
+_STILL_SIGMAS = 4.0
+_BLOCKS = (1, 4, 16)
+
+
+def nothing_changes(samples: NDArray[Any]) -> bool:
+    """Whether scans differ by white noise only.
+
+    Where nothing moves, the variance of the means of k consecutive scans is 1/k of that of single scans, and
+    half the mean square difference of neighbours is that variance (J. von Neumann, "Distribution of the ratio
+    of the mean square successive difference to the variance", 1941). What turns slowly makes the variance of
+    the means larger; averaging them finds it down to about 0 dB per sample within 12 s.
+
+    Args:
+        samples: (scans, bins), real.
+    """
+    scans = np.asarray(samples, dtype=np.float64)
+    noise = 0.5 * (np.diff(scans, axis=0) ** 2).mean(axis=0)
+    noisy = noise > 0
+    if not noisy.any():
+        return not scans.var(axis=0).any()
+    scaled = scans[:, noisy] / np.sqrt(noise[noisy])
+    for k in _BLOCKS:
+        blocks = len(scaled) // k
+        if blocks < 4:
+            break
+        means = scaled[: blocks * k].reshape(blocks, k, -1).mean(axis=1)
+        excess = k * means.var(axis=0, ddof=1) - 1
+        # Standard deviations of a variance of Gaussian noise, and of that of the reference beside it.
+        alone = np.sqrt(2 / (blocks - 1) + 1.5 / len(scaled))
+        together = alone / np.sqrt(noisy.sum())
+        if excess.mean() > _STILL_SIGMAS * together or excess.max() > 2 * _STILL_SIGMAS * alone:
+            return False
+    return True
+
+
 class FreeTurntable:
     """A free-running turntable.
 
     Args:
-        rpm: nominal speed, turns a minute, believed to 15 %; None to take it from the data alone.
+        rpm: nominal speed, turns per minute, believed to 15 %; None to take it from the data alone.
         direction: +1 counter-clockwise from above, -1 clockwise.
         max_seconds: when to give up waiting for a period.
         marker: a reflector off the axis was put on the table, so that a symmetric object is alike only after
@@ -49,7 +87,7 @@ class FreeTurntable:
     ) -> None:
         if rpm is not None and not (np.isfinite(rpm) and 0 < rpm <= 1000):
             raise UsageError(
-                f"the table's speed is {rpm} rpm", "Give more than 0 and up to 1000 turns a minute."
+                f"the table's speed is {rpm} rpm", "Give more than 0 and up to 1000 turns per minute."
             )
         if direction not in (1, -1):
             raise UsageError(f"direction is {direction}", "Use +1 (counter-clockwise) or -1 (clockwise).")
@@ -61,7 +99,7 @@ class FreeTurntable:
 
     @property
     def nominal_s(self) -> float | None:
-        """Nominal period, s a turn."""
+        """Nominal period, s per turn."""
         return None if self.rpm is None else 60.0 / self.rpm
 
     def start(self) -> None:
@@ -103,6 +141,12 @@ class FreeTurntable:
         if len(times_s) < 40 or elapsed < 1.1 * self._tested_s:
             return False
         self._tested_s = elapsed
+        if elapsed >= STILL_S and nothing_changes(np.stack(list(samples))):
+            raise MotionStoppedError(
+                f"nothing turns: the scans of {elapsed:.0f} s differ by noise only",
+                "Switch the table on; check that the antennas point at the object. For an object that looks "
+                "alike from all sides give its speed: --motion 'free?rpm=...'.",
+            )
         every = -(-len(times_s) // MAX_SEARCH_SCANS)
         try:
             found = find_period(

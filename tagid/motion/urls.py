@@ -77,6 +77,16 @@ class Options:
             raise self.wrong(f"direction is {text[:50]!r}, not cw or ccw")
         return _DIRECTIONS[text]
 
+    def reversed(self, device: str) -> bool:
+        """The option `reversed`: 1 where the device turns the other way than its documents say.
+
+        Without it, what `tagid motion calibrate --direction` found for this device; else 0.
+        """
+        from tagid.motion.calibration import recall_reversed
+
+        given = self.number("reversed", None, 0, 1)
+        return recall_reversed(device) if given is None else bool(given)
+
     def done(self) -> None:
         """Raise UsageError for an option that nobody took."""
         if self.given:
@@ -118,8 +128,8 @@ def schemes() -> dict[str, metadata.EntryPoint]:
 def open_motion(url: str) -> Motion:
     """The motion device of a URL; nothing is connected yet.
 
-    `free` takes rpm (turns a minute), direction (ccw, the default, or cw), max_seconds (how long to wait for
-    a period where rpm is not given) and marker=1 (a reflector off the axis breaks the object's symmetry).
+    `free` takes rpm (turns per minute), direction (ccw, the default, or cw), max_seconds (how long to wait
+    for a period where rpm is not given) and marker=1 (a reflector off the axis breaks the object's symmetry).
     `emulator://SCENE?rpm=...` is the emulated radar's own table, which runs freely; options of the scene are
     ignored here. All others are told in docs/motion.md.
 

@@ -31,7 +31,9 @@ import reading_bodies_scenes as scenes
 from reading_bodies_scenes import Cell
 
 from tagid.errors import TagidError
-from tagid.pipeline import ImagingSettings, identify, prepare
+from tagid.pipeline.identify import identify
+from tagid.pipeline.prepared import prepare
+from tagid.pipeline.settings import ImagingSettings
 
 ROOT = Path(__file__).resolve().parents[2]
 OUTCOMES = ("correct", "ambiguous", "refused", "wrong")

@@ -7,7 +7,7 @@ import select
 import time
 import tty
 from collections.abc import AsyncIterator, Iterator
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, contextmanager
 from typing import Any
 
 import pytest
@@ -28,6 +28,10 @@ CONFIG: dict[str, Any] = {
     "brc_pin": 6,
     "index_pin": 7,
 }
+
+
+STOP = bytes.fromhex("000000009100000000839100000000" + "80")
+"""What the bridge writes to stop the robot (docs/bridge.md), three times at every boot."""
 
 
 class Wire:
@@ -68,17 +72,29 @@ def wire() -> Iterator[Wire]:
     made.close()
 
 
+@contextmanager
+def bridge_on(
+    wire: Wire, config: dict[str, Any] = CONFIG, *options: str, timeout: float = 30.0
+) -> Iterator[BoardProcess]:
+    """A bridge whose robot is `wire`, after the stops of its boot."""
+    with BoardProcess(config, wire.path, *options, timeout=timeout) as process:
+        assert wire.read(3 * len(STOP)) == 3 * STOP
+        yield process
+
+
 @pytest.fixture
 def board(wire: Wire) -> Iterator[BoardProcess]:
     """A provisioned bridge whose robot is `wire`."""
-    with BoardProcess(CONFIG, wire.path) as process:
+    with bridge_on(wire) as process:
         yield process
 
 
 @asynccontextmanager
-async def host(board: BoardProcess, passkey: str | None = PASSKEY, **callbacks: Any) -> AsyncIterator[Bridge]:
+async def host(
+    board: BoardProcess, passkey: str | None = PASSKEY, secure: bool = True, **callbacks: Any
+) -> AsyncIterator[Bridge]:
     """A host that found and paired with the bridge."""
-    async with open_backend(board.hci, passkey) as pair:
+    async with open_backend(board.hci, passkey, secure=secure) as pair:
         backends = Backends(*pair)
         heard = await find(board.address, 20.0, backends)
         async with Bridge(heard, passkey=passkey, backends=backends, timeout=20.0, **callbacks) as bridge:

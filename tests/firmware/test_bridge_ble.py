@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import asyncio
 import itertools
+import json
 import random
 import termios
+import time
+from contextlib import AbstractContextManager
 
 import pytest
 
 from firmware_tools.virtual.backend import open_backend
 from firmware_tools.virtual.process import BoardProcess
-from tagid.errors import DeviceGoneError, DeviceRejectedError, UsageError
+from tagid.errors import DeviceError, DeviceGoneError, DeviceRejectedError, UsageError
 from tagid.motion.bridge.find import Backends, find
 from tagid.motion.bridge.protocol import (
     COMMAND,
@@ -24,7 +27,10 @@ from tagid.motion.bridge.protocol import (
     Status,
     encode,
 )
-from tests.firmware.conftest import CONFIG, PASSKEY, Wire, host
+from tests.firmware.conftest import CONFIG, PASSKEY, STOP, Wire, bridge_on, host
+
+AFTER_ONE_FAILED_S = 2.1
+"""Longer than the bridge waits after one failed try."""
 
 
 def test_bytes_cross_both_ways_unchanged_and_in_order(board: BoardProcess, wire: Wire) -> None:
@@ -42,7 +48,7 @@ def test_bytes_cross_both_ways_unchanged_and_in_order(board: BoardProcess, wire:
                 while len(received) < len(from_robot):
                     await asyncio.sleep(0.01)
             status = await bridge.status()
-            assert (status.to_robot, status.from_robot) == (900, 3000)
+            assert (status.to_robot, status.from_robot) == (3 * len(STOP) + 900, 3000)
             assert (status.lost_to_robot, status.lost_from_robot) == (0, 0)
             await bridge.disarm()
 
@@ -82,6 +88,7 @@ def test_a_stranger_can_read_the_version_and_nothing_else(board: BoardProcess, w
     asyncio.run(attempt(None))
     asyncio.run(attempt("111111"))
     asyncio.run(wrong())
+    time.sleep(AFTER_ONE_FAILED_S)
     asyncio.run(_owner(board))
     assert wire.waiting() == b"" and not [line for line in board.changes if "pin" in line]
 
@@ -91,16 +98,48 @@ async def _owner(board: BoardProcess) -> None:
         assert Flag.TRUSTED in (await bridge.read_info()).flags
 
 
-def test_guessing_the_passkey_ends_after_five_tries(board: BoardProcess) -> None:
-    async def run(passkey: str) -> None:
+def test_failed_tries_are_counted_over_reboots_and_owners(
+    wire: Wire, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    """Five wrong pass-keys for its life, however often it reboots and its owner pairs in between."""
+    folder = tmp_path_factory.mktemp("board")
+    tries = folder / "tries.json"
+
+    async def attempt(board: BoardProcess, passkey: str) -> None:
         async with host(board, passkey):
             pass
 
-    for guess in range(5):
-        with pytest.raises(DeviceRejectedError):
-            asyncio.run(run(f"{100000 + guess}"))
-    with pytest.raises(DeviceRejectedError):
-        asyncio.run(run(PASSKEY))
+    def boot() -> AbstractContextManager[BoardProcess]:
+        return bridge_on(wire, CONFIG, "--folder", str(folder))
+
+    for failed in range(2):
+        with boot() as board:
+            time.sleep(failed * AFTER_ONE_FAILED_S)
+            with pytest.raises(DeviceRejectedError):
+                asyncio.run(attempt(board, "100000"))
+            assert json.loads(tries.read_text()) == failed + 1
+            with pytest.raises(DeviceRejectedError):  # too early: neither answered nor counted
+                asyncio.run(attempt(board, PASSKEY))
+            assert json.loads(tries.read_text()) == failed + 1
+            if failed == 0:
+                time.sleep(AFTER_ONE_FAILED_S)
+                asyncio.run(attempt(board, PASSKEY))  # the owner's own success changes nothing
+                assert json.loads(tries.read_text()) == 1
+    tries.write_text("5")
+    with boot() as board, pytest.raises(DeviceRejectedError):
+        asyncio.run(attempt(board, PASSKEY))
+
+
+def test_legacy_pairing_with_the_right_passkey_arms_nothing(board: BoardProcess, wire: Wire) -> None:
+    async def run() -> None:
+        async with host(board, secure=False) as bridge:
+            await bridge.arm()
+
+    with pytest.raises(DeviceError):
+        asyncio.run(run())
+    assert wire.waiting() == b""
+    time.sleep(AFTER_ONE_FAILED_S)
+    asyncio.run(_owner(board))
 
 
 def test_a_bond_survives_the_boards_restart(wire: Wire, tmp_path_factory: pytest.TempPathFactory) -> None:
@@ -111,7 +150,7 @@ def test_a_bond_survives_the_boards_restart(wire: Wire, tmp_path_factory: pytest
 
         store = MemoryKeyStore()
         for passkey in (PASSKEY, None):  # the second time no key is typed
-            with BoardProcess(CONFIG, wire.path, "--folder", folder) as board:
+            with bridge_on(wire, CONFIG, "--folder", folder) as board:
                 async with open_backend(board.hci, passkey, store=store, address="F2:00:00:00:00:09") as pair:
                     backends = Backends(*pair)
                     heard = await find(board.address, 20.0, backends)
@@ -130,7 +169,7 @@ def test_notifications_that_the_radio_refuses_are_sent_again(wire: Wire) -> None
     received = bytearray()
 
     async def run() -> None:
-        with BoardProcess(CONFIG, wire.path, "--interval-ms", "300") as board:
+        with bridge_on(wire, CONFIG, "--interval-ms", "300") as board:
             async with host(board, on_bytes=received.extend) as bridge:
                 for start in range(0, len(data), 20):
                     wire.write(data[start : start + 20])
@@ -150,7 +189,7 @@ def test_what_is_lost_is_counted_and_told(wire: Wire) -> None:
     received = bytearray()
 
     async def run() -> None:
-        with BoardProcess({**CONFIG, "baud": 300, "deadman_ms": 5000}, wire.path) as board:
+        with bridge_on(wire, {**CONFIG, "baud": 300, "deadman_ms": 5000}) as board:
             async with host(board, on_bytes=received.extend, on_event=events.append) as bridge:
                 # At 300 Bd a second carries 30 bytes: the queue of 1024 is full at the fifth packet.
                 for _ in range(8):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import os
 import random
 import signal
@@ -14,8 +15,9 @@ from pathlib import Path
 import pytest
 
 from firmware_tools.virtual.process import BoardProcess
+from tagid.errors import DeviceRejectedError
 from tagid.motion.bridge.protocol import Event, Op, Reply, Status, Tripped
-from tests.firmware.conftest import CONFIG, PASSKEY, Wire, host
+from tests.firmware.conftest import CONFIG, PASSKEY, STOP, Wire, bridge_on, host
 
 pytestmark = pytest.mark.realtime
 
@@ -58,7 +60,7 @@ def test_a_link_cut_at_any_moment_stops_the_wheels(wire: Wire) -> None:
             return at - cut
 
     # The radio itself would notice only after a minute, so it is the silence that stops the wheels.
-    with BoardProcess(CONFIG, wire.path, "--supervision-ms", "60000") as board:
+    with bridge_on(wire, CONFIG, "--supervision-ms", "60000") as board:
         assert asyncio.run(run(board)) <= LIMIT_S
 
 
@@ -124,10 +126,11 @@ def test_heartbeats_keep_the_wheels_turning(board: BoardProcess, wire: Wire) -> 
             await asyncio.sleep(3.0)
             assert wire.waiting() == DRIVE and (await bridge.status()).state == "armed"
             await bridge.disarm()
+            assert await asyncio.to_thread(wire.read, 3 * len(STOP)) == 3 * STOP
 
     asyncio.run(run())
     time.sleep(0.3)
-    assert wire.waiting() == b"", "a host that said goodbye leaves nothing to stop"
+    assert wire.waiting() == b"", "a host that said goodbye leaves nothing more to stop"
 
 
 @pytest.mark.parametrize("how", ["drop", "close"])
@@ -159,23 +162,80 @@ def test_a_stale_drive_command_does_not_follow_the_stop(wire: Wire) -> None:
             await asyncio.sleep(0.4)
             assert len(data) < 60 and b"\x91\x00\x64" not in wire.waiting()
 
-    with BoardProcess({**CONFIG, "baud": 300}, wire.path) as board:
+    with bridge_on(wire, {**CONFIG, "baud": 300}) as board:
         asyncio.run(run(board))
 
 
-def test_a_hung_firmware_is_restarted_and_stops_the_robot_first(wire: Wire) -> None:
-    with BoardProcess({**CONFIG, "watchdog_ms": 1000}, wire.path) as board:
-        board.command("stall 20000")
-        board.wait_for("watchdog")
-        assert board.process.wait(20) == 70
-    with BoardProcess(CONFIG, wire.path, "--after-watchdog"):
-        data, _ = read_until_stopped(wire)
-        assert data.startswith(bytes(4) + STOP_WHEELS)
+@pytest.mark.parametrize("cause", ["pwron", "hard", "wdt", "soft", "deepsleep"])
+def test_every_boot_stops_the_robot_three_times_whatever_the_cause(wire: Wire, cause: str) -> None:
+    """A brown-out is reported as power-on and a crash as a hard reset, so no cause means that all is well."""
+    with bridge_on(wire, CONFIG, "--reset-cause", cause):
+        assert wire.waiting() == b""
+
+
+def test_a_killed_firmware_stops_the_robot_when_it_boots_again(wire: Wire) -> None:
+    with bridge_on(wire) as board:
+
+        async def drive() -> None:
+            async with host(board) as bridge:
+                await bridge.arm(5000)
+                await bridge.write(DRIVE)
+                assert await asyncio.to_thread(wire.read, len(DRIVE)) == DRIVE
+                board.process.kill()
+                board.process.wait()
+
+        with contextlib.suppress(Exception):  # the host's link is gone
+            asyncio.run(drive())
+    assert wire.waiting() == b"", "nothing can stop it before the boot"
+    with bridge_on(wire):
+        pass
+
+
+def test_a_hung_firmware_boots_again_and_stops_the_robot(wire: Wire, tmp_path: Path) -> None:
+    with bridge_on(wire, CONFIG, "--reboot", "--folder", str(tmp_path)) as board:
+        board.command("stall 600000")
+        assert wire.read(3 * len(STOP), 60) == 3 * STOP
+
+
+def test_an_interrupt_that_fails_stops_the_robot(wire: Wire, tmp_path: Path) -> None:
+    """MicroPython prints such an exception and goes on; the bridge stops the robot and restarts."""
+
+    async def drive(board: BoardProcess) -> None:
+        async with host(board) as bridge:
+            await bridge.arm(5000)
+            await bridge.write(DRIVE)
+            assert await asyncio.to_thread(wire.read, len(DRIVE)) == DRIVE
+            await asyncio.to_thread(board.command, "break")
+            assert await asyncio.to_thread(wire.read, 3 * len(STOP)) == 3 * STOP
+
+    with bridge_on(wire) as board:
+        with contextlib.suppress(Exception):  # the board restarts under the host
+            asyncio.run(drive(board))
+        assert board.process.wait(20) == 71
+
+
+def test_disarming_a_robot_that_may_be_moving_stops_it(board: BoardProcess, wire: Wire) -> None:
+    async def run() -> None:
+        async with host(board) as bridge:
+            await bridge.arm(5000)
+            await bridge.write(DRIVE)
+            assert await asyncio.to_thread(wire.read, len(DRIVE)) == DRIVE
+            await bridge.disarm()
+            # The next drive command waits until the last stop is out.
+            await bridge.arm(5000)
+            await bridge.write(DRIVE)
+            assert await asyncio.to_thread(wire.read, 3 * len(STOP)) == 3 * STOP
+            assert await asyncio.to_thread(wire.read, len(DRIVE)) == DRIVE
+            with pytest.raises(DeviceRejectedError, match="busy"):
+                await bridge.request(Op.BAUD, 19200)
+            await bridge.disarm()
+
+    asyncio.run(run())
 
 
 def test_no_passkey_means_open_and_says_so(wire: Wire) -> None:
     async def run() -> None:
-        with BoardProcess({**CONFIG, "passkey": None}, wire.path) as board:
+        with bridge_on(wire, {**CONFIG, "passkey": None}) as board:
             async with host(board, None) as bridge:
                 assert bridge.info.flags & 6 == 4
                 await bridge.request(Op.TIME)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import json
 import os
 import subprocess
@@ -14,11 +15,12 @@ from typing import Any
 
 import pytest
 
-from firmware_tools.board import open_board
-from firmware_tools.build import compile_firmware, read_build, write_build
+from firmware_tools.board import Python, open_board
+from firmware_tools.build import Build, compile_firmware, read_build, write_build
 from firmware_tools.cli.app import app
+from firmware_tools.provision import BONDS, CONFIG, TRIES, make_config, provision
 from tagid.cli.common.frame import serve
-from tagid.errors import DeviceError, DeviceRejectedError, FileFormatError, StorageError
+from tagid.errors import ConfigError, DeviceError, DeviceRejectedError, FileFormatError, StorageError
 from tests.firmware.microvm import FOLDER, needs_vm
 
 Run = Callable[..., tuple[int, dict[str, Any]]]
@@ -93,7 +95,7 @@ def test_a_bare_board_becomes_a_bridge_and_is_the_same_as_the_build(board: Pty, 
     code, document = run("provision", "--name", "robot-7", "--chip", "esp32c3", "--port", board.path)
     assert code == 0, document["errors"]
     data = document["data"]
-    assert data["written"][-1] == "main.py" and len(data["written"]) == 9
+    assert data["written"][-1] == "main.py" and len(data["written"]) == 10
     assert data["config"]["passkey"].isdigit() and len(data["config"]["passkey"]) == 6
     assert data["config"]["uart_tx"] == 6 and data["python"]["version"] == "1.27.0"
 
@@ -119,6 +121,85 @@ def test_a_bare_board_becomes_a_bridge_and_is_the_same_as_the_build(board: Pty, 
     assert code == 0 and "tagid_bridge/ring.mpy" in document["data"]["written"]
     with open_board(board.path) as raw:
         assert raw.read("bonds.json") is None
+
+
+class Memory:
+    """A board's files, and a USB plug that is pulled out before the operation of a given number."""
+
+    def __init__(self, files: dict[str, bytes], pulled_at: int) -> None:
+        self.files, self._left = files, pulled_at
+
+    def _use(self) -> None:
+        if self._left == 0:
+            raise DeviceError("the board is gone", "Plug it in.")
+        self._left -= 1
+
+    def python(self) -> Python:
+        return Python("1.27.0", "a board", 6, 100_000)
+
+    def read(self, path: str) -> bytes | None:
+        return self.files.get(path)
+
+    def hash_of(self, path: str) -> str | None:
+        return hashlib.sha256(self.files[path]).hexdigest() if path in self.files else None
+
+    def write(self, path: str, data: bytes, progress: object = None) -> None:
+        self._use()
+        self.files[path] = data
+
+    def remove(self, path: str) -> None:
+        self._use()
+        self.files.pop(path, None)
+
+    def restart(self) -> None:
+        self._use()
+
+
+def test_no_cut_leaves_a_new_passkey_with_old_bonds() -> None:
+    """Wherever the plug is pulled, and after provisioning again, whoever paired before must pair again."""
+    build = Build("1.1.0", "none", {"main.py": b"start", "tagid_bridge/control.mpy": b"M\x06"})
+    old, new = (make_config("esp32c3", {"passkey": key}) for key in ("111111", "222222"))
+    start = {**build.files, CONFIG: json.dumps(old).encode(), BONDS: b"[1]", TRIES: b"3"}
+    for cut in range(20):
+        board: Any = Memory(dict(start), cut)
+        try:
+            provision(board, build, new, lambda count, name: None)
+            done = True
+        except DeviceError:
+            done = False
+        written = json.loads(board.files[CONFIG])["passkey"] == "222222"
+        assert not (written and BONDS in board.files), cut
+        board = Memory(board.files, 1000)
+        provision(board, build, new, lambda count, name: None)
+        assert BONDS not in board.files and TRIES not in board.files and "main.py" in board.files
+        if done:
+            assert cut > 4
+            return
+    raise AssertionError("it never came to its end")
+
+
+@pytest.mark.parametrize(
+    ("chip", "keys", "message"),
+    [
+        ("esp32c3", {"uart_id": 2}, "the robot's line can be UART 1"),
+        ("esp32c3", {"uart_tx": 17}, "uart_tx is 17, which is no free pin of the ESP32-C3 for an output"),
+        ("esp32c3", {"index_pin": 27}, "index_pin is 27"),
+        ("esp32", {"uart_tx": 34}, "uart_tx is 34, which is no free pin of the ESP32 for an output"),
+        ("esp32", {"index_pin": 36}, "an input with a pull-up"),
+        ("esp32", {"brc_pin": 6}, "brc_pin is 6"),
+        ("esp32", {"uart_rx": 3}, "uart_rx is 3"),
+        ("esp32", {"uart_rx": 24}, "uart_rx is 24"),
+    ],
+)
+def test_pins_and_uarts_that_the_chip_lacks(chip: str, keys: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigError, match=message) as error:
+        make_config(chip, keys)
+    assert error.value.exit_code == 2 and error.value.remedy
+
+
+def test_the_usual_pins_of_each_chip_are_free() -> None:
+    assert make_config("esp32", {"uart_rx": 34, "uart_id": 2})["uart_rx"] == 34
+    assert make_config("esp32c3", {})["uart_tx"] == 6
 
 
 @needs_vm
@@ -185,7 +266,7 @@ def test_configuration_files_with_mistakes(run: Run, tmp_path: Path, text: str, 
 def test_a_build_is_the_same_every_time_and_checked_when_read(run: Run, tmp_path: Path) -> None:
     folder = tmp_path / "bridge"
     code, document = run("build", "--out", str(folder))
-    assert code == 0 and document["data"]["version"] == "1.0.0"
+    assert code == 0 and document["data"]["version"] == "1.1.0"
     build = read_build(folder)
     assert build.hashes == compile_firmware().hashes
     assert all(data[:2] == b"M\x06" for name, data in build.files.items() if name.endswith(".mpy"))

@@ -162,6 +162,7 @@ def test_a_wrong_passkey_is_refused(host: RoombaHost, board: BoardProcess) -> No
         motion.start()
     assert "pass-key" in error.value.remedy
     assert not host.core.body.moving
+    time.sleep(2.1)  # so long the bridge waits after one failed try
 
 
 def test_a_name_that_nobody_bears(board: BoardProcess) -> None:

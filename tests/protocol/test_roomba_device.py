@@ -114,6 +114,9 @@ def test_a_cable_that_falls_silent_is_told_within_half_a_second(host: RoombaHost
         while time.monotonic() < cut + 5:
             motion.check()
             time.sleep(0.005)
+    # The cable is cut, so nobody knows whether it stands: that comes first.
+    with pytest.raises(DeviceTimeoutError, match=r"^It may still be turning: lift it"):
+        motion.stop()
     motion.stop()
 
 
@@ -196,6 +199,33 @@ def test_no_permission(host: RoombaHost) -> None:
     with pytest.raises(DeviceError, match="permission") as error:
         robot_at(host).start()
     assert "dialout" in error.value.remedy
+
+
+def test_wheels_that_are_blocked_are_told_within_seconds() -> None:
+    with RoombaHost(BodySettings(blocked=True)) as host:
+        motion = robot_at(host)
+        begin = time.monotonic()
+        motion.start()
+        with pytest.raises(MotionStoppedError, match="nothing turns"):
+            turned(motion, 0.1)
+        assert time.monotonic() - begin < 15
+        motion.stop()
+        assert host.core.mode is Mode.PASSIVE
+
+
+def test_a_drive_command_after_the_farewell_goes_nowhere(host: RoombaHost) -> None:
+    """A thread that was held up while it wrote must not set the wheels in motion again."""
+    motion = robot_at(host, "?step=3")
+    motion.start()
+    turned(motion, 0.1)
+    oi = motion._oi
+    assert oi is not None
+    motion._halt()
+    motion._spin(57)
+    with host.port.lock:
+        assert host.core.mode is Mode.PASSIVE
+    motion.stop()
+    assert wait_until_still(host, 2) is not None
 
 
 def test_a_radar_that_fails_leaves_a_robot_that_stands(host: RoombaHost, tmp_path: Path) -> None:

@@ -10,12 +10,14 @@ import numpy as np
 import pytest
 
 from tagid.errors import DeviceGoneError, DeviceRejectedError, DeviceTimeoutError, UsageError
+from tagid.motion.device import MotionStoppedError
 from tagid.motion.driven import DrivenMotion
 from tagid.motion.emulation.comxim import ComximCore
 from tagid.motion.emulation.gatt import GattPort
 from tagid.motion.emulation.pty import PtyPort
 from tagid.motion.emulation.revopoint import RevopointCore
 from tagid.motion.emulation.table import TurningTable
+from tagid.motion.tables.polled import PolledTable
 from tagid.motion.tables.revopoint import CHARACTERISTIC, SERVICE
 from tagid.motion.urls import open_motion
 
@@ -60,6 +62,61 @@ def test_a_comxim_table_tells_its_angle(comxim: tuple[ComximCore, PtyPort], dire
     motion = open_motion(f"comxim+serial://{port.path}?direction={direction}&turns=1")
     assert isinstance(motion, DrivenMotion)
     turn_and_compare(motion, core.table, 0.3)
+
+
+@pytest.mark.parametrize("direction", ["ccw", "cw"])
+def test_the_direction_is_that_of_the_makers_documents(
+    comxim: tuple[ComximCore, PtyPort], direction: str
+) -> None:
+    """SETDIR(0) is left, clockwise; TURNCONTINUE=1 is clockwise (docs/motion.md): byte for byte."""
+    sent: list[bytes] = []
+
+    class Link:
+        def write(self, data: bytes) -> None:
+            sent.append(data)
+
+        def read(self, timeout: float) -> bytes:
+            return b"CR+OK;" if b"CT+" in sent[-1][:4] else b"+OK;"
+
+        def beat(self) -> None:
+            """Nothing watches."""
+
+    for scheme, clockwise, counter in (
+        ("comxim+serial:///dev/x", b"CT+SETDIR(0);", b"CT+SETDIR(1);"),
+        ("revopoint+ble://X", b"+CT,TURNCONTINUE=1;", b"+CT,TURNCONTINUE=-1;"),
+    ):
+        for backwards in (0, 1):
+            table = open_motion(f"{scheme}?direction={direction}&reversed={backwards}")
+            assert isinstance(table, PolledTable)
+            sent.clear()
+            table._link = Link()  # type: ignore[assignment]
+            table.forget = lambda: None  # type: ignore[method-assign]
+            table._set_going()
+            asked = (direction == "cw") != bool(backwards)
+            assert (clockwise if asked else counter) in sent
+            assert (counter if asked else clockwise) not in sent
+
+
+def test_a_table_wired_the_other_way_round_is_told_by_its_setting() -> None:
+    core = ComximCore(now_s=time.monotonic(), backwards=True)
+    with PtyPort(core) as port:
+        motion = open_motion(f"comxim+serial://{port.path}?turns=1&reversed=1")
+        assert isinstance(motion, DrivenMotion)
+        turn_and_compare(motion, core.table, 0.3)
+        assert motion.track().info["reversed"] is True
+
+
+def test_a_table_that_cannot_turn_is_told_within_seconds(comxim: tuple[ComximCore, PtyPort]) -> None:
+    core, port = comxim
+    core.table.blocked = True
+    motion = open_motion(f"comxim+serial://{port.path}")
+    begin = time.monotonic()
+    motion.start()
+    with pytest.raises(MotionStoppedError, match="nothing turns"):
+        while time.monotonic() - begin < 15:
+            motion.check()
+            time.sleep(0.01)
+    motion.stop()
 
 
 def test_the_words_of_the_comxim_table() -> None:
@@ -109,7 +166,7 @@ def test_a_revopoint_table_over_bluetooth() -> None:
 def test_what_a_revopoint_table_refuses() -> None:
     core = RevopointCore()
     assert core.handle(b"+CT,TURNSPEED=5;", 0.0) == b"+FAIL,ERR=007;"
-    assert core.handle(b"+CT,TURNSPEED=30;+CT,TURNCONTINUE=1;", 0.0) == b"+OK;+OK;"
+    assert core.handle(b"+CT,TURNSPEED=30;+CT,TURNCONTINUE=-1;", 0.0) == b"+OK;+OK;"
     assert core.handle(b"+QT,CHANGEANGLE;", 15.3) == b"+DATA=180.00;"
 
 

@@ -119,6 +119,14 @@ def test_a_lazy_upward_import_and_a_circle_would_be_found() -> None:
     assert "tagid.pipeline.identify" in GRAPH["tagid.cli.identify"]  # imported inside of a function
 
 
+def test_the_product_imports_neither_its_tools_nor_its_training() -> None:
+    for path in FILES:
+        for node in ast.walk(ast.parse(path.read_text())):
+            names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
+            names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+            assert not {name.split(".")[0] for name in names} & {"firmware_tools", "train"}, path
+
+
 def imported_parts(tree: ast.AST) -> set[str]:
     """Rooms that a file imports from."""
     found = set()
@@ -145,7 +153,18 @@ def test_the_firmware_and_its_tools_are_imported_late() -> None:
             names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
             names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
             assert not any(name.split(".")[0] == "firmware_tools" for name in names), path
-    board = {"time", "struct", "json", "sys", "array", "binascii", "machine", "bluetooth", "micropython"}
+    board = {
+        "time",
+        "struct",
+        "json",
+        "os",
+        "sys",
+        "array",
+        "binascii",
+        "machine",
+        "bluetooth",
+        "micropython",
+    }
     for path in (ROOT / "firmware_tools" / "bridge" / "tagid_bridge").glob("*.py"):
         for node in ast.walk(ast.parse(path.read_text())):
             names = [a.name for a in node.names] if isinstance(node, ast.Import) else []

@@ -90,3 +90,13 @@ def test_wheels_that_disagree_widen_the_sigma() -> None:
     odometry.add(0, 0)
     odometry.add(-1000, 1100)
     assert odometry.sigma_rad > 40 * MM_PER_COUNT / 235
+
+
+@pytest.mark.parametrize("place", range(13))
+def test_a_frame_with_a_wrong_bit_is_no_frame(place: int) -> None:
+    """The sum of all bytes is zero; a frame that passes without it would be an angle out of noise."""
+    frame = bytearray(oi.stream_frame(WATCHED, {43: 1000, 44: -1000, 35: 2}))
+    assert len(StreamDecoder(WATCHED).feed(bytes(frame))) == 1
+    frame[place] ^= 0x04
+    decoder = StreamDecoder(WATCHED)
+    assert decoder.feed(bytes(frame) + bytes(40)) == [] and decoder.dropped >= 1

@@ -34,12 +34,12 @@ _WHILE_AWAKE_MS = const(600000)
 class Bridge:
     """Everything on one board; `step` does what is due and returns at once."""
 
-    def __init__(self, config, problem, after_watchdog=False):
+    def __init__(self, config, problem, robot, after_watchdog=False):
         self._config = config
         self._provisioned = problem is None
         self._after_watchdog = after_watchdog
         self.clock = Clock()
-        self.robot = Robot(config)
+        self.robot = robot
         self.index = None
         if config["index_pin"] is not None:
             self.index = IndexPulse(config["index_pin"], config["index_rising"], config["index_gap_ms"])
@@ -51,9 +51,8 @@ class Bridge:
         self._pulse_reply = None
         self._loop = None
         self._waiting_since = None
-        if after_watchdog:
-            # The board hung with the robot perhaps turning.
-            self.robot.trip(IDLE)
+        self._round_at = ticks_ms()
+        self._longest_ms = 0
         self.radio = Radio(config["name"], config["passkey"], self._on_bytes, self._on_command, self._on_lost)
         self._flags_told = None
 
@@ -78,6 +77,11 @@ class Bridge:
 
     def step(self):
         """One round: hours of rounds hold no state but what the objects say."""
+        now = ticks_ms()
+        self._longest_ms = max(self._longest_ms, ticks_diff(now, self._round_at))
+        self._round_at = now
+        if self.radio.fault is not None:
+            raise self.radio.fault
         if self._lost_link:
             self._lost_link = False
             self._end_of_link()
@@ -114,12 +118,10 @@ class Bridge:
         self._pulse_reply = None
         self._loop = None
 
-    def stop(self):
-        """Last words to the robot where the program ends."""
-        if self.robot.state == ARMED:
-            self.robot.trip(TRIPPED)
-            self._tell(pack("<BBI", _TRIPPED_EVENT, FAULT, self.robot.silent_ms()))
-            self._send()
+    def tell_fault(self):
+        """Tells the host that the firmware failed and stopped the robot, where a host is there."""
+        self._tell(pack("<BBI", _TRIPPED_EVENT, FAULT, self.robot.silent_ms()))
+        self._send()
 
     def _send(self):
         while self._events and self.radio.send_event(self._events[0]):
@@ -212,7 +214,10 @@ class Bridge:
         )
         head = pack("<BQ", robot.state, self.clock.now())
         body = pack("<9I", *[count & 0xFFFFFFFF for count in counts])
-        return _OK, head + body + pack("<HHI", robot.to_robot.free(), self.radio.mtu, robot.baud)
+        room = robot.to_robot.free()
+        return _OK, head + body + pack(
+            "<HHIH", room, self.radio.mtu, robot.baud, min(self._longest_ms, 0xFFFF)
+        )
 
     def _arm(self, seq, values):
         timeout = values[0]
@@ -282,6 +287,9 @@ class Bridge:
     def _baud(self, seq, values):
         if not 300 <= values[0] <= 115200:
             return _BAD, b""
+        if self.robot.state == ARMED:
+            # At another rate a stop would not be understood.
+            return _BUSY, b""
         self.robot.set_baud(values[0])
         return _OK, pack("<I", values[0])
 
@@ -349,24 +357,39 @@ def _pattern(position):
 
 
 def run():
-    """Serves until the power goes; every other end stops the robot first."""
+    """Serves until the power goes; the robot is stopped when it begins and before every other end."""
     config, problem = settings.load()
+    try:
+        robot = Robot(config)
+    except Exception as error:
+        # A pin or UART that this chip lacks: serve as a board that was never provisioned, and say why.
+        problem = str(error) or repr(error)
+        config = settings.default()
+        robot = Robot(config)
     if problem is not None:
         print("tagid bridge: not provisioned:", problem)
-    bridge = Bridge(config, problem, machine.reset_cause() == machine.WDT_RESET)
-    watchdog = machine.WDT(timeout=config["watchdog_ms"])
+    # Whatever reset the board (a brown-out counts as power-on, a crash as a hard reset), it may have been
+    # driving; and before the radio starts, because that may fail.
+    robot.stop_and_wait()
+    bridge = None
     try:
+        bridge = Bridge(config, problem, robot, machine.reset_cause() == machine.WDT_RESET)
+        watchdog = machine.WDT(timeout=config["watchdog_ms"])
         while True:
             bridge.step()
             watchdog.feed()
             sleep_ms(1)
     except KeyboardInterrupt:
-        bridge.stop()
+        robot.stop_and_wait()
         # Someone works on the board over USB; the watchdog cannot be ended, but it can be made patient.
         machine.WDT(timeout=_WHILE_AWAKE_MS)
         raise
     except Exception as error:
-        bridge.stop()
+        robot.stop_and_wait()
         sys.print_exception(error)
-        sleep_ms(500)
-        machine.reset()
+        try:
+            if bridge is not None:
+                bridge.tell_fault()
+        finally:
+            sleep_ms(500)
+            machine.reset()

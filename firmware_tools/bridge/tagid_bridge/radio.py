@@ -3,13 +3,12 @@
 A write that arrives before the link is authenticated goes nowhere, whether the stack refused it or not.
 """
 
-import json
-from binascii import hexlify, unhexlify
 from struct import pack
 from time import ticks_diff, ticks_ms
 
 import bluetooth
 from micropython import const
+from tagid_bridge.pairing import Pairing
 
 _CONNECT = const(1)
 _DISCONNECT = const(2)
@@ -40,9 +39,6 @@ INFO = bluetooth.UUID("7D1C0004-3A6E-4F52-9B0D-7461676964B1")
 MTU = const(247)
 _DEFAULT_MTU = const(23)
 _ADVERTISE_US = const(100000)
-_BONDS = "bonds.json"
-# A fixed pass-key gives a little of itself away with every failed try, so tries are few until a power cycle.
-_TRIES = const(5)
 _PAIRING_MS = const(60000)
 
 
@@ -64,9 +60,10 @@ class Radio:
         self._connection = None
         self._paired = False
         self._since = 0
-        self._tries = 0
-        self._bonds = None
-        self._bonds_changed = False
+        self._pairing = None if passkey is None else Pairing()
+        self._asked = None
+        self._answered = False
+        self.fault = None
         self._advertise_due = True
         self.mtu = _DEFAULT_MTU
         self.retries = 0
@@ -77,7 +74,6 @@ class Radio:
         self._ble.config(gap_name=name, mtu=MTU, rxbuf=2048)
         guard = 0
         if passkey is not None:
-            self._bonds = _load_bonds()
             self._ble.config(bond=True, mitm=True, le_secure=True, io=_DISPLAY_ONLY)
             guard = _WRITE_PAIRED
         self._ble.irq(self._irq)
@@ -104,8 +100,10 @@ class Radio:
         return self._connection is not None
 
     def trusted(self):
-        """Whether the host may drive: it gave the pass-key, or none is set."""
-        return self._connection is not None and (self._passkey is None or self._paired)
+        """Whether the host may drive: it proved the pass-key with LE Secure Connections, or none is set."""
+        if self._connection is None:
+            return False
+        return self._pairing is None or (self._paired and self._pairing.secure)
 
     def set_info(self, data):
         """Changes what may be read without pairing."""
@@ -136,40 +134,87 @@ class Radio:
             self._advertise_due = False
             data, response = self._payloads
             self._ble.gap_advertise(_ADVERTISE_US, data, resp_data=response)
-        if self._bonds_changed:
-            self._bonds_changed = False
-            _save_bonds(self._bonds)
+        if self._pairing is not None:
+            self._tend_pairing()
         # A stranger who connects and does not pair would keep the owner out.
         if self.connected() and not self.trusted() and ticks_diff(ticks_ms(), self._since) > _PAIRING_MS:
             self._since = ticks_ms()
-            self._ble.gap_disconnect(self._connection)
+            self._hang_up(self._connection)
+
+    def _tend_pairing(self):
+        pairing = self._pairing
+        if self._asked is not None:
+            connection, action = self._asked
+            self._asked = None
+            if action != _SHOW_PASSKEY or not pairing.may_try():
+                self._hang_up(connection)
+            else:
+                pairing.begin()
+                self._answered = True
+                try:
+                    self._ble.gap_passkey(connection, _SHOW_PASSKEY, int(self._passkey))
+                except OSError:
+                    pass  # the peer is gone; its try is counted
+        if pairing.legacy:
+            # Legacy pairing can be broken by listening to it once; who used it may not stay.
+            pairing.legacy = False
+            self._hang_up(self._connection)
+        if self._answered and self.trusted():
+            self._answered = False
+            pairing.passed()
+        pairing.save()
+
+    def _hang_up(self, connection):
+        if connection is not None:
+            try:
+                self._ble.gap_disconnect(connection)
+            except OSError:
+                pass  # it is gone already
 
     def _irq(self, event, data):
+        # MicroPython prints what an interrupt raises and goes on; the loop has to hear of it and stop.
+        try:
+            return self._handle(event, data)
+        except Exception as error:
+            self.fault = error
+            return None
+
+    def _handle(self, event, data):
         if event == _WRITE:
             self._written(data[1])
         elif event == _CONNECT:
             self._connection = data[0]
             self._paired = False
+            self._forget_pairing()
             self.mtu = _DEFAULT_MTU
             self._since = ticks_ms()
         elif event == _DISCONNECT:
             self._connection = None
             self._paired = False
+            self._forget_pairing()
             self._advertise_due = True
             self._on_lost()
         elif event == _MTU:
             self.mtu = min(data[1], MTU)
         elif event == _ENCRYPTION:
             self._paired = bool(data[1] and data[2])
-            if self._paired:
-                self._tries = 0
         elif event == _PASSKEY:
-            self._answer_passkey(data[0], data[1])
-        elif event == _GET_SECRET:
-            return self._secret(data[0], data[1], data[2])
+            # Answered from the loop, after the try is counted in flash.
+            self._forget_pairing()
+            self._asked = (data[0], data[1])
+        elif event == _GET_SECRET and self._pairing is not None:
+            return self._pairing.get(data[0], data[1], data[2])
+        elif event == _SET_SECRET and self._pairing is not None:
+            return self._pairing.put(data[0], data[1], data[2])
         elif event == _SET_SECRET:
-            return self._keep_secret(data[0], data[1], data[2])
+            return False
         return None
+
+    def _forget_pairing(self):
+        self._asked = None
+        self._answered = False
+        if self._pairing is not None:
+            self._pairing.forget_link()
 
     def _written(self, handle):
         data = self._ble.gatts_read(handle)
@@ -180,49 +225,3 @@ class Radio:
                 self.refused += 1
         elif handle == self._command:
             self._on_command(bytes(data))
-
-    def _answer_passkey(self, connection, action):
-        self._tries += 1
-        if self._passkey is None or action != _SHOW_PASSKEY or self._tries > _TRIES:
-            self._ble.gap_disconnect(connection)
-        else:
-            self._ble.gap_passkey(connection, _SHOW_PASSKEY, int(self._passkey))
-
-    def _secret(self, kind, index, key):
-        if self._bonds is None:
-            return None
-        if key is not None:
-            return self._bonds.get((kind, bytes(key)))
-        for (other, _), value in self._bonds.items():
-            if other == kind:
-                if index == 0:
-                    return value
-                index -= 1
-        return None
-
-    def _keep_secret(self, kind, key, value):
-        if self._bonds is None:
-            return False
-        name = (kind, bytes(key))
-        if value is not None:
-            self._bonds[name] = bytes(value)
-        elif name in self._bonds:
-            del self._bonds[name]
-        else:
-            return False
-        self._bonds_changed = True
-        return True
-
-
-def _load_bonds():
-    try:
-        with open(_BONDS) as file:
-            return {(kind, unhexlify(key)): unhexlify(value) for kind, key, value in json.load(file)}
-    except (OSError, ValueError, TypeError):
-        return {}
-
-
-def _save_bonds(bonds):
-    rows = [[kind, hexlify(key).decode(), hexlify(value).decode()] for (kind, key), value in bonds.items()]
-    with open(_BONDS, "w") as file:
-        json.dump(rows, file)

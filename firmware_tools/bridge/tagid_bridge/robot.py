@@ -4,7 +4,7 @@ Whatever is queued towards the robot waits here and not in the serial driver, be
 to throw a stale drive command away.
 """
 
-from time import ticks_add, ticks_diff, ticks_ms, ticks_us
+from time import sleep_ms, ticks_add, ticks_diff, ticks_ms, ticks_us
 
 from machine import UART, Pin
 from micropython import const
@@ -22,6 +22,9 @@ FAULT = const(3)
 # leaves it Passive: motors off, and it may sleep and charge.
 STOP = b"\x00\x00\x00\x00\x91\x00\x00\x00\x00\x83\x91\x00\x00\x00\x00\x80"
 _AGAIN_MS = (30, 150)
+# Spot, Clean, Max, Drive, Seek Dock, PWM Motors, Drive Direct, Drive PWM: after one of these bytes (which may
+# be data of another command; that only errs towards stopping) the robot may be moving.
+_MOVING = b"\x86\x87\x88\x89\x8f\x90\x91\x92"
 _SLICE_MS = const(4)
 
 
@@ -49,6 +52,7 @@ class Robot:
         self._fed = ticks_ms()
         self._free_at = ticks_us()
         self._repeats = []
+        self.drove = False
         self.sent = self.received = self.lost_out = self.lost_in = self.trips = 0
         self._overflows = [False, False]
 
@@ -79,11 +83,12 @@ class Robot:
         """From now on silence longer than `timeout_ms` stops the wheels."""
         self.timeout_ms = timeout_ms or self._config["deadman_ms"]
         self.state = ARMED
-        self._repeats = []
         self.feed()
 
     def disarm(self):
-        """The host has left the robot stopped: silence means nothing any more."""
+        """The host says that silence means nothing any more; a robot that may be moving is stopped first."""
+        if self.drove or len(self.to_robot):
+            self.halt(IDLE)
         self.state = IDLE
 
     def silent_ms(self):
@@ -95,13 +100,34 @@ class Robot:
         return self.state == ARMED and self.silent_ms() >= self.timeout_ms
 
     def trip(self, next_state):
-        """Throws away what waits for the robot and stops it, now and twice again."""
-        self.to_robot.clear()
-        self.state = next_state
+        """The dead-man: see `halt`."""
         self.trips += 1
+        self.halt(next_state)
+
+    def halt(self, next_state):
+        """Throws away what waits for the robot and stops it, now and twice again."""
+        # The state first: bytes that an interrupt brings after the queue is empty must not enter it.
+        self.state = TRIPPED
+        self.to_robot.clear()
+        self.stop()
         now = ticks_ms()
         self._repeats = [ticks_add(now, wait) for wait in _AGAIN_MS]
+        self.drove = False
+        self.state = next_state
+
+    def stop_and_wait(self):
+        """Stops the robot three times and returns after the third: where the program begins or ends."""
+        self.state = TRIPPED
+        self.to_robot.clear()
+        self._repeats = []
+        before = 0
         self.stop()
+        for wait in _AGAIN_MS:
+            sleep_ms(wait - before)
+            before = wait
+            self.stop()
+        self.drove = False
+        self.state = IDLE
 
     def stop(self):
         """Writes the stop bytes past every queue."""
@@ -126,9 +152,11 @@ class Robot:
         if self.uart is None:
             return
         now = ticks_us()
-        if len(self.to_robot) and ticks_diff(now, self._free_at) >= 0:
+        # While stops are still due nothing else goes out: a drive command must not overtake them.
+        if len(self.to_robot) and not self._repeats and ticks_diff(now, self._free_at) >= 0:
             # Only what the line carries in a few milliseconds leaves the queue: see the module's docstring.
             data = self.to_robot.peek(max(1, self.baud * _SLICE_MS // 10000))
+            self.drove = self.drove or any(byte in _MOVING for byte in data)
             self.uart.write(data)
             self.to_robot.drop(len(data))
             self.sent += len(data)

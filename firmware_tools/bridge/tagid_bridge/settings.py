@@ -17,7 +17,7 @@ NUMBERS = {
     "index_pin": (None, 0, 39),
     "index_gap_ms": (50, 1, 10000),
     "deadman_ms": (400, 100, 5000),
-    "watchdog_ms": (8000, 1000, 60000),
+    "watchdog_ms": (1000, 500, 60000),
     "linger_ms": (5, 0, 50),
 }
 FLAGS = {"brc_inverted": True, "index_rising": False}

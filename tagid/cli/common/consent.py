@@ -1,6 +1,6 @@
-"""Nothing moves before a person agreed: the one question that every moving command asks.
+"""The confirmation that every command asks for before it moves something.
 
-A script answers with --yes; where nobody can answer, nothing moves.
+Scripts confirm with --yes; without it and without a terminal nothing moves.
 """
 
 from __future__ import annotations
@@ -17,21 +17,30 @@ Yes = Annotated[
 ]
 
 
-def agree(what: str, yes: bool) -> None:
+def warning_of(motion: object) -> str:
+    """What does not stop a device by itself; "" where something always does."""
+    return str(getattr(motion, "warning", ""))
+
+
+def agree(what: str, yes: bool, warning: str = "") -> None:
     """Return where it may move.
 
     Args:
         what: what will move and how, for the question.
         yes: whether --yes was given.
+        warning: what does not stop it by itself; shown before the question, and also where --yes was given.
 
     Raises:
         UsageError: nobody can be asked. CaptureInterrupted: the answer was no.
     """
+    if warning:
+        typer.echo(f"{warning}.", err=True)
     if yes:
         return
     if not sys.stdin.isatty():
         raise UsageError(
-            f"{what}, and nobody is here to agree", "Look that its surroundings are free, then add --yes."
+            f"{what}, and there is no terminal to confirm it on",
+            "Make sure that its surroundings are free, then add --yes.",
         )
     try:
         agreed = typer.confirm(f"{what}. Are its surroundings free?", default=False, err=True)
@@ -48,4 +57,4 @@ def agree_to(motion_url: str, yes: bool) -> None:
     motion = open_motion(motion_url)
     if motion.moves and motion.nominal_s is not None:
         way = "clockwise" if motion.direction < 0 else "counter-clockwise"
-        agree(f"{motion_url} will turn {way}, {motion.nominal_s:.0f} s a turn", yes)
+        agree(f"{motion_url} will turn {way}, {motion.nominal_s:.0f} s per turn", yes, warning_of(motion))

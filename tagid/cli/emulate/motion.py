@@ -20,7 +20,9 @@ from tagid.cli.common.frame import Output, Terminal, command
 from tagid.errors import UsageError
 from tagid.result import Result
 
-_Truth = Annotated[int, typer.Option("--truth", help="UDP port that tells the true angle; 0 any free one.")]
+_Truth = Annotated[
+    int, typer.Option("--truth", help="UDP port that serves the true angle; 0 takes any free one.")
+]
 
 
 def register(group: typer.Typer) -> None:
@@ -31,13 +33,17 @@ def register(group: typer.Typer) -> None:
         terminal: Terminal,
         pty: Annotated[bool, typer.Option("--pty", help="On a pseudo-terminal (the default).")] = False,
         ble: Annotated[bool, typer.Option("--ble", help="Behind an emulated Bluetooth bridge.")] = False,
-        link: Annotated[Path | None, typer.Option("--link", help="A name for the port.")] = None,
+        link: Annotated[
+            Path | None, typer.Option("--link", help="Symbolic link to create for the port.")
+        ] = None,
         name: Annotated[str, typer.Option("--name", help="Of the bridge.")] = "tagid-bridge",
         passkey: Annotated[str | None, typer.Option("--passkey", help="Six digits; open without.")] = None,
         baud: Annotated[int, typer.Option("--baud", help="Rate of its port.")] = 115200,
         wheel_base: Annotated[float, typer.Option("--wheel-base", help="True wheel base, mm.")] = 243.0,
         slip: Annotated[float, typer.Option("--slip", help="Share of the way that does not turn it.")] = 0.01,
-        slip_noise: Annotated[float, typer.Option("--slip-noise", help="How much slip wanders.")] = 0.002,
+        slip_noise: Annotated[
+            float, typer.Option("--slip-noise", help="Standard deviation of the slip's variation.")
+        ] = 0.002,
         encoder_noise: Annotated[float, typer.Option("--encoder-noise", help="Counts.")] = 0.5,
         first_count: Annotated[int, typer.Option("--first-count", help="Encoders begin here.")] = 32_000,
         mode_offset: Annotated[int, typer.Option("--mode-offset", help="Added to packet 35.")] = 0,
@@ -51,7 +57,7 @@ def register(group: typer.Typer) -> None:
         truth: _Truth = 0,
         seed: options.Seed = 0,
     ) -> Result:
-        """Be a Roomba until stopped; its true angle is told on UDP, so that an emulated radar sees it turn.
+        """Emulate a Roomba until stopped; its true angle is served on UDP for an emulated radar.
 
         Example: tagid emulate roomba --pty
         """
@@ -86,12 +92,16 @@ def register(group: typer.Typer) -> None:
     @command(group, "emulate comxim")
     def comxim(
         terminal: Terminal,
-        link: Annotated[Path | None, typer.Option("--link", help="A name for the port.")] = None,
-        rate_error: Annotated[float, typer.Option("--rate-error", help="Slower than it says.")] = 0.03,
+        link: Annotated[
+            Path | None, typer.Option("--link", help="Symbolic link to create for the port.")
+        ] = None,
+        rate_error: Annotated[
+            float, typer.Option("--rate-error", help="How much slower it turns than it reports, relative.")
+        ] = 0.03,
         fail: Annotated[int | None, typer.Option("--fail", help="Error code of CT+RUN.")] = None,
         truth: _Truth = 0,
     ) -> Result:
-        """Be a Comxim turntable on a pseudo-terminal until stopped.
+        """Emulate a Comxim turntable on a pseudo-terminal until stopped.
 
         Example: tagid emulate comxim
         """
@@ -108,10 +118,12 @@ def register(group: typer.Typer) -> None:
     @command(group, "emulate revopoint")
     def revopoint(
         terminal: Terminal,
-        rate_error: Annotated[float, typer.Option("--rate-error", help="Slower than it says.")] = 0.02,
+        rate_error: Annotated[
+            float, typer.Option("--rate-error", help="How much slower it turns than it reports, relative.")
+        ] = 0.02,
         truth: _Truth = 0,
     ) -> Result:
-        """Be a Revopoint dual-axis table on a virtual Bluetooth controller until stopped.
+        """Emulate a Revopoint dual-axis table on a virtual Bluetooth controller until stopped.
 
         Example: tagid emulate revopoint
         """

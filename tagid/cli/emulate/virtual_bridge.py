@@ -27,8 +27,9 @@ def bridge_before(host: RoombaHost, name: str, passkey: str | None) -> Iterator[
     from tagid.motion.links import require
 
     require("bumble", "virtual", "an emulated bridge")
-    from firmware_tools.virtual.process import BoardProcess
+    from tagid.motion.virtual import virtual_bluetooth
 
+    board_process = virtual_bluetooth("board")
     if passkey is not None and not (len(passkey) == 6 and passkey.isdecimal()):
         raise UsageError("the pass-key is not six digits", "Give --passkey 123456.")
     config: dict[str, Any] = {
@@ -39,7 +40,7 @@ def bridge_before(host: RoombaHost, name: str, passkey: str | None) -> Iterator[
         "brc_pin": BRC_PIN,
         "index_pin": 7,
     }
-    with BoardProcess(config, host.port.path) as board:
+    with board_process(config, host.port.path) as board:
 
         def watch_brc() -> None:
             while True:

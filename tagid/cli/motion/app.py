@@ -1,6 +1,6 @@
-"""`tagid motion`: the group of commands for what turns the object.
+"""`tagid motion`: the commands for robots and turntables.
 
-One thin file a command; a new one is added to `PARTS` and nowhere else.
+One thin file per command; a new one is added to `PARTS` and nowhere else.
 """
 
 from __future__ import annotations
@@ -15,12 +15,14 @@ PARTS = (find, info, spin, stop, calibrate)
 
 def register(app: typer.Typer) -> None:
     """Add the group."""
-    group = typer.Typer(help="Find, ask, turn and calibrate what turns the object.", no_args_is_help=True)
+    group = typer.Typer(
+        help="Find, query, turn, stop and calibrate robots and turntables.", no_args_is_help=True
+    )
     app.add_typer(group, name="motion")
 
     @group.callback()
     def _group() -> None:
-        """Find, ask, turn and calibrate what turns the object."""
+        """Find, query, turn, stop and calibrate robots and turntables."""
 
     for part in PARTS:
         part.register(group)

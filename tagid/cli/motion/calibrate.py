@@ -1,4 +1,4 @@
-"""`tagid motion calibrate`: the effective wheel base of a robot, from how the radar sees it turn."""
+"""`tagid motion calibrate`: a robot's wheel base, or a table's direction, as the radar sees them."""
 
 from __future__ import annotations
 
@@ -25,18 +25,27 @@ def register(group: typer.Typer) -> None:
     def calibrate(
         terminal: Terminal,
         capture: Annotated[
-            Path | None, typer.Argument(help="A scan with this robot; without it one is recorded.")
+            Path | None, typer.Argument(help="A scan with this device; without it one is recorded.")
         ] = None,
         radar: options.RadarUrl = None,
         motion: options.MotionUrl = None,
         axis_distance: options.AxisDistance = None,
         turns: Annotated[float, typer.Option("--turns", help="Turns to record, 1.5 to 10.")] = 2.3,
         save_dir: Annotated[Path | None, typer.Option("--save-dir", help="Folder for the capture.")] = None,
+        direction: Annotated[
+            bool, typer.Option("--direction", help="Find a table's direction instead; needs --layout.")
+        ] = False,
+        layout: Annotated[
+            str | None,
+            typer.Option("--layout", help="Enrolled layout on the table; not its own mirror image."),
+        ] = None,
         yes: Yes = False,
     ) -> Result:
-        """Find the wheel base that makes the robot's turns those that the radar sees, and remember it.
+        """Compare how a robot or table turns with what the radar sees, and remember the correction.
 
-        Put something with strong, unsymmetric echoes on the robot.
+        For a robot this finds the effective wheel base; put something with strong, unsymmetric echoes on it.
+        With --direction it finds whether a table turns the way it is told; put an object with an enrolled
+        layout on it that is not its own mirror image.
 
         Example: tagid motion calibrate --motion roomba+serial:///dev/ttyUSB1 --axis-distance 1.0
         """
@@ -47,6 +56,8 @@ def register(group: typer.Typer) -> None:
 
         if not 1.5 <= turns <= 10:
             raise UsageError(f"--turns is {turns}", "Give 1.5 to 10.")
+        if direction != (layout is not None):
+            raise UsageError("--direction and --layout belong together", "Give both, or none of them.")
         if capture is not None:
             recorded = read_any(capture)
         else:
@@ -60,6 +71,8 @@ def register(group: typer.Typer) -> None:
             )
             agree_to(config["motion.url"], yes)
             recorded = _record(terminal, config, turns)
+        if layout is not None:
+            return _direction(recorded, layout)
         resolved = recorded.motion.resolved
         if resolved is None or resolved.kind != "roomba":
             raise DataError("this scan was not turned by a robot", "Scan with --motion roomba+... first.")
@@ -68,6 +81,39 @@ def register(group: typer.Typer) -> None:
         data = {"robot": robot, "wheel_base_mm": found.wheel_base_mm, "sigma": found.sigma, "path": str(path)}
         text = f"{robot}: effective wheel base {found.wheel_base_mm:.2f} mm, +- {found.sigma:.2%}"
         return Result("motion calibrate", data, Text(text))
+
+
+def _direction(capture: Capture, name: str) -> Result:
+    """Whether the capture's table turned as it was told; remembered for tables that take commands."""
+    from rich.text import Text
+
+    from tagid.cli.common import imaging
+    from tagid.cli.motion.direction import turned_the_other_way
+    from tagid.metadata import ResolvedMotion
+    from tagid.motion.calibration import remember_reversed
+    from tagid.pipeline.prepared import prepare
+
+    layouts = {one.name: one for one in imaging.open_registry().layouts()}
+    if name not in layouts:
+        raise UsageError(f"no layout is called {name!r}", f"Enrolled are: {', '.join(sorted(layouts))}.")
+    capture = prepare(capture)
+    resolved = capture.motion.resolved or ResolvedMotion()
+    told = "clockwise" if resolved.direction == -1 else "counter-clockwise"
+    other = turned_the_other_way(capture, layouts[name])
+    device, path = resolved.table, None
+    is_reversed = other != bool(resolved.reversed)
+    if device is not None:
+        path = remember_reversed(device, is_reversed)
+        lesson = f"remembered as reversed={int(is_reversed)} in {path}"
+    else:
+        clockwise = (told == "clockwise") != other
+        lesson = f"its --motion URL needs direction={'cw' if clockwise else 'ccw'}"
+    way = "the other" if other else "that"
+    text = f"{device or 'the table'} was taken to turn {told} and turned {way} way; "
+    data = {"device": device, "told": told, "other_way": other, "reversed": is_reversed}
+    return Result(
+        "motion calibrate", {**data, "path": None if path is None else str(path)}, Text(text + lesson)
+    )
 
 
 def _record(terminal: Terminal, config: Config, turns: float) -> Capture:

@@ -1,4 +1,4 @@
-"""`tagid motion info`: what a robot or table says of itself; nothing moves."""
+"""`tagid motion info`: what a robot or table reports; nothing moves."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def register(group: typer.Typer) -> None:
 
     @command(group, "motion info")
     def info(terminal: Terminal, url: Url = None) -> Result:
-        """Ask a robot or table how it is; nothing moves.
+        """Show the state of a robot or table; nothing moves.
 
         Example: tagid motion info roomba+serial:///dev/ttyUSB1
         """

@@ -1,4 +1,4 @@
-"""`tagid motion spin`: turn without a radar, to see that all is well."""
+"""`tagid motion spin`: turn without a radar, as a check."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ def register(group: typer.Typer) -> None:
     def spin(
         terminal: Terminal,
         url: Url = None,
-        turns: Annotated[float, typer.Option("--turns", help="How far, 0.01 to 20.")] = 1.0,
+        turns: Annotated[float, typer.Option("--turns", help="Number of turns, 0.01 to 20.")] = 1.0,
         yes: Yes = False,
     ) -> Result:
-        """Turn by so much and stop.
+        """Turn by a number of turns and stop.
 
         Example: tagid motion spin roomba+serial:///dev/ttyUSB1 --turns 0.5
         """
@@ -36,7 +36,11 @@ def register(group: typer.Typer) -> None:
         device, _ = driven(url)
         device.turns = turns
         way = "clockwise" if device.direction < 0 else "counter-clockwise"
-        agree(f"{device.name} will turn {way} by {turns:g} turns, {device.nominal_s:.0f} s a turn", yes)
+        agree(
+            f"{device.name} will turn {way} by {turns:g} turns, {device.nominal_s:.0f} s per turn",
+            yes,
+            device.warning,
+        )
         begin = time.monotonic()
         with terminal.progress("turn", turns) as advance:
             try:

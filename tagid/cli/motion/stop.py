@@ -14,7 +14,7 @@ def register(group: typer.Typer) -> None:
 
     @command(group, "motion stop")
     def stop(terminal: Terminal, url: Url = None) -> Result:
-        """Stop it, and leave a robot in Passive.
+        """Stop a robot or table, also while another process drives it; a robot is left in Passive.
 
         Example: tagid motion stop roomba+ble://tagid-bridge
         """

@@ -33,12 +33,16 @@ from tagid.motion.bridge.protocol import (
     encode,
 )
 
+_TRUST_S, _TRUST_LOOKS = 1.0, 20
 _HEARTBEATS: Final = 4
 """Heartbeats within the dead-man's time: three may be late."""
 _MEANING: Final[dict[int, tuple[str, str]]] = {
     Status.UNKNOWN: ("does not know this command", "Its firmware is older: `tagid-firmware verify`."),
     Status.BAD_ARGUMENT: ("finds the argument out of range", "See docs/bridge.md for the bounds."),
-    Status.NOT_PAIRED: ("is not paired with this computer", "Pair with the bridge's pass-key first."),
+    Status.NOT_PAIRED: (
+        "is not paired with this computer",
+        "Pair with the bridge's pass-key first, by LE Secure Connections.",
+    ),
     Status.BUSY: ("is busy with another command", "Try again when it has ended; disarm before a self-test."),
     Status.NO_PIN: ("has no pin configured for this", "Set the pin: `tagid-firmware provision`."),
     Status.NO_ECHO: (
@@ -147,8 +151,16 @@ class Bridge:
                 return
             raise DeviceRejectedError(
                 f"{self!r} refused the pairing",
-                "Give its pass-key, the six digits on its label; after five wrong ones power-cycle it.",
+                "Give its pass-key, the six digits on its label. After a wrong one it waits, longer each "
+                "time; after five it takes no new computer until `tagid-firmware provision` writes another "
+                "pass-key. The computer must know LE Secure Connections (Bluetooth 4.2).",
             ) from error
+        # The bridge trusts a computer when it has stored the bond, a moment after the pairing's end.
+        for _ in range(_TRUST_LOOKS):
+            self.info = await self.read_info()
+            if Flag.TRUSTED in self.info.flags:
+                return
+            await asyncio.sleep(_TRUST_S / _TRUST_LOOKS)
 
     async def read_info(self) -> BridgeInfo:
         """What the bridge says of itself. Raises DeviceError."""

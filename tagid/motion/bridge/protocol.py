@@ -1,4 +1,4 @@
-"""Frames of the bridge's control service, version 1 (docs/bridge.md): no radio here, only bytes and values.
+"""Frames of the bridge's control service, version 2 (docs/bridge.md): no radio here, only bytes and values.
 
 All integers are little-endian. What comes from the air is checked for its length before it is read.
 """
@@ -18,7 +18,7 @@ COMMAND: Final = "7d1c0002-3a6e-4f52-9b0d-7461676964b1"
 EVENT: Final = "7d1c0003-3a6e-4f52-9b0d-7461676964b1"
 INFO: Final = "7d1c0004-3a6e-4f52-9b0d-7461676964b1"
 
-PROTOCOL: Final = 1
+PROTOCOL: Final = 2
 DEADMAN_MS: Final = 400
 """The bridge's default: longest silence of an armed host, ms."""
 
@@ -117,7 +117,7 @@ Event = Reply | Tripped | IndexPulse | Overflow
 
 
 def decode_event(data: bytes) -> Event | None:
-    """What the bridge says on EVENT; None where it is nothing of protocol 1.
+    """What the bridge says on EVENT; None where it is nothing of this protocol.
 
     >>> decode_event(bytes.fromhex("8407000100000000000000")).payload.hex()
     '0100000000000000'
@@ -164,7 +164,7 @@ class BridgeInfo:
         return cls(data[0], ".".join(map(str, data[1:4])), Flag(data[4] & 63), name, chip, python)
 
 
-_STATUS: Final = struct.Struct("<BQ9IHHI")
+_STATUS: Final = struct.Struct("<BQ9IHHIH")
 
 
 @dataclass(frozen=True)
@@ -181,6 +181,7 @@ class BridgeStatus:
         index_count, index_lost: pulses seen; pulses overwritten before they were told.
         bad_commands: commands that were malformed or too many.
         queue_free, mtu, baud: room towards the robot (bytes), largest packet, speed of the serial line.
+        longest_round_ms: longest round of the firmware's loop; the watchdog must allow several of them.
     """
 
     state: str
@@ -197,6 +198,7 @@ class BridgeStatus:
     queue_free: int
     mtu: int
     baud: int
+    longest_round_ms: int
 
     @classmethod
     def from_bytes(cls, data: bytes) -> Self:

@@ -33,7 +33,8 @@ class BodySettings:
         signed_encoders: count by the commanded direction; otherwise upwards always.
         first_count: what both encoders start from (near 32767 they wrap soon).
         lag_s: time constant of the motors.
-        seed: of everything random.
+        blocked: whether the wheels cannot turn.
+        seed: random seed.
     """
 
     wheel_base_mm: float = WHEEL_BASE_MM
@@ -44,6 +45,7 @@ class BodySettings:
     signed_encoders: bool = True
     first_count: int = 0
     lag_s: float = 0.03
+    blocked: bool = False
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -79,6 +81,8 @@ class Body:
 
     def drive(self, right_mm_s: float, left_mm_s: float) -> None:
         """New wheel speeds from now on."""
+        if self.settings.blocked:
+            return
         self._wanted = (
             real_speed(left_mm_s),
             real_speed(right_mm_s) * (1 + self.settings.imbalance),

@@ -19,15 +19,23 @@ class ComximCore:
         rate_error: how much slower it turns than it says.
         now_s: time at the start.
         fail: error code that it answers to CT+RUN with; None for none.
+        backwards: whether its motor is wired the other way round than the maker's documents say.
     """
 
     baud = 115200
 
-    def __init__(self, rate_error: float = 0.03, now_s: float = 0.0, fail: int | None = None) -> None:
+    def __init__(
+        self,
+        rate_error: float = 0.03,
+        now_s: float = 0.0,
+        fail: int | None = None,
+        backwards: bool = False,
+    ) -> None:
         self.table = TurningTable(now_s)
         self._rate_error = rate_error
         self._fail = fail
-        self._speed, self._way, self._ack, self._events = 1, 1, False, False
+        self._sense = -1 if backwards else 1
+        self._speed, self._way, self._ack, self._events = 1, -1, False, False
         self._buffer = ""
         self._ends_at: float | None = None
 
@@ -64,15 +72,16 @@ class ComximCore:
                 return _error(_OUT_OF_RANGE)
             self._speed = int(first)
         elif name == "SETDIR":
-            self._way = -1 if first else 1
+            # 0 is left, clockwise from above (docs/motion.md).
+            self._way = 1 if first else -1
         elif name == "RUN":
             if self._fail is not None:
                 return _error(self._fail)
-            self.table.turn(self._way * speed)
+            self.table.turn(self._way * speed * self._sense)
         elif name == "SETSTOP":
             self.table.turn(0.0)
         elif name == "TRUNSINGLE" and len(values) == 2:
-            self.table.turn((-1 if first else 1) * speed)
+            self.table.turn((1 if first else -1) * speed * self._sense)
             self._ends_at = self.table.now_s + values[1] / speed
         elif name in ("ACK", "EVENT"):
             self._ack = bool(first) if name == "ACK" else self._ack

@@ -13,6 +13,7 @@ from typing import Any, Final
 from tagid.errors import DeviceTimeoutError
 from tagid.motion.emulation.pty import SerialCore
 from tagid.motion.links import require
+from tagid.motion.virtual import virtual_bluetooth
 
 _START_S: Final = 20.0
 _TICK_S: Final = 0.01
@@ -70,11 +71,11 @@ class GattPort:
         from bumble.gatt import Characteristic, CharacteristicValue, Service
         from bumble.host import Host
 
-        from firmware_tools.virtual.air import Air, HciServer, make_controller
+        air_parts = virtual_bluetooth("air")
 
         self._loop, self._end = asyncio.get_running_loop(), asyncio.Event()
-        air = Air(0.0, 2.0)
-        controller = make_controller("table", air)
+        air = air_parts.Air(0.0, 2.0)
+        controller = air_parts.make_controller("table", air)
         host = Host()
         host.controller = controller
         device = Device(name=self._name, address=hci.Address("F0:F1:F2:F3:F4:02"), host=host)
@@ -94,7 +95,7 @@ class GattPort:
             advertising_interval_min=_INTERVAL_MS,
             advertising_interval_max=_INTERVAL_MS,
         )
-        server = HciServer(air, controller)
+        server = air_parts.HciServer(air, controller)
         port = await server.start("127.0.0.1", 0)
         self.hci = f"tcp-client:127.0.0.1:{port}"
         self._ready.set()

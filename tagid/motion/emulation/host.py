@@ -59,9 +59,9 @@ class RoombaHost:
 
     Args:
         body, world, baud, asleep: see RoombaCore.
-        event: WHAT@SECONDS; None for a quiet life.
+        event: WHAT@SECONDS; None for no event.
         truth_port: UDP port of the true angle; 0 takes any.
-        link: a name for the serial port.
+        link: a symbolic link to create for the serial port.
 
     Attributes:
         core: the robot; look into it under port.lock.

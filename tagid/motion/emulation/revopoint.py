@@ -53,7 +53,8 @@ class RevopointCore:
         if kind == "CT" and name == "TURNSPEED" and number is not None and 17.5 <= number <= 90:
             self._period_s = number
         elif kind == "CT" and name == "TURNCONTINUE" and number in (1, -1):
-            self.table.turn(number * 360 / (self._period_s * (1 + self._rate_error)))
+            # Positive is clockwise from above (docs/motion.md).
+            self.table.turn(-number * 360 / (self._period_s * (1 + self._rate_error)))
         elif kind == "CT" and name == "STOP":
             self.table.turn(0.0)
         else:

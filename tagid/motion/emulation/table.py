@@ -15,6 +15,8 @@ class TurningTable:
         self.angle_deg = 0.0
         self.speed_deg_s = 0.0
         self.still_since_s = now_s
+        self.blocked = False
+        """Whether the plate cannot turn, whatever the motor is told."""
         self._corners: deque[tuple[float, float, float]] = deque([(now_s, 0.0, 0.0)], maxlen=1000)
 
     def advance(self, now_s: float) -> None:
@@ -25,6 +27,7 @@ class TurningTable:
 
     def turn(self, speed_deg_s: float) -> None:
         """Turn at this speed from now on; counter-clockwise from above is positive, 0 stands."""
+        speed_deg_s = 0.0 if self.blocked else speed_deg_s
         if self.speed_deg_s and not speed_deg_s:
             self.still_since_s = self.now_s
         self.speed_deg_s = speed_deg_s

@@ -1,6 +1,6 @@
-"""The client side of the Open Interface over any byte link: wake, ask, drive, leave.
+"""Client of the Open Interface over any byte link: wake, query, drive, leave.
 
-It keeps no thread and no policy; what turns an object safely is `device`.
+It has no thread and no safety policy; those are in `device`.
 """
 
 from __future__ import annotations
@@ -33,12 +33,12 @@ _STATUS: Final = (
 )
 
 FAREWELL: Final = oi.HALT + oi.pause_stream(False) + oi.simple(Op.START)
-"""Wheels to zero, stream off, Passive: what a robot is left with."""
+"""Wheels to zero, stream off, Passive: the state in which a robot is left."""
 
 
 @dataclass(frozen=True)
 class RobotStatus:
-    """What a robot says of itself.
+    """What a robot reports about itself.
 
     Attributes:
         mode: as it is, whatever the firmware's off-by-one says.
@@ -173,7 +173,7 @@ class OpenInterface:
                     return
         raise DeviceError(
             f"the robot at {self.link} was told to stop, but does not confirm it",
-            "Look whether it stands; press its Clean button if not.",
+            "Then check the plug or the distance.",
         )
 
     def _drain(self) -> None:

@@ -1,28 +1,30 @@
-"""A Roomba as a turntable: it spins in place at a step it really has, and stops when anything looks wrong.
+"""A Roomba as a turntable: it turns in place at one of its speed steps and stops when anything looks wrong.
 
-Everything that can hurt is bounded here: speed, time, silence; and the robot is always left in Passive.
+Speed, time and silence are bounded here, and the robot is always left in Passive.
 """
 
 from __future__ import annotations
 
 import math
+import threading
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Any, Final
 
-from tagid.errors import DeviceRejectedError, DeviceTimeoutError, TagidError
-from tagid.motion.device import MotionStoppedError
+from tagid.errors import DeviceRejectedError, DeviceTimeoutError
+from tagid.motion.device import MotionStoppedError, PausedError
 from tagid.motion.driven import DrivenMotion, Reading
+from tagid.motion.guardian import ask_to_stop
 from tagid.motion.links import ByteLink
 from tagid.motion.roomba.client import FAREWELL, OpenInterface, RobotStatus
 from tagid.motion.roomba.messages import FRAME_S, Mode, Packet
 from tagid.motion.roomba.odometry import NOMINAL_SCALE_SIGMA, WHEEL_BASE_MM, SpinOdometry
 
 SPEED_STEP_MM_S: Final = 28.5
-"""The wheels' speed moves in steps of about this (seen on Create 2 robots): 13.9 deg/s a step in place."""
+"""The wheels' speed moves in steps of about this (seen on Create 2 robots): 13.9 deg/s per step in place."""
 MAX_STEP: Final = 3
-"""41.7 deg/s, 8.6 s a turn: fast enough, and an object on top does not slide."""
+"""41.7 deg/s, 8.6 s per turn: fast enough, and an object on top does not slide."""
 DEAD_MAN_S: Final = 0.35
 _FEED_S: Final = 0.05
 _SILENCE_S: Final = 0.4
@@ -44,13 +46,13 @@ WATCHED: Final = (
     Packet.LEFT_ENCODER,
     Packet.RIGHT_ENCODER,
 )
-"""26 bytes a frame: fits 15 ms also at 19200 baud (28 bytes)."""
+"""23 bytes per frame: fits 15 ms also at 19200 baud (28 bytes)."""
 WATCHED_FAST: Final = (*WATCHED, Packet.TEMPERATURE, Packet.CHARGE, Packet.CAPACITY)
-"""34 bytes a frame, for 115200 baud."""
+"""31 bytes per frame, for 115200 baud."""
 
 
 def step_period_s(step: int, wheel_base_mm: float = WHEEL_BASE_MM) -> float:
-    """Seconds a turn at a speed step.
+    """Seconds per turn at a speed step.
 
     >>> [round(step_period_s(step), 1) for step in (1, 2, 3)]
     [25.9, 13.0, 8.6]
@@ -93,6 +95,8 @@ class Roomba(DrivenMotion):
     """
 
     kind = "roomba"
+    stops_by = "lift it, because a wheel that drops stops it and its buttons do not"
+    warning = "If its cable is pulled out nothing stops it: then lift it, because its buttons do not work"
 
     def __init__(
         self, open_link: Callable[[], ByteLink], settings: RoombaSettings | None = None, name: str = "robot"
@@ -113,6 +117,8 @@ class Roomba(DrivenMotion):
         self._open_link = open_link
         self._oi: OpenInterface | None = None
         self._driven = False
+        self._driving = threading.Lock()
+        """Held while a drive command is written; none may follow the farewell."""
 
     def inspect(self) -> RobotStatus:
         """Wake the robot and ask how it is, without moving it; the link is let go of."""
@@ -135,7 +141,13 @@ class Roomba(DrivenMotion):
         }
 
     def halt_now(self) -> None:
-        """Stop whatever it does and leave it in Passive. Raises DeviceError where it does not confirm."""
+        """Stop whatever it does and leave it in Passive; through the guardian of the process that drives it
+        where there is one.
+
+        Raises DeviceError where it does not confirm.
+        """
+        if ask_to_stop(self.robot):
+            return
         try:
             oi = self._interface()
             oi.link.write(HALT)
@@ -165,7 +177,7 @@ class Roomba(DrivenMotion):
         while not first:
             first = self._poll()
         self._readings = first
-        oi.spin(s.direction, round(s.step * SPEED_STEP_MM_S))
+        self._spin(round(s.step * SPEED_STEP_MM_S))
         self.first_angle_s = time.monotonic() - asked
 
     def _fit_to_turn(self, status: RobotStatus) -> None:
@@ -184,15 +196,23 @@ class Roomba(DrivenMotion):
 
     def _poll(self) -> list[Reading]:
         oi = self._interface()
+        oi.link.beat()
         now = time.monotonic()
-        if now - self._looked > _STARVED_S:
+        away = now - self._looked
+        if away > DEAD_MAN_S:
+            raise PausedError(
+                f"this program was paused for {away:.1f} s; {self.name} was stopped and its angle is lost "
+                "from there on",
+                "Record again; keep this computer awake and less busy.",
+            )
+        if away > _STARVED_S:
             # This computer did not look; that is not the robot's silence.
-            self._heard += now - self._looked
-            self._moved += now - self._looked
+            self._heard += away
+            self._moved += away
         self._looked = now
         if now - self._fed >= _FEED_S:
             # Said again and again: this is what keeps the dead-man from stopping the wheels.
-            oi.spin(self.direction, round(self.settings.step * SPEED_STEP_MM_S) if self._readings else 0)
+            self._spin(round(self.settings.step * SPEED_STEP_MM_S) if self._readings else 0)
             self._fed = now
         found: list[Reading] = []
         for stamp, values in oi.frames(0.02):
@@ -205,13 +225,14 @@ class Roomba(DrivenMotion):
         elif now - self._heard > _SILENCE_S:
             raise DeviceTimeoutError(
                 f"{self.name} has been silent for {_SILENCE_S} s: the link is lost",
-                "Look whether it stands, press its Clean button if not; then check the plug or the distance.",
+                "Then check the plug or the distance.",
             )
         if self._odometry.counts != self._counts or not self._readings:
             self._counts, self._moved = self._odometry.counts, now
         elif now - self._moved > _STALL_S:
             raise MotionStoppedError(
-                f"the wheels of {self.name} do not turn", "Look whether they are blocked; then try again."
+                f"nothing turns: the wheels of {self.name} stand still",
+                "Look whether they are blocked; then try again.",
             )
         return found
 
@@ -226,7 +247,7 @@ class Roomba(DrivenMotion):
             (cliffs, "sees a cliff", "Move it away from the edge, or clean its cliff sensors."),
             (bits & 0b0011, "was bumped", "Clear its surroundings."),
             (values[Packet.CHARGER] & 3, "was put on a charger", "Take it off the charger."),
-            (mode != Mode.SAFE, "fell back from Safe mode", "Its Clean button, or a sensor; then try again."),
+            (mode != Mode.SAFE, "fell back from Safe mode", "One of its safety sensors did that; try again."),
             (
                 capacity and values[Packet.CHARGE] < 0.5 * _LOW_CHARGE * capacity,
                 "has an empty battery",
@@ -240,14 +261,17 @@ class Roomba(DrivenMotion):
     def _halt(self) -> None:
         if self._oi is None or not self._driven:
             return
-        self._driven = False
-        try:
-            self._oi.leave()
-        except TagidError:
-            # The robot's own guard is still armed and fires now.
-            raise
-        else:
-            self._oi.link.disarm()
+        with self._driving:
+            self._driven = False
+        # Where the robot does not confirm, its guard stays armed and fires when the link is closed.
+        self._oi.leave()
+        self._oi.link.disarm()
+
+    def _spin(self, speed_mm_s: int) -> None:
+        """Turn in place, unless the farewell has begun: a drive command must not follow it."""
+        with self._driving:
+            if self._driven:
+                self._interface().spin(self.direction, speed_mm_s)
 
     def _close(self) -> None:
         oi, self._oi = self._oi, None

@@ -16,6 +16,9 @@ WHEEL_BASE_MM: Final = 235.0
 NOMINAL_SCALE_SIGMA: Final = 0.06
 """Relative standard deviation of the effective wheel base of a robot that was not calibrated: errors up to
 17 % have been reported, taken as three sigma."""
+SLIP_SIGMA: Final = 0.03
+"""Relative standard deviation of slip that both wheels share, which no encoder sees: up to 5 % of their way
+on a smooth floor (an assumption: no robot was measured)."""
 _QUANTUM: Final = 1 / math.sqrt(12)
 
 
@@ -54,7 +57,10 @@ class SpinOdometry:
 
     @property
     def sigma_rad(self) -> float:
-        """Standard deviation but for the wheel base's own: counting, and half of what the wheels disagree."""
+        """Standard deviation but for a common factor: counting, and half of what the wheels disagree.
+
+        The common factor, wheel base and slip, is the track's `scale_sigma`.
+        """
         counting = math.sqrt(2) * _QUANTUM
         disagreement = abs(abs(self._left) - abs(self._right)) / 2
         return MM_PER_COUNT * math.hypot(counting, disagreement) / self.wheel_base_mm

@@ -5,11 +5,13 @@ Options are taken and checked here, before anything is opened.
 
 from __future__ import annotations
 
+import math
+
 from tagid.motion.calibration import recall
 from tagid.motion.links import ByteLink, SerialLink
 from tagid.motion.roomba.device import HALT, MAX_STEP, Roomba, RoombaSettings, step_period_s
 from tagid.motion.roomba.messages import BAUD_CODES
-from tagid.motion.roomba.odometry import NOMINAL_SCALE_SIGMA, WHEEL_BASE_MM
+from tagid.motion.roomba.odometry import NOMINAL_SCALE_SIGMA, SLIP_SIGMA, WHEEL_BASE_MM
 from tagid.motion.urls import Options
 
 
@@ -26,7 +28,8 @@ def _settings(options: Options, robot: str, fast: bool) -> RoombaSettings:
     base = options.number("base_mm", None, 100, 1000)
     known = recall(robot) if base is None else None
     if known is not None:
-        base, sigma = known.wheel_base_mm, known.sigma
+        # Its floor may be another today: the wheel base is known, the slip is not.
+        base, sigma = known.wheel_base_mm, math.hypot(known.sigma, SLIP_SIGMA)
     else:
         sigma = NOMINAL_SCALE_SIGMA
     return RoombaSettings(
@@ -63,4 +66,7 @@ def open_ble(options: Options) -> Roomba:
     from tagid.motion.ble_urls import ble_address
 
     address = ble_address(options)
-    return Roomba(lambda: BridgeLink(address), _settings(options, address.target, fast=True), address.target)
+    robot = Roomba(lambda: BridgeLink(address), _settings(options, address.target, fast=True), address.target)
+    robot.stops_by = "its bridge stops it within half a second, and if it turns on, lift it"
+    robot.warning = ""
+    return robot

@@ -15,7 +15,12 @@ from tagid.motion.urls import Options
 
 BAUD: Final = 115200
 SECONDS_A_TURN: Final = 20.0
-"""At speed 1, as a guess; higher numbers are slower. Given with `period` where it matters."""
+"""At speed 1, a guess; higher numbers are slower. Give `period` where it matters."""
+CLOCKWISE, COUNTER_CLOCKWISE = 0, 1
+"""Arguments of SETDIR: 0 is left, clockwise, according to ComXim's command list as a public client quotes it
+(docs/motion.md)."""
+STOP: Final = b";CT+SETSTOP();"
+"""For whoever stops a table amid an unknown command: the first semicolon ends it."""
 _ANGLE: Final = re.compile(r"OffsetAngle\s*=\s*([+-]?\d+(?:\.\d+)?)")
 
 
@@ -23,13 +28,15 @@ class Comxim(PolledTable):
     """A Comxim table; see PolledTable. speed is its own number, 1 the fastest."""
 
     kind = "comxim"
+    stops_by = "switch it off at its plug"
+    warning = "If its cable is pulled out nothing stops it: then switch it off at its plug"
     speed = 1
 
     def _set_going(self) -> None:
         # A table that was left turning must not take the settings for a new run.
         self.link().write(b"CT+STARTUP();CT+ACK(1);CT+EVENT(1);")
         self.answer("OK", 2.0)
-        way = 0 if self.direction > 0 else 1
+        way = CLOCKWISE if self.commanded < 0 else COUNTER_CLOCKWISE
         for command in ("SETSTOP()", "SETMODE(0)", f"SETDIR({way})", f"SETSPEED({self.speed})", "RUN()"):
             self._command(command)
 
@@ -54,18 +61,19 @@ class Comxim(PolledTable):
 
 
 def open_serial(options: Options) -> Comxim:
-    """Options: speed (1 and higher, higher is slower), period (seconds a turn), direction, turns."""
+    """Options: speed (1 and higher, higher is slower), period (s per turn), direction, reversed, turns."""
     port = options.target
     if not port:
         raise options.wrong("names no port")
     speed = int(options.number("speed", 1, 1, 1000) or 1)
     period = options.number("period", SECONDS_A_TURN * speed, 1, 3600) or SECONDS_A_TURN
     table = Comxim(
-        lambda: SerialLink(port, BAUD),
+        lambda: SerialLink(port, BAUD, STOP),
         port,
         options.direction(),
         period,
         options.number("turns", None, 0.01, 20),
     )
     table.speed = speed
+    table.reversed = options.reversed(port)
     return table

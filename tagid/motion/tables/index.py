@@ -23,7 +23,7 @@ _LOOK_S: Final = 0.05
 _CLOCK_EVERY_S: Final = 1.0
 _LONGEST_TURN_S: Final = 300.0
 _TICK_TURNS: Final = 1 / 64
-"""Readings a turn that are filled in between two pulses, so that an angle is there for every scan."""
+"""Readings per turn that are filled in between two pulses, so that an angle is there for every scan."""
 
 
 class IndexTable(DrivenMotion):
@@ -32,7 +32,7 @@ class IndexTable(DrivenMotion):
     Args:
         address: of the bridge.
         direction: +1 counter-clockwise from above, -1 clockwise.
-        nominal_s: seconds a turn, for the progress line.
+        nominal_s: seconds per turn, for the progress line.
     """
 
     kind = "index"

@@ -1,6 +1,6 @@
-"""A table that is asked for its angle again and again: what Comxim's and Revopoint's have in common.
+"""Tables that are polled for their angle: what Comxim's and Revopoint's have in common.
 
-An answer belongs to the middle between question and answer, and half of that time is how little is known.
+An angle is stamped with the middle between question and answer; half of that time is its uncertainty.
 """
 
 from __future__ import annotations
@@ -12,13 +12,19 @@ from collections.abc import Callable
 from typing import Any, Final
 
 from tagid.errors import DeviceRejectedError, DeviceTimeoutError
-from tagid.motion.device import MotionStoppedError
+from tagid.motion.device import MotionStoppedError, PausedError
 from tagid.motion.driven import DrivenMotion, Reading
+from tagid.motion.guardian import ask_to_stop
 from tagid.motion.links import ByteLink
 
 POLL_S: Final = 0.05
 ANSWER_S: Final = 1.0
 _STALL_S: Final = 3.0
+_SLICE_S: Final = 0.1
+GUARD_S: Final = 0.35
+"""Longest time without a heartbeat to the helper process that stops the table."""
+PAUSE_S: Final = 3.0
+"""Longest time between two questions; an answer alone may take ANSWER_S, twice."""
 _SLOW_S: Final = 0.06
 _PATIENCE_S: Final = 0.5
 """An answer that took longer than _SLOW_S is left out, unless none was quicker for so long."""
@@ -32,7 +38,7 @@ class PolledTable(DrivenMotion):
         open_link: opens the link.
         name: what messages call it.
         direction: +1 counter-clockwise from above, -1 clockwise.
-        nominal_s: seconds a turn as set; real rates differ.
+        nominal_s: seconds per turn as set; real rates differ.
         turns: turns to record; None for one and the overlap.
         resolution_rad: of its angle.
     """
@@ -48,14 +54,21 @@ class PolledTable(DrivenMotion):
         turns: float | None = None,
     ) -> None:
         super().__init__(f"the table at {name}", direction, nominal_s, scale_sigma=0.005, turns=turns)
+        self.target = name
+        self.reversed = False
         self._open_link = open_link
         self._link: ByteLink | None = None
         self._running = False
         self._buffer = b""
         self._last_deg: float | None = None
         self._turned_deg = 0.0
-        self._moved = 0.0
+        self._moved = self._looked = 0.0
         self._told = 0.0
+
+    @property
+    def commanded(self) -> int:
+        """The direction to command, as the maker's documents call it: +1 counter-clockwise from above."""
+        return -self.direction if self.reversed else self.direction
 
     @abstractmethod
     def _set_going(self) -> None:
@@ -63,7 +76,7 @@ class PolledTable(DrivenMotion):
 
     @abstractmethod
     def _ask_angle(self) -> float | None:
-        """Its angle, degrees; None where it does not tell one now."""
+        """Its angle, degrees; None where it reports none now."""
 
     @abstractmethod
     def _tell_stop(self) -> None:
@@ -96,19 +109,27 @@ class PolledTable(DrivenMotion):
                 raise DeviceTimeoutError(
                     f"{self.name} does not answer", "Switch it on; check its plug and that it is this device."
                 )
-            self._buffer = (self._buffer + self.link().read(left))[-_LONGEST_ANSWER:]
+            self._beat()
+            self._buffer = (self._buffer + self.link().read(min(left, _SLICE_S)))[-_LONGEST_ANSWER:]
+
+    def _beat(self) -> None:
+        """Keep the helper process calm; while halting it may have stopped the table already."""
+        if self._running:
+            self.link().beat()
 
     def forget(self) -> None:
         """Drop answers to what was asked before."""
         deadline = time.monotonic() + ANSWER_S
         while self.link().read(0.02) and time.monotonic() < deadline:
-            pass
+            self._beat()
         self._buffer = b""
 
     def refuse(self, text: str) -> None:
         """Raise DeviceRejectedError where an answer is an error."""
         for mark in ("ERR=", "FAIL"):
             if mark in text:
+                # The halt of the guardian may have made it answer so.
+                self._beat()
                 code = text.rpartition("=")[2].strip()
                 raise DeviceRejectedError(
                     f"{self.name} answers error {code}", "Switch it off and on; see its manual for the code."
@@ -116,13 +137,27 @@ class PolledTable(DrivenMotion):
 
     def _begin(self) -> None:
         self._last_deg, self._turned_deg = None, 0.0
-        self.link()
+        self.link().arm(GUARD_S)
         self._running = True
         self._set_going()
+        self._looked = time.monotonic()
         self._moved = time.monotonic()
 
     def _poll(self) -> list[Reading]:
         time.sleep(POLL_S)
+        self._beat()
+        if time.monotonic() - self._looked > PAUSE_S:
+            raise PausedError(
+                f"this program was paused for {time.monotonic() - self._looked:.1f} s; {self.name} was "
+                "stopped and its angle is lost from there on",
+                "Record again; keep this computer awake and less busy.",
+            )
+        self._looked = time.monotonic()
+        if time.monotonic() - self._moved > _STALL_S:
+            raise MotionStoppedError(
+                f"nothing turns: {self.name} reports no new angle for {_STALL_S:g} s",
+                "Look whether it is blocked or overloaded.",
+            )
         asked = time.time_ns()
         degrees = self._ask_angle()
         answered = time.time_ns()
@@ -130,7 +165,7 @@ class PolledTable(DrivenMotion):
             return []
         late = (answered - asked) * 1e-9 > _SLOW_S and time.monotonic() - self._told < _PATIENCE_S
         if late:
-            # Nobody knows when in that time it looked at its angle.
+            # It is not known when in that time the table sampled its angle.
             return []
         self._told = time.monotonic()
         if self._last_deg is not None:
@@ -139,13 +174,9 @@ class PolledTable(DrivenMotion):
                 self._moved = time.monotonic()
             self._turned_deg += step
         self._last_deg = degrees
-        if time.monotonic() - self._moved > _STALL_S:
-            raise MotionStoppedError(
-                f"{self.name} does not turn", "Look whether it is blocked or overloaded."
-            )
         spread = 0.5 * (answered - asked) * 1e-9 * 2 * math.pi / self.nominal_s / math.sqrt(3)
         sigma = math.hypot(self.resolution_rad / math.sqrt(12), spread)
-        # Its own sign tells nothing that is documented alike for all: the direction is the command's.
+        # The sign that tables report is not documented consistently: the direction is the commanded one.
         angle = self.direction * math.radians(abs(self._turned_deg))
         return [((asked + answered) // 2, angle, sigma)]
 
@@ -154,9 +185,12 @@ class PolledTable(DrivenMotion):
             return
         self._running = False
         self._tell_stop()
+        self._link.disarm()
 
     def halt_now(self) -> None:
-        """Stop it."""
+        """Stop it, through the guardian of the process that drives it where there is one."""
+        if ask_to_stop(self.target):
+            return
         try:
             self.link()
             self._tell_stop()
@@ -177,4 +211,4 @@ class PolledTable(DrivenMotion):
             link.close()
 
     def _facts(self) -> dict[str, Any]:
-        return {"stamp_sigma_s": 0.005, "table": self.name}
+        return {"stamp_sigma_s": 0.005, "table": self.target, "reversed": self.reversed}

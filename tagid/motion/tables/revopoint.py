@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import re
+import sys
 from typing import Final
 
 from tagid.errors import DeviceRejectedError
@@ -25,11 +26,13 @@ class Revopoint(PolledTable):
     """A dual-axis table; see PolledTable."""
 
     kind = "revopoint"
+    stops_by = "switch it off"
+    warning = "If Bluetooth is lost, or this program hangs, nothing is known to stop it: then switch it off"
 
     def _set_going(self) -> None:
         self._command(f"TURNSPEED={self.nominal_s:.1f}")
-        # A negative turn is the other way round.
-        self._command(f"TURNCONTINUE={self.direction}")
+        # Revopoint's own program sends positive angles for "clockwise" (docs/motion.md).
+        self._command(f"TURNCONTINUE={-self.commanded}")
 
     def _command(self, text: str) -> None:
         self.forget()
@@ -49,12 +52,15 @@ class Revopoint(PolledTable):
 
 
 def open_ble(options: Options) -> Revopoint:
-    """Options: period (17.5 to 90 seconds a turn), direction, turns, hci, wait."""
+    """Options: period (17.5 to 90 s per turn), direction, reversed, turns, hci, wait."""
     address = ble_address(options, REVOPOINT)
-    return Revopoint(
-        lambda: CharacteristicLink(address, SERVICE, CHARACTERISTIC),
+    stop = [sys.executable, "-m", "tagid", "motion", "stop", options.url]
+    table = Revopoint(
+        lambda: CharacteristicLink(address, SERVICE, CHARACTERISTIC, stop),
         address.target,
         options.direction(),
         options.number("period", 30.0, FASTEST_S, SLOWEST_S) or 30.0,
         options.number("turns", None, 0.01, 20),
     )
+    table.reversed = options.reversed(address.target)
+    return table

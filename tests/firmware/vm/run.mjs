@@ -19,3 +19,17 @@ function copy(from, to) {
 copy(folder, "/board");
 python.runPython(`import sys, os\nsys.path.insert(0, "/board")\nos.chdir("/board")`);
 python.runPython(fs.readFileSync(script, "utf8"));
+
+const plans = JSON.parse(fs.readFileSync(path.join(folder, "scenario.json"), "utf8"));
+plans.forEach((plan, number) => {
+  if (!plan.measure) return;
+  python.runPython(`begin(PLANS[${number}])`);
+  python.runPython("gc.collect()");
+  python.runPython("begin_measured()");
+  while (!python.globals.get("ENDED")) {
+    python.runPython("tick()");
+    python.runPython("gc.collect()");
+    python.runPython("sample()");
+  }
+  python.runPython("end_measured()");
+});

@@ -2,12 +2,15 @@
 # Time passes only where the firmware sleeps, so every figure is in the firmware's own time.
 import gc
 import json
+import os
 import sys
 
 with open("/board/scenario.json") as file:
     PLANS = json.load(file)
 PLAN = {}
 PERIOD = 1 << 30
+SCHEDULED = 8  # MICROPY_SCHEDULER_DEPTH of the ESP32 port
+PEER = b"\x01123456"
 
 
 class Done(BaseException):
@@ -19,8 +22,17 @@ class World:
 
 
 def renew():
+    for name in ("bonds.json", "tries.json"):
+        if name in os.listdir():
+            os.remove(name)
+    for name, text in PLAN.get("files", {}).items():
+        with open(name, "w") as file:
+            file.write(text)
     World.us = World.begin = PLAN.get("start_us", 0)
-    World.log = []  # [ms, what, text]
+    World.log = []  # [us, what, text]
+    World.scheduled = []
+    World.next = 0
+    World.before = World.peak = World.alive = 0
     World.room = 1 << 30
     World.incoming = bytearray()
     World.irq = World.pin_irq = None
@@ -29,7 +41,8 @@ def renew():
 
 
 def note(what, text):
-    World.log.append([(World.us - World.begin) / 1000, what, text])
+    if not PLAN.get("measure"):  # the log itself would be measured
+        World.log.append([World.us, what, text])
 
 
 class Module:
@@ -96,7 +109,9 @@ class BLE:
         pass
 
     def irq(self, handler):
+        # The scenario begins when the radio does: what was written before stands at times up to 0.
         World.irq = handler
+        World.begin = World.us
 
     def gatts_register_services(self, services):
         handles = []
@@ -137,7 +152,18 @@ def do(action, value):
         World.irq(1, (0, 0, b"123456"))
         World.irq(21, (0, value))
     elif action == "trust":
+        # NimBLE's bond: peer, key size, ediv, rand (zero with Secure Connections), long-term key.
+        bond = PEER + b"\x10" + bytes(8) + bytes(8) + b"K" * 16
+        World.irq(30, (1, PEER, bond))
         World.irq(28, (0, 1, value, 1, 16))
+    elif action == "legacy":
+        World.irq(28, (0, 1, 1, 1, 16))
+        World.irq(30, (1, PEER, PEER + b"\x10" + bytes(8) + b"RandomNo" + b"K" * 16))
+    elif action == "pair":
+        World.irq(30, (1, bytes([1, value]) + bytes(5), bytes(24) + b"K" * 16))
+    elif action == "again":
+        note("secret", str(World.irq(29, (1, 0, PEER)) is not None))
+        World.irq(28, (0, 1, 1, 1, 16))
     elif action == "lose":
         World.irq(2, (0, 0, b"123456"))
     elif action in ("rx", "command"):
@@ -149,11 +175,19 @@ def do(action, value):
     elif action == "room":
         World.room = value
     elif action == "pulse":
-        World.pin_irq(None)
+        if len(World.scheduled) < SCHEDULED:
+            World.scheduled.append(World.pin_irq)
+    elif action == "busy":
+        World.us += value * 1000
     elif action == "passkey":
         World.irq(31, (0, 3, 0))
     elif action == "interrupt":
         raise KeyboardInterrupt
+    elif action == "break":
+        World.irq(21, ())  # the radio's handler fails
+    elif action == "bonds":
+        with open("bonds.json") as file:
+            note("bonds", file.read())
     elif action == "fault":
         raise ValueError("a fault of the radio")
     elif action == "collect":
@@ -164,13 +198,29 @@ def do(action, value):
 def sleep_ms(duration):
     # A round of the loop costs time, too.
     target = World.us + duration * 1000 + PLAN.get("round_us", 300)
-    while PLAN["actions"] and World.begin + PLAN["actions"][0][0] * 1000 <= target:
-        when, action, value = PLAN["actions"].pop(0)
+    while World.irq and due() <= target:
+        when, action, value = PLAN["actions"][World.next]
+        World.next += 1
         World.us = max(World.us, World.begin + int(when * 1000))
         do(action, value)
+        if due() > World.us:
+            serve()
     World.us = max(World.us, target)
-    if World.us - World.begin >= PLAN["end_ms"] * 1000:
+    serve()
+    if World.irq and World.us - World.begin >= PLAN["end_ms"] * 1000:
         raise Done
+
+
+def serve():
+    """Pin interrupts are scheduled: they run when the interpreter comes to them."""
+    while World.scheduled:
+        World.scheduled.pop(0)(None)
+
+
+def due():
+    """When the next action is due, us; they stay in the plan, whose memory must not change meanwhile."""
+    actions = PLAN["actions"]
+    return World.begin + actions[World.next][0] * 1000 if World.next < len(actions) else 1 << 60
 
 
 def diff(later, earlier):
@@ -202,13 +252,17 @@ install(
 install("bluetooth", UUID=UUID, BLE=BLE)
 
 
-def run(plan):
+def begin(plan):
     global PLAN
     PLAN = plan
     renew()
     for name in list(sys.modules):
         if name.startswith("tagid_bridge"):
             del sys.modules[name]
+
+
+def run(plan):
+    begin(plan)
     ended = "done"
     try:
         with open("/board/main.py") as file:
@@ -217,9 +271,53 @@ def run(plan):
         pass
     except KeyboardInterrupt:
         ended = "prompt"
-    return {"log": World.log, "fed": World.fed, "ended": ended, "info": World.values[5].hex()}
+    return report(ended)
 
 
+def report(ended):
+    log = [[(us - World.begin) / 1000, what, text] for us, what, text in World.log]
+    info = World.values[5].hex() if World.values else ""
+    memory = {"peak": World.peak, "alive": World.alive}
+    return {"log": log, "fed": World.fed, "ended": ended, "info": info, "memory": memory}
+
+
+# This machine collects garbage only between two calls from outside, so a measured plan is stepped by run.mjs:
+# begin, a collection, begin_measured, then tick, a collection and sample for each round, then end_measured.
+
+
+def begin_measured():
+    global ENDED
+    ENDED = False
+    World.before = gc.mem_alloc()
+    from tagid_bridge import control, settings
+    from tagid_bridge.robot import Robot
+
+    config, problem = settings.load()
+    World.bridge = control.Bridge(config, problem, Robot(config))
+
+
+def tick():
+    """One round."""
+    global ENDED
+    World.bridge.step()
+    World.peak = max(World.peak, gc.mem_alloc() - World.before)
+    try:
+        sleep_ms(1)
+    except Done:
+        ENDED = True
+
+
+def sample():
+    World.alive = max(World.alive, gc.mem_alloc() - World.before)
+
+
+def end_measured():
+    World.bridge = None
+    print(json.dumps(report("done")))
+
+
+ENDED = False
 for plan in PLANS:
-    gc.collect()
-    print(json.dumps(run(plan)))
+    if not plan.get("measure"):
+        gc.collect()
+        print(json.dumps(run(plan)))

@@ -1,0 +1,59 @@
+"""Which way a table truly turns, seen by the radar: an object that is not its own mirror image tells.
+
+A single antenna cannot tell a table that turns the other way from the object's mirror image; a layout whose
+positions are known can.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import permutations
+from typing import TYPE_CHECKING, Final
+
+from tagid.errors import DataError, UsageError
+
+if TYPE_CHECKING:
+    from tagid.capture import Capture
+    from tagid.tags.layouts.layout import Layout
+
+_LEAST_DIFFERENCE_M: Final = 5e-3
+"""RMS distance of a layout from its mirror image that a reading can tell apart, a few position errors."""
+
+
+def chirality_m(layout: Layout) -> float:
+    """RMS distance of a layout from its mirror image after the best turn, shift and pairing, m."""
+    from tagid.tags.reading.rivals import rigid_distance
+
+    mirror = layout.mirrored().positions
+    return min(
+        rigid_distance(layout.positions, mirror[list(order)]) for order in permutations(range(layout.size))
+    )
+
+
+def turned_the_other_way(capture: Capture, layout: Layout) -> bool:
+    """Whether the object turned against the angles of its capture: then it reads as its mirror image.
+
+    Args:
+        capture: prepared, with angles by the direction that was commanded.
+        layout: the object on the table.
+
+    Raises:
+        UsageError: the layout is its own mirror image. DataError: neither it nor its mirror image is read.
+    """
+    from tagid.pipeline.identify import identify
+    from tagid.pipeline.settings import ImagingSettings
+
+    if layout.size > 7 or chirality_m(layout) < _LEAST_DIFFERENCE_M:
+        raise UsageError(
+            f"layout {layout.name} looks like its own mirror image (or has more than 7 reflectors)",
+            "Put an object on the table whose reflectors form no symmetric pattern.",
+        )
+    mirror = replace(layout.mirrored(), name=f"{layout.name}-mirrored")
+    answer = identify(capture, [layout, mirror], ImagingSettings(direction_known=True))
+    read = answer.reading.layout if answer.status == "identified" and answer.reading is not None else None
+    if read not in (layout.name, mirror.name):
+        raise DataError(
+            f"neither layout {layout.name} nor its mirror image was read ({answer.status})",
+            "Check --layout and the axis distance, and record a full turn with a clear view of the object.",
+        )
+    return read == mirror.name

@@ -1,0 +1,25 @@
+"""Virtual Bluetooth from whoever provides it: the firmware's tools do, through an entry point.
+
+The package itself imports nothing of those tools; they register in the group `tagid.virtual_bluetooth`.
+"""
+
+from __future__ import annotations
+
+from importlib import metadata
+from typing import Any, Final
+
+from tagid.errors import MissingExtraError
+
+GROUP: Final = "tagid.virtual_bluetooth"
+"""`backend`: open_backend(where, passkey) for bleak; `air`: a module with Air, HciServer and make_controller;
+`board`: BoardProcess(config, uart), the bridge's firmware without a board."""
+
+
+def virtual_bluetooth(part: str) -> Any:
+    """A part of the group. Raises MissingExtraError where nobody provides it."""
+    for entry in metadata.entry_points(group=GROUP, name=part):
+        return entry.load()
+    raise MissingExtraError(
+        "this installation knows no virtual Bluetooth controllers",
+        "Install again with: pip install 'tagid[virtual]'; in a checkout: pip install -e .",
+    )

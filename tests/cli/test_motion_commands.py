@@ -1,0 +1,147 @@
+"""`tagid motion ...` on emulated devices: what each says, remembers and refuses."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import stat
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tagid.motion.emulation.truth import TrueAngle
+from tagid.simulate import Acquisition, simulate_capture
+from tagid.simulate.presets import scene_from_layout
+from tagid.storage.hdf5 import write_capture
+
+SCALENE = np.array([[0.11, 0.0], [0.02, 0.06], [-0.09, -0.03]])
+"""Three reflectors that are not their own mirror image."""
+
+
+@contextmanager
+def emulated(home: dict[str, str], *words: str) -> Iterator[dict[str, Any]]:
+    process = subprocess.Popen(
+        [sys.executable, "-m", "tagid", "emulate", *words, "--output", "json"],
+        stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, env=home,
+    )  # fmt: skip
+    try:
+        assert process.stdout is not None
+        yield json.loads(process.stdout.readline())["data"]
+    finally:
+        process.terminate()
+        process.communicate(timeout=10)
+
+
+def test_info_asks_and_moves_nothing(tagid: Callable[..., Any], home: dict[str, str]) -> None:
+    with emulated(home, "roomba", "--charge", "50") as there:
+        ran = tagid("motion", "info", there["url"], "--output", "json")
+        data = ran.json["data"]
+        assert ran.code == 0 and data["mode"] == "passive" and data["charge"] == pytest.approx(0.5, abs=0.01)
+        assert not data["calibrated"] and data["seconds_a_turn"] == [25.9, 12.95, 8.63]
+        assert TrueAngle(there["truth"]).state()["angle_rad"] == 0
+    with emulated(home, "comxim") as there:
+        ran = tagid("motion", "info", there["url"], "--output", "json")
+        assert ran.code == 0 and ran.json["data"]["angle_deg"] == 0
+
+
+@pytest.mark.realtime
+@pytest.mark.parametrize("direction", ["ccw", "cw"])
+def test_spin_turns_so_far_that_way_and_says_how_surely(
+    tagid: Callable[..., Any], home: dict[str, str], direction: str
+) -> None:
+    with emulated(home, "roomba", "--slip", "0.05", "--wheel-base", "235") as there:
+        url = f"{there['url']}?step=3&direction={direction}"
+        ran = tagid("motion", "spin", url, "--turns", "0.3", "--yes", "--output", "json")
+        data = ran.json["data"]
+        assert ran.code == 0 and abs(data["turned_deg"]) >= 108
+        true = math.degrees(TrueAngle(there["truth"]).state()["angle_rad"])
+        assert np.sign(true) == np.sign(data["turned_deg"]) == (1 if direction == "ccw" else -1)
+        assert abs(true) < 200 and data["sigma_deg"] > 0.02 * abs(data["turned_deg"])
+        assert TrueAngle(there["truth"]).state()["mode"] == 1
+
+
+def test_spin_asks_first_and_says_what_nothing_stops(tagid: Callable[..., Any], home: dict[str, str]) -> None:
+    with emulated(home, "roomba") as there:
+        ran = tagid("motion", "spin", there["url"], "--output", "json")
+        assert ran.code == 2 and ran.json["errors"][0]["code"] == "usage"
+        assert "--yes" in ran.json["errors"][0]["remedy"]
+        assert "If its cable is pulled out nothing stops it: then lift it" in ran.err
+        assert TrueAngle(there["truth"]).state()["angle_rad"] == 0
+    with emulated(home, "comxim") as there:
+        assert "switch it off at its plug" in tagid("motion", "spin", there["url"]).err
+
+
+def test_stop_leaves_a_robot_in_passive(tagid: Callable[..., Any], home: dict[str, str]) -> None:
+    with emulated(home, "roomba") as there:
+        assert tagid("motion", "stop", there["url"]).code == 0
+        assert TrueAngle(there["truth"]).state()["mode"] == 1
+
+
+@pytest.mark.parametrize("command", ["info", "spin", "stop"])
+def test_devices_that_are_not_there_or_take_no_commands(tagid: Callable[..., Any], command: str) -> None:
+    yes = ["--yes"] if command == "spin" else []
+    absent = tagid("motion", command, "roomba+serial:///dev/ttyNOWHERE", *yes, "--output", "json")
+    assert absent.code == 4 and "no serial port" in absent.json["errors"][0]["message"]
+    free = tagid("motion", command, "free?rpm=2", *yes, "--output", "json")
+    assert free.code == 2 and "takes no commands" in free.json["errors"][0]["message"]
+
+
+def test_find_without_bluetooth_and_bad_numbers(tagid: Callable[..., Any]) -> None:
+    ran = tagid("motion", "find", "--no-ble", "--output", "json")
+    assert ran.code in (0, 4) and isinstance(ran.json["data"]["devices"], list)
+    for words in (("find", "--seconds", "0"), ("spin", "--turns", "0"), ("calibrate", "--turns", "1")):
+        assert tagid("motion", *words).code == 2
+    for words in (("--direction",), ("--layout", "helmet-120")):
+        assert "belong together" in tagid("motion", "calibrate", *words).err
+
+
+def test_the_passkey_is_kept_private(tagid: Callable[..., Any], home: dict[str, str]) -> None:
+    config = Path(home["TAGID_CONFIG"])
+    assert tagid("config", "set", "motion.passkey", "482913").code == 0
+    assert stat.S_IMODE(config.stat().st_mode) == 0o600
+    config.chmod(0o644)
+    ran = tagid("motion", "info", "roomba+ble://robot-7?hci=tcp-client:127.0.0.1:1", "--output", "json")
+    assert ran.code == 2 and f"chmod 600 {config}" in ran.json["errors"][0]["remedy"]
+    # Writing any setting makes it private again.
+    assert tagid("config", "set", "radar.gain", "60").code == 0
+    assert stat.S_IMODE(config.stat().st_mode) == 0o600
+
+
+@pytest.mark.parametrize("true_way", [1, -1])
+@pytest.mark.parametrize("was_reversed", [False, True])
+def test_the_direction_is_found_with_an_object_that_is_not_its_own_mirror_image(
+    tagid: Callable[..., Any], home: dict[str, str], tmp_path: Path, true_way: int, was_reversed: bool
+) -> None:
+    """The table was told to turn counter-clockwise; where it did not, the next scan has `reversed` set."""
+    layout = tmp_path / "scalene.toml"
+    rows = ", ".join(f"[{x}, {y}]" for x, y in SCALENE)
+    layout.write_text(f'name = "scalene"\nkind = "helmet"\nlabel = "S"\nnotes = ""\npositions_m = [{rows}]\n')
+    assert tagid("layouts", "import", layout).code == 0, tagid("layouts", "import", layout).err
+    capture, _ = simulate_capture(scene_from_layout(SCALENE, seed=1), Acquisition(snr_db=20, views=180), 1)
+    assert capture.angles_rad is not None
+    resolved = {"kind": "comxim", "table": "/dev/table", "direction": 1, "reversed": was_reversed}
+    told = replace(capture, angles_rad=true_way * capture.angles_rad, motion={"resolved": resolved})
+    path = tmp_path / "turn.tagid.h5"
+    write_capture(path, told)
+    words = ("motion", "calibrate", path, "--direction", "--layout")
+    ran = tagid(*words, "scalene", "--output", "json")
+    assert ran.code == 0, ran.json
+    data = ran.json["data"]
+    assert data["other_way"] == (true_way < 0) and data["reversed"] == ((true_way < 0) != was_reversed)
+    code = "from tagid.motion.urls import open_motion; "
+    code += "print(open_motion('comxim+serial:///dev/table').reversed)"
+    told_next = subprocess.run(
+        [sys.executable, "-c", code], env={**os.environ, **home}, capture_output=True, text=True
+    )
+    assert told_next.stdout.strip() == str(data["reversed"])
+    symmetric = tagid(*words, "helmet-120", "--output", "json")
+    assert symmetric.code == 2 and "mirror image" in symmetric.json["errors"][0]["message"]
+    assert tagid(*words, "nobody").code == 2
