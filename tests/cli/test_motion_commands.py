@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tagid.metadata import MotionInfo, ResolvedMotion
 from tagid.motion.emulation.truth import TrueAngle
 from tagid.simulate import Acquisition, simulate_capture
 from tagid.simulate.presets import scene_from_layout
@@ -127,8 +128,8 @@ def test_the_direction_is_found_with_an_object_that_is_not_its_own_mirror_image(
     assert tagid("layouts", "import", layout).code == 0, tagid("layouts", "import", layout).err
     capture, _ = simulate_capture(scene_from_layout(SCALENE, seed=1), Acquisition(snr_db=20, views=180), 1)
     assert capture.angles_rad is not None
-    resolved = {"kind": "comxim", "table": "/dev/table", "direction": 1, "reversed": was_reversed}
-    told = replace(capture, angles_rad=true_way * capture.angles_rad, motion={"resolved": resolved})
+    resolved = ResolvedMotion(kind="comxim", table="/dev/table", direction=1, reversed=was_reversed)
+    told = replace(capture, angles_rad=true_way * capture.angles_rad, motion=MotionInfo(resolved=resolved))
     path = tmp_path / "turn.tagid.h5"
     write_capture(path, told)
     words = ("motion", "calibrate", path, "--direction", "--layout")

@@ -72,7 +72,7 @@ def test_a_full_turn_is_closed_by_the_radar_also_for_a_calibrated_robot(
     info = {"scale_sigma": robot.scale_sigma, "step_s": STEP_S}
     track = Track(arrivals, told, sigma, info)
     angles = measured_angles(scans_over(true), fit_clock(np.floor(times * 1e3)), arrivals, track)
-    assert angles.info["checked_by_radar"]
-    assert angles.info["scale"] == pytest.approx(0.95, rel=3e-3)
+    assert angles.info.checked_by_radar
+    assert angles.info.scale == pytest.approx(0.95, rel=3e-3)
     error = np.abs(angles.angles_rad - (true - true[0]))
     assert error.max() < np.radians(1.5) and (error < 4 * angles.sigma_rad + np.radians(0.2)).all()
