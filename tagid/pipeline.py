@@ -20,9 +20,16 @@ from tagid.geometry import ImageGrid
 from tagid.identification import Identification
 from tagid.imaging.ats.settings import AtsSettings
 from tagid.imaging.autofocus import AxisFocus, focus_axis_distance
+from tagid.imaging.lengths import finest_cell_m, search_range_m
 from tagid.imaging.methods import METHODS as IMAGING_METHODS
 from tagid.imaging.methods import make_image
-from tagid.imaging.preprocess import Background, PreprocessSettings, nominal, preprocess
+from tagid.imaging.preprocess import (
+    MARGIN_WAVELENGTHS,
+    Background,
+    PreprocessSettings,
+    nominal,
+    preprocess,
+)
 from tagid.imaging.pulsefit import PulseEstimate, estimate_pulse
 from tagid.imaging.region import Region, choose_region
 from tagid.imaging.restore import restore
@@ -42,9 +49,8 @@ Progress = Callable[[float, float, str], None]
 METHODS = ("auto", *IMAGING_METHODS)
 PULSES = ("auto", "nominal", "estimate")
 PRESETS = ("field", "paper")
-FOCUS_M = 0.04
-"""The axis distance is searched so far to both sides: errors of 3 cm are then inside of the search, not at
-its edge, where nothing is trusted."""
+MOST_FREE_PIXELS = 512
+"""Pixels per side, where none are asked for, that a short wavelength may ask for."""
 MAX_VIEWS = 360
 """Scans are averaged into at most this many views a turn: 1 degree, the paper's step; it moves a reflector on
 the rim of a 0.25 m object by 4.4 mm, under an eighth of a wavelength."""
@@ -61,12 +67,15 @@ class ImagingSettings:
         ats: how ats with the preset "field" fits; the seed is the one of these settings.
         extent_m, pixels: the image's side, m and pixels.
         background: static background that is removed, "mean", "median" or "none".
-        focus_m: how far the axis distance is searched to both sides, m; 0 takes it as given.
-        seed: of everything random.
+        focus_m: half width of the search for the axis distance, m; 0 takes it as given, None: from the
+            wavelength.
+        seed: random seed.
         preset: what ats is: "field", or "paper", the published method to the letter.
         centre_m: (x, y) of the image's middle, m; None is the rotation axis or, for free antenna positions,
             wherever the strong echoes lie.
-        delay_m: how far the path delay of free antenna positions is searched to both sides, one-way m.
+        delay_m: half width of the search for the path delay of free antenna positions, one-way m; 0 takes the
+            ranges as given, None: from the wavelength.
+        towards_m: a point (x, y) on the side of a straight path that is wanted, m.
         restore: show sparse images at the resolution of the data (`tagid.imaging.restore`), or bare pixels.
         free_size: whether extent and pixels may follow the echoes of free antenna positions.
         pulse: "auto", the one in the capture or else the nominal one of its band; "nominal"; or "estimate",
@@ -79,11 +88,12 @@ class ImagingSettings:
     extent_m: float = 0.5
     pixels: int = 128
     background: Background = "mean"
-    focus_m: float = FOCUS_M
+    focus_m: float | None = None
     seed: int = 0
     preset: str = "field"
     centre_m: tuple[float, float] | None = None
-    delay_m: float = 1.0
+    delay_m: float | None = None
+    towards_m: tuple[float, float] | None = None
     restore: bool = True
     free_size: tuple[bool, bool] = (False, False)
     ats: AtsSettings = field(default_factory=AtsSettings)
@@ -94,16 +104,16 @@ class ImagingSettings:
     def __post_init__(self) -> None:
         if self.preset not in PRESETS:
             raise UsageError(f"there is no preset {self.preset!r}", f"Use {' or '.join(PRESETS)}.")
-        if self.centre_m is not None and not (np.abs(self.centre_m) <= 1000).all():
-            raise UsageError(f"the image's centre is {self.centre_m}", "Give X,Y in metres.")
-        if not (np.isfinite(self.delay_m) and 0 <= self.delay_m <= 2):
-            raise UsageError(f"the delay search is {self.delay_m} m", "Give 0 to 2 m.")
+        for name, place in (("centre", self.centre_m), ("side", self.towards_m)):
+            if place is not None and not (np.abs(place) <= 1e4).all():
+                raise UsageError(f"the image's {name} is {place}", "Give X,Y in metres.")
+        for name, reach in (("delay search", self.delay_m), ("focus range", self.focus_m)):
+            if reach is not None and not (np.isfinite(reach) and reach >= 0):
+                raise UsageError(f"the {name} is {reach} m", "Give zero or more metres.")
         if self.pulse not in PULSES:
             raise UsageError(f"there is no pulse {self.pulse!r}", f"Use {', '.join(PULSES)}.")
         if self.method not in METHODS:
             raise UsageError(f"there is no imaging method {self.method!r}", f"Use {', '.join(METHODS)}.")
-        if not (np.isfinite(self.focus_m) and 0 <= self.focus_m <= 0.1):
-            raise UsageError(f"the focus range is {self.focus_m} m", "Give 0 to 0.1 m.")
 
 
 @dataclass
@@ -183,19 +193,27 @@ def reconstruct(
                 settings.delay_m,
                 settings.background,
                 settings.free_size,
+                settings.towards_m,
             )
         capture, grid = region.capture, region.grid
         settings = replace(settings, extent_m=grid.extent, pixels=grid.pixels)
     elif settings.centre_m is not None:
         raise UsageError(
-            "an image of a turntable lies about its axis", "Leave --centre away, or give a larger --extent."
+            "images of a turntable are always centred on the rotation axis",
+            "Omit --centre, or give a larger --extent.",
         )
+    elif settings.free_size[1]:
+        finest = finest_cell_m(capture.wavelength_m)
+        pixels = int(np.clip(np.ceil(grid.extent / finest), grid.pixels, max(grid.pixels, MOST_FREE_PIXELS)))
+        grid = ImageGrid(grid.extent, pixels)
+        settings = replace(settings, pixels=pixels)
+    _check_extent(capture, grid)
     capture, estimate = _with_pulse(capture, settings, watch)
     with watch.stage("preprocess"):
         matched = IMAGING_METHODS[method].matched_filter
-        scans = preprocess(capture, settings=_to_be_focused(settings, matched))
+        scans = preprocess(capture, settings=_to_be_focused(capture, settings, matched))
     focus: AxisFocus | None = None
-    if settings.focus_m > 0 and scans.aperture.angles is not None:
+    if settings.focus_m != 0 and scans.aperture.angles is not None:
         with watch.stage("focus"):
             scans, focus = focus_axis_distance(scans, grid, settings.focus_m)
     with watch.stage("image"):
@@ -208,7 +226,12 @@ def reconstruct(
         "views": scans.aperture.views,
         "axis_distance_m": scans.aperture.axis_distance,
         "background": settings.background,
+        "wavelength_m": scans.wavelength_m,
     }
+    if focus is not None:
+        facts["focus"] = focus.facts()
+    elif region is not None and region.focus is not None:
+        facts["focus"] = region.focus.facts()
     learned = image.settings.get("calibration", {}).get("axis")
     if learned:
         facts["axis_distance_m"] = learned["distance_m"]
@@ -220,6 +243,18 @@ def reconstruct(
     facts["pulse"] = _pulse_facts(capture, settings, estimate)
     image = replace(image, settings={**image.settings, **facts})
     return Reconstruction(image, method, focus, scans.aperture.views, watch.seconds, region, estimate)
+
+
+def _check_extent(capture: Capture, grid: ImageGrid) -> None:
+    """Refuse a square that reaches beyond all recorded ranges. Raises UsageError."""
+    antenna = capture.aperture().positions
+    reach = float(np.linalg.norm(antenna, axis=1).max()) + float(capture.ranges_m[-1])
+    if grid.extent > 2 * reach:
+        raise UsageError(
+            f"an image of {grid.extent:g} m reaches beyond the recorded ranges, which end at "
+            f"{capture.ranges_m[-1]:.3g} m",
+            f"Give an --extent of up to {2 * reach:.3g} m.",
+        )
 
 
 def _with_pulse(
@@ -257,10 +292,12 @@ def _preprocessing(settings: ImagingSettings, matched_filter: bool) -> Preproces
     )
 
 
-def _to_be_focused(settings: ImagingSettings, matched_filter: bool) -> PreprocessSettings:
+def _to_be_focused(capture: Capture, settings: ImagingSettings, matched_filter: bool) -> PreprocessSettings:
     """As `_preprocessing`, with room for the search of the axis distance."""
-    plain = _preprocessing(settings, matched_filter)
-    return replace(plain, margin_m=max(plain.margin_m, settings.focus_m))
+    wavelength = capture.wavelength_m
+    reach = search_range_m(wavelength) if settings.focus_m is None else settings.focus_m
+    margin = max(MARGIN_WAVELENGTHS * wavelength, reach)
+    return replace(_preprocessing(settings, matched_filter), margin_m=margin)
 
 
 def identify(
@@ -364,8 +401,8 @@ def sight_reflectors(capture: Capture, name: str, settings: ImagingSettings | No
 
     settings = settings or ImagingSettings()
     capture, _ = _with_pulse(capture, settings, Stopwatch())
-    scans = preprocess(capture, settings=_to_be_focused(settings, matched_filter=False))
-    if settings.focus_m > 0 and scans.aperture.angles is not None:
+    scans = preprocess(capture, settings=_to_be_focused(capture, settings, matched_filter=False))
+    if settings.focus_m != 0 and scans.aperture.angles is not None:
         grid = ImageGrid(settings.extent_m, settings.pixels)
         scans, _ = focus_axis_distance(scans, grid, settings.focus_m)
     radius = float(np.clip(settings.extent_m / 2 - 0.01, SEARCHED_M, MOST_SEARCHED_M))
