@@ -18,8 +18,12 @@ from tagid.capture import Capture
 from tagid.errors import DataError, UsageError
 from tagid.geometry import ImageGrid
 from tagid.identification import Identification
+from tagid.imaging.ats.adapt import CANDIDATES
+from tagid.imaging.ats.fit import LEAST_HELD_OUT, fit
 from tagid.imaging.ats.settings import AtsSettings
 from tagid.imaging.autofocus import AxisFocus, focus_axis_distance
+from tagid.imaging.bandcheck import band_warning
+from tagid.imaging.heldout import HeldOut, check
 from tagid.imaging.lengths import finest_cell_m, search_range_m
 from tagid.imaging.methods import METHODS as IMAGING_METHODS
 from tagid.imaging.methods import make_image
@@ -33,7 +37,7 @@ from tagid.imaging.preprocess import (
 from tagid.imaging.pulsefit import PulseEstimate, estimate_pulse
 from tagid.imaging.region import Region, choose_region
 from tagid.imaging.restore import restore
-from tagid.imaging.types import Image
+from tagid.imaging.types import BasebandScans, Image
 from tagid.motion.resolve import one_turn
 from tagid.turn import resolve_turn
 
@@ -77,6 +81,8 @@ class ImagingSettings:
             ranges as given, None: from the wavelength.
         towards_m: a point (x, y) on the side of a straight path that is wanted, m.
         restore: show sparse images at the resolution of the data (`tagid.imaging.restore`), or bare pixels.
+        held_out: compute how well the image predicts views that it was not made from
+            (`tagid.imaging.heldout`).
         free_size: whether extent and pixels may follow the echoes of free antenna positions.
         pulse: "auto", the one in the capture or else the nominal one of its band; "nominal"; or "estimate",
             found from the scans where that explains them better (`tagid.imaging.pulsefit`).
@@ -95,6 +101,7 @@ class ImagingSettings:
     delay_m: float | None = None
     towards_m: tuple[float, float] | None = None
     restore: bool = True
+    held_out: bool = True
     free_size: tuple[bool, bool] = (False, False)
     ats: AtsSettings = field(default_factory=AtsSettings)
     pulse: str = "auto"
@@ -218,6 +225,9 @@ def reconstruct(
             scans, focus = focus_axis_distance(scans, grid, settings.focus_m)
     with watch.stage("image"):
         image = make_image(scans, grid, method, settings.seed, settings.preset, progress, settings.ats)
+    with watch.stage("held out"):
+        predicted = _held_out(capture, scans, grid, method, settings, image)
+    with watch.stage("image"):
         if settings.restore and IMAGING_METHODS[method].sparse and settings.preset != "paper":
             image = restore(image, scans.wavenumber)
     facts: dict[str, Any] = {
@@ -232,6 +242,11 @@ def reconstruct(
         facts["focus"] = focus.facts()
     elif region is not None and region.focus is not None:
         facts["focus"] = region.focus.facts()
+    warning = band_warning(capture)
+    if warning:
+        facts["warnings"] = [warning]
+    if predicted is not None:
+        facts["held_out"] = predicted.facts()
     learned = image.settings.get("calibration", {}).get("axis")
     if learned:
         facts["axis_distance_m"] = learned["distance_m"]
@@ -243,6 +258,45 @@ def reconstruct(
     facts["pulse"] = _pulse_facts(capture, settings, estimate)
     image = replace(image, settings={**image.settings, **facts})
     return Reconstruction(image, method, focus, scans.aperture.views, watch.seconds, region, estimate)
+
+
+_NO_PREDICTION = ("range-doppler",)
+"""Methods whose image has no phase, and predicts no scan."""
+
+
+def _held_out(
+    capture: Capture,
+    scans: BasebandScans,
+    grid: ImageGrid,
+    method: str,
+    settings: ImagingSettings,
+    made: Image,
+) -> HeldOut | None:
+    """Prediction of unseen views by this method, with the priors that the image was made with."""
+    if settings.preset == "paper" or method in _NO_PREDICTION or not settings.held_out:
+        return None
+    unfiltered = scans
+    if IMAGING_METHODS[method].matched_filter:
+        plain = preprocess(capture, settings=_to_be_focused(capture, settings, matched_filter=False))
+        unfiltered = plain.with_aperture(scans.aperture)
+    if method == "bp-raw":
+        return check(scans, unfiltered, grid, None)
+    ats = replace(settings.ats, adapt=0, held_out=0.0, calibrate=())
+    changes = CANDIDATES.get(made.settings.get("prior", ""), {})
+    axis = made.settings.get("calibration", {}).get("axis")
+    if axis:
+        moved = scans.aperture.with_axis_distance(axis["distance_m"])
+        scans, unfiltered = scans.with_aperture(moved), unfiltered.with_aperture(moved)
+
+    def make(some: BasebandScans) -> Image:
+        return make_image(some, grid, method, settings.seed, "field", None, replace(ats, **changes))
+
+    def predicted(all_views: BasebandScans, share: float) -> float:
+        fitted = replace(ats, **changes, seed=settings.seed, held_out=share)
+        return fit(all_views, grid, fitted).held_out
+
+    enough = method == "ats" and scans.aperture.views >= LEAST_HELD_OUT
+    return check(scans, unfiltered, grid, make, predicted if enough else None)
 
 
 def _check_extent(capture: Capture, grid: ImageGrid) -> None:

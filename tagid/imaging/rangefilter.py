@@ -187,13 +187,13 @@ def _check_rate(is_real: bool, input_rate: float, low: float, high: float) -> No
     needed = 2 * high if is_real else high - low
     if input_rate < needed:
         raise DataError(
-            f"the range step means sampling at {_hertz(input_rate)}, "
-            f"the pulse's band of {_hertz(low)} to {_hertz(high)} needs {_hertz(needed)}",
+            f"the range step means sampling at {hertz(input_rate)}, "
+            f"the pulse's band of {hertz(low)} to {hertz(high)} needs {hertz(needed)}",
             "Check range_step_m (one way, in metres), wave_speed_m_s, the band and the pulse.",
         )
 
 
-def _hertz(frequency: float) -> str:
+def hertz(frequency: float) -> str:
     """A frequency with the unit that suits its size."""
     for unit, scale in (("GHz", 1e9), ("MHz", 1e6), ("kHz", 1e3)):
         if frequency >= scale:

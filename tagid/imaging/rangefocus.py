@@ -103,6 +103,11 @@ class DelayFocus:
     reason: str = ""
     sigma_m: float = float("nan")
 
+    @property
+    def needed(self) -> float:
+        """Evidence that a delay needs to be taken."""
+        return needed_evidence(PIECES)
+
     def facts(self) -> dict[str, Any]:
         """Plain JSON values."""
         return {

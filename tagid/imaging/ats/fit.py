@@ -58,7 +58,7 @@ of an engine shows less in it."""
 _MOST_SHRUNK = 2.0
 """The weight of the sparsity prior is at most half of what gives a blank image."""
 
-_LEAST_HELD_OUT = 18
+LEAST_HELD_OUT = 18
 """Fewer views are all needed for the image."""
 
 
@@ -353,8 +353,8 @@ def _foresee(scans: BasebandScans, grid: ImageGrid, settings: AtsSettings) -> No
 
 def _held_out(views: int, share: float) -> NDArray[np.intp]:
     """Views that the fit does not see, spread over the turn."""
-    count = round(views * share) if views >= _LEAST_HELD_OUT else 0
-    if share > 0 and views >= _LEAST_HELD_OUT:
+    count = round(views * share) if views >= LEAST_HELD_OUT else 0
+    if share > 0 and views >= LEAST_HELD_OUT:
         count = max(1, count)
     return np.asarray((np.arange(count) + 0.5) * views / max(count, 1), dtype=np.intp)
 

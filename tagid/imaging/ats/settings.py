@@ -57,6 +57,7 @@ class AtsSettings:
         held_out: share of the views that the fit does not see, which tell when to stop; none under 18 views.
         patience: checks (every 10 steps of the second half) without a lower held-out residual before the fit
             stops; 0: never, which is the default since a noisy check stops some fits long before their end.
+        adapt: try other priors where unseen views ask for it (`tagid.imaging.ats.adapt`); 0: never.
         width, hidden: units of a hidden layer, and hidden layers of the network.
         finest_m: edge of the finest cell of the encoding, m, never finer than the pixels; 0: from the
             wavelength (`tagid.imaging.lengths.CELL_WAVELENGTHS`).
@@ -86,6 +87,7 @@ class AtsSettings:
     views_per_step: int = 12
     held_out: float = 0.04
     patience: int = 0
+    adapt: int = 1
     width: int = 16
     hidden: int = 1
     finest_m: float = 0.0
@@ -106,7 +108,7 @@ class AtsSettings:
             raise UsageError(f"--engine onnx does not run on {self.device}", "Use --engine torch.")
         whole = {"steps": 1, "views_per_step": 1, "width": 1, "hidden": 0, "levels": 1, "features": 1}
         whole |= {"coarsest": 1, "patience": 0, "seed": 0, "threads": 1}
-        whole |= {"wobble_harmonics": 0, "aspect_harmonics": 0}
+        whole |= {"wobble_harmonics": 0, "aspect_harmonics": 0, "adapt": 0}
         for name, low in whole.items():
             if not low <= getattr(self, name) <= 10**6:
                 raise UsageError(f"ATS setting {name} is {getattr(self, name)}", f"Give {low} to 1000000.")
