@@ -126,7 +126,8 @@ def focus_words(focus: AxisFocus | None) -> list[str]:
     if focus.reliable:
         return [
             f"axis distance moved by {focus.offset_m * 1e3:+.1f} mm "
-            f"(standard error {focus.sigma_m * 1e3:.1f} mm, evidence {focus.evidence:.1f} of {focus.needed:.1f} needed)"
+            f"(standard error {focus.sigma_m * 1e3:.1f} mm, "
+            f"evidence {focus.evidence:.1f} of {focus.needed:.1f} needed)"
         ]
     lines = [f"the data do not tell the axis distance: {focus.reason}; the given value is used"]
     if focus.best_m is not None:
