@@ -279,7 +279,7 @@ def _held_out(
     if IMAGING_METHODS[method].matched_filter:
         plain = preprocess(capture, settings=_to_be_focused(capture, settings, matched_filter=False))
         unfiltered = plain.with_aperture(scans.aperture)
-    if method == "bp-raw":
+    if method in ("bp", "bp-raw"):
         return check(scans, unfiltered, grid, None)
     ats = replace(settings.ats, adapt=0, held_out=0.0, calibrate=())
     changes = CANDIDATES.get(made.settings.get("prior", ""), {})

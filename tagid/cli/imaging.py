@@ -103,7 +103,7 @@ def region_words(region: Region | None) -> list[str]:
     if focus is not None and focus.reliable:
         lines.append(
             f"path delay {focus.delay_m * 1e3:+.1f} mm one way, subtracted from the ranges "
-            f"(standard error {focus.sigma_m * 1e3:.1f} mm)"
+            f"(standard error {focus.sigma_m * 1e3:.2g} mm)"
         )
     elif focus is not None:
         lines.append(f"the data do not tell the path delay: {focus.reason}; the ranges are used as given")
@@ -126,7 +126,7 @@ def focus_words(focus: AxisFocus | None) -> list[str]:
     if focus.reliable:
         return [
             f"axis distance moved by {focus.offset_m * 1e3:+.1f} mm "
-            f"(standard error {focus.sigma_m * 1e3:.1f} mm, "
+            f"(standard error {focus.sigma_m * 1e3:.2g} mm, "
             f"evidence {focus.evidence:.1f} of {focus.needed:.1f} needed)"
         ]
     lines = [f"the data do not tell the axis distance: {focus.reason}; the given value is used"]
@@ -144,9 +144,10 @@ def held_out_words(settings: dict[str, Any]) -> list[str]:
     if not found:
         return []
     noise = "" if found["noise"] is None else f", of which noise {100 * found['noise']:.1f} %"
+    same = found["residual"] == found["backprojection"]
+    other = "" if same else f"; backprojection {100 * found['backprojection']:.1f} %"
     lines = [
-        f"held-out residual {100 * found['residual']:.1f} % of {found['views']} unseen views{noise}; "
-        f"backprojection {100 * found['backprojection']:.1f} %"
+        f"held-out residual {100 * found['residual']:.1f} % of {found['views']} unseen views{noise}{other}"
     ]
     if found["worse_than_backprojection"]:
         lines.append("backprojection predicts unseen views better: trust --method bp more than this image")

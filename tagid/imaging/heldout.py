@@ -89,7 +89,7 @@ def check(
     energy = float((np.abs(test.samples) ** 2).sum())
     if energy == 0:
         return None
-    plain = residual(test, backproject(select_views(unfiltered, seen), grid))
+    plain = residual(test, backproject(select_views(scans if make is None else unfiltered, seen), grid))
     if predicted is not None:
         found = predicted(scans, len(unseen) / scans.aperture.views)
     else:

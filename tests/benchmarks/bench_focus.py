@@ -120,11 +120,11 @@ def summary(found: list[Outcome]) -> str:
     good = sum(abs(o.guess) < 1 / 8 for o in taken)
     wrong = sum(not abs(o.guess) <= 1 / 4 for o in taken)
     worse = sum(abs(o.left) > 1 / 8 and abs(o.given) < 1 / 8 for o in found)
-    share = 100 * good / max(len(taken), 1)
+    share, off = 100 * good / max(len(taken), 1), 100 * wrong / len(found)
     return (
-        f"Of {len(found)} scenes an estimate was taken in {len(taken)}: {good} ({share:.1f} %) within an eighth\n"
-        f"of a wavelength, {wrong} ({100 * wrong / len(found):.2f} % of all scenes) off by more than a quarter.\n"
-        f"In {worse} scenes a given value that was right within an eighth was replaced by one that is not."
+        f"Of {len(found)} scenes an estimate was taken in {len(taken)}: {good} ({share:.1f} %) within an\n"
+        f"eighth of a wavelength, {wrong} ({off:.2f} % of all scenes) off by more than a quarter. In {worse}\n"
+        "scenes a given value that was right within an eighth was replaced by one that is not."
     )
 
 
