@@ -122,8 +122,8 @@ def summary(found: list[Outcome]) -> str:
     worse = sum(abs(o.left) > 1 / 8 and abs(o.given) < 1 / 8 for o in found)
     share, off = 100 * good / max(len(taken), 1), 100 * wrong / len(found)
     return (
-        f"Of {len(found)} scenes an estimate was taken in {len(taken)}: {good} ({share:.1f} %) within an\n"
-        f"eighth of a wavelength, {wrong} ({off:.2f} % of all scenes) off by more than a quarter. In {worse}\n"
+        f"Of {len(found)} scenes {len(taken)} estimates were taken: {good} ({share:.1f} %) within an\n"
+        f"eighth of a wavelength, {wrong} ({off:.2f} % of all scenes) off by over a quarter. In {worse}\n"
         "scenes a given value that was right within an eighth was replaced by one that is not."
     )
 
