@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid import __version__
-from tagid.constants import BANDWIDTH_HZ, CENTER_FREQUENCY_HZ
+from tagid.constants import BANDWIDTH_HZ, CENTER_FREQUENCY_HZ, SPEED_OF_LIGHT
 from tagid.errors import DataError
 from tagid.geometry import Aperture
 from tagid.metadata import MotionInfo, ObjectInfo, RadarInfo
@@ -70,6 +70,7 @@ class Capture:
         scan_id: (views,) int64 unwrapped scan number, gaps are lost scans; None where not known.
         flags: (views,) uint8 of `ViewFlag`.
         center_frequency_hz, bandwidth_hz: the band of the pulse, Hz.
+        wave_speed_m_s: speed of the wave in the medium, m/s; ranges follow from delays with it.
         pulse: the pulse, where it came with the data.
         radar, motion, object: what is known of each (`tagid.metadata`).
         uuid, created_utc, tool_version: provenance.
@@ -90,6 +91,7 @@ class Capture:
     flags: NDArray[np.uint8] | None = None
     center_frequency_hz: float = CENTER_FREQUENCY_HZ
     bandwidth_hz: float = BANDWIDTH_HZ
+    wave_speed_m_s: float = SPEED_OF_LIGHT
     pulse: Pulse | None = None
     radar: RadarInfo = field(default_factory=RadarInfo)
     motion: MotionInfo = field(default_factory=MotionInfo)
@@ -112,7 +114,7 @@ class Capture:
             raise DataError(f"range step is {self.range_step_m} m, expected a positive number")
         if not np.isfinite(self.range_start_m):
             raise DataError(f"range start is {self.range_start_m} m, expected a number")
-        for name in ("axis_distance_m", "center_frequency_hz", "bandwidth_hz"):
+        for name in ("axis_distance_m", "center_frequency_hz", "bandwidth_hz", "wave_speed_m_s"):
             value = getattr(self, name)
             if value is not None and not (np.isfinite(value) and value > 0):
                 raise DataError(f"{name} is {value}, expected a positive number")
@@ -148,6 +150,11 @@ class Capture:
     def ranges_m(self) -> NDArray[np.float64]:
         """(bins,) one-way range of every bin, m."""
         return self.range_start_m + self.range_step_m * np.arange(self.bins, dtype=np.float64)
+
+    @property
+    def wavelength_m(self) -> float:
+        """Wavelength of the centre frequency in the medium, m."""
+        return self.wave_speed_m_s / self.center_frequency_hz
 
     def aperture(self) -> Aperture:
         """The antenna positions of the views; DataError where neither angles nor positions are known."""

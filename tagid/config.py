@@ -57,10 +57,10 @@ SETTINGS: tuple[Setting, ...] = (
     Setting("radar.resume_s", float, 20.0, "longest wait for a radar that went away, s", 0, 3600),
     Setting("motion.url", str, "free", "what turns the object, e.g. free?rpm=2"),
     Setting("motion.passkey", str, None, "six digits that pair with the Bluetooth bridge"),
-    Setting("motion.axis_distance_m", float, None, "radar to rotation axis, m", 0.05, 100),
+    Setting("motion.axis_distance_m", float, None, "radar to rotation axis, m", 1e-3, 1e4),
     Setting("motion.antenna_height_m", float, 0.0, "antenna above the object's plane, m", -10, 10),
     Setting("imaging.method", str, "auto", "bp, sparse, ats, auto and more", choices=METHODS),
-    Setting("imaging.extent_m", float, 0.5, "side of the image, m", 0.05, 5),
+    Setting("imaging.extent_m", float, 0.5, "side of the image, m", 1e-3, 1e4),
     Setting("imaging.ats", str, "", "settings of ats, e.g. robust=3,calibrate=axis+wobble"),
     Setting(
         "imaging.pulse",

@@ -85,8 +85,8 @@ class ImageGrid:
     pixels: int = 128
 
     def __post_init__(self) -> None:
-        if not (np.isfinite(self.extent) and 0 < self.extent <= 100):
-            raise UsageError(f"image extent is {self.extent} m", "Give a side between 0 and 100 m.")
+        if not (np.isfinite(self.extent) and self.extent > 0):
+            raise UsageError(f"image extent is {self.extent} m", "Give a positive side in metres.")
         if not 2 <= self.pixels <= 4096:
             raise UsageError(f"image has {self.pixels} pixels a side", "Give 2 to 4096 pixels.")
 

@@ -28,7 +28,7 @@ def register(app: typer.Typer) -> None:
             str | None,
             typer.Option(
                 "--calibrate",
-                help="What ats learns beside the scene: axis,wobble,gain,static, or some of them.",
+                help="What ats estimates together with the scene: any of axis,wobble,gain,static.",
                 show_default=False,
             ),
         ] = None,
@@ -51,12 +51,18 @@ def register(app: typer.Typer) -> None:
         antenna_height: options.AntennaHeight = None,
         background: options.Background = "mean",
         focus: Annotated[
-            bool, typer.Option(help="Search the axis distance within 4 cm, or the path delay.")
+            bool,
+            typer.Option(help="Search the axis distance within half a wavelength, or the path delay."),
         ] = True,
         preset: options.Preset = "field",
         pulse: options.Pulse = None,
         centre: options.Centre = None,
-        delay_search: options.DelaySearch = 1.0,
+        side: options.Side = None,
+        wave_speed: options.WaveSpeed = None,
+        held_out: Annotated[
+            bool, typer.Option(help="Compute how well the image predicts views that it was not made from.")
+        ] = True,
+        delay_search: options.DelaySearch = None,
         beam: Annotated[
             bool, typer.Option(help="Show sparse images at the data's resolution, not as bare pixels.")
         ] = True,
@@ -78,7 +84,7 @@ def register(app: typer.Typer) -> None:
         from tagid.storage.image import write_image
 
         if (calibrate or ats) and preset != "field":
-            raise UsageError("--calibrate and --ats are for --preset field", "Leave them away.")
+            raise UsageError("--calibrate and --ats are for --preset field", "Omit them.")
         config = load_config(
             {
                 "imaging.method": method,
@@ -99,15 +105,18 @@ def register(app: typer.Typer) -> None:
             seed=seed,
             preset=preset,
             ats=replace(given.ats, engine=engine, device=device, **parse_settings(words)),
-            centre_m=imaging.parse_centre(centre),
+            centre_m=imaging.parse_place(centre),
+            towards_m=imaging.parse_place(side, "--side"),
             delay_m=delay_search if focus else 0.0,
             restore=beam,
+            held_out=held_out,
             free_size=(
                 config.values["imaging.extent_m"].source == "default",
                 config.values["imaging.pixels"].source == "default",
             ),
         )
-        capture = load_capture(file, LoadSettings.of(config, background))
+        loading = replace(LoadSettings.of(config, background), wave_speed_m_s=wave_speed)
+        capture = load_capture(file, loading)
         result = imaging.image_with_progress(terminal, PreparedCapture(capture, settings))
         if out:
             write_image(out, result.image)

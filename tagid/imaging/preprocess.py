@@ -15,12 +15,17 @@ from numpy.typing import NDArray
 from tagid.capture import Capture, Pulse
 from tagid.errors import DataError, UsageError
 from tagid.geometry import Aperture
+from tagid.imaging.lengths import SEARCH_WAVELENGTHS
 from tagid.imaging.rangefilter import BandFilter, design_filter
 from tagid.imaging.types import BasebandScans
 from tagid.waveform import nominal_pulse
 
 MIN_BINS = 8
 """Fewer range bins cannot hold one echo of the pulse (a P440 pulse spans about 10)."""
+
+MARGIN_WAVELENGTHS = 0.75 * SEARCH_WAVELENGTHS
+"""Range kept beyond the image on both sides: three quarters of the search for the axis distance, since the
+pulse's own width is kept, too. 30 mm for a P440."""
 
 MIN_NOISE_VALUES = 64
 """Values needed for a noise estimate good to about 10 %."""
@@ -42,7 +47,8 @@ class PreprocessSettings:
         matched_filter: correlate with the pulse (maximum SNR), or only limit to its band.
         pulse: the pulse; None takes the capture's, or the nominal one of the capture's band.
         extent_m: side of the square that will be imaged, m; ranges that it cannot reach are gated away.
-        margin_m: kept beyond that on both sides, m; leaves room for the autofocus (+-3 cm).
+        margin_m: range kept beyond that on both sides, m, which leaves room for the search of the axis
+            distance; None: `MARGIN_WAVELENGTHS` of the carrier's.
         oversampling: sampling rate after decimation / bandwidth of the pulse, at least 1.3.
     """
 
@@ -50,16 +56,16 @@ class PreprocessSettings:
     matched_filter: bool = True
     pulse: Pulse | None = None
     extent_m: float = 0.5
-    margin_m: float = 0.03
+    margin_m: float | None = None
     oversampling: float = 1.5
 
     def __post_init__(self) -> None:
         if self.background not in ("mean", "median", "none"):
             raise UsageError(f"background is {self.background!r}", "Choose mean, median or none.")
-        if not (np.isfinite(self.extent_m) and 0 < self.extent_m <= 100):
-            raise UsageError(f"extent is {self.extent_m} m", "Give a side between 0 and 100 m.")
-        if not (np.isfinite(self.margin_m) and 0 <= self.margin_m <= 10):
-            raise UsageError(f"gate margin is {self.margin_m} m", "Give 0 to 10 m.")
+        if not (np.isfinite(self.extent_m) and self.extent_m > 0):
+            raise UsageError(f"extent is {self.extent_m} m", "Give a positive side in metres.")
+        if self.margin_m is not None and not (np.isfinite(self.margin_m) and self.margin_m >= 0):
+            raise UsageError(f"gate margin is {self.margin_m} m", "Give zero or more metres.")
         if not 1.3 <= self.oversampling <= 16:
             raise UsageError(f"oversampling is {self.oversampling}", "Give 1.3 to 16.")
 
@@ -119,6 +125,8 @@ def preprocess(
         noise_std=float(noise),
         independent_samples=gated.size * min(1.0, band.bandwidth_hz / band.rate_hz),
         background_removed=settings.background != "none",
+        wave_speed_m_s=capture.wave_speed_m_s,
+        center_hz=band.center_hz,
     )
 
 
@@ -200,8 +208,10 @@ def _gate(
     far = float(np.hypot(across + radius, height).max())
     axis = np.hypot(across, height)
     first, last = capture.range_start_m, float(capture.ranges_m[-1])
-    # Free positions may be imaged anywhere, and margin_m says how far the ranges may be off.
-    slack = settings.margin_m + settings.extent_m / 2 if aperture.axis_distance is None else 0.0
+    wavelength = band.wave_speed_m_s / band.center_hz
+    kept = MARGIN_WAVELENGTHS * wavelength if settings.margin_m is None else settings.margin_m
+    # Free positions may be imaged anywhere, and the margin says how far the ranges may be off.
+    slack = kept + settings.extent_m / 2 if aperture.axis_distance is None else 0.0
     if np.median(axis) < first - slack or np.median(axis) > last + slack:
         what = "antenna to the origin" if aperture.axis_distance is None else "rotation axis"
         raise DataError(
@@ -209,7 +219,7 @@ def _gate(
             "the object lies outside the data",
             "Correct the axis distance (--axis-distance METRES) or the radar's range window.",
         )
-    margin = settings.margin_m + band.width_m
+    margin = kept + band.width_m
     return near - margin, far + margin
 
 

@@ -12,11 +12,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.capture import Capture, Pulse
-from tagid.constants import SPEED_OF_LIGHT
 from tagid.geometry import ImageGrid
 from tagid.imaging.autofocus import focus_axis_distance
+from tagid.imaging.lengths import finest_cell_m, search_range_m
 from tagid.imaging.operator import ForwardOperator
-from tagid.imaging.preprocess import Background, PreprocessSettings, assumed_pulse, preprocess, select_views
+from tagid.imaging.preprocess import (
+    MARGIN_WAVELENGTHS,
+    Background,
+    PreprocessSettings,
+    assumed_pulse,
+    preprocess,
+    select_views,
+)
 from tagid.imaging.sparse import sparse_recovery
 from tagid.imaging.types import BasebandScans, PointResponse
 from tagid.waveform import analytic_pulse, pulse_at
@@ -24,9 +31,9 @@ from tagid.waveform import analytic_pulse, pulse_at
 Samples = NDArray[np.complex64]
 Taps = NDArray[np.complex128]
 
-BEFORE_M, AFTER_M = 0.15, 0.45
-"""How far the pulse may reach before and after the assumed one, one-way m: 1 and 3 ns. The pulses recorded
-with P440 radars ring for 1.1 ns and have an echo at 1.6 to 2.3 ns."""
+BEFORE, AFTER = 1.7013, 5.1038
+"""How far the pulse may reach before and after the assumed one, in range resolutions c / 2B: 0.15 and 0.45 m
+(1 and 3 ns) for a P440, whose recorded pulses ring for 1.1 ns and have an echo at 1.6 to 2.3 ns."""
 
 LEAST_EVIDENCE = 6.0
 """The estimate is taken where views that it has not seen speak for it by this logarithm of the ratio of
@@ -38,7 +45,6 @@ _MOST_VIEWS = 120
 _ROUNDS = 6
 _TAP_PRIOR = 0.5
 """Standard deviation of a tap about the assumed pulse, whose one tap is 1."""
-_PIXEL_M = 0.0073
 _MOST_PIXELS = 160
 
 
@@ -60,7 +66,7 @@ class PulseEstimate:
 
 
 def estimate_pulse(
-    capture: Capture, grid: ImageGrid, background: Background = "mean", focus_m: float = 0.03
+    capture: Capture, grid: ImageGrid, background: Background = "mean", focus_m: float | None = None
 ) -> PulseEstimate:
     """The received pulse, from the scans of one capture.
 
@@ -76,23 +82,29 @@ def estimate_pulse(
         capture: of known angles or antenna positions, the path delay of free positions taken off.
         grid: the square that holds the scene.
         background: as in `PreprocessSettings`.
-        focus_m: how far the axis distance may be off, m; 0 takes it as given.
+        focus_m: half width of the search for the axis distance, m; 0 takes it as given, None: as wide as
+            `search_range_m`.
 
     Raises:
         DataError: as `preprocess`.
     """
     assumed = assumed_pulse(capture)
-    margin = max(0.03, focus_m) + AFTER_M
+    resolution = capture.wave_speed_m_s / (2 * capture.bandwidth_hz)
+    if focus_m is None:
+        focus_m = search_range_m(capture.wavelength_m)
+    margin = max(MARGIN_WAVELENGTHS * capture.wavelength_m, focus_m) + AFTER * resolution
     settings = PreprocessSettings(background, False, assumed, grid.extent, margin)
     scans = preprocess(capture, settings=settings)
     if scans.aperture.views < _LEAST_VIEWS:
         return PulseEstimate(assumed, False, float("nan"), float("nan"))
-    pixels = int(np.clip(round(grid.extent / _PIXEL_M), min(16, grid.pixels), _MOST_PIXELS))
+    pixels = int(
+        np.clip(round(grid.extent / finest_cell_m(capture.wavelength_m)), min(16, grid.pixels), _MOST_PIXELS)
+    )
     square = ImageGrid(grid.extent, pixels)
     if focus_m > 0:
         scans, _ = focus_axis_distance(scans, square, focus_m)
     scans = select_views(scans, slice(None, None, -(-scans.aperture.views // _MOST_VIEWS)))
-    problem = _Blind(scans, square, removed=background != "none")
+    problem = _Blind(scans, square, (BEFORE * resolution, AFTER * resolution), background != "none")
     views = np.arange(scans.aperture.views)
     unseen = views[2::4]
     seen = np.setdiff1d(views, unseen)
@@ -104,16 +116,18 @@ def estimate_pulse(
     if not samples * np.log(before / max(after, 1e-9)) > LEAST_EVIDENCE:
         return PulseEstimate(assumed, False, before, after)
     taps = problem.alternate(taps, views)
-    delays = np.asarray(2 * problem.shifts * scans.range_step_m / SPEED_OF_LIGHT, dtype=np.float64)
+    delays = np.asarray(2 * problem.shifts * scans.range_step_m / scans.wave_speed_m_s, dtype=np.float64)
     return PulseEstimate(_as_pulse(assumed, taps, delays, scans.carrier_hz), True, before, after)
 
 
 class _Blind:
     """Scene and taps by turns, on some of the views."""
 
-    def __init__(self, scans: BasebandScans, grid: ImageGrid, removed: bool) -> None:
+    def __init__(
+        self, scans: BasebandScans, grid: ImageGrid, reach_m: tuple[float, float], removed: bool
+    ) -> None:
         self.scans, self.grid, self.removed = scans, grid, removed
-        first, last = (round(reach / scans.range_step_m) for reach in (BEFORE_M, AFTER_M))
+        first, last = (round(reach / scans.range_step_m) for reach in reach_m)
         self.shifts = np.arange(-first, last + 1)
         self.identity = np.where(self.shifts == 0, 1.0, 0.0).astype(np.complex128)
 

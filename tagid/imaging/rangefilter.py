@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.capture import Capture, Pulse
-from tagid.constants import SPEED_OF_LIGHT
 from tagid.errors import DataError
 from tagid.imaging.types import PointResponse
 from tagid.waveform import analytic_pulse
@@ -22,6 +21,9 @@ MAX_PAD = 1 << 17
 
 RESPONSE_FLOOR = 1e-3
 """The response is cut where it stays under this part of its peak (-60 dB)."""
+
+_SAME_CENTER = 0.1
+"""Centre frequencies this near, relative, are of one band: measured pulses of a P440 lie within 5 %."""
 
 _RESPONSE_OVERSAMPLING = 32
 _SPECTRUM_CHUNK = 1 << 20
@@ -38,11 +40,13 @@ class BandFilter:
         offsets: (K,) their distance from the carrier's bin, -M/2 < offset < M/2.
         transfer: (K,) complex128 transfer function, with the factor 2 of the analytic signal for real input.
         carrier_hz: frequency that comes to zero, a DFT bin of the input.
+        center_hz: middle of the band; the capture's where the pulse's agrees with it.
         bandwidth_hz: -10 dB width of the pulse.
         input_rate_hz, rate_hz: fast-time sampling rate before and after.
         step_m: one-way range step after decimation, m.
         response: response of a unit point after the filter.
         width_m: offset beyond which the response stays under 5 % of its peak, m.
+        wave_speed_m_s: speed of the wave in the medium, m/s.
     """
 
     fft_bins: int
@@ -51,17 +55,19 @@ class BandFilter:
     offsets: NDArray[np.intp]
     transfer: NDArray[np.complex128]
     carrier_hz: float
+    center_hz: float
     bandwidth_hz: float
     input_rate_hz: float
     rate_hz: float
     step_m: float
     response: PointResponse
     width_m: float
+    wave_speed_m_s: float
 
     @property
     def wavenumber(self) -> float:
         """k of the carrier, rad/m (one way)."""
-        return 2 * np.pi * self.carrier_hz / SPEED_OF_LIGHT
+        return 2 * np.pi * self.carrier_hz / self.wave_speed_m_s
 
 
 def design_filter(pulse: Pulse, capture: Capture, *, matched: bool, oversampling: float) -> BandFilter:
@@ -76,7 +82,7 @@ def design_filter(pulse: Pulse, capture: Capture, *, matched: bool, oversampling
     pulse = normalised(pulse)
     low, high = band_of(pulse)
     bandwidth = high - low
-    input_rate = SPEED_OF_LIGHT / (2 * capture.range_step_m)
+    input_rate = capture.wave_speed_m_s / (2 * capture.range_step_m)
     is_real = capture.samples.dtype.kind != "c"
     _check_rate(is_real, input_rate, low, high)
     # No wrap-around: the pulse, its reflection (the matched filter) and the ringing of W must fit in the pad.
@@ -107,13 +113,21 @@ def design_filter(pulse: Pulse, capture: Capture, *, matched: bool, oversampling
         offsets=np.asarray(offsets, dtype=np.intp),
         transfer=np.asarray(transfer * scale, dtype=np.complex128),
         carrier_hz=centre * df,
+        center_hz=_middle(low, high, capture.center_frequency_hz),
         bandwidth_hz=bandwidth,
         input_rate_hz=input_rate,
         rate_hz=m * df,
         step_m=capture.range_step_m * n / m,
         response=response,
         width_m=width,
+        wave_speed_m_s=capture.wave_speed_m_s,
     )
+
+
+def _middle(low: float, high: float, said: float) -> float:
+    """What the capture says of its centre frequency, unless its pulse is of another band."""
+    middle = (low + high) / 2
+    return said if abs(said / middle - 1) < _SAME_CENTER else middle
 
 
 def normalised(pulse: Pulse) -> Pulse:
@@ -173,10 +187,18 @@ def _check_rate(is_real: bool, input_rate: float, low: float, high: float) -> No
     needed = 2 * high if is_real else high - low
     if input_rate < needed:
         raise DataError(
-            f"the range step means {input_rate / 1e9:.2f} GHz sampling, "
-            f"the pulse's band of {low / 1e9:.2f} to {high / 1e9:.2f} GHz needs {needed / 1e9:.2f} GHz",
-            "Check range_step_m (one way), the band and the pulse.",
+            f"the range step means sampling at {hertz(input_rate)}, "
+            f"the pulse's band of {hertz(low)} to {hertz(high)} needs {hertz(needed)}",
+            "Check range_step_m (one way, in metres), wave_speed_m_s, the band and the pulse.",
         )
+
+
+def hertz(frequency: float) -> str:
+    """A frequency with the unit that suits its size."""
+    for unit, scale in (("GHz", 1e9), ("MHz", 1e6), ("kHz", 1e3)):
+        if frequency >= scale:
+            return f"{frequency / scale:.2f} {unit}"
+    return f"{frequency:.3g} Hz"
 
 
 def _raised_cosine(distance: NDArray[np.float64], flat: float, end: float) -> NDArray[np.float64]:

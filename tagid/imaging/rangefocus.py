@@ -1,4 +1,5 @@
-"""The path delay of scans taken from free antenna positions, found from the sharpness of the image.
+"""The path delay of scans taken from free antenna positions, estimated from the echoes, with a test of the
+estimate.
 
 A radar on a rail measures every range with the same unknown delay of cables and electronics; a metre of it
 defocuses the image and moves all that is in it. The curvature of the echoes over the path tells it.
@@ -7,33 +8,59 @@ defocuses the image and moves all that is in it. The curvature of the echoes ove
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tagid.errors import UsageError
 from tagid.imaging.backprojection import upsample_at_carrier
+from tagid.imaging.pointmodel import needed_evidence
 from tagid.imaging.preprocess import select_views
 from tagid.imaging.types import BasebandScans
 
 Floats = NDArray[np.float64]
 
-MAX_SEARCH_M = 2.0
-MIN_CONTRAST = 1.6
-"""Focus measure over the median of the search below which nothing is told about the delay. With noise alone,
-and with a path too short or too far to see curvature, it stays under 1.3. Two reflectors on a straight rail
-of 3.4 m have 9 and more, on one that bends by a few centimetres 2 and more: there the mirror image of each,
-on the other side of the path, comes into focus at another delay."""
+SEARCH_WAVELENGTHS = 13.18
+"""Half width of the search where none is given: 1 m for a P440, a few metres of cable."""
+MAX_SEARCH_WAVELENGTHS = 2.001 * SEARCH_WAVELENGTHS
+
+LEAST_CONTRAST = 2.5
+"""Power of an echo at its best delay over the median of the search; an echo with less comes into focus
+nowhere. Of noise alone, the largest of some 10^5 trials is 1.9 times the median of the largest of 350."""
+LEAST_GHOST_RATIO = 1.05
+"""Measure of the best delay over that of a rival which is the mirror image on the other side of the path. The
+geometry alone makes the difference, and all pieces have it alike."""
+MOST_SIGMA_WAVELENGTHS = 1 / 8
+"""Largest jackknife error of a delay that is taken."""
+PIECES = 10
+"""Pieces of the path that are asked whether they agree."""
+_LOBE = 0.5
+_LEAST_AGREEING = 1.5
 
 _VIEWS = 200
 _POINTS = 6
-_POINT_FLOOR = 0.2
-"""Echoes weaker than this part of the strongest are left out of the search."""
-_COARSE_M, _FINE_M = 0.02, 0.004
-"""Steps in range of the places that an echo may have, for the search and at its end. A delay can in part be
-taken for a change of range, so that places too far apart would draw the delay to them."""
+_POINT_FLOOR = 0.1
+"""Echoes weaker than this part of the strongest are left out of the search. What is left of the leakage is
+often the strongest, and comes into focus at no delay."""
+_SHOWN_FLOOR = 0.25
+"""Focused echoes weaker than this part of the strongest are left out of the result: what is left of a mirror
+image has up to a fifth."""
+_COARSE, _FINE = 0.2635, 0.0527
+"""Steps in range of the places that an echo may have, for the search and at its end, in wavelengths (20 and 4
+mm for a P440). A delay can in part be taken for a change of range, so that places too far apart would draw
+the delay to them."""
 _MIRROR_FLOOR = 0.9
 """An echo weaker than this part of the one at its mirror place is its image, not another reflector."""
+_SPOT_WAVELENGTHS = 1.976
+"""Echoes nearer in range than this (15 cm for a P440, one and a half range resolutions) are one."""
+_ALONG_WAVELENGTHS = 0.79
+"""Half width of the places tried along an echo's bearing: the range envelope."""
+_STRAIGHT_WAVELENGTHS = 0.02635
+"""A path is straight where it lies within this of a line, rms: 2 mm for a P440, a phase of a third of a
+radian."""
+_NEAREST_WAVELENGTHS = 2.635
+"""Nearer than this (0.2 m for a P440) there is only leakage."""
 
 
 @dataclass(frozen=True)
@@ -55,78 +82,191 @@ class DelayFocus:
     """What the search for the path delay found.
 
     Attributes:
-        delay_m: one-way metres that the scans' ranges were too long by, and that were taken off.
+        delay_m: one-way metres that were subtracted from the scans' ranges; 0 where nothing was.
         contrast: focus measure at the best delay over its median in the search.
-        reliable: the best lies inside the search and stands out; only then is it taken.
+        reliable: the best lies inside the search and the pieces of the path agree on it; only then is it
+            taken.
         points: the strong echoes, strongest first, at the delay taken.
+        best_m: the best guess, m, taken or not; None where there was no search.
+        evidence: how far the focus measure of the best delay is above that of the best rival outside its
+            lobe, in jackknife standard errors over pieces of the path; `needed_evidence(PIECES)` is needed.
+        reason: why it was not taken; empty where it was.
+        sigma_m: standard error by the jackknife over pieces of the path, m; nan where not known.
     """
 
     delay_m: float
     contrast: float
     reliable: bool
     points: tuple[EchoPoint, ...] = ()
+    best_m: float | None = None
+    evidence: float = 0.0
+    reason: str = ""
+    sigma_m: float = float("nan")
+
+    @property
+    def needed(self) -> float:
+        """Evidence that a delay needs to be taken."""
+        return needed_evidence(PIECES)
+
+    def facts(self) -> dict[str, Any]:
+        """Plain JSON values."""
+        return {
+            "taken": self.reliable,
+            "used_m": self.delay_m,
+            "best_guess_m": self.best_m,
+            "evidence": self.evidence,
+            "sigma_m": self.sigma_m if np.isfinite(self.sigma_m) else None,
+            "evidence_needed": needed_evidence(PIECES),
+            "contrast": self.contrast,
+            "reason": self.reason,
+        }
+
+
+def search_range_m(wavelength_m: float) -> float:
+    """Half width of the search for the path delay, one-way m."""
+    return SEARCH_WAVELENGTHS * wavelength_m
 
 
 def focus_delay(
-    scans: BasebandScans, search_m: float = 1.0, towards: tuple[float, float] = (0.0, 0.0)
+    scans: BasebandScans, search_m: float | None = None, towards: tuple[float, float] = (0.0, 0.0)
 ) -> tuple[BasebandScans, DelayFocus]:
-    """The same scans with the path delay taken off their ranges.
+    """The same scans with the path delay subtracted from their ranges, or unchanged where they do not tell
+    it.
 
     A short piece of the path about its middle tells range and bearing of the strongest echoes whatever the
-    delay is. Moved along its bearing by a trial delay, each echo is focused with the whole path; the measure
-    is the sum over echoes of the largest |f|^2 near it, f = 1/V sum_v z_v(d_v + delay) exp(2jk d_v). It is
-    searched in steps that the path's angles ask for, then twice in finer ones with a parabola at the end.
+    delay is. Moved along its bearing by a trial delay, each echo is focused with the whole path at the place
+    near it where |f|^2 is largest, f = 1/V sum_v z_v(d_v + delay) exp(2jk d_v). The delay is searched in
+    steps that the path's angles ask for, then twice in finer ones with a parabola at the end.
+
+    Only echoes that come into focus count (`LEAST_CONTRAST`): what is left of the leakage is often the
+    strongest and as strong at every delay. The best delay is taken only if it lies inside the search, stands
+    above every rival (`needed_evidence`) and stays where it is when pieces of the path are left out
+    (`MOST_SIGMA_WAVELENGTHS`).
 
     Args:
         scans: baseband scans of free antenna positions that hold the object at every delay of the search.
-        search_m: half width of the search, one-way m, at most 2.
+        search_m: half width of the search, one-way m; None: `search_range_m`.
         towards: a point (x, y) on the side of a straight path that matters, m; the other side mirrors it.
 
     Returns:
         The scans, their ranges corrected where the result is reliable, and what was found.
 
     Raises:
-        UsageError: search_m is not between 0 and 2 m.
+        UsageError: search_m is not between 0 and `MAX_SEARCH_WAVELENGTHS`.
     """
-    if not 0 < search_m <= MAX_SEARCH_M:
-        raise UsageError(f"the delay search is +-{search_m} m", f"Give up to {MAX_SEARCH_M:g} m.")
-    stride = max(1, scans.aperture.views // _VIEWS)
-    few = select_views(scans, slice(None, None, stride))
+    lam = scans.wavelength_m
+    search_m = search_range_m(lam) if search_m is None else search_m
+    if not 0 < search_m <= MAX_SEARCH_WAVELENGTHS * lam:
+        most = MAX_SEARCH_WAVELENGTHS * lam
+        raise UsageError(f"the delay search is +-{search_m} m", f"Give up to {most:.3g} m.")
+    few = _thinned(scans)
     reference, echoes = _strong_echoes(scans, towards)
     if not len(echoes):
-        return scans, DelayFocus(0.0, 1.0, False)
+        return scans, DelayFocus(0.0, 1.0, False, reason="there is no echo")
     step = _delay_step(few, reference, echoes)
     delays = np.linspace(-search_m, search_m, 2 * int(np.ceil(search_m / step)) + 1)
-    measure, _ = _measure(few, reference, echoes, delays)
+    tried = _measure(few, reference, echoes, delays, _COARSE * lam)
+    counted = tried.responding()
+    measure = tried.power @ (counted if counted.any() else np.ones(len(echoes)))
     best = int(np.argmax(measure))
     contrast = float(measure[best] / max(float(np.median(measure)), 1e-30))
-    if not 0 < best < len(delays) - 1 or contrast < MIN_CONTRAST:
-        _, points = _measure(few, reference, echoes, np.zeros(1))
-        return scans, DelayFocus(0.0, contrast, False, _strongest_first(points))
-    delay, width = float(delays[best]), float(delays[1] - delays[0])
-    for around in (width, width / 3):
-        near = delay + around * np.linspace(-1, 1, 13)
-        power, _ = _measure(few, reference, echoes, near, _FINE_M)
-        delay = _vertex(near, power)
-        _, points = _measure(few, reference, echoes, np.array([delay]), _FINE_M)
-        real = _real(points, few.aperture.positions, echoes)
-        points, echoes = tuple(points[i] for i in real), echoes[real]
-    corrected = replace(scans, range_start_m=scans.range_start_m - delay)
-    return corrected, DelayFocus(delay, contrast, True, _strongest_first(points))
+    width = float(delays[1] - delays[0])
+    guess = float(delays[best])
+    if not counted.any():
+        reason = "no echo comes into focus at one delay more than at others"
+        return scans, _not_taken(
+            few, reference, echoes, DelayFocus(0.0, contrast, False, (), guess, 0.0, reason)
+        )
+    focused = echoes[counted > 0]
+    # Between the steps a peak may be higher than at any of them: both are compared at their tops.
+    around = width * np.linspace(-1, 1, 5)
+    top, evidence, ghost = _measure(few, reference, focused, guess + around, _FINE * lam), np.inf, False
+    rival = _rival(measure, best)
+    if rival is not None:
+        other = _measure(few, reference, focused, float(delays[rival]) + around, _FINE * lam)
+        if other.power.sum(axis=1).max() > top.power.sum(axis=1).max():
+            top, other, guess = other, top, float(delays[rival])
+        better = top.without().max(axis=1) - other.without().max(axis=1)
+        evidence = float(better.mean() / max(_spread(better), 1e-30))
+        ratio = top.power.sum(axis=1).max() / other.power.sum(axis=1).max()
+        ghost = bool((top.sides() != other.sides()).any()) and ratio >= LEAST_GHOST_RATIO
+    reason = ""
+    if not abs(guess) < search_m * 0.999:
+        reason = "the best delay is at the edge of the search"
+    elif not (evidence >= needed_evidence(PIECES) or ghost):
+        reason = "the pieces of the path do not agree on one delay"
+    delay, sigma = guess, float("nan")
+    for near in () if reason else (width, width / 3):
+        fine = _measure(few, reference, focused, delay + near * np.linspace(-1, 1, 13), _FINE * lam)
+        sigma = _spread(np.array([_vertex(delay + near * np.linspace(-1, 1, 13), m) for m in fine.without()]))
+        delay = _vertex(delay + near * np.linspace(-1, 1, 13), fine.power.sum(axis=1))
+        kept = _measure(few, reference, focused, np.array([delay]), _FINE * lam).points
+        focused = focused[_real(kept, few.aperture.positions, focused, lam)]
+    if not reason and not sigma <= MOST_SIGMA_WAVELENGTHS * lam:
+        reason = "the pieces of the path give different delays"
+    if reason:
+        found = DelayFocus(0.0, contrast, False, (), delay, evidence, reason, sigma)
+        return scans, _not_taken(few, reference, echoes, found)
+    shown = echoes[tried.agreeing(int(np.argmin(np.abs(delays - guess))))]
+    points = _measure(few, reference, shown, np.array([delay]), _FINE * lam).points
+    points = tuple(points[i] for i in _real(points, few.aperture.positions, shown, lam))
+    found = DelayFocus(delay, contrast, True, _strongest_first(points), delay, evidence, "", sigma)
+    return replace(scans, range_start_m=scans.range_start_m - delay), found
+
+
+def _rival(measure: Floats, best: int) -> int | None:
+    """The best delay outside the lobe about the best one; None where there is no other."""
+    lobe = measure >= _LOBE * measure[best]
+    first, last = best, best
+    while first > 0 and lobe[first - 1]:
+        first -= 1
+    while last < len(measure) - 1 and lobe[last + 1]:
+        last += 1
+    outside = measure.copy()
+    outside[first : last + 1] = -np.inf
+    rival = int(np.argmax(outside))
+    return rival if np.isfinite(outside[rival]) else None
+
+
+def _not_taken(few: BasebandScans, reference: Floats, echoes: Floats, found: DelayFocus) -> DelayFocus:
+    """The result with the places of the echoes at the ranges as given."""
+    points = _measure(few, reference, echoes, np.zeros(1), _COARSE * few.wavelength_m).points
+    return replace(found, points=_strongest_first(points))
+
+
+def find_echoes(scans: BasebandScans, towards: tuple[float, float] = (0.0, 0.0)) -> tuple[EchoPoint, ...]:
+    """Places of the strong echoes with the ranges as they are, strongest first.
+
+    Args:
+        scans, towards: see `focus_delay`.
+    """
+    reference, echoes = _strong_echoes(scans, towards)
+    if not len(echoes):
+        return ()
+    few, lam = _thinned(scans), scans.wavelength_m
+    points = _measure(few, reference, echoes, np.zeros(1), _FINE * lam).points
+    return _strongest_first(tuple(points[i] for i in _real(points, few.aperture.positions, echoes, lam)))
+
+
+def _thinned(scans: BasebandScans) -> BasebandScans:
+    return select_views(scans, slice(None, None, max(1, scans.aperture.views // _VIEWS)))
 
 
 def _strongest_first(points: tuple[EchoPoint, ...]) -> tuple[EchoPoint, ...]:
-    return tuple(sorted(points, key=lambda p: -p.amplitude))
+    top = max((p.amplitude for p in points), default=0.0)
+    kept = [p for p in points if p.amplitude >= _SHOWN_FLOOR * top]
+    return tuple(sorted(kept, key=lambda p: -p.amplitude))
 
 
-def is_straight(positions: Floats) -> bool:
-    """True where the antenna positions (views, 3) lie above one line to within 2 mm rms across it.
+def is_straight(positions: Floats, wavelength_m: float) -> bool:
+    """True where the antenna positions (views, 3) lie above one line to within a fortieth of a wavelength,
+    rms.
 
     Heights do not count: from a path in one upright plane both sides of it look the same.
     """
     centred = positions[:, :2] - positions[:, :2].mean(axis=0)
     spread = np.linalg.svd(centred, compute_uv=False) / np.sqrt(len(positions))
-    return bool(len(positions) > 2 and spread[0] > 0 and spread[1] < 2e-3)
+    return bool(len(positions) > 2 and spread[0] > 0 and spread[1] < _STRAIGHT_WAVELENGTHS * wavelength_m)
 
 
 def _strong_echoes(scans: BasebandScans, towards: tuple[float, float]) -> tuple[Floats, Floats]:
@@ -137,21 +277,24 @@ def _strong_echoes(scans: BasebandScans, towards: tuple[float, float]) -> tuple[
     positions = scans.aperture.positions
     middle = len(positions) // 2
     reach = float(np.median(scans.ranges_m))
-    limit = np.sqrt(np.pi / scans.wavenumber * 2 * max(reach, 0.1)) / 2
+    lam = scans.wavelength_m
+    limit = np.sqrt(np.pi / scans.wavenumber * 2 * max(reach, _NEAREST_WAVELENGTHS / 2 * lam)) / 2
     piece = np.flatnonzero(np.linalg.norm(positions - positions[middle], axis=1) <= limit)
     centre = positions[piece].mean(axis=0)
-    length = max(float(np.ptp(positions[piece], axis=0).max()), 1e-3)
+    length = max(float(np.ptp(positions[piece], axis=0).max()), _STRAIGHT_WAVELENGTHS / 2 * lam)
     bearings = np.arange(0, 2 * np.pi, np.clip(np.pi / scans.wavenumber / (4 * length), 0.01, 0.1))
-    if is_straight(positions):
+    if is_straight(positions, lam):
         across = np.array(towards) - centre[:2]
         along = positions[-1, :2] - positions[0, :2]
         normal = across - along * (across @ along) / float(along @ along)
-        if np.linalg.norm(normal) < 1e-3:
+        if np.linalg.norm(normal) < _STRAIGHT_WAVELENGTHS * lam:
             normal = np.array([-along[1], along[0]]) * np.sign(along[0] or 1.0)
         facing = np.cos(bearings) * normal[0] + np.sin(bearings) * normal[1]
         bearings = bearings[facing > 0.1 * np.linalg.norm(normal)]
     fine, start, step = upsample_at_carrier(scans, piece)
-    ranges = np.arange(max(scans.ranges_m[0], 0.2), scans.ranges_m[-1], scans.range_step_m / 2)
+    ranges = np.arange(
+        max(scans.ranges_m[0], _NEAREST_WAVELENGTHS * lam), scans.ranges_m[-1], scans.range_step_m / 2
+    )
     x = centre[0] + np.outer(ranges, np.cos(bearings))
     y = centre[1] + np.outer(ranges, np.sin(bearings))
     image = np.zeros(x.shape, dtype=np.complex64)
@@ -159,11 +302,12 @@ def _strong_echoes(scans: BasebandScans, towards: tuple[float, float]) -> tuple[
         distance = np.sqrt((x - antenna[0]) ** 2 + (y - antenna[1]) ** 2 + antenna[2] ** 2)
         image += row[np.clip(np.rint((distance - start) / step), 0, len(row) - 1).astype(np.intp)]
     magnitude = np.abs(image) / len(piece)
-    return centre, _peaks(magnitude, ranges, bearings)
+    return centre, _peaks(magnitude, ranges, bearings, _SPOT_WAVELENGTHS * lam)
 
 
-def _peaks(magnitude: NDArray[np.floating], ranges: Floats, bearings: Floats) -> Floats:
-    """The strongest cells (n, 3) of (range, bearing), none within 15 cm and 0.15 rad of a stronger one."""
+def _peaks(magnitude: NDArray[np.floating], ranges: Floats, bearings: Floats, apart_m: float) -> Floats:
+    """The strongest cells (n, 3) of (range, bearing), none within that range and 0.15 rad of a stronger
+    one."""
     left = magnitude.astype(np.float64)
     top = float(left.max(initial=0.0))
     found: list[tuple[float, float, float]] = []
@@ -173,70 +317,136 @@ def _peaks(magnitude: NDArray[np.floating], ranges: Floats, bearings: Floats) ->
             break
         found.append((float(ranges[i]), float(bearings[j]), float(left[i, j])))
         turn = np.abs((bearings - bearings[j] + np.pi) % (2 * np.pi) - np.pi)
-        left[np.ix_(np.abs(ranges - ranges[i]) < 0.15, turn < 0.15)] = 0
+        left[np.ix_(np.abs(ranges - ranges[i]) < apart_m, turn < 0.15)] = 0
     return np.array(found, dtype=np.float64).reshape(-1, 3)
 
 
 def _delay_step(scans: BasebandScans, reference: Floats, echoes: Floats) -> float:
     """Step in delay that turns no view's phase by more than a quarter turn against the middle of the path."""
+    lam = scans.wavelength_m
     place = reference[:2] + echoes[:1, 0, None] * np.stack([np.cos(echoes[:1, 1]), np.sin(echoes[:1, 1])], 1)
     sight = np.append(place[0], 0.0) - scans.aperture.positions
     sight /= np.maximum(np.linalg.norm(sight, axis=1, keepdims=True), 1e-9)
     ahead = np.append(place[0], 0.0) - reference
     spread = float((1 - sight @ (ahead / np.linalg.norm(ahead))).max())
-    return float(np.clip(np.pi / 4 / (scans.wavenumber * max(spread, 1e-6)), 0.004, 0.03))
+    return float(np.clip(np.pi / 4 / (scans.wavenumber * max(spread, 1e-6)), 0.0527 * lam, 0.395 * lam))
+
+
+@dataclass(frozen=True, eq=False)
+class _Measure:
+    """How well the echoes come into focus.
+
+    Attributes:
+        power: (delays, echoes) |f|^2 at the best place.
+        sums: (pieces, delays, echoes, places) sum over the views of a piece of the path.
+        points: the places at the last delay.
+        pairs: echoes that mirror each other.
+    """
+
+    power: Floats
+    sums: NDArray[np.complex64]
+    points: tuple[EchoPoint, ...]
+    pairs: list[tuple[int, int]]
+
+    def responding(self) -> Floats:
+        """(echoes,) 1 where the echo comes into focus somewhere in the search, 0 where no delay makes a
+        difference."""
+        middle = np.maximum(np.median(self.power, axis=0), 1e-30)
+        found = self.power.max(axis=0) / middle >= LEAST_CONTRAST
+        for i, j in self.pairs:
+            found[j] = found[i]
+        return np.asarray(found, dtype=np.float64)
+
+    def agreeing(self, best: int) -> NDArray[np.bool_]:
+        """(echoes,) True where the echo comes into focus at this delay, if less clearly than those that
+        count."""
+        middle = np.maximum(np.median(self.power, axis=0), 1e-30)
+        top = self.power.max(axis=0)
+        found = (top >= _LEAST_AGREEING * middle) & (self.power[best] >= _LOBE * top)
+        for i, j in self.pairs:
+            found[j] = found[i]
+        return np.asarray(found | (self.responding() > 0), dtype=bool)
+
+    def sides(self) -> NDArray[np.bool_]:
+        """(pairs,) whether the first of two that mirror each other is the brighter at the best delay."""
+        raw = (np.abs(self.sums.sum(axis=0)) ** 2).max(axis=2)[int(np.argmax(self.power.sum(axis=1)))]
+        return np.array([raw[i] >= raw[j] for i, j in self.pairs], dtype=bool)
+
+    def without(self) -> Floats:
+        """(pieces, delays) sum over the echoes of |f|^2 at the best place, one piece of the path left out."""
+        total = self.sums.sum(axis=0)
+        each = np.array([(np.abs(total - s) ** 2).max(axis=2) for s in self.sums], dtype=np.float64)
+        return np.asarray(_brighter(each, self.pairs).sum(axis=2), dtype=np.float64)
+
+
+def _spread(values: Floats) -> float:
+    """Jackknife standard error of a figure from its values with one piece left out."""
+    count = len(values)
+    return float(np.sqrt((count - 1) / count * ((values - values.mean()) ** 2).sum()))
 
 
 def _measure(
-    scans: BasebandScans, reference: Floats, echoes: Floats, delays: Floats, step_m: float = _COARSE_M
-) -> tuple[Floats, tuple[EchoPoint, ...]]:
-    """Focus measure (delays,), and the focused echoes at the last delay.
-
-    Places of an echo are tried `step_m` apart along its bearing.
-    """
+    scans: BasebandScans, reference: Floats, echoes: Floats, delays: Floats, step_m: float
+) -> _Measure:
+    """Focus of the echoes at the delays; places of an echo are tried `step_m` apart along its bearing."""
+    lam = scans.wavelength_m
     spread = np.ptp(scans.aperture.positions, axis=0).max()
     # As fine as the whole path resolves, as wide as the short piece leaves open.
-    d_bearing = np.clip(np.pi / scans.wavenumber / (4 * max(spread, 0.05)), 2e-3, 0.05)
-    d_bearing *= min(1.0, 2 * step_m / _COARSE_M)
+    d_bearing = np.clip(np.pi / scans.wavenumber / (4 * max(spread, 0.66 * lam)), 2e-3, 0.05)
+    d_bearing *= min(1.0, 2 * step_m / (_COARSE * lam))
     bearing = np.arange(-0.05, 0.05 + d_bearing / 2, d_bearing)
-    along = np.arange(-0.06, 0.06 + step_m / 2, step_m)
+    reach = _ALONG_WAVELENGTHS * lam
+    along = np.arange(-reach, reach + step_m / 2, step_m)
     fine, start, step = upsample_at_carrier(scans, slice(None))
     radius = echoes[None, :, None, None, 0] - delays[:, None, None, None] + along[None, None, :, None]
     angle = echoes[None, :, None, None, 1] + bearing[None, None, None, :]
-    radius = np.maximum(radius, 0.05)
-    x = reference[0] + radius * np.cos(angle)
-    y = reference[1] + radius * np.sin(angle)
-    image = np.zeros(x.shape, dtype=np.complex64)
-    carrier = np.exp(-2j * scans.wavenumber * delays).astype(np.complex64)[:, None, None, None]
-    for row, antenna in zip(fine, scans.aperture.positions, strict=True):
-        distance = np.sqrt((x - antenna[0]) ** 2 + (y - antenna[1]) ** 2 + antenna[2] ** 2)
-        label = (distance + delays[:, None, None, None] - start) / step
-        image += row[np.clip(np.rint(label), 0, len(row) - 1).astype(np.intp)]
-    power = np.abs(image * carrier / len(fine)) ** 2
-    flat = power.reshape(len(delays), len(echoes), -1)
-    strongest = flat.argmax(axis=2)[-1]
+    radius = np.maximum(radius, 0.66 * lam)
+    x = (reference[0] + radius * np.cos(angle)).astype(np.float32)
+    y = (reference[1] + radius * np.sin(angle)).astype(np.float32)
+    views = len(fine)
+    pieces = min(PIECES, views)
+    sums = np.zeros((pieces, *x.shape), dtype=np.complex64)
+    shift = ((delays[:, None, None, None] - start) / step).astype(np.float32)
+    for v, (row, antenna) in enumerate(zip(fine, scans.aperture.positions, strict=True)):
+        distance = np.sqrt(
+            (x - np.float32(antenna[0])) ** 2
+            + (y - np.float32(antenna[1])) ** 2
+            + np.float32(antenna[2] ** 2)
+        )
+        label = distance / np.float32(step) + shift
+        sums[v * pieces // views] += row[np.clip(np.rint(label), 0, len(row) - 1).astype(np.int32)]
+    shape = (len(delays), len(echoes), -1)
+    power = (np.abs(sums.sum(axis=0) / views) ** 2).reshape(shape)
+    strongest = power.argmax(axis=2)
     points = tuple(
-        EchoPoint(float(x[-1, i].ravel()[at]), float(y[-1, i].ravel()[at]), float(np.sqrt(flat[-1, i, at])))
-        for i, at in enumerate(strongest)
+        EchoPoint(float(x[-1, i].ravel()[k]), float(y[-1, i].ravel()[k]), float(np.sqrt(power[-1, i, k])))
+        for i, k in enumerate(strongest[-1])
     )
-    best = flat.max(axis=2)
-    for i, j in _mirrors(scans.aperture.positions, echoes):
-        # One of the two is the other's image, and comes into focus at another delay: count what is brighter.
-        best[:, i], best[:, j] = np.maximum(best[:, i], best[:, j]), 0
-    return best.sum(axis=1), points
+    best = np.take_along_axis(power, strongest[..., None], axis=2)[..., 0].astype(np.float64)
+    pairs = _mirrors(scans.aperture.positions, echoes, lam)
+    return _Measure(_brighter(best, pairs), sums.reshape(pieces, *shape), points, pairs)
 
 
-def _real(points: tuple[EchoPoint, ...], positions: Floats, echoes: Floats) -> list[int]:
+def _brighter(power: Floats, pairs: list[tuple[int, int]]) -> Floats:
+    """Power (..., echoes) in which of two that mirror each other only the brighter counts: one is the image
+    of the other and comes into focus at another delay."""
+    out = power.copy()
+    for i, j in pairs:
+        out[..., i], out[..., j] = np.maximum(out[..., i], out[..., j]), 0
+    return out
+
+
+def _real(points: tuple[EchoPoint, ...], positions: Floats, echoes: Floats, lam: float) -> list[int]:
     """Which of the focused echoes are no mirror image of a stronger one."""
     kept = set(range(len(points)))
-    for i, j in _mirrors(positions, echoes):
+    for i, j in _mirrors(positions, echoes, lam):
         strong, weak = (i, j) if points[i].amplitude >= points[j].amplitude else (j, i)
         if points[weak].amplitude < _MIRROR_FLOOR * points[strong].amplitude:
             kept.discard(weak)
     return sorted(kept)
 
 
-def _mirrors(positions: Floats, echoes: Floats) -> list[tuple[int, int]]:
+def _mirrors(positions: Floats, echoes: Floats, lam: float) -> list[tuple[int, int]]:
     """Pairs of echoes of one range whose bearings mirror each other about the path near its middle."""
     middle = len(positions) // 2
     near = positions[max(0, middle - len(positions) // 10) : middle + len(positions) // 10 + 1, :2]
@@ -246,7 +456,7 @@ def _mirrors(positions: Floats, echoes: Floats) -> list[tuple[int, int]]:
     for i in range(len(echoes)):
         for j in range(i + 1, len(echoes)):
             off = (echoes[i, 1] + echoes[j, 1] - 2 * path + np.pi) % (2 * np.pi) - np.pi
-            if abs(off) < 0.2 and abs(echoes[i, 0] - echoes[j, 0]) < 0.15:
+            if abs(off) < 0.2 and abs(echoes[i, 0] - echoes[j, 0]) < _SPOT_WAVELENGTHS * lam:
                 pairs.append((i, j))
     return pairs
 

@@ -6,19 +6,26 @@ region come from the strongest echoes, or from the user.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from tagid.capture import Capture
 from tagid.geometry import ImageGrid
+from tagid.imaging.lengths import coarsest_pixel_m
 from tagid.imaging.preprocess import Background, PreprocessSettings, preprocess
-from tagid.imaging.rangefocus import DelayFocus, focus_delay, is_straight
+from tagid.imaging.rangefocus import (
+    DelayFocus,
+    EchoPoint,
+    find_echoes,
+    focus_delay,
+    is_straight,
+    search_range_m,
+)
 
-COARSEST_PIXEL_M = 0.018
-"""Under a quarter of the P440's wavelength: a coarser pixel may fall between the ripples of a point."""
-
-_MARGIN_M = 0.4
+_MARGIN_RESOLUTIONS = 4.5
+"""Range resolutions (c / 2B) about the strong echoes: 0.4 m for a P440."""
 _MAX_PIXELS = 360
 
 
@@ -32,6 +39,7 @@ class Region:
         centre_m: (x, y) in the frame of the original positions, m.
         focus: result of the delay search; None where there was none.
         mirrored: the path is straight, so that what lies on one side shows on the other, too.
+        points: the strong echoes, strongest first, in the frame of the original positions.
     """
 
     capture: Capture
@@ -39,15 +47,17 @@ class Region:
     centre_m: tuple[float, float]
     focus: DelayFocus | None
     mirrored: bool
+    points: tuple[EchoPoint, ...] = ()
 
 
 def choose_region(
     capture: Capture,
     grid: ImageGrid,
     centre_m: tuple[float, float] | None,
-    search_m: float = 1.0,
+    search_m: float | None = None,
     background: Background = "mean",
     free: tuple[bool, bool] = (False, False),
+    towards_m: tuple[float, float] | None = None,
 ) -> Region:
     """Delay and region of a capture of free antenna positions.
 
@@ -56,49 +66,67 @@ def choose_region(
         grid: size wanted.
         centre_m: (x, y) of the image's middle, m; None is the origin where the strongest echo lies in the
             grid about it, and else the middle of all strong echoes.
-        search_m: half width of the delay search, one-way m; 0 takes the ranges as given.
+        search_m: half width of the delay search, one-way m; 0 takes the ranges as given, None: as wide as
+            `rangefocus.search_range_m`.
         background: as in `PreprocessSettings`.
         free: whether extent and pixels may be changed to hold the echoes and to resolve their ripples.
+        towards_m: a point (x, y) on the side of a straight path that is wanted, m; None: the image's centre,
+            or the origin.
 
     Raises:
         DataError: as `preprocess`. UsageError: the search is too wide.
     """
     positions = capture.antenna_positions_m
     assert positions is not None
-    towards = centre_m or (0.0, 0.0)
+    lam = capture.wavelength_m
+    search_m = search_range_m(lam) if search_m is None else search_m
+    towards = towards_m or centre_m or (0.0, 0.0)
     focus: DelayFocus | None = None
-    if search_m > 0:
+    points: tuple[EchoPoint, ...] = ()
+    if search_m > 0 or centre_m is None:
         # Everything within the range window, as the delay is not known yet.
         middle = np.array([*positions.mean(axis=0)[:2], 0.0])
         reach = float(capture.ranges_m[-1]) + search_m
-        wide = PreprocessSettings(background, True, extent_m=min(100.0, 2 * reach), margin_m=search_m + 0.1)
+        wide = PreprocessSettings(background, True, extent_m=2 * reach, margin_m=search_m + 1.3 * lam)
         scans = preprocess(replace(capture, antenna_positions_m=positions - middle), settings=wide)
         there = (towards[0] - float(middle[0]), towards[1] - float(middle[1]))
-        _, focus = focus_delay(scans, search_m, there)
-        points = tuple(
-            replace(p, x_m=p.x_m + float(middle[0]), y_m=p.y_m + float(middle[1])) for p in focus.points
-        )
-        focus = replace(focus, points=points)
-        if focus.reliable:
-            capture = replace(capture, range_start_m=capture.range_start_m - focus.delay_m)
+        if search_m > 0:
+            _, focus = focus_delay(scans, search_m, there)
+            points = focus.points
+        else:
+            points = find_echoes(scans, there)
+        points = tuple(replace(p, x_m=p.x_m + float(middle[0]), y_m=p.y_m + float(middle[1])) for p in points)
+        if focus is not None:
+            focus = replace(focus, points=points)
+            if focus.reliable:
+                capture = replace(capture, range_start_m=capture.range_start_m - focus.delay_m)
     extent = grid.extent
     if centre_m is None:
-        centre_m, extent = _about_echoes(focus, grid.extent, free[0])
+        margin = _MARGIN_RESOLUTIONS * capture.wave_speed_m_s / (2 * capture.bandwidth_hz)
+        centre_m, extent = _about_echoes(points, grid.extent, free[0], margin)
     pixels = grid.pixels
     if free[1]:
-        pixels = int(np.clip(np.ceil(extent / COARSEST_PIXEL_M), pixels, max(pixels, _MAX_PIXELS)))
+        pixels = int(np.clip(np.ceil(extent / coarsest_pixel_m(lam)), pixels, max(pixels, _MAX_PIXELS)))
     grid = ImageGrid(extent, pixels)
     shift = np.array([*centre_m, 0.0])
     seen = replace(capture, antenna_positions_m=positions - shift)
-    return Region(seen, grid, centre_m, focus, is_straight(positions))
+    return Region(seen, grid, centre_m, focus, is_straight(positions, lam), points)
 
 
-def _about_echoes(focus: DelayFocus | None, extent: float, free: bool) -> tuple[tuple[float, float], float]:
+def _about_echoes(
+    points: tuple[EchoPoint, ...], extent: float, free: bool, margin_m: float
+) -> tuple[tuple[float, float], float]:
     """Middle and side of a square with the strong echoes; the one about the origin where it has the first."""
-    points = focus.points if focus is not None else ()
     if not points or max(abs(points[0].x_m), abs(points[0].y_m)) < extent / 2:
         return (0.0, 0.0), extent
+    if not free:
+        # A square of given size about the middle of far echoes would show none of them.
+        points = tuple(
+            p for p in points if max(abs(p.x_m - points[0].x_m), abs(p.y_m - points[0].y_m)) < extent / 2
+        )
     x, y = [p.x_m for p in points], [p.y_m for p in points]
-    centre = (round((max(x) + min(x)) / 2, 2), round((max(y) + min(y)) / 2, 2))
-    wide = max(max(x) - min(x), max(y) - min(y)) + 2 * _MARGIN_M
-    return centre, round(min(wide, 100.0), 2) if free else extent
+    wide = max(max(x) - min(x), max(y) - min(y)) + 2 * margin_m
+    # Short numbers, fine beside the margin whatever the wavelength.
+    digits = max(0, 1 - math.floor(math.log10(margin_m)))
+    centre = (round((max(x) + min(x)) / 2, digits), round((max(y) + min(y)) / 2, digits))
+    return centre, round(wide, digits) if free else extent

@@ -53,9 +53,12 @@ class BasebandScans:
         carrier_hz: frequency that was mixed to zero, Hz.
         response: range response of a unit point.
         aperture: where the antenna stood, one position a view.
+        wave_speed_m_s: speed of the wave in the medium, m/s.
+        center_hz: middle of the pulse's band, Hz, which sets the lengths of imaging; the carrier is the
+            nearest bin of a Fourier transform. None: the carrier.
         noise_std: estimated standard deviation of the complex noise of one sample, 0 where unknown.
-        background_removed: the mean (or median) over the views was taken off, and with it what the scene has
-            of one.
+        background_removed: the mean (or median) over the views was subtracted, and with it the mean echo of
+            the scene.
         independent_samples: n of `reading`: views * bins * bandwidth / sampling rate.
     """
 
@@ -68,11 +71,18 @@ class BasebandScans:
     noise_std: float = 0.0
     independent_samples: float = 0.0
     background_removed: bool = False
+    wave_speed_m_s: float = SPEED_OF_LIGHT
+    center_hz: float | None = None
 
     @property
     def wavenumber(self) -> float:
         """k of the carrier, rad/m (one way)."""
-        return 2 * np.pi * self.carrier_hz / SPEED_OF_LIGHT
+        return 2 * np.pi * self.carrier_hz / self.wave_speed_m_s
+
+    @property
+    def wavelength_m(self) -> float:
+        """Wavelength of the middle of the band in the medium, m."""
+        return self.wave_speed_m_s / (self.center_hz or self.carrier_hz)
 
     @property
     def ranges_m(self) -> NDArray[np.float64]:

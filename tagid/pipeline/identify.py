@@ -106,8 +106,8 @@ def sight_reflectors(capture: Capture, name: str, settings: ImagingSettings | No
 
     prepared = PreparedCapture(capture, settings)
     settings = prepared.settings
-    scans = prepared.scans(settings.preprocessing_for_focus(matched_filter=False))
-    if settings.focus_m > 0 and scans.aperture.angles is not None:
+    scans = prepared.scans(settings.preprocessing_for_focus(capture, matched_filter=False))
+    if settings.focus_m != 0 and scans.aperture.angles is not None:
         grid = ImageGrid(settings.extent_m, settings.pixels)
         scans, _ = focus_axis_distance(scans, grid, settings.focus_m)
     radius = float(np.clip(settings.extent_m / 2 - 0.01, SEARCHED_M, MOST_SEARCHED_M))

@@ -45,6 +45,7 @@ class LoadSettings:
         motion_is_default: whether `motion` is only the built-in default; a capture's own URL then wins.
         as_recorded: keep the angles of a capture, even where the command line names the motion: it was
             recorded with this very motion.
+        wave_speed_m_s: replaces the wave speed of the capture, m/s.
         reference: recording of the empty scene to subtract; None where none is wanted.
     """
 
@@ -55,6 +56,7 @@ class LoadSettings:
     motion: Default = Default("free")
     motion_is_default: bool = True
     as_recorded: bool = False
+    wave_speed_m_s: float | None = None
     reference: Capture | None = None
 
     @classmethod
@@ -83,7 +85,7 @@ class LoadSettings:
             default("motion.url"),
             config.values["motion.url"].source == "default",
             as_recorded,
-            _reference(config) if background == "reference" else None,
+            reference=_reference(config) if background == "reference" else None,
         )
 
     def described(self) -> dict[str, Any]:
@@ -100,6 +102,7 @@ class LoadSettings:
             },
             "cable_delay_ps": self.cable_delay_ps,
             "node": self.node,
+            "wave_speed_m_s": self.wave_speed_m_s,
             "reference_uuid": None if self.reference is None else self.reference.uuid,
         }
 
@@ -142,6 +145,8 @@ def load_capture(source: Path | Capture, settings: LoadSettings | None = None, t
         capture = replace(capture, axis_distance_m=distance.value)
     if height.overrides:
         capture = replace(capture, antenna_height_m=height.value)
+    if settings.wave_speed_m_s is not None:
+        capture = replace(capture, wave_speed_m_s=settings.wave_speed_m_s)
     if settings.reference is not None:
         capture = without_background(capture, settings.reference)
     return prepare(capture, settings.motion_for(capture)) if turn else capture

@@ -66,7 +66,7 @@ def make_image(
         scans: preprocessed as the method's `MethodInfo` says.
         grid: pixels about the origin.
         method: a key of `METHODS`.
-        seed: of everything random.
+        seed: random seed.
         preset: "field" or "paper", for ats.
         progress: called while the slow ones run.
         ats: how ats with the preset "field" fits; its seed is the one above.
@@ -101,6 +101,6 @@ def make_image(
         from tagid.imaging.ats.fit_paper import PaperSettings, fit_paper
 
         return fit_paper(scans, grid, PaperSettings(seed=seed), steps)
-    from tagid.imaging.ats.fit import fit
+    from tagid.imaging.ats.adapt import fit_adapted
 
-    return fit(scans, grid, replace(ats or AtsSettings(), seed=seed), steps).image
+    return fit_adapted(scans, grid, replace(ats or AtsSettings(), seed=seed), steps).image

@@ -11,15 +11,20 @@ from tagid import __version__
 from tagid.capture import Capture
 from tagid.errors import UsageError
 from tagid.geometry import ImageGrid
+from tagid.imaging.ats.adapt import CANDIDATES
+from tagid.imaging.ats.fit import LEAST_HELD_OUT, fit
 from tagid.imaging.autofocus import AxisFocus, focus_axis_distance
+from tagid.imaging.bandcheck import band_warning
+from tagid.imaging.heldout import HeldOut, check
+from tagid.imaging.lengths import finest_cell_m
 from tagid.imaging.pulsefit import PulseEstimate
 from tagid.imaging.region import Region, choose_region
 from tagid.imaging.restore import restore
-from tagid.imaging.types import Image
+from tagid.imaging.types import BasebandScans, Image
 from tagid.pipeline.methods import METHODS as IMAGING_METHODS
 from tagid.pipeline.methods import make_image
 from tagid.pipeline.prepared import PreparedCapture, as_prepared
-from tagid.pipeline.settings import ImagingSettings, Progress, Stopwatch
+from tagid.pipeline.settings import MOST_FREE_PIXELS, ImagingSettings, Progress, Stopwatch
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,21 +81,33 @@ def reconstruct(
                 settings.delay_m,
                 settings.background,
                 settings.free_size,
+                settings.towards_m,
             )
         grid = region.grid
         settings = replace(settings, extent_m=grid.extent, pixels=grid.pixels)
         prepared = PreparedCapture(region.capture, settings)
     elif settings.centre_m is not None:
         raise UsageError(
-            "an image of a turntable lies about its axis", "Leave --centre away, or give a larger --extent."
+            "images of a turntable are always centred on the rotation axis",
+            "Omit --centre, or give a larger --extent.",
         )
-    scans = prepared.scans(settings.preprocessing_for_focus(IMAGING_METHODS[method].matched_filter))
+    elif settings.free_size[1]:
+        finest = finest_cell_m(prepared.given.wavelength_m)
+        pixels = int(np.clip(np.ceil(grid.extent / finest), grid.pixels, max(grid.pixels, MOST_FREE_PIXELS)))
+        grid = ImageGrid(grid.extent, pixels)
+        settings = replace(settings, pixels=pixels)
+    _check_extent(prepared.given, grid)
+    matched = IMAGING_METHODS[method].matched_filter
+    scans = prepared.scans(settings.preprocessing_for_focus(prepared.given, matched))
     focus: AxisFocus | None = None
-    if settings.focus_m > 0 and scans.aperture.angles is not None:
+    if settings.focus_m != 0 and scans.aperture.angles is not None:
         with watch.stage("focus"):
             scans, focus = focus_axis_distance(scans, grid, settings.focus_m)
     with watch.stage("image"):
         image = make_image(scans, grid, method, settings.seed, settings.preset, progress, settings.ats)
+    with watch.stage("held out"):
+        predicted = _held_out(prepared, scans, grid, method, settings, image)
+    with watch.stage("image"):
         if settings.restore and IMAGING_METHODS[method].sparse and settings.preset != "paper":
             image = restore(image, scans.wavenumber)
     facts: dict[str, Any] = {
@@ -99,7 +116,17 @@ def reconstruct(
         "views": scans.aperture.views,
         "axis_distance_m": scans.aperture.axis_distance,
         "background": settings.background,
+        "wavelength_m": scans.wavelength_m,
     }
+    if focus is not None:
+        facts["focus"] = focus.facts()
+    elif region is not None and region.focus is not None:
+        facts["focus"] = region.focus.facts()
+    warning = band_warning(prepared.given)
+    if warning:
+        facts["warnings"] = [warning]
+    if predicted is not None:
+        facts["held_out"] = predicted.facts()
     learned = image.settings.get("calibration", {}).get("axis")
     if learned:
         facts["axis_distance_m"] = learned["distance_m"]
@@ -114,6 +141,57 @@ def reconstruct(
     return Reconstruction(
         image, method, focus, scans.aperture.views, seconds, region, prepared.pulse_estimate
     )
+
+
+_NO_PREDICTION = ("range-doppler",)
+"""Methods whose image has no phase, and predicts no scan."""
+
+
+def _held_out(
+    prepared: PreparedCapture,
+    scans: BasebandScans,
+    grid: ImageGrid,
+    method: str,
+    settings: ImagingSettings,
+    made: Image,
+) -> HeldOut | None:
+    """Prediction of unseen views by this method, with the priors that the image was made with."""
+    if settings.preset == "paper" or method in _NO_PREDICTION or not settings.held_out:
+        return None
+    unfiltered = scans
+    if IMAGING_METHODS[method].matched_filter:
+        plain = prepared.scans(settings.preprocessing_for_focus(prepared.given, matched_filter=False))
+        unfiltered = plain.with_aperture(scans.aperture)
+    if method in ("bp", "bp-raw"):
+        return check(scans, unfiltered, grid, None)
+    ats = replace(settings.ats, adapt=0, held_out=0.0, calibrate=())
+    changes = CANDIDATES.get(made.settings.get("prior", ""), {})
+    axis = made.settings.get("calibration", {}).get("axis")
+    if axis:
+        moved = scans.aperture.with_axis_distance(axis["distance_m"])
+        scans, unfiltered = scans.with_aperture(moved), unfiltered.with_aperture(moved)
+
+    def make(some: BasebandScans) -> Image:
+        return make_image(some, grid, method, settings.seed, "field", None, replace(ats, **changes))
+
+    def predicted(all_views: BasebandScans, share: float) -> float:
+        fitted = replace(ats, **changes, seed=settings.seed, held_out=share)
+        return fit(all_views, grid, fitted).held_out
+
+    enough = method == "ats" and scans.aperture.views >= LEAST_HELD_OUT
+    return check(scans, unfiltered, grid, make, predicted if enough else None)
+
+
+def _check_extent(capture: Capture, grid: ImageGrid) -> None:
+    """Refuse a square that reaches beyond all recorded ranges. Raises UsageError."""
+    antenna = capture.aperture().positions
+    reach = float(np.linalg.norm(antenna, axis=1).max()) + float(capture.ranges_m[-1])
+    if grid.extent > 2 * reach:
+        raise UsageError(
+            f"an image of {grid.extent:g} m reaches beyond the recorded ranges, which end at "
+            f"{capture.ranges_m[-1]:.3g} m",
+            f"Give an --extent of up to {2 * reach:.3g} m.",
+        )
 
 
 def _pulse_facts(prepared: PreparedCapture) -> dict[str, Any]:

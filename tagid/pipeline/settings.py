@@ -9,9 +9,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from tagid.capture import Capture
 from tagid.errors import UsageError
 from tagid.imaging.ats.settings import AtsSettings
-from tagid.imaging.preprocess import Background, PreprocessSettings
+from tagid.imaging.lengths import search_range_m
+from tagid.imaging.preprocess import MARGIN_WAVELENGTHS, Background, PreprocessSettings
 from tagid.pipeline.methods import METHODS as IMAGING_METHODS
 
 Progress = Callable[[float, float, str], None]
@@ -20,9 +22,8 @@ Progress = Callable[[float, float, str], None]
 METHODS = ("auto", *IMAGING_METHODS)
 PULSES = ("auto", "nominal", "estimate")
 PRESETS = ("field", "paper")
-FOCUS_M = 0.04
-"""Half-width of the axis distance search, m: an error of 3 cm then lies inside the search and not at its
-edge, where a maximum is not trusted."""
+MOST_FREE_PIXELS = 512
+"""Pixels per side, where none are asked for, that a short wavelength may ask for."""
 
 
 @dataclass(frozen=True)
@@ -34,13 +35,18 @@ class ImagingSettings:
         ats: how ats with the preset "field" fits; the seed is the one of these settings.
         extent_m, pixels: the image's side, m and pixels.
         background: static background that is removed, "mean", "median" or "none".
-        focus_m: how far the axis distance is searched to both sides, m; 0 takes it as given.
-        seed: of everything random.
+        focus_m: half width of the search for the axis distance, m; 0 takes it as given, None: from the
+            wavelength.
+        seed: random seed.
         preset: what ats is: "field", or "paper", the published method to the letter.
         centre_m: (x, y) of the image's middle, m; None is the rotation axis or, for free antenna positions,
             wherever the strong echoes lie.
-        delay_m: how far the path delay of free antenna positions is searched to both sides, one-way m.
+        delay_m: half width of the search for the path delay of free antenna positions, one-way m; 0 takes the
+            ranges as given, None: from the wavelength.
+        towards_m: a point (x, y) on the side of a straight path that is wanted, m.
         restore: show sparse images at the resolution of the data (`tagid.imaging.restore`), or bare pixels.
+        held_out: compute how well the image predicts views that it was not made from
+            (`tagid.imaging.heldout`).
         free_size: whether extent and pixels may follow the echoes of free antenna positions.
         pulse: "auto", the one in the capture or else the nominal one of its band; "nominal"; or "estimate",
             found from the scans where that explains them better (`tagid.imaging.pulsefit`).
@@ -52,12 +58,14 @@ class ImagingSettings:
     extent_m: float = 0.5
     pixels: int = 128
     background: Background = "mean"
-    focus_m: float = FOCUS_M
+    focus_m: float | None = None
     seed: int = 0
     preset: str = "field"
     centre_m: tuple[float, float] | None = None
-    delay_m: float = 1.0
+    delay_m: float | None = None
+    towards_m: tuple[float, float] | None = None
     restore: bool = True
+    held_out: bool = True
     free_size: tuple[bool, bool] = (False, False)
     ats: AtsSettings = field(default_factory=AtsSettings)
     pulse: str = "auto"
@@ -67,16 +75,16 @@ class ImagingSettings:
     def __post_init__(self) -> None:
         if self.preset not in PRESETS:
             raise UsageError(f"there is no preset {self.preset!r}", f"Use {' or '.join(PRESETS)}.")
-        if self.centre_m is not None and not (np.abs(self.centre_m) <= 1000).all():
-            raise UsageError(f"the image's centre is {self.centre_m}", "Give X,Y in metres.")
-        if not (np.isfinite(self.delay_m) and 0 <= self.delay_m <= 2):
-            raise UsageError(f"the delay search is {self.delay_m} m", "Give 0 to 2 m.")
+        for name, place in (("centre", self.centre_m), ("side", self.towards_m)):
+            if place is not None and not (np.abs(place) <= 1e4).all():
+                raise UsageError(f"the image's {name} is {place}", "Give X,Y in metres.")
+        for name, reach in (("delay search", self.delay_m), ("focus range", self.focus_m)):
+            if reach is not None and not (np.isfinite(reach) and reach >= 0):
+                raise UsageError(f"the {name} is {reach} m", "Give zero or more metres.")
         if self.pulse not in PULSES:
             raise UsageError(f"there is no pulse {self.pulse!r}", f"Use {', '.join(PULSES)}.")
         if self.method not in METHODS:
             raise UsageError(f"there is no imaging method {self.method!r}", f"Use {', '.join(METHODS)}.")
-        if not (np.isfinite(self.focus_m) and 0 <= self.focus_m <= 0.1):
-            raise UsageError(f"the focus range is {self.focus_m} m", "Give 0 to 0.1 m.")
 
     def preprocessing(self, matched_filter: bool) -> PreprocessSettings:
         """Preprocessing for a given axis distance, with or without the matched filter."""
@@ -84,10 +92,12 @@ class ImagingSettings:
             background=self.background, matched_filter=matched_filter, extent_m=self.extent_m
         )
 
-    def preprocessing_for_focus(self, matched_filter: bool) -> PreprocessSettings:
+    def preprocessing_for_focus(self, capture: Capture, matched_filter: bool) -> PreprocessSettings:
         """As `preprocessing`, with a margin that covers the search of the axis distance."""
-        plain = self.preprocessing(matched_filter)
-        return replace(plain, margin_m=max(plain.margin_m, self.focus_m))
+        wavelength = capture.wavelength_m
+        reach = search_range_m(wavelength) if self.focus_m is None else self.focus_m
+        margin = max(MARGIN_WAVELENGTHS * wavelength, reach)
+        return replace(self.preprocessing(matched_filter), margin_m=margin)
 
 
 @dataclass

@@ -4,7 +4,8 @@ It is the format that every command writes and that other programs can open with
 
 Layout, version 2. Root attributes: format ("tagid.capture"), format_version, uuid, created_utc,
 tool_version, complete, radar, motion, object (JSON), range_start_m, range_step_m, axis_distance_m (absent:
-unknown), antenna_height_m, center_frequency_hz, bandwidth_hz, pulse_step_s (with /pulse). Datasets under
+unknown), antenna_height_m, center_frequency_hz, bandwidth_hz, wave_speed_m_s (absent: vacuum),
+pulse_step_s (with /pulse). Datasets under
 /scans, a row a view: samples (views, bins) int32 or float32, samples_imag (for complex samples, whose real
 part is in samples), host_time_ns and scan_id int64, radar_time_ms, angle_rad, angle_sigma_rad float64,
 flags uint8, antenna_positions_m (views, 3) float64; what is not known is absent. /pulse (n,) float64, its
@@ -29,6 +30,7 @@ from numpy.typing import NDArray
 
 from tagid import files
 from tagid.capture import Capture, Pulse
+from tagid.constants import SPEED_OF_LIGHT
 from tagid.errors import DataError, FileFormatError, StorageError, UsageError
 from tagid.storage.assembly import (
     MAX_JSON_BYTES,
@@ -223,6 +225,8 @@ def _fill(file: Any, capture: Capture, written: _Written) -> None:
     plain |= {name: float(getattr(capture, name)) for name in _NUMBERS}
     if capture.axis_distance_m is not None:
         plain["axis_distance_m"] = float(capture.axis_distance_m)
+    if capture.wave_speed_m_s != SPEED_OF_LIGHT:
+        plain["wave_speed_m_s"] = float(capture.wave_speed_m_s)
     if capture.pulse is not None:
         plain["pulse_step_s"] = float(capture.pulse.step)
     texts = {"format": FORMAT} | {name: getattr(capture, name) for name in _TEXTS}
@@ -362,8 +366,9 @@ def _to_capture(path: Path, raw: RawCapture) -> Capture:
             raise FileFormatError(f"{path}: {name} is not a JSON text")
         parts[name] = decode_settings(attributes[name], f"{path} ({name})")
     fields |= read_metadata(parts, str(path))
-    if attributes.get("axis_distance_m") is not None:
-        fields["axis_distance_m"] = number(attributes["axis_distance_m"], f"{path} (axis_distance_m)")
+    for name in ("axis_distance_m", "wave_speed_m_s"):
+        if attributes.get(name) is not None:
+            fields[name] = number(attributes[name], f"{path} ({name})")
     if not isinstance(attributes["complete"], bool | np.bool_):
         raise FileFormatError(f"{path}: complete is not true or false")
     for name, (field, dtype) in _VIEW_ARRAYS.items():

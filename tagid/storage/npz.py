@@ -2,7 +2,8 @@
 
 Keys: samples (views, bins) real or complex; range_start_m, range_step_m; one of angles_rad (views,),
 timestamps_s (views,), antenna_positions_m (views, 3); with angles axis_distance_m, optionally
-antenna_height_m. Optional: center_frequency_hz, bandwidth_hz, pulse with pulse_step_s, object (text or
+antenna_height_m. Optional: center_frequency_hz, bandwidth_hz, wave_speed_m_s (m/s, vacuum unless given),
+pulse with pulse_step_s, object (text or
 JSON). What `tagid` exports also holds angle_sigma_rad, radar_time_ms, host_time_ns, scan_id, flags and
 tagid (JSON: provenance, settings).
 """
@@ -30,7 +31,7 @@ from tagid.storage.metadata import PARTS, VERSION_KEY, metadata_of, read_metadat
 
 MAGIC = b"PK"
 
-_NUMBERS = ("axis_distance_m", "antenna_height_m", "center_frequency_hz", "bandwidth_hz")
+_NUMBERS = ("axis_distance_m", "antenna_height_m", "center_frequency_hz", "bandwidth_hz", "wave_speed_m_s")
 _VECTORS = {
     "angles_rad": np.float64,
     "angle_sigma_rad": np.float64,

@@ -112,8 +112,8 @@ def test_a_turntable_has_no_other_centre() -> None:
 
 
 def test_straightness_of_a_path() -> None:
-    assert is_straight(rail(0.0, views=20).antenna_positions_m)
-    assert not is_straight(turn(20).positions)
+    assert is_straight(rail(0.0, views=20).antenna_positions_m, 0.0759)
+    assert not is_straight(turn(20).positions, 0.0759)
 
 
 def test_positions_of_a_partial_turn_equal_its_angles() -> None:

@@ -64,7 +64,7 @@ def settings_from(config: Config, background: str = "mean", focus: bool = True) 
     """Imaging settings of the configuration and the command line."""
     from tagid.imaging.ats.options import parse_settings
     from tagid.imaging.ats.settings import AtsSettings
-    from tagid.pipeline.settings import FOCUS_M, ImagingSettings
+    from tagid.pipeline.settings import ImagingSettings
 
     if background not in ("mean", "median", "reference", "none"):
         raise UsageError(f"--background is {background!r}", "Use mean, median, reference or none.")
@@ -75,7 +75,7 @@ def settings_from(config: Config, background: str = "mean", focus: bool = True) 
         extent_m=config["imaging.extent_m"],
         pixels=config["imaging.pixels"],
         background=background,  # type: ignore[arg-type]
-        focus_m=FOCUS_M if focus else 0.0,
+        focus_m=None if focus else 0.0,
         false_accept=config["tags.false_accept"],
         direction_known=config["tags.direction"] == "known",
         pulse=config["imaging.pulse"],
@@ -83,14 +83,14 @@ def settings_from(config: Config, background: str = "mean", focus: bool = True) 
     )
 
 
-def parse_centre(text: str | None) -> tuple[float, float] | None:
-    """X,Y in metres of --centre."""
+def parse_place(text: str | None, option: str = "--centre") -> tuple[float, float] | None:
+    """X,Y in metres of --centre or --side."""
     if text is None:
         return None
     try:
         x, y = (float(part) for part in text.split(","))
     except ValueError:
-        raise UsageError(f"--centre is {text!r}", "Give X,Y in metres, such as --centre 0.5,2.") from None
+        raise UsageError(f"{option} is {text!r}", f"Give X,Y in metres, such as {option} 0.5,2.") from None
     return x, y
 
 
@@ -102,19 +102,57 @@ def region_words(region: Region | None) -> list[str]:
     lines = [f"{region.grid.extent:g} m about ({x:g}, {y:g}) m, {region.grid.pixels} pixels a side"]
     focus = region.focus
     if focus is not None and focus.reliable:
-        lines.append(f"path delay {focus.delay_m * 1e3:+.0f} mm one way, taken off")
+        lines.append(
+            f"path delay {focus.delay_m * 1e3:+.1f} mm one way, subtracted from the ranges "
+            f"(standard error {focus.sigma_m * 1e3:.2g} mm)"
+        )
     elif focus is not None:
-        lines.append("the path delay could not be told from the data; the ranges are taken as given")
+        lines.append(f"the data do not tell the path delay: {focus.reason}; the ranges are used as given")
+        if focus.best_m is not None:
+            lines.append(
+                f"best guess of the path delay {focus.best_m * 1e3:+.1f} mm, "
+                f"evidence {focus.evidence:.1f} of {focus.needed:.1f} needed"
+            )
     if region.mirrored:
-        lines.append("the path is straight: what lies on one side shows on the other side, too")
+        lines.append(
+            "the path is straight: echoes of one side also appear on the other (--side X,Y chooses one)"
+        )
     return lines
 
 
 def focus_words(focus: AxisFocus | None) -> list[str]:
-    """A remark where the axis distance was searched in vain."""
-    if focus is None or focus.axis_distance_m is None or focus.reliable:
+    """What the search for the axis distance found, and its evidence where it was not taken."""
+    if focus is None or focus.axis_distance_m is None:
         return []
-    return ["the axis distance could not be told from the data; it is taken as given"]
+    if focus.reliable:
+        return [
+            f"axis distance moved by {focus.offset_m * 1e3:+.1f} mm "
+            f"(standard error {focus.sigma_m * 1e3:.2g} mm, "
+            f"evidence {focus.evidence:.1f} of {focus.needed:.1f} needed)"
+        ]
+    lines = [f"the data do not tell the axis distance: {focus.reason}; the given value is used"]
+    if focus.best_m is not None:
+        lines.append(
+            f"best guess of the axis distance {focus.best_m:.4f} m, evidence {focus.evidence:.1f} of "
+            f"{focus.needed:.1f} needed"
+        )
+    return lines
+
+
+def held_out_words(settings: dict[str, Any]) -> list[str]:
+    """How well the image predicts views that it was not made from: the first figure of any image."""
+    found = settings.get("held_out")
+    if not found:
+        return []
+    noise = "" if found["noise"] is None else f", of which noise {100 * found['noise']:.1f} %"
+    same = found["residual"] == found["backprojection"]
+    other = "" if same else f"; backprojection {100 * found['backprojection']:.1f} %"
+    lines = [
+        f"held-out residual {100 * found['residual']:.1f} % of {found['views']} unseen views{noise}{other}"
+    ]
+    if found["worse_than_backprojection"]:
+        lines.append("backprojection predicts unseen views better: trust --method bp more than this image")
+    return lines
 
 
 def pulse_words(pulse: PulseEstimate | None) -> list[str]:
@@ -150,19 +188,22 @@ def calibration_words(settings: dict[str, Any]) -> list[str]:
         low, high = min(gain["scans"]), max(gain["scans"])
         lines.append(f"gain of the scans {low:.3f} to {high:.3f}, each ± {error:.3f}")
     if "static" in found:
-        lines.append(f"static component of {found['static']['rms']:.3g} rms taken off")
+        lines.append(f"static component of {found['static']['rms']:.3g} rms subtracted")
     return lines
 
 
 def learned(result: Reconstruction) -> dict[str, Any]:
     """What was found of the recording beside the image, for the JSON document."""
     settings = result.image.settings
-    return {name: settings[name] for name in ("axis_distance_m", "pulse", "calibration") if name in settings}
+    names = ("axis_distance_m", "focus", "held_out", "pulse", "calibration", "warnings")
+    return {name: settings[name] for name in names if name in settings}
 
 
 def learned_words(result: Reconstruction) -> list[str]:
     """The same for a person, a line each."""
     return [
+        *held_out_words(result.image.settings),
+        *result.image.settings.get("warnings", ()),
         *focus_words(result.focus),
         *region_words(result.region),
         *pulse_words(result.pulse),

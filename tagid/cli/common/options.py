@@ -60,8 +60,30 @@ Centre = Annotated[
     ),
 ]
 DelaySearch = Annotated[
-    float,
-    typer.Option("--delay-search", help="Search the path delay so far, metres, with antenna positions."),
+    float | None,
+    typer.Option(
+        "--delay-search",
+        help="Half width of the search for the path delay (m), for captures with antenna positions. "
+        "Default: 13 wavelengths, 1 m for a P440.",
+        show_default=False,
+    ),
+]
+Side = Annotated[
+    str | None,
+    typer.Option(
+        "--side",
+        help="A point X,Y in metres on the side of a straight path that is to be imaged.",
+        show_default=False,
+    ),
+]
+WaveSpeed = Annotated[
+    float | None,
+    typer.Option(
+        "--wave-speed",
+        help="Speed of the wave in the medium (m/s): 345 for sound in air, 1.06e8 at a permittivity of 8. "
+        "Default: the file's, or that in vacuum.",
+        show_default=False,
+    ),
 ]
 Extent = Annotated[
     float | None, typer.Option("--extent", help="Side of the image, metres.", show_default=False)

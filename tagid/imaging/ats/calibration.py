@@ -22,29 +22,28 @@ from tagid.imaging.types import BasebandScans
 Floats = NDArray[np.float64]
 Samples = NDArray[np.complex64]
 
-_PRIOR_AXIS_M = 0.03
+_PRIOR_AXIS = 0.395
 _PRIOR_WOBBLE_RAD = 0.03
-"""How far off distance and angle may be (one standard deviation): a tape measure, and a speed that is 3 % off
-in every harmonic, which makes an angle error of 0.03 / order."""
+"""Standard deviation of the distance, in wavelengths (30 mm for a P440: a tape measure), and of the angle: a
+speed that is 3 % off in every harmonic, which makes an angle error of 0.03 / order."""
 
 _FIRST_ROUNDS, _FIRST_VIEWS = 3, 360
 """Sparse scenes before the fit, and views of them."""
 
-_SEARCH_M = 0.04
-"""Half width of the first search for the axis distance, m."""
-
 _PRIOR_GAIN = 0.1
 """Spread of the gain from scan to scan, relative."""
 
-_PRIOR_AMPLITUDE, _PRIOR_PLACE_M = 1.0, 0.005
-"""How far a spot of the scene may still change: its amplitude, relative, and its place, m."""
+_PRIOR_AMPLITUDE, _PRIOR_PLACE = 1.0, 0.0659
+"""How far a spot of the scene may still change: its amplitude, relative, and its place, in wavelengths (5 mm
+for a P440)."""
 
 _BRIGHT = 0.05
 """Pixels under this part of the brightest are left out: they are noise and cost time."""
 
-_SPOT_M = 0.02
+_SPOT = 0.2635
 _MOST_SPOTS = 24
-"""Pixels nearer than this belong to one spot; of more spots only the brightest may move on their own."""
+"""Pixels nearer than this belong to one spot (in wavelengths: the first null of J0(2kr) is at 0.19, 20 mm for
+a P440 are 0.26); of more spots only the brightest may move on their own."""
 
 _SECTORS = 18
 """Parts of the turn whose residuals are taken as independent of each other."""
@@ -52,7 +51,7 @@ _SECTORS = 18
 _ITERATIONS = 4
 _WORSE = 1.1
 
-_MOST_AXIS_M, _MOST_WOBBLE_RAD = 0.008, 0.03
+_MOST_AXIS, _MOST_WOBBLE_RAD = 0.1054, 0.03
 """No step turns the phase by more than about one radian: further the derivatives do not reach."""
 
 
@@ -115,7 +114,7 @@ def begin(scans: BasebandScans, grid: ImageGrid, what: tuple[str, ...], harmonic
             "Learn gain or static, or leave calibrate away.",
         )
     if "axis" in what:
-        _, focus = focus_axis_distance(scans, grid, _SEARCH_M)
+        _, focus = focus_axis_distance(scans, grid)
         start = replace(start, offset_m=focus.offset_m) if focus.reliable else start
     if {"axis", "wobble"} & set(what) and np.any(scans.samples):
         few = select_views(scans, slice(None, None, -(-scans.aperture.views // _FIRST_VIEWS)))
@@ -204,14 +203,15 @@ def _geometry(
     spots could still do is solved for together with the geometry (and then left to the fit), so that neither
     biases the other and the standard errors hold the doubt about the scene.
     """
-    spots, start = _spots(points, sigma), now
+    spots, start = _spots(points, sigma, _SPOT * scans.wavelength_m), now
+    place = _PRIOR_PLACE * scans.wavelength_m
     for _ in range(_ITERATIONS):
         before = now
         now, changes = _step(scans, points, sigma, spots, now, what)
         points, sigma = points.copy(), sigma.copy()
         for members, (real, imaginary, x, y) in zip(spots, changes, strict=True):
             sigma[members] *= np.complex64(1 + np.clip(real, -0.7, 1) + 1j * np.clip(imaginary, -1, 1))
-            points[members] += np.clip([x, y], -_PRIOR_PLACE_M, _PRIOR_PLACE_M)
+            points[members] += np.clip([x, y], -place, place)
         moved = abs(now.offset_m - before.offset_m) > 0.3 * now.sigma_m if "axis" in what else False
         if not moved and not (np.abs(now.wobble - before.wobble) > 0.3 * now.wobble_sigma).any():
             break
@@ -251,12 +251,13 @@ def _step(
         by_axis += slope * (sight * radial).sum(axis=1)[:, None]
         by_angle += slope * (sight * along).sum(axis=1)[:, None]
         columns += [seen, 1j * seen, -slope * sight[:, :1], -slope * sight[:, 1:2]]
-    prior = [_PRIOR_AMPLITUDE, _PRIOR_AMPLITUDE, _PRIOR_PLACE_M, _PRIOR_PLACE_M] * len(spots)
+    lam = scans.wavelength_m
+    prior = [_PRIOR_AMPLITUDE, _PRIOR_AMPLITUDE, _PRIOR_PLACE * lam, _PRIOR_PLACE * lam] * len(spots)
     wanted: list[NDArray[np.complexfloating]] = []
     spread, old, limit = [], [], []
     if "axis" in what:
         wanted.append(by_axis + 2j * scans.wavenumber * total)
-        spread, old, limit = [_PRIOR_AXIS_M], [now.offset_m], [_MOST_AXIS_M]
+        spread, old, limit = [_PRIOR_AXIS * lam], [now.offset_m], [_MOST_AXIS * lam]
     if "wobble" in what:
         for order, value in enumerate(now.wobble, start=1):
             turn = np.exp(1j * order * angles)[:, None]
@@ -348,14 +349,14 @@ def _motions(aperture: Aperture) -> tuple[Floats, Floats]:
     return np.stack([x, y, zero], 1), aperture.axis_distance * np.stack([y, -x, zero], 1)
 
 
-def _spots(points: Floats, sigma: Samples) -> list[NDArray[np.bool_]]:
+def _spots(points: Floats, sigma: Samples, apart_m: float) -> list[NDArray[np.bool_]]:
     """Members (P,) of every spot, brightest first: each point belongs to the nearest centre."""
     magnitude = np.abs(sigma)
     centres: list[int] = []
     for i in np.argsort(-magnitude):
         if len(centres) == _MOST_SPOTS:
             break
-        if all(np.hypot(*(points[i] - points[c])) >= _SPOT_M for c in centres):
+        if all(np.hypot(*(points[i] - points[c])) >= apart_m for c in centres):
             centres.append(int(i))
     away = np.hypot(*(points[:, None] - points[centres][None]).transpose(2, 0, 1))
     nearest = away.argmin(axis=1)

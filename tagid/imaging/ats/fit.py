@@ -43,6 +43,10 @@ from tagid.imaging.types import BasebandScans, Image
 
 __all__ = ["AtsResult", "AtsSettings", "fit"]
 
+_CALIBRATED_WAVELENGTHS = 0.79
+"""Range that the calibration may move points by: one and a half times the search for the axis distance (60 mm
+for a P440)."""
+
 _CHECK_EVERY = 10
 _LEARN_AT = (0.25, 0.4, 0.55, 0.7, 0.85)
 """Parts of the steps after which calibration, robust weights and occlusion are brought up to date."""
@@ -54,7 +58,7 @@ of an engine shows less in it."""
 _MOST_SHRUNK = 2.0
 """The weight of the sparsity prior is at most half of what gives a blank image."""
 
-_LEAST_HELD_OUT = 18
+LEAST_HELD_OUT = 18
 """Fewer views are all needed for the image."""
 
 
@@ -138,7 +142,7 @@ class _Fit:
     def run(self, progress: Progress | None, begun: float) -> AtsResult:
         now = self.scans.with_aperture(self.known.aperture(self.scans.aperture))
         scales = _scales(now, self.grid, self.settings)
-        shape = self.settings.shape(self.grid)
+        shape = self.settings.shape(self.grid, self.scans.wavelength_m)
         if scales is None:
             blank = np.zeros((self.grid.pixels, self.grid.pixels), dtype=np.complex64)
             return self._result(blank, None, float("nan"), "none", begun)
@@ -214,7 +218,8 @@ class _Fit:
 
     def _margin(self) -> float:
         """Range that the calibration may move the points by, m."""
-        return 0.06 if {"axis", "wobble"} & set(self.settings.calibrate) else 0.0
+        moves = {"axis", "wobble"} & set(self.settings.calibrate)
+        return _CALIBRATED_WAVELENGTHS * self.scans.wavelength_m if moves else 0.0
 
     def _learn(self, field: FieldWeights, late: bool) -> None:
         """Bring calibration, shadows and, once the scene stands, the weights of the samples up to date."""
@@ -348,8 +353,8 @@ def _foresee(scans: BasebandScans, grid: ImageGrid, settings: AtsSettings) -> No
 
 def _held_out(views: int, share: float) -> NDArray[np.intp]:
     """Views that the fit does not see, spread over the turn."""
-    count = round(views * share) if views >= _LEAST_HELD_OUT else 0
-    if share > 0 and views >= _LEAST_HELD_OUT:
+    count = round(views * share) if views >= LEAST_HELD_OUT else 0
+    if share > 0 and views >= LEAST_HELD_OUT:
         count = max(1, count)
     return np.asarray((np.arange(count) + 0.5) * views / max(count, 1), dtype=np.intp)
 

@@ -14,6 +14,9 @@ from tagid.imaging.operator import ForwardOperator
 from tagid.imaging.preprocess import select_views
 from tagid.imaging.types import BasebandScans
 
+_NEAREST = 0.05
+"""Points nearer than this part of the middle distance get no more light: 5 cm at 1 m."""
+
 
 def illumination(
     points: NDArray[np.float64], positions: NDArray[np.float64], spreading: float, beam_width_rad: float
@@ -34,8 +37,8 @@ def illumination(
     out = np.empty((len(positions), len(points)), dtype=np.float32)
     for row, antenna in zip(out, positions, strict=True):
         line = there - antenna
-        distance = np.maximum(np.linalg.norm(line, axis=1), 0.05)
-        middle = max(float(np.linalg.norm(antenna)), 0.05)
+        middle = max(float(np.linalg.norm(antenna)), 1e-9)
+        distance = np.maximum(np.linalg.norm(line, axis=1), _NEAREST * middle)
         row[:] = (middle / distance) ** spreading
         if beam_width_rad > 0:
             cosine = np.clip(-(line @ antenna) / (distance * middle), -1, 1)

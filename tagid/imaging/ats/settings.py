@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from tagid.errors import UsageError
 from tagid.geometry import ImageGrid
 from tagid.imaging.ats.problem import FieldShape, FieldWeights
+from tagid.imaging.lengths import finest_cell_m
 from tagid.imaging.types import Image
 
 Progress = Callable[[int, int, float], None]
@@ -56,8 +57,10 @@ class AtsSettings:
         held_out: share of the views that the fit does not see, which tell when to stop; none under 18 views.
         patience: checks (every 10 steps of the second half) without a lower held-out residual before the fit
             stops; 0: never, which is the default since a noisy check stops some fits long before their end.
+        adapt: try other priors where unseen views ask for it (`tagid.imaging.ats.adapt`); 0: never.
         width, hidden: units of a hidden layer, and hidden layers of the network.
-        finest_m: edge of the finest cell of the encoding, m; never finer than the pixels.
+        finest_m: edge of the finest cell of the encoding, m, never finer than the pixels; 0: from the
+            wavelength (`tagid.imaging.lengths.CELL_WAVELENGTHS`).
         levels, features, coarsest: resolutions, features of each, cells a side of the coarsest.
         seed: of the initial weights; the same seed gives the same image on the same machine and engine.
         threads: of the engine. One is the default: the layers are so small that a second thread gains little
@@ -84,9 +87,10 @@ class AtsSettings:
     views_per_step: int = 12
     held_out: float = 0.04
     patience: int = 0
+    adapt: int = 1
     width: int = 16
     hidden: int = 1
-    finest_m: float = 0.0073
+    finest_m: float = 0.0
     levels: int = 8
     features: int = 2
     coarsest: int = 8
@@ -104,11 +108,11 @@ class AtsSettings:
             raise UsageError(f"--engine onnx does not run on {self.device}", "Use --engine torch.")
         whole = {"steps": 1, "views_per_step": 1, "width": 1, "hidden": 0, "levels": 1, "features": 1}
         whole |= {"coarsest": 1, "patience": 0, "seed": 0, "threads": 1}
-        whole |= {"wobble_harmonics": 0, "aspect_harmonics": 0}
+        whole |= {"wobble_harmonics": 0, "aspect_harmonics": 0, "adapt": 0}
         for name, low in whole.items():
             if not low <= getattr(self, name) <= 10**6:
                 raise UsageError(f"ATS setting {name} is {getattr(self, name)}", f"Give {low} to 1000000.")
-        for name in ("learning_rate", "network_rate", "decay", "finest_m"):
+        for name in ("learning_rate", "network_rate", "decay"):
             if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0):
                 raise UsageError(f"ATS setting {name} is {getattr(self, name)}", "Give a positive number.")
         for name in (
@@ -119,15 +123,17 @@ class AtsSettings:
             "occlusion",
             "spreading",
             "beam_width_deg",
+            "finest_m",
         ):
             if not (np.isfinite(getattr(self, name)) and getattr(self, name) >= 0):
                 raise UsageError(f"ATS setting {name} is {getattr(self, name)}", "Give zero or more.")
         if not 0 <= self.held_out <= 0.5:
             raise UsageError(f"held-out share is {self.held_out}", "Give 0 to 0.5.")
 
-    def shape(self, grid: ImageGrid) -> FieldShape:
+    def shape(self, grid: ImageGrid, wavelength_m: float) -> FieldShape:
         """Sizes of the field for a grid: the finest cell is `finest_m`, or a pixel where that is larger."""
-        finest = min(grid.pixels, max(self.coarsest, round(grid.extent / self.finest_m)))
+        cell = self.finest_m or finest_cell_m(wavelength_m)
+        finest = min(grid.pixels, max(self.coarsest, round(grid.extent / cell)))
         coarsest = min(self.coarsest, finest)
         series = np.geomspace(coarsest, finest, self.levels) if self.levels > 1 else np.array([finest])
         cells = tuple(int(n) for n in np.floor(series + 1e-9))

@@ -1,0 +1,98 @@
+"""How well an image predicts views that it was not made from: the figure of merit that needs no truth.
+
+An image of what is there predicts the next view as well as the last; sidelobes, ghosts and noise that was
+taken for reflectors do not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tagid.geometry import ImageGrid
+from tagid.imaging.backprojection import backproject
+from tagid.imaging.metrics import residual
+from tagid.imaging.preprocess import select_views
+from tagid.imaging.types import BasebandScans, Image
+
+LEAST_VIEWS = 6
+"""Fewer views are all needed for the image."""
+SHARE = 1 / 12
+"""Views left out, at least two: few enough that the image is nearly that of all views."""
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """Prediction of views that were left out.
+
+    Attributes:
+        residual: energy of what the image leaves over of them, over their energy: 1 for a blank image. One
+            complex factor is fitted.
+        backprojection: the same for backprojection from the same views.
+        noise: share of the energy that is noise, the least that any image can reach; nan where not known.
+        views: how many were left out.
+    """
+
+    residual: float
+    backprojection: float
+    noise: float
+    views: int
+
+    @property
+    def worse(self) -> bool:
+        """Whether backprojection predicts the views better, by more than a thousandth of their energy."""
+        return self.residual > self.backprojection + 1e-3
+
+    def facts(self) -> dict[str, Any]:
+        """Plain JSON values."""
+        return {
+            "residual": self.residual,
+            "backprojection": self.backprojection,
+            "noise": self.noise if np.isfinite(self.noise) else None,
+            "views": self.views,
+            "worse_than_backprojection": self.worse,
+        }
+
+
+def left_out(views: int) -> NDArray[np.intp]:
+    """Numbers of the views to leave out, spread over all; empty where there are too few."""
+    count = max(2, round(views * SHARE)) if views >= LEAST_VIEWS else 0
+    return np.asarray((np.arange(count) + 0.5) * views / max(count, 1), dtype=np.intp)
+
+
+def check(
+    scans: BasebandScans,
+    unfiltered: BasebandScans,
+    grid: ImageGrid,
+    make: Callable[[BasebandScans], Image] | None,
+    predicted: Callable[[BasebandScans, float], float] | None = None,
+) -> HeldOut | None:
+    """Residual of an image made without some views, on those views; None where there are too few, or no data.
+
+    Args:
+        scans: as the method takes them, with or without matched filter.
+        unfiltered: the same views without the matched filter, on which all methods are compared.
+        grid: pixels.
+        make: gives the method's image of scans, at bare pixels; None: backprojection itself.
+        predicted: for a model that is more than its image: gives its own residual on a share of the views of
+            all scans, the same views that `left_out` names. None: the image's.
+    """
+    unseen = left_out(scans.aperture.views)
+    if not len(unseen):
+        return None
+    seen = np.setdiff1d(np.arange(scans.aperture.views), unseen)
+    test = select_views(unfiltered, unseen)
+    energy = float((np.abs(test.samples) ** 2).sum())
+    if energy == 0:
+        return None
+    plain = residual(test, backproject(select_views(scans if make is None else unfiltered, seen), grid))
+    if predicted is not None:
+        found = predicted(scans, len(unseen) / scans.aperture.views)
+    else:
+        found = plain if make is None else residual(test, make(select_views(scans, seen)))
+    noise = test.noise_std**2 * test.samples.size / energy if test.noise_std > 0 else float("nan")
+    return HeldOut(found, plain, min(noise, 1.0), len(unseen))

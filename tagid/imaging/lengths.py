@@ -1,0 +1,33 @@
+"""The lengths of imaging, each from the wavelength, so that a scene scaled with it gives the same image.
+
+Values in metres are those of a P440 (75.9 mm).
+"""
+
+from __future__ import annotations
+
+SEARCH_WAVELENGTHS = 0.527
+"""Half width of the search for the axis distance: half a wavelength and two fifths of a step, so that an
+error of half a wavelength is not at the edge, where nothing is trusted. 40 mm."""
+
+CELL_WAVELENGTHS = 0.0963
+"""Finest cell of the encoding, and pixel of images of which nothing else is said: 7.3 mm. The finest ripple
+of an image is that of 2k (half a wavelength); across a cell its phase is 2k h = 1.21 rad, so that linear
+interpolation keeps at least cos(0.605) = 82 % of it."""
+
+COARSEST_PIXEL_WAVELENGTHS = 0.2372
+"""A pixel over a quarter of the wavelength may fall between the ripples of a point: 18 mm."""
+
+
+def search_range_m(wavelength_m: float) -> float:
+    """Half width of the search for the axis distance, m."""
+    return SEARCH_WAVELENGTHS * wavelength_m
+
+
+def finest_cell_m(wavelength_m: float) -> float:
+    """Edge of the finest cell of the encoding, m."""
+    return CELL_WAVELENGTHS * wavelength_m
+
+
+def coarsest_pixel_m(wavelength_m: float) -> float:
+    """Pixel above which a point may be missed, m."""
+    return COARSEST_PIXEL_WAVELENGTHS * wavelength_m

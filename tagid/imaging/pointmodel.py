@@ -1,0 +1,173 @@
+"""How well a few points explain scans: the measure by which geometry is judged.
+
+A handful of points is what an image is made of where the geometry is right; under a wrong one each point is
+seen as a ring, and the same number of points explains less. What each sector of the turn has left over is
+kept apart, so that the sectors can be asked whether they agree.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tagid.geometry import ImageGrid
+from tagid.imaging.backprojection import upsample_at_carrier
+from tagid.imaging.kernel import RangeGeometry
+from tagid.imaging.types import BasebandScans
+
+GROUPS = 12
+"""Sectors of the turn, or pieces of the path: wide enough that neighbours share few sidelobes, many enough
+for a standard deviation."""
+
+_PIXEL_WAVELENGTHS = 1 / 12
+"""Pixels of the search for points; a parabola finds the place between them."""
+_MAX_PIXELS = 150
+_STAGES = (0.55, 0.5, 0.45)
+"""Each stage adds the local maxima above this part of the brightest: under the first sidelobe of a full turn
+(J0: 0.40) they would be the sidelobes of the stronger ones."""
+_PER_STAGE = 5
+_SPOT_WAVELENGTHS = 0.6
+"""Points nearer than this are one spot: a body that small is no second place."""
+_RIDGE = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Explained:
+    """What a few points leave over.
+
+    Attributes:
+        left: (groups,) energy that they leave of each sector, over the energy of all scans.
+        points: (n, 2) m; amplitudes: (n,) complex.
+        second: energy of the second spot over that of the first; 0 where there is one spot.
+    """
+
+    left: NDArray[np.float64]
+    points: NDArray[np.float64]
+    amplitudes: NDArray[np.complex128]
+    second: float
+
+
+def explain(scans: BasebandScans, grid: ImageGrid) -> Explained:
+    """Points in the square that explain the scans best, found in stages: peaks of the backprojection of what
+    is left, then least squares of all points together.
+
+    Args:
+        scans: baseband scans with or without matched filter.
+        grid: the square; its pixels are not used.
+    """
+    lam = scans.wavelength_m
+    pixels = int(np.clip(np.ceil(grid.extent / (_PIXEL_WAVELENGTHS * lam)), 8, _MAX_PIXELS))
+    square = ImageGrid(grid.extent, pixels)
+    data = np.asarray(scans.samples, dtype=np.complex64)
+    energy = float(np.vdot(data, data).real)
+    groups = sector_of(scans)
+    if energy == 0:
+        return Explained(np.zeros(groups.max() + 1), np.zeros((0, 2)), np.zeros(0, complex), 0.0)
+    offsets = scans.ranges_m[None, :] - scans.ranges_m[:, None]
+    match = scans.response(offsets).conj().T.astype(np.complex64)
+    geometry: RangeGeometry | None = None
+    points, columns = np.zeros((0, 2)), np.zeros((0, data.size), dtype=np.complex64)
+    rest, amplitudes = data, np.zeros(0, dtype=np.complex128)
+    for floor in _STAGES:
+        rows, start, step = upsample_at_carrier(replace(scans, samples=rest @ match), slice(None))
+        if geometry is None:
+            geometry = RangeGeometry.of(scans.aperture.positions, square.points, (start, step), rows.shape[1])
+        image = np.abs(geometry.gather(rows)).reshape(pixels, pixels)
+        found = peaks(image, square, floor, lam / 4, _PER_STAGE)
+        if not len(found):
+            break
+        points = np.vstack([points, found])
+        columns = np.vstack([columns, echoes(scans, found)])
+        amplitudes = _least_squares(columns, data.ravel())
+        rest = (data.ravel() - amplitudes.astype(np.complex64) @ columns).reshape(data.shape)
+    power = (np.abs(rest) ** 2).sum(axis=1, dtype=np.float64) / energy
+    left = np.asarray(np.bincount(groups, power, minlength=int(groups.max()) + 1), dtype=np.float64)
+    return Explained(left, points, amplitudes, _second_spot(points, amplitudes, columns, lam))
+
+
+def needed_evidence(groups: int) -> float:
+    """Least t value over so many sectors that an estimate needs: 2.75 for 12, more for fewer."""
+    return 2 + 9 / max(groups, 1)
+
+
+def echoes(scans: BasebandScans, points: NDArray[np.float64]) -> NDArray[np.complex64]:
+    """(n, views * bins) scans of unit points (n, 2), m."""
+    there = np.column_stack([points, np.zeros(len(points))])
+    distance = np.linalg.norm(scans.aperture.positions[None] - there[:, None], axis=2)
+    response = scans.response(scans.ranges_m[None, None] - distance[..., None])
+    carrier = np.exp(-2j * scans.wavenumber * distance)
+    return np.asarray(response * carrier[..., None], dtype=np.complex64).reshape(len(points), -1)
+
+
+def sector_of(scans: BasebandScans) -> NDArray[np.intp]:
+    """(views,) number of the sector of every view: up to `GROUPS` of about as many views, at least two
+    each."""
+    views = scans.aperture.views
+    count = int(np.clip(views // 2, 1, GROUPS))
+    angles = scans.aperture.angles
+    order = np.arange(views) if angles is None else np.argsort(np.mod(angles, 2 * np.pi), kind="stable")
+    out = np.empty(views, dtype=np.intp)
+    out[order] = np.arange(views) * count // views
+    return out
+
+
+def peaks(
+    image: NDArray[np.floating], grid: ImageGrid, floor: float, apart_m: float, most: int
+) -> NDArray[np.float64]:
+    """(n, 2) local maxima, m, of at least `floor` of the highest, none within `apart_m` of a higher one."""
+    top = float(image.max(initial=0.0))
+    if top == 0:
+        return np.zeros((0, 2))
+    padded = np.pad(image, 1, constant_values=-1.0)
+    n = image.shape[0]
+    shifts = [(i, j) for i in (0, 1, 2) for j in (0, 1, 2) if (i, j) != (1, 1)]
+    around = np.max([padded[i : i + n, j : j + n] for i, j in shifts], axis=0)
+    row, column = np.nonzero((image >= around) & (image >= floor * top))
+    order = np.argsort(-image[row, column], kind="stable")
+    kept: list[NDArray[np.float64]] = []
+    for i, j in zip(row[order], column[order], strict=True):
+        place = np.array([_between(image[i, :], j), _between(image[:, j], i)])
+        place = ((place + 0.5) / n - 0.5) * grid.extent
+        if all(np.hypot(*(place - other)) >= apart_m for other in kept):
+            kept.append(place)
+        if len(kept) == most:
+            break
+    return np.array(kept).reshape(-1, 2)
+
+
+def _between(line: NDArray[np.floating], at: int) -> float:
+    """Vertex of the parabola through a maximum and its neighbours."""
+    if not 0 < at < len(line) - 1:
+        return float(at)
+    low, middle, high = (float(v) for v in line[at - 1 : at + 2])
+    bend = low - 2 * middle + high
+    return at + (float(np.clip(0.5 * (low - high) / bend, -0.5, 0.5)) if bend < 0 else 0.0)
+
+
+def _least_squares(columns: NDArray[np.complex64], data: NDArray[np.complex64]) -> NDArray[np.complex128]:
+    """Amplitudes with a small ridge, since points of one spot are nearly collinear."""
+    normal = (columns.conj() @ columns.T).astype(np.complex128)
+    normal += _RIDGE * np.diag(normal.diagonal().real)
+    return np.asarray(np.linalg.solve(normal, (columns.conj() @ data).astype(np.complex128)))
+
+
+def _second_spot(
+    points: NDArray[np.float64],
+    amplitudes: NDArray[np.complex128],
+    columns: NDArray[np.complex64],
+    lam: float,
+) -> float:
+    """Energy of the second spot over that of the first, points within `_SPOT_WAVELENGTHS` being one spot."""
+    left = set(range(len(points)))
+    strength = np.abs(amplitudes)
+    energies = []
+    while left:
+        first = max(left, key=lambda i: strength[i])
+        near = [i for i in left if np.hypot(*(points[i] - points[first])) < _SPOT_WAVELENGTHS * lam]
+        echo = amplitudes[near].astype(np.complex64) @ columns[near]
+        energies.append(float(np.vdot(echo, echo).real))
+        left -= set(near)
+    energies.sort(reverse=True)
+    return energies[1] / energies[0] if len(energies) > 1 and energies[0] > 0 else 0.0

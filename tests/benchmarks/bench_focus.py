@@ -1,0 +1,214 @@
+"""The search for the axis distance and for the path delay over scenes that no point model made.
+
+Run `python tests/benchmarks/bench_focus.py --write`; `--seeds N` sets the scenes per family and radar,
+`--first` the first seed. The criterion was chosen on seeds from 1000 on; the reported ones start at 5000.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections import Counter
+from concurrent.futures import ProcessPoolExecutor
+from datetime import date
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+
+from focus_rails import PATHS, draw_rail
+from focus_scenes import FAMILIES, FULL_WAVE, FULL_WAVE_OBJECTS, RADARS, draw_scene, full_wave_scene
+
+from tagid.geometry import ImageGrid
+from tagid.imaging.autofocus import focus_axis_distance
+from tagid.imaging.preprocess import PreprocessSettings, preprocess
+from tagid.imaging.region import choose_region
+
+FIRST_SEED = 5000
+RESULTS = Path(__file__).resolve().parents[2] / "docs" / "results" / "focus.md"
+
+
+class Task(NamedTuple):
+    """One scene: a family with the number of its radar, a full-wave object, or a path."""
+
+    kind: str
+    name: str
+    radar: int
+    seed: int
+
+
+class Outcome(NamedTuple):
+    """What came of a scene, in wavelengths.
+
+    Attributes:
+        row: row of the table.
+        taken: whether an estimate was taken.
+        given, guess: error of the value given and of the best guess.
+        reason: why it was not taken.
+    """
+
+    row: str
+    taken: bool
+    given: float
+    guess: float
+    reason: str
+
+    @property
+    def left(self) -> float:
+        """Error of what was used."""
+        return self.guess if self.taken else self.given
+
+
+def try_task(task: Task) -> Outcome:
+    """Draw a scene and search; scans with the matched filter for even seeds, without for odd ones."""
+    if task.kind == "rail":
+        return _try_rail(task)
+    if task.kind == "full wave":
+        scene = full_wave_scene(task.name, task.seed)
+        row = f"full wave: {_group(task.name)}"
+    else:
+        scene = draw_scene(task.name, RADARS[task.radar], task.seed)
+        row = f"{task.name}, {scene.radar}"
+    settings = PreprocessSettings("mean", task.seed % 2 == 0, extent_m=scene.extent_m)
+    scans = preprocess(scene.capture, settings=settings)
+    _, focus = focus_axis_distance(scans, ImageGrid(scene.extent_m, 128))
+    lam, given, guess = scene.wavelength_m, scene.capture.axis_distance_m, focus.best_m
+    assert given is not None and guess is not None
+    error, left = (given - scene.true_m) / lam, (guess - scene.true_m) / lam
+    return Outcome(row, focus.reliable, error, left, focus.reason)
+
+
+def _try_rail(task: Task) -> Outcome:
+    capture, delay = draw_rail(task.name, task.seed)
+    focus = choose_region(capture, ImageGrid(0.5, 128), None, free=(True, True)).focus
+    assert focus is not None
+    lam = capture.wavelength_m
+    guess = float("nan") if focus.best_m is None else (focus.best_m - delay) / lam
+    return Outcome(f"path: {task.name}", focus.reliable, -delay / lam, guess, focus.reason)
+
+
+def _group(name: str) -> str:
+    if name.startswith("free"):
+        size = name.partition("_")[0][4:]
+        return f"{size} mm octahedra, " + ("one" if name.endswith("one") else "several")
+    return "helmet shell" if name.startswith("shell") else "metal cans, bare and tagged"
+
+
+def table(found: list[Outcome]) -> str:
+    """The scenes of every row: taken rightly, between, wrongly, and kept."""
+    rows = list(dict.fromkeys(o.row for o in found))
+    columns = ("scenes", "n", "taken", "< 1/8", "1/8 to 1/4", "> 1/4", "kept", "rms of taken (λ/1000)")
+    lines = ["| " + " | ".join((*columns, "guess < 1/8")) + " |", "|" + "---|" * (len(columns) + 1)]
+    for row in [*rows, ""]:
+        some = [o for o in found if row in ("", o.row)]
+        taken = [o for o in some if o.taken]
+        good = sum(abs(o.guess) < 1 / 8 for o in taken)
+        wrong = sum(not abs(o.guess) <= 1 / 4 for o in taken)
+        rms = f"{1e3 * np.sqrt(np.mean([o.guess**2 for o in taken])):.0f}" if taken else "-"
+        guessed = sum(abs(o.guess) < 1 / 8 for o in some)
+        cells = [row or "**all**", len(some), len(taken), good, len(taken) - good - wrong, wrong]
+        lines.append("| " + " | ".join(map(str, [*cells, len(some) - len(taken), rms, guessed])) + " |")
+    return "\n".join(lines)
+
+
+def summary(found: list[Outcome]) -> str:
+    """The figures of all scenes in two sentences."""
+    taken = [o for o in found if o.taken]
+    good = sum(abs(o.guess) < 1 / 8 for o in taken)
+    wrong = sum(not abs(o.guess) <= 1 / 4 for o in taken)
+    worse = sum(abs(o.left) > 1 / 8 and abs(o.given) < 1 / 8 for o in found)
+    share, off = 100 * good / max(len(taken), 1), 100 * wrong / len(found)
+    return (
+        f"Of {len(found)} scenes {len(taken)} estimates were taken: {good} ({share:.1f} %) within an\n"
+        f"eighth of a wavelength, {wrong} ({off:.2f} % of all scenes) off by over a quarter. In {worse}\n"
+        "scenes a given value that was right within an eighth was replaced by one that is not."
+    )
+
+
+def tasks(seeds: int, first: int, rails: int) -> tuple[list[Task], list[Task]]:
+    """Turntable scenes and paths."""
+    numbers = range(first, first + seeds)
+    turns = [Task("body", f, r, s) for f in FAMILIES for r in range(len(RADARS)) for s in numbers]
+    if FULL_WAVE.is_file():
+        few = range(first, first + -(-seeds // 2))
+        turns += [Task("full wave", name, 0, s) for name in FULL_WAVE_OBJECTS for s in few]
+    return turns, [Task("rail", path, 0, s) for path in PATHS for s in range(first, first + rails)]
+
+
+def reasons(found: list[Outcome]) -> str:
+    """How often each reason was given."""
+    counted: Counter[str] = Counter()
+    for reason in (o.reason for o in found if o.reason):
+        reason = "its standard error is too large" if "standard error" in reason else reason
+        counted["the image does not stand above the noise" if "dB over" in reason else reason] += 1
+    return "\n".join(f"- {count} x {reason}" for reason, count in counted.most_common())
+
+
+def spread(items: list[Task], jobs: int) -> list[Outcome]:
+    """The outcome of all items, over processes."""
+    if jobs == 1:
+        return [try_task(item) for item in items]
+    with ProcessPoolExecutor(jobs) as pool:
+        return list(pool.map(try_task, items, chunksize=4))
+
+
+TEXT = """# Focus: axis distance and path delay
+
+`python tests/benchmarks/bench_focus.py --seeds {seeds} --rails {rails} --write`, {date}, seeds from
+{first}; the criterion was chosen on other seeds, from 1000 on. Scenes are drawn by
+`tests/benchmarks/focus_scenes.py` and `focus_rails.py`: the distance given is right in a third of the scenes
+and wrong by up to 0.4 wavelengths in the others; noise 10 to 30 dB under the strongest sample, 36 to 360
+views, a turn that is uneven by up to 0.6 degrees, antenna sometimes above the object's plane. The path delay
+is wrong by up to 0.9 m. Errors are in wavelengths (75.9 mm for the P440, 17.2 mm for the others).
+
+"Kept" means that the given value stayed and the output said why. A best guess is printed in every case.
+
+## Axis distance
+
+{turns}
+
+A convex body's echo comes from its nearest wall in every view. Another distance makes it look larger or
+smaller, not worse, and the best guess for such a scene is worth nothing: the given value is kept. Octahedra
+of 40 mm resonate in the band of the P440; their echo is late by about a tenth of a wavelength, and the
+distance found is too long by as much.
+
+## Path delay
+
+{paths}
+
+## Why values were kept
+
+{why}
+"""
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seeds", type=int, default=13)
+    parser.add_argument("--rails", type=int, default=10)
+    parser.add_argument("--first", type=int, default=FIRST_SEED)
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--write", action="store_true")
+    given = parser.parse_args()
+    turns, paths = tasks(given.seeds, given.first, given.rails)
+    found, delays = spread(turns, given.jobs), spread(paths, given.jobs)
+    text = TEXT.format(
+        seeds=given.seeds,
+        rails=given.rails,
+        date=date.today(),
+        first=given.first,
+        turns=f"{summary(found)}\n\n{table(found)}",
+        paths=f"{summary(delays)}\n\n{table(delays)}",
+        why=reasons(found + delays),
+    )
+    print(text)
+    if given.write:
+        RESULTS.parent.mkdir(parents=True, exist_ok=True)
+        RESULTS.write_text(text, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

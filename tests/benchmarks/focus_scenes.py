@@ -1,0 +1,361 @@
+"""Scenes for the focus benchmark: bodies whose echoes no point model made, at two wavelengths.
+
+Each family draws its own bodies from a seed: isolated reflectors, outlines of rough surface, smooth bodies by
+physical optics, boxes, shells that show both walls, and full-wave responses. Lengths are drawn in
+wavelengths, so the same family serves a P440 and a sonar in air.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+
+from tagid.capture import Capture, Pulse
+from tagid.waveform import analytic_pulse, nominal_pulse
+
+FULL_WAVE = Path(__file__).resolve().parents[3] / "shared" / "fullwave" / "scenes.py"
+"""Full-wave responses are measured data that does not belong to the repository; without them that family is
+left out."""
+
+_FINE = 8
+"""Fine range bins per range bin of the capture."""
+
+
+@dataclass(frozen=True)
+class Radar:
+    """A band, a geometry and the medium.
+
+    Attributes:
+        name: for tables.
+        wave_speed_m_s: of the medium.
+        center_frequency_hz, bandwidth_hz: band of the pulse.
+        axis_distance_m: true distance to the rotation axis.
+        range_step_m: range bin.
+    """
+
+    name: str
+    wave_speed_m_s: float
+    center_frequency_hz: float
+    bandwidth_hz: float
+    axis_distance_m: float
+    range_step_m: float
+
+    @property
+    def wavelength_m(self) -> float:
+        """Wavelength of the centre frequency, m."""
+        return self.wave_speed_m_s / self.center_frequency_hz
+
+
+P440 = Radar("P440", 299_792_458.0, 3.95e9, 1.7e9, 1.0, 0.0091488)
+SONAR = Radar("17 mm", 299_792_458.0, 17.4e9, 7.5e9, 0.85, 0.0020)
+SONAR_WIDE = Radar("17 mm, wide", 299_792_458.0, 17.4e9, 14e9, 0.85, 0.0017)
+RADARS = (P440, SONAR, SONAR_WIDE)
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """Scatterers of a body.
+
+    Attributes:
+        points: (n, 3) m.
+        amplitudes: (n,) complex.
+        normals: (n, 2) outward unit normals in the plane; zero vectors scatter to all sides.
+        power: exponent of the cosine between normal and line of sight.
+        both: what shines through from the back wall, relative amplitude.
+    """
+
+    points: np.ndarray
+    amplitudes: np.ndarray
+    normals: np.ndarray
+    power: float = 1.0
+    both: float = 0.0
+
+
+def record(
+    body: Body, radar: Radar, angles: np.ndarray, height_m: float, half_m: float, pulse: Pulse
+) -> tuple[np.ndarray, float]:
+    """(views, bins) analytic scans of a turning body, and the range of the first bin, m."""
+    step = radar.range_step_m / _FINE
+    bins = 2 * int(np.ceil(half_m / radar.range_step_m)) + 1
+    start = radar.axis_distance_m - half_m
+    n = 1 << int(np.ceil(np.log2(bins * _FINE * 1.3)))
+    frequency = np.fft.fftfreq(n, 2 * step / radar.wave_speed_m_s)
+    fine_pulse = analytic_pulse(pulse, 1)
+    time = (np.arange(len(fine_pulse)) - len(pulse.samples) // 2) * pulse.step
+    inside = np.flatnonzero((frequency > 0) & (frequency < 2.2 * radar.center_frequency_hz))
+    spectrum = np.zeros(n, dtype=np.complex128)
+    spectrum[inside] = (np.exp(-2j * np.pi * np.outer(frequency[inside], time)) @ fine_pulse) * pulse.step
+    spectrum *= radar.wave_speed_m_s / (2 * step)
+    rows = np.zeros((len(angles), n), dtype=np.complex128)
+    for row, angle in zip(rows, angles, strict=True):
+        antenna = np.array(
+            [radar.axis_distance_m * np.cos(-angle), radar.axis_distance_m * np.sin(-angle), height_m]
+        )
+        sight = antenna - body.points
+        distance = np.linalg.norm(sight, axis=1)
+        cosine = (sight[:, :2] * body.normals).sum(axis=1) / distance
+        seen = np.where(cosine > 0, np.maximum(cosine, 0) ** body.power, body.both * np.abs(cosine))
+        seen = np.where(np.any(body.normals, axis=1), seen, 1.0)
+        values = body.amplitudes * seen * (radar.axis_distance_m / distance) ** 2
+        at = (distance - start) / step
+        whole = np.floor(at).astype(np.intp)
+        inside_window = (whole >= 0) & (whole < n - 1)
+        part = (at - whole)[inside_window]
+        for shift, weight in ((0, 1 - part), (1, part)):
+            index = whole[inside_window] + shift
+            weighted = values[inside_window] * weight
+            row.real += np.bincount(index, weighted.real, n)
+            row.imag += np.bincount(index, weighted.imag, n)
+    z = np.fft.ifft(np.fft.fft(rows, axis=1) * spectrum, axis=1)
+    return z[:, : bins * _FINE : _FINE], start
+
+
+def _turned(points: np.ndarray, normals: np.ndarray, angle: float) -> tuple[np.ndarray, np.ndarray]:
+    c, s = np.cos(angle), np.sin(angle)
+    turn = np.array([[c, -s], [s, c]])
+    return np.column_stack([points[:, :2] @ turn.T, points[:, 2]]), normals @ turn.T
+
+
+def _closed(radius: Callable[[np.ndarray], np.ndarray], step: float) -> tuple[np.ndarray, np.ndarray]:
+    """Points (n, 2) about `step` apart on a closed curve r(angle), and their outward normals."""
+    fine = np.linspace(0, 2 * np.pi, 4001)
+    curve = radius(fine) * np.exp(1j * fine)
+    length = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(curve)))])
+    count = max(12, round(length[-1] / step))
+    at = np.interp(np.arange(count) / count * length[-1], length, fine)
+    eps = 1e-4
+    tangent = radius(at + eps) * np.exp(1j * (at + eps)) - radius(at - eps) * np.exp(1j * (at - eps))
+    normal = -1j * tangent / np.abs(tangent)
+    place = radius(at) * np.exp(1j * at)
+    return np.column_stack([place.real, place.imag]), np.column_stack([normal.real, normal.imag])
+
+
+def _blob(rng: np.random.Generator, size: float) -> Callable[[np.ndarray], np.ndarray]:
+    orders = np.arange(2, 7)
+    a = rng.normal(0, 0.25, len(orders)) / orders
+    phase = rng.uniform(0, 2 * np.pi, len(orders))
+    return lambda t: (
+        size * np.maximum(0.3, 1 + (a[:, None] * np.cos(np.outer(orders, t) + phase[:, None])).sum(0))
+    )
+
+
+def points_scene(rng: np.random.Generator, lam: float, count: int | None = None) -> Body:
+    """1 to 5 reflectors that scatter to all sides, within three wavelengths of the axis."""
+    count = int(rng.integers(2, 6)) if count is None else count
+    xy = rng.uniform(-3, 3, (count, 2)) * lam
+    amplitude = rng.uniform(0.5, 1, count) * np.exp(2j * np.pi * rng.random(count))
+    return Body(np.column_stack([xy, np.zeros(count)]), amplitude, np.zeros((count, 2)))
+
+
+def single_scene(rng: np.random.Generator, lam: float) -> Body:
+    """One reflector."""
+    return points_scene(rng, lam, 1)
+
+
+def rough_scene(rng: np.random.Generator, lam: float) -> Body:
+    """An outline of rough surface, seen where it faces the antenna, up to two wavelengths high."""
+    size = rng.uniform(1.2, 5) * lam
+    xy, normals = _closed(_blob(rng, size), lam / 6)
+    rows = int(rng.integers(1, 5))
+    points = np.vstack([np.column_stack([xy, np.full(len(xy), z)]) for z in rng.uniform(-1, 1, rows) * lam])
+    normals = np.tile(normals, (rows, 1))
+    a = rng.standard_normal(len(points)) + 1j * rng.standard_normal(len(points))
+    points[:, :2] += rng.uniform(-1.5, 1.5, 2) * lam
+    return Body(points, a, normals, float(rng.choice([0.5, 1.0, 2.0])))
+
+
+def smooth_scene(rng: np.random.Generator, lam: float) -> Body:
+    """A smooth body by physical optics: facets an eighth of a wavelength apart, two wavelengths high."""
+    size = rng.uniform(0.4, 4) * lam
+    xy, normals = _closed(_blob(rng, size), lam / 8)
+    heights = np.arange(-1, 1.01, 0.25) * lam
+    points = np.vstack([np.column_stack([xy, np.full(len(xy), z)]) for z in heights])
+    points[:, :2] += rng.uniform(-1, 1, 2) * lam
+    return Body(points, np.ones(len(points), dtype=complex), np.tile(normals, (len(heights), 1)))
+
+
+def detailed_scene(rng: np.random.Generator, lam: float) -> Body:
+    """A smooth body with edges and fittings: a few bright spots on it, seen where they face the antenna."""
+    smooth = smooth_scene(rng, lam)
+    count = int(rng.integers(3, 9))
+    chosen = rng.integers(0, len(smooth.points) // 9, count)
+    total = np.sqrt(len(smooth.points))
+    a = total * rng.uniform(0.1, 0.6, count) * np.exp(2j * np.pi * rng.random(count))
+    points = smooth.points[chosen] * [1, 1, 0] + smooth.normals[chosen] @ np.eye(2, 3) * 0.1 * lam
+    return Body(
+        np.vstack([smooth.points, points]),
+        np.concatenate([smooth.amplitudes, a]),
+        np.vstack([smooth.normals, smooth.normals[chosen]]),
+        0.5,
+    )
+
+
+def box_scene(rng: np.random.Generator, lam: float) -> Body:
+    """A rectangular box by physical optics with its four edges as line scatterers, off the axis."""
+    a, b = rng.uniform(0.7, 4, 2) * lam
+    xs, ys = (np.arange(-s / 2 + lam / 16, s / 2, lam / 8) for s in (a, b))
+    sides = [
+        (np.column_stack([xs, np.full(len(xs), s * b / 2)]), np.tile([0.0, s], (len(xs), 1))) for s in (-1, 1)
+    ] + [
+        (np.column_stack([np.full(len(ys), s * a / 2), ys]), np.tile([s, 0.0], (len(ys), 1))) for s in (-1, 1)
+    ]
+    corners = np.array([[x, y] for x in (-a / 2, a / 2) for y in (-b / 2, b / 2)])
+    out = corners / np.abs(corners) / np.sqrt(2)
+    xy = np.vstack([s[0] for s in sides] + [corners])
+    normals = np.vstack([s[1] for s in sides] + [out])
+    edge = rng.uniform(0.5, 2.0)
+    amplitude = np.concatenate([np.ones(len(xy) - 4), edge * np.exp(2j * np.pi * rng.random(4))])
+    heights = np.arange(-1, 1.01, 0.25) * lam
+    points = np.vstack([np.column_stack([xy, np.full(len(xy), z)]) for z in heights])
+    points, normals = _turned(points, np.tile(normals, (len(heights), 1)), rng.uniform(0, np.pi))
+    points[:, :2] += rng.uniform(-1, 1, 2) * lam
+    return Body(points, np.tile(amplitude, len(heights)), normals, 0.5)
+
+
+def shell_scene(rng: np.random.Generator, lam: float) -> Body:
+    """A thin shell, front and back wall seen, with two to four reflectors on it."""
+    a, b = rng.uniform(1, 2.5, 2) * lam
+    turn = rng.uniform(0, np.pi)
+
+    def radius(t: np.ndarray) -> np.ndarray:
+        return a * b / np.sqrt((b * np.cos(t - turn)) ** 2 + (a * np.sin(t - turn)) ** 2)
+
+    xy, normals = _closed(radius, lam / 8)
+    heights = np.arange(-0.5, 0.51, 0.25) * lam
+    points = np.vstack([np.column_stack([xy, np.full(len(xy), z)]) for z in heights])
+    amplitude = np.full(len(points), 1j * rng.uniform(0.02, 0.3))
+    count = int(rng.integers(2, 5))
+    at = rng.uniform(0, 2 * np.pi, count)
+    tags = np.column_stack([radius(at) * np.cos(at), radius(at) * np.sin(at), np.zeros(count)]) * [
+        1.15,
+        1.15,
+        1,
+    ]
+    points = np.vstack([points, tags])
+    points[:, :2] += rng.uniform(-0.3, 0.3, 2) * lam
+    return Body(
+        points,
+        np.concatenate([amplitude, rng.uniform(3, 6, count) * np.exp(2j * np.pi * rng.random(count))]),
+        np.vstack([np.tile(normals, (len(heights), 1)), np.zeros((count, 2))]),
+        1.0,
+        0.6,
+    )
+
+
+def can_scene(rng: np.random.Generator, lam: float) -> Body:
+    """One round can by physical optics, off the axis: nothing in its echo tells the distance."""
+    size = rng.uniform(0.3, 1.0) * lam
+    xy, normals = _closed(lambda t: np.full_like(t, size), lam / 16)
+    heights = np.arange(-1, 1.01, 0.25) * lam
+    points = np.vstack([np.column_stack([xy, np.full(len(xy), z)]) for z in heights])
+    points[:, :2] += rng.uniform(-1, 1, 2) * lam
+    return Body(points, np.ones(len(points), dtype=complex), np.tile(normals, (len(heights), 1)))
+
+
+FAMILIES: dict[str, Callable[[np.random.Generator, float], Body]] = {
+    "reflectors": points_scene,
+    "one reflector": single_scene,
+    "rough outline": rough_scene,
+    "smooth body": smooth_scene,
+    "body with fittings": detailed_scene,
+    "box": box_scene,
+    "shell with reflectors": shell_scene,
+    "round can": can_scene,
+}
+
+FULL_WAVE_OBJECTS = (
+    "free20_one", "free20_c90", "free20_c180", "free20_h120", "free20_lin",
+    "free40_one", "free40_c90", "free40_c180", "free40_h120", "free40_lin",
+    "can35", "can35_one", "can35_c90", "can35_handle", "can28", "can28_one", "can28_c180",
+    "shell", "shell_h120_20", "shell_h120_40",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class FocusScene:
+    """A capture whose axis distance may be wrong.
+
+    Attributes:
+        capture: as given to the focus.
+        true_m: true axis distance, m.
+        wavelength_m: of the carrier.
+        extent_m: side of the image.
+        family, radar: where it comes from.
+    """
+
+    capture: Capture
+    true_m: float
+    wavelength_m: float
+    extent_m: float
+    family: str
+    radar: str
+
+
+def _module() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("full_wave_scenes", FULL_WAVE)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def draw_error(rng: np.random.Generator, lam: float) -> float:
+    """Error of the distance given: none in a third of the scenes, else up to 0.4 wavelengths."""
+    return 0.0 if rng.random() < 1 / 3 else float(rng.uniform(-0.4, 0.4)) * lam
+
+
+def full_wave_scene(name: str, seed: int) -> FocusScene:
+    """A full-wave response, up to 8 mm off the axis, at 0.9 to 1.1 m, in a room."""
+    rng = np.random.default_rng([seed, 4, FULL_WAVE_OBJECTS.index(name)])
+    module = _module()
+    base = name.split("_")[0]
+    if base.startswith("free"):
+        reference = base + "_one"
+    elif base == "shell":
+        reference = "free40_one" if name.endswith("40") else "free20_one"
+    else:
+        reference = f"{base}_one-{base}"
+    distance = float(rng.uniform(0.9, 1.1))
+    scan, _ = module.make(
+        name, rng, reference=reference, views=int(rng.choice([36, 72, 120, 360])), distance=distance,
+        centre=tuple(rng.uniform(-0.008, 0.008, 2)), pol=str(rng.choice(["V", "V", "H"])),
+        snr_db=float(rng.uniform(10, 30)), room=bool(rng.random() < 0.7),
+    )  # fmt: skip
+    error = draw_error(rng, P440.wavelength_m)
+    scan["axis_distance_m"] = distance + error
+    capture = Capture(
+        scan["samples"], float(scan["range_start_m"]), float(scan["range_step_m"]), scan["angles_rad"],
+        axis_distance_m=distance + error,
+    )  # fmt: skip
+    return FocusScene(capture, distance, P440.wavelength_m, 0.5, f"full wave: {name}", "P440")
+
+
+def draw_scene(family: str, radar: Radar, seed: int) -> FocusScene:
+    """A scene of a family, with noise, a slightly uneven turn and an antenna that may stand above the
+    object."""
+    rng = np.random.default_rng([seed, 3, list(FAMILIES).index(family), RADARS.index(radar)])
+    lam = radar.wavelength_m
+    body = FAMILIES[family](rng, lam)
+    views = int(rng.choice([72, 120, 360])) if radar is P440 else int(rng.choice([180, 360]))
+    angles = np.arange(views) * 2 * np.pi / views
+    true = angles + rng.uniform(0, 0.01) * np.sin(angles + rng.uniform(0, 6.28))
+    height = float(rng.choice([0.0, 0.0, 0.05])) * radar.axis_distance_m
+    reach = float(np.hypot(body.points[:, 0], body.points[:, 1]).max())
+    pulse = nominal_pulse(radar.center_frequency_hz, radar.bandwidth_hz)
+    z, start = record(body, radar, true, height, reach + 4 * lam, pulse)
+    peak = float(np.abs(z).max())
+    snr_db = float(rng.uniform(10, 30))
+    samples = z.real + peak * 10 ** (-snr_db / 20) / np.sqrt(2) * rng.standard_normal(z.shape)
+    error = draw_error(rng, lam)
+    capture = Capture(
+        (samples / peak * 1000).astype(np.float32), start, radar.range_step_m, angles,
+        axis_distance_m=radar.axis_distance_m + error, antenna_height_m=height,
+        center_frequency_hz=radar.center_frequency_hz, bandwidth_hz=radar.bandwidth_hz,
+    )  # fmt: skip
+    extent = 2 * max(reach, lam) + lam
+    return FocusScene(capture, radar.axis_distance_m, lam, extent, family, radar.name)
