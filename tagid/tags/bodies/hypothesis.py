@@ -137,9 +137,9 @@ class Explanation:
     Attributes:
         kind: see `Kind`.
         name: of the enrolled body or object; "" otherwise.
-        layout: the layout that it would name; None for none.
+        layout: the layout that it would name; None where it names none.
         left: share of the moving echo above noise that it leaves unexplained, 0..1.
-        beyond_body: the same as a share of what the body leaves (the tag's own echo); None without reflectors.
+        beyond_body: the same as a share of what the body leaves; None without reflectors.
         pose: the body's.
         rotation_deg: the layout's turn, counter-clockwise; None without one.
         radius_m: mean apparent radius of the reflectors about the body's centre, m; None without reflectors.

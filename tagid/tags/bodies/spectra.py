@@ -99,7 +99,7 @@ class Spectra:
     @property
     def views(self) -> int:
         """Number of views V."""
-        return self.data.shape[1]
+        return int(self.data.shape[1])
 
     def thinned(self, step: int) -> Spectra:
         """Every `step`-th frequency only, for coarse searches."""
@@ -113,7 +113,7 @@ class Spectra:
         )
 
     def waves(self, distance_m: NDArray[np.float64]) -> NDArray[np.complex128]:
-        """(F, ...) exp(-j kappa (R - d)) at distances R (...), m; by recurrence over the equal steps of kappa."""
+        """(F, ...) exp(-j kappa (R - d)) at distances R (...), m, by recurrence over equal steps of kappa."""
         path = distance_m - self.distance_m
         out = np.empty((len(self.wavenumbers), *path.shape), dtype=np.complex128)
         out[0] = np.exp(-1j * self.wavenumbers[0] * path)
