@@ -42,6 +42,10 @@ class BodySettings:
         other_deg: arrangements whose angles differ by more are another arrangement.
         other_radius_m: and so are those whose apparent radius differs by more from the layout's limits.
         strong: a body that explains more than this share of the moving echo gives the centre alone.
+        centre_reach_m: a weak body's centre is searched so far from the axis, m.
+        centres: centres tried in full for a weak body.
+        arrangements: kinds of arrangements that are fitted, beside those with free angles.
+        finished: layouts fitted to the end.
         rings_m: radii tried about each nominal one under `wide_m`, relative to it, m.
         wide_m: from here on a body is a shell, and only the nominal radius is tried.
         ring_step_m: spacing of the angles on a ring, m of arc.
@@ -54,6 +58,10 @@ class BodySettings:
     other_deg: float = 12.0
     other_radius_m: float = 0.012
     strong: float = 0.94
+    centre_reach_m: float = 0.010
+    centres: int = 2
+    arrangements: int = 12
+    finished: int = 4
     rings_m: tuple[float, ...] = (-0.009, 0.005)
     wide_m: float = 0.076
     ring_step_m: float = 5.5e-3
@@ -137,13 +145,38 @@ class BodyReading:
 
 @dataclass(frozen=True)
 class _Start:
-    """An arrangement found on a ring: energy share left, and where."""
+    """An arrangement found on a ring: energy left of the coarse spectra, and where."""
 
     left: float
     centre: complex
     radius_m: float
-    pattern: Pattern
     angles: tuple[float, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class _Ringed:
+    """Nominal radii (K,) and heights (K,) of reflectors about their centre, m."""
+
+    radii: NDArray[np.float64]
+    heights: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class _Row:
+    """A start to be fitted.
+
+    Attributes:
+        role: FREE, OTHER or the name of a layout.
+        key: of rows that only differ in the pattern or the start, one is kept.
+        batch: one row.
+    """
+
+    role: str
+    key: tuple[object, ...]
+    batch: Batch
+
+
+FREE, OTHER = "<free>", "<other>"
 
 
 def read_on_body(
@@ -223,69 +256,108 @@ class _Reader:
         at = poses[0].pose
         own = np.array([*at.centre_m, at.turn_rad]) if body.turns else None
         self.fitter = Fitter(spectra, body, settings.priors, self.variance, own)
+        self.coarse_fitter = Fitter(self.coarse, body, settings.priors, self.variance, own)
 
     def read(self, rings: Sequence[float], hints: Sequence[complex]) -> BodyReading:
         """Search, fit and compare."""
-        settings = self.settings
-        searched = [(r, found) for r in rings for found in self._searched(r, self._centres(hints))]
-        starts = sorted((s for _, (_, some) in searched for s in some), key=lambda s: s.left)
+        searched = [
+            found for centre in self._centres(rings, hints) for found in self._searched(rings, centre)
+        ]
+        starts = sorted((s for _, some in searched for s in some), key=lambda s: s.left)
         rows = self._free_rows(starts) + self._rigid_rows(starts)
         rows += [row for layout in self.layouts for row in self._layout_rows(layout, searched)]
-        names = [name for name, _ in rows]
-        batch = joined([row for _, row in rows])
-        fitted, left = self.fitter.fitted(batch)
-        placed = [
-            Placed(fitted.some(np.array([i])), float(left[i]), names[i] or None) for i in range(len(names))
-        ]
-        free = [p for p, name in zip(placed, names, strict=True) if name == ""]
-        rigid = [p for p, name in zip(placed, names, strict=True) if name is None]
+        batch, left = self.coarse_fitter.fitted(joined([row.batch for row in rows]), 3)
+        rows, batch = self._kept(rows, batch, left)
+        batch, left = self.fitter.fitted(batch, 4)
+        free: list[Placed] = []
+        others: list[Placed] = []
         own: dict[str, Placed] = {}
-        for p in placed:
-            if p.layout and (p.layout not in own or p.left < own[p.layout].left):
-                own[p.layout] = p
-        ranked = sorted(own.values(), key=lambda p: p.left)
-        return self._compared(ranked, free, rigid, settings)
+        for i, row in enumerate(rows):
+            name = None if row.role in (FREE, OTHER) else row.role
+            place = Placed(batch.some(np.array([i])), float(left[i]), name)
+            if row.role == FREE:
+                free.append(place)
+            elif row.role == OTHER:
+                others.append(place)
+            elif row.role not in own or place.left < own[row.role].left:
+                own[row.role] = place
+        return self._compared(sorted(own.values(), key=lambda p: p.left), free, others)
 
-    def _centres(self, hints: Sequence[complex]) -> list[complex]:
+    def _kept(
+        self, rows: Sequence[_Row], batch: Batch, left: NDArray[np.float64]
+    ) -> tuple[list[_Row], Batch]:
+        """The best row of each key, and of each role those that may still matter."""
+        room = {FREE: 5, OTHER: 8}
+        used: dict[str, int] = {}
+        seen: set[tuple[object, ...]] = set()
+        chosen: list[int] = []
+        for i in np.argsort(left):
+            row = rows[i]
+            if row.key in seen or used.get(row.role, 0) >= room.get(row.role, 1):
+                continue
+            seen.add(row.key)
+            used[row.role] = used.get(row.role, 0) + 1
+            chosen.append(int(i))
+        # Layouts far behind the best one cannot win, nor come second within any margin that matters.
+        layouts = [i for i in chosen if rows[i].role not in room]
+        hopeless = set(layouts[self.settings.finished :])
+        chosen = [i for i in chosen if i not in hopeless]
+        return [rows[i] for i in chosen], batch.some(np.array(chosen))
+
+    def _centres(self, rings: Sequence[float], hints: Sequence[complex]) -> list[complex]:
+        """Where the body's centre may be: its own echo tells where that is strong, else the reflectors too."""
         first = self.poses[0]
         if 1 - first.left / max(self.spectra.energy, 1e-30) > self.settings.strong or self.body.turns:
             return [first.pose.centre]
+        reach = self.settings.centre_reach_m
+        line = np.arange(-2, 3) * reach / 2
+        grid = [complex(x + (j % 2) * reach / 4, y * 0.87) for j, y in enumerate(line) for x in line]
+        grid = [z for z in grid if abs(z) <= 1.05 * reach]
+        grid += [p.pose.centre for p in self.poses] + list(hints)
+        thin = self.spectra.thinned(4)
+        small = [r for r in rings if r < self.settings.wide_m]
+        middle = [float(np.mean(some)) for some in (small, [r for r in rings if r not in small]) if some]
+        starts: list[_Start] = []
+        for centre in grid:
+            for radius in middle:
+                starts += self._on_ring(thin, radius, centre, 3, 2)[1]
+        starts.sort(key=lambda s: s.left)
+        rows = [self._ring_row(s, OPEN, free=True) for s in starts[:8]]
+        batch, left = self.coarse_fitter.fitted(joined(rows), 4)
         found: list[complex] = []
-        for centre in [*(p.pose.centre for p in self.poses), *hints, 0j]:
+        for i in np.argsort(left):
+            centre = complex(batch.centres[i])
             if all(abs(centre - other) > 2e-3 for other in found):
                 found.append(centre)
-        return found
+        return found[: self.settings.centres]
 
     def _body_at(self, centre: complex) -> Pose:
         pose = self.poses[0].pose
         return pose if self.body.turns else Pose((centre.real, centre.imag))
 
-    def _searched(self, radius: float, centres: Sequence[complex]) -> list[tuple[Ring, list[_Start]]]:
-        """Rings of one radius about every centre, and the best sets of each size on them."""
+    def _searched(self, rings: Sequence[float], centre: complex) -> list[tuple[Ring, list[_Start]]]:
+        """Every ring about a centre, and the best sets of each size on it."""
+        return [self._on_ring(self.coarse, radius, centre, self.settings.most, 16) for radius in rings]
+
+    def _on_ring(
+        self, spectra: Spectra, radius: float, centre: complex, most: int, keep: int
+    ) -> tuple[Ring, list[_Start]]:
+        """The best sets of each size on one ring, with open patterns, which contain the facing ones' first."""
         count = int(np.clip(round(2 * np.pi * radius / self.settings.ring_step_m), 48, 90))
-        found = []
-        for centre in centres:
-            pose = self._body_at(centre)
-            echo = self.body.echo(self.coarse, np.array([pose.centre]), np.array([pose.turn_rad]))[0]
-            for pattern in (FACING, OPEN):
-                ring = Ring.of(self.coarse, echo, centre, radius, pattern, count)
-                starts = []
-                for sets, values in ring.best(self.settings.most, 24).values():
-                    for indices, value in zip(sets, values, strict=True):
-                        angles = tuple(float(a) for a in ring.angles[indices])
-                        starts.append(_Start(ring.energy - float(value), centre, radius, pattern, angles))
-                found.append((ring, starts))
-        return found
+        pose = self._body_at(centre)
+        echo = self.body.echo(spectra, np.array([pose.centre]), np.array([pose.turn_rad]))[0]
+        ring = Ring.of(spectra, echo, centre, radius, OPEN, count)
+        starts = []
+        for sets, values in ring.best(most, keep).values():
+            for indices, value in zip(sets, values, strict=True):
+                angles = tuple(float(a) for a in ring.angles[indices])
+                starts.append(_Start(ring.energy - float(value), centre, radius, angles))
+        return ring, starts
 
     def _row(
-        self,
-        start: _Start,
-        radii: NDArray[np.float64],
-        heights: NDArray[np.float64],
-        limits: tuple[float, float, float],
-        free: bool,
+        self, start: _Start, ring: _Ringed, limits: tuple[float, float, float], pattern: Pattern, free: bool
     ) -> Batch:
-        """One row at a start; limits: least, largest and expected radius offset, m."""
+        """One row at a start; limits: least, largest and first radius offset, m."""
         k = len(start.angles)
         pose = self._body_at(start.centre)
         at = np.zeros((1, COMMON + k))
@@ -293,107 +365,93 @@ class _Reader:
         at[0, 2] = limits[2]
         at[0, 3:6] = *pose.centre_m, pose.turn_rad
         at[0, COMMON:] = start.angles
-        moves = []
-        for axis in range(2):
-            move = np.zeros(COMMON + k)
-            move[axis] = 1
-            if not self.body.turns:
-                move[3 + axis] = 1
-            moves.append(move)
-        moves.append(np.eye(COMMON + k)[2])
-        if self.body.turns:
-            moves += list(np.eye(COMMON + k)[3:6])
-        if free:
-            moves += list(np.eye(COMMON + k)[COMMON:])
-        else:
-            moves.append(np.concatenate([np.zeros(COMMON), np.ones(k)]))
+        unit = np.eye(COMMON + k)
+        moves = [unit[2]]
+        # A body of revolution and its reflectors have one centre; an enrolled body has its own.
+        moves += list(unit[[0, 1, 3, 4, 5]]) if self.body.turns else [unit[0] + unit[3], unit[1] + unit[4]]
+        moves += list(unit[COMMON:]) if free else [unit[COMMON:].sum(axis=0)]
         one = np.ones(1)
         return Batch(
             at,
-            radii[None].copy(),
-            heights[None].copy(),
+            ring.radii[None].copy(),
+            ring.heights[None].copy(),
             np.ones((1, k)),
-            one * start.pattern.tilt,
-            one * start.pattern.terms,
+            one * pattern.tilt,
+            one * pattern.terms,
             np.array(moves)[None],
             one * limits[0],
             one * limits[1],
             one * 0.0,
         )
 
-    def _ring_row(self, start: _Start, free: bool) -> Batch:
+    def _ring_row(self, start: _Start, pattern: Pattern, free: bool) -> Batch:
         k = len(start.angles)
         low, high = (0.02, 0.075) if start.radius_m < self.settings.wide_m else (0.078, 0.2)
         limits = (low - start.radius_m, high - start.radius_m, 0.0)
-        return self._row(start, np.full(k, start.radius_m), np.zeros(k), limits, free)
+        return self._row(start, _Ringed(np.full(k, start.radius_m), np.zeros(k)), limits, pattern, free)
 
-    def _free_rows(self, starts: Sequence[_Start]) -> list[tuple[str | None, Batch]]:
-        """The best of each number, ring size and pattern, with free angles; marked by an empty name."""
-        seen: dict[tuple[int, bool, Pattern], int] = {}
-        rows: list[tuple[str | None, Batch]] = []
+    def _free_rows(self, starts: Sequence[_Start]) -> list[_Row]:
+        """The best of each number and ring size with every angle free, by both patterns."""
+        seen: dict[tuple[int, bool], int] = {}
+        rows: list[_Row] = []
         for start in starts:
-            key = (len(start.angles), start.radius_m < self.settings.wide_m, start.pattern)
+            key = (len(start.angles), start.radius_m < self.settings.wide_m)
             seen[key] = seen.get(key, 0) + 1
-            if seen[key] == 1 and len(rows) < 10:
-                rows.append(("", self._ring_row(start, free=True)))
+            if seen[key] == 1:
+                rows += [
+                    _Row(FREE, (FREE, *key), self._ring_row(start, pattern, free=True))
+                    for pattern in (FACING, OPEN)
+                ]
         return rows
 
-    def _rigid_rows(self, starts: Sequence[_Start]) -> list[tuple[str | None, Batch]]:
-        """The best of each bin of arrangements, turning and growing as a whole."""
+    def _rigid_rows(self, starts: Sequence[_Start]) -> list[_Row]:
+        """The best of each bin of arrangements, turning and growing as a whole, by both patterns."""
         seen: set[tuple[int, ...]] = set()
-        rows: list[tuple[str | None, Batch]] = []
+        rows: list[_Row] = []
         for start in starts:
-            if len(rows) >= 12:
-                break
             key = _bin(start.angles)
-            if key not in seen:
+            if key not in seen and len(seen) < self.settings.arrangements:
                 seen.add(key)
-                rows.append((None, self._ring_row(start, free=False)))
+                rows += [
+                    _Row(OTHER, (OTHER, *key), self._ring_row(start, pattern, free=False))
+                    for pattern in (FACING, OPEN)
+                ]
         return rows
 
-    def _layout_rows(
-        self, layout: Layout, searched: Sequence[tuple[float, tuple[Ring, list[_Start]]]]
-    ) -> list[tuple[str | None, Batch]]:
-        """The best two starts of a layout for each pattern."""
+    def _layout_rows(self, layout: Layout, searched: Sequence[tuple[Ring, list[_Start]]]) -> list[_Row]:
+        """The best two starts of a layout, by both patterns."""
         radii, angles, heights = _off_axis(layout)
         priors = self.settings.priors
         starts: list[_Start] = []
-        for radius, (ring, some) in searched:
-            offset = radius - float(radii.mean())
+        for ring, some in searched:
+            offset = ring.radius_m - float(radii.mean())
             if not priors.radius_low_m <= offset <= priors.radius_high_m:
                 continue
             count = len(ring.angles)
             step = 2 * np.pi / count
             index = np.rint(angles[None] / step + np.arange(count)[:, None]).astype(np.intp) % count
             value = ring.explained(index)
-            centre = some[0].centre
             for i in _peaks(value, 2):
                 turned = tuple(float(a) for a in angles + i * step)
-                starts.append(
-                    _Start(
-                        ring.energy - float(value[i]),
-                        centre,
-                        float(radii.mean()) + offset,
-                        ring.pattern,
-                        turned,
-                    )
-                )
+                starts.append(_Start(ring.energy - float(value[i]), some[0].centre, ring.radius_m, turned))
         starts.sort(key=lambda s: s.left)
-        rows: list[tuple[str | None, Batch]] = []
-        for pattern in (FACING, OPEN):
-            for start in [s for s in starts if s.pattern == pattern][:2]:
-                offset = start.radius_m - float(radii.mean())
-                limits = (priors.radius_low_m, priors.radius_high_m, offset)
-                rows.append((layout.name, self._row(start, radii, heights, limits, free=False)))
+        rows: list[_Row] = []
+        for start in starts[:2]:
+            offset = start.radius_m - float(radii.mean())
+            limits = (priors.radius_low_m, priors.radius_high_m, offset)
+            rows += [
+                _Row(
+                    layout.name,
+                    (layout.name,),
+                    self._row(start, _Ringed(radii, heights), limits, pattern, free=False),
+                )
+                for pattern in (FACING, OPEN)
+            ]
         return rows
 
-    def _compared(
-        self,
-        ranked: list[Placed],
-        free: list[Placed],
-        rigid: list[Placed],
-        settings: BodySettings,
-    ) -> BodyReading:
+    def _compared(self, ranked: list[Placed], free: list[Placed], rigid: list[Placed]) -> BodyReading:
+        """The best layout against all that is not it."""
+        settings = self.settings
         best = ranked[0]
         layout = next(one for one in self.layouts if one.name == best.layout)
         radii, angles, _ = _off_axis(layout)
@@ -401,10 +459,12 @@ class _Reader:
         low = float(radii.mean()) + settings.priors.radius_low_m - settings.other_radius_m / 2
         high = float(radii.mean()) + settings.priors.radius_high_m + settings.other_radius_m / 2
 
-        def other(p: Placed) -> bool:
+        def away(p: Placed) -> float:
             gaps = gaps_deg(p.angles)
-            away = min(difference_deg(gaps, wanted), difference_deg(merged(gaps), wanted))
-            return away > settings.other_deg or not low <= float(p.radii.mean()) <= high
+            return min(difference_deg(gaps, wanted), difference_deg(merged(gaps), wanted))
+
+        def other(p: Placed) -> bool:
+            return away(p) > settings.other_deg or not low <= float(p.radii.mean()) <= high
 
         others = sorted([p for p in free + rigid if other(p)] + ranked[1:], key=lambda p: p.left)
         near = sorted((p for p in free if not other(p)), key=lambda p: p.left)
@@ -425,7 +485,7 @@ class _Reader:
             tag=tag,
             unexplained=above / tag,
             lead=(next_left - best.left) / error,
-            angle_off_deg=difference_deg(gaps_deg(own.angles), wanted) if own else 180.0,
+            angle_off_deg=away(own) if own else 180.0,
             radius_off_m=abs(float(own.radii.mean()) - float(best.radii.mean())) if own else 1.0,
             tag_nats=tag / max(self.spectra.noise, 1e-30),
         )

@@ -22,10 +22,9 @@ from tagid.tags.bodies.hypothesis import BodyModel
 from tagid.tags.bodies.spectra import Spectra, centred
 
 _LOAD = 1e-6
-_STEPS = np.array([2e-5, 2e-5, 1e-4, 2e-5, 2e-5, 5e-4])
-"""Finite differences of ring centre (x, y), radius offset and body centre (x, y), m, and body turn, rad."""
-_ANGLE_STEP = 1e-3
-COMMON = len(_STEPS)
+_BODY_STEPS = (2e-5, 2e-5, 5e-4)
+"""Finite differences of a body's centre in x and y, m, and of its turn, rad."""
+COMMON = 6
 """Coordinates before the reflectors' angles."""
 
 
@@ -139,33 +138,57 @@ def joined(batches: list[Batch]) -> Batch:
     return Batch(*parts)
 
 
-def columns(spectra: Spectra, body: BodyModel | None, batch: Batch) -> NDArray[np.complex128]:
-    """(H, F, 1 + 3, V) columns of body and pattern terms, centred over the views; absent ones are zero."""
-    at = batch.at
-    h, f, v = len(at), len(spectra.wavenumbers), spectra.views
-    ring = spectra.antenna[None] - batch.centres[:, None]
-    turn = np.exp(-1j * batch.angles)
-    radius = batch.radii + at[:, 2:3]
-    out = np.zeros((h, f, 1 + TERMS, v), dtype=np.complex128)
-    if body is not None:
-        out[:, :, 0] = body.echo(spectra, at[:, 3] + 1j * at[:, 4], at[:, 5])
-    for k in range(radius.shape[1]):
-        toward = ring * turn[:, k, None] - radius[:, k, None]
+@dataclass(frozen=True, eq=False)
+class Columns:
+    """Columns of the linear model at the places of a batch, and what their derivatives need.
+
+    Attributes:
+        values: (H, F, 1 + 3, V) of the body and of the pattern's terms, centred over the views; those that a
+            row has not are zero.
+        body: (H, F, V) the body's echo, not centred; None for none.
+        waves: (H, F, K, V) each reflector's wave with its weight, without the pattern's terms.
+        cosine: (H, K, V) of the angle between outward direction and antenna.
+        toward: (H, K, V) complex, from reflector to antenna in the plane, turned so that outward is real, m.
+        distance: (H, K, V) from reflector to antenna, m.
+        facing: (H, K, V) weight of the tilt.
+    """
+
+    values: NDArray[np.complex128]
+    body: NDArray[np.complex128] | None
+    waves: NDArray[np.complex128]
+    cosine: NDArray[np.float64]
+    toward: NDArray[np.complex128]
+    distance: NDArray[np.float64]
+    facing: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, spectra: Spectra, body: BodyModel | None, batch: Batch) -> Columns:
+        """Columns of every row."""
+        at = batch.at
+        ring = (spectra.antenna[None] - batch.centres[:, None])[:, None]
+        radius = (batch.radii + at[:, 2:3])[..., None]
+        toward = ring * np.exp(-1j * batch.angles)[..., None] - radius
         plane = np.abs(toward)
         cosine = toward.real / plane
-        drop = spectra.height_m[None] - batch.heights[:, k, None]
-        distance = np.sqrt(plane**2 + drop**2)
-        waves = spectra.waves(distance)
-        facing = np.where(batch.tilt[:, None] > 0, ((1 + cosine) / 2) ** 2, 1.0)
-        weight = facing * (spectra.distance_m / distance) ** 2 * batch.present[:, k, None]
-        waves *= weight[None]
-        waves = np.moveaxis(waves, 0, 1)
-        out[:, :, 1] += waves
-        out[:, :, 2] += waves * cosine[:, None]
-        out[:, :, 3] += waves * (2 * cosine**2 - 1)[:, None]
-    for p in (2, 3):
-        out[:, :, p] *= (batch.terms >= p)[:, None, None]
-    return centred(out)
+        distance = np.hypot(plane, spectra.height_m - batch.heights[..., None])
+        facing = np.where(batch.tilt[:, None, None] > 0, ((1 + cosine) / 2) ** 2, 1.0)
+        weight = facing * (spectra.distance_m / distance) ** 2 * batch.present[..., None]
+        waves = np.moveaxis(spectra.waves(distance) * weight, 0, 1)
+        h, f, v = len(at), len(spectra.wavenumbers), spectra.views
+        values = np.zeros((h, f, 1 + TERMS, v), dtype=np.complex128)
+        echo = None
+        if body is not None:
+            echo = body.echo(spectra, at[:, 3] + 1j * at[:, 4], at[:, 5])
+            values[:, :, 0] = echo
+        values[:, :, 1] = waves.sum(axis=2)
+        if (batch.terms > 1).any():
+            turned = waves * cosine[:, None]
+            values[:, :, 2] = turned.sum(axis=2)
+            twice = np.einsum("hfkv,hkv->hfv", turned, 2 * cosine)
+            values[:, :, 3] = twice - values[:, :, 1]
+            for p in (2, 3):
+                values[:, :, p] *= (batch.terms >= p)[:, None, None]
+        return cls(centred(values), echo, waves, cosine, toward, distance, facing)
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,24 +199,26 @@ class Solved:
         amplitudes: (H, F, C) least-squares amplitudes.
         rest: (H, F, V) what they leave of the data.
         left: (H,) its energy.
+        gram: (H, F, C, C) the columns' inner products, loaded.
     """
 
     amplitudes: NDArray[np.complex128]
     rest: NDArray[np.complex128]
     left: NDArray[np.float64]
+    gram: NDArray[np.complex128]
 
 
 def solve(data: NDArray[np.complex128], cols: NDArray[np.complex128]) -> Solved:
     """Linear least squares of data (F, V) on columns (H, F, C, V), loaded by 1e-6 of each column's energy."""
     gram = cols.conj() @ np.swapaxes(cols, -1, -2)
-    right = (cols.conj() @ data[None, :, :, None])[..., 0]
+    right = cols.conj() @ data[None, :, :, None]
     size = np.real(np.diagonal(gram, axis1=-2, axis2=-1))
     load = _LOAD * size + np.where(size > 1e-9 * size.max(axis=-1, keepdims=True), 0, 1.0)
     gram = gram + load[..., None] * np.eye(cols.shape[2])
-    amplitudes = np.asarray(np.linalg.solve(gram, right[..., None])[..., 0], dtype=np.complex128)
+    amplitudes = np.asarray(np.linalg.solve(gram, right)[..., 0], dtype=np.complex128)
     rest = np.asarray(data[None] - (amplitudes[..., None, :] @ cols)[..., 0, :], dtype=np.complex128)
     left = (rest.real**2 + rest.imag**2).sum(axis=(-1, -2))
-    return Solved(amplitudes, rest, left)
+    return Solved(amplitudes, rest, left, gram)
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,7 +241,7 @@ class Fitter:
 
     def left(self, batch: Batch) -> NDArray[np.float64]:
         """(H,) energy left at the places of a batch."""
-        return solve(self.spectra.data, columns(self.spectra, self.body, batch)).left
+        return solve(self.spectra.data, Columns.of(self.spectra, self.body, batch).values).left
 
     def fitted(self, batch: Batch, rounds: int = 6) -> tuple[Batch, NDArray[np.float64]]:
         """Levenberg-Marquardt on all rows at once; the places found and the energies left there.
@@ -225,7 +250,7 @@ class Fitter:
         """
         at = batch.at.copy()
         damping = np.full(len(at), 1e-2)
-        error, slope, left = self._linear(batch, at)
+        error, slope, left = self._linear(batch)
         cost = self._cost(batch, at, left)
         for turn in range(rounds):
             step = self._step(batch, at, error, slope, damping)
@@ -235,7 +260,7 @@ class Fitter:
             if last:
                 trial_left = self.left(batch.moved(trial))
             else:
-                trial_error, trial_slope, trial_left = self._linear(batch, trial)
+                trial_error, trial_slope, trial_left = self._linear(batch.moved(trial))
             trial_cost = self._cost(batch, trial, trial_left)
             better = trial_cost < cost
             at[better], left[better], cost[better] = trial[better], trial_left[better], trial_cost[better]
@@ -245,22 +270,58 @@ class Fitter:
         return batch.moved(at), left
 
     def _linear(
-        self, batch: Batch, at: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Residuals (H, N) over their standard deviation, their slopes (H, P, N), and energies left (H,)."""
+        self, batch: Batch
+    ) -> tuple[NDArray[np.complex128], NDArray[np.complex128], NDArray[np.float64]]:
+        """Residuals (H, N) over their standard deviation, their slopes (H, P, N), and energies left (H,).
+
+        The slope is that of Kaufman (1975): derivatives of the columns at fixed amplitudes, projected.
+        """
+        cols = Columns.of(self.spectra, self.body, batch)
+        solved = solve(self.spectra.data, cols.values)
+        slope = centred(self._reflector_slopes(batch, cols, solved) + self._body_slopes(batch, cols, solved))
+        along = cols.values.conj() @ np.moveaxis(slope, 1, 3)
+        slope = slope - np.moveaxis(
+            np.swapaxes(cols.values, -1, -2) @ np.linalg.solve(solved.gram, along), 3, 1
+        )
+        scale = 1 / np.sqrt(self.variance / 2)
         h, p = batch.moves.shape[:2]
-        steps = np.concatenate([_STEPS, np.full(at.shape[1] - COMMON, _ANGLE_STEP)])
-        # One step per move: that of its largest coordinate.
-        size = np.where(batch.moves != 0, steps, np.inf).min(axis=2)
-        size = np.where(np.isfinite(size), size, 0.0)
-        places = np.concatenate([at[:, None], at[:, None] + size[..., None] * batch.moves], axis=1)
-        rows = np.repeat(np.arange(h), p + 1)
-        spread = batch.some(rows).moved(places.reshape(h * (p + 1), -1))
-        solved = solve(self.spectra.data, columns(self.spectra, self.body, spread))
-        rest = solved.rest.reshape(h, p + 1, -1) / np.sqrt(self.variance / 2)
-        values = np.concatenate([rest.real, rest.imag], axis=-1)
-        slope = (values[:, 1:] - values[:, :1]) / np.where(size > 0, size, 1.0)[..., None]
-        return values[:, 0], slope, solved.left.reshape(h, p + 1)[:, 0]
+        return solved.rest.reshape(h, -1) * scale, -slope.reshape(h, p, -1) * scale, solved.left
+
+    def _reflector_slopes(self, batch: Batch, cols: Columns, solved: Solved) -> NDArray[np.complex128]:
+        """(H, P, F, V) derivative of the reflectors' echo along every move."""
+        spin = np.exp(-1j * batch.angles)[:, None, :, None]
+        ring = cols.toward + (batch.radii + batch.at[:, 2:3])[..., None]
+        shift = (batch.moves[:, :, 0] + 1j * batch.moves[:, :, 1])[..., None, None]
+        turn, grow = batch.moves[:, :, COMMON:, None], batch.moves[:, :, 2, None, None]
+        moved = -shift * spin - 1j * turn * ring[:, None] - grow
+        plane = np.abs(cols.toward)
+        along = (cols.toward[:, None].conj() * moved).real / plane[:, None]
+        tilted = (moved.real - cols.cosine[:, None] * along) / plane[:, None]
+        longer = along * (plane / cols.distance)[:, None]
+        g = solved.amplitudes[:, :, 1:, None, None]
+        c = cols.cosine[:, None]
+        pattern = g[:, :, 0] + g[:, :, 1] * c + g[:, :, 2] * (2 * c**2 - 1)
+        steeper = g[:, :, 1] + 4 * g[:, :, 2] * c
+        steeper = steeper + pattern * np.where(batch.tilt > 0, 2.0, 0.0)[:, None, None, None] / (1.02 + c)
+        phase = -1j * self.spectra.wavenumbers[None, :, None, None] * pattern * cols.waves
+        both = np.concatenate([phase, steeper * cols.waves], axis=2)
+        moves = np.concatenate([longer, tilted], axis=2)
+        # Sum over the reflectors by one product per view: (H, V, P, 2K) (H, V, 2K, F).
+        out = np.moveaxis(moves, 3, 1) @ both.transpose(0, 3, 2, 1)
+        return np.asarray(out.transpose(0, 2, 3, 1))
+
+    def _body_slopes(self, batch: Batch, cols: Columns, solved: Solved) -> NDArray[np.complex128] | float:
+        """(H, P, F, V) derivative of the body's echo along every move."""
+        if self.body is None or cols.body is None:
+            return 0.0
+        total: NDArray[np.complex128] | float = 0.0
+        at = batch.at
+        for i in range(3 if self.body.turns else 2):
+            there = at[:, 3:6] + np.eye(3)[i] * _BODY_STEPS[i]
+            ahead = self.body.echo(self.spectra, there[:, 0] + 1j * there[:, 1], there[:, 2])
+            slope = (ahead - cols.body) / _BODY_STEPS[i] * solved.amplitudes[:, :, 0, None]
+            total = total + batch.moves[:, :, 3 + i, None, None] * slope[:, None]
+        return total
 
     def _expected(self, batch: Batch) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Prior means (H, 6) and precisions (6,) of the coordinates before the angles."""
@@ -285,16 +346,16 @@ class Fitter:
         self,
         batch: Batch,
         at: NDArray[np.float64],
-        error: NDArray[np.float64],
-        slope: NDArray[np.float64],
+        error: NDArray[np.complex128],
+        slope: NDArray[np.complex128],
         damping: NDArray[np.float64],
     ) -> NDArray[np.float64]:
         """(H, P) damped Gauss-Newton steps along the moves."""
         mean, weight = self._expected(batch)
         common = batch.moves[:, :, :COMMON]
-        hessian = slope @ np.swapaxes(slope, 1, 2)
+        hessian = (slope.conj() @ np.swapaxes(slope, 1, 2)).real
         hessian += np.einsum("hpk,k,hqk->hpq", common, weight, common)
-        gradient = np.einsum("hpn,hn->hp", slope, error)
+        gradient = (slope.conj() @ error[..., None])[..., 0].real
         gradient += np.einsum("hpk,k,hk->hp", common, weight, at[:, :COMMON] - mean)
         size = np.diagonal(hessian, axis1=1, axis2=2)
         load = damping[:, None] * size + np.where(size > 0, 1e-12 * size, 1.0)

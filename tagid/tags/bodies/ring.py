@@ -13,6 +13,8 @@ from tagid.tags.bodies.spectra import Spectra, centred
 GAP_DEG = 20.0
 """Reflectors nearer than this on a ring are one."""
 _RIDGE = 1e-3
+BEAM = 20
+"""Sets of one size that are extended by one reflector more."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,11 +106,11 @@ class Ring:
         sets = np.stack([a[near], b[near]], axis=1)
         values = self.explained(sets)
         found[2] = _leading(sets, values, keep)
-        beam = _leading(sets, values, max(keep, 40))[0]
+        beam = _leading(sets, values, max(keep, BEAM))[0]
         for n in range(3, most + 1):
             sets, values = self._extended(beam, gap)
             found[n] = _leading(sets, values, keep)
-            beam = _leading(sets, values, max(keep, 40))[0]
+            beam = _leading(sets, values, max(keep, BEAM))[0]
         return found
 
     def _extended(self, beam: NDArray[np.intp], gap: int) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
@@ -128,8 +130,9 @@ class Ring:
         away = np.abs(sets[:, :-1] - sets[:, -1:])
         apart = np.minimum(away, count - away).min(axis=1) >= gap
         sets, values = np.sort(sets[apart], axis=1), values[apart]
-        unique, first = np.unique(sets, axis=0, return_index=True)
-        return unique, values[first]
+        key = sets @ (count ** np.arange(n + 1))
+        first = np.unique(key, return_index=True)[1]
+        return sets[first], values[first]
 
     def _energy(self, gram: NDArray[np.complex64], right: NDArray[np.complex64]) -> NDArray[np.float64]:
         """sum_f b^H G^-1 b of small systems (H, F, M, M), (H, F, M) by Cholesky and forward substitution."""
