@@ -99,7 +99,7 @@ class Spectra:
     @property
     def views(self) -> int:
         """Number of views V."""
-        return self.data.shape[1]
+        return int(self.data.shape[1])
 
     def thinned(self, step: int) -> Spectra:
         """Every `step`-th frequency only, for coarse searches."""
