@@ -196,8 +196,8 @@ class PoseSearch:
     """Coarse search for the pose of any signature in one capture.
 
     What depends on the capture alone is computed once: at every centre of a grid, the products of the harmonics
-    with the data and with each other, after the room and a body of revolution. A signature then costs one Fourier
-    transform over rotation per centre.
+    with the data, with the room and a body of revolution, and with each other. The last depend on differences of
+    harmonics only, so all rotations of a signature cost four Fourier transforms per centre and frequency.
 
     Args:
         spectra: capture.
@@ -213,62 +213,68 @@ class PoseSearch:
         count = int(CENTRE_REACH_M / CENTRE_GRID_M)
         line = CENTRE_GRID_M * np.arange(-count, count + 1)
         grid = [complex(x, y) for x in line for y in line if np.hypot(x, y) <= CENTRE_REACH_M]
-        self._centres = [*around, *grid]
-        shape = (len(self._centres), len(self._thin.wavenumbers), 2 * order + 1)
-        self._left = np.zeros(len(self._centres))
-        self._data = np.zeros(shape, complex)
-        self._gram = np.zeros((*shape, 2 * order + 1), complex)
-        for i, centre in enumerate(self._centres):
-            at = Standpoint(self._thin, centre)
-            columns = at.carrier[..., None] * angular(at.azimuth, order)[None]
-            columns -= columns.mean(axis=1, keepdims=True)
-            unit = columns[..., order : order + 1]
-            unit = unit / np.maximum(np.linalg.norm(unit, axis=1, keepdims=True), 1e-9)
-            adjoint = unit.conj().swapaxes(1, 2)
-            rest = self._thin.data - (unit @ (adjoint @ self._thin.data[..., None]))[..., 0]
-            self._left[i] = np.sum(np.abs(rest) ** 2)
-            inner = adjoint @ columns
-            across = columns.conj().swapaxes(1, 2)
-            self._data[i] = (across @ rest[..., None])[..., 0]
-            self._gram[i] = across @ columns - inner.conj().swapaxes(1, 2) @ inner
+        self._centres = np.array([*around, *grid])
+        across = self._thin.antenna - self._centres[:, None]
+        rho = np.abs(across)
+        carrier = self._thin.waves(rho) * (self._thin.distance_m / rho) ** 2
+        carrier = np.ascontiguousarray(np.moveaxis(carrier, 0, 1))
+        unit = centred(carrier)
+        unit = unit / np.maximum(np.linalg.norm(unit, axis=-1, keepdims=True), 1e-9)
+        along = (unit.conj() * self._thin.data).sum(axis=-1, keepdims=True)
+        rest = self._thin.data - along * unit
+        self._left = np.sum(np.abs(rest) ** 2, axis=(1, 2))
+        basis = np.exp(1j * np.angle(across)[..., None] * np.arange(-2 * order, 2 * order + 1))
+        first = basis[..., order : 3 * order + 1].conj()
+        flat = np.full_like(carrier, 1 / np.sqrt(spectra.views))
+        # (C, F, 2 M + 1) inner products of each harmonic with the data, the room and the round body.
+        self._data, self._room, self._round = (
+            (carrier.conj() * other) @ first for other in (rest, flat, unit)
+        )
+        # (C, F, 4 M + 1) inner products of harmonics by their difference.
+        self._lags = (np.abs(carrier) ** 2 + 0j) @ basis
 
     def candidates(self, signature: Signature, count: int = 3) -> list[Pose]:
         """The poses that explain most and differ in rotation, best first.
 
         Raises DataError where signature and capture are at different frequencies.
         """
-        if not same_frequencies(self.spectra, signature):
+        if not same_frequencies(self.spectra, signature) or signature.order > self._order:
             raise DataError(
                 f"the capture's band is not that in which {signature.name} was enrolled",
                 "Enrol it again with this radar.",
             )
-        order = min(signature.order, self._order)
+        order = signature.order
         m = np.arange(-order, order + 1)
         cut = slice(self._order - order, self._order + order + 1)
-        own = slice(signature.order - order, signature.order + order + 1)
         near = near_field(self._thin.wavenumbers, order, self._thin.distance_m)
-        weights = signature.turning[:: self._step, own] * near
-        spectrum = np.zeros((*self._data.shape[:2], ROTATIONS), complex)
-        spectrum[..., m % ROTATIONS] = weights.conj() * self._data[..., cut]
-        along = np.fft.ifft(spectrum, axis=-1) * ROTATIONS
-        inside = weights.conj()[:, :, None] * self._gram[..., cut, cut] * weights[:, None, :]
-        # Turning by g multiplies the product of m and n by exp(j (m - n) g): sum over equal differences.
-        folded = np.zeros_like(spectrum)
-        for i, first in enumerate(m):
-            folded[..., (first - m) % ROTATIONS] += inside[..., i, :]
-        size = np.fft.ifft(folded, axis=-1).real * ROTATIONS
+        weights = signature.turning[:: self._step] * near
+        along, room, body = (
+            _over_rotation(weights.conj() * part[..., cut], m) for part in (self._data, self._room, self._round)
+        )
+        pairs = np.stack([np.correlate(w, w, "full") for w in weights.conj()])
+        wide = slice(2 * (self._order - order), 2 * (self._order + order) + 1)
+        lags = np.arange(-2 * order, 2 * order + 1)
+        size = _over_rotation(pairs * self._lags[..., wide].conj(), lags).real
+        size -= np.abs(room) ** 2 + np.abs(body) ** 2
         noise = signature.noise[:: self._step] * 2 * order * self._thin.views
         size = np.maximum(size, 0) + noise[:, None] + 1e-300
         left = self._left[:, None] - np.sum(np.abs(along) ** 2 / size, axis=1)
         found: list[Pose] = []
         for index in np.argsort(left, axis=None)[:400]:
             i, turn = np.unravel_index(index, left.shape)
-            centre, angle = self._centres[int(i)], 2 * np.pi * float(turn) / ROTATIONS
+            centre, angle = complex(self._centres[int(i)]), 2 * np.pi * float(turn) / ROTATIONS
             if all(abs(np.angle(np.exp(1j * (angle - one.turn_rad)))) > APART_RAD for one in found):
                 found.append(Pose((centre.real, centre.imag), angle))
             if len(found) == count:
                 break
         return found
+
+
+def _over_rotation(values: NDArray[np.complex128], m: NDArray[np.intp]) -> NDArray[np.complex128]:
+    """(..., ROTATIONS) sum over m of values (..., N) times exp(j m g) at every rotation g."""
+    spectrum = np.zeros((*values.shape[:-1], ROTATIONS), complex)
+    spectrum[..., m % ROTATIONS] = values
+    return np.asarray(np.fft.ifft(spectrum, axis=-1) * ROTATIONS)
 
 
 def match(

@@ -49,8 +49,18 @@ class Spectra:
     noise: float
 
     @classmethod
-    def of(cls, scans: BasebandScans, frequencies: int = FREQUENCIES) -> Spectra:
+    def of(
+        cls,
+        scans: BasebandScans,
+        frequencies: int = FREQUENCIES,
+        wavenumbers: NDArray[np.float64] | None = None,
+    ) -> Spectra:
         """Spectra of scans made without a matched filter, in a window of 0.42 m about the axis.
+
+        Args:
+            scans: see above.
+            frequencies: number of frequencies over the band of the scans.
+            wavenumbers: (F,) kappa to take instead, equally spaced, rad/m; those of an enrolled signature.
 
         Raises DataError where fewer than 4 range bins lie in the window.
         """
@@ -72,6 +82,8 @@ class Spectra:
         width = min(independent / size, 1.0) * rate
         offsets = np.linspace(-0.5, 0.5, frequencies) * BAND_SHARE * width
         turn = 4 * np.pi / SPEED_OF_LIGHT * offsets
+        if wavenumbers is not None:
+            turn = wavenumbers - 2 * scans.wavenumber
         kernel = np.exp(-1j * turn[:, None] * (scans.ranges_m - distance)[None])
         data = kernel @ (scans.samples * taper).T.astype(np.complex128)
         data *= np.exp(2j * scans.wavenumber * distance)
