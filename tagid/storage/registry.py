@@ -1,6 +1,6 @@
-"""The enrolled layouts and every change that was ever made to them, in one sqlite file.
+"""The enrolled layouts, bodies and objects, and every change made to them, in one sqlite file.
 
-A reading names the registry's version, so that it can be told later which layouts it was chosen from.
+A reading names the registry's version, so that it can be established later what it was chosen from.
 """
 
 from __future__ import annotations
@@ -14,6 +14,8 @@ from pathlib import Path
 
 from tagid.errors import RegistryError, TagidError
 from tagid.storage.database import Database, Schema
+from tagid.tags.bodies.signature import Signature, SignatureKind
+from tagid.tags.bodies.signature_file import from_bytes, to_bytes
 from tagid.tags.layout import Layout, builtin_layouts, layout_from_dict
 
 APPLICATION_ID = 0x74616764
@@ -27,13 +29,24 @@ _MIGRATIONS = (
         "CREATE TABLE change (version INTEGER PRIMARY KEY AUTOINCREMENT, time_utc TEXT NOT NULL,"
         " action TEXT NOT NULL, name TEXT NOT NULL, source TEXT NOT NULL, definition TEXT NOT NULL)",
     ),
+    # 2: signatures of bodies and objects; a change says what kind of entry it is about.
+    (
+        "CREATE TABLE signature (kind TEXT NOT NULL, name TEXT NOT NULL, data BLOB NOT NULL,"
+        " version INTEGER NOT NULL, PRIMARY KEY (kind, name))",
+        "ALTER TABLE change ADD COLUMN kind TEXT NOT NULL DEFAULT 'layout'",
+        "ALTER TABLE change ADD COLUMN data BLOB",
+    ),
 )
 _SCHEMA = Schema(
     "registry",
     APPLICATION_ID,
     _MIGRATIONS,
-    "Restore a backup, remove the file to begin with the built-in layouts, or give another path.",
+    "Restore a backup, remove the file to start with the built-in layouts, or give another path.",
 )
+
+
+Key = tuple[str, str]
+"""Kind of an entry ("layout", "body" or "object") and its name."""
 
 
 @dataclass(frozen=True)
@@ -44,9 +57,10 @@ class Change:
         version: the registry's version from then on.
         time_utc: ISO 8601.
         action: "add", "replace" or "remove".
-        name: layout.
+        name: of the layout, body or object.
         source: where it came from ("built-in", a file, "captures", ...).
-        layout: as it was added, or as it was when removed; None where that cannot be read any more.
+        kind: "layout", "body" or "object".
+        entry: as it was added, or as it was when removed; None where it is damaged.
     """
 
     version: int
@@ -54,11 +68,32 @@ class Change:
     action: str
     name: str
     source: str
-    layout: Layout | None
+    kind: str
+    entry: Layout | Signature | None
+
+    @property
+    def layout(self) -> Layout | None:
+        """The entry, where it is a layout."""
+        return self.entry if isinstance(self.entry, Layout) else None
+
+
+@dataclass(frozen=True)
+class Contents:
+    """What was enrolled at one version.
+
+    Attributes:
+        version: of the registry.
+        layouts: by name.
+        signatures: of bodies and objects, by kind and name.
+    """
+
+    version: int
+    layouts: list[Layout]
+    signatures: list[Signature]
 
 
 class Registry:
-    """Enrolled layouts in a sqlite file, made with the built-in ones where it does not exist.
+    """Layouts, bodies and objects in a sqlite file, which starts with the built-in layouts.
 
     Safe to use from several processes: every change is one immediate transaction.
 
@@ -78,9 +113,7 @@ class Registry:
 
     def layouts(self) -> list[Layout]:
         """All enrolled layouts, by name."""
-        with self._database.connection() as connection:
-            rows = connection.execute("SELECT name, definition FROM layout ORDER BY name").fetchall()
-        return [self._decode(name, text) for name, text in rows]
+        return self.snapshot()[1]
 
     def get(self, name: str) -> Layout:
         """The layout of that name; RegistryError lists the names where there is none."""
@@ -89,6 +122,36 @@ class Registry:
         if row is None:
             raise self._missing(name)
         return self._decode(name, row[0])
+
+    def signatures(self, kind: SignatureKind | None = None) -> list[Signature]:
+        """The enrolled bodies and objects, or those of one kind, by kind and name."""
+        with self._database.connection() as connection:
+            rows = connection.execute("SELECT kind, name, data FROM signature ORDER BY kind, name").fetchall()
+        return [self._signature((k, name), data) for k, name, data in rows if kind in (None, k)]
+
+    def signature(self, kind: SignatureKind, name: str) -> Signature:
+        """One body or object; RegistryError lists the names where there is none."""
+        with self._database.connection() as connection:
+            row = connection.execute(
+                "SELECT data FROM signature WHERE kind = ? AND name = ?", (kind, name)
+            ).fetchone()
+        if row is None:
+            raise self._missing(name, kind)
+        return self._signature((kind, name), row[0])
+
+    def contents(self) -> Contents:
+        """The version, and everything enrolled at it."""
+        with self._database.connection() as connection:
+            connection.execute("BEGIN")
+            version = self._version(connection)
+            layouts = connection.execute("SELECT name, definition FROM layout ORDER BY name").fetchall()
+            rows = connection.execute("SELECT kind, name, data FROM signature ORDER BY kind, name").fetchall()
+            connection.execute("COMMIT")
+        return Contents(
+            version,
+            [self._decode(name, text) for name, text in layouts],
+            [self._signature((kind, name), data) for kind, name, data in rows],
+        )
 
     def snapshot(self) -> tuple[int, list[Layout]]:
         """The version, and all layouts enrolled at it."""
@@ -110,40 +173,51 @@ class Registry:
         return version
 
     def add_all(
-        self, layouts: Sequence[Layout], source: str, *, replace: bool = True, since: int | None = None
+        self,
+        layouts: Sequence[Layout],
+        source: str,
+        *,
+        replace: bool = True,
+        since: int | None = None,
+        signatures: Sequence[Signature] = (),
     ) -> int | None:
-        """Enrol layouts, all or none; returns the new version.
+        """Enrol layouts, bodies and objects, all or none; returns the new version.
 
-        A layout that is enrolled just so makes no new version.
+        An entry that is enrolled just so makes no new version.
 
         Args:
             layouts: of different names.
             source: where they come from, for the history.
-            replace: whether they may stand for others of their names.
+            replace: whether they may replace others of their names.
             since: store only where this is still the version; else nothing is done and None returned.
+            signatures: of different kinds or names; an object may have the name of a layout, of which it is
+                the signature.
 
         Raises RegistryError where a name is taken and `replace` is not set.
         """
+        new: dict[Key, str | bytes] = {
+            ("layout", one.name): json.dumps(one.to_dict(), sort_keys=True) for one in layouts
+        }
+        new |= {(one.kind, one.name): to_bytes(one) for one in signatures}
         with self._database.transaction() as connection:
             if since is not None and self._version(connection) != since:
                 return None
-            now = self._definitions(connection)
-            for layout in layouts:
-                text = json.dumps(layout.to_dict(), sort_keys=True)
-                if layout.name in now and not replace:
+            now = self._entries(connection)
+            for key, value in new.items():
+                if key in now and not replace:
                     raise RegistryError(
-                        f"a layout named {layout.name} is enrolled already",
+                        f"{_article(key[0])} named {key[1]} is enrolled already",
                         "Choose another name, remove the old one first, or replace it with --force.",
                     )
-                if now.get(layout.name) != text:
-                    self._put(connection, layout.name, text, source)
+                if now.get(key) != value:
+                    self._put(connection, key, value, source)
             return self._version(connection)
 
     def go_back(self, version: int | None = None) -> int:
-        """Restore the layouts as they were at a version, by new changes; returns the new version.
+        """Restore all entries as they were at a version, by new changes; returns the new version.
 
         Args:
-            version: None takes the one before what was done last (an import is one deed of many changes), so
+            version: None takes the one before the last command (an import is one command of many changes), so
                 that going back twice changes nothing.
 
         Raises RegistryError where there is no such version.
@@ -157,22 +231,23 @@ class Registry:
                     "`tagid layouts --history` lists the versions.",
                 )
             rows = connection.execute(
-                "SELECT action, name, definition FROM change WHERE version <= ? ORDER BY version", (target,)
+                "SELECT action, kind, name, definition, data FROM change WHERE version <= ? ORDER BY version",
+                (target,),
             )
-            then: dict[str, str] = {}
-            for action, name, definition in rows:
-                then.pop(name, None)
+            then: dict[Key, str | bytes] = {}
+            for action, kind, name, definition, data in rows:
+                then.pop((kind, name), None)
                 if action != "remove":
-                    self._decode(name, definition)
-                    then[name] = definition
-            now = self._definitions(connection)
+                    value = definition if kind == "layout" else data
+                    self._entry((kind, name), value)
+                    then[kind, name] = value
+            now = self._entries(connection)
             source = f"back to version {target}"
-            for name in sorted(now.keys() - then.keys()):
-                connection.execute("DELETE FROM layout WHERE name = ?", (name,))
-                self._log(connection, "remove", name, source, now[name])
-            for name, text in sorted(then.items()):
-                if now.get(name) != text:
-                    self._put(connection, name, text, source)
+            for key in sorted(now.keys() - then.keys()):
+                self._take_out(connection, key, now[key], source)
+            for key, value in sorted(then.items(), key=lambda item: item[0]):
+                if now.get(key) != value:
+                    self._put(connection, key, value, source)
             return self._version(connection)
 
     @staticmethod
@@ -185,63 +260,94 @@ class Registry:
             version = earlier
         return int(version) - 1
 
-    def _definitions(self, connection: sqlite3.Connection) -> dict[str, str]:
-        return dict(connection.execute("SELECT name, definition FROM layout").fetchall())
+    def _entries(self, connection: sqlite3.Connection) -> dict[Key, str | bytes]:
+        found: dict[Key, str | bytes] = {
+            ("layout", name): text for name, text in connection.execute("SELECT name, definition FROM layout")
+        }
+        rows = connection.execute("SELECT kind, name, data FROM signature")
+        return found | {(kind, name): data for kind, name, data in rows}
 
     @staticmethod
     def _version(connection: sqlite3.Connection) -> int:
         return int(connection.execute("SELECT COALESCE(MAX(version), 0) FROM change").fetchone()[0])
 
-    def _put(self, connection: sqlite3.Connection, name: str, text: str, source: str) -> int:
-        taken = connection.execute("SELECT 1 FROM layout WHERE name = ?", (name,)).fetchone()
-        version = self._log(connection, "replace" if taken else "add", name, source, text)
-        connection.execute(
-            "INSERT OR REPLACE INTO layout (name, definition, version) VALUES (?, ?, ?)",
-            (name, text, version),
-        )
-        return version
+    def _put(self, connection: sqlite3.Connection, key: Key, value: str | bytes, source: str) -> None:
+        kind, name = key
+        where = "layout WHERE name = ?2" if kind == "layout" else "signature WHERE kind = ?1 AND name = ?2"
+        taken = connection.execute(f"SELECT ?1 FROM {where}", (kind, name)).fetchone()
+        version = self._log(connection, "replace" if taken else "add", key, source, value)
+        if kind == "layout":
+            connection.execute("INSERT OR REPLACE INTO layout VALUES (?, ?, ?)", (name, value, version))
+        else:
+            connection.execute(
+                "INSERT OR REPLACE INTO signature VALUES (?, ?, ?, ?)", (kind, name, value, version)
+            )
+
+    def _take_out(self, connection: sqlite3.Connection, key: Key, value: str | bytes, source: str) -> int:
+        kind, name = key
+        if kind == "layout":
+            connection.execute("DELETE FROM layout WHERE name = ?", (name,))
+        else:
+            connection.execute("DELETE FROM signature WHERE kind = ? AND name = ?", key)
+        return self._log(connection, "remove", key, source, value)
 
     def remove(self, name: str, source: str = "") -> int:
-        """Take a layout out (its history stays) and return the new version."""
+        """Remove an identity, its layout and its object signature; the history stays. Returns the new version."""
+        return self._remove([("layout", name), ("object", name)], source)
+
+    def remove_signature(self, kind: SignatureKind, name: str, source: str = "") -> int:
+        """Remove a body, or the signature of an object; the history stays. Returns the new version."""
+        return self._remove([(kind, name)], source)
+
+    def _remove(self, keys: Sequence[Key], source: str) -> int:
+        version = None
         with self._database.transaction() as connection:
-            row = connection.execute("SELECT definition FROM layout WHERE name = ?", (name,)).fetchone()
-            if row is not None:
-                connection.execute("DELETE FROM layout WHERE name = ?", (name,))
-                return self._log(connection, "remove", name, source, row[0])
-        raise self._missing(name)
+            now = self._entries(connection)
+            for key in keys:
+                if key in now:
+                    version = self._take_out(connection, key, now[key], source)
+        if version is None:
+            raise self._missing(keys[0][1], keys[0][0])
+        return version
 
     def history(self, name: str | None = None) -> list[Change]:
-        """Every change, oldest first; of one layout where a name is given."""
-        query = "SELECT version, time_utc, action, name, source, definition FROM change"
+        """Every change, oldest first; of the entries of one name where it is given."""
+        query = "SELECT version, time_utc, action, name, source, kind, definition, data FROM change"
         with self._database.connection() as connection:
             if name is None:
                 rows = connection.execute(f"{query} ORDER BY version").fetchall()
             else:
                 rows = connection.execute(f"{query} WHERE name = ? ORDER BY version", (name,)).fetchall()
         changes = []
-        for number, time_utc, action, named, source, definition in rows:
+        for number, time_utc, action, named, source, kind, definition, data in rows:
+            entry: Layout | Signature | None
             try:
-                layout = self._decode(named, definition)
+                entry = self._entry((kind, named), definition if kind == "layout" else data)
             except RegistryError:
-                layout = None
-            changes.append(Change(number, time_utc, action, named, source, layout))
+                entry = None
+            changes.append(Change(number, time_utc, action, named, source, kind, entry))
         return changes
 
     def _fill(self, connection: sqlite3.Connection) -> None:
-        """Begin a new file with the built-in layouts."""
+        """Start a new file with the built-in layouts."""
         for layout in builtin_layouts().values():
             text = json.dumps(layout.to_dict(), sort_keys=True)
-            version = self._log(connection, "add", layout.name, "built-in", text)
-            connection.execute("INSERT INTO layout VALUES (?, ?, ?)", (layout.name, text, version))
+            self._put(connection, ("layout", layout.name), text, "built-in")
 
     @staticmethod
-    def _log(connection: sqlite3.Connection, action: str, name: str, source: str, text: str) -> int:
+    def _log(connection: sqlite3.Connection, action: str, key: Key, source: str, value: str | bytes) -> int:
         now = datetime.now(UTC).isoformat(timespec="seconds")
+        kind, name = key
+        text, data = (value, None) if kind == "layout" else ("", value)
         cursor = connection.execute(
-            "INSERT INTO change (time_utc, action, name, source, definition) VALUES (?, ?, ?, ?, ?)",
-            (now, action, name, source, text),
+            "INSERT INTO change (time_utc, action, name, source, definition, kind, data)"
+            " VALUES (?, ?, ?, ?, ?, ?, ?)",
+            (now, action, name, source, text, kind, data),
         )
         return int(cursor.lastrowid or 0)
+
+    def _entry(self, key: Key, value: object) -> Layout | Signature:
+        return self._decode(key[1], value) if key[0] == "layout" else self._signature(key, value)
 
     def _decode(self, name: str, text: object) -> Layout:
         try:
@@ -254,10 +360,34 @@ class Registry:
         except (ValueError, RecursionError, TagidError) as error:
             raise RegistryError(
                 f"{self.path} holds a damaged definition of {str(name)[:80]!r}: {str(error)[:200]}",
-                "Take it out with `tagid layouts --remove NAME` (its history stays), go back with "
+                "Remove it with `tagid layouts --remove NAME` (its history stays), go back with "
                 "`tagid layouts undo --to VERSION`, or restore a backup.",
             ) from None
 
-    def _missing(self, name: str) -> RegistryError:
-        names = ", ".join(layout.name for layout in self.layouts())
-        return RegistryError(f"no layout is named {name[:80]!r}", f"Enrolled are: {names or 'none'}.")
+    def _signature(self, key: Key, data: object) -> Signature:
+        kind, name = str(key[0])[:20], str(key[1])[:80]
+        try:
+            if not isinstance(data, bytes):
+                raise ValueError("not a signature")
+            signature = from_bytes(data, f"{kind} {name}")
+            if (signature.kind, signature.name) != key:
+                raise ValueError(f"it is that of the {signature.kind} {signature.name}")
+            return signature
+        except (ValueError, TagidError) as error:
+            group = "bodies --remove" if kind == "body" else "layouts --remove"
+            raise RegistryError(
+                f"{self.path} holds a damaged signature of the {kind} {name!r}: {str(error)[:200]}",
+                f"Remove it with `tagid {group} NAME` (its history stays) and enrol it again, go back with "
+                "`tagid layouts undo --to VERSION`, or restore a backup.",
+            ) from None
+
+    def _missing(self, name: str, kind: str = "layout") -> RegistryError:
+        table = "layout" if kind == "layout" else "signature WHERE kind = ?1"
+        with self._database.connection() as connection:
+            rows = connection.execute(f"SELECT name, ?1 FROM {table} ORDER BY name", (kind,)).fetchall()
+        names = ", ".join(str(row[0])[:80] for row in rows)
+        return RegistryError(f"no {kind} is named {name[:80]!r}", f"Enrolled are: {names or 'none'}.")
+
+
+def _article(kind: str) -> str:
+    return "an object" if kind == "object" else f"a {kind}"

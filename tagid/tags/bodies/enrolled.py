@@ -1,12 +1,13 @@
 """Enrolled bodies and objects as hypotheses of the reader.
 
-A body takes part as what stands under a tag, with any layout on it; an object, enrolled with its tag, as a whole.
+A body takes part as what stands under a tag, with any layout on it; an object, enrolled with its tag, as a
+whole.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 from tagid.constants import SPEED_OF_LIGHT
 from tagid.tags.bodies.hypothesis import Candidate, ObjectMatch
 from tagid.tags.bodies.posing import Match, PoseSearch, match, refine
-from tagid.tags.bodies.signature import Signature, Standpoint, angular, near_field, same_frequencies
+from tagid.tags.bodies.signature import Signature, angular, near_field
 from tagid.tags.bodies.spectra import Spectra
 
 FREQUENCY_STEP_HZ = 0.2e9
@@ -159,5 +160,7 @@ def models(
     bodies = [EnrolledBody(one, searches) for one in signatures if one.kind == "body"]
     if not direction_known:
         bodies += [EnrolledBody(body.signature.mirrored(), searches) for body in bodies if body.turns]
-    objects = [EnrolledObject(one, searches, not direction_known) for one in signatures if one.kind == "object"]
+    objects = [
+        EnrolledObject(one, searches, not direction_known) for one in signatures if one.kind == "object"
+    ]
     return bodies, objects

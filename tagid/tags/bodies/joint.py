@@ -1,9 +1,9 @@
 """A signature from several captures of one object: poses, gains and harmonics estimated together, and checked.
 
-For given poses and gains the harmonics are a linear least squares over all captures; for given harmonics and poses
-so are the gains. The poses follow by Levenberg-Marquardt on what the joint least squares leaves. What is left
-must be noise: a capture of something else, or of the object after a reflector moved, would spoil every later
-reading, so it is found and named.
+For given poses and gains the harmonics are a linear least squares over all captures; for given harmonics and
+poses so are the gains. The poses follow by Levenberg-Marquardt on what the joint least squares leaves. What
+is left must be noise: a capture of something else, or of the object after a reflector moved, would spoil
+every later reading, so it is found and named.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ RIDGE = 1e-4
 """Load of the normal equations as a share of their mean diagonal."""
 ROUND_RIDGE = 1e-3
 """The same for m = 0, relative to RIDGE. The echo of a centred round body is constant over the views, like the
-room; the two are told apart only by centres that differ, and a load on m = 0 would turn the body into room."""
-ROUND_SHARE = 0.3
+room; the two are told apart only by centres that differ, and a load on m = 0 would turn the body into
+room.""" ROUND_SHARE = 0.3
 """A body of revolution that leaves less than this share of the moving echo gives the object's centre."""
 NOISE_SLACK = 0.4
 """What a capture may keep beyond its noise, as a share of it: the noise is known to 10 %, and coloured noise or
@@ -275,7 +275,9 @@ class _Estimate:
         return new
 
 
-def estimate(captures: Sequence[Named], name: str, kind: SignatureKind, radius_m: float | None = None) -> Joint:
+def estimate(
+    captures: Sequence[Named], name: str, kind: SignatureKind, radius_m: float | None = None
+) -> Joint:
     """Joint signature of captures of one object that was turned and moved between them; not yet checked.
 
     Args:
@@ -330,7 +332,7 @@ def _score(spectra: Sequence[Spectra], work: _Estimate, radius_m: float) -> floa
         float(np.sum(np.abs(_whitened(one.spectra) - (basis.columns(one) @ found[..., None])[..., 0]) ** 2))
         for one in work.placed.values()
     )
-    return left / max(1 - basis.mask.sum() / sum(one.data.size for one in spectra), 1e-3) ** 2
+    return left / max(1 - int(basis.mask.sum()) / sum(one.data.size for one in spectra), 1e-3) ** 2
 
 
 def _residuals(captures: Sequence[Named], work: _Estimate) -> tuple[Residual, ...]:
@@ -358,7 +360,8 @@ def enrol_signature(
     Args: as of `estimate`.
 
     Raises:
-        DataError: too few captures, other bands, nothing but noise, one pose in all captures, or a residual that
+        DataError: too few captures, other bands, nothing but noise, one pose in all captures, or a residual
+        that
             is not noise; the capture to blame is named where one is.
     """
     if len(captures) < CAPTURES:
@@ -372,7 +375,8 @@ def enrol_signature(
             one.spectra.wavenumbers, first.wavenumbers, rtol=1e-4
         ):
             raise DataError(
-                f"{one.name} covers another band than {captures[0].name}", "Record all with one radar setting."
+                f"{one.name} covers another band than {captures[0].name}",
+                "Record all with one radar setting.",
             )
         noise = noise_of(one.spectra) * one.spectra.data.size
         if one.spectra.energy < (1 + NOISE_SLACK) * noise:

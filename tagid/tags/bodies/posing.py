@@ -195,9 +195,10 @@ def refine(
 class PoseSearch:
     """Coarse search for the pose of any signature in one capture.
 
-    What depends on the capture alone is computed once: at every centre of a grid, the products of the harmonics
-    with the data, with the room and a body of revolution, and with each other. The last depend on differences of
-    harmonics only, so all rotations of a signature cost four Fourier transforms per centre and frequency.
+    What depends on the capture alone is computed once: at every centre of a grid, the products of the
+    harmonics with the data, with the room and a body of revolution, and with each other. The last depend on
+    differences of harmonics only, so all rotations of a signature cost four Fourier transforms per centre and
+    frequency.
 
     Args:
         spectra: capture.
@@ -249,7 +250,8 @@ class PoseSearch:
         near = near_field(self._thin.wavenumbers, order, self._thin.distance_m)
         weights = signature.turning[:: self._step] * near
         along, room, body = (
-            _over_rotation(weights.conj() * part[..., cut], m) for part in (self._data, self._room, self._round)
+            _over_rotation(weights.conj() * part[..., cut], m)
+            for part in (self._data, self._room, self._round)
         )
         pairs = np.stack([np.correlate(w, w, "full") for w in weights.conj()])
         wide = slice(2 * (self._order - order), 2 * (self._order + order) + 1)

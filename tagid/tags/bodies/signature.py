@@ -1,21 +1,22 @@
 """Signatures: the echo of a body, or of a tagged object, as angular harmonics at every frequency.
 
-An object turned by g with its centre at c (both in the turntable's frame) is modelled at frequency f and view v as
+An object turned by g with its centre at c (both in the turntable's frame) is modelled at frequency f and view
+v as
 
     Y[f, v] = B(f) + G(f) b(f, v) sum_m S_m(f) exp(-j m^2 / (2 kappa d)) exp(j m (phi_v - g))
     b(f, v) = exp(-j kappa (rho_v - d)) (d / rho_v)^2,   kappa = 4 pi f / c0
 
-with rho_v and phi_v the distance and azimuth of the antenna seen from c, and d the axis distance. B is the static
-room. G is free at each frequency: another pulse, level or range offset changes nothing else. The factor in m^2
-is the near field: the harmonic m comes, by stationary phase, from where m = -kappa r sin(psi), and there the
-spherical wave is late by r^2 sin^2(psi) / (2 d), which is a phase of m^2 / (2 kappa d). It carries a signature
-from one axis distance to another. What it leaves out is of the order r / d in amplitude, so enrol at the
-distance at which you read.
+with rho_v and phi_v the distance and azimuth of the antenna seen from c, and d the axis distance. B is the
+static room. G is free at each frequency: another pulse, level or range offset changes nothing else. The
+factor in m^2 is the near field: the harmonic m comes, by stationary phase, from where m = -kappa r sin(psi),
+and there the spherical wave is late by r^2 sin^2(psi) / (2 d), which is a phase of m^2 / (2 kappa d). It
+carries a signature from one axis distance to another. What it leaves out is of the order r / d in amplitude,
+so enrol at the distance at which you read.
 
-Sampling: a point at radius r answers exp(j kappa r cos(psi)) = sum_m j^m J_m(kappa r) exp(j m psi), and J_m falls
-off faster than exponentially beyond |m| = kappa r; `order_of` says where to stop. The field of sources within a
-radius has about that many degrees of freedom whatever they are (Bucci and Franceschetti, "On the degrees of
-freedom of scattered fields", IEEE Transactions on Antennas and Propagation 37(7), 1989).
+Sampling: a point at radius r answers exp(j kappa r cos(psi)) = sum_m j^m J_m(kappa r) exp(j m psi), and J_m
+falls off faster than exponentially beyond |m| = kappa r; `order_of` says where to stop. The field of sources
+within a radius has about that many degrees of freedom whatever they are (Bucci and Franceschetti, "On the
+degrees of freedom of scattered fields", IEEE Transactions on Antennas and Propagation 37(7), 1989).
 """
 
 from __future__ import annotations
@@ -27,14 +28,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.constants import SPEED_OF_LIGHT
-from tagid.errors import DataError
+from tagid.errors import DataError, UsageError
 from tagid.tags.bodies.hypothesis import Pose
 from tagid.tags.bodies.spectra import Spectra
+from tagid.tags.layout import is_name
 
 MIN_RADIUS_M, MAX_RADIUS_M = 0.02, 0.16
 """Of what can be enrolled. A helmet with its reflectors has 0.12 m."""
 MAX_FREQUENCIES, MAX_ORDER = 32, 64
 """Bounds of a stored signature: larger ones are not believed."""
+MAX_LABEL = 200
 SignatureKind = Literal["body", "object"]
 KINDS = ("body", "object")
 
@@ -56,7 +59,7 @@ class Signature:
         captures: number of captures it was estimated from.
         label: for people.
 
-    Raises DataError where a field is impossible.
+    Raises UsageError where name or label cannot be, DataError where another field is impossible.
     """
 
     name: str
@@ -75,15 +78,31 @@ class Signature:
         shape = self.harmonics.shape
         count = len(self.wavenumbers) if self.wavenumbers.ndim == 1 else 0
         wrong = ""
+        if not is_name(self.name):
+            raise UsageError(
+                f"the name {str(self.name)[:80]!r} is not valid",
+                "Use 1 to 64 of a-z, 0-9, dot, dash and underscore; begin and end with a letter or digit.",
+            )
+        if len(self.label) > MAX_LABEL or not self.label.isprintable():
+            raise UsageError(
+                f"the label of {self.name} is not a line of up to {MAX_LABEL} characters", "Shorten it."
+            )
         if self.kind not in KINDS:
             wrong = f"kind {str(self.kind)[:20]!r}"
         elif not 2 <= count <= MAX_FREQUENCIES or self.noise.shape != (count,):
             wrong = f"{count} frequencies"
-        elif len(shape) != 2 or shape[0] != count or not 3 <= shape[1] <= 2 * MAX_ORDER + 1 or shape[1] % 2 == 0:
+        elif (
+            len(shape) != 2
+            or shape[0] != count
+            or not 3 <= shape[1] <= 2 * MAX_ORDER + 1
+            or shape[1] % 2 == 0
+        ):
             wrong = f"harmonics of shape {shape}"
         elif not all(np.isfinite(a).all() for a in (self.wavenumbers, self.harmonics, self.noise)):
             wrong = "values that are not finite"
-        elif not (1.0 < self.wavenumbers[0] and (np.diff(self.wavenumbers) > 0).all() and self.wavenumbers[-1] < 2e3):
+        elif not (
+            self.wavenumbers[0] > 1.0 and (np.diff(self.wavenumbers) > 0).all() and self.wavenumbers[-1] < 2e3
+        ):
             wrong = "impossible frequencies"
         elif not np.any(self.harmonics) or (self.noise < 0).any():
             wrong = "no echo or negative noise"
@@ -101,7 +120,7 @@ class Signature:
     @property
     def order(self) -> int:
         """M, the largest harmonic."""
-        return self.harmonics.shape[1] // 2
+        return int(self.harmonics.shape[1]) // 2
 
     @property
     def frequencies_hz(self) -> NDArray[np.float64]:
