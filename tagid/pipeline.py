@@ -33,7 +33,8 @@ from tagid.turn import resolve_turn
 if TYPE_CHECKING:
     from tagid.tags.averaging import Sighting
     from tagid.tags.layout import Layout
-    from tagid.tags.matcher import ReaderSettings, Reading
+    from tagid.tags.matcher import ReaderSettings
+    from tagid.tags.reading import Reading
     from tagid.tags.second_look import SecondLook
 
 Progress = Callable[[float, float, str], None]

@@ -207,6 +207,16 @@ def in_terminal(result: Reconstruction) -> RenderableType:
     return preview(image.values, image.grid.extent, colour=colour, centre_m=image.centre_m)
 
 
+HYPOTHESES = {
+    "no_tag": "a round body without a tag",
+    "bare": "a tag without a body",
+    "round": "a tag on a round body",
+    "body": "a tag on an enrolled body",
+    "object": "an enrolled object",
+}
+"""Kinds of hypotheses in words."""
+
+
 def headline(answer: Identification) -> str:
     """The answer in a few words, for a title or a first line."""
     reading = answer.reading
@@ -221,6 +231,8 @@ def describe(answer: Identification, name: str) -> RenderableType:
     from rich.console import Group
     from rich.text import Text
 
+    from tagid.tags.bodies.hypothesis import Kind
+
     colours = {"identified": "bold green", "failed": "bold red"}
     style = colours.get(answer.status, "bold yellow")
     first = Text.assemble((headline(answer).upper(), style), f"   {answer.label}   {name}")
@@ -231,6 +243,9 @@ def describe(answer: Identification, name: str) -> RenderableType:
     if reading:
         if reading.reason:
             lines.append(Text(f"  why: {reading.reason}"))
+            lines.append(Text(f"  what to do: {reading.advice}"))
+        if reading.kind is not Kind.BARE:
+            lines.append(Text(f"  read as: {HYPOTHESES[reading.kind]}"))
         if reading.layout:
             x, y = (value * 1e3 for value in reading.centre_m)
             lines.append(

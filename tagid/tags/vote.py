@@ -14,7 +14,8 @@ from tagid.errors import DataError
 from tagid.imaging.types import BasebandScans
 from tagid.tags.decision import Evidence, decide
 from tagid.tags.layout import Layout
-from tagid.tags.matcher import MatchedScan, ReaderSettings, Reading
+from tagid.tags.matcher import MatchedScan, ReaderSettings
+from tagid.tags.reading import Reading
 
 MAX_SCANS = 100
 
@@ -48,12 +49,14 @@ def read_together(
         alone.append(reading)
         agreed.append(reading if list(own[:2]) == list(order[:2]) else scan.read(order))
     evidence = joint_evidence([reading.evidence for reading in agreed])
-    status, reason = decide(evidence, settings.decision)
+    verdict = decide(evidence, settings.decision)
+    status = verdict.status
     clearest = max(agreed, key=lambda reading: reading.evidence.nats)
     joint = replace(
         clearest,
         status=status,
-        reason=reason,
+        reason=verdict.reason,
+        code=verdict.code,
         layout=clearest.nearest if status in ("identified", "ambiguous") else None,
         score=0.0 if status == "no_tag" else float(np.mean([reading.score for reading in agreed])),
         margin=float(np.clip(evidence.margin_share, 0, 1)),

@@ -186,7 +186,7 @@ def roc(runner: Runner, arguments: argparse.Namespace) -> None:
             cells = []
             for group in groups:
                 named = [
-                    o.evidence is not None and decide(o.evidence, settings)[0] == "identified" for o in group
+                    o.evidence is not None and decide(o.evidence, settings).status == "identified" for o in group
                 ]
                 tagged = group[0].condition.group == "tagged"
                 hits = sum(n and (o.right or not tagged) for n, o in zip(named, group, strict=True))

@@ -122,7 +122,7 @@ def sample(task: tuple[str, int]) -> Sample:
 def passes(samples: list[Sample]) -> list[Evidence]:
     """Evidence of those that every test but the preference lets through."""
     certain = [replace(one.evidence, odds_nats=1e3) for one in samples]
-    kept = [decide(e, DecisionSettings())[0] == "identified" for e in certain]
+    kept = [decide(e, DecisionSettings()).status == "identified" for e in certain]
     return [one.evidence for one, k in zip(samples, kept, strict=True) if k]
 
 

@@ -14,7 +14,8 @@ from tagid.geometry import Aperture
 from tagid.imaging.types import BasebandScans
 from tagid.tags.field import MatchedField
 from tagid.tags.layout import Layout, builtin_layouts
-from tagid.tags.matcher import ReaderSettings, Reading, read_tag
+from tagid.tags.matcher import ReaderSettings, read_tag
+from tagid.tags.reading import Reading
 from tagid.tags.reflectors import find_reflectors
 from tagid.tags.views import fold_views
 

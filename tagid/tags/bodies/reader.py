@@ -20,10 +20,12 @@ from tagid.tags.bodies.reflectors_fit import (
     FACING,
     OPEN,
     Batch,
+    Columns,
     Fitter,
     Pattern,
     Priors,
     joined,
+    solve,
 )
 from tagid.tags.bodies.revolution import RoundBody
 from tagid.tags.bodies.ring import Ring
@@ -87,12 +89,12 @@ class Placed:
     @property
     def angles(self) -> NDArray[np.float64]:
         """(K,) directions of the reflectors from their centre, rad."""
-        return self.batch.angles[0][self.batch.present[0] > 0]
+        return np.asarray(self.batch.angles[0][self.batch.present[0] > 0])
 
     @property
     def radii(self) -> NDArray[np.float64]:
         """(K,) apparent distances from their centre, m."""
-        return self.batch.radii[0][self.batch.present[0] > 0] + self.batch.at[0, 2]
+        return np.asarray(self.batch.radii[0][self.batch.present[0] > 0] + self.batch.at[0, 2])
 
     @property
     def centre(self) -> complex:
@@ -125,6 +127,9 @@ class BodyReading:
             the noise: the strength of the evidence.
         angle_off_deg, radius_off_m: between the free arrangement and the layout.
         tag_nats: the tag's energy over the variance of the noise.
+        early_m: how much earlier than a point in its place a reflector answers, one way, m. A reflector
+            answers from its place to within the bounce at the wall and the error of the axis distance; the
+            wall of an oval body imitates a pair, but answers from far outside its apparent radius.
     """
 
     body: BodyModel
@@ -141,6 +146,7 @@ class BodyReading:
     angle_off_deg: float
     radius_off_m: float
     tag_nats: float
+    early_m: float
 
 
 @dataclass(frozen=True)
@@ -177,6 +183,8 @@ class _Row:
 
 
 FREE, OTHER = "<free>", "<other>"
+_LONGEST_M = 0.15
+"""Delays of a reflector's response are looked for up to this, one way."""
 
 
 def read_on_body(
@@ -305,7 +313,7 @@ class _Reader:
         return [rows[i] for i in chosen], batch.some(np.array(chosen))
 
     def _centres(self, rings: Sequence[float], hints: Sequence[complex]) -> list[complex]:
-        """Where the body's centre may be: its own echo tells where that is strong, else the reflectors too."""
+        """Where the body's centre may be, from its own echo where that is strong, else with reflectors."""
         first = self.poses[0]
         if 1 - first.left / max(self.spectra.energy, 1e-30) > self.settings.strong or self.body.turns:
             return [first.pose.centre]
@@ -342,7 +350,7 @@ class _Reader:
     def _on_ring(
         self, spectra: Spectra, radius: float, centre: complex, most: int, keep: int
     ) -> tuple[Ring, list[_Start]]:
-        """The best sets of each size on one ring, with open patterns, which contain the facing ones' first."""
+        """The best sets of each size on one ring; open patterns contain the facing ones' first term."""
         count = int(np.clip(round(2 * np.pi * radius / self.settings.ring_step_m), 48, 90))
         pose = self._body_at(centre)
         echo = self.body.echo(spectra, np.array([pose.centre]), np.array([pose.turn_rad]))[0]
@@ -488,7 +496,16 @@ class _Reader:
             angle_off_deg=away(own) if own else 180.0,
             radius_off_m=abs(float(own.radii.mean()) - float(best.radii.mean())) if own else 1.0,
             tag_nats=tag / max(self.spectra.noise, 1e-30),
+            early_m=self._early(best),
         )
+
+    def _early(self, placed: Placed) -> float:
+        """Delay of the reflectors' own response, from the slope of its phase over frequency, m."""
+        cols = Columns.of(self.spectra, self.body, placed.batch)
+        amplitudes = solve(self.spectra.data, cols.values).amplitudes[0, :, 1:]
+        ahead = np.arange(-_LONGEST_M, _LONGEST_M, 2e-3)
+        turned = np.exp(-1j * ahead[:, None] * self.spectra.wavenumbers[None])
+        return float(ahead[int(np.argmax(np.abs(turned @ amplitudes.sum(axis=1))))])
 
 
 def _bin(angles: Sequence[float]) -> tuple[int, ...]:

@@ -106,7 +106,7 @@ class Spectra:
     @property
     def noise_energy(self) -> float:
         """Expected energy of the noise in `data`; one value per frequency is lost with the room."""
-        return self.noise * len(self.data) * (self.data.shape[1] - 1)
+        return float(self.noise * len(self.data) * (self.data.shape[1] - 1))
 
     @property
     def views(self) -> int:

@@ -1,0 +1,218 @@
+"""The hypotheses compete: no tag, bare, on a round body, on each enrolled body, each enrolled object.
+
+The bare reading stands where it explains the echo. Otherwise a body takes part, and a name needs a hypothesis
+that passes its own decision and is not contradicted by one that explains the echo much better.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from tagid.imaging.types import BasebandScans
+from tagid.tags.bodies.arrangement import difference_deg, gaps_deg
+from tagid.tags.bodies.decide import BodyDecision, decide_on_body
+from tagid.tags.bodies.hypothesis import Enrolled, Explanation, Kind, Pose
+from tagid.tags.bodies.reader import BodyReading, BodySettings, Placed, read_on_body
+from tagid.tags.bodies.spectra import Spectra
+from tagid.tags.layout import Layout
+from tagid.tags.reading import Reading
+from tagid.tags.reflectors import Reflector
+from tagid.tags.verdict import Code, Verdict
+
+
+@dataclass(frozen=True)
+class ContestSettings:
+    """How hypotheses are compared.
+
+    Attributes:
+        body: search and priors on bodies.
+        decision: tests on bodies.
+        explained: a bare reading that explains this share of the echo is not contested: no body could leave
+            a third of so little.
+        better: a hypothesis that leaves so many times less contradicts one that names another layout.
+    """
+
+    body: BodySettings = field(default_factory=BodySettings)
+    decision: BodyDecision = field(default_factory=BodyDecision)
+    explained: float = 0.9
+    better: float = 3.0
+
+
+def settle(
+    bare: Reading,
+    scans: BasebandScans,
+    layouts: Sequence[Layout],
+    enrolled: Enrolled,
+    settings: ContestSettings,
+) -> Reading:
+    """The bare reading, or what the hypothesis that won instead of it says.
+
+    Args:
+        bare: reading of the scans without a body.
+        scans: the same scans, at most a turn of folded views.
+        layouts: the enrolled ones.
+        enrolled: bodies and objects.
+        settings: see there.
+    """
+    named = bare.status in ("identified", "ambiguous")
+    own = Explanation(
+        Kind.BARE,
+        "",
+        bare.layout,
+        float(np.clip(1 - bare.evidence.share, 0, 1)),
+        None,
+        Pose(bare.centre_m),
+        bare.rotation_deg,
+    )
+    if named and bare.evidence.share >= settings.explained:
+        return replace(bare, hypotheses=(own,))
+    spectra = Spectra.of(scans)
+    hints = [complex(*bare.centre_m)]
+    readings: list[tuple[BodyReading, Verdict]] = []
+    for body in (settings.body.body, *enrolled.bodies):
+        reading = read_on_body(spectra, layouts, body, settings.body, hints)
+        if reading is not None:
+            readings.append((reading, decide_on_body(reading, settings.decision)))
+    if not readings:
+        return replace(bare, hypotheses=(own,))
+    explanations = [own, *_explanations(readings)]
+    bare = replace(bare, hypotheses=tuple(sorted(explanations, key=lambda e: e.left)))
+    passed = [(r, v) for r, v in readings if v.status == "identified"]
+    if passed:
+        best, _ = min(passed, key=lambda pair: pair[0].layouts[0].left)
+        if not named or bare.layout == best.layouts[0].layout or own.left > settings.better * _left(best):
+            return _on_body(bare, best, layouts)
+        if _left(best) > settings.better * own.left:
+            return bare
+        return replace(
+            bare,
+            status="ambiguous",
+            code=Code.AMBIGUOUS,
+            reason=f"the echo is that of {bare.layout} without a body, or of {best.layouts[0].layout} on one",
+        )
+    first, verdict = min(readings, key=lambda pair: _least(pair[0]))
+    if named:
+        return _contested(bare, own, first, layouts, settings)
+    if own.left > settings.better * _share(first, _least(first)) or verdict.status == "no_tag":
+        if bare.status == "no_tag":
+            return replace(bare, body=first)
+        return replace(
+            bare,
+            status=verdict.status,
+            code=verdict.code,
+            reason=verdict.reason,
+            score=0.0 if verdict.status == "no_tag" else bare.score,
+            kind=Kind.NO_TAG if verdict.status == "no_tag" else _kind(first),
+            body=first,
+        )
+    return replace(bare, body=first)
+
+
+def _kind(reading: BodyReading) -> Kind:
+    return Kind.BODY if reading.body.name else Kind.ROUND
+
+
+def _share(reading: BodyReading, left: float) -> float:
+    """Energy left above noise as a share of the moving echo above noise."""
+    signal = max(reading.energy - reading.noise, 1e-30)
+    return float(np.clip((left - reading.noise) / signal, 0, 1))
+
+
+def _left(reading: BodyReading) -> float:
+    return _share(reading, reading.layouts[0].left)
+
+
+def _least(reading: BodyReading) -> float:
+    """The least energy that any arrangement leaves on this body."""
+    return min(placed.left for placed in (*reading.layouts, *reading.others))
+
+
+def _contested(
+    bare: Reading,
+    own: Explanation,
+    reading: BodyReading,
+    layouts: Sequence[Layout],
+    settings: ContestSettings,
+) -> Reading:
+    """A bare name, taken back where another arrangement on a body leaves far less of the echo."""
+    best = min((*reading.layouts, *reading.others), key=lambda placed: placed.left)
+    layout = next(one for one in layouts if one.name == bare.layout)
+    place = layout.positions[:, 0] + 1j * layout.positions[:, 1]
+    off = np.abs(place) > 0.01
+    wanted = gaps_deg(np.angle(place[off])) if off.any() else np.zeros(0)
+    apart = difference_deg(gaps_deg(best.angles), wanted) > settings.body.other_deg
+    if best.layout == bare.layout or not apart:
+        return replace(bare, body=reading)
+    if own.left <= settings.better * max(_share(reading, best.left), settings.body.priors.model_error):
+        return replace(bare, body=reading)
+    return replace(
+        bare,
+        status="unknown",
+        layout=None,
+        code=Code.OTHER,
+        reason=f"another arrangement on a body leaves {_share(reading, best.left):.0%} of the echo, "
+        f"{bare.layout} without one {own.left:.0%}",
+        kind=_kind(reading),
+        body=reading,
+    )
+
+
+def _explanations(readings: Sequence[tuple[BodyReading, Verdict]]) -> list[Explanation]:
+    """No tag, and the best layout on every body."""
+    first = readings[0][0]
+    found = [Explanation(Kind.NO_TAG, "", None, _share(first, first.body_left), None, first.pose)]
+    for reading, _ in readings:
+        best = reading.layouts[0]
+        found.append(
+            Explanation(
+                _kind(reading),
+                reading.body.name,
+                best.layout,
+                _share(reading, best.left),
+                float(min(reading.unexplained, 1.0)),
+                reading.pose,
+                None,
+                float(best.radii.mean()),
+            )
+        )
+    return found
+
+
+def _on_body(bare: Reading, reading: BodyReading, layouts: Sequence[Layout]) -> Reading:
+    """The reading that a layout on a body won."""
+    best = reading.layouts[0]
+    layout = next(one for one in layouts if one.name == best.layout)
+    return replace(
+        bare,
+        status="identified",
+        reason="",
+        code=Code.NONE,
+        layout=best.layout,
+        nearest=layout.name,
+        score=float(np.clip(1 - reading.unexplained, 0, 1)),
+        margin=float(np.clip(reading.lead / (1 + max(reading.lead, 0.0)), 0, 1)),
+        rotation_deg=_rotation_deg(best, layout),
+        centre_m=(best.centre.real, best.centre.imag),
+        reflectors=_measured(reading),
+        missing=0,
+        extra=0,
+        kind=_kind(reading),
+        body=reading,
+    )
+
+
+def _rotation_deg(placed: Placed, layout: Layout) -> float:
+    """Rotation of the layout, within its symmetry, degrees."""
+    place = layout.positions[:, 0] + 1j * layout.positions[:, 1]
+    turned = np.exp(1j * (placed.angles - np.angle(place[np.abs(place) > 0.01])))
+    return float(np.rad2deg(np.angle(turned.sum())) % (360 / layout.symmetry))
+
+
+def _measured(reading: BodyReading) -> tuple[Reflector, ...]:
+    """The reflectors where they were found with free angles, at their apparent radius."""
+    free = reading.free or reading.layouts[0]
+    snr = float(10 * np.log10(max(reading.tag_nats / len(free.angles), 1e-9)))
+    return tuple(Reflector(float(x), float(y), 1.0 + 0j, 0.0, snr, True) for x, y in free.positions)

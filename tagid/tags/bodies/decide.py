@@ -1,0 +1,78 @@
+"""When a tag on a body is named, and what is said when it is not."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from tagid.tags.bodies.reader import BodyReading
+from tagid.tags.verdict import Code, Verdict
+
+
+@dataclass(frozen=True)
+class BodyDecision:
+    """Tests that a layout on a body must pass; each can only take a name away.
+
+    Attributes:
+        unexplained: largest share of the tag's echo that its layout may leave. Tags on full-wave cans leave
+            under 2 %; a handle, an oval wall or another tag 20 % or more.
+        lead: smallest `BodyReading.lead` where no calibration asks for more.
+        angle_deg, radius_m: largest difference between the layout and the same reflectors with free angles.
+        early_m: range of `BodyReading.early_m`: full-wave tags on cans answer from 26 mm behind to 14 mm
+            before their apparent place, the wall of an oval helmet from 60 mm before it; 15 mm more on both
+            sides for the error of the axis distance.
+        tag_nats: least energy of the tag over the variance of the noise.
+        centre_m: largest distance of the body's centre from the rotation axis.
+        no_tag: a body is untagged where it leaves less than this many times the noise and
+        no_tag_share: this share of the moving echo.
+        ambiguous: a second layout that lies within this `lead` of the first is as good.
+    """
+
+    unexplained: float = 0.15
+    lead: float = 1.0
+    angle_deg: float = 9.0
+    radius_m: float = 0.010
+    early_m: tuple[float, float] = (-0.042, 0.030)
+    tag_nats: float = 60.0
+    centre_m: float = 0.013
+    no_tag: float = 1.3
+    no_tag_share: float = 0.002
+
+
+def decide_on_body(reading: BodyReading, settings: BodyDecision) -> Verdict:
+    """The verdict on the best layout of a body."""
+    r, s = reading, settings
+    name = f"the enrolled body {r.body.name}" if r.body.name else "a round body"
+    best = r.layouts[0]
+    if r.body_left < s.no_tag * r.noise + s.no_tag_share * r.energy:
+        return Verdict("no_tag", Code.NO_TAG, f"{name} without reflectors explains the echo")
+    if r.tag_nats < s.tag_nats:
+        return Verdict("unknown", Code.WEAK, f"what is not of {name} is too weak to tell reflectors")
+    if r.unexplained > s.unexplained:
+        code = Code.UNEXPLAINED if r.body.name else Code.BODY
+        return Verdict(
+            "unknown",
+            code,
+            f"{best.layout} on {name} leaves {min(r.unexplained, 1):.0%} of its echo unexplained",
+        )
+    if abs(r.pose.centre) > s.centre_m:
+        return Verdict(
+            "unknown",
+            Code.OFF_CENTRE,
+            f"the body's centre lies {abs(r.pose.centre) * 1e3:.0f} mm off the axis",
+        )
+    if not s.early_m[0] <= r.early_m <= s.early_m[1]:
+        return Verdict(
+            "unknown",
+            Code.BODY,
+            f"the echo comes from {r.early_m * 1e3:+.0f} mm before the places of {best.layout}, "
+            "as from the wall of a body that is not round",
+        )
+    if r.angle_off_deg > s.angle_deg:
+        return Verdict("unknown", Code.OTHER, f"the reflectors' angles are not those of {best.layout}")
+    if r.radius_off_m > s.radius_m:
+        return Verdict("unknown", Code.RADIUS, f"the reflectors' radius is not that of {best.layout}")
+    if r.lead < s.lead:
+        return Verdict(
+            "unknown", Code.OTHER, f"another arrangement on {name} explains the echo about as well"
+        )
+    return Verdict("identified")
