@@ -292,7 +292,7 @@ class Registry:
         return self._log(connection, "remove", key, source, value)
 
     def remove(self, name: str, source: str = "") -> int:
-        """Remove an identity, its layout and its object signature; the history stays. Returns the new version."""
+        """Remove an identity (layout and object signature) and return the new version; its history stays."""
         return self._remove([("layout", name), ("object", name)], source)
 
     def remove_signature(self, kind: SignatureKind, name: str, source: str = "") -> int:

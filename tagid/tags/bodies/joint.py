@@ -1,4 +1,4 @@
-"""A signature from several captures of one object: poses, gains and harmonics estimated together, and checked.
+"""A signature from several captures of one object: poses, gains and harmonics together, and checked.
 
 For given poses and gains the harmonics are a linear least squares over all captures; for given harmonics and
 poses so are the gains. The poses follow by Levenberg-Marquardt on what the joint least squares leaves. What
@@ -37,16 +37,17 @@ START_RADII_M = (0.07, 0.12)
 RIDGE = 1e-4
 """Load of the normal equations as a share of their mean diagonal."""
 ROUND_RIDGE = 1e-3
-"""The same for m = 0, relative to RIDGE. The echo of a centred round body is constant over the views, like the
-room; the two are told apart only by centres that differ, and a load on m = 0 would turn the body into
-room.""" ROUND_SHARE = 0.3
+"""The same for m = 0, relative to RIDGE. The echo of a centred round body is constant over the views, like
+the room; the two are told apart only by centres that differ, and a load on m = 0 would turn the body into
+room."""
+ROUND_SHARE = 0.3
 """A body of revolution that leaves less than this share of the moving echo gives the object's centre."""
 NOISE_SLACK = 0.4
-"""What a capture may keep beyond its noise, as a share of it: the noise is known to 10 %, and coloured noise or
-interference inside the band is not in the estimate."""
+"""What a capture may keep beyond its noise, as a share of it: the noise is known to 10 %, and coloured noise
+or interference inside the band is not in the estimate."""
 MODEL_SHARE = 0.008
-"""What a capture may keep of its turning echo. Full-wave captures of one object keep up to 0.2 % (other distance
-and place); one from which a tag 17 dB under the turning echo was taken keeps over 1 %."""
+"""What a capture may keep of its turning echo. Full-wave captures of one object keep up to 0.2 % (other
+distance and place); one from which a tag 17 dB under the turning echo was taken keeps over 1 %."""
 SAME_PLACE_M, SAME_TURN_RAD = 1e-3, np.deg2rad(15.0)
 """Captures nearer than both show the object in one pose."""
 _ROUND_TURNING = 0.5
@@ -197,7 +198,7 @@ class _Estimate:
         self.signature = blank
 
     def start(self) -> None:
-        """Harmonics of the capture with the most views, then each other capture matched with what is known."""
+        """Harmonics of the capture with the most views; then every other capture, matched with them."""
         for i in self.order:
             spectra = self.captures[i]
             centre, left = round_centre(spectra)

@@ -83,7 +83,7 @@ def descend(
     x: NDArray[np.float64],
     iterations: int = 12,
 ) -> Found:
-    """Levenberg-Marquardt with the linear amplitudes eliminated (variable projection; L. Kaufman, BIT 15, 1975).
+    """Levenberg-Marquardt with the linear amplitudes eliminated (variable projection, Kaufman 1975).
 
     Args:
         spectra: data.

@@ -205,7 +205,7 @@ def angular(azimuth: NDArray[np.float64], order: int) -> NDArray[np.complex128]:
 
 
 def turned(spectra: Spectra, signature: Signature, turn_rad: float) -> NDArray[np.complex128]:
-    """(F, 2 M + 1) harmonics of an object turned by an angle, as they arrive at the distance of the spectra."""
+    """(F, 2 M + 1) harmonics of a turned object, as they arrive at the distance of the spectra."""
     m = np.arange(-signature.order, signature.order + 1)
     near = near_field(spectra.wavenumbers, signature.order, spectra.distance_m)
     return np.asarray(signature.harmonics * near * np.exp(-1j * m * turn_rad))
