@@ -19,8 +19,8 @@ from tagid.tags.bodies.signature import Signature, angular, near_field
 from tagid.tags.bodies.spectra import Spectra
 
 FREQUENCY_STEP_HZ = 0.2e9
-"""Spacing of the frequencies of signatures: the range window of `Spectra` is 0.65 m wide, so spectra vary
-over c / (2 x 0.65 m) = 0.23 GHz. They are multiples of it, whatever the pulse and the length of the window."""
+"""Spacing of the frequencies of signatures: the range window of `Spectra` is 0.65 m wide, so spectra
+vary over c / (2 x 0.65 m) = 0.23 GHz. They are multiples of it, whatever the pulse and the length of the window."""
 SLACK_M = 5e-3
 """A tag's ring is centred on the body to this, standard deviation a coordinate; the centre of a signature is
 that of its first capture."""
