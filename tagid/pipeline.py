@@ -32,6 +32,9 @@ from tagid.turn import resolve_turn
 
 if TYPE_CHECKING:
     from tagid.tags.averaging import Sighting
+    from tagid.tags.bodies.hypothesis import Enrolled
+    from tagid.tags.bodies.signature import Signature
+    from tagid.tags.bodies.spectra import Spectra
     from tagid.tags.layout import Layout
     from tagid.tags.matcher import ReaderSettings
     from tagid.tags.reading import Reading
@@ -49,6 +52,9 @@ its edge, where nothing is trusted."""
 MAX_VIEWS = 360
 """Scans are averaged into at most this many views a turn: 1 degree, the paper's step; it moves a reflector on
 the rim of a 0.25 m object by 4.4 mm, under an eighth of a wavelength."""
+MIN_SIGNATURE_VIEWS = 24
+"""Views of a capture that a signature is made of: two per harmonic of a cup, one per two of a helmet; three
+captures share the rest."""
 MAX_POSITIONS = 2000
 """Free antenna positions are not averaged: a path may need every one of them, a long one this many."""
 
@@ -269,11 +275,19 @@ def identify(
     layouts: Sequence[Layout],
     settings: ImagingSettings | None = None,
     registry_version: int | None = None,
+    signatures: Sequence[Signature] = (),
 ) -> Identification:
     """Name the object of a prepared capture (see `prepare`).
 
     Reads the tag in the data domain, where no image's artefact can mislead it. A wrong axis distance is found
     by the reader itself, as a range offset.
+
+    Args:
+        capture: the capture.
+        layouts: enrolled layouts.
+        settings: of preprocessing and decision.
+        registry_version: for the answer.
+        signatures: enrolled bodies and objects.
 
     Raises:
         DataError: too few views or bins, or the object lies outside the range window.
@@ -291,10 +305,13 @@ def identify(
     with watch.stage("preprocess"):
         scans = preprocess(capture, settings=_preprocessing(settings, matched_filter=False))
     with watch.stage("read"):
-        reading = read_tag(scans, layouts, _reading(settings))
+        enrolled = _enrolled(capture, signatures, settings)
+        reading = read_tag(scans, layouts, _reading(settings), enrolled)
     with watch.stage("look again"):
         second = _second_look(capture, settings, reading)
-    label = next((layout.label for layout in layouts if layout.name == reading.layout), "")
+    labels = {one.name: one.label for one in signatures if one.kind == "object"}
+    labels |= {layout.name: layout.label for layout in layouts}
+    label = labels.get(reading.layout or "", "")
     return Identification(
         reading.status, reading, capture.uuid, registry_version, label, dict(watch.seconds), second=second
     )
@@ -354,6 +371,51 @@ def _reading(settings: ImagingSettings) -> ReaderSettings:
 
     decision = DecisionSettings(false_accept=settings.false_accept)
     return ReaderSettings(decision=decision, direction_known=settings.direction_known)
+
+
+def _enrolled(
+    capture: Capture, signatures: Sequence[Signature], settings: ImagingSettings
+) -> Enrolled | None:
+    """Enrolled bodies and objects as hypotheses; None where there are none of the capture's band."""
+    if not signatures or capture.angles_rad is None:
+        return None
+    from tagid.tags.bodies.enrolled import hypotheses, signature_wavenumbers
+
+    wavenumbers = signature_wavenumbers(capture.center_frequency_hz, capture.bandwidth_hz)
+    return hypotheses(signatures, wavenumbers, direction_known=settings.direction_known)
+
+
+def aspect_spectra(capture: Capture, settings: ImagingSettings | None = None) -> Spectra:
+    """Spectra of a prepared capture from which the signature of its object can be estimated.
+
+    Raises DataError as `identify` does, and for free antenna positions.
+    """
+    from tagid.tags.bodies.enrolled import signature_wavenumbers
+    from tagid.tags.bodies.signature import MAX_RADIUS_M
+    from tagid.tags.bodies.spectra import Spectra
+    from tagid.tags.views import fold_views
+
+    settings = settings or ImagingSettings()
+    if capture.angles_rad is None:
+        raise DataError(
+            "the signature of an object needs it on a turntable, this capture has free antenna positions",
+            "Record the object turning, or enrol its reflectors with --point.",
+        )
+    if capture.views < MIN_SIGNATURE_VIEWS:
+        raise DataError(
+            f"the capture has {capture.views} views, a signature needs {MIN_SIGNATURE_VIEWS}",
+            "Record more views per turn.",
+        )
+    capture, _ = _with_pulse(capture, settings, Stopwatch())
+    scans = preprocess(capture, settings=_preprocessing(settings, matched_filter=False))
+    wavenumbers = signature_wavenumbers(capture.center_frequency_hz, capture.bandwidth_hz)
+    if len(wavenumbers) < 3:
+        raise DataError(
+            f"a band of {capture.bandwidth_hz / 1e6:.0f} MHz holds {len(wavenumbers)} frequencies of a "
+            "signature, 3 are needed",
+            "Correct the capture's bandwidth_hz.",
+        )
+    return Spectra.of(fold_views(scans, MAX_RADIUS_M), wavenumbers=wavenumbers)
 
 
 def sight_reflectors(capture: Capture, name: str, settings: ImagingSettings | None = None) -> Sighting:

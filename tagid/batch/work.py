@@ -48,7 +48,7 @@ def work(source: Source, job: Job) -> Outcome:
             capture = complete(read_any(path, job.config["radar.cable_delay_ps"]), job.config)
         with watch.stage("prepare"):
             capture = prepare(capture, motion_of(job.config, capture))
-        answer = identify(capture, job.layouts, job.settings, job.registry_version)
+        answer = identify(capture, job.layouts, job.settings, job.registry_version, job.signatures)
         for name, seconds in answer.seconds.items():
             watch.seconds[name] = watch.seconds.get(name, 0.0) + seconds
         if job.pictures:

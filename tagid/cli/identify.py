@@ -77,7 +77,7 @@ def run(
     background, preview, png = view
     config = load_config(overrides)
     registry = imaging.open_registry()
-    layouts, version = registry.layouts(), registry.version
+    known = registry.contents()
     answers: list[Identification] = []
     items: list[dict[str, object]] = []
     drawn: list[RenderableType] = []
@@ -88,7 +88,7 @@ def run(
             capture = complete(read_any(path, config["radar.cable_delay_ps"]), config)
             capture = without_reference(capture, config, background)
             capture = prepare(capture, motion_of(config, capture))
-            answer = identify(capture, layouts, settings, version)
+            answer = identify(capture, known.layouts, settings, known.version, known.signatures)
             if (preview or png) and len(files) == 1:
                 result = imaging.image_with_progress(terminal, capture, settings)
                 if png:

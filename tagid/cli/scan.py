@@ -131,8 +131,7 @@ def _scan(
     except OSError as error:
         raise StorageError(f"cannot make the folder {folder}: {error.strerror}", "Choose another.") from None
     plan = plan_of(config, url, limits, about)
-    layouts_registry = imaging.open_registry()
-    layouts, version = layouts_registry.layouts(), layouts_registry.version
+    known = imaging.open_registry().contents()
     motion = open_motion(config["motion.url"])
     path = capture_path(folder)
     with terminal.progress("record", motion.needed_seconds()) as advance:
@@ -153,7 +152,7 @@ def _scan(
     learned: dict[str, Any] = {}
     try:
         prepared = prepare(capture, None if capture.angles_rad is not None else config["motion.url"])
-        answer = identify(prepared, layouts, settings, version)
+        answer = identify(prepared, known.layouts, settings, known.version, known.signatures)
         result = imaging.image_with_progress(terminal, prepared, settings)
         imaging.draw(result, answer, png)
         write_image(npz, result.image)

@@ -14,13 +14,17 @@ import numpy as np
 from tagid.imaging.types import BasebandScans
 from tagid.tags.bodies.arrangement import difference_deg, gaps_deg
 from tagid.tags.bodies.decide import BodyDecision, decide_on_body
-from tagid.tags.bodies.hypothesis import Enrolled, Explanation, Kind, Pose
+from tagid.tags.bodies.hypothesis import Enrolled, Explanation, Kind, Pose, plausible
+from tagid.tags.bodies.objects import ObjectDecision, ObjectReading, decide_object, read_objects
 from tagid.tags.bodies.reader import BodyReading, BodySettings, Placed, read_on_body
 from tagid.tags.bodies.spectra import Spectra
 from tagid.tags.layout import Layout
 from tagid.tags.reading import Reading
 from tagid.tags.reflectors import Reflector
 from tagid.tags.verdict import Code, Verdict
+
+EXPLAINED_OBJECTS = 3
+"""Enrolled objects reported among the hypotheses, the best ones."""
 
 
 @dataclass(frozen=True)
@@ -33,12 +37,14 @@ class ContestSettings:
         explained: a bare reading that explains this share of the echo is not contested: no body could leave
             a third of so little.
         better: a hypothesis that leaves so many times less contradicts one that names another layout.
+        objects: tests on enrolled objects.
     """
 
     body: BodySettings = field(default_factory=BodySettings)
     decision: BodyDecision = field(default_factory=BodyDecision)
     explained: float = 0.9
     better: float = 3.0
+    objects: ObjectDecision = field(default_factory=ObjectDecision)
 
 
 def settle(
@@ -69,18 +75,38 @@ def settle(
     )
     if named and bare.evidence.share >= settings.explained:
         return replace(bare, hypotheses=(own,))
-    spectra = Spectra.of(scans)
+    spectra = Spectra.of(scans, wavenumbers=enrolled.wavenumbers)
     hints = [complex(*bare.centre_m)]
     readings: list[tuple[BodyReading, Verdict]] = []
-    for body in (settings.body.body, *enrolled.bodies):
+    for body in (settings.body.body, *plausible(spectra, enrolled.bodies)):
         reading = read_on_body(spectra, layouts, body, settings.body, hints)
         if reading is not None:
             readings.append((reading, decide_on_body(reading, settings.decision)))
     if not readings:
         return replace(bare, hypotheses=(own,))
     explanations = [own, *_explanations(readings)]
+    objects = read_objects(
+        spectra, enrolled.objects, readings[0][0].body_left, min(r.body_left for r, _ in readings)
+    )
+    explanations += [_object_explanation(spectra, one) for one in objects[:EXPLAINED_OBJECTS]]
     bare = replace(bare, hypotheses=tuple(sorted(explanations, key=lambda e: e.left)))
     passed = [(r, v) for r, v in readings if v.status == "identified"]
+    if any(r.body.name and v.status == "no_tag" for r, v in readings):
+        # An enrolled body alone explains the echo: a layout on another body only imitates it.
+        passed = []
+    if objects:
+        whole = decide_object(objects, settings.objects)
+        if whole.status == "identified":
+            return _on_object(bare, objects[0], passed)
+        if whole.status == "ambiguous" and not passed:
+            return replace(
+                bare,
+                status="ambiguous",
+                layout=objects[0].model.layout,
+                code=whole.code,
+                reason=whole.reason,
+                kind=Kind.OBJECT,
+            )
     if passed:
         best, _ = min(passed, key=lambda pair: pair[0].layouts[0].left)
         if not named or bare.layout == best.layouts[0].layout or own.left > settings.better * _left(best):
@@ -201,6 +227,49 @@ def _on_body(bare: Reading, reading: BodyReading, layouts: Sequence[Layout]) -> 
         extra=0,
         kind=_kind(reading),
         body=reading,
+    )
+
+
+def _object_explanation(spectra: Spectra, reading: ObjectReading) -> Explanation:
+    left = reading.match.left - spectra.noise_energy
+    share = left / max(spectra.energy - spectra.noise_energy, 1e-30)
+    beyond = reading.excess / max(reading.beyond_body, 1e-9)
+    return Explanation(
+        Kind.OBJECT,
+        reading.model.name,
+        reading.model.layout,
+        float(np.clip(share, 0, 1)),
+        float(np.clip(beyond, 0, 1)),
+        reading.match.pose,
+    )
+
+
+def _on_object(bare: Reading, won: ObjectReading, passed: Sequence[tuple[BodyReading, Verdict]]) -> Reading:
+    """The reading that an enrolled object won, unless a layout on a body with another name fits as well."""
+    name = won.model.layout or won.model.name
+    rivals = [r for r, _ in passed if r.layouts[0].layout != name and r.layouts[0].left < won.match.left]
+    status, reason = "identified", ""
+    if rivals:
+        other = rivals[0]
+        status = "ambiguous"
+        reason = f"the echo is that of the enrolled object {name}, or of {other.layouts[0].layout} on a body"
+    left = max(won.excess, 0.0) / max(won.beyond_body, 1e-9)
+    return replace(
+        bare,
+        status=status,
+        reason=reason,
+        code=Code.AMBIGUOUS if rivals else Code.NONE,
+        layout=name,
+        nearest=name,
+        score=float(np.clip(1 - left, 0, 1)),
+        margin=float(np.clip(1 - left, 0, 1)),
+        rotation_deg=float(np.rad2deg(won.match.pose.turn_rad) % 360),
+        centre_m=won.match.pose.centre_m,
+        reflectors=(),
+        missing=0,
+        extra=0,
+        kind=Kind.OBJECT,
+        body=None,
     )
 
 

@@ -13,14 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.constants import SPEED_OF_LIGHT
-from tagid.tags.bodies.hypothesis import Candidate, ObjectMatch
+from tagid.tags.bodies.hypothesis import Candidate, Enrolled, ObjectMatch
 from tagid.tags.bodies.posing import Match, PoseSearch, match, refine
-from tagid.tags.bodies.signature import Signature, angular, near_field
+from tagid.tags.bodies.signature import Signature, angular, near_field, same_wavenumbers
 from tagid.tags.bodies.spectra import Spectra
 
 FREQUENCY_STEP_HZ = 0.2e9
 """Spacing of the frequencies of signatures: the range window of `Spectra` is 0.65 m wide, so spectra
-vary over c / (2 x 0.65 m) = 0.23 GHz. They are multiples of it, whatever the pulse and the length of the window."""
+vary over c / (2 x 0.65 m) = 0.23 GHz. The frequencies are multiples of it, whatever pulse and window are."""
 SLACK_M = 5e-3
 """A tag's ring is centred on the body to this, standard deviation a coordinate; the centre of a signature is
 that of its first capture."""
@@ -99,7 +99,9 @@ class EnrolledBody:
         """(H, F, V) its echo at centres x + jy (H,), m, and turns (H,), rad."""
         order = self.signature.order
         near = near_field(spectra.wavenumbers, order, spectra.distance_m)
-        weights = self.signature.harmonics * near
+        # The reader's coarse steps use some of the frequencies only.
+        rows = np.abs(self.signature.wavenumbers[:, None] - spectra.wavenumbers).argmin(axis=0)
+        weights = self.signature.harmonics[rows] * near
         across = spectra.antenna - np.asarray(centres)[:, None]
         rho = np.abs(across)
         carrier = spectra.waves(rho) * (spectra.distance_m / rho) ** 2
@@ -150,12 +152,22 @@ class EnrolledObject:
         return float(self.signature.noise_share * echo_energy / max(spectra.noise_energy, 1e-300))
 
 
-def models(
-    signatures: Sequence[Signature], *, direction_known: bool = True
-) -> tuple[list[EnrolledBody], list[EnrolledObject]]:
-    """Bodies and objects as hypotheses; with an unknown direction of the turn, bodies stand both ways."""
+def hypotheses(
+    signatures: Sequence[Signature],
+    wavenumbers: NDArray[np.float64],
+    *,
+    direction_known: bool = True,
+) -> Enrolled:
+    """Enrolled bodies and objects as hypotheses of the reader.
+
+    Args:
+        signatures: enrolled ones; those of another band than the capture's take no part.
+        wavenumbers: `signature_wavenumbers` of the capture's band.
+        direction_known: whether the direction of the turn is; else bodies and objects stand both ways.
+    """
+    signatures = [one for one in signatures if same_wavenumbers(one.wavenumbers, wavenumbers)]
     if not signatures:
-        return [], []
+        return Enrolled()
     searches = Searches(max(one.order for one in signatures))
     bodies = [EnrolledBody(one, searches) for one in signatures if one.kind == "body"]
     if not direction_known:
@@ -163,4 +175,4 @@ def models(
     objects = [
         EnrolledObject(one, searches, not direction_known) for one in signatures if one.kind == "object"
     ]
-    return bodies, objects
+    return Enrolled(tuple(bodies), tuple(objects), wavenumbers)

@@ -6,6 +6,7 @@ objects take part by implementing `BodyModel` or `ObjectModel`; the reader knows
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Protocol
@@ -122,12 +123,37 @@ class ObjectModel(Protocol):
         ...
 
 
+MOST_BODIES = 2
+"""Enrolled bodies on which layouts are fitted in one capture."""
+FAR_BODY = 2.0
+"""A body that alone leaves so many times what the best one leaves is not what stands there: a tag adds the same
+to both."""
+
+
+def plausible(spectra: Spectra, bodies: Sequence[BodyModel]) -> list[BodyModel]:
+    """The enrolled bodies on which a tag may be, the best first.
+
+    One that looks the same from all sides is left out: it is a body of revolution, which is fitted anyway, and
+    its echo says nothing of which one it is.
+    """
+    found = [(body.poses(spectra)[0].left, i) for i, body in enumerate(bodies) if body.turns]
+    least = min((left for left, _ in found), default=0.0)
+    near = [i for left, i in sorted(found) if left <= FAR_BODY * least]
+    return [bodies[i] for i in near[:MOST_BODIES]]
+
+
 @dataclass(frozen=True)
 class Enrolled:
-    """Enrolled bodies and objects, beside the layouts."""
+    """Enrolled bodies and objects, beside the layouts.
+
+    Attributes:
+        bodies, objects: the models.
+        wavenumbers: (F,) frequencies at which they are known, as kappa, rad/m; None where there are none.
+    """
 
     bodies: tuple[BodyModel, ...] = ()
     objects: tuple[ObjectModel, ...] = ()
+    wavenumbers: NDArray[np.float64] | None = None
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from tagid.tags.bodies.signature import (
     Standpoint,
     angular,
     near_field,
-    same_frequencies,
+    same_wavenumbers,
     turned,
 )
 from tagid.tags.bodies.spectra import Spectra, centred
@@ -239,7 +239,10 @@ class PoseSearch:
 
         Raises DataError where signature and capture are at different frequencies.
         """
-        if not same_frequencies(self.spectra, signature) or signature.order > self._order:
+        if (
+            not same_wavenumbers(self.spectra.wavenumbers, signature.wavenumbers)
+            or signature.order > self._order
+        ):
             raise DataError(
                 f"the capture's band is not that in which {signature.name} was enrolled",
                 "Enrol it again with this radar.",

@@ -200,8 +200,8 @@ def near_field(wavenumbers: NDArray[np.float64], order: int, distance_m: float) 
 
 
 def angular(azimuth: NDArray[np.float64], order: int) -> NDArray[np.complex128]:
-    """(V, 2 order + 1) exp(j m phi)."""
-    return np.asarray(np.exp(1j * azimuth[:, None] * np.arange(-order, order + 1)))
+    """(..., V, 2 order + 1) exp(j m phi)."""
+    return np.asarray(np.exp(1j * azimuth[..., None] * np.arange(-order, order + 1)))
 
 
 def turned(spectra: Spectra, signature: Signature, turn_rad: float) -> NDArray[np.complex128]:
@@ -218,8 +218,6 @@ def echo(spectra: Spectra, signature: Signature, pose: Pose) -> NDArray[np.compl
     return np.asarray(at.carrier * (weights @ angular(at.azimuth, signature.order).T))
 
 
-def same_frequencies(spectra: Spectra, signature: Signature) -> bool:
-    """Whether both are at the same frequencies, to 1 MHz."""
-    return len(spectra.wavenumbers) == len(signature.wavenumbers) and bool(
-        np.abs(spectra.wavenumbers - signature.wavenumbers).max() < 4 * np.pi * 1e6 / SPEED_OF_LIGHT
-    )
+def same_wavenumbers(one: NDArray[np.float64], other: NDArray[np.float64]) -> bool:
+    """Whether both are the same frequencies, to 1 MHz."""
+    return len(one) == len(other) and bool(np.abs(one - other).max() < 4 * np.pi * 1e6 / SPEED_OF_LIGHT)
