@@ -126,15 +126,15 @@ class ObjectModel(Protocol):
 MOST_BODIES = 2
 """Enrolled bodies on which layouts are fitted in one capture."""
 FAR_BODY = 2.0
-"""A body that alone leaves so many times what the best one leaves is not what stands there: a tag adds the same
-to both."""
+"""A body that alone leaves so many times what the best one leaves is not what stands there: a tag adds the
+same to both."""
 
 
 def plausible(spectra: Spectra, bodies: Sequence[BodyModel]) -> list[BodyModel]:
     """The enrolled bodies on which a tag may be, the best first.
 
-    One that looks the same from all sides is left out: it is a body of revolution, which is fitted anyway, and
-    its echo says nothing of which one it is.
+    One that looks the same from all sides is left out: it is a body of revolution, which is fitted anyway,
+    and its echo does not say which one it is.
     """
     found = [(body.poses(spectra)[0].left, i) for i, body in enumerate(bodies) if body.turns]
     least = min((left for left, _ in found), default=0.0)
