@@ -17,10 +17,13 @@ ASPECTS = 360
 
 
 def pattern_db(signature: Signature, aspects: int = ASPECTS) -> NDArray[np.float64]:
-    """(F, aspects) level of the echo in dB of the largest, over azimuth in the object's own frame."""
+    """(F, aspects) level of the echo over azimuth in the object's own frame, dB of the largest at each frequency.
+
+    The pulse's spectrum is a part of every signature, so levels at different frequencies are not comparable.
+    """
     azimuth = 2 * np.pi * np.arange(aspects) / aspects
     echo = np.abs(signature.harmonics @ angular(azimuth, signature.order).T)
-    return np.asarray(20 * np.log10(np.maximum(echo / echo.max(), 1e-6)))
+    return np.asarray(20 * np.log10(np.maximum(echo / echo.max(axis=1, keepdims=True), 1e-6)))
 
 
 def to_png(signature: Signature) -> bytes:

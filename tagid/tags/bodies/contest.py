@@ -97,7 +97,7 @@ def settle(
     if objects:
         whole = decide_object(objects, settings.objects)
         if whole.status == "identified":
-            return _on_object(bare, objects[0], passed)
+            return _on_object(bare, objects[0], passed, settings.objects.second)
         if whole.status == "ambiguous" and not passed:
             return replace(
                 bare,
@@ -244,10 +244,18 @@ def _object_explanation(spectra: Spectra, reading: ObjectReading) -> Explanation
     )
 
 
-def _on_object(bare: Reading, won: ObjectReading, passed: Sequence[tuple[BodyReading, Verdict]]) -> Reading:
+def _on_object(
+    bare: Reading, won: ObjectReading, passed: Sequence[tuple[BodyReading, Verdict]], second: float
+) -> Reading:
     """The reading that an enrolled object won, unless a layout on a body with another name fits as well."""
     name = won.model.layout or won.model.name
-    rivals = [r for r, _ in passed if r.layouts[0].layout != name and r.layouts[0].left < won.match.left]
+    # The signature is the narrower statement: a layout on a body, free in pattern and place, must leave clearly
+    # less to contradict it.
+    rivals = [
+        r
+        for r, _ in passed
+        if r.layouts[0].layout != name and won.match.left - r.layouts[0].left > second * r.noise
+    ]
     status, reason = "identified", ""
     if rivals:
         other = rivals[0]

@@ -48,6 +48,8 @@ or interference inside the band is not in the estimate."""
 MODEL_SHARE = 0.008
 """What a capture may keep of its turning echo. Full-wave captures of one object keep up to 0.2 % (other
 distance and place); one from which a tag 17 dB under the turning echo was taken keeps over 1 %."""
+CLEARLY = 0.4
+"""A capture is to blame where leaving it out leaves this part of what leaving out another one leaves."""
 SAME_PLACE_M, SAME_TURN_RAD = 1e-3, np.deg2rad(15.0)
 """Captures nearer than both show the object in one pose."""
 _ROUND_TURNING = 0.5
@@ -420,6 +422,12 @@ def _refusal(captures: Sequence[Named], joint: Joint, kind: SignatureKind) -> Da
             others = [one for k, one in enumerate(captures) if k != i]
             rest[i] = estimate(others, name, kind, radius)
     good = [i for i, other in rest.items() if all(r.is_noise for r in other.residuals)]
+    # Two captures share what differs between them, so a pair may pass that three refute: the exclusion that
+    # leaves far less than any other counts.
+    scores = {i: sum(r.excess / r.expected for r in rest[i].residuals) for i in good}
+    if len(good) > 1:
+        best, second = sorted(scores, key=lambda i: scores[i])[:2]
+        good = [best] if scores[best] < CLEARLY * scores[second] else good
     worst = max(joint.residuals, key=lambda r: r.excess / r.expected)
     amount = f"{worst.left / worst.expected:.1f} times the noise" + (
         f", {worst.share:.1%} of the turning echo" if worst.share else ""
