@@ -96,7 +96,8 @@ def settle(
     first, verdict = min(readings, key=lambda pair: _least(pair[0]))
     if named:
         return _contested(bare, own, first, layouts, settings)
-    if own.left > settings.better * _share(first, _least(first)) or verdict.status == "no_tag":
+    clearer = own.left > max(settings.better * _share(first, _least(first)), settings.decision.unexplained)
+    if clearer or verdict.status == "no_tag":
         if bare.status == "no_tag":
             return replace(bare, body=first)
         return replace(

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from tagid.tags.bodies.arrangement import AXIS_M, difference_deg, gaps_deg, merged
+from tagid.tags.bodies.arrangement import AXIS_M, difference_deg, gaps_deg, merged, resolution_deg
 from tagid.tags.bodies.hypothesis import BodyModel, Candidate, Pose
 from tagid.tags.bodies.reflectors_fit import (
     COMMON,
@@ -469,7 +469,8 @@ class _Reader:
 
         def away(p: Placed) -> float:
             gaps = gaps_deg(p.angles)
-            return min(difference_deg(gaps, wanted), difference_deg(merged(gaps), wanted))
+            joined_up = merged(gaps, resolution_deg(float(p.radii.mean())))
+            return min(difference_deg(gaps, wanted), difference_deg(joined_up, wanted))
 
         def other(p: Placed) -> bool:
             return away(p) > settings.other_deg or not low <= float(p.radii.mean()) <= high
