@@ -32,12 +32,17 @@ class ContestSettings:
         decision: tests on bodies.
         explained: a bare reading that explains this share of the echo is not contested: no body could leave
             a third of so little.
+        wall_m: a body takes part against a bare name only where its echo comes from so far before its centre
+        wall_share: and has this share of the moving echo's energy: the interaction of bare reflectors comes
+            from behind it.
         better: a hypothesis that leaves so many times less contradicts one that names another layout.
     """
 
     body: BodySettings = field(default_factory=BodySettings)
     decision: BodyDecision = field(default_factory=BodyDecision)
     explained: float = 0.9
+    wall_m: float = 0.010
+    wall_share: float = 0.05
     better: float = 3.0
 
 
@@ -145,7 +150,8 @@ def _contested(
     off = np.abs(place) > 0.01
     wanted = gaps_deg(np.angle(place[off])) if off.any() else np.zeros(0)
     apart = difference_deg(gaps_deg(best.angles), wanted) > settings.body.other_deg
-    if best.layout == bare.layout or not apart:
+    wall = reading.front_m >= settings.wall_m and reading.body_energy >= settings.wall_share * reading.energy
+    if best.layout == bare.layout or not apart or not wall:
         return replace(bare, body=reading)
     if own.left <= settings.better * max(_share(reading, best.left), settings.body.priors.model_error):
         return replace(bare, body=reading)

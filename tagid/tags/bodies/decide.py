@@ -28,9 +28,9 @@ class BodyDecision:
     """
 
     unexplained: float = 0.15
-    lead: float = 1.0
-    angle_deg: float = 9.0
-    radius_m: float = 0.010
+    lead: float = 0.3
+    angle_deg: float = 12.0
+    radius_m: float = 0.025
     early_m: tuple[float, float] = (-0.042, 0.030)
     tag_nats: float = 60.0
     centre_m: float = 0.013

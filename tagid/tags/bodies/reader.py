@@ -130,6 +130,9 @@ class BodyReading:
         early_m: how much earlier than a point in its place a reflector answers, one way, m. A reflector
             answers from its place to within the bounce at the wall and the error of the axis distance; the
             wall of an oval body imitates a pair, but answers from far outside its apparent radius.
+        front_m: the same of the body about its centre, in the arrangement that leaves least: the radius of
+            a body with a wall.
+        body_energy: that the body explains there, beside the reflectors.
     """
 
     body: BodyModel
@@ -147,6 +150,8 @@ class BodyReading:
     radius_off_m: float
     tag_nats: float
     early_m: float
+    front_m: float
+    body_energy: float
 
 
 @dataclass(frozen=True)
@@ -157,6 +162,15 @@ class _Start:
     centre: complex
     radius_m: float
     angles: tuple[float, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class _Amplitudes:
+    """Fitted responses (F,) of the body and of a reflector seen from outside, and the body's energy."""
+
+    body: NDArray[np.complex128]
+    reflectors: NDArray[np.complex128]
+    body_energy: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -324,11 +338,12 @@ class _Reader:
         grid += [p.pose.centre for p in self.poses] + list(hints)
         thin = self.spectra.thinned(4)
         small = [r for r in rings if r < self.settings.wide_m]
-        middle = [float(np.mean(some)) for some in (small, [r for r in rings if r not in small]) if some]
+        large = [r for r in rings if r >= self.settings.wide_m]
+        middle = [float(np.mean(some)) for some in (small, large) if some]
         starts: list[_Start] = []
         for centre in grid:
             for radius in middle:
-                starts += self._on_ring(thin, radius, centre, 3, 2)[1]
+                starts += self._on_ring(thin, radius, centre, 2 if radius < self.settings.wide_m else 3, 2)[1]
         starts.sort(key=lambda s: s.left)
         rows = [self._ring_row(s, OPEN, free=True) for s in starts[:8]]
         batch, left = self.coarse_fitter.fitted(joined(rows), 4)
@@ -417,8 +432,10 @@ class _Reader:
         seen: set[tuple[int, ...]] = set()
         rows: list[_Row] = []
         for start in starts:
+            if len(seen) == self.settings.arrangements:
+                break
             key = _bin(start.angles)
-            if key not in seen and len(seen) < self.settings.arrangements:
+            if key not in seen:
                 seen.add(key)
                 rows += [
                     _Row(OTHER, (OTHER, *key), self._ring_row(start, pattern, free=False))
@@ -482,6 +499,7 @@ class _Reader:
         next_left = others[0].left if others else self.poses[0].left
         error = above + settings.priors.model_error * tag + settings.noise_nats * self.spectra.noise
         own = near[0] if near else None
+        clearest = self._amplitudes(min((best, *others[:1]), key=lambda p: p.left))
         return BodyReading(
             body=self.body,
             pose=Pose((float(best.batch.at[0, 3]), float(best.batch.at[0, 4])), float(best.batch.at[0, 5])),
@@ -497,16 +515,23 @@ class _Reader:
             angle_off_deg=away(own) if own else 180.0,
             radius_off_m=abs(float(own.radii.mean()) - float(best.radii.mean())) if own else 1.0,
             tag_nats=tag / max(self.spectra.noise, 1e-30),
-            early_m=self._early(best),
+            early_m=self._early(self._amplitudes(best).reflectors),
+            front_m=self._early(clearest.body),
+            body_energy=clearest.body_energy,
         )
 
-    def _early(self, placed: Placed) -> float:
-        """Delay of the reflectors' own response, from the slope of its phase over frequency, m."""
+    def _amplitudes(self, placed: Placed) -> _Amplitudes:
+        """Of body and reflectors at the places found."""
         cols = Columns.of(self.spectra, self.body, placed.batch)
-        amplitudes = solve(self.spectra.data, cols.values).amplitudes[0, :, 1:]
+        found = solve(self.spectra.data, cols.values).amplitudes[0]
+        own = found[:, 0, None] * cols.values[0, :, 0]
+        return _Amplitudes(found[:, 0], found[:, 1:].sum(axis=1), float((np.abs(own) ** 2).sum()))
+
+    def _early(self, response: NDArray[np.complex128]) -> float:
+        """How much earlier than its place something answers (F,), from the slope of the phase, one way, m."""
         ahead = np.arange(-_LONGEST_M, _LONGEST_M, 2e-3)
         turned = np.exp(-1j * ahead[:, None] * self.spectra.wavenumbers[None])
-        return float(ahead[int(np.argmax(np.abs(turned @ amplitudes.sum(axis=1))))])
+        return float(ahead[int(np.argmax(np.abs(turned @ response)))])
 
 
 def _bin(angles: Sequence[float]) -> tuple[int, ...]:
