@@ -17,9 +17,9 @@ from tagid.tags.bodies.arrangement import difference_deg, gaps_deg
 from tagid.tags.layout import Layout, builtin_layouts
 
 STATEMENT = (
-    "simulated objects without an enrolled tag: round, oval, handled and box-shaped bodies, bare tags, hands, "
-    "cables and pairs of objects; no tag, or 1 to 5 reflectors in no enrolled arrangement; up to 10 mm off the "
-    "axis, 12 to 72 views, 0 to 20 dB"
+    "simulated objects without an enrolled tag: round, oval, handled and box-shaped bodies, bare tags, "
+    "hands, cables and pairs of objects; no tag, or 1 to 5 reflectors in no enrolled arrangement; up to "
+    "10 mm off the axis, 12 to 72 views, 0 to 20 dB"
 )
 BODIES = ("none", "can", "oval", "handle", "box", "shell")
 CLUTTER = ("", "", "", "", "hand", "cable", "second")
@@ -60,7 +60,9 @@ class _Antenna:
     place: NDArray[np.complex128]
     kappa: NDArray[np.float64]
 
-    def wave(self, distance: NDArray[np.float64], weight: NDArray[np.float64] | float) -> NDArray[np.complex128]:
+    def wave(
+        self, distance: NDArray[np.float64], weight: NDArray[np.float64] | float
+    ) -> NDArray[np.complex128]:
         """(F, V) echo of something at distances (V,)."""
         return np.asarray(weight * np.exp(-1j * self.kappa[:, None] * distance) / distance**2)
 
@@ -163,7 +165,7 @@ def _tag(
         lit = bounce * np.clip(cosine, 0, 1)
         own = antenna.point(place, shade) + np.exp(1j * phase) * antenna.point(image, shade * lit)
         total += rng.uniform(0.9, 1.1) * own
-    return total * level[:, None]
+    return np.asarray(total * level[:, None])
 
 
 def _body(rng: np.random.Generator, antenna: _Antenna, body: str, radius: float) -> NDArray[np.complex128]:

@@ -35,6 +35,8 @@ class ContestSettings:
         wall_m: a body takes part against a bare name only where its echo comes from so far before its centre
         wall_share: and has this share of the moving echo's energy: the interaction of bare reflectors comes
             from behind it.
+        outward: or where the reflectors shine outward by more than this (`Evidence.outward`): bare full-wave tags
+            reach 0.3, tags on full-wave cans have 0.64 or more.
         better: a hypothesis that leaves so many times less contradicts one that names another layout.
     """
 
@@ -43,6 +45,7 @@ class ContestSettings:
     explained: float = 0.9
     wall_m: float = 0.010
     wall_share: float = 0.05
+    outward: float = 0.45
     better: float = 3.0
 
 
@@ -72,7 +75,8 @@ def settle(
         Pose(bare.centre_m),
         bare.rotation_deg,
     )
-    if named and bare.evidence.share >= settings.explained:
+    opaque = bare.evidence.outward > settings.outward
+    if named and bare.evidence.share >= settings.explained and not opaque:
         return replace(bare, hypotheses=(own,))
     spectra = Spectra.of(scans)
     hints = [complex(*bare.centre_m)]
@@ -151,6 +155,8 @@ def _contested(
     wanted = gaps_deg(np.angle(place[off])) if off.any() else np.zeros(0)
     apart = difference_deg(gaps_deg(best.angles), wanted) > settings.body.other_deg
     wall = reading.front_m >= settings.wall_m and reading.body_energy >= settings.wall_share * reading.energy
+    # On the axis a wall does not move: there its shadow on the reflectors tells of it.
+    wall = wall or bare.evidence.outward > settings.outward
     if best.layout == bare.layout or not apart or not wall:
         return replace(bare, body=reading)
     if own.left <= settings.better * max(_share(reading, best.left), settings.body.priors.model_error):

@@ -8,7 +8,7 @@ arrangement that is not the layout.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,7 @@ from tagid.tags.bodies.reflectors_fit import (
     COMMON,
     FACING,
     OPEN,
+    TERMS,
     Batch,
     Columns,
     Fitter,
@@ -77,6 +78,7 @@ class Placed:
     Attributes:
         batch: one row.
         left: energy left.
+        charged: the same with the charge for the pattern's terms.
         layout: its name; None for an arrangement that no layout has.
         angles: (K,) of the reflectors present, rad.
         radius_m: mean apparent radius, m.
@@ -84,6 +86,7 @@ class Placed:
 
     batch: Batch
     left: float
+    charged: float
     layout: str | None
 
     @property
@@ -117,6 +120,7 @@ class BodyReading:
         pose: of the body in the best layout's fit.
         energy: of the moving echo.
         noise: expected energy of the noise after the fit.
+        variance: of one value from noise alone.
         body_left: energy that the body alone leaves.
         layouts: every layout that can lie on this body, best first.
         others: arrangements that are not the best layout's, best first.
@@ -139,6 +143,7 @@ class BodyReading:
     pose: Pose
     energy: float
     noise: float
+    variance: float
     body_left: float
     layouts: tuple[Placed, ...]
     others: tuple[Placed, ...]
@@ -290,20 +295,26 @@ class _Reader:
         rows += [row for layout in self.layouts for row in self._layout_rows(layout, searched)]
         batch, left = self.coarse_fitter.fitted(joined([row.batch for row in rows]), 3)
         rows, batch = self._kept(rows, batch, left)
+        simple = replace(batch, terms=np.minimum(batch.terms, TERMS - 1))
+        rows, batch = rows + rows, joined([batch, simple])
         batch, left = self.fitter.fitted(batch, 4)
+        # An amplitude more per frequency costs log V nats (Schwarz 1978): a pattern that a tag does not need
+        # would let other arrangements imitate it.
+        per_term = self.spectra.noise * len(self.spectra.wavenumbers) * np.log(self.spectra.views)
+        charged = left + per_term * (batch.terms - 1)
         free: list[Placed] = []
         others: list[Placed] = []
         own: dict[str, Placed] = {}
         for i, row in enumerate(rows):
             name = None if row.role in (FREE, OTHER) else row.role
-            place = Placed(batch.some(np.array([i])), float(left[i]), name)
+            place = Placed(batch.some(np.array([i])), float(left[i]), float(charged[i]), name)
             if row.role == FREE:
                 free.append(place)
             elif row.role == OTHER:
                 others.append(place)
-            elif row.role not in own or place.left < own[row.role].left:
+            elif row.role not in own or place.charged < own[row.role].charged:
                 own[row.role] = place
-        return self._compared(sorted(own.values(), key=lambda p: p.left), free, others)
+        return self._compared(sorted(own.values(), key=lambda p: p.charged), free, others)
 
     def _kept(
         self, rows: Sequence[_Row], batch: Batch, left: NDArray[np.float64]
@@ -492,11 +503,11 @@ class _Reader:
         def other(p: Placed) -> bool:
             return away(p) > settings.other_deg or not low <= float(p.radii.mean()) <= high
 
-        others = sorted([p for p in free + rigid if other(p)] + ranked[1:], key=lambda p: p.left)
-        near = sorted((p for p in free if not other(p)), key=lambda p: p.left)
+        others = sorted([p for p in free + rigid if other(p)] + ranked[1:], key=lambda p: p.charged)
+        near = sorted((p for p in free if not other(p)), key=lambda p: p.charged)
         tag = max(self.poses[0].left - best.left, 1e-30)
         above = max(best.left - self.noise, 0.0)
-        next_left = others[0].left if others else self.poses[0].left
+        next_left = others[0].charged if others else self.poses[0].left
         error = above + settings.priors.model_error * tag + settings.noise_nats * self.spectra.noise
         own = near[0] if near else None
         clearest = self._amplitudes(min((best, *others[:1]), key=lambda p: p.left))
@@ -505,13 +516,14 @@ class _Reader:
             pose=Pose((float(best.batch.at[0, 3]), float(best.batch.at[0, 4])), float(best.batch.at[0, 5])),
             energy=self.spectra.energy,
             noise=self.noise,
+            variance=self.spectra.noise,
             body_left=self.poses[0].left,
             layouts=tuple(ranked),
             others=tuple(others),
             free=own,
             tag=tag,
             unexplained=above / tag,
-            lead=(next_left - best.left) / error,
+            lead=(next_left - best.charged) / error,
             angle_off_deg=away(own) if own else 180.0,
             radius_off_m=abs(float(own.radii.mean()) - float(best.radii.mean())) if own else 1.0,
             tag_nats=tag / max(self.spectra.noise, 1e-30),
