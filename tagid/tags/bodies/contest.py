@@ -35,8 +35,8 @@ class ContestSettings:
         wall_m: a body takes part against a bare name only where its echo comes from so far before its centre
         wall_share: and has this share of the moving echo's energy: the interaction of bare reflectors comes
             from behind it.
-        outward: or where the reflectors shine outward by more than this (`Evidence.outward`): bare full-wave tags
-            reach 0.3, tags on full-wave cans have 0.64 or more.
+        outward: or where the reflectors shine outward by more than this (`Evidence.outward`): bare
+            full-wave tags reach 0.3, tags on full-wave cans have 0.64 or more.
         better: a hypothesis that leaves so many times less contradicts one that names another layout.
     """
 

@@ -30,7 +30,7 @@ from tagid.tags.bodies.reflectors_fit import (
 )
 from tagid.tags.bodies.revolution import RoundBody
 from tagid.tags.bodies.ring import Ring
-from tagid.tags.bodies.spectra import Spectra
+from tagid.tags.bodies.spectra import Spectra, centred
 from tagid.tags.layout import Layout
 
 
@@ -49,6 +49,7 @@ class BodySettings:
         centres: centres tried in full for a weak body.
         arrangements: kinds of arrangements that are fitted, beside those with free angles.
         finished: layouts fitted to the end.
+        hopeless: where no arrangement explains this share of what the body leaves, none is fitted to the end.
         rings_m: radii tried about each nominal one under `wide_m`, relative to it, m.
         wide_m: from here on a body is a shell, and only the nominal radius is tried.
         ring_step_m: spacing of the angles on a ring, m of arc.
@@ -65,6 +66,7 @@ class BodySettings:
     centres: int = 2
     arrangements: int = 12
     finished: int = 4
+    hopeless: float = 0.5
     rings_m: tuple[float, ...] = (-0.009, 0.005)
     wide_m: float = 0.076
     ring_step_m: float = 5.5e-3
@@ -297,7 +299,10 @@ class _Reader:
         rows, batch = self._kept(rows, batch, left)
         simple = replace(batch, terms=np.minimum(batch.terms, TERMS - 1))
         rows, batch = rows + rows, joined([batch, simple])
-        batch, left = self.fitter.fitted(batch, 4)
+        if self._explained(float(left.min())) < self.settings.hopeless:
+            left = self.fitter.left(batch)
+        else:
+            batch, left = self.fitter.fitted(batch, 4)
         # An amplitude more per frequency costs log V nats (Schwarz 1978): a pattern that a tag does not need
         # would let other arrangements imitate it.
         per_term = self.spectra.noise * len(self.spectra.wavenumbers) * np.log(self.spectra.views)
@@ -315,6 +320,15 @@ class _Reader:
             elif row.role not in own or place.charged < own[row.role].charged:
                 own[row.role] = place
         return self._compared(sorted(own.values(), key=lambda p: p.charged), free, others)
+
+    def _explained(self, left: float) -> float:
+        """Share of what the body leaves of the coarse spectra, above noise, that an arrangement explains."""
+        first = self.body.echo(
+            self.coarse, np.array([self.poses[0].pose.centre]), np.array([self.poses[0].pose.turn_rad])
+        )
+        alone = float(solve(self.coarse.data, centred(first)[:, :, None]).left[0])
+        noise = self.noise * len(self.coarse.wavenumbers) / len(self.spectra.wavenumbers)
+        return (alone - max(left, noise)) / max(alone - noise, 1e-30)
 
     def _kept(
         self, rows: Sequence[_Row], batch: Batch, left: NDArray[np.float64]
