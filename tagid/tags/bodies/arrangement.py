@@ -12,8 +12,14 @@ from numpy.typing import NDArray
 
 AXIS_M = 0.01
 """A reflector nearer than this to the body's axis looks the same from all sides, as the body does."""
-MERGED_DEG = 25.0
-"""Reflectors of one ring nearer than this are seen as one: 20 mm at 45 mm radius."""
+MERGED_M = 0.02
+"""Reflectors nearer than this along the ring are seen as one: the point response's null is at 14.5 mm."""
+MERGED_LEAST_DEG, MERGED_MOST_DEG = 15.0, 36.0
+
+
+def resolution_deg(radius_m: float) -> float:
+    """Angle on a ring of that apparent radius under which two reflectors are seen as one, degrees."""
+    return float(np.clip(np.rad2deg(MERGED_M / max(radius_m, 1e-3)), MERGED_LEAST_DEG, MERGED_MOST_DEG))
 
 
 def gaps_deg(angles: NDArray[np.floating] | Sequence[float]) -> NDArray[np.float64]:
@@ -26,10 +32,10 @@ def gaps_deg(angles: NDArray[np.floating] | Sequence[float]) -> NDArray[np.float
     return np.diff(np.append(a, a[0] + 360))
 
 
-def merged(gaps: NDArray[np.floating], resolution_deg: float = MERGED_DEG) -> NDArray[np.float64]:
-    """Gaps with neighbours nearer than the resolution joined at their middle."""
+def merged(gaps: NDArray[np.floating], resolution: float) -> NDArray[np.float64]:
+    """Gaps with neighbours nearer than the resolution (degrees) joined at their middle."""
     g = [float(v) for v in gaps]
-    while len(g) > 1 and min(g) < resolution_deg:
+    while len(g) > 1 and min(g) < resolution:
         i = int(np.argmin(g))
         half = g[i] / 2
         g[i - 1] += half

@@ -36,6 +36,11 @@ class ContestSettings:
         decision: tests on bodies.
         explained: a bare reading that explains this share of the echo is not contested: no body could leave
             a third of so little.
+        wall_m: a body takes part against a bare name only where its echo comes from so far before its centre
+        wall_share: and has this share of the moving echo's energy: the interaction of bare reflectors comes
+            from behind it.
+        outward: or where the reflectors shine outward by more than this (`Evidence.outward`): bare
+            full-wave tags reach 0.3, tags on full-wave cans have 0.64 or more.
         better: a hypothesis that leaves so many times less contradicts one that names another layout.
         objects: tests on enrolled objects.
     """
@@ -43,6 +48,9 @@ class ContestSettings:
     body: BodySettings = field(default_factory=BodySettings)
     decision: BodyDecision = field(default_factory=BodyDecision)
     explained: float = 0.9
+    wall_m: float = 0.010
+    wall_share: float = 0.05
+    outward: float = 0.45
     better: float = 3.0
     objects: ObjectDecision = field(default_factory=ObjectDecision)
 
@@ -73,7 +81,8 @@ def settle(
         Pose(bare.centre_m),
         bare.rotation_deg,
     )
-    if named and bare.evidence.share >= settings.explained:
+    opaque = bare.evidence.outward > settings.outward
+    if named and bare.evidence.share >= settings.explained and not opaque:
         return replace(bare, hypotheses=(own,))
     spectra = Spectra.of(scans, wavenumbers=enrolled.wavenumbers)
     hints = [complex(*bare.centre_m)]
@@ -122,7 +131,8 @@ def settle(
     first, verdict = min(readings, key=lambda pair: _least(pair[0]))
     if named:
         return _contested(bare, own, first, layouts, settings)
-    if own.left > settings.better * _share(first, _least(first)) or verdict.status == "no_tag":
+    clearer = own.left > max(settings.better * _share(first, _least(first)), settings.decision.unexplained)
+    if clearer or verdict.status == "no_tag":
         if bare.status == "no_tag":
             return replace(bare, body=first)
         return replace(
@@ -170,7 +180,10 @@ def _contested(
     off = np.abs(place) > 0.01
     wanted = gaps_deg(np.angle(place[off])) if off.any() else np.zeros(0)
     apart = difference_deg(gaps_deg(best.angles), wanted) > settings.body.other_deg
-    if best.layout == bare.layout or not apart:
+    wall = reading.front_m >= settings.wall_m and reading.body_energy >= settings.wall_share * reading.energy
+    # On the axis a wall does not move: there its shadow on the reflectors tells of it.
+    wall = wall or bare.evidence.outward > settings.outward
+    if best.layout == bare.layout or not apart or not wall:
         return replace(bare, body=reading)
     if own.left <= settings.better * max(_share(reading, best.left), settings.body.priors.model_error):
         return replace(bare, body=reading)

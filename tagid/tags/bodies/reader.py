@@ -8,17 +8,18 @@ arrangement that is not the layout.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tagid.tags.bodies.arrangement import AXIS_M, difference_deg, gaps_deg, merged
+from tagid.tags.bodies.arrangement import AXIS_M, difference_deg, gaps_deg, merged, resolution_deg
 from tagid.tags.bodies.hypothesis import BodyModel, Candidate, Pose
 from tagid.tags.bodies.reflectors_fit import (
     COMMON,
     FACING,
     OPEN,
+    TERMS,
     Batch,
     Columns,
     Fitter,
@@ -29,7 +30,7 @@ from tagid.tags.bodies.reflectors_fit import (
 )
 from tagid.tags.bodies.revolution import RoundBody
 from tagid.tags.bodies.ring import Ring
-from tagid.tags.bodies.spectra import Spectra
+from tagid.tags.bodies.spectra import Spectra, centred
 from tagid.tags.layout import Layout
 
 
@@ -48,6 +49,7 @@ class BodySettings:
         centres: centres tried in full for a weak body.
         arrangements: kinds of arrangements that are fitted, beside those with free angles.
         finished: layouts fitted to the end.
+        hopeless: where no arrangement explains this share of what the body leaves, none is fitted to the end.
         rings_m: radii tried about each nominal one under `wide_m`, relative to it, m.
         wide_m: from here on a body is a shell, and only the nominal radius is tried.
         ring_step_m: spacing of the angles on a ring, m of arc.
@@ -64,6 +66,7 @@ class BodySettings:
     centres: int = 2
     arrangements: int = 12
     finished: int = 4
+    hopeless: float = 0.5
     rings_m: tuple[float, ...] = (-0.009, 0.005)
     wide_m: float = 0.076
     ring_step_m: float = 5.5e-3
@@ -77,6 +80,7 @@ class Placed:
     Attributes:
         batch: one row.
         left: energy left.
+        charged: the same with the charge for the pattern's terms.
         layout: its name; None for an arrangement that no layout has.
         angles: (K,) of the reflectors present, rad.
         radius_m: mean apparent radius, m.
@@ -84,6 +88,7 @@ class Placed:
 
     batch: Batch
     left: float
+    charged: float
     layout: str | None
 
     @property
@@ -117,6 +122,7 @@ class BodyReading:
         pose: of the body in the best layout's fit.
         energy: of the moving echo.
         noise: expected energy of the noise after the fit.
+        variance: of one value from noise alone.
         body_left: energy that the body alone leaves.
         layouts: every layout that can lie on this body, best first.
         others: arrangements that are not the best layout's, best first.
@@ -130,12 +136,16 @@ class BodyReading:
         early_m: how much earlier than a point in its place a reflector answers, one way, m. A reflector
             answers from its place to within the bounce at the wall and the error of the axis distance; the
             wall of an oval body imitates a pair, but answers from far outside its apparent radius.
+        front_m: the same of the body about its centre, in the arrangement that leaves least: the radius of
+            a body with a wall.
+        body_energy: that the body explains there, beside the reflectors.
     """
 
     body: BodyModel
     pose: Pose
     energy: float
     noise: float
+    variance: float
     body_left: float
     layouts: tuple[Placed, ...]
     others: tuple[Placed, ...]
@@ -147,6 +157,8 @@ class BodyReading:
     radius_off_m: float
     tag_nats: float
     early_m: float
+    front_m: float
+    body_energy: float
 
 
 @dataclass(frozen=True)
@@ -157,6 +169,15 @@ class _Start:
     centre: complex
     radius_m: float
     angles: tuple[float, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class _Amplitudes:
+    """Fitted responses (F,) of the body and of a reflector seen from outside, and the body's energy."""
+
+    body: NDArray[np.complex128]
+    reflectors: NDArray[np.complex128]
+    body_energy: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -276,20 +297,38 @@ class _Reader:
         rows += [row for layout in self.layouts for row in self._layout_rows(layout, searched)]
         batch, left = self.coarse_fitter.fitted(joined([row.batch for row in rows]), 3)
         rows, batch = self._kept(rows, batch, left)
-        batch, left = self.fitter.fitted(batch, 4)
+        simple = replace(batch, terms=np.minimum(batch.terms, TERMS - 1))
+        rows, batch = rows + rows, joined([batch, simple])
+        if self._explained(float(left.min())) < self.settings.hopeless:
+            left = self.fitter.left(batch)
+        else:
+            batch, left = self.fitter.fitted(batch, 4)
+        # An amplitude more per frequency costs log V nats (Schwarz 1978): a pattern that a tag does not need
+        # would let other arrangements imitate it.
+        per_term = self.spectra.noise * len(self.spectra.wavenumbers) * np.log(self.spectra.views)
+        charged = left + per_term * (batch.terms - 1)
         free: list[Placed] = []
         others: list[Placed] = []
         own: dict[str, Placed] = {}
         for i, row in enumerate(rows):
             name = None if row.role in (FREE, OTHER) else row.role
-            place = Placed(batch.some(np.array([i])), float(left[i]), name)
+            place = Placed(batch.some(np.array([i])), float(left[i]), float(charged[i]), name)
             if row.role == FREE:
                 free.append(place)
             elif row.role == OTHER:
                 others.append(place)
-            elif row.role not in own or place.left < own[row.role].left:
+            elif row.role not in own or place.charged < own[row.role].charged:
                 own[row.role] = place
-        return self._compared(sorted(own.values(), key=lambda p: p.left), free, others)
+        return self._compared(sorted(own.values(), key=lambda p: p.charged), free, others)
+
+    def _explained(self, left: float) -> float:
+        """Share of what the body leaves of the coarse spectra, above noise, that an arrangement explains."""
+        first = self.body.echo(
+            self.coarse, np.array([self.poses[0].pose.centre]), np.array([self.poses[0].pose.turn_rad])
+        )
+        alone = float(solve(self.coarse.data, centred(first)[:, :, None]).left[0])
+        noise = self.noise * len(self.coarse.wavenumbers) / len(self.spectra.wavenumbers)
+        return (alone - max(left, noise)) / max(alone - noise, 1e-30)
 
     def _kept(
         self, rows: Sequence[_Row], batch: Batch, left: NDArray[np.float64]
@@ -324,11 +363,12 @@ class _Reader:
         grid += [p.pose.centre for p in self.poses] + list(hints)
         thin = self.spectra.thinned(4)
         small = [r for r in rings if r < self.settings.wide_m]
-        middle = [float(np.mean(some)) for some in (small, [r for r in rings if r not in small]) if some]
+        large = [r for r in rings if r >= self.settings.wide_m]
+        middle = [float(np.mean(some)) for some in (small, large) if some]
         starts: list[_Start] = []
         for centre in grid:
             for radius in middle:
-                starts += self._on_ring(thin, radius, centre, 3, 2)[1]
+                starts += self._on_ring(thin, radius, centre, 2 if radius < self.settings.wide_m else 3, 2)[1]
         starts.sort(key=lambda s: s.left)
         rows = [self._ring_row(s, OPEN, free=True) for s in starts[:8]]
         batch, left = self.coarse_fitter.fitted(joined(rows), 4)
@@ -417,8 +457,10 @@ class _Reader:
         seen: set[tuple[int, ...]] = set()
         rows: list[_Row] = []
         for start in starts:
+            if len(seen) == self.settings.arrangements:
+                break
             key = _bin(start.angles)
-            if key not in seen and len(seen) < self.settings.arrangements:
+            if key not in seen:
                 seen.add(key)
                 rows += [
                     _Row(OTHER, (OTHER, *key), self._ring_row(start, pattern, free=False))
@@ -469,43 +511,53 @@ class _Reader:
 
         def away(p: Placed) -> float:
             gaps = gaps_deg(p.angles)
-            return min(difference_deg(gaps, wanted), difference_deg(merged(gaps), wanted))
+            joined_up = merged(gaps, resolution_deg(float(p.radii.mean())))
+            return min(difference_deg(gaps, wanted), difference_deg(joined_up, wanted))
 
         def other(p: Placed) -> bool:
             return away(p) > settings.other_deg or not low <= float(p.radii.mean()) <= high
 
-        others = sorted([p for p in free + rigid if other(p)] + ranked[1:], key=lambda p: p.left)
-        near = sorted((p for p in free if not other(p)), key=lambda p: p.left)
+        others = sorted([p for p in free + rigid if other(p)] + ranked[1:], key=lambda p: p.charged)
+        near = sorted((p for p in free if not other(p)), key=lambda p: p.charged)
         tag = max(self.poses[0].left - best.left, 1e-30)
         above = max(best.left - self.noise, 0.0)
-        next_left = others[0].left if others else self.poses[0].left
+        next_left = others[0].charged if others else self.poses[0].left
         error = above + settings.priors.model_error * tag + settings.noise_nats * self.spectra.noise
         own = near[0] if near else None
+        clearest = self._amplitudes(min((best, *others[:1]), key=lambda p: p.left))
         return BodyReading(
             body=self.body,
             pose=Pose((float(best.batch.at[0, 3]), float(best.batch.at[0, 4])), float(best.batch.at[0, 5])),
             energy=self.spectra.energy,
             noise=self.noise,
+            variance=self.spectra.noise,
             body_left=self.poses[0].left,
             layouts=tuple(ranked),
             others=tuple(others),
             free=own,
             tag=tag,
             unexplained=above / tag,
-            lead=(next_left - best.left) / error,
+            lead=(next_left - best.charged) / error,
             angle_off_deg=away(own) if own else 180.0,
             radius_off_m=abs(float(own.radii.mean()) - float(best.radii.mean())) if own else 1.0,
             tag_nats=tag / max(self.spectra.noise, 1e-30),
-            early_m=self._early(best),
+            early_m=self._early(self._amplitudes(best).reflectors),
+            front_m=self._early(clearest.body),
+            body_energy=clearest.body_energy,
         )
 
-    def _early(self, placed: Placed) -> float:
-        """Delay of the reflectors' own response, from the slope of its phase over frequency, m."""
+    def _amplitudes(self, placed: Placed) -> _Amplitudes:
+        """Of body and reflectors at the places found."""
         cols = Columns.of(self.spectra, self.body, placed.batch)
-        amplitudes = solve(self.spectra.data, cols.values).amplitudes[0, :, 1:]
+        found = solve(self.spectra.data, cols.values).amplitudes[0]
+        own = found[:, 0, None] * cols.values[0, :, 0]
+        return _Amplitudes(found[:, 0], found[:, 1:].sum(axis=1), float((np.abs(own) ** 2).sum()))
+
+    def _early(self, response: NDArray[np.complex128]) -> float:
+        """How much earlier than its place something answers (F,), from the slope of the phase, one way, m."""
         ahead = np.arange(-_LONGEST_M, _LONGEST_M, 2e-3)
         turned = np.exp(-1j * ahead[:, None] * self.spectra.wavenumbers[None])
-        return float(ahead[int(np.argmax(np.abs(turned @ amplitudes.sum(axis=1))))])
+        return float(ahead[int(np.argmax(np.abs(turned @ response)))])
 
 
 def _bin(angles: Sequence[float]) -> tuple[int, ...]:

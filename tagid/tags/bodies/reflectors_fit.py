@@ -115,27 +115,19 @@ class Batch:
 
 def joined(batches: list[Batch]) -> Batch:
     """Batches one after the other, padded to the largest number of reflectors and moves."""
-    most = max(b.radii.shape[1] for b in batches)
-    moves = max(b.moves.shape[1] for b in batches)
-
-    def wide(values: NDArray[np.float64], columns: int) -> NDArray[np.float64]:
-        room = [(0, 0)] * (values.ndim - 1) + [(0, columns - values.shape[-1])]
-        return np.pad(values, room)
-
-    def tall(values: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.pad(values, [(0, 0), (0, moves - values.shape[1]), (0, 0)])
-
-    parts = []
-    for name in Batch.__dataclass_fields__:
-        values = [getattr(b, name) for b in batches]
-        if name in ("radii", "heights", "present"):
-            values = [wide(v, most) for v in values]
-        elif name in ("at", "moves"):
-            values = [wide(v, COMMON + most) for v in values]
-        if name == "moves":
-            values = [tall(v) for v in values]
-        parts.append(np.concatenate(values))
-    return Batch(*parts)
+    rows = sum(len(b.at) for b in batches)
+    k = max(b.radii.shape[1] for b in batches)
+    p = max(b.moves.shape[1] for b in batches)
+    wide = {"radii": (k,), "heights": (k,), "present": (k,), "at": (COMMON + k,), "moves": (p, COMMON + k)}
+    whole = {name: np.zeros((rows, *wide.get(name, ()))) for name in Batch.__dataclass_fields__}
+    first = 0
+    for batch in batches:
+        last = first + len(batch.at)
+        for name, target in whole.items():
+            part = getattr(batch, name)
+            target[(slice(first, last), *(slice(n) for n in part.shape[1:]))] = part
+        first = last
+    return Batch(**whole)
 
 
 @dataclass(frozen=True, eq=False)
