@@ -17,7 +17,7 @@ ASPECTS = 360
 
 
 def pattern_db(signature: Signature, aspects: int = ASPECTS) -> NDArray[np.float64]:
-    """(F, aspects) level of the echo over azimuth in the object's own frame, dB of the largest at each frequency.
+    """(F, aspects) level of the echo over azimuth in the object's frame, dB of each frequency's largest.
 
     The pulse's spectrum is a part of every signature, so levels at different frequencies are not comparable.
     """

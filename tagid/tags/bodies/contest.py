@@ -262,8 +262,8 @@ def _on_object(
 ) -> Reading:
     """The reading that an enrolled object won, unless a layout on a body with another name fits as well."""
     name = won.model.layout or won.model.name
-    # The signature is the narrower statement: a layout on a body, free in pattern and place, must leave clearly
-    # less to contradict it.
+    # The signature is the narrower statement: a layout on a body, free in pattern and place, must leave
+    # clearly less to contradict it.
     rivals = [
         r
         for r, _ in passed
