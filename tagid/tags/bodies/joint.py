@@ -52,6 +52,7 @@ CLEARLY = 0.4
 """A capture is to blame where leaving it out leaves this part of what leaving out another one leaves."""
 SAME_PLACE_M, SAME_TURN_RAD = 1e-3, np.deg2rad(15.0)
 """Captures nearer than both show the object in one pose."""
+_ROUNDS, _SETTLED = 5, 0.02
 _ROUND_TURNING = 0.5
 """Turning echo over noise under which an object counts as round: its turn is not seen."""
 
@@ -182,9 +183,16 @@ def _whitened(spectra: Spectra) -> NDArray[np.complex128]:
     return np.asarray(spectra.data / np.sqrt(noise_of(spectra)))
 
 
-def best_gain(spectra: Spectra, signature: Signature, pose: Pose) -> NDArray[np.complex128]:
-    """(F,) least-squares gain of a signature in a pose."""
+def best_gain(
+    spectra: Spectra, signature: Signature, pose: Pose, *, split: bool = False
+) -> NDArray[np.complex128]:
+    """(F,) least-squares gain of a signature in a pose; of what turns alone where `split`."""
     column = centred(echo(spectra, signature, pose))
+    if split:
+        column = centred(echo(spectra, replace(signature, harmonics=signature.turning), pose))
+        unit = centred(Standpoint(spectra, pose.centre).carrier)
+        unit = unit / np.maximum(np.linalg.norm(unit, axis=1, keepdims=True), 1e-9)
+        column = column - np.sum(unit.conj() * column, axis=1, keepdims=True) * unit
     size = np.maximum(np.sum(np.abs(column) ** 2, axis=1), 1e-300)
     return np.asarray(np.sum(column.conj() * spectra.data, axis=1) / size)
 
@@ -212,8 +220,11 @@ class _Estimate:
                 self.solve(3e-3)
                 continue
             search = PoseSearch(spectra, self.basis.order, around)
-            found = match(spectra, self.signature, search)
-            self.placed[i] = Placed(spectra, found.pose, best_gain(spectra, self.signature, found.pose))
+            # One capture does not tell its m = 0 from the room: what turns gives pose and gain, where it does.
+            turns = left > (1 + _ROUND_TURNING) * spectra.noise_energy
+            found = match(spectra, self.signature, search, split=turns)
+            gain = best_gain(spectra, self.signature, found.pose, split=turns)
+            self.placed[i] = Placed(spectra, found.pose, gain)
             self.solve(1e-3)
 
     def solve(self, ridge: float = RIDGE) -> None:
@@ -321,21 +332,32 @@ def _joint(spectra: Sequence[Spectra], name: str, kind: SignatureKind, radius_m:
     basis = Basis(spectra[0].wavenumbers, radius_m)
     work = _Estimate(spectra, _blank(spectra[0], name, kind, basis, radius_m), basis)
     work.start()
-    for _ in range(2):
+    before = np.inf
+    for _ in range(_ROUNDS):
         work.alternate(2)
         work.descend()
+        now = _left(work, work.basis)
+        if now > (1 - _SETTLED) * before:
+            break
+        before = now
     return work
+
+
+def _left(work: _Estimate, basis: Basis) -> float:
+    """Energy that the least squares of a basis leaves of all captures, in units of their noise."""
+    found, _ = basis.solve(list(work.placed.values()))
+    return sum(
+        float(np.sum(np.abs(_whitened(one.spectra) - (basis.columns(one) @ found[..., None])[..., 0]) ** 2))
+        for one in work.placed.values()
+    )
 
 
 def _score(spectra: Sequence[Spectra], work: _Estimate, radius_m: float) -> float:
     """Residual per squared share of the degrees of freedom, for a radius, at the poses found."""
     basis = Basis(spectra[0].wavenumbers, radius_m)
-    found, _ = basis.solve(list(work.placed.values()))
-    left = sum(
-        float(np.sum(np.abs(_whitened(one.spectra) - (basis.columns(one) @ found[..., None])[..., 0]) ** 2))
-        for one in work.placed.values()
+    return (
+        _left(work, basis) / max(1 - int(basis.mask.sum()) / sum(one.data.size for one in spectra), 1e-3) ** 2
     )
-    return left / max(1 - int(basis.mask.sum()) / sum(one.data.size for one in spectra), 1e-3) ** 2
 
 
 def _residuals(captures: Sequence[Named], work: _Estimate) -> tuple[Residual, ...]:

@@ -289,6 +289,7 @@ def match(
     *,
     starts: int = 3,
     either_way: bool = False,
+    split: bool = False,
 ) -> Match:
     """Best pose of a signature in a capture, over all rotations and centres near the axis.
 
@@ -298,6 +299,7 @@ def match(
         search: of that capture, to be shared between signatures; None makes one.
         starts: poses of the coarse search that are refined.
         either_way: try the mirror image as well, where the direction of the turn is not known.
+        split: give the round part a gain of its own, for a signature whose m = 0 is not known yet.
 
     Raises DataError where the two are at different frequencies.
     """
@@ -306,7 +308,7 @@ def match(
     for flip in (False, True)[: 2 if either_way else 1]:
         one = signature.mirrored() if flip else signature
         for start in search.candidates(one, starts):
-            near = refine(spectra, one, start, split=True, iterations=5)
-            end = refine(spectra, one, near.pose)
+            near = refine(spectra, one, start, split=True, iterations=12 if split else 5)
+            end = near if split else refine(spectra, one, near.pose)
             found.append(Match(end.pose, end.left, flip))
     return min(found, key=lambda one: one.left)
