@@ -50,7 +50,7 @@ def capture(
     noise: float = 0.05,
     room: float = 3.0,
 ) -> Capture:
-    """A capture of a thing that stands at `centre` turned by `rotation`; `noise` is relative to a reflector."""
+    """A capture of a thing at `centre`, turned by `rotation`; `noise` is relative to a reflector."""
     rng = np.random.default_rng(seed)
     angles = 2 * np.pi * np.arange(views) / views
     antenna = distance * np.exp(-1j * angles)

@@ -220,7 +220,7 @@ class _Estimate:
                 self.solve(3e-3)
                 continue
             search = PoseSearch(spectra, self.basis.order, around)
-            # One capture does not tell its m = 0 from the room: what turns gives pose and gain, where it does.
+            # One capture does not tell its m = 0 from the room: what turns gives pose and gain.
             turns = left > (1 + _ROUND_TURNING) * spectra.noise_energy
             found = match(spectra, self.signature, search, split=turns)
             gain = best_gain(spectra, self.signature, found.pose, split=turns)
