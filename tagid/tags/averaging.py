@@ -35,8 +35,8 @@ UNKNOWN_SCATTER_M = 1e-3
 """Scatter a coordinate that is taken for granted where fewer than three captures cannot show their own: what
 was measured at 36 views and 0 dB."""
 UNEXPLAINED = 0.12
-"""Share of the moving echo that the sighted reflectors may leave: bare full-wave tags leave up to 7 %, tags on a
-mug's handle or a helmet shell 18 to 24 %."""
+"""Share of the moving echo that sighted reflectors may leave: bare full-wave tags leave up to 7 %, tags
+on a mug's handle or a helmet shell 18 to 24 %."""
 _ROUNDS = 8
 
 

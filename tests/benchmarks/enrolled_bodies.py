@@ -236,8 +236,8 @@ def document(results: list[tuple[Scene, tuple[str, str, float]]], population: st
         "# Enrolled bodies and objects",
         "",
         f"Full-wave scenes, {VIEWS} views, {DISTANCE_M:g} m; each body and object enrolled from three "
-        f"captures of {ENROLMENT_VIEWS} views at 20 dB, 2 to 6 mm off the axis; other captures are read, with the "
-        f"four built-in layouts. SNR is against one reflector of the tag. Seeds of the {population} population. "
+        f"captures of {ENROLMENT_VIEWS} views at 20 dB, 2 to 6 mm off the axis; other captures are read, with "
+        f"the four built-in layouts. SNR is against one reflector of the tag. Seeds of the {population} set. "
         "A tag on `can35_handle` is the sum of the mug and of what the tag adds to the can without a handle.",
         "",
         f"    {command}",
@@ -253,8 +253,8 @@ def document(results: list[tuple[Scene, tuple[str, str, float]]], population: st
         f"{null['unknown'] + null['no_tag']} refused.",
         *[f"- named wrongly: {text}" for text in named],
         "",
-        "`can28_c180-can28` is a tag of 40 mm octahedra, whose echo exceeds what turns of the mug; the pose of "
-        "the body, found before the tag, is then wrong, and the tag is refused.",
+        "`can28_c180-can28` is a tag of 40 mm octahedra, whose echo exceeds what turns of the mug; the pose "
+        "of the body, found before the tag, is then wrong, and the tag is refused.",
         "",
         f"Processor time per reading: median {seconds[len(seconds) // 2]:.2f} s, "
         f"95 % under {seconds[int(0.95 * len(seconds))]:.2f} s, one core of {platform.machine()}.",
