@@ -236,7 +236,7 @@ def document(results: list[tuple[Scene, tuple[str, str, float]]], population: st
         "# Enrolled bodies and objects",
         "",
         f"Full-wave scenes, {VIEWS} views, {DISTANCE_M:g} m; each body and object enrolled from three "
-        f"captures of {ENROLMENT_VIEWS} views at 20 dB, 2 to 6 mm off the axis; other captures are read, with "
+        f"captures of {ENROLMENT_VIEWS} views at 20 dB, 2 to 6 mm off the axis; others are read, with "
         f"the four built-in layouts. SNR is against one reflector of the tag. Seeds of the {population} set. "
         "A tag on `can35_handle` is the sum of the mug and of what the tag adds to the can without a handle.",
         "",
