@@ -84,7 +84,11 @@ def settle(
     for body in (settings.body.body, *enrolled.bodies):
         reading = read_on_body(spectra, layouts, body, settings.body, hints)
         if reading is not None:
-            readings.append((reading, decide_on_body(reading, settings.decision)))
+            verdict = decide_on_body(reading, settings.decision)
+            if verdict.status == "identified" and not (body.name or opaque or _walled(reading, settings)):
+                # Where no body shows, the pattern of a bare pair cannot be told from its angle.
+                verdict = Verdict("unknown", Code.OTHER, "no body shows, and no layout fits without one")
+            readings.append((reading, verdict))
     if not readings:
         return replace(bare, hypotheses=(own,))
     explanations = [own, *_explanations(readings)]
@@ -121,6 +125,12 @@ def settle(
     return replace(bare, body=first)
 
 
+def _walled(reading: BodyReading, settings: ContestSettings) -> bool:
+    """Whether the echo of a wall, before the body's centre, has its share of the energy."""
+    strong = reading.body_energy >= settings.wall_share * reading.energy
+    return strong and reading.front_m >= settings.wall_m
+
+
 def _kind(reading: BodyReading) -> Kind:
     return Kind.BODY if reading.body.name else Kind.ROUND
 
@@ -154,9 +164,8 @@ def _contested(
     off = np.abs(place) > 0.01
     wanted = gaps_deg(np.angle(place[off])) if off.any() else np.zeros(0)
     apart = difference_deg(gaps_deg(best.angles), wanted) > settings.body.other_deg
-    wall = reading.front_m >= settings.wall_m and reading.body_energy >= settings.wall_share * reading.energy
     # On the axis a wall does not move: there its shadow on the reflectors tells of it.
-    wall = wall or bare.evidence.outward > settings.outward
+    wall = _walled(reading, settings) or bare.evidence.outward > settings.outward
     if best.layout == bare.layout or not apart or not wall:
         return replace(bare, body=reading)
     if own.left <= settings.better * max(_share(reading, best.left), settings.body.priors.model_error):
