@@ -349,11 +349,13 @@ def identify_together(
 
 
 def _reading(settings: ImagingSettings) -> ReaderSettings:
+    from tagid.tags.bodies.contest import ContestSettings
     from tagid.tags.decision import DecisionSettings
     from tagid.tags.matcher import ReaderSettings
 
     decision = DecisionSettings(false_accept=settings.false_accept)
-    return ReaderSettings(decision=decision, direction_known=settings.direction_known)
+    contest = ContestSettings(false_accept=settings.false_accept)
+    return ReaderSettings(decision=decision, contest=contest, direction_known=settings.direction_known)
 
 
 def sight_reflectors(capture: Capture, name: str, settings: ImagingSettings | None = None) -> Sighting:

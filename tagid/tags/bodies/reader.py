@@ -120,6 +120,7 @@ class BodyReading:
     Attributes:
         body: the model used.
         pose: of the body in the best layout's fit.
+        views: of the recording.
         energy: of the moving echo.
         noise: expected energy of the noise after the fit.
         variance: of one value from noise alone.
@@ -143,6 +144,7 @@ class BodyReading:
 
     body: BodyModel
     pose: Pose
+    views: int
     energy: float
     noise: float
     variance: float
@@ -536,6 +538,7 @@ class _Reader:
         return BodyReading(
             body=self.body,
             pose=Pose((float(best.batch.at[0, 3]), float(best.batch.at[0, 4])), float(best.batch.at[0, 5])),
+            views=self.spectra.views,
             energy=self.spectra.energy,
             noise=self.noise,
             variance=self.spectra.noise,
