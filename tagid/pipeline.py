@@ -300,6 +300,20 @@ def identify(
     )
 
 
+def without_body(capture: Capture, answer: Identification) -> Capture:
+    """A prepared capture minus the echo of the body that its reading found, for a picture of the tag.
+
+    The capture itself where no body won.
+    """
+    from tagid.tags.bodies import subtract
+    from tagid.tags.bodies.hypothesis import Kind
+
+    reading = answer.reading
+    if reading is None or reading.body is None or reading.kind is Kind.BARE:
+        return capture
+    return subtract.without_body(capture, reading.body)
+
+
 def _second_look(capture: Capture, settings: ImagingSettings, reading: Reading) -> SecondLook | None:
     """The network's view of the backprojection, on its own grid; None for free antenna positions."""
     from tagid.tags.planes import GRID

@@ -208,6 +208,10 @@ def in_terminal(result: Reconstruction) -> RenderableType:
     return preview(image.values, image.grid.extent, colour=colour, centre_m=image.centre_m)
 
 
+SUBTRACTED = {
+    True: "the echo of the body is subtracted from the image",
+    False: "no body was found: nothing is subtracted from the image",
+}
 HYPOTHESES = {
     "no_tag": "a round body without a tag",
     "bare": "a tag without a body",
