@@ -1,8 +1,8 @@
 """Tags on bodies, blind: full-wave scenes, null and foreign objects, and whether more signal or views helps.
 
-Run `python tests/benchmarks/bodies.py --write docs/results` for the tables, `--only fullwave --scenes 1` for a
-check of some minutes. Full-wave responses are read from ../shared/fullwave beside the checkout. Sealed seeds
-(tests/data/sealed_population.json) are read once the generator's hash agrees; nothing is chosen on them.
+Run `python tests/benchmarks/bodies.py --write docs/results` for the tables, `--only fullwave --scenes 1` for
+a check of some minutes. Full-wave responses are read from ../shared/fullwave beside the checkout. Sealed
+seeds (tests/data/sealed_population.json) are read once the generator's hash agrees; nothing is chosen on them.
 """
 
 from __future__ import annotations
@@ -22,9 +22,8 @@ from pathlib import Path
 from types import ModuleType
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
-ROOT = Path(__file__).resolve().parents[2]
 # train/ is not installed.
-sys.path.insert(0, str(ROOT))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import numpy as np
 from identification import wilson
@@ -35,6 +34,7 @@ from tagid.tags.layout import builtin_layouts
 from tagid.tags.matcher import read_tag
 from train.population import STATEMENT, draw
 
+ROOT = Path(__file__).resolve().parents[2]
 FULLWAVE = ROOT.parent / "shared" / "fullwave"
 SEALED = ROOT / "tests" / "data" / "sealed_population.json"
 LAYOUTS = list(builtin_layouts().values())
@@ -206,7 +206,7 @@ def cell(hits: int, total: int) -> str:
 
 
 def table(answers: list[Answer], wanted: str) -> list[str]:
-    """Groups against conditions: how many had the outcome wanted ("refused" is anything that names nothing)."""
+    """Groups against conditions: how many had the outcome wanted; "refused" is any that names nothing."""
     columns = list(dict.fromkeys(a.column for a in answers))
     lines = ["| | " + " | ".join(columns) + " |", "|---|" + "---|" * len(columns)]
     for group in dict.fromkeys(a.group for a in answers):
