@@ -52,10 +52,10 @@ def one(seed: int) -> dict[str, float | int | str]:
     }
 
 
-def strata(rows: list[dict[str, float | int | str]]) -> tuple[Stratum, ...]:
+def strata(rows: list[dict[str, float | int | str]], views: list[int]) -> tuple[Stratum, ...]:
     """Scores by views and SNR."""
     found = []
-    for low, high in pairwise(VIEWS):
+    for low, high in pairwise(views):
         for weak, strong in pairwise(SNRS_DB):
             own = [r for r in rows if low <= float(r["views"]) < high and weak <= float(r["snr_db"]) < strong]
             scores = sorted((float(r["score"]) for r in own if r["score"] != "refused"), reverse=True)
@@ -70,6 +70,9 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=200_000)
     parser.add_argument("--count", type=int, default=0)
     parser.add_argument("--fewest", action="store_true", help="only the stratum of the fewest views")
+    parser.add_argument(
+        "--views", type=int, nargs="*", default=VIEWS, help="limits of the strata; each needs 999 objects"
+    )
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--scores", type=Path, default=Path("scores.jsonl"))
     arguments = parser.parse_args()
@@ -92,7 +95,8 @@ def main() -> None:
                 row = json.loads(line)
                 rows[row["seed"]] = row
         known = sorted(rows)
-        made = Calibration(STATEMENT, strata(list(rows.values())), ((known[0], known[-1] + 1),))
+        drawn = strata(list(rows.values()), arguments.views)
+        made = Calibration(STATEMENT, drawn, ((known[0], known[-1] + 1),))
         arguments.write.write_text(made.to_json())
 
 

@@ -2,7 +2,8 @@
 
 Run `python tests/benchmarks/bodies.py --write docs/results` for the tables, `--only fullwave --scenes 1` for
 a check of some minutes. Full-wave responses are read from ../shared/fullwave beside the checkout. Sealed
-seeds (tests/data/sealed_population.json) are read once the generator's hash agrees; nothing is chosen on them.
+seeds (tests/data/sealed_population.json) are read where the generator's hash agrees; nothing is chosen on
+them.
 """
 
 from __future__ import annotations
