@@ -61,6 +61,7 @@ class Identification:
             "scores": [{"layout": s.name, "criterion": s.criterion, "share": s.share} for s in scores],
             "hypothesis": self._won(),
             "hypotheses": self._hypotheses(),
+            "bound": self._bound(),
             "capture_uuid": self.capture_uuid,
             "tool_version": __version__,
             "model_sha256": second.model_sha256 if second else None,
@@ -72,6 +73,19 @@ class Identification:
     def _won(self) -> str | None:
         """The kind of the hypothesis that the answer rests on; None where nothing was read."""
         return self.reading.kind.value if self.reading else None
+
+    def _bound(self) -> dict[str, Any] | None:
+        """What the false-accept setting rests on; None where no calibration was asked."""
+        bound = self.reading.bound if self.reading else None
+        if bound is None:
+            return None
+        return {
+            "p_value": bound.p_value,
+            "false_accept": bound.false_accept,
+            "calibration_objects": bound.objects,
+            "stratum": bound.stratum,
+            "population": bound.population,
+        }
 
     def _hypotheses(self) -> list[dict[str, Any]]:
         """Every hypothesis that was fitted, with what it leaves unexplained and where it puts the body."""

@@ -317,6 +317,20 @@ def identify(
     )
 
 
+def without_body(capture: Capture, answer: Identification) -> Capture:
+    """A prepared capture minus the echo of the body that its reading found, for a picture of the tag.
+
+    The capture itself where no body won.
+    """
+    from tagid.tags.bodies import subtract
+    from tagid.tags.bodies.hypothesis import Kind
+
+    reading = answer.reading
+    if reading is None or reading.body is None or reading.kind is Kind.BARE:
+        return capture
+    return subtract.without_body(capture, reading.body)
+
+
 def _second_look(capture: Capture, settings: ImagingSettings, reading: Reading) -> SecondLook | None:
     """The network's view of the backprojection, on its own grid; None for free antenna positions."""
     from tagid.tags.planes import GRID
@@ -366,11 +380,13 @@ def identify_together(
 
 
 def _reading(settings: ImagingSettings) -> ReaderSettings:
+    from tagid.tags.bodies.contest import ContestSettings
     from tagid.tags.decision import DecisionSettings
     from tagid.tags.matcher import ReaderSettings
 
     decision = DecisionSettings(false_accept=settings.false_accept)
-    return ReaderSettings(decision=decision, direction_known=settings.direction_known)
+    contest = ContestSettings(false_accept=settings.false_accept)
+    return ReaderSettings(decision=decision, contest=contest, direction_known=settings.direction_known)
 
 
 def _enrolled(

@@ -71,10 +71,14 @@ class _Antenna:
         return self.wave(np.abs(self.place - at), weight)
 
 
-def draw(seed: int, tagged: bool = False) -> Specimen:
-    """The specimen of a seed: foreign or untagged unless `tagged`, which gives a built-in layout."""
+def draw(seed: int, tagged: bool = False, views: int | None = None, snr_db: float | None = None) -> Specimen:
+    """The specimen of a seed: foreign or untagged unless `tagged`, which gives a built-in layout.
+
+    Views and SNR are drawn, too, unless given.
+    """
     rng = np.random.default_rng([seed, 7 if tagged else 3])
-    views, snr = int(rng.choice(VIEWS)), float(rng.choice(SNRS_DB))
+    drawn, level = int(rng.choice(VIEWS)), float(rng.choice(SNRS_DB))
+    views, snr = views or drawn, level if snr_db is None else snr_db
     body = str(rng.choice(("none", "can") if tagged else BODIES))
     clutter = "" if tagged else str(rng.choice(CLUTTER))
     truth: str | None = None

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from tagid.pipeline import ImagingSettings, Reconstruction
     from tagid.storage.history import History
     from tagid.storage.registry import Registry
+    from tagid.tags.bodies.calibration import Bound
 
 
 def open_registry() -> Registry:
@@ -207,6 +208,10 @@ def in_terminal(result: Reconstruction) -> RenderableType:
     return preview(image.values, image.grid.extent, colour=colour, centre_m=image.centre_m)
 
 
+SUBTRACTED = {
+    True: "the echo of the body is subtracted from the image",
+    False: "no body was found: nothing is subtracted from the image",
+}
 HYPOTHESES = {
     "no_tag": "a round body without a tag",
     "bare": "a tag without a body",
@@ -224,6 +229,14 @@ def headline(answer: Identification) -> str:
         return f"{reading.layout}, score {reading.score:.2f}"
     words = {"unknown": "unknown tag", "ambiguous": "ambiguous", "no_tag": "no tag", "failed": "failed"}
     return words[answer.status]
+
+
+def bound_words(bound: Bound) -> str:
+    """What the false-accept setting rests on, in one line."""
+    return (
+        f"false accept {bound.p_value:.2g} at most, on {bound.objects} calibration objects "
+        f"({bound.stratum}): {bound.population}"
+    )
 
 
 def describe(answer: Identification, name: str) -> RenderableType:
@@ -246,6 +259,8 @@ def describe(answer: Identification, name: str) -> RenderableType:
             lines.append(Text(f"  what to do: {reading.advice}"))
         if reading.kind is not Kind.BARE:
             lines.append(Text(f"  read as: {HYPOTHESES[reading.kind]}"))
+        if reading.bound is not None:
+            lines.append(Text(f"  {bound_words(reading.bound)}"))
         if reading.layout:
             x, y = (value * 1e3 for value in reading.centre_m)
             lines.append(

@@ -60,6 +60,10 @@ def register(app: typer.Typer) -> None:
         beam: Annotated[
             bool, typer.Option(help="Show sparse images at the data's resolution, not as bare pixels.")
         ] = True,
+        subtract_body: Annotated[
+            bool,
+            typer.Option("--subtract-body", help="Subtract the echo of the body that `identify` finds."),
+        ] = False,
         seed: options.Seed = 0,
     ) -> Result:
         """Make an image of a recorded scan.
@@ -74,7 +78,7 @@ def register(app: typer.Typer) -> None:
         from tagid.cli import imaging
         from tagid.defaults import complete, motion_of, without_reference
         from tagid.imaging.ats.options import parse_calibrate, parse_settings
-        from tagid.pipeline import prepare
+        from tagid.pipeline import identify, prepare, without_body
         from tagid.storage.image import write_image
         from tagid.storage.importers import read_any
 
@@ -111,6 +115,11 @@ def register(app: typer.Typer) -> None:
         capture = complete(read_any(file, config["radar.cable_delay_ps"]), config)
         capture = without_reference(capture, config, background)
         capture = prepare(capture, motion_of(config, capture))
+        subtracted = False
+        if subtract_body:
+            answer = identify(capture, imaging.open_registry().layouts(), given)
+            plain, capture = capture, without_body(capture, answer)
+            subtracted = capture is not plain
         result = imaging.image_with_progress(terminal, capture, settings)
         if out:
             write_image(out, result.image)
@@ -124,12 +133,15 @@ def register(app: typer.Typer) -> None:
         where = "" if distance is None else f", axis at {distance:.3f} m"
         lines.append(Text(f"{result.method} image of {result.views} views in {took:.2f} s{where}"))
         lines += [Text(line) for line in imaging.learned_words(result)]
+        if subtract_body:
+            lines.append(Text(imaging.SUBTRACTED[subtracted]))
         lines += [Text(f"{name} {path}") for name, path in (("image", out), ("picture", png)) if path]
         data = {
             "method": result.method,
             "image": str(out) if out else None,
             "png": str(png) if png else None,
             "settings": result.image.settings,
+            "body_subtracted": subtracted,
             "seconds": result.seconds,
         }
         return Result("reconstruct", data, Group(*lines))

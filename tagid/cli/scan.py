@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -20,6 +21,14 @@ if TYPE_CHECKING:
 
 
 MAX_REPEAT = 100
+
+
+@dataclass(frozen=True)
+class View:
+    """How the image of a scan is shown: in the terminal, too; without the body's echo."""
+
+    preview: bool
+    subtract_body: bool
 
 
 def register(app: typer.Typer) -> None:
@@ -41,6 +50,12 @@ def register(app: typer.Typer) -> None:
         demo_scene: Annotated[str, typer.Option("--demo-scene", help="What the demo turns.")] = "helmet-120",
         preview: options.Preview = False,
         note: Annotated[str, typer.Option("--note", help="Kept in the capture, e.g. a name.")] = "",
+        subtract_body: Annotated[
+            bool,
+            typer.Option(
+                "--subtract-body/--keep-body", help="Picture without the body's echo where a body was found."
+            ),
+        ] = True,
         repeat: Annotated[
             int, typer.Option("--repeat", help="Record so many turns and answer from all of them.")
         ] = 1,
@@ -66,12 +81,13 @@ def register(app: typer.Typer) -> None:
         if not demo:
             config = load_config(overrides)
             agree_to(config["motion.url"], yes)
-            return _scans(terminal, config, limits, about, preview, repeat)
+            return _scans(terminal, config, limits, about, View(preview, subtract_body), repeat)
         from tagid.cli.demo import emulated_radar
 
         with emulated_radar(demo_scene) as there:
             demo_config = load_config({**overrides, **there})
-            return _scans(terminal, demo_config, limits, {**about, "demo": True}, preview, repeat)
+            shown: dict[str, Any] = {**about, "demo": True}
+            return _scans(terminal, demo_config, limits, shown, View(preview, subtract_body), repeat)
 
 
 def _scans(
@@ -79,7 +95,7 @@ def _scans(
     config: Config,
     limits: tuple[int | None, float],
     about: dict[str, Any],
-    preview: bool,
+    view: View,
     repeat: int,
 ) -> Result:
     """One turn, or several and one answer from all of them; what was recorded before a failure is kept."""
@@ -87,7 +103,7 @@ def _scans(
 
     from tagid.cli.identify import vote_on
 
-    turns = [_scan(terminal, config, limits, about, preview) for _ in range(repeat)]
+    turns = [_scan(terminal, config, limits, about, view) for _ in range(repeat)]
     if repeat == 1 or any(turn.errors for turn in turns):
         return next((turn for turn in turns if turn.errors), turns[-1])
     files = [Path(turn.data["files"]["capture"]) for turn in turns]
@@ -102,7 +118,7 @@ def _scan(
     config: Config,
     limits: tuple[int | None, float],
     about: dict[str, Any],
-    preview: bool,
+    view: View,
 ) -> Result:
     from rich.console import Group, RenderableType
     from rich.text import Text
@@ -111,7 +127,7 @@ def _scan(
     from tagid.intake import notes
     from tagid.motion.resolve import turn_line
     from tagid.motion.urls import open_motion
-    from tagid.pipeline import identify, prepare
+    from tagid.pipeline import identify, prepare, without_body
     from tagid.radar.devices import open_radar
     from tagid.recorder import Watch, capture_path, record
     from tagid.sources import Sources
@@ -153,13 +169,16 @@ def _scan(
     try:
         prepared = prepare(capture, None if capture.angles_rad is not None else config["motion.url"])
         answer = identify(prepared, known.layouts, settings, known.version, known.signatures)
-        result = imaging.image_with_progress(terminal, prepared, settings)
+        shown = without_body(prepared, answer) if view.subtract_body else prepared
+        result = imaging.image_with_progress(terminal, shown, settings)
         imaging.draw(result, answer, png)
         write_image(npz, result.image)
         files |= {"png": str(png), "image": str(npz)}
         learned = imaging.learned(result)
         drawn += [Text(line) for line in imaging.learned_words(result)]
-        if preview:
+        if shown is not prepared:
+            drawn.append(Text(imaging.SUBTRACTED[True]))
+        if view.preview:
             drawn.append(imaging.in_terminal(result))
         code = imaging.exit_code_of([answer])
     except TagidError as error:

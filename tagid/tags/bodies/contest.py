@@ -13,7 +13,8 @@ import numpy as np
 
 from tagid.imaging.types import BasebandScans
 from tagid.tags.bodies.arrangement import difference_deg, gaps_deg
-from tagid.tags.bodies.decide import BodyDecision, decide_on_body
+from tagid.tags.bodies.calibration import Bound, Calibration
+from tagid.tags.bodies.decide import BodyDecision, decide_on_body, score, tag_snr_db
 from tagid.tags.bodies.hypothesis import Enrolled, Explanation, Kind, Pose, plausible
 from tagid.tags.bodies.objects import ObjectDecision, ObjectReading, decide_object, read_objects
 from tagid.tags.bodies.reader import BodyReading, BodySettings, Placed, read_on_body
@@ -41,6 +42,8 @@ class ContestSettings:
             from behind it.
         outward: or where the reflectors shine outward by more than this (`Evidence.outward`): bare
             full-wave tags reach 0.3, tags on full-wave cans have 0.64 or more.
+        false_accept: probability of naming an object of the calibration's population.
+        calibrated: by which; None for the package's own.
         better: a hypothesis that leaves so many times less contradicts one that names another layout.
         objects: tests on enrolled objects.
     """
@@ -53,6 +56,12 @@ class ContestSettings:
     outward: float = 0.45
     better: float = 3.0
     objects: ObjectDecision = field(default_factory=ObjectDecision)
+    false_accept: float = 1e-3
+    calibrated: Calibration | None = None
+
+    def calibration(self) -> Calibration:
+        """The calibration in force. Raises ModelError where the package's file is damaged."""
+        return self.calibrated or Calibration.shipped()
 
 
 def settle(
@@ -90,7 +99,13 @@ def settle(
     for body in (settings.body.body, *plausible(spectra, enrolled.bodies)):
         reading = read_on_body(spectra, layouts, body, settings.body, hints)
         if reading is not None:
-            readings.append((reading, decide_on_body(reading, settings.decision)))
+            verdict = decide_on_body(reading, settings.decision)
+            if verdict.status == "identified" and not (body.name or opaque or _walled(reading, settings)):
+                # Where no body shows, the pattern of a bare pair cannot be told from its angle.
+                verdict = Verdict("unknown", Code.OTHER, "no body shows, and no layout fits without one")
+            if verdict.status == "identified":
+                verdict = _calibrated(reading, verdict, settings)
+            readings.append((reading, verdict))
     if not readings:
         return replace(bare, hypotheses=(own,))
     explanations = [own, *_explanations(readings)]
@@ -119,7 +134,7 @@ def settle(
     if passed:
         best, _ = min(passed, key=lambda pair: pair[0].layouts[0].left)
         if not named or bare.layout == best.layouts[0].layout or own.left > settings.better * _left(best):
-            return _on_body(bare, best, layouts)
+            return _on_body(bare, best, layouts, _bound(best, settings))
         if _left(best) > settings.better * own.left:
             return bare
         return replace(
@@ -145,6 +160,37 @@ def settle(
             body=first,
         )
     return replace(bare, body=first)
+
+
+def _bound(reading: BodyReading, settings: ContestSettings) -> Bound:
+    evidence, views = score(reading, settings.decision), reading.views
+    return settings.calibration().bound(evidence, views, tag_snr_db(reading), settings.false_accept)
+
+
+def _calibrated(reading: BodyReading, verdict: Verdict, settings: ContestSettings) -> Verdict:
+    """The verdict, taken back where objects without the tag were as convincing."""
+    bound = _bound(reading, settings)
+    if not bound.reachable:
+        return Verdict(
+            "unknown",
+            Code.UNCALIBRATED,
+            f"{bound.objects} calibration objects of {bound.stratum} do not bear out a false-accept "
+            f"probability of {bound.false_accept:g}",
+        )
+    if not bound.kept:
+        return Verdict(
+            "unknown",
+            Code.WEAK,
+            f"a share of {bound.p_value:.2g} of the objects without an enrolled tag is as convincing, "
+            f"{bound.false_accept:g} is allowed",
+        )
+    return verdict
+
+
+def _walled(reading: BodyReading, settings: ContestSettings) -> bool:
+    """Whether the echo of a wall, before the body's centre, has its share of the energy."""
+    strong = reading.body_energy >= settings.wall_share * reading.energy
+    return strong and reading.front_m >= settings.wall_m
 
 
 def _kind(reading: BodyReading) -> Kind:
@@ -180,9 +226,8 @@ def _contested(
     off = np.abs(place) > 0.01
     wanted = gaps_deg(np.angle(place[off])) if off.any() else np.zeros(0)
     apart = difference_deg(gaps_deg(best.angles), wanted) > settings.body.other_deg
-    wall = reading.front_m >= settings.wall_m and reading.body_energy >= settings.wall_share * reading.energy
     # On the axis a wall does not move: there its shadow on the reflectors tells of it.
-    wall = wall or bare.evidence.outward > settings.outward
+    wall = _walled(reading, settings) or bare.evidence.outward > settings.outward
     if best.layout == bare.layout or not apart or not wall:
         return replace(bare, body=reading)
     if own.left <= settings.better * max(_share(reading, best.left), settings.body.priors.model_error):
@@ -220,7 +265,7 @@ def _explanations(readings: Sequence[tuple[BodyReading, Verdict]]) -> list[Expla
     return found
 
 
-def _on_body(bare: Reading, reading: BodyReading, layouts: Sequence[Layout]) -> Reading:
+def _on_body(bare: Reading, reading: BodyReading, layouts: Sequence[Layout], bound: Bound) -> Reading:
     """The reading that a layout on a body won."""
     best = reading.layouts[0]
     layout = next(one for one in layouts if one.name == best.layout)
@@ -239,6 +284,7 @@ def _on_body(bare: Reading, reading: BodyReading, layouts: Sequence[Layout]) -> 
         missing=0,
         extra=0,
         kind=_kind(reading),
+        bound=bound,
         body=reading,
     )
 

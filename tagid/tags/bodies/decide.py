@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from math import inf, log10
 
 from tagid.tags.bodies.reader import BodyReading
 from tagid.tags.verdict import Code, Verdict
@@ -15,7 +16,7 @@ class BodyDecision:
     Attributes:
         unexplained: largest share of the tag's echo that its layout may leave. Tags on full-wave cans leave
             under 2 %; a handle, an oval wall or another tag 20 % or more.
-        lead: smallest `BodyReading.lead` where no calibration asks for more.
+        lead: smallest `BodyReading.lead`, whatever the calibration says: an eighth of the model's own error.
         angle_deg, radius_m: largest difference between the layout and the same reflectors with free angles.
         early_m: range of `BodyReading.early_m`: full-wave tags on cans answer from 26 mm behind to 14 mm
             before their apparent place, the wall of an oval helmet from 60 mm before it; 15 mm more on both
@@ -36,8 +37,19 @@ class BodyDecision:
     no_tag_share: float = 0.001
 
 
+def score(reading: BodyReading, settings: BodyDecision) -> float:
+    """The evidence for the best layout, -inf where a test refuses it: what the calibration orders."""
+    passed = decide_on_body(reading, replace(settings, lead=-inf)).status == "identified"
+    return reading.lead if passed else -inf
+
+
+def tag_snr_db(reading: BodyReading) -> float:
+    """Energy of what is not of the body over that of the noise, dB."""
+    return 10 * log10(max(reading.tag / max(reading.noise, 1e-30), 1e-9))
+
+
 def decide_on_body(reading: BodyReading, settings: BodyDecision) -> Verdict:
-    """The verdict on the best layout of a body."""
+    """The verdict on the best layout of a body, before any calibration."""
     r, s = reading, settings
     name = f"the enrolled body {r.body.name}" if r.body.name else "a round body"
     best = r.layouts[0]

@@ -29,7 +29,7 @@ from tagid.tags.bodies.reflectors_fit import (
     solve,
 )
 from tagid.tags.bodies.revolution import RoundBody
-from tagid.tags.bodies.ring import Ring
+from tagid.tags.bodies.ring import PairSearch, Ring
 from tagid.tags.bodies.spectra import Spectra, centred
 from tagid.tags.layout import Layout
 
@@ -120,6 +120,7 @@ class BodyReading:
     Attributes:
         body: the model used.
         pose: of the body in the best layout's fit.
+        views: of the recording.
         energy: of the moving echo.
         noise: expected energy of the noise after the fit.
         variance: of one value from noise alone.
@@ -143,6 +144,7 @@ class BodyReading:
 
     body: BodyModel
     pose: Pose
+    views: int
     energy: float
     noise: float
     variance: float
@@ -365,10 +367,16 @@ class _Reader:
         small = [r for r in rings if r < self.settings.wide_m]
         large = [r for r in rings if r >= self.settings.wide_m]
         middle = [float(np.mean(some)) for some in (small, large) if some]
+        centres = np.array(grid, dtype=np.complex128)
+        echoes = self.body.echo(thin, centres, np.zeros(len(centres)))
         starts: list[_Start] = []
-        for centre in grid:
-            for radius in middle:
-                starts += self._on_ring(thin, radius, centre, 2 if radius < self.settings.wide_m else 3, 2)[1]
+        for radius in middle:
+            count = 36 if radius < self.settings.wide_m else 60
+            left, angles = PairSearch(thin, radius, count).left(centres, echoes)
+            starts += [
+                _Start(float(value), centre, radius, (float(pair[0]), float(pair[1])))
+                for value, centre, pair in zip(left, grid, angles, strict=True)
+            ]
         starts.sort(key=lambda s: s.left)
         rows = [self._ring_row(s, OPEN, free=True) for s in starts[:8]]
         batch, left = self.coarse_fitter.fitted(joined(rows), 4)
@@ -518,7 +526,9 @@ class _Reader:
             return away(p) > settings.other_deg or not low <= float(p.radii.mean()) <= high
 
         others = sorted([p for p in free + rigid if other(p)] + ranked[1:], key=lambda p: p.charged)
-        near = sorted((p for p in free if not other(p)), key=lambda p: p.charged)
+        near = sorted(
+            (p for p in free if not other(p)), key=lambda p: (len(p.angles) != len(angles), p.charged)
+        )
         tag = max(self.poses[0].left - best.left, 1e-30)
         above = max(best.left - self.noise, 0.0)
         next_left = others[0].charged if others else self.poses[0].left
@@ -528,6 +538,7 @@ class _Reader:
         return BodyReading(
             body=self.body,
             pose=Pose((float(best.batch.at[0, 3]), float(best.batch.at[0, 4])), float(best.batch.at[0, 5])),
+            views=self.spectra.views,
             energy=self.spectra.energy,
             noise=self.noise,
             variance=self.spectra.noise,

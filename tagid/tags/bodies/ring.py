@@ -158,6 +158,72 @@ class Ring:
         return np.asarray(total.sum(axis=-1), dtype=np.float64)
 
 
+@dataclass(frozen=True, eq=False)
+class PairSearch:
+    """Pairs on a ring about many centres at once, for finding the centre of a body whose echo is weak.
+
+    Attributes:
+        spectra: few frequencies are enough.
+        radius_m: of the ring, m.
+        count: angles on it.
+    """
+
+    spectra: Spectra
+    radius_m: float
+    count: int
+
+    def left(
+        self, centres: NDArray[np.complex128], echoes: NDArray[np.complex128]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Energy that the best pair leaves about every centre (C,), and its angles (C, 2), rad.
+
+        Patterns of two terms, 1 and cos psi.
+
+        Args:
+            centres: (C,) x + jy, m.
+            echoes: (C, F, V) the body's echo about each.
+        """
+        angles = np.arange(self.count) * 2 * np.pi / self.count
+        ring = (self.spectra.antenna[None] - centres[:, None])[:, None]
+        toward = ring * np.exp(-1j * angles)[None, :, None] - self.radius_m
+        plane = np.abs(toward)
+        waves = self.spectra.waves(np.hypot(plane, self.spectra.height_m)) / plane**2
+        waves *= self.spectra.distance_m**2
+        cols = centred(np.stack([waves, waves * (toward.real / plane)[None]], axis=3))
+        f, c, n, m, v = cols.shape
+        unit = centred(np.moveaxis(echoes, 1, 0))
+        unit = unit / np.maximum(np.linalg.norm(unit, axis=-1, keepdims=True), 1e-9)
+        flat = cols.reshape(f, c, n * m, v)
+        flat = flat - (flat @ unit.conj()[..., None]) * unit[:, :, None]
+        data = self.spectra.data[:, None]
+        data = data - (data * unit.conj()).sum(axis=-1, keepdims=True) * unit
+        narrow = flat.astype(np.complex64)
+        gram = (narrow.conj() @ np.swapaxes(narrow, -1, -2)).reshape(f, c, n, m, n, m)
+        right = (narrow.conj() @ data.astype(np.complex64)[..., None])[..., 0].reshape(f, c, n, m)
+        gap = max(round(np.deg2rad(GAP_DEG) * n / (2 * np.pi)), 1)
+        a, b = np.triu_indices(n, gap)
+        near = n - (b - a) >= gap
+        a, b = a[near], b[near]
+
+        def both(p: int, q: int) -> NDArray[np.complex64]:
+            part = gram[:, :, :, p, :, q]
+            own = np.diagonal(part, axis1=2, axis2=3)
+            return np.asarray(own[..., a] + own[..., b] + part[..., a, b] + part[..., b, a])
+
+        even, odd = right[..., 0], right[..., 1]
+        first, second = even[..., a] + even[..., b], odd[..., a] + odd[..., b]
+        mean = np.einsum("fcnpnp->fc", gram).real[..., None] / (n * m)
+        top, low, side = both(0, 0).real, both(1, 1).real, both(1, 0)
+        top = top + _RIDGE * mean
+        rest = np.maximum(low + _RIDGE * mean - np.abs(side) ** 2 / top, 0.5 * _RIDGE * mean)
+        explained = np.abs(first) ** 2 / top + np.abs(second - side * first / top) ** 2 / rest
+        total = explained.sum(axis=0)
+        best = total.argmax(axis=1)
+        energy = (data.real**2 + data.imag**2).sum(axis=(0, 2))
+        found = np.stack([angles[a[best]], angles[b[best]]], axis=1)
+        return np.asarray(energy - total[np.arange(c), best], dtype=np.float64), found
+
+
 def _leading(
     sets: NDArray[np.intp], values: NDArray[np.float64], keep: int
 ) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
