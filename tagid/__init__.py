@@ -29,9 +29,9 @@ if TYPE_CHECKING:
     from tagid.simulate.presets import scene_from_name as scene_from_name
     from tagid.storage.exporters import export as export
     from tagid.storage.importers import read_any as read_any
+    from tagid.tags.enrolling.registry import Registry as Registry
     from tagid.tags.layouts.layout import Layout as Layout
     from tagid.tags.layouts.layout import builtin_layouts as builtin_layouts
-    from tagid.tags.layouts.registry import Registry as Registry
 
 __version__ = "0.2.0"
 
@@ -57,7 +57,7 @@ _HOMES = {
     "read_any": "tagid.storage.importers",
     "Layout": "tagid.tags.layouts.layout",
     "builtin_layouts": "tagid.tags.layouts.layout",
-    "Registry": "tagid.tags.layouts.registry",
+    "Registry": "tagid.tags.enrolling.registry",
 }
 """Public name -> module that defines it."""
 

@@ -92,7 +92,7 @@ def _disk(folder: Path) -> Finding:
 
 
 def _registry() -> Finding:
-    from tagid.tags.layouts.registry import Registry
+    from tagid.tags.enrolling.registry import Registry
 
     path = data_folder() / "registry.sqlite"
     try:

@@ -26,7 +26,7 @@ Finds the small octahedral reflectors in a 0.5 m square image (96 x 96 pixels) o
 and its sigma, a calibrated probability, and whether a place shows a ghost (interaction image of near
 reflectors, arc of a shell off its axis, handle, rim, box edge). It serves objects whose layout nobody
 enrolled and labels what else is seen; names of enrolled layouts are read in the scans themselves
-(`tagid/tags/reading/matcher.py`).
+(`tagid/tags/matching/matcher.py`).
 
 - Data: simulated scenes only, drawn as `train/distributions.py` declares: {scenes} scenes imaged by
   backprojection, every {ats_every}th by ATS too; commit {commit},

@@ -15,6 +15,8 @@ from tagid import __version__
 from tagid.models_store import manifest
 from tagid.pipeline.load import LoadSettings
 from tagid.pipeline.settings import ImagingSettings
+from tagid.tags.bodies.signature import Signature
+from tagid.tags.bodies.signature_file import to_bytes
 from tagid.tags.layouts.layout import Layout
 
 MAX_CAPTURE_BYTES = 512 << 20
@@ -31,6 +33,7 @@ class Job:
         load: how captures are loaded; geometry and motion for those that lack them.
         pictures: whether to make the page's pictures.
         known: sha256 of contents whose answer is kept from an earlier run with the same fingerprint.
+        signatures: enrolled bodies and objects.
     """
 
     settings: ImagingSettings
@@ -39,6 +42,7 @@ class Job:
     load: LoadSettings
     pictures: bool = True
     known: frozenset[str] = field(default_factory=frozenset)
+    signatures: tuple[Signature, ...] = ()
 
     def described(self) -> dict[str, Any]:
         """Everything an answer depends on, the capture aside, as plain JSON values."""
@@ -47,6 +51,7 @@ class Job:
             **self.load.described(),
             "registry_version": self.registry_version,
             "layouts_sha256": _sha256([layout.to_dict() for layout in self.layouts]),
+            "signatures_sha256": [hashlib.sha256(to_bytes(one)).hexdigest() for one in self.signatures],
             "tool_version": __version__,
             "models_sha256": {name: entry.sha256 for name, entry in sorted(manifest().items())},
             "pictures": self.pictures,

@@ -49,7 +49,9 @@ def work(source: Source, job: Job) -> Outcome:
             capture = load_capture(path, job.load, turn=False)
         with watch.stage("prepare"):
             prepared = PreparedCapture(prepare(capture, job.load.motion_for(capture)), job.settings)
-        answer = identify(prepared, job.layouts, registry_version=job.registry_version)
+        answer = identify(
+            prepared, job.layouts, registry_version=job.registry_version, signatures=job.signatures
+        )
         for name, seconds in answer.seconds.items():
             watch.seconds[name] = watch.seconds.get(name, 0.0) + seconds
         if job.pictures:

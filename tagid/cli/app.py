@@ -12,6 +12,7 @@ import typer
 
 from tagid import __version__
 from tagid.cli import (
+    bodies,
     config,
     doctor,
     enroll,
@@ -43,6 +44,7 @@ for part in (
     identify,
     enroll,
     layouts,
+    bodies,
     history,
     report,
     reconstruct,

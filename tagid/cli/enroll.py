@@ -1,25 +1,40 @@
-"""`tagid enroll`: add an identity."""
+"""`tagid enroll`: add an identity, or a body that tags are put on."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from tagid.cli.common import enrolling, options
 from tagid.cli.common.frame import Terminal, command
 from tagid.cli.common.points import parse_point
-from tagid.config import Config, load_config
-from tagid.errors import RegistryError, UsageError
+from tagid.config import load_config
+from tagid.errors import LayoutConflictError, RegistryError, UsageError
 from tagid.result import Result
 
 if TYPE_CHECKING:
-    from tagid.tags.enrolling.averaging import LayoutEstimate
+    from tagid.cli.common.enroll_measured import Measured
+    from tagid.tags.bodies.joint import Joint
     from tagid.tags.enrolling.enrolment import Outlook
     from tagid.tags.layouts.layout import Layout
-    from tagid.tags.layouts.registry import Registry
+
+
+@dataclass(frozen=True)
+class Given:
+    """What the command line says about an entry beside its positions.
+
+    Attributes:
+        name: of the entry.
+        label: for people; None keeps that of a file.
+        wish: see `enrolling.Wish`.
+    """
+
+    name: str
+    label: str | None
+    wish: enrolling.Wish
 
 
 def register(app: typer.Typer) -> None:
@@ -30,7 +45,7 @@ def register(app: typer.Typer) -> None:
         terminal: Terminal,
         name: Annotated[
             str | None,
-            typer.Argument(help="Name of the layout; a file has one of its own.", show_default=False),
+            typer.Argument(help="Name of the new entry; a file brings its own.", show_default=False),
         ] = None,
         more: Annotated[
             list[Path] | None,
@@ -40,7 +55,7 @@ def register(app: typer.Typer) -> None:
             list[str] | None,
             typer.Option(
                 "--point",
-                help="A reflector as X,Y in metres from the axis; once for each.",
+                help="A reflector as X,Y in metres from the axis; repeat for each reflector.",
                 show_default=False,
             ),
         ] = None,
@@ -51,13 +66,24 @@ def register(app: typer.Typer) -> None:
             list[Path] | None,
             typer.Option(
                 "--capture",
-                help="A capture of the real object; once for each, three or more, the object put down anew.",
+                help="A capture of the real object; give three or more, the object turned and moved between "
+                "them.",
                 show_default=False,
             ),
         ] = None,
+        body: Annotated[
+            bool,
+            typer.Option(
+                "--body",
+                help="The captures show an untagged body: tags on it can then be read.",
+                show_default=False,
+            ),
+        ] = False,
         sigma: Annotated[
             float | None,
-            typer.Option("--sigma", help="How exactly the --point are known, metres.", show_default=False),
+            typer.Option(
+                "--sigma", help="Standard deviation of the --point coordinates, metres.", show_default=False
+            ),
         ] = None,
         kind: Annotated[
             str | None, typer.Option("--kind", help="helmet, container or other.", show_default=False)
@@ -71,84 +97,170 @@ def register(app: typer.Typer) -> None:
         motion: options.MotionUrl = None,
         axis_distance: options.AxisDistance = None,
         force: Annotated[
-            bool, typer.Option("--force", help="Enrol one that could be confused, or over its namesake.")
+            bool,
+            typer.Option("--force", help="Replace an entry of that name; accept one that can be confused."),
         ] = False,
         yes: enrolling.Yes = False,
         dry_run: enrolling.DryRun = False,
     ) -> Result:
-        """Enrol a layout from numbers, from a file, or from captures of the real object.
+        """Enrol a layout from numbers, a file or captures of the real object, or an untagged body.
 
-        The nearest enrolled layouts and the expected rate of confusion are shown first; at a terminal you are
-        asked before anything is stored.
+        From three captures the object's signature is stored too; where its body hides the reflectors, the
+        signature alone. The nearest enrolled layouts and the expected rate of confusion are shown first; at a
+        terminal you are asked before anything is stored.
 
         Example: tagid enroll helmet-7 --kind helmet --point 0.11,0 --point -0.05,0.09 --point 0,-0.08
 
         Example: tagid enroll helmet-7 first.tagid.h5 second.tagid.h5 third.tagid.h5
-        """
-        from tagid.cli.common.imaging import open_registry
-        from tagid.tags.enrolling.enrolment import outlook as look
 
+        Example: tagid enroll --body mug first.tagid.h5 second.tagid.h5 third.tagid.h5
+        """
         captures = [*(captures or []), *(more or [])]
         ways = [bool(points), file is not None, bool(captures)]
         if sum(ways) != 1:
             raise UsageError(
-                "say in one way where the reflectors are", "Use --point X,Y (repeated), --file, or captures."
+                "give the reflectors in one way", "Use --point X,Y (repeated), --file, or captures."
             )
         if file is None and not name:
-            raise UsageError("the new layout needs a name", "Give it first: tagid enroll NAME ...")
+            raise UsageError("the new entry needs a name", "Give it first: tagid enroll NAME ...")
         if captures and Path(str(name)).is_file():
             raise UsageError(f"{name} is a file where a name should be", "Name first: tagid enroll NAME ...")
         if sigma is not None and not points:
-            raise UsageError(
-                "--sigma without --point", "A file and captures say themselves how exact they are."
-            )
-        estimate = None
+            raise UsageError("--sigma without --point", "Files and captures bring their own accuracy.")
+        if body and not captures:
+            raise UsageError("--body without captures", "Give three captures of the untagged body.")
+        config = load_config({"motion.url": motion, "motion.axis_distance_m": axis_distance})
+        given = Given(str(name), label, enrolling.Wish(force, yes, dry_run))
+        if body:
+            from tagid.cli.common.enroll_measured import prepared, signature
+            from tagid.cli.common.imaging import settings_from
+
+            if kind is not None or notes is not None:
+                raise UsageError("--kind and --notes are of layouts", "Omit them with --body.")
+            settings = settings_from(config)
+            joint = signature(given.name, "body", prepared(captures, config), settings, terminal)
+            return _enrol_signature(terminal, given, joint, f"{len(captures)} captures", ())
+        measured = None
         if file is not None:
             layout, source = _from_file(file), f"file {file.name}"
         elif captures:
-            config = load_config({"motion.url": motion, "motion.axis_distance_m": axis_distance})
-            estimate = _from_captures(str(name), captures, config, terminal)
-            layout, source = estimate.layout, f"{len(captures)} captures"
+            from tagid.cli.common.enroll_measured import measure
+
+            measured = measure(given.name, captures, config, terminal)
+            source = f"{len(captures)} captures"
+            if measured.estimate is None:
+                assert measured.joint is not None
+                return _enrol_signature(terminal, given, measured.joint, source, measured.remarks)
+            layout = measured.estimate.layout
         else:
-            layout, source = _from_points(str(name), points or [], sigma), "command line"
-        given = {"name": name, "kind": kind, "label": label, "notes": notes}
-        layout = replace(layout, **{key: value for key, value in given.items() if value is not None})  # type: ignore[arg-type]
-        registry = open_registry()
-        version, known = registry.snapshot()
-        found = look(layout, known, direction_known=enrolling.direction_known(), version=version)
-        if any(other.name == layout.name for other in known) and not force:
-            raise RegistryError(
-                f"a layout named {layout.name} is enrolled already",
-                "Choose another name, remove it with `tagid layouts --remove`, or replace it with --force.",
-            )
-        conflict = None if force else found.conflict()
-        if conflict is not None or dry_run:
-            error = () if conflict is None else (conflict,)
-            return _result(found, estimate, None, False, errors=error)
-        question = f"Enrol {layout.name} ({layout.size} reflectors)?"
-        shown = enrolling.agree(terminal, _shown(found, estimate), question, yes)
-        return _store(registry, found, estimate, source, force, shown)
+            layout, source = _from_points(given.name, points or [], sigma), "command line"
+        fields = {"name": name, "kind": kind, "label": label, "notes": notes}
+        layout = replace(layout, **{key: value for key, value in fields.items() if value is not None})  # type: ignore[arg-type]
+        return _enrol_layout(terminal, layout, measured, source, given.wish)
 
 
-def _store(
-    registry: Registry,
-    found: Outlook,
-    estimate: LayoutEstimate | None,
-    source: str,
-    force: bool,
-    shown: bool,
+def _enrol_layout(
+    terminal: Terminal, layout: Layout, measured: Measured | None, source: str, wish: enrolling.Wish
 ) -> Result:
+    """Show what enrolling a layout would mean, ask, and store it with its signature."""
+    from tagid.cli.common.imaging import open_registry
     from tagid.tags.enrolling.enrolment import enrol
+    from tagid.tags.enrolling.enrolment import outlook as look
 
-    done = enrol(registry, found.layout, source, force=force, direction_known=enrolling.direction_known())
-    return _result(done.outlook, estimate, done.version, shown)
+    registry = open_registry()
+    contents = registry.contents()
+    known_direction = enrolling.direction_known()
+    found = look(layout, contents.layouts, direction_known=known_direction, version=contents.version)
+    if any(other.name == layout.name for other in contents.layouts) and not wish.force:
+        raise RegistryError(
+            f"a layout named {layout.name} is enrolled already",
+            "Choose another name, remove it with `tagid layouts --remove`, or replace it with --force.",
+        )
+    conflict = None if wish.force else found.conflict()
+    if conflict is not None or wish.dry_run:
+        error = () if conflict is None else (conflict,)
+        return _result(found, measured, None, False, errors=error)
+    question = f"Enrol {layout.name} ({layout.size} reflectors)?"
+    shown = enrolling.agree(terminal, _shown(found, measured), question, wish.yes)
+    own = (
+        (replace(measured.joint.signature, name=layout.name, label=layout.label[:200]),)
+        if (measured and measured.joint)
+        else ()
+    )
+    done = enrol(registry, layout, source, force=wish.force, direction_known=known_direction, signatures=own)
+    return _result(done.outlook, measured, done.version, shown)
 
 
-def _shown(found: Outlook, estimate: LayoutEstimate | None):  # type: ignore[no-untyped-def]
+def _enrol_signature(
+    terminal: Terminal, given: Given, joint: Joint, source: str, remarks: tuple[str, ...]
+) -> Result:
+    """Show what a signature is worth, ask, and store it: of a body, or of an object without positions."""
+    from rich.console import Group
+    from rich.text import Text
+
+    from tagid.cli.common.enroll_measured import joint_data, joint_words
+    from tagid.cli.common.imaging import open_registry
+    from tagid.tags.bodies.likeness import compare, least_tag
+
+    registry = open_registry()
+    one = replace(joint.signature, label=given.label or "")
+    contents = registry.contents()
+    taken = [other for other in contents.signatures if (other.kind, other.name) == (one.kind, one.name)]
+    names = {layout.name for layout in contents.layouts} if one.kind == "object" else set()
+    if (taken or one.name in names) and not given.wish.force:
+        raise RegistryError(
+            f"{'an object' if one.kind == 'object' else 'a body'} named {one.name} is enrolled already",
+            "Choose another name, remove it with `tagid "
+            f"{'layouts' if one.kind == 'object' else 'bodies'} --remove`, or replace it with --force.",
+        )
+    others = [other for other in contents.signatures if other.kind == one.kind and other.name != one.name]
+    pairs = sorted((compare(one, other) for other in others), key=lambda pair: pair.left)
+    alike = [pair.second for pair in pairs if pair.alike]
+    lines = joint_words(joint)
+    lines += [f"  apart from {p.second}: {p.left:.1%} of the turning echo" for p in pairs[: enrolling.SHOWN]]
+    notes = list(remarks)
+    if one.kind == "body":
+        lines.append(f"  a tag on it must return more than {10 * _log10(least_tag(one)):.0f} dB of its echo")
+        if alike:
+            notes.append(f"it looks like {', '.join(alike)}: a tag on one may be read as on the other")
+    shown = Group(*(Text(line) for line in lines))
+    data: dict[str, Any] = {
+        "layout": None,
+        "signature": joint_data(joint),
+        "alike": alike,
+        "stored": False,
+        "registry_version": contents.version,
+    }
+    if one.kind == "object" and alike and not given.wish.force:
+        error = LayoutConflictError(
+            f"object {one.name} could be confused with {alike[0]}: {pairs[0].left:.1%} of its turning echo "
+            "tells them apart",
+            "Change its tag, remove the other, or insist with --force; nothing was stored.",
+        )
+        entry = {"code": error.code, "message": error.message, "remedy": error.remedy}
+        return Result("enroll", data, shown, "error", error.exit_code, tuple(notes), (entry,))
+    if given.wish.dry_run:
+        human = Group(shown, Text(f"{one.name} not stored"))
+        return Result("enroll", data, human, messages=tuple(notes))
+    asked = enrolling.agree(terminal, shown, f"Enrol the {one.kind} {one.name}?", given.wish.yes)
+    data["registry_version"] = registry.add_all([], source, replace=given.wish.force, signatures=[one])
+    data["stored"] = True
+    line = Text(f"{one.kind} {one.name} enrolled, registry version {data['registry_version']}")
+    return Result("enroll", data, line if asked else Group(shown, line), messages=tuple(notes))
+
+
+def _log10(value: float) -> float:
+    from math import log10
+
+    return log10(max(value, 1e-12))
+
+
+def _shown(found: Outlook, measured: Measured | None):  # type: ignore[no-untyped-def]
     """What a person sees before the question."""
     from rich.console import Group
     from rich.text import Text
 
+    from tagid.cli.common.enroll_measured import joint_words
     from tagid.report.layout_sheet import in_terminal
 
     layout = found.layout
@@ -156,12 +268,15 @@ def _shown(found: Outlook, estimate: LayoutEstimate | None):  # type: ignore[no-
     for number, (x, y) in enumerate(layout.positions, 1):
         spread = "" if layout.covariance is None else "  +- " + _sigmas(layout, number - 1)
         lines.append(Text(f"  {number}  x {x * 1e3:7.1f}  y {y * 1e3:7.1f} mm{spread}"))
-    if estimate is not None:
+    if measured is not None and measured.estimate is not None:
+        estimate = measured.estimate
         count = len(estimate.rotations_deg)
         known = f"which scatter by up to {max(estimate.spread_m) * 1e3:.1f} mm"
         lines.append(Text(f"measured on {count} capture(s)" + (f", {known}" if count > 1 else "")))
         if estimate.mirrored:
             lines.append(Text(f"taken as mirror images: {', '.join(estimate.mirrored)}"))
+    if measured is not None and measured.joint is not None:
+        lines += [Text(line) for line in joint_words(measured.joint)]
     return Group(*lines, enrolling.neighbours(found))  # type: ignore[arg-type]
 
 
@@ -173,7 +288,7 @@ def _sigmas(layout: Layout, index: int) -> str:
 
 def _result(
     found: Outlook,
-    estimate: LayoutEstimate | None,
+    measured: Measured | None,
     version: int | None,
     shown: bool,
     errors: tuple[RegistryError, ...] = (),
@@ -181,13 +296,17 @@ def _result(
     from rich.console import Group
     from rich.text import Text
 
+    from tagid.cli.common.enroll_measured import joint_data
+
     layout = found.layout
+    estimate = measured.estimate if measured else None
     entries = tuple({"code": e.code, "message": e.message, "remedy": e.remedy} for e in errors)
-    messages = []
+    messages = list(measured.remarks) if measured else []
     if estimate is not None and len(estimate.rotations_deg) < 3:
-        messages.append("three or more captures, the object put down anew for each, show how exact they are")
+        messages.append("three or more captures, the object moved between them, show the accuracy")
     data = {
         "layout": layout.to_dict(),
+        "signature": joint_data(measured.joint) if measured else None,
         "stored": version is not None,
         "registry_version": version if version is not None else found.version,
         **enrolling.as_data(found),
@@ -204,7 +323,7 @@ def _result(
     line = Text(f"{layout.name} not stored")
     if version is not None:
         line = Text(f"{layout.name} enrolled: {layout.size} reflectors, registry version {version}")
-    human = line if shown else Group(_shown(found, estimate), line)
+    human = line if shown else Group(_shown(found, measured), line)
     status, code = ("error", errors[0].exit_code) if errors else ("success", 0)
     return Result("enroll", data, human, status, code, tuple(messages), entries)  # type: ignore[arg-type]
 
@@ -226,34 +345,9 @@ def _from_points(name: str, points: list[str], sigma: float | None) -> Layout:
 
 
 def _from_file(file: Path) -> Layout:
-    from tagid.tags.layouts.layout_file import read_layouts
+    from tagid.tags.enrolling.layout_file import read_layouts
 
     found = read_layouts(file)
     if len(found) > 1:
         raise UsageError(f"{file} holds {len(found)} layouts", f"Enrol them all: tagid layouts import {file}")
     return found[0]
-
-
-def _from_captures(name: str, captures: list[Path], config: Config, terminal: Terminal) -> LayoutEstimate:
-    from tagid.cli.common.imaging import settings_from
-    from tagid.pipeline.identify import sight_reflectors
-    from tagid.pipeline.load import LoadSettings, load_capture
-    from tagid.tags.enrolling.averaging import average
-
-    same = {path.resolve() for path in captures}
-    if len(same) < len(captures):
-        raise UsageError("one capture is given twice", "Give captures of the object put down anew each time.")
-    settings, loading = settings_from(config), LoadSettings.of(config)
-    found, known = [], dict[str, Path]()
-    with terminal.progress("captures", total=len(captures)) as advance:
-        for number, path in enumerate(captures, 1):
-            capture = load_capture(path, loading)
-            twin = known.setdefault(capture.uuid, path)
-            if twin != path:
-                raise UsageError(
-                    f"{path} and {twin} are one capture",
-                    "Give captures of the object put down anew each time.",
-                )
-            found.append(sight_reflectors(capture, str(path), settings))
-            advance(number, path.name)
-    return average(found, name, direction_known=config["tags.direction"] == "known")

@@ -87,7 +87,7 @@ def run(terminal: Terminal, files: list[Path], overrides: dict[str, object], vie
 
     config = load_config(overrides)
     registry = imaging.open_registry()
-    layouts, version = registry.layouts(), registry.version
+    known = registry.contents()
     answers: list[Identification] = []
     items: list[dict[str, object]] = []
     drawn: list[RenderableType] = []
@@ -97,7 +97,9 @@ def run(terminal: Terminal, files: list[Path], overrides: dict[str, object], vie
     for path in files:
         try:
             prepared = PreparedCapture(load_capture(path, loading), settings)
-            answer = identify(prepared, layouts, registry_version=version)
+            answer = identify(
+                prepared, known.layouts, registry_version=known.version, signatures=known.signatures
+            )
             if (view.preview or view.png) and len(files) == 1:
                 result = imaging.image_with_progress(terminal, prepared)
                 if view.png:

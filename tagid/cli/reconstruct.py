@@ -66,6 +66,10 @@ def register(app: typer.Typer) -> None:
         beam: Annotated[
             bool, typer.Option(help="Show sparse images at the data's resolution, not as bare pixels.")
         ] = True,
+        subtract_body: Annotated[
+            bool,
+            typer.Option("--subtract-body", help="Subtract the echo of the body that `identify` finds."),
+        ] = False,
         seed: options.Seed = 0,
     ) -> Result:
         """Make an image of a recorded scan.
@@ -79,6 +83,7 @@ def register(app: typer.Typer) -> None:
 
         from tagid.cli.common import imaging
         from tagid.imaging.ats.options import parse_calibrate, parse_settings
+        from tagid.pipeline.identify import identify, without_body
         from tagid.pipeline.load import LoadSettings, load_capture
         from tagid.pipeline.prepared import PreparedCapture
         from tagid.storage.image import write_image
@@ -116,8 +121,15 @@ def register(app: typer.Typer) -> None:
             ),
         )
         loading = replace(LoadSettings.of(config, background), wave_speed_m_s=wave_speed)
-        capture = load_capture(file, loading)
-        result = imaging.image_with_progress(terminal, PreparedCapture(capture, settings))
+        prepared = PreparedCapture(load_capture(file, loading), settings)
+        subtracted = False
+        if subtract_body:
+            contents = imaging.open_registry().contents()
+            read = PreparedCapture(prepared.given, given)
+            answer = identify(read, contents.layouts, signatures=contents.signatures)
+            plain, prepared = prepared, without_body(prepared, answer)
+            subtracted = prepared is not plain
+        result = imaging.image_with_progress(terminal, prepared)
         if out:
             write_image(out, result.image)
         if png:
@@ -130,12 +142,15 @@ def register(app: typer.Typer) -> None:
         where = "" if distance is None else f", axis at {distance:.3f} m"
         lines.append(Text(f"{result.method} image of {result.views} views in {took:.2f} s{where}"))
         lines += [Text(line) for line in imaging.learned_words(result)]
+        if subtract_body:
+            lines.append(Text(imaging.SUBTRACTED[subtracted]))
         lines += [Text(f"{name} {path}") for name, path in (("image", out), ("picture", png)) if path]
         data = {
             "method": result.method,
             "image": str(out) if out else None,
             "png": str(png) if png else None,
             "settings": result.image.settings,
+            "body_subtracted": subtracted,
             "seconds": result.seconds,
         }
         return Result("reconstruct", data, Group(*lines))

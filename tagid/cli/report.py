@@ -120,13 +120,14 @@ def _job(config: Config, background: str, pictures: bool) -> Job:
     settings = imaging.settings_from(config, background)
     # A picture by the slower methods takes as long as ten identifications: only where it is asked for.
     method = "bp" if settings.method == "auto" else settings.method
-    registry = imaging.open_registry()
+    enrolled = imaging.open_registry().contents()
     return Job(
         replace(settings, method=method),
-        tuple(registry.layouts()),
-        registry.version,
+        tuple(enrolled.layouts),
+        enrolled.version,
         LoadSettings.of(config, background),
         pictures,
+        signatures=tuple(enrolled.signatures),
     )
 
 

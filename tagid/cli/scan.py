@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -21,6 +21,14 @@ if TYPE_CHECKING:
     from tagid.metadata import ObjectInfo
 
 MAX_REPEAT = 100
+
+
+@dataclass(frozen=True)
+class View:
+    """How the image of a scan is shown: in the terminal, too; without the body's echo."""
+
+    preview: bool
+    subtract_body: bool
 
 
 def register(app: typer.Typer) -> None:
@@ -42,6 +50,12 @@ def register(app: typer.Typer) -> None:
         demo_scene: Annotated[str, typer.Option("--demo-scene", help="What the demo turns.")] = "helmet-120",
         preview: options.Preview = False,
         note: Annotated[str, typer.Option("--note", help="Kept in the capture, e.g. a name.")] = "",
+        subtract_body: Annotated[
+            bool,
+            typer.Option(
+                "--subtract-body/--keep-body", help="Picture without the body's echo where a body was found."
+            ),
+        ] = True,
         repeat: Annotated[
             int, typer.Option("--repeat", help="Record so many turns and answer from all of them.")
         ] = 1,
@@ -69,12 +83,13 @@ def register(app: typer.Typer) -> None:
         if not demo:
             config = load_config(overrides)
             agree_to(config["motion.url"], yes)
-            return _scans(terminal, config, limits, about, preview, repeat)
+            return _scans(terminal, config, limits, about, View(preview, subtract_body), repeat)
         from tagid.cli.common.demo import emulated_radar
 
         with emulated_radar(demo_scene) as there:
             demo_config = load_config({**overrides, **there})
-            return _scans(terminal, demo_config, limits, replace(about, demo=True), preview, repeat)
+            shown = View(preview, subtract_body)
+            return _scans(terminal, demo_config, limits, replace(about, demo=True), shown, repeat)
 
 
 def _scans(
@@ -82,7 +97,7 @@ def _scans(
     config: Config,
     limits: Limits,
     about: ObjectInfo,
-    preview: bool,
+    view: View,
     repeat: int,
 ) -> Result:
     """One turn, or several and one answer from all of them; what was recorded before a failure is kept."""
@@ -90,7 +105,7 @@ def _scans(
 
     from tagid.cli.identify import vote_on
 
-    turns = [_scan(terminal, config, limits, about, preview) for _ in range(repeat)]
+    turns = [_scan(terminal, config, limits, about, view) for _ in range(repeat)]
     if repeat == 1 or any(turn.errors for turn in turns):
         return next((turn for turn in turns if turn.errors), turns[-1])
     files = [Path(turn.data["files"]["capture"]) for turn in turns]
@@ -105,14 +120,14 @@ def _scan(
     config: Config,
     limits: Limits,
     about: ObjectInfo,
-    preview: bool,
+    view: View,
 ) -> Result:
     from rich.console import Group, RenderableType
     from rich.text import Text
 
     from tagid.cli.common import imaging
     from tagid.motion.urls import open_motion
-    from tagid.pipeline.identify import identify
+    from tagid.pipeline.identify import identify, without_body
     from tagid.pipeline.load import LoadSettings, load_capture
     from tagid.pipeline.prepared import PreparedCapture
     from tagid.pipeline.resolve import turn_line
@@ -136,8 +151,7 @@ def _scan(
     except OSError as error:
         raise StorageError(f"cannot make the folder {folder}: {error.strerror}", "Choose another.") from None
     plan = plan_of(config, url, limits, about)
-    layouts_registry = imaging.open_registry()
-    layouts, version = layouts_registry.layouts(), layouts_registry.version
+    known = imaging.open_registry().contents()
     motion = open_motion(config["motion.url"])
     path = capture_path(folder)
     with terminal.progress("record", motion.needed_seconds()) as advance:
@@ -161,14 +175,19 @@ def _scan(
     try:
         loaded = load_capture(capture, loading)
         prepared = PreparedCapture(loaded, settings)
-        answer = identify(prepared, layouts, registry_version=version)
-        result = imaging.image_with_progress(terminal, prepared)
+        answer = identify(
+            prepared, known.layouts, registry_version=known.version, signatures=known.signatures
+        )
+        shown = without_body(prepared, answer) if view.subtract_body else prepared
+        result = imaging.image_with_progress(terminal, shown)
         imaging.draw(result, answer, png)
         write_image(npz, result.image)
         files |= {"png": str(png), "image": str(npz)}
         learned = imaging.learned(result)
         drawn += [Text(line) for line in imaging.learned_words(result)]
-        if preview:
+        if shown is not prepared:
+            drawn.append(Text(imaging.SUBTRACTED[True]))
+        if view.preview:
             drawn.append(imaging.in_terminal(result))
         code = imaging.exit_code_of([answer])
     except KeyboardInterrupt as stop:

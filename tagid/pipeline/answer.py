@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 from tagid import __version__
 
 if TYPE_CHECKING:
+    from tagid.tags.matching.reading import Reading
     from tagid.tags.network.second_look import SecondLook
-    from tagid.tags.reading.matcher import Reading
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +46,8 @@ class Identification:
         return {
             "status": self.status,
             "reason": r.reason if r else (self.error or {}).get("message", ""),
+            "reason_code": r.code.value if r else (self.error or {}).get("code", ""),
+            "advice": r.advice if r else (self.error or {}).get("remedy", ""),
             "layout": r.layout if r else None,
             "label": self.label,
             "score": r.score if r else 0.0,
@@ -57,6 +59,9 @@ class Identification:
             "extra": r.extra if r else 0,
             "reflector_probability": second.present if second else None,
             "scores": [{"layout": s.name, "criterion": s.criterion, "share": s.share} for s in scores],
+            "hypothesis": self._won(),
+            "hypotheses": self._hypotheses(),
+            "bound": self._bound(),
             "capture_uuid": self.capture_uuid,
             "tool_version": __version__,
             "model_sha256": second.model_sha256 if second else None,
@@ -64,6 +69,38 @@ class Identification:
             "seconds": {name: round(value, 4) for name, value in self.seconds.items()},
             "error": self.error,
         }
+
+    def _won(self) -> str | None:
+        """The kind of the hypothesis that the answer rests on; None where nothing was read."""
+        return self.reading.kind.value if self.reading else None
+
+    def _bound(self) -> dict[str, Any] | None:
+        """What the false-accept setting rests on; None where no calibration was asked."""
+        bound = self.reading.bound if self.reading else None
+        if bound is None:
+            return None
+        return {
+            "p_value": bound.p_value,
+            "false_accept": bound.false_accept,
+            "calibration_objects": bound.objects,
+            "stratum": bound.stratum,
+            "population": bound.population,
+        }
+
+    def _hypotheses(self) -> list[dict[str, Any]]:
+        """Every hypothesis that was fitted, with what it leaves unexplained and where it puts the body."""
+        return [
+            {
+                "kind": one.kind.value,
+                "name": one.name,
+                "layout": one.layout,
+                "unexplained": one.left,
+                "unexplained_beyond_body": one.beyond_body,
+                "centre_m": list(one.pose.centre_m),
+                "radius_m": one.radius_m,
+            }
+            for one in (self.reading.hypotheses if self.reading else ())
+        ]
 
     def _reflectors(self) -> list[dict[str, Any]]:
         """Those of the reading, with the network's probabilities where it was asked."""

@@ -17,12 +17,19 @@ from tagid.pipeline.prepared import PreparedCapture, as_prepared
 from tagid.pipeline.settings import ImagingSettings, Stopwatch
 
 if TYPE_CHECKING:
+    from tagid.tags.bodies.hypothesis import Enrolled
+    from tagid.tags.bodies.signature import Signature
+    from tagid.tags.bodies.spectra import Spectra
     from tagid.tags.enrolling.averaging import Sighting
     from tagid.tags.layouts.layout import Layout
+    from tagid.tags.matching.matcher import ReaderSettings
+    from tagid.tags.matching.reading import Reading
     from tagid.tags.network.second_look import SecondLook
-    from tagid.tags.reading.matcher import ReaderSettings, Reading
 
 _FEWEST_VIEWS = 3
+MIN_SIGNATURE_VIEWS = 24
+"""Views of a capture that a signature is made of: two per harmonic of a cup, one per two of a helmet; three
+captures share the rest."""
 
 
 def identify(
@@ -30,6 +37,7 @@ def identify(
     layouts: Sequence[Layout],
     settings: ImagingSettings | None = None,
     registry_version: int | None = None,
+    signatures: Sequence[Signature] = (),
 ) -> Identification:
     """Name the object of a prepared capture.
 
@@ -41,25 +49,43 @@ def identify(
         layouts: the candidates.
         settings: only with a plain capture.
         registry_version: noted in the answer.
+        signatures: enrolled bodies and objects.
 
     Raises:
         DataError: too few views or bins, or the object lies outside the range window.
         RegistryError: no layout is enrolled.
     """
-    from tagid.tags.reading.matcher import read_tag
+    from tagid.tags.matching.matcher import read_tag
 
     prepared = as_prepared(capture, settings)
     _check_views(prepared)
     watch = Stopwatch()
     scans = prepared.scans(prepared.settings.preprocessing(matched_filter=False))
     with watch.stage("read"):
-        reading = read_tag(scans, layouts, _reader_settings(prepared.settings))
+        enrolled = _enrolled(prepared.given, signatures, prepared.settings)
+        reading = read_tag(scans, layouts, _reader_settings(prepared.settings), enrolled)
     with watch.stage("look again"):
         second = _second_look(prepared, reading)
-    label = next((layout.label for layout in layouts if layout.name == reading.layout), "")
+    labels = {one.name: one.label for one in signatures if one.kind == "object"}
+    labels |= {layout.name: layout.label for layout in layouts}
+    label = labels.get(reading.layout or "", "")
     seconds = {**prepared.watch.seconds, **watch.seconds}
     uuid = prepared.given.uuid
     return Identification(reading.status, reading, uuid, registry_version, label, seconds, second=second)
+
+
+def without_body(prepared: PreparedCapture, answer: Identification) -> PreparedCapture:
+    """The prepared capture minus the echo of the body that its reading found, for a picture of the tag.
+
+    The same capture where no body won.
+    """
+    from tagid.tags.bodies import subtract
+    from tagid.tags.bodies.hypothesis import Kind
+
+    reading = answer.reading
+    if reading is None or reading.body is None or reading.kind is Kind.BARE:
+        return prepared
+    return PreparedCapture(subtract.without_body(prepared.given, reading.body), prepared.settings)
 
 
 def identify_together(
@@ -72,7 +98,7 @@ def identify_together(
 
     Raises as `identify` does.
     """
-    from tagid.tags.reading.vote import read_together
+    from tagid.tags.matching.vote import read_together
 
     settings = settings or ImagingSettings()
     watch = Stopwatch()
@@ -95,6 +121,51 @@ def identify_together(
     each = [answer(r, c.uuid, second) for r, c, second in zip(alone, captures, seconds, strict=True)]
     only = len(captures) == 1
     return answer(joint, captures[0].uuid if only else None, seconds[0] if only else None), each
+
+
+def _enrolled(
+    capture: Capture, signatures: Sequence[Signature], settings: ImagingSettings
+) -> Enrolled | None:
+    """Enrolled bodies and objects as hypotheses; None where there are none of the capture's band."""
+    if not signatures or capture.angles_rad is None:
+        return None
+    from tagid.tags.bodies.enrolled import hypotheses, signature_wavenumbers
+
+    wavenumbers = signature_wavenumbers(capture.center_frequency_hz, capture.bandwidth_hz)
+    return hypotheses(signatures, wavenumbers, direction_known=settings.direction_known)
+
+
+def aspect_spectra(capture: Capture, settings: ImagingSettings | None = None) -> Spectra:
+    """Spectra of a prepared capture from which the signature of its object can be estimated.
+
+    Raises DataError as `identify` does, and for free antenna positions.
+    """
+    from tagid.tags.bodies.enrolled import signature_wavenumbers
+    from tagid.tags.bodies.signature import MAX_RADIUS_M
+    from tagid.tags.bodies.spectra import Spectra
+    from tagid.tags.reading.views import fold_views
+
+    settings = settings or ImagingSettings()
+    if capture.angles_rad is None:
+        raise DataError(
+            "the signature of an object needs it on a turntable, this capture has free antenna positions",
+            "Record the object turning, or enrol its reflectors with --point.",
+        )
+    if capture.views < MIN_SIGNATURE_VIEWS:
+        raise DataError(
+            f"the capture has {capture.views} views, a signature needs {MIN_SIGNATURE_VIEWS}",
+            "Record more views per turn.",
+        )
+    prepared = PreparedCapture(capture, settings)
+    scans = prepared.scans(settings.preprocessing(matched_filter=False))
+    wavenumbers = signature_wavenumbers(capture.center_frequency_hz, capture.bandwidth_hz)
+    if len(wavenumbers) < 3:
+        raise DataError(
+            f"a band of {capture.bandwidth_hz / 1e6:.0f} MHz holds {len(wavenumbers)} frequencies of a "
+            "signature, 3 are needed",
+            "Correct the capture's bandwidth_hz.",
+        )
+    return Spectra.of(fold_views(scans, MAX_RADIUS_M), wavenumbers=wavenumbers)
 
 
 def sight_reflectors(capture: Capture, name: str, settings: ImagingSettings | None = None) -> Sighting:
@@ -134,8 +205,10 @@ def _second_look(prepared: PreparedCapture, reading: Reading) -> SecondLook | No
 
 
 def _reader_settings(settings: ImagingSettings) -> ReaderSettings:
+    from tagid.tags.matching.contest import ContestSettings
+    from tagid.tags.matching.matcher import ReaderSettings
     from tagid.tags.reading.decision import DecisionSettings
-    from tagid.tags.reading.matcher import ReaderSettings
 
     decision = DecisionSettings(false_accept=settings.false_accept)
-    return ReaderSettings(decision=decision, direction_known=settings.direction_known)
+    contest = ContestSettings(false_accept=settings.false_accept)
+    return ReaderSettings(decision=decision, contest=contest, direction_known=settings.direction_known)

@@ -51,7 +51,7 @@ from tagid.recording.plan import RecordingPlan, plan_window
 from tagid.recording.recorder import Watch, record
 from tagid.simulate import Acquisition, TurningScene, scene_from_name
 from tagid.tags.layouts.layout import builtin_layouts
-from tagid.tags.reading.matcher import read_tag
+from tagid.tags.matching.matcher import read_tag
 
 FOLDER = Path(tempfile.mkdtemp(prefix="bench-motion-"))
 AXIS_M = 1.0

@@ -27,10 +27,10 @@ import numpy as np
 from identification_images import read_image
 from identification_scenes import SETS, TWISTS, Condition, Recorded, record
 
+from tagid.tags.matching.matcher import read_tag
 from tagid.tags.reading.decision import DecisionSettings, Evidence, decide
 from tagid.tags.reading.field import MatchedField
 from tagid.tags.reading.hypotheses import SearchSettings, search
-from tagid.tags.reading.matcher import read_tag
 
 VIEWS = (360, 36, 18, 12)
 SNRS_DB = (20, 10, 5, 0)
@@ -186,7 +186,8 @@ def roc(runner: Runner, arguments: argparse.Namespace) -> None:
             cells = []
             for group in groups:
                 named = [
-                    o.evidence is not None and decide(o.evidence, settings)[0] == "identified" for o in group
+                    o.evidence is not None and decide(o.evidence, settings).status == "identified"
+                    for o in group
                 ]
                 tagged = group[0].condition.group == "tagged"
                 hits = sum(n and (o.right or not tagged) for n, o in zip(named, group, strict=True))

@@ -28,6 +28,7 @@ from tagid.simulate.scattering import Box, Points
 from tagid.simulate.scene import Scene
 from tagid.tags.layouts.codebook import rotational_distance
 from tagid.tags.layouts.layout import Layout, builtin_layouts
+from tagid.tags.matching.matcher import read_tag
 from tagid.tags.reading.decision import (
     DecisionSettings,
     Evidence,
@@ -36,7 +37,6 @@ from tagid.tags.reading.decision import (
     least_preference,
     preference,
 )
-from tagid.tags.reading.matcher import read_tag
 
 FIRST_SEED = 90_000_000
 GROUPS = ("stranger", "tagged", "box", "noise")
@@ -123,7 +123,7 @@ def sample(task: tuple[str, int]) -> Sample:
 def passes(samples: list[Sample]) -> list[Evidence]:
     """Evidence of those that every test but the preference lets through."""
     certain = [replace(one.evidence, odds_nats=1e3) for one in samples]
-    kept = [decide(e, DecisionSettings())[0] == "identified" for e in certain]
+    kept = [decide(e, DecisionSettings()).status == "identified" for e in certain]
     return [one.evidence for one, k in zip(samples, kept, strict=True) if k]
 
 

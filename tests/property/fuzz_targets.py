@@ -30,8 +30,8 @@ from tagid.simulate.response_file import read_response, write_response
 from tagid.storage.exporters import export
 from tagid.storage.importers import read_any
 from tagid.storage.journal import JournalWriter
+from tagid.tags.enrolling.layout_file import layouts_to_toml, read_layouts
 from tagid.tags.layouts.layout import Layout, builtin_layouts, layout_from_dict
-from tagid.tags.layouts.layout_file import layouts_to_toml, read_layouts
 from tagid.tags.network.detector import Contract
 
 CONFIG = RadarConfig(scan_start_ps=10_000, scan_stop_ps=45_000)

@@ -15,12 +15,12 @@ import pytest
 
 from tagid.errors import FileFormatError, LayoutConflictError, RegistryError, UsageError
 from tagid.tags.enrolling.enrolment import enrol, merge, neighbour, outlook
+from tagid.tags.enrolling.layout_file import read_layouts, write_layouts
+from tagid.tags.enrolling.registry import Registry
 from tagid.tags.layouts.codebook import best_pairing
 from tagid.tags.layouts.design import DesignRules, design
 from tagid.tags.layouts.layout import Layout, builtin_layouts, rotation_matrix
-from tagid.tags.layouts.layout_file import read_layouts, write_layouts
 from tagid.tags.layouts.objects import object_named
-from tagid.tags.layouts.registry import Registry
 
 SCALENE = np.array([[0.1, 0.0], [-0.02, 0.06], [-0.05, -0.04]])
 

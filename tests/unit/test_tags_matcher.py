@@ -13,8 +13,9 @@ from tagid.errors import DataError, RegistryError
 from tagid.geometry import Aperture
 from tagid.imaging.types import BasebandScans
 from tagid.tags.layouts.layout import Layout, builtin_layouts
+from tagid.tags.matching.matcher import ReaderSettings, read_tag
+from tagid.tags.matching.reading import Reading
 from tagid.tags.reading.field import MatchedField
-from tagid.tags.reading.matcher import ReaderSettings, Reading, read_tag
 from tagid.tags.reading.reflectors import find_reflectors
 from tagid.tags.reading.views import fold_views
 

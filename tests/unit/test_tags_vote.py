@@ -9,6 +9,7 @@ from tags_synthetic import synthetic_scans
 from tagid.errors import DataError, UsageError
 from tagid.imaging.types import BasebandScans
 from tagid.tags.layouts.layout import Layout, builtin_layouts
+from tagid.tags.matching.vote import read_together
 from tagid.tags.reading.decision import (
     DecisionSettings,
     Evidence,
@@ -17,7 +18,6 @@ from tagid.tags.reading.decision import (
     least_preference,
     preference,
 )
-from tagid.tags.reading.vote import read_together
 
 LAYOUTS = builtin_layouts()
 ALL = list(LAYOUTS.values())
@@ -103,18 +103,18 @@ def test_a_smaller_false_accept_asks_for_a_clearer_preference() -> None:
 def test_strangers_are_told_by_a_further_reflector_and_by_points_that_fit_elsewhere() -> None:
     tag = evidence()
     settings = DecisionSettings()
-    assert decide(tag, settings)[0] == "identified"
+    assert decide(tag, settings).status == "identified"
     # A further reflector as strong as the tag's own would explain about 30 nats; 18 are half way there.
     assert preference(tag) > preference(evidence(gain_nats=12.0)) > preference(evidence(gain_nats=18.0))
     assert preference(evidence(gain_nats=1.0)) >= preference(evidence(gain_nats=5.0)) - 3
-    assert decide(evidence(gain_nats=16.0, odds_nats=6.0), settings)[0] == "unknown"
+    assert decide(evidence(gain_nats=16.0, odds_nats=6.0), settings).status == "unknown"
     # Among faint reflectors, and in few views, a further one may be lost: what is enough else is not there.
     assert preference(evidence(nats=36.0, noise_nats=36.0)) < preference(tag) - 3
     assert least_preference(evidence(views=18), 1e-3) > least_preference(tag, 1e-3) + 3
     assert least_preference(evidence(views=360), 1e-3) == least_preference(tag, 1e-3)
     # However surely no further reflector is there, points elsewhere may fit better than the layout's.
     assert (
-        decide(evidence(odds_nats=-16.0, noise_nats=600.0, nats=600.0, gain_nats=25.0), settings)[0]
+        decide(evidence(odds_nats=-16.0, noise_nats=600.0, nats=600.0, gain_nats=25.0), settings).status
         == "unknown"
     )
     # More enrolled layouts are more to be taken for.

@@ -20,9 +20,10 @@ from tagid.result import Result
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
+    from tagid.tags.bodies.signature import Signature
     from tagid.tags.enrolling.enrolment import Outlook
+    from tagid.tags.enrolling.registry import Registry
     from tagid.tags.layouts.layout import Layout
-    from tagid.tags.layouts.registry import Registry
 
 Yes = Annotated[bool, typer.Option("--yes", "-y", help="Store without asking.", show_default=False)]
 DryRun = Annotated[
@@ -182,17 +183,24 @@ class Stored:
 
 
 def store_family(
-    terminal: Terminal, registry: Registry, layouts: Sequence[Layout], source: str, wish: Wish
+    terminal: Terminal,
+    registry: Registry,
+    layouts: Sequence[Layout],
+    source: str,
+    wish: Wish,
+    signatures: Sequence[Signature] = (),
 ) -> Stored:
-    """Show what enrolling layouts together would mean, ask, and store them all or none.
+    """Show what enrolling layouts together would mean, ask, and store them, and signatures, all or none.
 
     Raises CaptureInterrupted where the answer is no, RegistryError.
     """
+    from rich.text import Text
+
     from tagid.tags.enrolling.enrolment import check_merge, family_outlooks, merge
 
     known, (seen, enrolled) = direction_known(), registry.snapshot()
     outlooks = family_outlooks(layouts, enrolled, direction_known=known)
-    shown = family_neighbours(outlooks)
+    shown = family_neighbours(outlooks) if outlooks else Text("no layouts, signatures only")
     data = {"confusion": [{"layout": one.layout.name, **as_data(one)} for one in outlooks]}
     if not wish.force:
         try:
@@ -201,8 +209,17 @@ def store_family(
             return Stored(None, data, shown, error)
     if wish.dry_run:
         return Stored(None, data, shown)
-    asked = agree(terminal, shown, f"Enrol {len(layouts)} layouts?", wish.yes)
-    version = merge(registry, layouts, source, force=wish.force, direction_known=known, checked=seen)
+    more = f" and {len(signatures)} signatures" if signatures else ""
+    asked = agree(terminal, shown, f"Enrol {len(layouts)} layouts{more}?", wish.yes)
+    version = merge(
+        registry,
+        layouts,
+        source,
+        force=wish.force,
+        direction_known=known,
+        checked=seen,
+        signatures=signatures,
+    )
     return Stored(version, data, None if asked else shown)
 
 

@@ -24,12 +24,13 @@ if TYPE_CHECKING:
     from tagid.pipeline.reconstruct import Reconstruction
     from tagid.pipeline.settings import ImagingSettings
     from tagid.storage.history import History
-    from tagid.tags.layouts.registry import Registry
+    from tagid.tags.bodies.calibration import Bound
+    from tagid.tags.enrolling.registry import Registry
 
 
 def open_registry() -> Registry:
     """The user's registry of layouts."""
-    from tagid.tags.layouts.registry import Registry
+    from tagid.tags.enrolling.registry import Registry
 
     return Registry(data_folder() / "registry.sqlite")
 
@@ -249,6 +250,20 @@ def in_terminal(result: Reconstruction) -> RenderableType:
     return preview(image.values, image.grid.extent, colour=colour, centre_m=image.centre_m)
 
 
+SUBTRACTED = {
+    True: "the echo of the body is subtracted from the image",
+    False: "no body was found: nothing is subtracted from the image",
+}
+HYPOTHESES = {
+    "no_tag": "a round body without a tag",
+    "bare": "a tag without a body",
+    "round": "a tag on a round body",
+    "body": "a tag on an enrolled body",
+    "object": "an enrolled object",
+}
+"""Kinds of hypotheses in words."""
+
+
 def headline(answer: Identification) -> str:
     """The answer in a few words, for a title or a first line."""
     reading = answer.reading
@@ -258,10 +273,20 @@ def headline(answer: Identification) -> str:
     return words[answer.status]
 
 
+def bound_words(bound: Bound) -> str:
+    """What the false-accept setting rests on, in one line."""
+    return (
+        f"false accept {bound.p_value:.2g} at most, on {bound.objects} calibration objects "
+        f"({bound.stratum}): {bound.population}"
+    )
+
+
 def describe(answer: Identification, name: str) -> RenderableType:
     """The answer for a person: one bold line, then what stands behind it."""
     from rich.console import Group
     from rich.text import Text
+
+    from tagid.tags.bodies.hypothesis import Kind
 
     colours = {"identified": "bold green", "failed": "bold red"}
     style = colours.get(answer.status, "bold yellow")
@@ -273,6 +298,11 @@ def describe(answer: Identification, name: str) -> RenderableType:
     if reading:
         if reading.reason:
             lines.append(Text(f"  why: {reading.reason}"))
+            lines.append(Text(f"  what to do: {reading.advice}"))
+        if reading.kind is not Kind.BARE:
+            lines.append(Text(f"  read as: {HYPOTHESES[reading.kind]}"))
+        if reading.bound is not None:
+            lines.append(Text(f"  {bound_words(reading.bound)}"))
         if reading.layout:
             x, y = (value * 1e3 for value in reading.centre_m)
             lines.append(

@@ -26,7 +26,7 @@ def register(app: typer.Typer) -> None:
     def layouts(
         terminal: Terminal,
         history: Annotated[bool, typer.Option("--history", help="Every change ever made.")] = False,
-        remove: Annotated[str | None, typer.Option("--remove", help="Take this layout out.")] = None,
+        remove: Annotated[str | None, typer.Option("--remove", help="Remove this layout or object.")] = None,
     ) -> Result:
         """List, design, draw, exchange and check the layouts; alone it lists those enrolled.
 
@@ -44,14 +44,22 @@ def register(app: typer.Typer) -> None:
             return Result("layouts", {"removed": remove, "registry_version": version}, line)
         if history:
             changes = registry.history()
-            table = Table("version", "time (UTC)", "change", "layout", "source", box=None)
+            table = Table("version", "time (UTC)", "change", "kind", "name", "source", box=None)
             for change in changes:
-                table.add_row(str(change.version), change.time_utc, change.action, change.name, change.source)
+                table.add_row(
+                    str(change.version),
+                    change.time_utc,
+                    change.action,
+                    change.kind,
+                    change.name,
+                    change.source,
+                )
             rows: list[dict[str, Any]] = [
                 {
                     "version": c.version,
                     "time_utc": c.time_utc,
                     "action": c.action,
+                    "kind": c.kind,
                     "name": c.name,
                     "source": c.source,
                 }

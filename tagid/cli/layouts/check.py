@@ -39,7 +39,7 @@ def register(app: typer.Typer) -> None:
 
         registry = open_registry()
         version, enrolled = registry.snapshot()
-        lost = [change for change in registry.history() if change.layout is None]
+        lost = [change for change in registry.history() if change.entry is None]
         remarks = [
             f"version {c.version} ({c.action} {c.name}) cannot be read and not be gone back to" for c in lost
         ]

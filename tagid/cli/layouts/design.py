@@ -158,10 +158,10 @@ def _designed(terminal: Terminal, family: Family, out: Path | None, wish: enroll
     from rich.text import Text
 
     from tagid.cli.common.imaging import open_registry
+    from tagid.tags.enrolling.layout_file import write_layouts
     from tagid.tags.layouts.capacity import confusion_rate, reference
     from tagid.tags.layouts.codebook import CONFUSABLE_M, confusable
     from tagid.tags.layouts.design import GHOST_M
-    from tagid.tags.layouts.layout_file import write_layouts
 
     messages = []
     near = sum(len(confusable(a, family.layouts[:i])) for i, a in enumerate(family.layouts))

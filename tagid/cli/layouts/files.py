@@ -1,7 +1,8 @@
-"""`tagid layouts export`, `import` and `undo`: layouts in files, and the registry's way back."""
+"""`tagid layouts export`, `import` and `undo`: entries of the registry in files, and undoing changes."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -12,6 +13,9 @@ from tagid.cli.common.frame import Terminal, command
 from tagid.result import Result
 
 if TYPE_CHECKING:
+    from tagid.tags.bodies.signature import Signature
+    from tagid.tags.enrolling.layout_file import Entries
+    from tagid.tags.enrolling.registry import Contents
     from tagid.tags.layouts.layout import Layout
 
 
@@ -22,22 +26,34 @@ def register(app: typer.Typer) -> None:
     def export(
         terminal: Terminal,
         file: Annotated[Path, typer.Argument(help="TOML file to write.")],
-        names: Annotated[list[str] | None, typer.Argument(help="Layouts; all where none is named.")] = None,
+        names: Annotated[
+            list[str] | None, typer.Argument(help="Layouts, bodies or objects; without names, all.")
+        ] = None,
     ) -> Result:
-        """Write enrolled layouts to a TOML file.
+        """Write enrolled layouts, bodies and objects to a TOML file.
 
         Example: tagid layouts export tags.toml
         """
         from rich.text import Text
 
         from tagid.cli.common.imaging import open_registry
-        from tagid.tags.layouts.layout_file import write_layouts
+        from tagid.tags.enrolling.layout_file import write_layouts
 
         registry = open_registry()
-        chosen = [registry.get(name) for name in names] if names else registry.layouts()
-        write_layouts(chosen, file)
-        data = {"path": str(file), "layouts": [layout.name for layout in chosen]}
-        return Result("layouts export", data, Text(f"{len(chosen)} layouts written to {file}"))
+        contents = registry.contents()
+        signatures = [one for one in contents.signatures if not names or one.name in names]
+        layouts = [one for one in contents.layouts if not names or one.name in names]
+        for name in names or []:
+            if name not in {layout.name for layout in layouts} | {one.name for one in signatures}:
+                registry.get(name)  # raises, with the names that there are
+        write_layouts(layouts, file, signatures)
+        data = {
+            "path": str(file),
+            "layouts": [layout.name for layout in layouts],
+            "signatures": [{"kind": one.kind, "name": one.name} for one in signatures],
+        }
+        line = f"{_count(layouts, signatures)} written to {file}"
+        return Result("layouts export", data, Text(line))
 
     @command(app, "layouts import")
     def import_(
@@ -46,12 +62,12 @@ def register(app: typer.Typer) -> None:
             list[Path], typer.Argument(help="TOML or JSON files, or other registries (.sqlite).")
         ],
         force: Annotated[
-            bool, typer.Option("--force", help="Replace layouts, and accept some that can be confused.")
+            bool, typer.Option("--force", help="Replace entries, and accept layouts that can be confused.")
         ] = False,
         yes: enrolling.Yes = False,
         dry_run: enrolling.DryRun = False,
     ) -> Result:
-        """Enrol the layouts of files: all of them, or none where one is in conflict.
+        """Enrol the layouts, bodies and objects of files: all of them, or none where one is in conflict.
 
         The nearest other layout of each and the expected rate of confusion are shown first; at a terminal you
         are asked before anything is stored.
@@ -62,10 +78,20 @@ def register(app: typer.Typer) -> None:
 
         from tagid.cli.common.imaging import open_registry
         from tagid.errors import FileFormatError
+        from tagid.tags.bodies.signature_file import to_bytes
 
         found: dict[str, Layout] = {}
+        signatures: dict[tuple[str, str], Signature] = {}
         for file in files:
-            for layout in _layouts_of(file):
+            entries = _entries_of(file)
+            for one in entries.signatures:
+                twin = signatures.setdefault((one.kind, one.name), one)
+                if to_bytes(twin) != to_bytes(one):
+                    raise FileFormatError(
+                        f"{file}: the {one.kind} {one.name} differs from that of another file",
+                        "Leave one of the files out.",
+                    )
+            for layout in entries.layouts:
                 known = found.setdefault(layout.name, layout)
                 if known.to_dict() != layout.to_dict():
                     raise FileFormatError(
@@ -73,14 +99,24 @@ def register(app: typer.Typer) -> None:
                     )
         source = f"file {', '.join(f.name for f in files)}"[:200]
         registry = open_registry()
-        before = registry.version
+        contents = registry.contents()
+        before = contents.version
+        if not force:
+            _check_signatures(signatures, contents)
         stored = enrolling.store_family(
-            terminal, registry, list(found.values()), source, enrolling.Wish(force, yes, dry_run)
+            terminal,
+            registry,
+            list(found.values()),
+            source,
+            enrolling.Wish(force, yes, dry_run),
+            list(signatures.values()),
         )
         version = before if stored.version is None else stored.version
-        line = f"{len(found)} layouts read, {version - before} changes, registry version {version}"
+        read = _count(list(found.values()), list(signatures.values()))
+        line = f"{read} read, {version - before} changes, registry version {version}"
         data = {
             "layouts": list(found),
+            "signatures": [{"kind": kind, "name": name} for kind, name in signatures],
             "changes": version - before,
             "registry_version": version,
             "stored": stored.version is not None,
@@ -92,10 +128,11 @@ def register(app: typer.Typer) -> None:
     def undo(
         terminal: Terminal,
         to: Annotated[
-            int | None, typer.Option("--to", help="Back to this version; the last change is undone without.")
+            int | None,
+            typer.Option("--to", help="The version to restore; without, the last change is undone."),
         ] = None,
     ) -> Result:
-        """Take the last change of the registry back, or all since a version; again brings it back.
+        """Undo the last change of the registry, or all changes since a version; repeat it to redo.
 
         Example: tagid layouts undo --to 4
         """
@@ -105,17 +142,48 @@ def register(app: typer.Typer) -> None:
 
         registry = open_registry()
         version = registry.go_back(to)
-        names = [layout.name for layout in registry.layouts()]
-        line = Text(f"{len(names)} layouts are enrolled again, registry version {version}")
-        return Result("layouts undo", {"registry_version": version, "layouts": names}, line)
+        contents = registry.contents()
+        names = [layout.name for layout in contents.layouts]
+        count = _count(contents.layouts, contents.signatures)
+        line = Text(f"{count} enrolled now, registry version {version}")
+        data = {
+            "registry_version": version,
+            "layouts": names,
+            "signatures": [{"kind": one.kind, "name": one.name} for one in contents.signatures],
+        }
+        return Result("layouts undo", data, line)
 
 
-def _layouts_of(file: Path) -> list[Layout]:
-    """Layouts of a file or of another registry, which is only read."""
+def _count(layouts: Sequence[Layout], signatures: Sequence[Signature]) -> str:
+    """How many entries, in words."""
+    parts = [f"{len(layouts)} layouts"]
+    for kind, plural in (("body", "bodies"), ("object", "objects")):
+        number = sum(one.kind == kind for one in signatures)
+        parts += [f"{number} {kind if number == 1 else plural}"] if number else []
+    return ", ".join(parts)
+
+
+def _check_signatures(new: dict[tuple[str, str], Signature], contents: Contents) -> None:
+    """Raise LayoutConflictError where another body or object has the name of a new one."""
+    from tagid.errors import LayoutConflictError
+    from tagid.tags.bodies.signature_file import to_bytes
+
+    for one in contents.signatures:
+        other = new.get((one.kind, one.name))
+        if other is not None and to_bytes(other) != to_bytes(one):
+            raise LayoutConflictError(
+                f"a different {one.kind} named {one.name} is enrolled already",
+                "Remove one of them, or import with --force; nothing was stored.",
+            )
+
+
+def _entries_of(file: Path) -> Entries:
+    """Entries of a file or of another registry, which is only read."""
     from tagid.files import read_bytes
-    from tagid.tags.layouts.layout_file import MAX_BYTES, read_layouts
-    from tagid.tags.layouts.registry import Registry
+    from tagid.tags.enrolling.layout_file import MAX_BYTES, Entries, read_entries
+    from tagid.tags.enrolling.registry import Registry
 
     if file.suffix.lower() in (".sqlite", ".db") and read_bytes(file, 16 * MAX_BYTES):
-        return Registry(file).layouts()
-    return read_layouts(file)
+        contents = Registry(file).contents()
+        return Entries(tuple(contents.layouts), tuple(contents.signatures))
+    return read_entries(file)

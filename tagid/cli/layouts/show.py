@@ -44,7 +44,7 @@ def register(app: typer.Typer) -> None:
         from tagid.files import write_bytes
         from tagid.report import layout_sheet
         from tagid.report.drafting import to_pdf, to_png, to_svg
-        from tagid.tags.layouts.layout_file import read_layouts
+        from tagid.tags.enrolling.layout_file import read_layouts
 
         if file is None:
             layout = open_registry().get(name)

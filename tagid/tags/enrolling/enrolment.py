@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.errors import LayoutConflictError, RegistryError
+from tagid.tags.bodies.signature import Signature
 from tagid.tags.layouts.capacity import Localisation, confusion_rate, reference
 from tagid.tags.layouts.codebook import CENTRE_TOLERANCE_M, CONFUSABLE_M, LayoutDistance, best_pairing
 from tagid.tags.layouts.layout import Layout, rotation_matrix
@@ -30,7 +31,13 @@ class LayoutStore(Protocol):
         ...
 
     def add_all(
-        self, layouts: Sequence[Layout], source: str, *, replace: bool = True, since: int | None = None
+        self,
+        layouts: Sequence[Layout],
+        source: str,
+        *,
+        replace: bool = True,
+        since: int | None = None,
+        signatures: Sequence[Signature] = (),
     ) -> int | None:
         """Enrol several, all or none, and return the registry's version; None where it is not `since`."""
         ...
@@ -206,7 +213,13 @@ class Enrolment:
 
 
 def enrol(
-    store: LayoutStore, layout: Layout, source: str, *, force: bool = False, direction_known: bool = True
+    store: LayoutStore,
+    layout: Layout,
+    source: str,
+    *,
+    force: bool = False,
+    direction_known: bool = True,
+    signatures: Sequence[Signature] = (),
 ) -> Enrolment:
     """Add a layout to the store unless it could be confused with another.
 
@@ -216,6 +229,7 @@ def enrol(
         source: where it comes from, for the history.
         force: enrol it all the same, and over one of the same name.
         direction_known: whether the direction of the turn is.
+        signatures: of the same object, stored with it.
 
     Raises:
         LayoutConflictError: it is too near to an enrolled layout. RegistryError: the name is taken.
@@ -226,7 +240,7 @@ def enrol(
         conflict = found.conflict()
         if conflict and not force:
             raise conflict
-        done = store.add_all([layout], source, replace=force, since=version)
+        done = store.add_all([layout], source, replace=force, since=version, signatures=signatures)
         if done is not None:
             return Enrolment(found, done)
     raise _busy()
@@ -262,6 +276,7 @@ def merge(
     force: bool = False,
     direction_known: bool = True,
     checked: int | None = None,
+    signatures: Sequence[Signature] = (),
 ) -> int:
     """Add several layouts to the store, all or none; those enrolled just so are left as they are.
 
@@ -272,6 +287,7 @@ def merge(
         force: replace layouts of the same names, and accept such as could be confused.
         direction_known: whether the direction of the turn is.
         checked: version for which `check_merge` was asked already.
+        signatures: stored with them.
 
     Raises:
         LayoutConflictError: a name stands for another layout there, or two layouts could be confused.
@@ -281,7 +297,7 @@ def merge(
         if not force and version != checked:
             found = family_outlooks(layouts, enrolled, direction_known=direction_known)
             check_merge(found, enrolled)
-        done = store.add_all(layouts, source, since=version)
+        done = store.add_all(layouts, source, since=version, signatures=signatures)
         if done is not None:
             return done
     raise _busy()

@@ -39,6 +39,15 @@ MAX_SIGMA_M = 0.1
 _FIELDS = ("name", "kind", "positions_m", "heights_m", "covariance_m2", "symmetry", "notes", "label")
 
 
+def is_name(text: object) -> bool:
+    """Whether a text can name a layout, a body or an object.
+
+    >>> is_name("mug-3"), is_name("Mug 3")
+    (True, False)
+    """
+    return isinstance(text, str) and _SLUG.fullmatch(text) is not None
+
+
 def rotation_matrix(angle_rad: float | NDArray[np.floating]) -> NDArray[np.float64]:
     """(..., 2, 2) matrices R with R @ p = p turned counter-clockwise by the angle."""
     c, s = np.cos(angle_rad), np.sin(angle_rad)
@@ -86,7 +95,7 @@ class Layout:
     covariance: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
-        if not isinstance(self.name, str) or not _SLUG.fullmatch(self.name):
+        if not is_name(self.name):
             raise UsageError(
                 f"layout name {str(self.name)[:80]!r} is not valid",
                 "Use 1 to 64 of a-z, 0-9, dot, dash and underscore; begin and end with a letter or digit.",

@@ -1,7 +1,7 @@
 """Which layout a set of detected reflectors is: the likelihood over rotation and centre.
 
 It reads positions, not scans, so it works on whatever found the reflectors (the network, local maxima, a
-person), and shows what an image loses against the reading in the data (`tagid.tags.reading.matcher`).
+person), and shows what an image loses against the reading in the data (`tagid.tags.matching.matcher`).
 """
 
 from __future__ import annotations

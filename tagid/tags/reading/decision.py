@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from math import exp, lgamma, log, pi, sqrt
 
 from tagid.errors import UsageError
+from tagid.tags.verdicts.verdict import Code, Verdict
 
 PLACES_PER_METRE = 6500.0
 """Independent places that the search tries per metre of path of the outermost reflector (2 pi r over the
@@ -175,29 +176,39 @@ def least_preference(e: Evidence, false_accept: float) -> float:
     return STRANGER_NATS + rarer + enrolled + FEW_VIEWS_NATS * few
 
 
-def decide(evidence: Evidence, settings: DecisionSettings) -> tuple[str, str]:
-    """Status (identified, unknown, ambiguous or no_tag) and the reason in words."""
+def decide(evidence: Evidence, settings: DecisionSettings) -> Verdict:
+    """The verdict on reflectors without a body."""
     e, s = evidence, settings
     if chance(e.nats, e.size, e.places, e.scans) > s.false_accept:
-        return "no_tag", "nothing stands out of noise and clutter"
+        return Verdict("no_tag", Code.NO_ECHO, "nothing stands out of noise and clutter")
     if e.share < s.explained_share:
-        return "unknown", f"the nearest layout explains {e.share:.0%} of the echo"
+        return Verdict("unknown", Code.UNEXPLAINED, f"the nearest layout explains {e.share:.0%} of the echo")
     if e.missing:
-        return "unknown", f"{e.missing} reflector(s) of the nearest layout are missing"
+        return Verdict("unknown", Code.MISSING, f"{e.missing} reflector(s) of the nearest layout are missing")
     by_chance = s.gain_nats * e.scans + s.gain_spread_nats * sqrt(e.scans)
     if e.further_nats > by_chance + s.gain_share * e.noise_nats:
         if e.extra:
-            return "unknown", f"{e.extra} strong reflector(s) beyond the nearest layout"
+            return Verdict("unknown", Code.EXTRA, f"{e.extra} strong reflector(s) beyond the nearest layout")
         more = e.further_nats / max(e.noise_nats, 1e-9)
-        return "unknown", f"points elsewhere explain {more:.0%} more than the nearest layout"
+        return Verdict(
+            "unknown", Code.ELSEWHERE, f"points elsewhere explain {more:.0%} more than the nearest layout"
+        )
     if e.displacement_m > s.displacement_m + 4 * e.displacement_sigma_m:
-        return "unknown", f"reflectors lie {e.displacement_m * 1e3:.1f} mm from the nearest layout's"
+        return Verdict(
+            "unknown",
+            Code.DISPLACED,
+            f"reflectors lie {e.displacement_m * 1e3:.1f} mm from the nearest layout's",
+        )
     if e.outward < s.least_outward:
-        return "unknown", "the reflectors of the nearest layout are only seen through the object"
+        return Verdict(
+            "unknown", Code.HIDDEN, "the reflectors of the nearest layout are only seen through the object"
+        )
     if odds(e) < 0:
-        return "unknown", "other places explain the echo better than the nearest layout's"
+        return Verdict(
+            "unknown", Code.ELSEWHERE, "other places explain the echo better than the nearest layout's"
+        )
     if preference(e) < least_preference(e, s.false_accept):
-        return "unknown", "the echo is too weak to rule out that another object made it"
+        return Verdict("unknown", Code.WEAK, "the echo is too weak to rule out that another object made it")
     if e.margin_share < s.ambiguous_share or e.margin_nats < s.ambiguous_nats:
-        return "ambiguous", "two layouts explain the echo almost equally well"
-    return "identified", ""
+        return Verdict("ambiguous", Code.AMBIGUOUS, "two layouts explain the echo almost equally well")
+    return Verdict("identified")

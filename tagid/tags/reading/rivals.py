@@ -32,6 +32,7 @@ class Rivals:
         displacement_m: RMS distance of the layout's reflectors, when freed, from its places.
         sizes: (K,) magnitudes of the layout's reflectors, however unevenly they shine.
         outward: see `Evidence`.
+        positions: (K, 2) the layout's reflectors when freed, m.
     """
 
     gain_nats: float
@@ -40,6 +41,7 @@ class Rivals:
     displacement_m: float
     sizes: NDArray[np.float64]
     outward: float
+    positions: NDArray[np.float64]
 
 
 def rivals(disc: SearchDisc, best: Fit, noise: float, search: SearchSettings) -> Rivals:
@@ -76,6 +78,7 @@ def rivals(disc: SearchDisc, best: Fit, noise: float, search: SearchSettings) ->
         displacement_m=rigid_distance(moved, best.positions),
         sizes=visible_sizes(uneven.sizes.astype(np.complex128), best.visibility),
         outward=uneven.outward,
+        positions=moved,
     )
 
 

@@ -5,6 +5,7 @@ Energies over noise add up where counted heads do not: three weak readings that 
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -12,15 +13,21 @@ import numpy as np
 
 from tagid.errors import DataError
 from tagid.imaging.types import BasebandScans
+from tagid.tags.bodies.hypothesis import Enrolled, Kind
 from tagid.tags.layouts.layout import Layout
+from tagid.tags.matching.matcher import MatchedScan, ReaderSettings
+from tagid.tags.matching.reading import Reading
 from tagid.tags.reading.decision import Evidence, decide
-from tagid.tags.reading.matcher import MatchedScan, ReaderSettings, Reading
+from tagid.tags.verdicts.verdict import Code
 
 MAX_SCANS = 100
 
 
 def read_together(
-    recordings: Sequence[BasebandScans], layouts: Sequence[Layout], settings: ReaderSettings | None = None
+    recordings: Sequence[BasebandScans],
+    layouts: Sequence[Layout],
+    settings: ReaderSettings | None = None,
+    enrolled: Enrolled | None = None,
 ) -> tuple[Reading, list[Reading]]:
     """Which layout all the recordings are of.
 
@@ -28,6 +35,7 @@ def read_together(
         recordings: 1 to MAX_SCANS recordings of one object, each as `read_tag` takes it.
         layouts: the enrolled ones.
         settings: as of a single reading.
+        enrolled: enrolled bodies and objects.
 
     Returns:
         The joint reading, with turn, place and reflectors of the recording with the most energy over noise;
@@ -39,21 +47,23 @@ def read_together(
     if not 1 <= len(recordings) <= MAX_SCANS:
         raise DataError(f"{len(recordings)} recordings to vote", f"Give 1 to {MAX_SCANS}.")
     settings = settings or ReaderSettings()
-    scans = [MatchedScan(recording, layouts, settings) for recording in recordings]
+    scans = [MatchedScan(recording, layouts, settings, enrolled) for recording in recordings]
     order = np.argsort(np.sum([scan.criteria for scan in scans], axis=0))
     alone, agreed = [], []
     for scan in scans:
         own = np.argsort(scan.criteria)
         reading = scan.read(own)
-        alone.append(reading)
+        alone.append(scan.settled(reading))
         agreed.append(reading if list(own[:2]) == list(order[:2]) else scan.read(order))
     evidence = joint_evidence([reading.evidence for reading in agreed])
-    status, reason = decide(evidence, settings.decision)
+    verdict = decide(evidence, settings.decision)
+    status = verdict.status
     clearest = max(agreed, key=lambda reading: reading.evidence.nats)
     joint = replace(
         clearest,
         status=status,
-        reason=reason,
+        reason=verdict.reason,
+        code=verdict.code,
         layout=clearest.nearest if status in ("identified", "ambiguous") else None,
         score=0.0 if status == "no_tag" else float(np.mean([reading.score for reading in agreed])),
         margin=float(np.clip(evidence.margin_share, 0, 1)),
@@ -61,7 +71,34 @@ def read_together(
         extra=evidence.extra,
         evidence=evidence,
     )
-    return joint, alone
+    return agreed_on_body(joint, alone), alone
+
+
+def agreed_on_body(joint: Reading, alone: Sequence[Reading]) -> Reading:
+    """The joint reading without a body, or the name that most of the recordings give on a body.
+
+    A recording at which a body contradicts the joint name takes it back where most of them do.
+    """
+    named = Counter(one.layout for one in alone if one.kind is not Kind.BARE and one.status == "identified")
+    told = [one for one in alone if one.kind is not Kind.BARE]
+    if 2 * len(told) <= len(alone):
+        return joint
+    if joint.status == "identified" and named[joint.layout] == len(told):
+        return joint
+    if len(named) == 1 and 2 * named.total() > len(alone):
+        layout = next(iter(named))
+        best = max((one for one in told if one.layout == layout), key=lambda one: one.margin)
+        if joint.status != "identified" or joint.layout == layout:
+            return best
+    if joint.status in ("identified", "ambiguous") or len(named) > 1:
+        return replace(
+            joint,
+            status="unknown",
+            layout=None,
+            code=Code.DISAGREE,
+            reason=f"{len(told)} of {len(alone)} recordings show a body, and do not agree on a layout on it",
+        )
+    return max(told, key=lambda one: one.evidence.nats)
 
 
 def joint_evidence(parts: Sequence[Evidence]) -> Evidence:

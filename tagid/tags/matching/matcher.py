@@ -14,13 +14,15 @@ from numpy.typing import NDArray
 
 from tagid.errors import RegistryError
 from tagid.imaging.types import BasebandScans
+from tagid.tags.bodies.hypothesis import Enrolled
 from tagid.tags.layouts.layout import Layout
+from tagid.tags.matching.contest import ContestSettings, settle
+from tagid.tags.matching.reading import LayoutScore, Reading
 from tagid.tags.reading.decision import PLACES_PER_METRE, DecisionSettings, Evidence, decide
 from tagid.tags.reading.field import MatchedField
 from tagid.tags.reading.hypotheses import Fit, SearchSettings, search
 from tagid.tags.reading.reflectors import (
     FinderSettings,
-    Reflector,
     SearchDisc,
     as_reflectors,
     clean,
@@ -40,6 +42,7 @@ class ReaderSettings:
 
     Attributes:
         search, finder, decision: see there.
+        contest: reading and decision on bodies.
         direction_known: whether angles rise as the object turns counter-clockwise. Where that is not known,
             every layout is tried as its mirror image too; of two that mirror each other none wins.
     """
@@ -47,85 +50,36 @@ class ReaderSettings:
     search: SearchSettings = field(default_factory=SearchSettings)
     finder: FinderSettings = field(default_factory=lambda: FinderSettings(detection_nats=EXTRA_NATS))
     decision: DecisionSettings = field(default_factory=DecisionSettings)
+    contest: ContestSettings = field(default_factory=ContestSettings)
     direction_known: bool = True
 
 
-@dataclass(frozen=True)
-class LayoutScore:
-    """One row of the comparison.
-
-    Attributes:
-        name: layout.
-        criterion: J = n log(E - e) + K log n relative to no reflectors; lower is better.
-        share: part of the energy above noise that it explains.
-        rotation_deg, centre_m: where it fits best.
-    """
-
-    name: str
-    criterion: float
-    share: float
-    rotation_deg: float
-    centre_m: tuple[float, float]
-
-
-@dataclass(frozen=True)
-class Reading:
-    """What the scans say.
-
-    Attributes:
-        status: "identified", "unknown", "ambiguous" or "no_tag".
-        reason: why it is not identified, in words; empty otherwise.
-        layout: name of the layout; the nearest one where ambiguous, None where unknown or no tag.
-        nearest: name of the best-fitting layout whatever the status.
-        score: 0..1, share of the energy above noise that the nearest layout explains.
-        margin: 0..1, the lead over the runner-up as a share of the explained energy.
-        rotation_deg: counter-clockwise turn of the layout, within its symmetry.
-        centre_m: where the layout's origin lies, m.
-        offset_m: range offset found, i.e. the error of the axis distance, m.
-        reflectors: those of the layout (matched) and those beyond it.
-        missing, extra: counts.
-        scores: every layout, best first.
-        evidence: the numbers behind the decision.
-    """
-
-    status: str
-    reason: str
-    layout: str | None
-    nearest: str
-    score: float
-    margin: float
-    rotation_deg: float
-    centre_m: tuple[float, float]
-    offset_m: float
-    reflectors: tuple[Reflector, ...]
-    missing: int
-    extra: int
-    scores: tuple[LayoutScore, ...]
-    evidence: Evidence
-
-
 def read_tag(
-    scans: BasebandScans, layouts: Sequence[Layout], settings: ReaderSettings | None = None
+    scans: BasebandScans,
+    layouts: Sequence[Layout],
+    settings: ReaderSettings | None = None,
+    enrolled: Enrolled | None = None,
 ) -> Reading:
-    """Which of the layouts turned before the radar, if any.
+    """Which of the layouts, if any, turned before the radar.
 
     Args:
         scans: preprocessed without the matched filter (the reader correlates with the response itself).
         layouts: the enrolled ones.
         settings: search, finder and decision.
+        enrolled: enrolled bodies and objects.
 
     Raises:
         RegistryError: no layouts. DataError: the scans do not hold the object's range.
     """
-    scan = MatchedScan(scans, layouts, settings or ReaderSettings())
-    return scan.read(np.argsort(scan.criteria))
+    scan = MatchedScan(scans, layouts, settings or ReaderSettings(), enrolled)
+    return scan.settled(scan.read(np.argsort(scan.criteria)))
 
 
 class MatchedScan:
     """One recording with the best place of every layout in it.
 
     Args:
-        scans, layouts, settings: see `read_tag`.
+        scans, layouts, settings, enrolled: see `read_tag`.
 
     Attributes:
         criteria: (layouts,) J of `LayoutScore`, lower is better; of several recordings they add up.
@@ -134,13 +88,22 @@ class MatchedScan:
         RegistryError: no layouts. DataError: the scans do not hold the object's range.
     """
 
-    def __init__(self, scans: BasebandScans, layouts: Sequence[Layout], settings: ReaderSettings) -> None:
+    def __init__(
+        self,
+        scans: BasebandScans,
+        layouts: Sequence[Layout],
+        settings: ReaderSettings,
+        enrolled: Enrolled | None = None,
+    ) -> None:
         if not layouts:
             raise RegistryError("no layout is enrolled", "Enrol one with tagid enroll.")
         reach = max(layout.radius_m for layout in layouts) + settings.search.centre_range_m * np.sqrt(2)
         self._radius = max(reach, settings.finder.radius_m)
         self._settings = settings
-        self._field = MatchedField(fold_views(scans, self._radius + 0.02), self._radius + 0.02)
+        self._layouts = layouts
+        self._enrolled = enrolled or Enrolled()
+        self._scans = fold_views(scans, self._radius + 0.02)
+        self._field = MatchedField(self._scans, self._radius + 0.02)
         self._fits = search(self._field, layouts, settings.search)
         if not settings.direction_known:
             turned = search(self._field, [layout.mirrored() for layout in layouts], settings.search)
@@ -150,8 +113,12 @@ class MatchedScan:
         self._places *= len(settings.search.patterns) * (1 if settings.direction_known else 2)
         self.criteria = np.array([fit.criterion for fit in self._fits])
 
+    def settled(self, bare: Reading) -> Reading:
+        """The reading without a body, or the one on a body where that explains the scans better."""
+        return settle(bare, self._scans, self._layouts, self._enrolled, self._settings.contest)
+
     def read(self, order: NDArray[np.intp]) -> Reading:
-        """What this recording says if the layouts rank in this order."""
+        """What this recording says without a body if the layouts rank in this order."""
         settings, matched = self._settings, self._field
         ranked = [self._fits[i] for i in order]
         best, runner_up = ranked[0], ranked[1] if len(ranked) > 1 else None
@@ -159,12 +126,24 @@ class MatchedScan:
         positions, amplitudes, level = clean(disc, best.positions, best.amplitudes, settings.finder)
         apart = separate(positions, amplitudes, best.layout.size)
         positions, amplitudes = positions[apart], amplitudes[apart]
-        evidence = _evidence(disc, (best, runner_up), (amplitudes, level), self._places, settings)
-        status, reason = decide(evidence, settings.decision)
+        cleaned = (amplitudes, level)
+        evidence, measured = _evidence(disc, (best, runner_up), cleaned, self._places, settings)
+        verdict = decide(evidence, settings.decision)
+        status = verdict.status
+        named = best.layout.size if status in ("identified", "ambiguous") else 0
+        if named:
+            positions = np.concatenate([measured, positions[named:]])
+        else:
+            # What was found without the layout: its own places would look like a measurement.
+            empty = np.zeros((0, 2)), np.zeros(0, dtype=np.complex128)
+            positions, amplitudes, level = clean(disc, *empty, settings.finder)
+            apart = separate(positions, amplitudes, 0)
+            positions, amplitudes = positions[apart], amplitudes[apart]
         signal = _signal_energy(matched, best, level)
         return Reading(
             status=status,
-            reason=reason,
+            reason=verdict.reason,
+            code=verdict.code,
             layout=best.layout.name if status in ("identified", "ambiguous") else None,
             nearest=best.layout.name,
             score=0.0 if status == "no_tag" else _certain_share(matched, best, level),
@@ -172,7 +151,7 @@ class MatchedScan:
             rotation_deg=float(np.rad2deg(best.rotation_rad)),
             centre_m=(float(best.centre_m[0]), float(best.centre_m[1])),
             offset_m=best.offset_m,
-            reflectors=as_reflectors(positions, amplitudes, level, matched.template_energy, best.layout.size),
+            reflectors=as_reflectors(positions, amplitudes, level, matched.template_energy, named),
             missing=evidence.missing,
             extra=evidence.extra,
             scores=tuple(_score(matched, fit, signal) for fit in ranked),
@@ -213,7 +192,8 @@ def _evidence(
     cleaned: tuple[NDArray[np.complex128], float],
     places: float,
     settings: ReaderSettings,
-) -> Evidence:
+) -> tuple[Evidence, NDArray[np.float64]]:
+    """The evidence, and where the layout's reflectors (K, 2) are when each may move freely, m."""
     best, runner_up = fits
     matched, decision = disc.field, settings.decision
     amplitudes, level = np.abs(cleaned[0]), cleaned[1]
@@ -228,7 +208,7 @@ def _evidence(
     )
     lead = best.charged - (runner_up.charged if runner_up else 0.0)
     fewer = (best.layout.size - runner_up.layout.size) if runner_up else size
-    return Evidence(
+    evidence = Evidence(
         size=size,
         nats=best.explained / level,
         places=places,
@@ -247,3 +227,4 @@ def _evidence(
         margin_nats=lead / level - fewer * np.log(matched.independent_samples),
         views=matched.views,
     )
+    return evidence, other.positions

@@ -1,0 +1,180 @@
+"""`tagid bodies`: enrolled bodies and the signatures of enrolled objects: list, draw, check, remove."""
+
+from __future__ import annotations
+
+from itertools import combinations
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from tagid.cli.common.frame import Terminal, command, group_command
+from tagid.errors import LayoutConflictError
+from tagid.result import Result
+
+if TYPE_CHECKING:
+    from tagid.tags.bodies.signature import Signature
+
+
+def register(app: typer.Typer) -> None:
+    """Add the group."""
+    group = typer.Typer()
+    app.add_typer(group, name="bodies")
+
+    @group_command(group, "bodies")
+    def bodies(
+        terminal: Terminal,
+        remove: Annotated[
+            str | None, typer.Option("--remove", help="Remove this body; its history stays.")
+        ] = None,
+    ) -> Result:
+        """List, draw and check enrolled bodies and objects; without a command they are listed.
+
+        Example: tagid bodies
+        """
+        from rich.table import Table
+        from rich.text import Text
+
+        from tagid.cli.common.imaging import open_registry
+
+        registry = open_registry()
+        if remove:
+            version = registry.remove_signature("body", remove, "tagid bodies --remove")
+            line = Text(f"{remove} removed; its history stays (registry version {version})")
+            return Result("bodies", {"removed": remove, "registry_version": version}, line)
+        contents = registry.contents()
+        table = Table(box=None)
+        for head in ("kind", "name", "radius mm", "turning dB", "error %", "captures", "label"):
+            table.add_column(head)
+        for one in contents.signatures:
+            facts = _facts(one)
+            table.add_row(
+                one.kind,
+                one.name,
+                f"{one.radius_m * 1e3:.0f}",
+                _db(facts["turning_share"]),
+                f"{one.model_error * 100:.2f}",
+                str(one.captures),
+                one.label,
+            )
+        data = {
+            "registry": str(registry.path),
+            "registry_version": contents.version,
+            "signatures": [_facts(one) for one in contents.signatures],
+        }
+        empty = Text("nothing is enrolled; see `tagid enroll --body NAME FILES`")
+        return Result("bodies", data, table if contents.signatures else empty)
+
+    @command(group, "bodies show")
+    def show(
+        terminal: Terminal,
+        name: Annotated[str, typer.Argument(help="Name of the body or object.")],
+        of_object: Annotated[
+            bool, typer.Option("--object", help="The signature of the tagged object of that name.")
+        ] = False,
+        png: Annotated[Path | None, typer.Option("--png", help="Write a polar plot of the echo.")] = None,
+    ) -> Result:
+        """Show a body's or object's signature.
+
+        Example: tagid bodies show mug --png mug.png
+        """
+        from rich.text import Text
+
+        from tagid.cli.common.imaging import open_registry
+        from tagid.files import write_bytes
+
+        one = open_registry().signature("object" if of_object else "body", name)
+        if png is not None:
+            from tagid.report.signature_plot import to_png
+
+            write_bytes(png, to_png(one))
+        facts = _facts(one)
+        lines = [
+            f"{one.kind} {one.name}  {one.label}",
+            f"  measured on {one.captures} captures, {one.distance_m:.2f} m from the axis, "
+            f"{one.frequencies_hz[0] / 1e9:.1f} to {one.frequencies_hz[-1] / 1e9:.1f} GHz",
+            f"  radius {one.radius_m * 1e3:.0f} mm, {one.order} harmonics; its echo turns with "
+            f"{_db(facts['turning_share'])} dB of the whole",
+            f"  a tag on it must return more than {_db(facts['least_tag'])} dB of the body's echo",
+        ]
+        lines += [f"written  {png}"] if png else []
+        data = {"signature": facts, "png": str(png) if png else None}
+        return Result("bodies show", data, Text("\n".join(lines)))
+
+    @command(group, "bodies check")
+    def check(terminal: Terminal) -> Result:
+        """Compare all enrolled bodies, and all enrolled objects, with each other.
+
+        Example: tagid bodies check
+        """
+        from rich.console import Group
+        from rich.table import Table
+        from rich.text import Text
+
+        from tagid.cli.common.imaging import open_registry
+        from tagid.tags.bodies.likeness import compare
+
+        contents = open_registry().contents()
+        pairs = [compare(a, b) for a, b in combinations(contents.signatures, 2) if a.kind == b.kind]
+        pairs.sort(key=lambda pair: pair.left)
+        table = Table("kind", "pair", "apart %", "remark", box=None)
+        for pair in pairs:
+            remark = "ALIKE" if pair.alike else ""
+            table.add_row(pair.kind, f"{pair.first} - {pair.second}", f"{pair.left * 100:.1f}", remark)
+        own = [one for one in contents.signatures if one.kind == "body"]
+        lines = [
+            Text(f"{one.name}: a tag must return more than {_db(_facts(one)['least_tag'])} dB of its echo")
+            for one in own
+        ]
+        data = {
+            "registry_version": contents.version,
+            "pairs": [
+                {"kind": p.kind, "first": p.first, "second": p.second, "apart": p.left, "alike": p.alike}
+                for p in pairs
+            ],
+            "signatures": [_facts(one) for one in contents.signatures],
+        }
+        bad = [pair for pair in pairs if pair.alike and pair.kind == "object"]
+        same = [pair for pair in pairs if pair.alike and pair.kind == "body"]
+        notes = tuple(
+            f"the bodies {p.first} and {p.second} look alike: a tag on one may be read as on the other"
+            for p in same
+        )
+        human = Group(table, *lines)
+        if not bad:
+            return Result("bodies check", data, human, messages=notes)
+        error = LayoutConflictError(
+            f"{len(bad)} pair(s) of enrolled objects cannot be told apart: "
+            + ", ".join(f"{p.first} and {p.second}" for p in bad),
+            "Remove one of each pair with `tagid layouts --remove NAME`, or change its tag.",
+        )
+        entry = {"code": error.code, "message": error.message, "remedy": error.remedy}
+        return Result("bodies check", data, human, "error", error.exit_code, notes, (entry,))
+
+
+def _facts(one: Signature) -> dict[str, Any]:
+    """What is known of a signature, for scripts."""
+    from tagid.tags.bodies.likeness import least_tag, turning_share
+
+    return {
+        "kind": one.kind,
+        "name": one.name,
+        "label": one.label,
+        "radius_m": one.radius_m,
+        "harmonics": one.order,
+        "frequencies_hz": [round(float(f)) for f in one.frequencies_hz],
+        "axis_distance_m": one.distance_m,
+        "antenna_height_m": one.height_m,
+        "captures": one.captures,
+        "model_error": one.model_error,
+        "noise_share": one.noise_share,
+        "turning_share": turning_share(one),
+        "least_tag": least_tag(one),
+    }
+
+
+def _db(ratio: float) -> str:
+    """A ratio of energies in dB; under -60 dB there is nothing to tell."""
+    from math import log10
+
+    return f"{10 * log10(ratio):.0f}" if ratio > 1e-6 else "under -60"

@@ -1,0 +1,1 @@
+"""Reading a tag together with the body that carries it."""

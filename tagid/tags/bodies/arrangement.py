@@ -1,0 +1,63 @@
+"""Arrangements of alike reflectors around a body, compared by the angles between neighbours.
+
+Where a ring's rotation is free, an arrangement is its cyclic list of angular gaps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+AXIS_M = 0.01
+"""A reflector nearer than this to the body's axis looks the same from all sides, as the body does."""
+MERGED_M = 0.02
+"""Reflectors nearer than this along the ring are seen as one: the point response's null is at 14.5 mm."""
+MERGED_LEAST_DEG, MERGED_MOST_DEG = 15.0, 36.0
+
+
+def resolution_deg(radius_m: float) -> float:
+    """Angle on a ring of that apparent radius under which two reflectors are seen as one, degrees."""
+    return float(np.clip(np.rad2deg(MERGED_M / max(radius_m, 1e-3)), MERGED_LEAST_DEG, MERGED_MOST_DEG))
+
+
+def gaps_deg(angles: NDArray[np.floating] | Sequence[float]) -> NDArray[np.float64]:
+    """(K,) angles between neighbours on the ring, degrees, in counter-clockwise order.
+
+    >>> gaps_deg([0.0, np.pi / 2]).tolist()
+    [90.0, 270.0]
+    """
+    a = np.sort(np.rad2deg(np.asarray(angles, dtype=np.float64)) % 360)
+    return np.diff(np.append(a, a[0] + 360))
+
+
+def merged(gaps: NDArray[np.floating], resolution: float) -> NDArray[np.float64]:
+    """Gaps with neighbours nearer than the resolution (degrees) joined at their middle."""
+    g = [float(v) for v in gaps]
+    while len(g) > 1 and min(g) < resolution:
+        i = int(np.argmin(g))
+        half = g[i] / 2
+        g[i - 1] += half
+        g[(i + 1) % len(g)] += half
+        del g[i]
+    return np.array(g)
+
+
+def difference_deg(one: NDArray[np.floating], other: NDArray[np.floating]) -> float:
+    """Largest difference of two gap lists over all rotations, degrees; 180 for unlike counts.
+
+    Mirror images differ, as layouts do.
+
+    >>> difference_deg(np.array([90.0, 270.0]), np.array([265.0, 95.0]))
+    5.0
+    """
+    if len(one) != len(other):
+        return 180.0
+    return min(float(np.abs(one - np.roll(other, k)).max()) for k in range(len(other)))
+
+
+def turn_to(angles: NDArray[np.floating], layout: NDArray[np.floating]) -> list[float]:
+    """Turns (rad) that bring a layout's angles (K,) nearest to as many measured ones, one per pairing."""
+    measured, own = np.sort(np.mod(angles, 2 * np.pi)), np.sort(np.mod(layout, 2 * np.pi))
+    return [float(np.angle(np.exp(1j * (np.roll(measured, k) - own)).mean())) for k in range(len(own))]

@@ -1,0 +1,161 @@
+"""What the setting `tags.false_accept` rests on: order statistics of a stated population.
+
+The reader's evidence for a tag on a body is one number (`BodyReading.lead`, where every test of the decision
+is passed). Of n calibration objects that carry no enrolled tag, a new one of the same population is more
+convincing than all but k of them with probability (k + 1) / (n + 1) at most, whatever its distribution: the
+conformal p-value (Vovk, Gammerman and Shafer 2005, chapter 2). It holds within a stratum of views and SNR.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+
+import numpy as np
+
+from tagid.errors import ModelError
+
+FORMAT_VERSION = 1
+
+
+@dataclass(frozen=True)
+class Bound:
+    """The promise behind a name.
+
+    Attributes:
+        p_value: share of calibration objects, this one counted, that were at least as convincing.
+        false_accept: the setting.
+        objects: null and foreign objects in this stratum.
+        stratum: which one.
+        population: what they are.
+    """
+
+    p_value: float
+    false_accept: float
+    objects: int
+    stratum: str
+    population: str
+
+    @property
+    def reachable(self) -> bool:
+        """Whether so many objects can bear out the setting at all: 1 / (n + 1) <= false_accept."""
+        return self.objects + 1 >= 1 / self.false_accept - 1e-9
+
+    @property
+    def kept(self) -> bool:
+        """Whether the p-value is within the setting."""
+        return self.p_value <= self.false_accept * (1 + 1e-9)
+
+
+@dataclass(frozen=True)
+class Stratum:
+    """Calibration objects recorded alike.
+
+    Attributes:
+        views_from, views_to: views, the first included and the second not.
+        snr_from_db, snr_to_db: energy of what is not of the body over that of the noise, likewise.
+        objects: how many there are.
+        scores: the largest of their leads, largest first; objects that a test refuses have none.
+    """
+
+    views_from: int
+    views_to: int
+    snr_from_db: float
+    snr_to_db: float
+    objects: int
+    scores: tuple[float, ...]
+
+    @property
+    def name(self) -> str:
+        """For people."""
+        views = f"{self.views_from} to {self.views_to - 1} views"
+        if np.isinf(self.snr_from_db) and np.isinf(self.snr_to_db):
+            return views
+        return f"{views}, {self.snr_from_db:g} to {self.snr_to_db:g} dB"
+
+    def p_value(self, score: float) -> float:
+        """(k + 1) / (n + 1), k the objects that reach the score; a bound where more than those kept do."""
+        above = sum(1 for one in self.scores if one >= score)
+        if above == len(self.scores) < self.objects:
+            # Those that were not kept may reach it, too.
+            above = self.objects if self.scores and score <= self.scores[-1] else above
+        return (above + 1) / (self.objects + 1)
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Strata of one population.
+
+    Attributes:
+        population: what it is, in words.
+        strata: they do not overlap.
+        seeds: [first, last) of the population's seeds.
+    """
+
+    population: str
+    strata: tuple[Stratum, ...]
+    seeds: tuple[tuple[int, int], ...]
+
+    @classmethod
+    @cache
+    def shipped(cls) -> Calibration:
+        """The package's own. Raises ModelError where the file is damaged."""
+        text = (resources.files("tagid.tags.bodies") / "calibration.json").read_text("utf-8")
+        return cls.from_json(text)
+
+    @classmethod
+    def from_json(cls, text: str) -> Calibration:
+        """From what `to_json` wrote. Raises ModelError."""
+        try:
+            data = json.loads(text)
+            if data["format_version"] != FORMAT_VERSION:
+                raise ValueError(f"version {data['format_version']}")
+            strata = tuple(
+                Stratum(
+                    int(one["views"][0]),
+                    int(one["views"][1]),
+                    _number(one["snr_db"][0], -np.inf),
+                    _number(one["snr_db"][1], np.inf),
+                    int(one["objects"]),
+                    tuple(sorted((float(s) for s in one["scores"]), reverse=True)),
+                )
+                for one in data["strata"]
+            )
+            seeds = tuple((int(a), int(b)) for a, b in data["seeds"])
+            return cls(str(data["population"]), strata, seeds)
+        except (ValueError, KeyError, TypeError, IndexError) as error:
+            raise ModelError(f"the reader's calibration is damaged: {error}", "Reinstall tagid.") from None
+
+    def to_json(self) -> str:
+        """Text of the file."""
+        rows = [
+            {
+                "views": [one.views_from, one.views_to],
+                "snr_db": [None if np.isinf(v) else v for v in (one.snr_from_db, one.snr_to_db)],
+                "objects": one.objects,
+                "scores": [round(s, 4) for s in one.scores],
+            }
+            for one in self.strata
+        ]
+        data = {
+            "format_version": FORMAT_VERSION,
+            "population": self.population,
+            "seeds": [list(pair) for pair in self.seeds],
+            "strata": rows,
+        }
+        return json.dumps(data, indent=1) + "\n"
+
+    def bound(self, score: float, views: int, snr_db: float, false_accept: float) -> Bound:
+        """The promise for evidence of that strength; no objects where no stratum fits."""
+        for one in self.strata:
+            inside = one.views_from <= views < one.views_to
+            if inside and one.snr_from_db <= snr_db < one.snr_to_db:
+                p = one.p_value(score)
+                return Bound(p, false_accept, one.objects, one.name, self.population)
+        return Bound(1.0, false_accept, 0, f"{views} views, {snr_db:.0f} dB", self.population)
+
+
+def _number(value: float | None, missing: float) -> float:
+    return missing if value is None else float(value)

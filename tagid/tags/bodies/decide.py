@@ -1,0 +1,87 @@
+"""When a tag on a body is named, and what is said when it is not."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from math import inf, log10
+
+from tagid.tags.bodies.reader import BodyReading
+from tagid.tags.verdicts.verdict import Code, Verdict
+
+
+@dataclass(frozen=True)
+class BodyDecision:
+    """Tests that a layout on a body must pass; each can only take a name away.
+
+    Attributes:
+        unexplained: largest share of the tag's echo that its layout may leave. Tags on full-wave cans leave
+            under 2 %; a handle, an oval wall or another tag 20 % or more.
+        lead: smallest `BodyReading.lead`, whatever the calibration says: an eighth of the model's own error.
+        angle_deg, radius_m: largest difference between the layout and the same reflectors with free angles.
+        early_m: range of `BodyReading.early_m`: full-wave tags on cans answer from 26 mm behind to 14 mm
+            before their apparent place, the wall of an oval helmet from 60 mm before it; 15 mm more on both
+            sides for the error of the axis distance.
+        centre_m: largest distance of the body's centre from the rotation axis.
+        no_tag_nats: a body is untagged where no arrangement explains so many noise variances more: fitting
+            noise alone, 27 amplitudes and the places explain 40 to 50,
+        no_tag_share: and this share of the moving echo: wobble leaves as much of a strong body.
+    """
+
+    unexplained: float = 0.15
+    lead: float = 0.3
+    angle_deg: float = 12.0
+    radius_m: float = 0.025
+    early_m: tuple[float, float] = (-0.042, 0.030)
+    centre_m: float = 0.013
+    no_tag_nats: float = 60.0
+    no_tag_share: float = 0.001
+
+
+def score(reading: BodyReading, settings: BodyDecision) -> float:
+    """The evidence for the best layout, -inf where a test refuses it: what the calibration orders."""
+    passed = decide_on_body(reading, replace(settings, lead=-inf)).status == "identified"
+    return reading.lead if passed else -inf
+
+
+def tag_snr_db(reading: BodyReading) -> float:
+    """Energy of what is not of the body over that of the noise, dB."""
+    return 10 * log10(max(reading.tag / max(reading.noise, 1e-30), 1e-9))
+
+
+def decide_on_body(reading: BodyReading, settings: BodyDecision) -> Verdict:
+    """The verdict on the best layout of a body, before any calibration."""
+    r, s = reading, settings
+    name = f"the enrolled body {r.body.name}" if r.body.name else "a round body"
+    best = r.layouts[0]
+    gain = r.body_left - min(placed.left for placed in (*r.layouts, *r.others))
+    if gain < s.no_tag_nats * r.variance + s.no_tag_share * r.energy:
+        return Verdict("no_tag", Code.NO_TAG, f"{name} without reflectors explains the echo")
+    if r.unexplained > s.unexplained:
+        code = Code.UNEXPLAINED if r.body.name else Code.BODY
+        return Verdict(
+            "unknown",
+            code,
+            f"{best.layout} on {name} leaves {min(r.unexplained, 1):.0%} of its echo unexplained",
+        )
+    if abs(r.pose.centre) > s.centre_m:
+        return Verdict(
+            "unknown",
+            Code.OFF_CENTRE,
+            f"the body's centre lies {abs(r.pose.centre) * 1e3:.0f} mm off the axis",
+        )
+    if not s.early_m[0] <= r.early_m <= s.early_m[1]:
+        return Verdict(
+            "unknown",
+            Code.BODY,
+            f"the echo comes from {r.early_m * 1e3:+.0f} mm before the places of {best.layout}, "
+            "as from the wall of a body that is not round",
+        )
+    if r.angle_off_deg > s.angle_deg:
+        return Verdict("unknown", Code.OTHER, f"the reflectors' angles are not those of {best.layout}")
+    if r.radius_off_m > s.radius_m:
+        return Verdict("unknown", Code.RADIUS, f"the reflectors' radius is not that of {best.layout}")
+    if r.lead < s.lead:
+        return Verdict(
+            "unknown", Code.OTHER, f"another arrangement on {name} explains the echo about as well"
+        )
+    return Verdict("identified")

@@ -1,0 +1,472 @@
+"""A signature from several captures of one object: poses, gains and harmonics together, and checked.
+
+For given poses and gains the harmonics are a linear least squares over all captures; for given harmonics and
+poses so are the gains. The poses follow by Levenberg-Marquardt on what the joint least squares leaves. What
+is left must be noise: a capture of something else, or of the object after a reflector moved, would spoil
+every later reading, so it is found and named.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tagid.errors import DataError
+from tagid.tags.bodies.hypothesis import Pose
+from tagid.tags.bodies.posing import PoseSearch, match, noise_of, refine, round_centre
+from tagid.tags.bodies.signature import (
+    Signature,
+    SignatureKind,
+    Standpoint,
+    angular,
+    echo,
+    near_field,
+    order_mask,
+    order_of,
+)
+from tagid.tags.bodies.spectra import Spectra, centred
+
+CAPTURES = 3
+"""Two captures show that they differ, three show which one."""
+RADII_M = (0.04, 0.055, 0.07, 0.085, 0.10, 0.12, 0.14)
+"""Radii tried for an object of unknown size."""
+START_RADII_M = (0.07, 0.12)
+RIDGE = 1e-4
+"""Load of the normal equations as a share of their mean diagonal."""
+ROUND_RIDGE = 1e-3
+"""The same for m = 0, relative to RIDGE. The echo of a centred round body is constant over the views, like
+the room; the two are told apart only by centres that differ, and a load on m = 0 would turn the body into
+room."""
+ROUND_SHARE = 0.3
+"""A body of revolution that leaves less than this share of the moving echo gives the object's centre."""
+NOISE_SLACK = 0.4
+"""What a capture may keep beyond its noise, as a share of it: the noise is known to 10 %, and coloured noise
+or interference inside the band is not in the estimate."""
+MODEL_SHARE = 0.008
+"""What a capture may keep of its turning echo. Full-wave captures of one object keep up to 0.2 % (other
+distance and place); one from which a tag 17 dB under the turning echo was taken keeps over 1 %."""
+CLEARLY = 0.4
+"""A capture is to blame where leaving it out leaves this part of what leaving out another one leaves."""
+SAME_PLACE_M, SAME_TURN_RAD = 1e-3, np.deg2rad(15.0)
+"""Captures nearer than both show the object in one pose."""
+_ROUNDS, _SETTLED = 5, 0.02
+_ROUND_TURNING = 0.5
+"""Turning echo over noise under which an object counts as round: its turn is not seen."""
+
+
+@dataclass(frozen=True, eq=False)
+class Placed:
+    """One capture within the joint estimate.
+
+    Attributes:
+        spectra: capture.
+        pose: of the object.
+        gain: (F,) complex G of `tagid.tags.bodies.signature`.
+    """
+
+    spectra: Spectra
+    pose: Pose
+    gain: NDArray[np.complex128]
+
+
+@dataclass(frozen=True)
+class Residual:
+    """What the joint estimate leaves of one capture; energies in units of the noise of one value.
+
+    Attributes:
+        name: of the capture.
+        left: energy left.
+        expected: what noise alone would leave.
+        turning: energy beyond the room and a body of revolution, noise subtracted.
+    """
+
+    name: str
+    left: float
+    expected: float
+    turning: float
+
+    @property
+    def excess(self) -> float:
+        """Energy left beyond noise, at least 0."""
+        return max(self.left - self.expected, 0.0)
+
+    @property
+    def share(self) -> float:
+        """The excess as a share of the turning echo, 0 where nothing turns."""
+        return min(self.excess / self.turning, 1.0) if self.turning > self.expected * _ROUND_TURNING else 0.0
+
+    @property
+    def is_noise(self) -> bool:
+        """Whether what is left is noise, within NOISE_SLACK and MODEL_SHARE."""
+        return self.excess <= NOISE_SLACK * self.expected + MODEL_SHARE * self.turning
+
+
+@dataclass(frozen=True, eq=False)
+class Joint:
+    """A joint estimate.
+
+    Attributes:
+        signature: of the object, in the frame of the capture with the most views.
+        placed: the captures with their poses and gains, in the order given.
+        residuals: what is left of each.
+    """
+
+    signature: Signature
+    placed: tuple[Placed, ...]
+    residuals: tuple[Residual, ...]
+
+    @property
+    def excess(self) -> float:
+        """Excess over what is allowed, summed over the captures; at most 0 where all is noise."""
+        over = [r.excess - NOISE_SLACK * r.expected - MODEL_SHARE * r.turning for r in self.residuals]
+        return max(over)
+
+
+@dataclass(frozen=True)
+class Named:
+    """A capture's spectra with the name of the capture, for messages."""
+
+    name: str
+    spectra: Spectra
+
+
+class Basis:
+    """Least squares of the harmonics of an object of one radius.
+
+    Args:
+        wavenumbers: (F,) rad/m.
+        radius_m: of the object, m.
+    """
+
+    def __init__(self, wavenumbers: NDArray[np.float64], radius_m: float) -> None:
+        self.order = order_of(float(wavenumbers[-1]), radius_m)
+        self.mask = order_mask(wavenumbers, radius_m, self.order)
+        self.m = np.arange(-self.order, self.order + 1)
+
+    def columns(self, one: Placed) -> NDArray[np.complex128]:
+        """(F, V, 2 M + 1) in units of the noise, without the room, with pose and gain applied."""
+        at = Standpoint(one.spectra, one.pose.centre)
+        near = near_field(one.spectra.wavenumbers, self.order, one.spectra.distance_m)
+        scale = near * np.exp(-1j * self.m * one.pose.turn_rad) * self.mask
+        scale = scale * (one.gain / np.sqrt(noise_of(one.spectra)))[:, None]
+        columns = at.carrier[..., None] * angular(at.azimuth, self.order)[None] * scale[:, None, :]
+        return np.asarray(columns - columns.mean(axis=1, keepdims=True))
+
+    def solve(
+        self, captures: Sequence[Placed], ridge: float = RIDGE
+    ) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
+        """Harmonics (F, 2 M + 1), and the variance of one harmonic's noise (F,)."""
+        size = len(self.m)
+        gram = np.zeros((len(self.mask), size, size), complex)
+        data = np.zeros((len(self.mask), size), complex)
+        for one in captures:
+            columns = self.columns(one)
+            across = columns.conj().swapaxes(1, 2)
+            gram += across @ columns
+            data += (across @ _whitened(one.spectra)[..., None])[..., 0]
+        mean = np.einsum("fnn->f", gram).real / self.mask.sum(axis=1)
+        load = np.full(size, ridge)
+        load[self.order] *= ROUND_RIDGE
+        diagonal = mean[:, None] * np.where(self.mask, load, 1.0)
+        inverse = np.linalg.inv(gram + diagonal[:, :, None] * np.eye(size))
+        found = (inverse @ data[..., None])[..., 0]
+        variance = np.einsum("fnk,fkl,fln->fn", inverse, gram, inverse).real
+        turning = self.mask & (self.m != 0)
+        noise = np.where(turning, variance, 0).sum(axis=1) / np.maximum(turning.sum(axis=1), 1)
+        return found, np.maximum(noise, 0)
+
+
+def _whitened(spectra: Spectra) -> NDArray[np.complex128]:
+    return np.asarray(spectra.data / np.sqrt(noise_of(spectra)))
+
+
+def best_gain(
+    spectra: Spectra, signature: Signature, pose: Pose, *, split: bool = False
+) -> NDArray[np.complex128]:
+    """(F,) least-squares gain of a signature in a pose; of what turns alone where `split`."""
+    column = centred(echo(spectra, signature, pose))
+    if split:
+        column = centred(echo(spectra, replace(signature, harmonics=signature.turning), pose))
+        unit = centred(Standpoint(spectra, pose.centre).carrier)
+        unit = unit / np.maximum(np.linalg.norm(unit, axis=1, keepdims=True), 1e-9)
+        column = column - np.sum(unit.conj() * column, axis=1, keepdims=True) * unit
+    size = np.maximum(np.sum(np.abs(column) ** 2, axis=1), 1e-300)
+    return np.asarray(np.sum(column.conj() * spectra.data, axis=1) / size)
+
+
+class _Estimate:
+    """State of the alternation between harmonics, poses and gains."""
+
+    def __init__(self, captures: Sequence[Spectra], blank: Signature, basis: Basis) -> None:
+        self.captures = captures
+        self.basis = basis
+        self.order = sorted(range(len(captures)), key=lambda i: -captures[i].views)
+        self.placed: dict[int, Placed] = {}
+        self.signature = blank
+
+    def start(self) -> None:
+        """Harmonics of the capture with the most views; then every other capture, matched with them."""
+        for i in self.order:
+            spectra = self.captures[i]
+            centre, left = round_centre(spectra)
+            around = (centre,) if left < ROUND_SHARE * spectra.energy else ()
+            if not self.placed:
+                first = around[0] if around else 0j
+                ones = np.ones(len(spectra.wavenumbers), complex)
+                self.placed[i] = Placed(spectra, Pose((first.real, first.imag)), ones)
+                self.solve(3e-3)
+                continue
+            search = PoseSearch(spectra, self.basis.order, around)
+            # One capture does not tell its m = 0 from the room: what turns gives pose and gain.
+            turns = left > (1 + _ROUND_TURNING) * spectra.noise_energy
+            found = match(spectra, self.signature, search, split=turns)
+            gain = best_gain(spectra, self.signature, found.pose, split=turns)
+            self.placed[i] = Placed(spectra, found.pose, gain)
+            self.solve(1e-3)
+
+    def solve(self, ridge: float = RIDGE) -> None:
+        """Harmonics for the present poses and gains."""
+        found, noise = self.basis.solve(list(self.placed.values()), ridge)
+        self.signature = replace(self.signature, harmonics=found, noise=noise)
+
+    def alternate(self, rounds: int) -> None:
+        """Poses and gains of all captures but the first, one by one, then the harmonics."""
+        for _ in range(rounds):
+            for i in self.order[1:]:
+                pose = refine(self.captures[i], self.signature, self.placed[i].pose).pose
+                gain = best_gain(self.captures[i], self.signature, pose)
+                self.placed[i] = Placed(self.captures[i], pose, gain)
+            self.solve()
+
+    def descend(self, iterations: int = 6) -> None:
+        """Levenberg-Marquardt on the poses of all captures but the first, the harmonics eliminated."""
+        moving = self.order[1:]
+        if not moving:
+            return
+        steps = np.tile([2e-5, 2e-5, 2e-4], len(moving))
+        x = np.concatenate([[*self.placed[i].pose.centre_m, self.placed[i].pose.turn_rad] for i in moving])
+
+        def rest(x: NDArray[np.float64]) -> NDArray[np.float64]:
+            now = self._moved(moving, x)
+            found, _ = self.basis.solve(list(now.values()))
+            parts = [
+                _whitened(one.spectra) - (self.basis.columns(one) @ found[..., None])[..., 0]
+                for one in now.values()
+            ]
+            flat = np.concatenate([part.ravel() for part in parts])
+            return np.concatenate([flat.real, flat.imag])
+
+        e = rest(x)
+        cost, damping = float(e @ e), 1e-3
+        for _ in range(iterations):
+            jacobian = np.stack([(rest(x + h) - e) / h[k] for k, h in enumerate(np.diag(steps))], axis=1)
+            normal, gradient = jacobian.T @ jacobian, jacobian.T @ e
+            # The rotation of a round body changes nothing: the load keeps such a row solvable.
+            normal += 1e-9 * np.trace(normal) * np.eye(len(x)) * steps.min() ** 2
+            gain = 0.0
+            for _ in range(4):
+                damped = normal + damping * np.diag(np.maximum(np.diag(normal), 1e-30))
+                trial = x - np.linalg.solve(damped, gradient)
+                e2 = rest(trial)
+                if float(e2 @ e2) < cost:
+                    gain = cost - float(e2 @ e2)
+                    x, e, cost, damping = trial, e2, float(e2 @ e2), damping / 5
+                    break
+                damping *= 6
+            if gain < 1e-5 * cost:
+                break
+        self.placed = self._moved(moving, x)
+        self.solve()
+
+    def _moved(self, moving: list[int], x: NDArray[np.float64]) -> dict[int, Placed]:
+        new = dict(self.placed)
+        for i, (cx, cy, turn) in zip(moving, x.reshape(-1, 3), strict=True):
+            pose = Pose((float(cx), float(cy)), float(turn))
+            new[i] = Placed(self.placed[i].spectra, pose, self.placed[i].gain)
+        return new
+
+
+def estimate(
+    captures: Sequence[Named], name: str, kind: SignatureKind, radius_m: float | None = None
+) -> Joint:
+    """Joint signature of captures of one object that was turned and moved between them; not yet checked.
+
+    Args:
+        captures: at the same frequencies, any number of views each.
+        name, kind: of the signature.
+        radius_m: of the object with its tag, m; None finds it by generalised cross-validation over RADII_M.
+    """
+    spectra = [one.spectra for one in captures]
+    if radius_m is not None:
+        work = _joint(spectra, name, kind, radius_m)
+    else:
+        # Few views alias a large radius, and a small one loses the rim: begin with both.
+        begun = [_joint(spectra, name, kind, radius) for radius in START_RADII_M]
+        work, chosen = min(
+            ((one, radius) for one in begun for radius in RADII_M), key=lambda pair: _score(spectra, *pair)
+        )
+        if chosen != work.signature.radius_m:
+            basis = Basis(spectra[0].wavenumbers, chosen)
+            work.basis, work.signature = basis, _blank(spectra[0], name, kind, basis, chosen)
+            work.solve()
+            work.alternate(2)
+            work.descend()
+    final = work.signature
+    residuals = _residuals(captures, work)
+    error = max(residual.share for residual in residuals)
+    signature = replace(final, model_error=min(error, 1.0), captures=len(captures))
+    return Joint(signature, tuple(work.placed[i] for i in range(len(captures))), residuals)
+
+
+def _blank(spectra: Spectra, name: str, kind: SignatureKind, basis: Basis, radius_m: float) -> Signature:
+    ones = np.ones((len(spectra.wavenumbers), len(basis.m)), complex)
+    noise = np.zeros(len(spectra.wavenumbers))
+    height = float(spectra.height_m.mean())
+    return Signature(name, kind, spectra.wavenumbers, ones, noise, radius_m, spectra.distance_m, height)
+
+
+def _joint(spectra: Sequence[Spectra], name: str, kind: SignatureKind, radius_m: float) -> _Estimate:
+    basis = Basis(spectra[0].wavenumbers, radius_m)
+    work = _Estimate(spectra, _blank(spectra[0], name, kind, basis, radius_m), basis)
+    work.start()
+    before = np.inf
+    for _ in range(_ROUNDS):
+        work.alternate(2)
+        work.descend()
+        now = _left(work, work.basis)
+        if now > (1 - _SETTLED) * before:
+            break
+        before = now
+    return work
+
+
+def _left(work: _Estimate, basis: Basis) -> float:
+    """Energy that the least squares of a basis leaves of all captures, in units of their noise."""
+    found, _ = basis.solve(list(work.placed.values()))
+    return sum(
+        float(np.sum(np.abs(_whitened(one.spectra) - (basis.columns(one) @ found[..., None])[..., 0]) ** 2))
+        for one in work.placed.values()
+    )
+
+
+def _score(spectra: Sequence[Spectra], work: _Estimate, radius_m: float) -> float:
+    """Residual per squared share of the degrees of freedom, for a radius, at the poses found."""
+    basis = Basis(spectra[0].wavenumbers, radius_m)
+    return (
+        _left(work, basis) / max(1 - int(basis.mask.sum()) / sum(one.data.size for one in spectra), 1e-3) ** 2
+    )
+
+
+def _residuals(captures: Sequence[Named], work: _Estimate) -> tuple[Residual, ...]:
+    frequencies = len(work.basis.mask)
+    freedom = [frequencies * (one.spectra.views - 1) for one in captures]
+    spent = int(work.basis.mask.sum()) + (frequencies + 3) * (len(captures) - 1)
+    share = max(1 - spent / sum(freedom), 0.05)
+    found = []
+    for i, one in enumerate(captures):
+        placed = work.placed[i]
+        model = centred(echo(one.spectra, work.signature, placed.pose))
+        gain = best_gain(one.spectra, work.signature, placed.pose)
+        noise = noise_of(one.spectra)
+        left = float(np.sum(np.abs(one.spectra.data - gain[:, None] * model) ** 2)) / noise
+        turning = round_centre(one.spectra)[1] / noise - freedom[i]
+        found.append(Residual(one.name, left, freedom[i] * share, max(turning, 0.0)))
+    return tuple(found)
+
+
+def enrol_signature(
+    captures: Sequence[Named], name: str, kind: SignatureKind, radius_m: float | None = None
+) -> Joint:
+    """A signature that its captures confirm.
+
+    Args: as of `estimate`.
+
+    Raises:
+        DataError: too few captures, other bands, nothing but noise, one pose in all captures, or a residual
+        that
+            is not noise; the capture to blame is named where one is.
+    """
+    if len(captures) < CAPTURES:
+        raise DataError(
+            f"{len(captures)} capture(s) of {name}, a signature needs {CAPTURES}",
+            "Record the object again, turned by about a third of a turn and moved by a few millimetres.",
+        )
+    first = captures[0].spectra
+    for one in captures:
+        if one.spectra.data.shape[0] != first.data.shape[0] or not np.allclose(
+            one.spectra.wavenumbers, first.wavenumbers, rtol=1e-4
+        ):
+            raise DataError(
+                f"{one.name} covers another band than {captures[0].name}",
+                "Record all with one radar setting.",
+            )
+        noise = noise_of(one.spectra) * one.spectra.data.size
+        if one.spectra.energy < (1 + NOISE_SLACK) * noise:
+            raise DataError(
+                f"{one.name} shows nothing but noise where the object should be",
+                "Check that the object stands in the beam, and move it a few millimetres off the axis: what "
+                "is round and exactly centred looks like the room.",
+            )
+    joint = estimate(captures, name, kind, radius_m)
+    bad = [residual for residual in joint.residuals if not residual.is_noise]
+    if bad:
+        raise _refusal(captures, joint, kind)
+    _check_poses(captures, joint)
+    return joint
+
+
+def _check_poses(captures: Sequence[Named], joint: Joint) -> None:
+    """Raise DataError where the object was not moved between the captures."""
+    turns = any(r.turning > _ROUND_TURNING * r.expected for r in joint.residuals)
+    poses = [one.pose for one in joint.placed]
+    for i, a in enumerate(poses):
+        for b in poses[:i]:
+            moved = abs(a.centre - b.centre) > SAME_PLACE_M
+            angle = abs(np.angle(np.exp(1j * (a.turn_rad - b.turn_rad))))
+            if moved or (turns and angle > SAME_TURN_RAD):
+                return
+    raise DataError(
+        "all captures show the object in the same place: an echo of the turntable could not be told from it",
+        "Turn the object by about a third of a turn and move it by a few millimetres between captures; "
+        f"{captures[0].name} can stay.",
+    )
+
+
+def _refusal(captures: Sequence[Named], joint: Joint, kind: SignatureKind) -> DataError:
+    """The error that names the capture which does not show what the others show."""
+    name, radius = joint.signature.name, joint.signature.radius_m
+    rest: dict[int, Joint] = {}
+    if len(captures) > 2:
+        for i in range(len(captures)):
+            others = [one for k, one in enumerate(captures) if k != i]
+            rest[i] = estimate(others, name, kind, radius)
+    good = [i for i, other in rest.items() if all(r.is_noise for r in other.residuals)]
+    # Two captures share what differs between them, so a pair may pass that three refute: the exclusion that
+    # leaves far less than any other counts.
+    scores = {i: sum(r.excess / r.expected for r in rest[i].residuals) for i in good}
+    if len(good) > 1:
+        best, second = sorted(scores, key=lambda i: scores[i])[:2]
+        good = [best] if scores[best] < CLEARLY * scores[second] else good
+    worst = max(joint.residuals, key=lambda r: r.excess / r.expected)
+    amount = f"{worst.left / worst.expected:.1f} times the noise" + (
+        f", {worst.share:.1%} of the turning echo" if worst.share else ""
+    )
+    if len(good) == 1:
+        odd = captures[good[0]].name
+        return DataError(
+            f"{odd} does not show what the other captures of {name} show: together they leave {amount} "
+            "unexplained, without it only noise",
+            "Leave it out or record it again, and check that nothing on the object was changed or moved; "
+            "nothing was stored.",
+        )
+    every = ", ".join(f"{r.name} {r.left / r.expected:.1f}" for r in joint.residuals)
+    suspects = [captures[i].name for i in good] or [worst.name]
+    blame = f"{' or '.join(suspects)} " + ("may be to blame" if good else "leaves most")
+    return DataError(
+        f"the captures of {name} do not agree: they leave more than noise ({every} times the noise); {blame}",
+        "Check that all show the same object, standing firmly on a turntable whose angles are right, and "
+        "record again; nothing was stored.",
+    )

@@ -1,0 +1,92 @@
+"""How alike enrolled bodies and objects are, and how strong a tag on a body must be to be read.
+
+Answered from the signatures alone, before any capture: one signature's echo is matched with the other.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tagid.tags.bodies.hypothesis import Pose
+from tagid.tags.bodies.posing import match, round_centre
+from tagid.tags.bodies.signature import Signature, echo, same_wavenumbers
+from tagid.tags.bodies.spectra import Spectra, centred
+
+VIEWS = 90
+OFF_AXIS_M = 0.004
+"""Where the body stands in the comparison: on the axis a round part would be hidden in the room."""
+ALIKE = 0.02
+"""Share of the turning echo under which two signatures are taken for each other: a third of what one missing
+reflector of a tag 17 dB under its body's echo leaves is noise and model error."""
+UNEXPLAINED = 0.15
+"""Share of a tag's echo that its layout may leave on a body: the model error of the body must be under it."""
+LEAST_ERROR = 2e-4
+"""Model error that is taken for granted, as a share of the turning echo: full-wave objects at the distance of
+their enrolment."""
+
+
+@dataclass(frozen=True)
+class Likeness:
+    """Two signatures compared.
+
+    Attributes:
+        first, second: names.
+        kind: of both.
+        left: share of the first's turning echo that the second leaves, the smaller of both ways; 1 where the
+            bands differ.
+    """
+
+    first: str
+    second: str
+    kind: str
+    left: float
+
+    @property
+    def alike(self) -> bool:
+        """Whether one would be taken for the other."""
+        return self.left < ALIKE
+
+
+def spectra_of(signature: Signature, views: int = VIEWS) -> Spectra:
+    """The echo of a signature as noiseless spectra of a uniform turn at its own distance."""
+    angles = 2 * np.pi * np.arange(views) / views
+    antenna = signature.distance_m * np.exp(-1j * angles)
+    height = np.full(views, signature.height_m)
+    empty = np.zeros((len(signature.wavenumbers), views), complex)
+    bare = Spectra(empty, signature.wavenumbers, antenna, height, signature.distance_m, 0.0)
+    data = centred(echo(bare, signature, Pose((OFF_AXIS_M, 0.0))))
+    noise = float(signature.noise.mean())
+    return Spectra(data, signature.wavenumbers, antenna, height, signature.distance_m, noise)
+
+
+def compare(one: Signature, other: Signature) -> Likeness:
+    """How alike two signatures are, over all poses."""
+    if not same_wavenumbers(one.wavenumbers, other.wavenumbers):
+        return Likeness(one.name, other.name, one.kind, 1.0)
+    shares = []
+    for first, second in ((one, other), (other, one)):
+        spectra = spectra_of(first)
+        turning = round_centre(spectra)[1]
+        left = match(spectra, second, starts=4).left
+        # A round body turns with nothing but noise, and is alike every round body.
+        noise = first.noise_share * turning
+        shares.append((left - noise) / max(turning - noise, 1e-3 * spectra.energy))
+    return Likeness(one.name, other.name, one.kind, float(np.clip(min(shares), 0, 1)))
+
+
+def turning_share(signature: Signature) -> float:
+    """Energy of the turning echo over that of the whole, 0 for a body of revolution."""
+    whole = float(np.sum(np.abs(signature.harmonics) ** 2))
+    turning = float(np.sum(np.abs(signature.turning) ** 2)) * (1 - signature.noise_share)
+    return turning / whole
+
+
+def least_tag(signature: Signature) -> float:
+    """Energy that a tag must add to be read on this body, over the body's whole echo, apart from noise.
+
+    The body's signature is wrong by its model error, and its layout may leave UNEXPLAINED of the tag's echo.
+    """
+    error = max(signature.model_error, LEAST_ERROR) * max(turning_share(signature), LEAST_ERROR)
+    return error / UNEXPLAINED

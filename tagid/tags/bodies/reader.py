@@ -1,0 +1,584 @@
+"""Which arrangement of alike reflectors on a body made the echo, and how much better than any other.
+
+On a body of revolution, or an enrolled one, every arrangement of 1 to 4 reflectors that the resolution can
+tell is tried, not only the enrolled layouts; the answer is the layout and how far it leads before the best
+arrangement that is not the layout.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tagid.tags.bodies.arrangement import AXIS_M, difference_deg, gaps_deg, merged, resolution_deg
+from tagid.tags.bodies.hypothesis import BodyModel, Candidate, Pose
+from tagid.tags.bodies.reflectors_fit import (
+    COMMON,
+    FACING,
+    OPEN,
+    TERMS,
+    Batch,
+    Columns,
+    Fitter,
+    Pattern,
+    Priors,
+    joined,
+    solve,
+)
+from tagid.tags.bodies.revolution import RoundBody
+from tagid.tags.bodies.ring import PairSearch, Ring
+from tagid.tags.bodies.spectra import Spectra, centred
+from tagid.tags.layouts.layout import Layout
+
+
+@dataclass(frozen=True)
+class BodySettings:
+    """Extent of the search and the priors of tags on bodies.
+
+    Attributes:
+        priors: see `Priors`.
+        body: the body that nobody enrolled.
+        most: largest number of reflectors in another arrangement.
+        other_deg: arrangements whose angles differ by more are another arrangement.
+        other_radius_m: and so are those whose apparent radius differs by more from the layout's limits.
+        strong: a body that explains more than this share of the moving echo gives the centre alone.
+        centre_reach_m: a weak body's centre is searched so far from the axis, m.
+        centres: centres tried in full for a weak body.
+        arrangements: kinds of arrangements that are fitted, beside those with free angles.
+        finished: layouts fitted to the end.
+        hopeless: where no arrangement explains this share of what the body leaves, none is fitted to the end.
+        rings_m: radii tried about each nominal one under `wide_m`, relative to it, m.
+        wide_m: from here on a body is a shell, and only the nominal radius is tried.
+        ring_step_m: spacing of the angles on a ring, m of arc.
+        noise_nats: lead in noise variances that counts as much as the model's own error.
+    """
+
+    priors: Priors = field(default_factory=Priors)
+    body: RoundBody = field(default_factory=RoundBody)
+    most: int = 4
+    other_deg: float = 12.0
+    other_radius_m: float = 0.012
+    strong: float = 0.94
+    centre_reach_m: float = 0.010
+    centres: int = 2
+    arrangements: int = 12
+    finished: int = 4
+    hopeless: float = 0.5
+    rings_m: tuple[float, ...] = (-0.009, 0.005)
+    wide_m: float = 0.076
+    ring_step_m: float = 5.5e-3
+    noise_nats: float = 25.0
+
+
+@dataclass(frozen=True, eq=False)
+class Placed:
+    """One arrangement after its fit.
+
+    Attributes:
+        batch: one row.
+        left: energy left.
+        charged: the same with the charge for the pattern's terms.
+        layout: its name; None for an arrangement that no layout has.
+        angles: (K,) of the reflectors present, rad.
+        radius_m: mean apparent radius, m.
+    """
+
+    batch: Batch
+    left: float
+    charged: float
+    layout: str | None
+
+    @property
+    def angles(self) -> NDArray[np.float64]:
+        """(K,) directions of the reflectors from their centre, rad."""
+        return np.asarray(self.batch.angles[0][self.batch.present[0] > 0])
+
+    @property
+    def radii(self) -> NDArray[np.float64]:
+        """(K,) apparent distances from their centre, m."""
+        return np.asarray(self.batch.radii[0][self.batch.present[0] > 0] + self.batch.at[0, 2])
+
+    @property
+    def centre(self) -> complex:
+        """Of the ring, x + jy, m."""
+        return complex(self.batch.centres[0])
+
+    @property
+    def positions(self) -> NDArray[np.float64]:
+        """(K, 2) apparent places, m."""
+        place = self.centre + self.radii * np.exp(1j * self.angles)
+        return np.stack([place.real, place.imag], axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class BodyReading:
+    """What the scans say of a tag on one body.
+
+    Attributes:
+        body: the model used.
+        pose: of the body in the best layout's fit.
+        views: of the recording.
+        energy: of the moving echo.
+        noise: expected energy of the noise after the fit.
+        variance: of one value from noise alone.
+        body_left: energy that the body alone leaves.
+        layouts: every layout that can lie on this body, best first.
+        others: arrangements that are not the best layout's, best first.
+        free: the best layout's arrangement with all angles free; None where none of the free ones is near.
+        tag: energy that the best layout's reflectors explain.
+        unexplained: share of the tag's echo that they leave, noise subtracted.
+        lead: what the best other arrangement leaves more, over what the layout leaves, the model's error and
+            the noise: the strength of the evidence.
+        angle_off_deg, radius_off_m: between the free arrangement and the layout.
+        tag_nats: the tag's energy over the variance of the noise.
+        early_m: how much earlier than a point in its place a reflector answers, one way, m. A reflector
+            answers from its place to within the bounce at the wall and the error of the axis distance; the
+            wall of an oval body imitates a pair, but answers from far outside its apparent radius.
+        front_m: the same of the body about its centre, in the arrangement that leaves least: the radius of
+            a body with a wall.
+        body_energy: that the body explains there, beside the reflectors.
+    """
+
+    body: BodyModel
+    pose: Pose
+    views: int
+    energy: float
+    noise: float
+    variance: float
+    body_left: float
+    layouts: tuple[Placed, ...]
+    others: tuple[Placed, ...]
+    free: Placed | None
+    tag: float
+    unexplained: float
+    lead: float
+    angle_off_deg: float
+    radius_off_m: float
+    tag_nats: float
+    early_m: float
+    front_m: float
+    body_energy: float
+
+
+@dataclass(frozen=True)
+class _Start:
+    """An arrangement found on a ring: energy left of the coarse spectra, and where."""
+
+    left: float
+    centre: complex
+    radius_m: float
+    angles: tuple[float, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class _Amplitudes:
+    """Fitted responses (F,) of the body and of a reflector seen from outside, and the body's energy."""
+
+    body: NDArray[np.complex128]
+    reflectors: NDArray[np.complex128]
+    body_energy: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Ringed:
+    """Nominal radii (K,) and heights (K,) of reflectors about their centre, m."""
+
+    radii: NDArray[np.float64]
+    heights: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class _Row:
+    """A start to be fitted.
+
+    Attributes:
+        role: FREE, OTHER or the name of a layout.
+        key: of rows that only differ in the pattern or the start, one is kept.
+        batch: one row.
+    """
+
+    role: str
+    key: tuple[object, ...]
+    batch: Batch
+
+
+FREE, OTHER = "<free>", "<other>"
+_LONGEST_M = 0.15
+"""Delays of a reflector's response are looked for up to this, one way."""
+
+
+def read_on_body(
+    spectra: Spectra,
+    layouts: Sequence[Layout],
+    body: BodyModel,
+    settings: BodySettings,
+    hints: Sequence[complex] = (),
+) -> BodyReading | None:
+    """The best layout on a body, against every other arrangement; None where no layout can lie on one.
+
+    Args:
+        spectra: the scans.
+        layouts: the enrolled ones; those with fewer than two reflectors off the axis cannot be read.
+        body: the body below the reflectors.
+        settings: search and priors.
+        hints: further centres to try, x + jy, m.
+    """
+    rings = _rings(layouts, settings)
+    usable = [layout for layout in layouts if len(_off_axis(layout)[0]) >= 2]
+    if not usable:
+        return None
+    poses = body.poses(spectra)
+    reader = _Reader(spectra, usable, body, settings, poses)
+    return reader.read(rings, hints)
+
+
+def _off_axis(
+    layout: Layout,
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Radii (K,), angles (K,) and heights (K,) of the reflectors that lie off the axis."""
+    place = layout.positions[:, 0] + 1j * layout.positions[:, 1]
+    off = np.abs(place) > AXIS_M
+    heights = np.asarray(layout.heights, dtype=np.float64)[off]
+    return np.abs(place[off]), np.angle(place[off]), heights
+
+
+def _rings(layouts: Sequence[Layout], settings: BodySettings) -> list[float]:
+    """Radii at which arrangements are searched, m: those of the layouts, merged within 8 mm."""
+    nominal: list[float] = []
+    for value in sorted(float(r) for layout in layouts for r in _off_axis(layout)[0]):
+        if not nominal or value - nominal[-1] > 8e-3:
+            nominal.append(value)
+    found: list[float] = []
+    for value in nominal:
+        offsets = settings.rings_m if value < settings.wide_m else (0.0,)
+        found += [value + offset for offset in offsets]
+    kept: list[float] = []
+    for value in sorted(found):
+        if not kept or value - kept[-1] > 8e-3:
+            kept.append(value)
+    return kept
+
+
+class _Reader:
+    """The search on one body."""
+
+    def __init__(
+        self,
+        spectra: Spectra,
+        layouts: Sequence[Layout],
+        body: BodyModel,
+        settings: BodySettings,
+        poses: Sequence[Candidate],
+    ) -> None:
+        self.spectra = spectra
+        self.layouts = layouts
+        self.body = body
+        self.settings = settings
+        self.poses = poses
+        self.coarse = spectra.thinned(2)
+        freedom = spectra.views - 1 - (1 + FACING.terms)
+        self.noise = spectra.noise_energy * max(freedom, 1) / (spectra.views - 1)
+        values = spectra.data.size
+        floor = max(poses[0].left, 1e-30)
+        self.variance = max(spectra.noise, 1e-12 * floor) + settings.priors.model_error * floor / values
+        at = poses[0].pose
+        own = np.array([*at.centre_m, at.turn_rad]) if body.turns else None
+        self.fitter = Fitter(spectra, body, settings.priors, self.variance, own)
+        self.coarse_fitter = Fitter(self.coarse, body, settings.priors, self.variance, own)
+
+    def read(self, rings: Sequence[float], hints: Sequence[complex]) -> BodyReading:
+        """Search, fit and compare."""
+        searched = [
+            found for centre in self._centres(rings, hints) for found in self._searched(rings, centre)
+        ]
+        starts = sorted((s for _, some in searched for s in some), key=lambda s: s.left)
+        rows = self._free_rows(starts) + self._rigid_rows(starts)
+        rows += [row for layout in self.layouts for row in self._layout_rows(layout, searched)]
+        batch, left = self.coarse_fitter.fitted(joined([row.batch for row in rows]), 3)
+        rows, batch = self._kept(rows, batch, left)
+        simple = replace(batch, terms=np.minimum(batch.terms, TERMS - 1))
+        rows, batch = rows + rows, joined([batch, simple])
+        if self._explained(float(left.min())) < self.settings.hopeless:
+            left = self.fitter.left(batch)
+        else:
+            batch, left = self.fitter.fitted(batch, 4)
+        # An amplitude more per frequency costs log V nats (Schwarz 1978): a pattern that a tag does not need
+        # would let other arrangements imitate it.
+        per_term = self.spectra.noise * len(self.spectra.wavenumbers) * np.log(self.spectra.views)
+        charged = left + per_term * (batch.terms - 1)
+        free: list[Placed] = []
+        others: list[Placed] = []
+        own: dict[str, Placed] = {}
+        for i, row in enumerate(rows):
+            name = None if row.role in (FREE, OTHER) else row.role
+            place = Placed(batch.some(np.array([i])), float(left[i]), float(charged[i]), name)
+            if row.role == FREE:
+                free.append(place)
+            elif row.role == OTHER:
+                others.append(place)
+            elif row.role not in own or place.charged < own[row.role].charged:
+                own[row.role] = place
+        return self._compared(sorted(own.values(), key=lambda p: p.charged), free, others)
+
+    def _explained(self, left: float) -> float:
+        """Share of what the body leaves of the coarse spectra, above noise, that an arrangement explains."""
+        first = self.body.echo(
+            self.coarse, np.array([self.poses[0].pose.centre]), np.array([self.poses[0].pose.turn_rad])
+        )
+        alone = float(solve(self.coarse.data, centred(first)[:, :, None]).left[0])
+        noise = self.noise * len(self.coarse.wavenumbers) / len(self.spectra.wavenumbers)
+        return (alone - max(left, noise)) / max(alone - noise, 1e-30)
+
+    def _kept(
+        self, rows: Sequence[_Row], batch: Batch, left: NDArray[np.float64]
+    ) -> tuple[list[_Row], Batch]:
+        """The best row of each key, and of each role those that may still matter."""
+        room = {FREE: 5, OTHER: 8}
+        used: dict[str, int] = {}
+        seen: set[tuple[object, ...]] = set()
+        chosen: list[int] = []
+        for i in np.argsort(left):
+            row = rows[i]
+            if row.key in seen or used.get(row.role, 0) >= room.get(row.role, 1):
+                continue
+            seen.add(row.key)
+            used[row.role] = used.get(row.role, 0) + 1
+            chosen.append(int(i))
+        # Layouts far behind the best one cannot win, nor come second within any margin that matters.
+        layouts = [i for i in chosen if rows[i].role not in room]
+        hopeless = set(layouts[self.settings.finished :])
+        chosen = [i for i in chosen if i not in hopeless]
+        return [rows[i] for i in chosen], batch.some(np.array(chosen))
+
+    def _centres(self, rings: Sequence[float], hints: Sequence[complex]) -> list[complex]:
+        """Where the body's centre may be, from its own echo where that is strong, else with reflectors."""
+        first = self.poses[0]
+        if 1 - first.left / max(self.spectra.energy, 1e-30) > self.settings.strong or self.body.turns:
+            return [first.pose.centre]
+        reach = self.settings.centre_reach_m
+        line = np.arange(-2, 3) * reach / 2
+        grid = [complex(x + (j % 2) * reach / 4, y * 0.87) for j, y in enumerate(line) for x in line]
+        grid = [z for z in grid if abs(z) <= 1.05 * reach]
+        grid += [p.pose.centre for p in self.poses] + list(hints)
+        thin = self.spectra.thinned(4)
+        small = [r for r in rings if r < self.settings.wide_m]
+        large = [r for r in rings if r >= self.settings.wide_m]
+        middle = [float(np.mean(some)) for some in (small, large) if some]
+        centres = np.array(grid, dtype=np.complex128)
+        echoes = self.body.echo(thin, centres, np.zeros(len(centres)))
+        starts: list[_Start] = []
+        for radius in middle:
+            count = 36 if radius < self.settings.wide_m else 60
+            left, angles = PairSearch(thin, radius, count).left(centres, echoes)
+            starts += [
+                _Start(float(value), centre, radius, (float(pair[0]), float(pair[1])))
+                for value, centre, pair in zip(left, grid, angles, strict=True)
+            ]
+        starts.sort(key=lambda s: s.left)
+        rows = [self._ring_row(s, OPEN, free=True) for s in starts[:8]]
+        batch, left = self.coarse_fitter.fitted(joined(rows), 4)
+        found: list[complex] = []
+        for i in np.argsort(left):
+            centre = complex(batch.centres[i])
+            if all(abs(centre - other) > 2e-3 for other in found):
+                found.append(centre)
+        return found[: self.settings.centres]
+
+    def _body_at(self, centre: complex) -> Pose:
+        pose = self.poses[0].pose
+        return pose if self.body.turns else Pose((centre.real, centre.imag))
+
+    def _searched(self, rings: Sequence[float], centre: complex) -> list[tuple[Ring, list[_Start]]]:
+        """Every ring about a centre, and the best sets of each size on it."""
+        return [self._on_ring(self.coarse, radius, centre, self.settings.most, 16) for radius in rings]
+
+    def _on_ring(
+        self, spectra: Spectra, radius: float, centre: complex, most: int, keep: int
+    ) -> tuple[Ring, list[_Start]]:
+        """The best sets of each size on one ring; open patterns contain the facing ones' first term."""
+        count = int(np.clip(round(2 * np.pi * radius / self.settings.ring_step_m), 48, 90))
+        pose = self._body_at(centre)
+        echo = self.body.echo(spectra, np.array([pose.centre]), np.array([pose.turn_rad]))[0]
+        ring = Ring.of(spectra, echo, centre, radius, OPEN, count)
+        starts = []
+        for sets, values in ring.best(most, keep).values():
+            for indices, value in zip(sets, values, strict=True):
+                angles = tuple(float(a) for a in ring.angles[indices])
+                starts.append(_Start(ring.energy - float(value), centre, radius, angles))
+        return ring, starts
+
+    def _row(
+        self, start: _Start, ring: _Ringed, limits: tuple[float, float, float], pattern: Pattern, free: bool
+    ) -> Batch:
+        """One row at a start; limits: least, largest and first radius offset, m."""
+        k = len(start.angles)
+        pose = self._body_at(start.centre)
+        at = np.zeros((1, COMMON + k))
+        at[0, :2] = start.centre.real, start.centre.imag
+        at[0, 2] = limits[2]
+        at[0, 3:6] = *pose.centre_m, pose.turn_rad
+        at[0, COMMON:] = start.angles
+        unit = np.eye(COMMON + k)
+        moves = [unit[2]]
+        # A body of revolution and its reflectors have one centre; an enrolled body has its own.
+        moves += list(unit[[0, 1, 3, 4, 5]]) if self.body.turns else [unit[0] + unit[3], unit[1] + unit[4]]
+        moves += list(unit[COMMON:]) if free else [unit[COMMON:].sum(axis=0)]
+        one = np.ones(1)
+        return Batch(
+            at,
+            ring.radii[None].copy(),
+            ring.heights[None].copy(),
+            np.ones((1, k)),
+            one * pattern.tilt,
+            one * pattern.terms,
+            np.array(moves)[None],
+            one * limits[0],
+            one * limits[1],
+            one * 0.0,
+        )
+
+    def _ring_row(self, start: _Start, pattern: Pattern, free: bool) -> Batch:
+        k = len(start.angles)
+        low, high = (0.02, 0.075) if start.radius_m < self.settings.wide_m else (0.078, 0.2)
+        limits = (low - start.radius_m, high - start.radius_m, 0.0)
+        return self._row(start, _Ringed(np.full(k, start.radius_m), np.zeros(k)), limits, pattern, free)
+
+    def _free_rows(self, starts: Sequence[_Start]) -> list[_Row]:
+        """The best of each number and ring size with every angle free, by both patterns."""
+        seen: dict[tuple[int, bool], int] = {}
+        rows: list[_Row] = []
+        for start in starts:
+            key = (len(start.angles), start.radius_m < self.settings.wide_m)
+            seen[key] = seen.get(key, 0) + 1
+            if seen[key] == 1:
+                rows += [
+                    _Row(FREE, (FREE, *key), self._ring_row(start, pattern, free=True))
+                    for pattern in (FACING, OPEN)
+                ]
+        return rows
+
+    def _rigid_rows(self, starts: Sequence[_Start]) -> list[_Row]:
+        """The best of each bin of arrangements, turning and growing as a whole, by both patterns."""
+        seen: set[tuple[int, ...]] = set()
+        rows: list[_Row] = []
+        for start in starts:
+            if len(seen) == self.settings.arrangements:
+                break
+            key = _bin(start.angles)
+            if key not in seen:
+                seen.add(key)
+                rows += [
+                    _Row(OTHER, (OTHER, *key), self._ring_row(start, pattern, free=False))
+                    for pattern in (FACING, OPEN)
+                ]
+        return rows
+
+    def _layout_rows(self, layout: Layout, searched: Sequence[tuple[Ring, list[_Start]]]) -> list[_Row]:
+        """The best two starts of a layout, by both patterns."""
+        radii, angles, heights = _off_axis(layout)
+        priors = self.settings.priors
+        starts: list[_Start] = []
+        for ring, some in searched:
+            offset = ring.radius_m - float(radii.mean())
+            if not priors.radius_low_m <= offset <= priors.radius_high_m:
+                continue
+            count = len(ring.angles)
+            step = 2 * np.pi / count
+            index = np.rint(angles[None] / step + np.arange(count)[:, None]).astype(np.intp) % count
+            value = ring.explained(index)
+            for i in _peaks(value, 2):
+                turned = tuple(float(a) for a in angles + i * step)
+                starts.append(_Start(ring.energy - float(value[i]), some[0].centre, ring.radius_m, turned))
+        starts.sort(key=lambda s: s.left)
+        rows: list[_Row] = []
+        for start in starts[:2]:
+            offset = start.radius_m - float(radii.mean())
+            limits = (priors.radius_low_m, priors.radius_high_m, offset)
+            rows += [
+                _Row(
+                    layout.name,
+                    (layout.name,),
+                    self._row(start, _Ringed(radii, heights), limits, pattern, free=False),
+                )
+                for pattern in (FACING, OPEN)
+            ]
+        return rows
+
+    def _compared(self, ranked: list[Placed], free: list[Placed], rigid: list[Placed]) -> BodyReading:
+        """The best layout against all that is not it."""
+        settings = self.settings
+        best = ranked[0]
+        layout = next(one for one in self.layouts if one.name == best.layout)
+        radii, angles, _ = _off_axis(layout)
+        wanted = gaps_deg(angles)
+        low = float(radii.mean()) + settings.priors.radius_low_m - settings.other_radius_m / 2
+        high = float(radii.mean()) + settings.priors.radius_high_m + settings.other_radius_m / 2
+
+        def away(p: Placed) -> float:
+            gaps = gaps_deg(p.angles)
+            joined_up = merged(gaps, resolution_deg(float(p.radii.mean())))
+            return min(difference_deg(gaps, wanted), difference_deg(joined_up, wanted))
+
+        def other(p: Placed) -> bool:
+            return away(p) > settings.other_deg or not low <= float(p.radii.mean()) <= high
+
+        others = sorted([p for p in free + rigid if other(p)] + ranked[1:], key=lambda p: p.charged)
+        near = sorted(
+            (p for p in free if not other(p)), key=lambda p: (len(p.angles) != len(angles), p.charged)
+        )
+        tag = max(self.poses[0].left - best.left, 1e-30)
+        above = max(best.left - self.noise, 0.0)
+        next_left = others[0].charged if others else self.poses[0].left
+        error = above + settings.priors.model_error * tag + settings.noise_nats * self.spectra.noise
+        own = near[0] if near else None
+        clearest = self._amplitudes(min((best, *others[:1]), key=lambda p: p.left))
+        return BodyReading(
+            body=self.body,
+            pose=Pose((float(best.batch.at[0, 3]), float(best.batch.at[0, 4])), float(best.batch.at[0, 5])),
+            views=self.spectra.views,
+            energy=self.spectra.energy,
+            noise=self.noise,
+            variance=self.spectra.noise,
+            body_left=self.poses[0].left,
+            layouts=tuple(ranked),
+            others=tuple(others),
+            free=own,
+            tag=tag,
+            unexplained=above / tag,
+            lead=(next_left - best.charged) / error,
+            angle_off_deg=away(own) if own else 180.0,
+            radius_off_m=abs(float(own.radii.mean()) - float(best.radii.mean())) if own else 1.0,
+            tag_nats=tag / max(self.spectra.noise, 1e-30),
+            early_m=self._early(self._amplitudes(best).reflectors),
+            front_m=self._early(clearest.body),
+            body_energy=clearest.body_energy,
+        )
+
+    def _amplitudes(self, placed: Placed) -> _Amplitudes:
+        """Of body and reflectors at the places found."""
+        cols = Columns.of(self.spectra, self.body, placed.batch)
+        found = solve(self.spectra.data, cols.values).amplitudes[0]
+        own = found[:, 0, None] * cols.values[0, :, 0]
+        return _Amplitudes(found[:, 0], found[:, 1:].sum(axis=1), float((np.abs(own) ** 2).sum()))
+
+    def _early(self, response: NDArray[np.complex128]) -> float:
+        """How much earlier than its place something answers (F,), from the slope of the phase, one way, m."""
+        ahead = np.arange(-_LONGEST_M, _LONGEST_M, 2e-3)
+        turned = np.exp(-1j * ahead[:, None] * self.spectra.wavenumbers[None])
+        return float(ahead[int(np.argmax(np.abs(turned @ response)))])
+
+
+def _bin(angles: Sequence[float]) -> tuple[int, ...]:
+    """Key of an arrangement: gaps in steps of 15 degrees, in the rotation that sorts first."""
+    gaps = np.round(gaps_deg(angles) / 15).astype(int)
+    return min(tuple(int(g) for g in np.roll(gaps, k)) for k in range(len(gaps)))
+
+
+def _peaks(values: NDArray[np.float64], most: int) -> list[int]:
+    """Indices of the largest values that are local maxima on a circle."""
+    peak = (values >= np.roll(values, 1)) & (values >= np.roll(values, -1))
+    order = [int(i) for i in np.argsort(-values) if peak[i]]
+    return order[:most]

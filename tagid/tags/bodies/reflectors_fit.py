@@ -1,0 +1,355 @@
+"""Alike reflectors on a body: one complex pattern for all of them, and the fit of their places.
+
+Per frequency f and view v, with the room subtracted from data and columns alike,
+
+    Y = A echo(body) + sum_p g_p sum_k w_p(psi_vk) exp(-j kappa (R_vk - d)) (d / R_vk)^2,
+    w_p(psi) = ((1 + cos psi) / 2)^t cos(p psi),  p < M,
+
+psi_vk the angle between reflector k's outward direction and the antenna, R_vk their distance. A and g_p are
+free per frequency and solved by linear least squares inside (variable projection, Golub and Pereyra 1973), so
+what is searched is where the reflectors are: centre, radius and angles. One pattern for all, symmetric about
+the outward direction, is what makes them alike; with more than 3 terms one reflector could imitate two.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tagid.tags.bodies.hypothesis import BodyModel
+from tagid.tags.bodies.spectra import Spectra, centred
+
+_LOAD = 1e-6
+_BODY_STEPS = (2e-5, 2e-5, 5e-4)
+"""Finite differences of a body's centre in x and y, m, and of its turn, rad."""
+COMMON = 6
+"""Coordinates before the reflectors' angles."""
+
+
+@dataclass(frozen=True)
+class Pattern:
+    """A family of reflector patterns.
+
+    Attributes:
+        tilt: t, 2 for a reflector before an opaque body, 0 for one that is seen from all sides.
+        terms: M, 1 to 3.
+    """
+
+    tilt: int
+    terms: int
+
+
+FACING = Pattern(2, 3)
+OPEN = Pattern(0, 3)
+POINTS = Pattern(0, 1)
+TERMS = 3
+"""Most terms of any pattern."""
+
+
+@dataclass(frozen=True)
+class Priors:
+    """What is known before the scans, standard deviations in metres.
+
+    Attributes:
+        centre_m: the body's centre about the rotation axis.
+        radius_m: a reflector's apparent radius about its nominal one: the bounce between wall and reflector
+            moves it by -13 to +22 mm on metal cans.
+        radius_low_m, radius_high_m: limits of that difference.
+        model_error: share of the explained echo that the model leaves even without noise.
+    """
+
+    centre_m: float = 8e-3
+    radius_m: float = 12e-3
+    radius_low_m: float = -18e-3
+    radius_high_m: float = 27e-3
+    model_error: float = 0.005
+
+
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """H arrangements of up to K reflectors, each with its place and its way of moving.
+
+    Attributes:
+        at: (H, 6 + K) ring centre x and y, radius offset, body centre x and y, body turn, reflector angles.
+        radii: (H, K) reflectors' distances from the ring's centre, m.
+        heights: (H, K) above the object's plane, m.
+        present: (H, K) 1 where there is a reflector, 0 where the row has fewer.
+        tilt: (H,) t of the pattern.
+        terms: (H,) M of the pattern.
+        moves: (H, P, 6 + K) directions that the fit may take.
+        low, high: (H,) limits of the radius offset, m.
+        prior_radius: (H,) expected radius offset, m.
+    """
+
+    at: NDArray[np.float64]
+    radii: NDArray[np.float64]
+    heights: NDArray[np.float64]
+    present: NDArray[np.float64]
+    tilt: NDArray[np.float64]
+    terms: NDArray[np.float64]
+    moves: NDArray[np.float64]
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
+    prior_radius: NDArray[np.float64]
+
+    def moved(self, at: NDArray[np.float64]) -> Batch:
+        """The same arrangements elsewhere."""
+        return replace(self, at=at)
+
+    def some(self, rows: NDArray[np.intp]) -> Batch:
+        """Some rows only."""
+        return Batch(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
+
+    @property
+    def angles(self) -> NDArray[np.float64]:
+        """(H, K) directions of the reflectors from the ring's centre, rad."""
+        return self.at[:, COMMON:]
+
+    @property
+    def centres(self) -> NDArray[np.complex128]:
+        """(H,) ring centres, x + jy, m."""
+        return np.asarray(self.at[:, 0] + 1j * self.at[:, 1])
+
+
+def joined(batches: list[Batch]) -> Batch:
+    """Batches one after the other, padded to the largest number of reflectors and moves."""
+    rows = sum(len(b.at) for b in batches)
+    k = max(b.radii.shape[1] for b in batches)
+    p = max(b.moves.shape[1] for b in batches)
+    wide = {"radii": (k,), "heights": (k,), "present": (k,), "at": (COMMON + k,), "moves": (p, COMMON + k)}
+    whole = {name: np.zeros((rows, *wide.get(name, ()))) for name in Batch.__dataclass_fields__}
+    first = 0
+    for batch in batches:
+        last = first + len(batch.at)
+        for name, target in whole.items():
+            part = getattr(batch, name)
+            target[(slice(first, last), *(slice(n) for n in part.shape[1:]))] = part
+        first = last
+    return Batch(**whole)
+
+
+@dataclass(frozen=True, eq=False)
+class Columns:
+    """Columns of the linear model at the places of a batch, and what their derivatives need.
+
+    Attributes:
+        values: (H, F, 1 + 3, V) of the body and of the pattern's terms, centred over the views; those that a
+            row has not are zero.
+        body: (H, F, V) the body's echo, not centred; None for none.
+        waves: (H, F, K, V) each reflector's wave with its weight, without the pattern's terms.
+        cosine: (H, K, V) of the angle between outward direction and antenna.
+        toward: (H, K, V) complex, from reflector to antenna in the plane, turned so that outward is real, m.
+        distance: (H, K, V) from reflector to antenna, m.
+        facing: (H, K, V) weight of the tilt.
+    """
+
+    values: NDArray[np.complex128]
+    body: NDArray[np.complex128] | None
+    waves: NDArray[np.complex128]
+    cosine: NDArray[np.float64]
+    toward: NDArray[np.complex128]
+    distance: NDArray[np.float64]
+    facing: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, spectra: Spectra, body: BodyModel | None, batch: Batch) -> Columns:
+        """Columns of every row."""
+        at = batch.at
+        ring = (spectra.antenna[None] - batch.centres[:, None])[:, None]
+        radius = (batch.radii + at[:, 2:3])[..., None]
+        toward = ring * np.exp(-1j * batch.angles)[..., None] - radius
+        plane = np.abs(toward)
+        cosine = toward.real / plane
+        distance = np.hypot(plane, spectra.height_m - batch.heights[..., None])
+        facing = np.where(batch.tilt[:, None, None] > 0, ((1 + cosine) / 2) ** 2, 1.0)
+        weight = facing * (spectra.distance_m / distance) ** 2 * batch.present[..., None]
+        waves = np.moveaxis(spectra.waves(distance) * weight, 0, 1)
+        h, f, v = len(at), len(spectra.wavenumbers), spectra.views
+        values = np.zeros((h, f, 1 + TERMS, v), dtype=np.complex128)
+        echo = None
+        if body is not None:
+            echo = body.echo(spectra, at[:, 3] + 1j * at[:, 4], at[:, 5])
+            values[:, :, 0] = echo
+        values[:, :, 1] = waves.sum(axis=2)
+        if (batch.terms > 1).any():
+            turned = waves * cosine[:, None]
+            values[:, :, 2] = turned.sum(axis=2)
+            twice = np.einsum("hfkv,hkv->hfv", turned, 2 * cosine)
+            values[:, :, 3] = twice - values[:, :, 1]
+            for p in (2, 3):
+                values[:, :, p] *= (batch.terms >= p)[:, None, None]
+        return cls(centred(values), echo, waves, cosine, toward, distance, facing)
+
+
+@dataclass(frozen=True, eq=False)
+class Solved:
+    """Amplitudes of columns and what they leave.
+
+    Attributes:
+        amplitudes: (H, F, C) least-squares amplitudes.
+        rest: (H, F, V) what they leave of the data.
+        left: (H,) its energy.
+        gram: (H, F, C, C) the columns' inner products, loaded.
+    """
+
+    amplitudes: NDArray[np.complex128]
+    rest: NDArray[np.complex128]
+    left: NDArray[np.float64]
+    gram: NDArray[np.complex128]
+
+
+def solve(data: NDArray[np.complex128], cols: NDArray[np.complex128]) -> Solved:
+    """Linear least squares of data (F, V) on columns (H, F, C, V), loaded by 1e-6 of each column's energy."""
+    gram = cols.conj() @ np.swapaxes(cols, -1, -2)
+    right = cols.conj() @ data[None, :, :, None]
+    size = np.real(np.diagonal(gram, axis1=-2, axis2=-1))
+    load = _LOAD * size + np.where(size > 1e-9 * size.max(axis=-1, keepdims=True), 0, 1.0)
+    gram = gram + load[..., None] * np.eye(cols.shape[2])
+    amplitudes = np.asarray(np.linalg.solve(gram, right)[..., 0], dtype=np.complex128)
+    rest = np.asarray(data[None] - (amplitudes[..., None, :] @ cols)[..., 0, :], dtype=np.complex128)
+    left = (rest.real**2 + rest.imag**2).sum(axis=(-1, -2))
+    return Solved(amplitudes, rest, left, gram)
+
+
+@dataclass(frozen=True, eq=False)
+class Fitter:
+    """Fits batches of arrangements on one body to spectra.
+
+    Attributes:
+        spectra: the scans.
+        body: the body under the reflectors; None for bare ones.
+        priors: see `Priors`.
+        variance: of one value's error in the fit: noise, and the model's own error.
+        body_at: (3,) expected body centre and turn where the body has a pose of its own; None otherwise.
+    """
+
+    spectra: Spectra
+    body: BodyModel | None
+    priors: Priors
+    variance: float
+    body_at: NDArray[np.float64] | None = None
+
+    def left(self, batch: Batch) -> NDArray[np.float64]:
+        """(H,) energy left at the places of a batch."""
+        return solve(self.spectra.data, Columns.of(self.spectra, self.body, batch).values).left
+
+    def fitted(self, batch: Batch, rounds: int = 6) -> tuple[Batch, NDArray[np.float64]]:
+        """Levenberg-Marquardt on all rows at once; the places found and the energies left there.
+
+        Rows that a round does not improve keep their place and try a shorter step.
+        """
+        at = batch.at.copy()
+        damping = np.full(len(at), 1e-2)
+        error, slope, left = self._linear(batch)
+        cost = self._cost(batch, at, left)
+        for turn in range(rounds):
+            step = self._step(batch, at, error, slope, damping)
+            trial = at + np.einsum("hp,hpk->hk", step, batch.moves)
+            trial[:, 2] = np.clip(trial[:, 2], batch.low, batch.high)
+            last = turn == rounds - 1
+            if last:
+                trial_left = self.left(batch.moved(trial))
+            else:
+                trial_error, trial_slope, trial_left = self._linear(batch.moved(trial))
+            trial_cost = self._cost(batch, trial, trial_left)
+            better = trial_cost < cost
+            at[better], left[better], cost[better] = trial[better], trial_left[better], trial_cost[better]
+            if not last:
+                error[better], slope[better] = trial_error[better], trial_slope[better]
+            damping = np.where(better, damping / 5, damping * 8)
+        return batch.moved(at), left
+
+    def _linear(
+        self, batch: Batch
+    ) -> tuple[NDArray[np.complex128], NDArray[np.complex128], NDArray[np.float64]]:
+        """Residuals (H, N) over their standard deviation, their slopes (H, P, N), and energies left (H,).
+
+        The slope is that of Kaufman (1975): derivatives of the columns at fixed amplitudes, projected.
+        """
+        cols = Columns.of(self.spectra, self.body, batch)
+        solved = solve(self.spectra.data, cols.values)
+        slope = centred(self._reflector_slopes(batch, cols, solved) + self._body_slopes(batch, cols, solved))
+        along = cols.values.conj() @ np.moveaxis(slope, 1, 3)
+        slope = slope - np.moveaxis(
+            np.swapaxes(cols.values, -1, -2) @ np.linalg.solve(solved.gram, along), 3, 1
+        )
+        scale = 1 / np.sqrt(self.variance / 2)
+        h, p = batch.moves.shape[:2]
+        return solved.rest.reshape(h, -1) * scale, -slope.reshape(h, p, -1) * scale, solved.left
+
+    def _reflector_slopes(self, batch: Batch, cols: Columns, solved: Solved) -> NDArray[np.complex128]:
+        """(H, P, F, V) derivative of the reflectors' echo along every move."""
+        spin = np.exp(-1j * batch.angles)[:, None, :, None]
+        ring = cols.toward + (batch.radii + batch.at[:, 2:3])[..., None]
+        shift = (batch.moves[:, :, 0] + 1j * batch.moves[:, :, 1])[..., None, None]
+        turn, grow = batch.moves[:, :, COMMON:, None], batch.moves[:, :, 2, None, None]
+        moved = -shift * spin - 1j * turn * ring[:, None] - grow
+        plane = np.abs(cols.toward)
+        along = (cols.toward[:, None].conj() * moved).real / plane[:, None]
+        tilted = (moved.real - cols.cosine[:, None] * along) / plane[:, None]
+        longer = along * (plane / cols.distance)[:, None]
+        g = solved.amplitudes[:, :, 1:, None, None]
+        c = cols.cosine[:, None]
+        pattern = g[:, :, 0] + g[:, :, 1] * c + g[:, :, 2] * (2 * c**2 - 1)
+        steeper = g[:, :, 1] + 4 * g[:, :, 2] * c
+        steeper = steeper + pattern * np.where(batch.tilt > 0, 2.0, 0.0)[:, None, None, None] / (1.02 + c)
+        phase = -1j * self.spectra.wavenumbers[None, :, None, None] * pattern * cols.waves
+        both = np.concatenate([phase, steeper * cols.waves], axis=2)
+        moves = np.concatenate([longer, tilted], axis=2)
+        # Sum over the reflectors by one product per view: (H, V, P, 2K) (H, V, 2K, F).
+        out = np.moveaxis(moves, 3, 1) @ both.transpose(0, 3, 2, 1)
+        return np.asarray(out.transpose(0, 2, 3, 1))
+
+    def _body_slopes(self, batch: Batch, cols: Columns, solved: Solved) -> NDArray[np.complex128] | float:
+        """(H, P, F, V) derivative of the body's echo along every move."""
+        if self.body is None or cols.body is None:
+            return 0.0
+        total: NDArray[np.complex128] | float = 0.0
+        at = batch.at
+        for i in range(3 if self.body.turns else 2):
+            there = at[:, 3:6] + np.eye(3)[i] * _BODY_STEPS[i]
+            ahead = self.body.echo(self.spectra, there[:, 0] + 1j * there[:, 1], there[:, 2])
+            slope = (ahead - cols.body) / _BODY_STEPS[i] * solved.amplitudes[:, :, 0, None]
+            total = total + batch.moves[:, :, 3 + i, None, None] * slope[:, None]
+        return total
+
+    def _expected(self, batch: Batch) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Prior means (H, 6) and precisions (6,) of the coordinates before the angles."""
+        mean = np.zeros((len(batch.at), COMMON))
+        mean[:, 2] = batch.prior_radius
+        weight = np.zeros(COMMON)
+        weight[2] = self.priors.radius_m**-2
+        weight[:2] = self.priors.centre_m**-2
+        if self.body_at is not None and self.body is not None:
+            mean[:, 3:6] = self.body_at
+            mean[:, 0:2] = self.body_at[:2]
+            weight[:2] = max(self.body.slack_m, 1e-4) ** -2
+            weight[3:5] = self.priors.centre_m**-2
+            weight[5] = 1.0
+        return mean, weight
+
+    def _cost(self, batch: Batch, at: NDArray[np.float64], left: NDArray[np.float64]) -> NDArray[np.float64]:
+        mean, weight = self._expected(batch)
+        return np.asarray(2 * left / self.variance + ((at[:, :COMMON] - mean) ** 2 @ weight))
+
+    def _step(
+        self,
+        batch: Batch,
+        at: NDArray[np.float64],
+        error: NDArray[np.complex128],
+        slope: NDArray[np.complex128],
+        damping: NDArray[np.float64],
+    ) -> NDArray[np.float64]:
+        """(H, P) damped Gauss-Newton steps along the moves."""
+        mean, weight = self._expected(batch)
+        common = batch.moves[:, :, :COMMON]
+        hessian = (slope.conj() @ np.swapaxes(slope, 1, 2)).real
+        hessian += np.einsum("hpk,k,hqk->hpq", common, weight, common)
+        gradient = (slope.conj() @ error[..., None])[..., 0].real
+        gradient += np.einsum("hpk,k,hk->hp", common, weight, at[:, :COMMON] - mean)
+        size = np.diagonal(hessian, axis1=1, axis2=2)
+        load = damping[:, None] * size + np.where(size > 0, 1e-12 * size, 1.0)
+        hessian = hessian + load[..., None] * np.eye(hessian.shape[1])
+        return -np.asarray(np.linalg.solve(hessian, gradient[..., None])[..., 0])

@@ -1,0 +1,223 @@
+"""Signatures: the echo of a body, or of a tagged object, as angular harmonics at every frequency.
+
+An object turned by g with its centre at c (both in the turntable's frame) is modelled at frequency f and view
+v as
+
+    Y[f, v] = B(f) + G(f) b(f, v) sum_m S_m(f) exp(-j m^2 / (2 kappa d)) exp(j m (phi_v - g))
+    b(f, v) = exp(-j kappa (rho_v - d)) (d / rho_v)^2,   kappa = 4 pi f / c0
+
+with rho_v and phi_v the distance and azimuth of the antenna seen from c, and d the axis distance. B is the
+static room. G is free at each frequency: another pulse, level or range offset changes nothing else. The
+factor in m^2 is the near field: the harmonic m comes, by stationary phase, from where m = -kappa r sin(psi),
+and there the spherical wave is late by r^2 sin^2(psi) / (2 d), which is a phase of m^2 / (2 kappa d). It
+carries a signature from one axis distance to another. What it leaves out is of the order r / d in amplitude,
+so enrol at the distance at which you read.
+
+Sampling: a point at radius r answers exp(j kappa r cos(psi)) = sum_m j^m J_m(kappa r) exp(j m psi), and J_m
+falls off faster than exponentially beyond |m| = kappa r; `order_of` says where to stop. The field of sources
+within a radius has about that many degrees of freedom whatever they are (Bucci and Franceschetti, "On the
+degrees of freedom of scattered fields", IEEE Transactions on Antennas and Propagation 37(7), 1989).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tagid.constants import SPEED_OF_LIGHT
+from tagid.errors import DataError, UsageError
+from tagid.tags.bodies.hypothesis import Pose
+from tagid.tags.bodies.spectra import Spectra
+from tagid.tags.layouts.layout import is_name
+
+MIN_RADIUS_M, MAX_RADIUS_M = 0.02, 0.16
+"""Of what can be enrolled. A helmet with its reflectors has 0.12 m."""
+MAX_FREQUENCIES, MAX_ORDER = 32, 64
+"""Bounds of a stored signature: larger ones are not believed."""
+MAX_LABEL = 200
+SignatureKind = Literal["body", "object"]
+KINDS = ("body", "object")
+
+
+@dataclass(frozen=True, eq=False)
+class Signature:
+    """The echo of one body or tagged object.
+
+    Attributes:
+        name: of the body, or of the identity that the tagged object stands for.
+        kind: "body" (untagged) or "object" (with its tag).
+        wavenumbers: (F,) kappa = 4 pi f / c0, rad/m, ascending.
+        harmonics: (F, 2 M + 1) complex128, S_m(f) for m = -M..M; zero where |m| exceeds `order_of`.
+        noise: (F,) variance of the noise of one harmonic, in the units of |S|^2.
+        radius_m: of the smallest circle about the centre that holds the echo, m.
+        distance_m: antenna to axis at the enrolment, m.
+        height_m: antenna above the object's plane at the enrolment, m.
+        model_error: share of the turning echo that the captures leave unexplained beyond noise.
+        captures: number of captures it was estimated from.
+        label: for people.
+
+    Raises UsageError where name or label cannot be, DataError where another field is impossible.
+    """
+
+    name: str
+    kind: SignatureKind
+    wavenumbers: NDArray[np.float64]
+    harmonics: NDArray[np.complex128]
+    noise: NDArray[np.float64]
+    radius_m: float
+    distance_m: float
+    height_m: float = 0.0
+    model_error: float = 0.0
+    captures: int = 0
+    label: str = ""
+
+    def __post_init__(self) -> None:
+        shape = self.harmonics.shape
+        count = len(self.wavenumbers) if self.wavenumbers.ndim == 1 else 0
+        wrong = ""
+        if not is_name(self.name):
+            raise UsageError(
+                f"the name {str(self.name)[:80]!r} is not valid",
+                "Use 1 to 64 of a-z, 0-9, dot, dash and underscore; begin and end with a letter or digit.",
+            )
+        if len(self.label) > MAX_LABEL or not self.label.isprintable():
+            raise UsageError(
+                f"the label of {self.name} is not a line of up to {MAX_LABEL} characters", "Shorten it."
+            )
+        if self.kind not in KINDS:
+            wrong = f"kind {str(self.kind)[:20]!r}"
+        elif not 2 <= count <= MAX_FREQUENCIES or self.noise.shape != (count,):
+            wrong = f"{count} frequencies"
+        elif (
+            len(shape) != 2
+            or shape[0] != count
+            or not 3 <= shape[1] <= 2 * MAX_ORDER + 1
+            or shape[1] % 2 == 0
+        ):
+            wrong = f"harmonics of shape {shape}"
+        elif not all(np.isfinite(a).all() for a in (self.wavenumbers, self.harmonics, self.noise)):
+            wrong = "values that are not finite"
+        elif not (
+            self.wavenumbers[0] > 1.0 and (np.diff(self.wavenumbers) > 0).all() and self.wavenumbers[-1] < 2e3
+        ):
+            wrong = "impossible frequencies"
+        elif not np.any(self.harmonics) or (self.noise < 0).any():
+            wrong = "no echo or negative noise"
+        elif not MIN_RADIUS_M <= self.radius_m <= MAX_RADIUS_M:
+            wrong = f"a radius of {self.radius_m:g} m"
+        elif not (0.05 <= self.distance_m <= 100 and abs(self.height_m) <= 10):
+            wrong = f"an axis distance of {self.distance_m:g} m at {self.height_m:g} m height"
+        elif not (0 <= self.model_error <= 1 and 0 <= self.captures <= 1000):
+            wrong = "an impossible error or number of captures"
+        if wrong:
+            raise DataError(
+                f"the signature of {str(self.name)[:80]!r} has {wrong}", "Enrol it again from captures."
+            )
+
+    @property
+    def order(self) -> int:
+        """M, the largest harmonic."""
+        return int(self.harmonics.shape[1]) // 2
+
+    @property
+    def frequencies_hz(self) -> NDArray[np.float64]:
+        """(F,) Hz."""
+        return np.asarray(self.wavenumbers * SPEED_OF_LIGHT / (4 * np.pi))
+
+    @property
+    def turning(self) -> NDArray[np.complex128]:
+        """(F, 2 M + 1) harmonics without m = 0, which does not depend on aspect."""
+        out = self.harmonics.copy()
+        out[:, self.order] = 0
+        return out
+
+    @property
+    def noise_share(self) -> float:
+        """Energy of the noise in the harmonics over that of the turning echo, at most 1."""
+        mask = order_mask(self.wavenumbers, self.radius_m, self.order)
+        mask[:, self.order] = False
+        noise = float(np.sum(self.noise[:, None] * mask))
+        return min(noise / max(float(np.sum(np.abs(self.turning) ** 2)), 1e-300), 1.0)
+
+    def mirrored(self) -> Signature:
+        """As it looks where the object turned the other way."""
+        return replace(self, harmonics=self.harmonics[:, ::-1])
+
+
+def order_of(wavenumber: float, radius_m: float) -> int:
+    """Largest harmonic of an object of that radius at two-way wavenumber kappa (rad/m).
+
+    x + x^(1/3) with x = kappa r; beyond it a point on the rim keeps about 1 % of its energy. A can with its
+    tag (rim at 0.055 m) has 13 at 4.8 GHz, a helmet (0.115 m) 26.
+
+    >>> order_of(201.2, 0.055), order_of(201.2, 0.115)
+    (13, 26)
+    """
+    x = wavenumber * radius_m
+    return int(np.ceil(x + x ** (1 / 3) - 0.5))
+
+
+def order_mask(wavenumbers: NDArray[np.float64], radius_m: float, order: int) -> NDArray[np.bool_]:
+    """(F, 2 order + 1) whether a harmonic belongs to an object of that radius."""
+    limit = np.array([order_of(float(k), radius_m) for k in wavenumbers])
+    return np.asarray(np.abs(np.arange(-order, order + 1))[None] <= limit[:, None])
+
+
+class Standpoint:
+    """How the antenna positions of some spectra look from a centre c.
+
+    Attributes:
+        carrier: (F, V) b of the module's formula, taken in the object's plane.
+        azimuth: (V,) phi, rad.
+    """
+
+    def __init__(self, spectra: Spectra, centre: complex) -> None:
+        self._across = spectra.antenna - centre
+        self._wavenumbers = spectra.wavenumbers
+        self._range = np.abs(self._across)
+        self.azimuth = np.angle(self._across)
+        self.carrier = spectra.waves(self._range) * (spectra.distance_m / self._range) ** 2
+
+    def carrier_slopes(self) -> NDArray[np.complex128]:
+        """(2, F, V) derivatives of the carrier with the centre's x and y."""
+        toward = -self._across / self._range
+        slope = self.carrier * (-1j * self._wavenumbers[:, None] - 2 / self._range)
+        return np.stack([slope * toward.real, slope * toward.imag])
+
+    def azimuth_slopes(self) -> NDArray[np.float64]:
+        """(2, V) derivatives of the azimuth with the centre's x and y."""
+        inverse = self._across / self._range**2
+        return np.stack([inverse.imag, -inverse.real])
+
+
+def near_field(wavenumbers: NDArray[np.float64], order: int, distance_m: float) -> NDArray[np.complex128]:
+    """(F, 2 order + 1) the factor exp(-j m^2 / (2 kappa d))."""
+    m = np.arange(-order, order + 1)
+    return np.asarray(np.exp(-1j * m**2 / (2 * wavenumbers[:, None] * distance_m)))
+
+
+def angular(azimuth: NDArray[np.float64], order: int) -> NDArray[np.complex128]:
+    """(..., V, 2 order + 1) exp(j m phi)."""
+    return np.asarray(np.exp(1j * azimuth[..., None] * np.arange(-order, order + 1)))
+
+
+def turned(spectra: Spectra, signature: Signature, turn_rad: float) -> NDArray[np.complex128]:
+    """(F, 2 M + 1) harmonics of a turned object, as they arrive at the distance of the spectra."""
+    m = np.arange(-signature.order, signature.order + 1)
+    near = near_field(spectra.wavenumbers, signature.order, spectra.distance_m)
+    return np.asarray(signature.harmonics * near * np.exp(-1j * m * turn_rad))
+
+
+def echo(spectra: Spectra, signature: Signature, pose: Pose) -> NDArray[np.complex128]:
+    """(F, V) echo of an object in a pose, with unit gain."""
+    at = Standpoint(spectra, pose.centre)
+    weights = turned(spectra, signature, pose.turn_rad)
+    return np.asarray(at.carrier * (weights @ angular(at.azimuth, signature.order).T))
+
+
+def same_wavenumbers(one: NDArray[np.float64], other: NDArray[np.float64]) -> bool:
+    """Whether both are the same frequencies, to 1 MHz."""
+    return len(one) == len(other) and bool(np.abs(one - other).max() < 4 * np.pi * 1e6 / SPEED_OF_LIGHT)

@@ -1,0 +1,141 @@
+"""Layouts in files that people edit and exchange: TOML, one layout or many, with signatures beside them.
+
+What was exported comes back unchanged, and a file from elsewhere is checked field by field before it is used.
+"""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import tomllib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from tagid.errors import FileFormatError, TagidError
+from tagid.files import read_bytes, write_bytes
+from tagid.tags.bodies.signature import Signature
+from tagid.tags.bodies.signature_file import MAX_BYTES as MAX_SIGNATURE_BYTES
+from tagid.tags.bodies.signature_file import from_bytes, to_bytes
+from tagid.tags.layouts.layout import Layout, layout_from_dict, read_layout
+
+FORMAT = "tagid.layouts"
+VERSION = 2
+"""Version 2 may hold signatures of bodies and objects; a file without any is written as version 1."""
+MAX_BYTES = 16 << 20
+MAX_LAYOUTS = 2000
+MAX_SIGNATURES = 200
+
+
+@dataclass(frozen=True)
+class Entries:
+    """What a file holds.
+
+    Attributes:
+        layouts: of different names.
+        signatures: of different kinds or names.
+    """
+
+    layouts: tuple[Layout, ...]
+    signatures: tuple[Signature, ...] = ()
+
+
+def layouts_to_toml(layouts: Sequence[Layout], signatures: Sequence[Signature] = ()) -> str:
+    """TOML text of layouts and signatures; `read_entries` takes it back."""
+    import tomli_w
+
+    tables: list[dict[str, Any]] = []
+    for layout in layouts:
+        tables.append({key: value for key, value in layout.to_dict().items() if value != ""})
+    data: dict[str, Any] = {"format": FORMAT, "version": VERSION if signatures else 1, "layout": tables}
+    if signatures:
+        data["signature"] = [
+            {"kind": one.kind, "name": one.name, "data": base64.b64encode(to_bytes(one)).decode()}
+            for one in signatures
+        ]
+    return tomli_w.dumps(data)
+
+
+def write_layouts(layouts: Sequence[Layout], path: Path, signatures: Sequence[Signature] = ()) -> None:
+    """Write a file of layouts and signatures, whole or not at all. Raises StorageError."""
+    write_bytes(path, layouts_to_toml(layouts, signatures).encode("utf-8"))
+
+
+def read_layouts(path: Path) -> list[Layout]:
+    """Layouts of a file; see `read_entries`."""
+    return list(read_entries(path).layouts)
+
+
+def read_entries(path: Path) -> Entries:
+    """Entries of a .toml file written by `write_layouts`, or the one layout of a .toml or .json file.
+
+    Raises:
+        StorageError: the file cannot be read.
+        FileFormatError: not such a file, a newer version, a wrong field or a name used twice.
+    """
+    if path.suffix.lower() == ".json":
+        return Entries((read_layout(path),))
+    raw = read_bytes(path, MAX_BYTES)
+    try:
+        data = tomllib.loads(raw.decode("utf-8"))
+    except (ValueError, RecursionError) as error:
+        raise FileFormatError(
+            f"{path} is not TOML: {str(error)[:200]}", "Export layouts with `tagid layouts export`."
+        ) from None
+    if not data:
+        raise FileFormatError(f"{path} is empty", "Export layouts with `tagid layouts export`.")
+    if "format" not in data and "layout" not in data:
+        return Entries((read_layout(path),))
+    version = data.get("version")
+    if data.get("format") != FORMAT or isinstance(version, bool) or not isinstance(version, int):
+        raise FileFormatError(
+            f"{path}: format is {str(data.get('format'))[:80]!r}, expected {FORMAT!r} with a version",
+            "Export layouts with `tagid layouts export`.",
+        )
+    if version > VERSION:
+        raise FileFormatError(
+            f"{path} has version {version}, this tagid reads up to {VERSION}",
+            "Use the newer tagid that wrote it.",
+        )
+    signatures = _signatures(path, data.get("signature", []))
+    tables = data.get("layout", [] if signatures else None)
+    least = 0 if signatures else 1
+    if not isinstance(tables, list) or not least <= len(tables) <= MAX_LAYOUTS:
+        raise FileFormatError(f"{path} holds no [[layout]] tables", f"Give 1 to {MAX_LAYOUTS} layouts.")
+    found: dict[str, Layout] = {}
+    for number, table in enumerate(tables, 1):
+        try:
+            layout = layout_from_dict(table)
+        except TagidError as error:
+            raise FileFormatError(f"{path}, layout {number}: {error.message}", error.remedy) from error
+        if layout.name in found:
+            raise FileFormatError(f"{path}: the name {layout.name} occurs twice", "Rename one of them.")
+        found[layout.name] = layout
+    return Entries(tuple(found.values()), signatures)
+
+
+def _signatures(path: Path, tables: Any) -> tuple[Signature, ...]:
+    """Signatures of the [[signature]] tables. Raises FileFormatError."""
+    if not isinstance(tables, list) or len(tables) > MAX_SIGNATURES:
+        raise FileFormatError(
+            f"{path}: signature is not a list of up to {MAX_SIGNATURES} tables",
+            "Export layouts with `tagid layouts export`.",
+        )
+    found: dict[tuple[str, str], Signature] = {}
+    for number, table in enumerate(tables, 1):
+        where = f"{path}, signature {number}"
+        text = table.get("data") if isinstance(table, dict) else None
+        if not isinstance(text, str) or len(text) > 2 * MAX_SIGNATURE_BYTES:
+            raise FileFormatError(f"{where} has no data", "Export layouts with `tagid layouts export`.")
+        try:
+            data = base64.b64decode(text, validate=True)
+        except (ValueError, binascii.Error):
+            raise FileFormatError(
+                f"{where} is not base64", "Export layouts with `tagid layouts export`."
+            ) from None
+        one = from_bytes(data, where)
+        if (one.kind, one.name) in found:
+            raise FileFormatError(f"{path}: the {one.kind} {one.name} occurs twice", "Remove one of them.")
+        found[one.kind, one.name] = one
+    return tuple(found.values())

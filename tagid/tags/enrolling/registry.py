@@ -1,0 +1,393 @@
+"""The enrolled layouts, bodies and objects, and every change made to them, in one sqlite file.
+
+A reading names the registry's version, so that it can be established later what it was chosen from.
+"""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+from tagid.errors import RegistryError, TagidError
+from tagid.storage.database import Database, Schema
+from tagid.tags.bodies.signature import Signature, SignatureKind
+from tagid.tags.bodies.signature_file import from_bytes, to_bytes
+from tagid.tags.layouts.layout import Layout, builtin_layouts, layout_from_dict
+
+APPLICATION_ID = 0x74616764
+"""Marks the file as ours ("tagd"), sqlite header, offset 68."""
+MAX_DEFINITION = 64 * 1024
+
+_MIGRATIONS = (
+    # 1: the layouts now, and the log of changes; a change's number is the registry's version.
+    (
+        "CREATE TABLE layout (name TEXT PRIMARY KEY, definition TEXT NOT NULL, version INTEGER NOT NULL)",
+        "CREATE TABLE change (version INTEGER PRIMARY KEY AUTOINCREMENT, time_utc TEXT NOT NULL,"
+        " action TEXT NOT NULL, name TEXT NOT NULL, source TEXT NOT NULL, definition TEXT NOT NULL)",
+    ),
+    # 2: signatures of bodies and objects; a change says what kind of entry it is about.
+    (
+        "CREATE TABLE signature (kind TEXT NOT NULL, name TEXT NOT NULL, data BLOB NOT NULL,"
+        " version INTEGER NOT NULL, PRIMARY KEY (kind, name))",
+        "ALTER TABLE change ADD COLUMN kind TEXT NOT NULL DEFAULT 'layout'",
+        "ALTER TABLE change ADD COLUMN data BLOB",
+    ),
+)
+_SCHEMA = Schema(
+    "registry",
+    APPLICATION_ID,
+    _MIGRATIONS,
+    "Restore a backup, remove the file to start with the built-in layouts, or give another path.",
+)
+
+
+Key = tuple[str, str]
+"""Kind of an entry ("layout", "body" or "object") and its name."""
+
+
+@dataclass(frozen=True)
+class Change:
+    """One entry of the history.
+
+    Attributes:
+        version: the registry's version from then on.
+        time_utc: ISO 8601.
+        action: "add", "replace" or "remove".
+        name: of the layout, body or object.
+        source: where it came from ("built-in", a file, "captures", ...).
+        kind: "layout", "body" or "object".
+        entry: as it was added, or as it was when removed; None where it is damaged.
+    """
+
+    version: int
+    time_utc: str
+    action: str
+    name: str
+    source: str
+    kind: str
+    entry: Layout | Signature | None
+
+    @property
+    def layout(self) -> Layout | None:
+        """The entry, where it is a layout."""
+        return self.entry if isinstance(self.entry, Layout) else None
+
+
+@dataclass(frozen=True)
+class Contents:
+    """What was enrolled at one version.
+
+    Attributes:
+        version: of the registry.
+        layouts: by name.
+        signatures: of bodies and objects, by kind and name.
+    """
+
+    version: int
+    layouts: list[Layout]
+    signatures: list[Signature]
+
+
+class Registry:
+    """Layouts, bodies and objects in a sqlite file, which starts with the built-in layouts.
+
+    Safe to use from several processes: every change is one immediate transaction.
+
+    Raises:
+        RegistryError: the file is not a registry, damaged, from a newer tagid, locked or not writable.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._database = Database(path, _SCHEMA, self._fill)
+        self.path = self._database.path
+
+    @property
+    def version(self) -> int:
+        """Number of changes made so far; grows by one with each."""
+        with self._database.connection() as connection:
+            return self._version(connection)
+
+    def layouts(self) -> list[Layout]:
+        """All enrolled layouts, by name."""
+        return self.snapshot()[1]
+
+    def get(self, name: str) -> Layout:
+        """The layout of that name; RegistryError lists the names where there is none."""
+        with self._database.connection() as connection:
+            row = connection.execute("SELECT definition FROM layout WHERE name = ?", (name,)).fetchone()
+        if row is None:
+            raise self._missing(name)
+        return self._decode(name, row[0])
+
+    def signatures(self, kind: SignatureKind | None = None) -> list[Signature]:
+        """The enrolled bodies and objects, or those of one kind, by kind and name."""
+        with self._database.connection() as connection:
+            rows = connection.execute("SELECT kind, name, data FROM signature ORDER BY kind, name").fetchall()
+        return [self._signature((k, name), data) for k, name, data in rows if kind in (None, k)]
+
+    def signature(self, kind: SignatureKind, name: str) -> Signature:
+        """One body or object; RegistryError lists the names where there is none."""
+        with self._database.connection() as connection:
+            row = connection.execute(
+                "SELECT data FROM signature WHERE kind = ? AND name = ?", (kind, name)
+            ).fetchone()
+        if row is None:
+            raise self._missing(name, kind)
+        return self._signature((kind, name), row[0])
+
+    def contents(self) -> Contents:
+        """The version, and everything enrolled at it."""
+        with self._database.connection() as connection:
+            connection.execute("BEGIN")
+            version = self._version(connection)
+            layouts = connection.execute("SELECT name, definition FROM layout ORDER BY name").fetchall()
+            rows = connection.execute("SELECT kind, name, data FROM signature ORDER BY kind, name").fetchall()
+            connection.execute("COMMIT")
+        return Contents(
+            version,
+            [self._decode(name, text) for name, text in layouts],
+            [self._signature((kind, name), data) for kind, name, data in rows],
+        )
+
+    def snapshot(self) -> tuple[int, list[Layout]]:
+        """The version, and all layouts enrolled at it."""
+        with self._database.connection() as connection:
+            connection.execute("BEGIN")
+            version = self._version(connection)
+            rows = connection.execute("SELECT name, definition FROM layout ORDER BY name").fetchall()
+            connection.execute("COMMIT")
+        return version, [self._decode(name, text) for name, text in rows]
+
+    def add(self, layout: Layout, source: str, *, replace: bool = False) -> int:
+        """Enrol a layout and return the new version.
+
+        Raises RegistryError where the name is taken and `replace` is not set. Whether it could be confused
+        with another is for `tagid.tags.enrolling.enrolment` to say.
+        """
+        version = self.add_all([layout], source, replace=replace)
+        assert version is not None
+        return version
+
+    def add_all(
+        self,
+        layouts: Sequence[Layout],
+        source: str,
+        *,
+        replace: bool = True,
+        since: int | None = None,
+        signatures: Sequence[Signature] = (),
+    ) -> int | None:
+        """Enrol layouts, bodies and objects, all or none; returns the new version.
+
+        An entry that is enrolled just so makes no new version.
+
+        Args:
+            layouts: of different names.
+            source: where they come from, for the history.
+            replace: whether they may replace others of their names.
+            since: store only where this is still the version; else nothing is done and None returned.
+            signatures: of different kinds or names; an object may have the name of a layout, of which it is
+                the signature.
+
+        Raises RegistryError where a name is taken and `replace` is not set.
+        """
+        new: dict[Key, str | bytes] = {
+            ("layout", one.name): json.dumps(one.to_dict(), sort_keys=True) for one in layouts
+        }
+        new |= {(one.kind, one.name): to_bytes(one) for one in signatures}
+        with self._database.transaction() as connection:
+            if since is not None and self._version(connection) != since:
+                return None
+            now = self._entries(connection)
+            for key, value in new.items():
+                if key in now and not replace:
+                    raise RegistryError(
+                        f"{_article(key[0])} named {key[1]} is enrolled already",
+                        "Choose another name, remove the old one first, or replace it with --force.",
+                    )
+                if now.get(key) != value:
+                    self._put(connection, key, value, source)
+            return self._version(connection)
+
+    def go_back(self, version: int | None = None) -> int:
+        """Restore all entries as they were at a version, by new changes; returns the new version.
+
+        Args:
+            version: None takes the one before the last command (an import is one command of many changes), so
+                that going back twice changes nothing.
+
+        Raises RegistryError where there is no such version.
+        """
+        with self._database.transaction() as connection:
+            last = self._version(connection)
+            target = self._before_last_deed(connection) if version is None else version
+            if not 1 <= target < last:
+                raise RegistryError(
+                    f"there is no version {target} to go back to, the registry is at version {last}",
+                    "`tagid layouts --history` lists the versions.",
+                )
+            rows = connection.execute(
+                "SELECT action, kind, name, definition, data FROM change WHERE version <= ? ORDER BY version",
+                (target,),
+            )
+            then: dict[Key, str | bytes] = {}
+            for action, kind, name, definition, data in rows:
+                then.pop((kind, name), None)
+                if action != "remove":
+                    value = definition if kind == "layout" else data
+                    self._entry((kind, name), value)
+                    then[kind, name] = value
+            now = self._entries(connection)
+            source = f"back to version {target}"
+            for key in sorted(now.keys() - then.keys()):
+                self._take_out(connection, key, now[key], source)
+            for key, value in sorted(then.items(), key=lambda item: item[0]):
+                if now.get(key) != value:
+                    self._put(connection, key, value, source)
+            return self._version(connection)
+
+    @staticmethod
+    def _before_last_deed(connection: sqlite3.Connection) -> int:
+        rows = connection.execute("SELECT version, time_utc, source FROM change ORDER BY version DESC")
+        version, *deed = rows.fetchone()
+        for earlier, *other in rows:
+            if other != deed:
+                break
+            version = earlier
+        return int(version) - 1
+
+    def _entries(self, connection: sqlite3.Connection) -> dict[Key, str | bytes]:
+        found: dict[Key, str | bytes] = {
+            ("layout", name): text for name, text in connection.execute("SELECT name, definition FROM layout")
+        }
+        rows = connection.execute("SELECT kind, name, data FROM signature")
+        return found | {(kind, name): data for kind, name, data in rows}
+
+    @staticmethod
+    def _version(connection: sqlite3.Connection) -> int:
+        return int(connection.execute("SELECT COALESCE(MAX(version), 0) FROM change").fetchone()[0])
+
+    def _put(self, connection: sqlite3.Connection, key: Key, value: str | bytes, source: str) -> None:
+        kind, name = key
+        where = "layout WHERE name = ?2" if kind == "layout" else "signature WHERE kind = ?1 AND name = ?2"
+        taken = connection.execute(f"SELECT ?1 FROM {where}", (kind, name)).fetchone()
+        version = self._log(connection, "replace" if taken else "add", key, source, value)
+        if kind == "layout":
+            connection.execute("INSERT OR REPLACE INTO layout VALUES (?, ?, ?)", (name, value, version))
+        else:
+            connection.execute(
+                "INSERT OR REPLACE INTO signature VALUES (?, ?, ?, ?)", (kind, name, value, version)
+            )
+
+    def _take_out(self, connection: sqlite3.Connection, key: Key, value: str | bytes, source: str) -> int:
+        kind, name = key
+        if kind == "layout":
+            connection.execute("DELETE FROM layout WHERE name = ?", (name,))
+        else:
+            connection.execute("DELETE FROM signature WHERE kind = ? AND name = ?", key)
+        return self._log(connection, "remove", key, source, value)
+
+    def remove(self, name: str, source: str = "") -> int:
+        """Remove an identity (layout and object signature) and return the new version; its history stays."""
+        return self._remove([("layout", name), ("object", name)], source)
+
+    def remove_signature(self, kind: SignatureKind, name: str, source: str = "") -> int:
+        """Remove a body, or the signature of an object; the history stays. Returns the new version."""
+        return self._remove([(kind, name)], source)
+
+    def _remove(self, keys: Sequence[Key], source: str) -> int:
+        version = None
+        with self._database.transaction() as connection:
+            now = self._entries(connection)
+            for key in keys:
+                if key in now:
+                    version = self._take_out(connection, key, now[key], source)
+        if version is None:
+            raise self._missing(keys[0][1], keys[0][0])
+        return version
+
+    def history(self, name: str | None = None) -> list[Change]:
+        """Every change, oldest first; of the entries of one name where it is given."""
+        query = "SELECT version, time_utc, action, name, source, kind, definition, data FROM change"
+        with self._database.connection() as connection:
+            if name is None:
+                rows = connection.execute(f"{query} ORDER BY version").fetchall()
+            else:
+                rows = connection.execute(f"{query} WHERE name = ? ORDER BY version", (name,)).fetchall()
+        changes = []
+        for number, time_utc, action, named, source, kind, definition, data in rows:
+            entry: Layout | Signature | None
+            try:
+                entry = self._entry((kind, named), definition if kind == "layout" else data)
+            except RegistryError:
+                entry = None
+            changes.append(Change(number, time_utc, action, named, source, kind, entry))
+        return changes
+
+    def _fill(self, connection: sqlite3.Connection) -> None:
+        """Start a new file with the built-in layouts."""
+        for layout in builtin_layouts().values():
+            text = json.dumps(layout.to_dict(), sort_keys=True)
+            self._put(connection, ("layout", layout.name), text, "built-in")
+
+    @staticmethod
+    def _log(connection: sqlite3.Connection, action: str, key: Key, source: str, value: str | bytes) -> int:
+        now = datetime.now(UTC).isoformat(timespec="seconds")
+        kind, name = key
+        text, data = (value, None) if kind == "layout" else ("", value)
+        cursor = connection.execute(
+            "INSERT INTO change (time_utc, action, name, source, definition, kind, data)"
+            " VALUES (?, ?, ?, ?, ?, ?, ?)",
+            (now, action, name, source, text, kind, data),
+        )
+        return int(cursor.lastrowid or 0)
+
+    def _entry(self, key: Key, value: object) -> Layout | Signature:
+        return self._decode(key[1], value) if key[0] == "layout" else self._signature(key, value)
+
+    def _decode(self, name: str, text: object) -> Layout:
+        try:
+            if not isinstance(text, str) or len(text) > MAX_DEFINITION:
+                raise ValueError("not a definition")
+            layout = layout_from_dict(json.loads(text))
+            if layout.name != name:
+                raise ValueError(f"it is that of {layout.name}")
+            return layout
+        except (ValueError, RecursionError, TagidError) as error:
+            raise RegistryError(
+                f"{self.path} holds a damaged definition of {str(name)[:80]!r}: {str(error)[:200]}",
+                "Remove it with `tagid layouts --remove NAME` (its history stays), go back with "
+                "`tagid layouts undo --to VERSION`, or restore a backup.",
+            ) from None
+
+    def _signature(self, key: Key, data: object) -> Signature:
+        kind, name = str(key[0])[:20], str(key[1])[:80]
+        try:
+            if not isinstance(data, bytes):
+                raise ValueError("not a signature")
+            signature = from_bytes(data, f"{kind} {name}")
+            if (signature.kind, signature.name) != key:
+                raise ValueError(f"it is that of the {signature.kind} {signature.name}")
+            return signature
+        except (ValueError, TagidError) as error:
+            group = "bodies --remove" if kind == "body" else "layouts --remove"
+            raise RegistryError(
+                f"{self.path} holds a damaged signature of the {kind} {name!r}: {str(error)[:200]}",
+                f"Remove it with `tagid {group} NAME` (its history stays) and enrol it again, go back with "
+                "`tagid layouts undo --to VERSION`, or restore a backup.",
+            ) from None
+
+    def _missing(self, name: str, kind: str = "layout") -> RegistryError:
+        table = "layout" if kind == "layout" else "signature WHERE kind = ?1"
+        with self._database.connection() as connection:
+            rows = connection.execute(f"SELECT name, ?1 FROM {table} ORDER BY name", (kind,)).fetchall()
+        names = ", ".join(str(row[0])[:80] for row in rows)
+        return RegistryError(f"no {kind} is named {name[:80]!r}", f"Enrolled are: {names or 'none'}.")
+
+
+def _article(kind: str) -> str:
+    return "an object" if kind == "object" else f"a {kind}"

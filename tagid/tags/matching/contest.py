@@ -1,0 +1,354 @@
+"""The hypotheses compete: no tag, bare, on a round body, on each enrolled body, each enrolled object.
+
+The bare reading stands where it explains the echo. Otherwise a body takes part, and a name needs a hypothesis
+that passes its own decision and is not contradicted by one that explains the echo much better.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from tagid.imaging.types import BasebandScans
+from tagid.tags.bodies.arrangement import difference_deg, gaps_deg
+from tagid.tags.bodies.calibration import Bound, Calibration
+from tagid.tags.bodies.decide import BodyDecision, decide_on_body, score, tag_snr_db
+from tagid.tags.bodies.hypothesis import Enrolled, Explanation, Kind, Pose, plausible
+from tagid.tags.bodies.objects import ObjectDecision, ObjectReading, decide_object, read_objects
+from tagid.tags.bodies.reader import BodyReading, BodySettings, Placed, read_on_body
+from tagid.tags.bodies.spectra import Spectra
+from tagid.tags.layouts.layout import Layout
+from tagid.tags.matching.reading import Reading
+from tagid.tags.reading.reflectors import Reflector
+from tagid.tags.verdicts.verdict import Code, Verdict
+
+EXPLAINED_OBJECTS = 3
+"""Enrolled objects reported among the hypotheses, the best ones."""
+
+
+@dataclass(frozen=True)
+class ContestSettings:
+    """How hypotheses are compared.
+
+    Attributes:
+        body: search and priors on bodies.
+        decision: tests on bodies.
+        explained: a bare reading that explains this share of the echo is not contested: no body could leave
+            a third of so little.
+        wall_m: a body takes part against a bare name only where its echo comes from so far before its centre
+        wall_share: and has this share of the moving echo's energy: the interaction of bare reflectors comes
+            from behind it.
+        outward: or where the reflectors shine outward by more than this (`Evidence.outward`): bare
+            full-wave tags reach 0.3, tags on full-wave cans have 0.64 or more.
+        false_accept: probability of naming an object of the calibration's population.
+        calibrated: by which; None for the package's own.
+        better: a hypothesis that leaves so many times less contradicts one that names another layout.
+        objects: tests on enrolled objects.
+    """
+
+    body: BodySettings = field(default_factory=BodySettings)
+    decision: BodyDecision = field(default_factory=BodyDecision)
+    explained: float = 0.9
+    wall_m: float = 0.010
+    wall_share: float = 0.05
+    outward: float = 0.45
+    better: float = 3.0
+    objects: ObjectDecision = field(default_factory=ObjectDecision)
+    false_accept: float = 1e-3
+    calibrated: Calibration | None = None
+
+    def calibration(self) -> Calibration:
+        """The calibration in force. Raises ModelError where the package's file is damaged."""
+        return self.calibrated or Calibration.shipped()
+
+
+def settle(
+    bare: Reading,
+    scans: BasebandScans,
+    layouts: Sequence[Layout],
+    enrolled: Enrolled,
+    settings: ContestSettings,
+) -> Reading:
+    """The bare reading, or what the hypothesis that won instead of it says.
+
+    Args:
+        bare: reading of the scans without a body.
+        scans: the same scans, at most a turn of folded views.
+        layouts: the enrolled ones.
+        enrolled: bodies and objects.
+        settings: see there.
+    """
+    named = bare.status in ("identified", "ambiguous")
+    own = Explanation(
+        Kind.BARE,
+        "",
+        bare.layout,
+        float(np.clip(1 - bare.evidence.share, 0, 1)),
+        None,
+        Pose(bare.centre_m),
+        bare.rotation_deg,
+    )
+    opaque = bare.evidence.outward > settings.outward
+    if named and bare.evidence.share >= settings.explained and not opaque:
+        return replace(bare, hypotheses=(own,))
+    spectra = Spectra.of(scans, wavenumbers=enrolled.wavenumbers)
+    hints = [complex(*bare.centre_m)]
+    readings: list[tuple[BodyReading, Verdict]] = []
+    for body in (settings.body.body, *plausible(spectra, enrolled.bodies)):
+        reading = read_on_body(spectra, layouts, body, settings.body, hints)
+        if reading is not None:
+            verdict = decide_on_body(reading, settings.decision)
+            if verdict.status == "identified" and not (body.name or opaque or _walled(reading, settings)):
+                # Where no body shows, the pattern of a bare pair cannot be told from its angle.
+                verdict = Verdict("unknown", Code.OTHER, "no body shows, and no layout fits without one")
+            if verdict.status == "identified":
+                verdict = _calibrated(reading, verdict, settings)
+            readings.append((reading, verdict))
+    if not readings:
+        return replace(bare, hypotheses=(own,))
+    explanations = [own, *_explanations(readings)]
+    objects = read_objects(
+        spectra, enrolled.objects, readings[0][0].body_left, min(r.body_left for r, _ in readings)
+    )
+    explanations += [_object_explanation(spectra, one) for one in objects[:EXPLAINED_OBJECTS]]
+    bare = replace(bare, hypotheses=tuple(sorted(explanations, key=lambda e: e.left)))
+    passed = [(r, v) for r, v in readings if v.status == "identified"]
+    if any(r.body.name and v.status == "no_tag" for r, v in readings):
+        # An enrolled body alone explains the echo: a layout on another body only imitates it.
+        passed = []
+    if objects:
+        whole = decide_object(objects, settings.objects)
+        if whole.status == "identified":
+            return _on_object(bare, objects[0], passed, settings.objects.second)
+        if whole.status == "ambiguous" and not passed:
+            return replace(
+                bare,
+                status="ambiguous",
+                layout=objects[0].model.layout,
+                code=whole.code,
+                reason=whole.reason,
+                kind=Kind.OBJECT,
+            )
+    if passed:
+        best, _ = min(passed, key=lambda pair: pair[0].layouts[0].left)
+        if not named or bare.layout == best.layouts[0].layout or own.left > settings.better * _left(best):
+            return _on_body(bare, best, layouts, _bound(best, settings))
+        if _left(best) > settings.better * own.left:
+            return bare
+        return replace(
+            bare,
+            status="ambiguous",
+            code=Code.AMBIGUOUS,
+            reason=f"the echo is that of {bare.layout} without a body, or of {best.layouts[0].layout} on one",
+        )
+    first, verdict = min(readings, key=lambda pair: _least(pair[0]))
+    if named:
+        return _contested(bare, own, first, layouts, settings)
+    clearer = own.left > max(settings.better * _share(first, _least(first)), settings.decision.unexplained)
+    if clearer or verdict.status == "no_tag":
+        if bare.status == "no_tag":
+            return replace(bare, body=first)
+        return replace(
+            bare,
+            status=verdict.status,
+            code=verdict.code,
+            reason=verdict.reason,
+            score=0.0 if verdict.status == "no_tag" else bare.score,
+            kind=Kind.NO_TAG if verdict.status == "no_tag" else _kind(first),
+            body=first,
+        )
+    return replace(bare, body=first)
+
+
+def _bound(reading: BodyReading, settings: ContestSettings) -> Bound:
+    evidence, views = score(reading, settings.decision), reading.views
+    return settings.calibration().bound(evidence, views, tag_snr_db(reading), settings.false_accept)
+
+
+def _calibrated(reading: BodyReading, verdict: Verdict, settings: ContestSettings) -> Verdict:
+    """The verdict, taken back where objects without the tag were as convincing."""
+    bound = _bound(reading, settings)
+    if not bound.reachable:
+        return Verdict(
+            "unknown",
+            Code.UNCALIBRATED,
+            f"{bound.objects} calibration objects of {bound.stratum} do not bear out a false-accept "
+            f"probability of {bound.false_accept:g}",
+        )
+    if not bound.kept:
+        return Verdict(
+            "unknown",
+            Code.WEAK,
+            f"a share of {bound.p_value:.2g} of the objects without an enrolled tag is as convincing, "
+            f"{bound.false_accept:g} is allowed",
+        )
+    return verdict
+
+
+def _walled(reading: BodyReading, settings: ContestSettings) -> bool:
+    """Whether the echo of a wall, before the body's centre, has its share of the energy."""
+    strong = reading.body_energy >= settings.wall_share * reading.energy
+    return strong and reading.front_m >= settings.wall_m
+
+
+def _kind(reading: BodyReading) -> Kind:
+    return Kind.BODY if reading.body.name else Kind.ROUND
+
+
+def _share(reading: BodyReading, left: float) -> float:
+    """Energy left above noise as a share of the moving echo above noise."""
+    signal = max(reading.energy - reading.noise, 1e-30)
+    return float(np.clip((left - reading.noise) / signal, 0, 1))
+
+
+def _left(reading: BodyReading) -> float:
+    return _share(reading, reading.layouts[0].left)
+
+
+def _least(reading: BodyReading) -> float:
+    """The least energy that any arrangement leaves on this body."""
+    return min(placed.left for placed in (*reading.layouts, *reading.others))
+
+
+def _contested(
+    bare: Reading,
+    own: Explanation,
+    reading: BodyReading,
+    layouts: Sequence[Layout],
+    settings: ContestSettings,
+) -> Reading:
+    """A bare name, taken back where another arrangement on a body leaves far less of the echo."""
+    best = min((*reading.layouts, *reading.others), key=lambda placed: placed.left)
+    layout = next(one for one in layouts if one.name == bare.layout)
+    place = layout.positions[:, 0] + 1j * layout.positions[:, 1]
+    off = np.abs(place) > 0.01
+    wanted = gaps_deg(np.angle(place[off])) if off.any() else np.zeros(0)
+    apart = difference_deg(gaps_deg(best.angles), wanted) > settings.body.other_deg
+    # On the axis a wall does not move: there its shadow on the reflectors tells of it.
+    wall = _walled(reading, settings) or bare.evidence.outward > settings.outward
+    if best.layout == bare.layout or not apart or not wall:
+        return replace(bare, body=reading)
+    if own.left <= settings.better * max(_share(reading, best.left), settings.body.priors.model_error):
+        return replace(bare, body=reading)
+    return replace(
+        bare,
+        status="unknown",
+        layout=None,
+        code=Code.OTHER,
+        reason=f"another arrangement on a body leaves {_share(reading, best.left):.0%} of the echo, "
+        f"{bare.layout} without one {own.left:.0%}",
+        kind=_kind(reading),
+        body=reading,
+    )
+
+
+def _explanations(readings: Sequence[tuple[BodyReading, Verdict]]) -> list[Explanation]:
+    """No tag, and the best layout on every body."""
+    first = readings[0][0]
+    found = [Explanation(Kind.NO_TAG, "", None, _share(first, first.body_left), None, first.pose)]
+    for reading, _ in readings:
+        best = reading.layouts[0]
+        found.append(
+            Explanation(
+                _kind(reading),
+                reading.body.name,
+                best.layout,
+                _share(reading, best.left),
+                float(min(reading.unexplained, 1.0)),
+                reading.pose,
+                None,
+                float(best.radii.mean()),
+            )
+        )
+    return found
+
+
+def _on_body(bare: Reading, reading: BodyReading, layouts: Sequence[Layout], bound: Bound) -> Reading:
+    """The reading that a layout on a body won."""
+    best = reading.layouts[0]
+    layout = next(one for one in layouts if one.name == best.layout)
+    return replace(
+        bare,
+        status="identified",
+        reason="",
+        code=Code.NONE,
+        layout=best.layout,
+        nearest=layout.name,
+        score=float(np.clip(1 - reading.unexplained, 0, 1)),
+        margin=float(np.clip(reading.lead / (1 + max(reading.lead, 0.0)), 0, 1)),
+        rotation_deg=_rotation_deg(best, layout),
+        centre_m=(best.centre.real, best.centre.imag),
+        reflectors=_measured(reading),
+        missing=0,
+        extra=0,
+        kind=_kind(reading),
+        bound=bound,
+        body=reading,
+    )
+
+
+def _object_explanation(spectra: Spectra, reading: ObjectReading) -> Explanation:
+    left = reading.match.left - spectra.noise_energy
+    share = left / max(spectra.energy - spectra.noise_energy, 1e-30)
+    beyond = reading.excess / max(reading.beyond_body, 1e-9)
+    return Explanation(
+        Kind.OBJECT,
+        reading.model.name,
+        reading.model.layout,
+        float(np.clip(share, 0, 1)),
+        float(np.clip(beyond, 0, 1)),
+        reading.match.pose,
+    )
+
+
+def _on_object(
+    bare: Reading, won: ObjectReading, passed: Sequence[tuple[BodyReading, Verdict]], second: float
+) -> Reading:
+    """The reading that an enrolled object won, unless a layout on a body with another name fits as well."""
+    name = won.model.layout or won.model.name
+    # The signature is the narrower statement: a layout on a body, free in pattern and place, must leave
+    # clearly less to contradict it.
+    rivals = [
+        r
+        for r, _ in passed
+        if r.layouts[0].layout != name and won.match.left - r.layouts[0].left > second * r.noise
+    ]
+    status, reason = "identified", ""
+    if rivals:
+        other = rivals[0]
+        status = "ambiguous"
+        reason = f"the echo is that of the enrolled object {name}, or of {other.layouts[0].layout} on a body"
+    left = max(won.excess, 0.0) / max(won.beyond_body, 1e-9)
+    return replace(
+        bare,
+        status=status,
+        reason=reason,
+        code=Code.AMBIGUOUS if rivals else Code.NONE,
+        layout=name,
+        nearest=name,
+        score=float(np.clip(1 - left, 0, 1)),
+        margin=float(np.clip(1 - left, 0, 1)),
+        rotation_deg=float(np.rad2deg(won.match.pose.turn_rad) % 360),
+        centre_m=won.match.pose.centre_m,
+        reflectors=(),
+        missing=0,
+        extra=0,
+        kind=Kind.OBJECT,
+        body=None,
+    )
+
+
+def _rotation_deg(placed: Placed, layout: Layout) -> float:
+    """Rotation of the layout, within its symmetry, degrees."""
+    place = layout.positions[:, 0] + 1j * layout.positions[:, 1]
+    turned = np.exp(1j * (placed.angles - np.angle(place[np.abs(place) > 0.01])))
+    return float(np.rad2deg(np.angle(turned.sum())) % (360 / layout.symmetry))
+
+
+def _measured(reading: BodyReading) -> tuple[Reflector, ...]:
+    """The reflectors where they were found with free angles, at their apparent radius."""
+    free = reading.free or reading.layouts[0]
+    snr = float(10 * np.log10(max(reading.tag_nats / len(free.angles), 1e-9)))
+    return tuple(Reflector(float(x), float(y), 1.0 + 0j, 0.0, snr, True) for x, y in free.positions)

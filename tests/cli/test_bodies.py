@@ -1,0 +1,86 @@
+"""`tagid enroll --body`, signatures of objects, and `tagid bodies`, from the command line."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "unit"))
+from bodies_synthetic import MUG, TAG, Thing, capture
+
+
+def write(path: Path, thing: Thing, seed: int, centre: complex, rotation: float, views: int = 48) -> None:
+    one = capture(thing, seed, centre=centre, rotation=rotation, views=views)
+    np.savez(
+        path,
+        samples=one.samples,
+        range_start_m=one.range_start_m,
+        range_step_m=one.range_step_m,
+        angles_rad=one.angles_rad,
+        axis_distance_m=one.axis_distance_m,
+    )
+
+
+@pytest.fixture
+def files(tmp_path: Path) -> Path:
+    places = ((0.002 - 0.003j, 0.3), (-0.004 + 0.001j, 2.2), (0.001 + 0.005j, 4.4))
+    for i, (centre, turn) in enumerate(places):
+        write(tmp_path / f"mug{i}.npz", MUG, i, centre, turn)
+        write(tmp_path / f"tagged{i}.npz", MUG.plus(TAG), 10 + i, centre, turn)
+    write(tmp_path / "seen.npz", MUG.plus(TAG), 30, 0.004 - 0.004j, 1.0, views=36)
+    return tmp_path
+
+
+def test_a_body_is_enrolled_listed_drawn_and_read_with(tagid: Callable[..., Any], files: Path) -> None:
+    mugs = [f"mug{i}.npz" for i in range(3)]
+    looked = tagid("enroll", "--body", "mug", *mugs, "--dry-run", "--output", "json")
+    assert looked.code == 0 and not looked.json["data"]["stored"]
+    stored = tagid("enroll", "--body", "mug", *mugs, "--output", "json").json["data"]
+    assert stored["stored"] and stored["registry_version"] == 5
+    assert stored["signature"]["kind"] == "body"
+    assert all(one["residual_over_noise"] < 1.4 for one in stored["signature"]["captures"])
+    again = tagid("enroll", "--body", "mug", *mugs)
+    assert again.code == 1 and "enrolled already" in again.err
+    changed = tagid("enroll", "--body", "other", "mug0.npz", "tagged1.npz", "mug2.npz")
+    assert changed.code == 1 and "tagged1.npz does not show" in changed.err
+    few = tagid("enroll", "--body", "other", *mugs[:2])
+    assert few.code == 1 and "needs 3" in few.err
+    listed = tagid("bodies", "--output", "json").json["data"]["signatures"]
+    assert [(one["kind"], one["name"]) for one in listed] == [("body", "mug")]
+    shown = tagid("bodies", "show", "mug", "--png", "mug.png")
+    assert shown.code == 0 and (files / "mug.png").read_bytes().startswith(b"\x89PNG")
+    assert tagid("bodies", "show", "nobody").code == 1
+    read = tagid("identify", "seen.npz", "--output", "json")
+    item = read.json["data"]["items"][0]
+    assert read.code == 0 and (item["layout"], item["hypothesis"]) == ("container-90", "body")
+    # Export, removal, import and undo.
+    assert tagid("layouts", "export", "all.toml", "mug").code == 0
+    assert tagid("bodies", "--remove", "mug").code == 0
+    assert tagid("bodies", "--output", "json").json["data"]["signatures"] == []
+    back = tagid("layouts", "import", "all.toml", "--output", "json").json["data"]
+    assert back["changes"] == 1 and back["signatures"] == [{"kind": "body", "name": "mug"}]
+    assert tagid("layouts", "undo").code == 0
+    assert tagid("bodies", "--output", "json").json["data"]["signatures"] == []
+
+
+def test_an_object_whose_reflectors_are_hidden_is_enrolled_by_its_signature(
+    tagid: Callable[..., Any], files: Path
+) -> None:
+    tagged = [f"tagged{i}.npz" for i in range(3)]
+    stored = tagid("enroll", "mug-7", *tagged, "--label", "The blue one", "--output", "json")
+    assert stored.code == 0, stored.out
+    assert stored.json["data"]["layout"] is None
+    assert any("cannot be seen" in message for message in stored.json["messages"])
+    item = tagid("identify", "seen.npz", "--output", "json").json["data"]["items"][0]
+    assert (item["layout"], item["label"], item["hypothesis"]) == ("mug-7", "The blue one", "object")
+    clash = tagid("enroll", "mug-8", *tagged, "--output", "json")
+    assert clash.code == 1 and clash.json["errors"][0]["code"] == "layout_conflict"
+    checked = tagid("bodies", "check", "--output", "json")
+    assert checked.code == 0 and checked.json["data"]["pairs"] == []
+    assert tagid("layouts", "--remove", "mug-7").code == 0
+    assert tagid("bodies", "--output", "json").json["data"]["signatures"] == []

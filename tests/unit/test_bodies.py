@@ -1,0 +1,275 @@
+"""Tags on bodies: the model's slopes, the places it finds, what it refuses, and the promise behind a name."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from tagid.capture import Capture
+from tagid.errors import ModelError
+from tagid.geometry import Aperture
+from tagid.imaging.preprocess import PreprocessSettings, preprocess
+from tagid.imaging.types import BasebandScans
+from tagid.tags.bodies.arrangement import difference_deg, gaps_deg, merged, resolution_deg
+from tagid.tags.bodies.calibration import Calibration, Stratum
+from tagid.tags.bodies.hypothesis import Kind
+from tagid.tags.bodies.reader import BodySettings, read_on_body
+from tagid.tags.bodies.reflectors_fit import COMMON, FACING, Batch, Columns, Fitter, Priors, solve
+from tagid.tags.bodies.revolution import RoundBody
+from tagid.tags.bodies.ring import PairSearch, Ring
+from tagid.tags.bodies.spectra import Spectra, centred
+from tagid.tags.bodies.subtract import without_body
+from tagid.tags.layouts.layout import builtin_layouts
+from tagid.tags.matching.contest import ContestSettings
+from tagid.tags.matching.matcher import ReaderSettings, read_tag
+from tagid.tags.verdicts.verdict import ADVICE, Code
+from train.population import draw
+
+LAYOUTS = list(builtin_layouts().values())
+ANY = Calibration("none, for these tests alone", (Stratum(1, 1000, -np.inf, np.inf, 10**6, ()),), ((0, 1),))
+SETTINGS = ReaderSettings(contest=ContestSettings(calibrated=ANY))
+
+
+def spectra_of(antenna: np.ndarray, views: int = 36) -> Spectra:
+    """Empty spectra of a turn at 1 m."""
+    kappa = 2 * 83.0 + np.linspace(-33, 33, 9)
+    return Spectra(np.zeros((9, views), complex), kappa, antenna, np.zeros(views), 1.0, 1.0)
+
+
+def turn(views: int = 36) -> np.ndarray:
+    return np.exp(-2j * np.pi * np.arange(views) / views)
+
+
+def pair_on(
+    centre: complex, radius: float, angles: list[float], seed: int = 0, noise: float = 0.0
+) -> Spectra:
+    """A body of 30 with reflectors of 1 and a pattern of their own at every frequency."""
+    rng = np.random.default_rng(seed)
+    empty = spectra_of(turn())
+    row = batch_of(centre, radius, angles)
+    cols = Columns.of(empty, RoundBody(), row).values[0]
+    amplitude = np.array([30.0, 1.0, 0.4, 0.1]) * np.exp(2j * np.pi * rng.uniform(size=(9, 4)))
+    data = (amplitude[:, None] @ cols)[:, 0]
+    data = data + noise * (rng.standard_normal(data.shape) + 1j * rng.standard_normal(data.shape)) / np.sqrt(
+        2
+    )
+    data -= data.mean(axis=1, keepdims=True)
+    return replace(empty, data=data, noise=max(noise**2, 1e-9))
+
+
+def batch_of(centre: complex, radius: float, angles: list[float]) -> Batch:
+    k = len(angles)
+    at = np.zeros((1, COMMON + k))
+    at[0, :2] = at[0, 3:5] = centre.real, centre.imag
+    at[0, COMMON:] = angles
+    unit = np.eye(COMMON + k)
+    moves = [unit[2], unit[0] + unit[3], unit[1] + unit[4], *unit[COMMON:]]
+    one = np.ones(1)
+    return Batch(
+        at,
+        np.full((1, k), radius),
+        np.zeros((1, k)),
+        np.ones((1, k)),
+        one * FACING.tilt,
+        one * FACING.terms,
+        np.array(moves)[None],
+        one * -0.02,
+        one * 0.02,
+        one * 0,
+    )
+
+
+def test_the_slopes_are_those_of_the_residual() -> None:
+    """Kaufman's slope is exact where the model explains the data."""
+    spectra = pair_on(0.004 - 0.002j, 0.045, [0.3, 1.9])
+    fitter = Fitter(spectra, RoundBody(), Priors(), 1.0)
+    exact = batch_of(0.004 - 0.002j, 0.045, [0.3, 1.9])
+    _, slope, _ = fitter._linear(exact)
+    base = solve(spectra.data, Columns.of(spectra, RoundBody(), exact).values).rest
+    step = 2e-5
+    for i, move in enumerate(exact.moves[0]):
+        ahead = exact.moved(exact.at + step * move)
+        rest = solve(spectra.data, Columns.of(spectra, RoundBody(), ahead).values).rest
+        numeric = (rest - base).ravel() / step / np.sqrt(0.5)
+        assert np.linalg.norm(numeric - slope[0, i]) < 0.1 * np.linalg.norm(numeric)
+
+
+def test_the_fit_finds_centre_radius_and_angles() -> None:
+    spectra = pair_on(0.004 - 0.002j, 0.041, [0.3, 1.9], noise=0.05)
+    start = batch_of(0.0035 - 0.0015j, 0.045, [0.35, 1.8])
+    fitted, left = Fitter(spectra, RoundBody(), Priors(), 0.05**2).fitted(start, 10)
+    assert abs(fitted.centres[0] - (0.004 - 0.002j)) < 1e-4
+    # A pattern that is free at every frequency leaves the radius to its prior for some millimetres.
+    assert fitted.radii[0, 0] + fitted.at[0, 2] == pytest.approx(0.041, abs=8e-3)
+    assert np.allclose(fitted.angles[0], [0.3, 1.9], atol=0.02)
+    assert left[0] < 1.2 * spectra.noise_energy
+
+
+def test_the_body_alone_gives_its_centre() -> None:
+    spectra = pair_on(-0.006 + 0.003j, 0.045, [0.3, 1.9])
+    best = RoundBody().poses(spectra)[0]
+    assert abs(best.pose.centre - (-0.006 + 0.003j)) < 1.5e-3
+    assert best.left < 0.05 * spectra.energy
+
+
+def test_ring_energies_are_least_squares() -> None:
+    """The Gram matrix's energy of a set is that of the linear fit, up to its ridge."""
+    centre = 0.004 - 0.002j
+    spectra = pair_on(centre, 0.045, [0.0, np.pi / 2])
+    echo = RoundBody().echo(spectra, np.array([centre]), np.zeros(1))[0]
+    ring = Ring.of(spectra, echo, centre, 0.045, FACING, 48)
+    sets, energies = ring.best(3, 5)[2]
+    assert np.allclose(np.sort(ring.angles[sets[0]]), [0.0, np.pi / 2])
+    row = batch_of(centre, 0.045, list(ring.angles[sets[0]]))
+    left = Fitter(spectra, RoundBody(), Priors(), 1.0).left(row)[0]
+    assert ring.energy - energies[0] == pytest.approx(left, abs=0.01 * ring.energy)
+
+
+def test_pairs_about_many_centres_point_to_the_right_one() -> None:
+    centre = 0.005 + 0.0j
+    spectra = replace(pair_on(centre, 0.045, [0.0, np.pi / 2]))
+    grid = np.array([0.0, 0.005, -0.005, 0.005j], dtype=complex)
+    echoes = RoundBody().echo(spectra, grid, np.zeros(4))
+    left, angles = PairSearch(spectra, 0.045, 36).left(grid, echoes)
+    assert int(np.argmin(left)) == 1
+    assert difference_deg(gaps_deg(angles[1]), np.array([90.0, 270.0])) <= 10.0
+
+
+def test_arrangements_are_compared_by_their_gaps() -> None:
+    pair = gaps_deg([0.2, 0.2 + np.pi / 2])
+    assert difference_deg(pair, gaps_deg([3.0, 3.0 + np.pi / 2])) < 1e-9
+    assert difference_deg(pair, gaps_deg([0.0, np.pi])) == pytest.approx(90.0)
+    doubled = gaps_deg(np.deg2rad([0.0, 20.0, 180.0, 200.0]))
+    assert difference_deg(merged(doubled, resolution_deg(0.035)), np.array([180.0, 180.0])) < 1e-9
+    assert len(merged(doubled, resolution_deg(0.11))) == 4
+
+
+def test_spectra_keep_what_turns_and_know_the_noise() -> None:
+    specimen = draw(3, tagged=True)
+    scans = scans_of(specimen.capture)
+    spectra = Spectra.of(scans)
+    assert np.abs(spectra.data.mean(axis=1)).max() < 1e-6 * np.abs(spectra.data).max()
+    rng = np.random.default_rng(1)
+    white = rng.standard_normal((36, 100)).astype(np.float32)
+    capture = Capture(
+        white, 0.55, specimen.capture.range_step_m, np.arange(36) * np.pi / 18, axis_distance_m=1.0
+    )
+    quiet = Spectra.of(scans_of(capture))
+    assert quiet.energy == pytest.approx(quiet.noise_energy, rel=0.3)
+
+
+def scans_of(capture: Capture) -> BasebandScans:
+    return preprocess(capture, settings=PreprocessSettings(matched_filter=False, extent_m=0.5))
+
+
+def cans(first: int, count: int, snr_db: float) -> list[tuple[str, Capture]]:
+    """Tagged cans of the population, at 24 views or more and that SNR."""
+    found = []
+    for seed in range(first, first + 40 * count):
+        specimen = draw(seed, tagged=True)
+        if specimen.body == "can" and specimen.views in (24, 36) and specimen.snr_db == snr_db:
+            found.append((str(specimen.truth), specimen.capture))
+        if len(found) == count:
+            break
+    return found
+
+
+def test_tags_on_cans_are_named_and_lie_where_they_were_measured() -> None:
+    for truth, capture in cans(500, 3, 20.0):
+        reading = read_tag(scans_of(capture), LAYOUTS, SETTINGS)
+        assert (reading.status, reading.layout, reading.kind) == ("identified", truth, Kind.ROUND)
+        assert reading.bound is not None and reading.bound.population == ANY.population
+        layout = builtin_layouts()[truth]
+        own = layout.placed(np.deg2rad(reading.rotation_deg), np.array(reading.centre_m))
+        found = np.array([(r.x_m, r.y_m) for r in reading.reflectors])
+        gap = np.linalg.norm(found[:, None] - own[None], axis=2).min(axis=1)
+        # Near the layout's places, but not those: the apparent radius is not the nominal one.
+        assert gap.max() < 0.02 and gap.min() > 1e-5
+
+
+def test_an_untagged_can_has_no_tag_and_the_picture_loses_it() -> None:
+    seed = next(s for s in range(400) if (d := draw(s)).body == "can" and d.reflectors == 0 and not d.clutter)
+    capture = draw(seed).capture
+    reading = read_tag(scans_of(capture), LAYOUTS, SETTINGS)
+    assert reading.status in ("no_tag", "unknown")
+    assert reading.layout is None
+    assert reading.body is not None
+    cleaned = without_body(capture, reading.body)
+
+    def moving(one: Capture) -> float:
+        return float(((one.samples - one.samples.mean(axis=0)) ** 2).sum())
+
+    noise = float(np.median((np.diff(capture.samples, axis=0) / np.sqrt(2)) ** 2)) * capture.samples.size
+    assert moving(cleaned) < max(0.2 * moving(capture), 3 * noise)
+
+
+@pytest.mark.parametrize("seed", [7, 11, 23, 31])
+def test_strangers_are_not_named(seed: int) -> None:
+    reading = read_tag(scans_of(draw(seed).capture), LAYOUTS, SETTINGS)
+    assert reading.status != "identified"
+    assert reading.advice == ADVICE[reading.code] != ""
+    assert reading.reason
+
+
+def test_more_signal_and_more_views_never_take_a_name_away() -> None:
+    """The same can at rising SNR and views: once named, named for good."""
+    centre, angles = 0.004 - 0.003j, [0.4, 0.4 + np.pi / 2]
+    rng = np.random.default_rng(5)
+    for views in (24, 48):
+        spectra = spectra_of(turn(views), views)
+        row = batch_of(centre, 0.041, angles)
+        cols = Columns.of(spectra, RoundBody(), row).values[0]
+        weight = np.array([20.0, 1.0, 0.3, 0.1]) * np.exp(1j * np.array([0.0, 1.0, 2.0, 0.5]))
+        echo = (np.tile(weight, (9, 1))[:, None] @ cols)[:, 0]
+        # What no model holds: a share of the tag's echo that does not fall with the noise.
+        wrong = centred(0.05 * (rng.standard_normal(echo.shape) + 1j * rng.standard_normal(echo.shape)))
+        white = centred(rng.standard_normal(echo.shape) + 1j * rng.standard_normal(echo.shape)) / np.sqrt(2)
+        leads = []
+        for snr_db in (0.0, 10.0, 20.0, 40.0):
+            noise = 10 ** (-snr_db / 20)
+            noisy = replace(spectra, data=echo + wrong + noise * white, noise=noise**2)
+            reading = read_on_body(noisy, LAYOUTS, RoundBody(), BodySettings())
+            assert reading is not None and reading.layouts[0].layout == "container-90"
+            leads.append(reading.lead)
+        assert leads[1] > 0.3
+        assert all(b > 0.9 * a for a, b in pairwise(leads[1:]))
+
+
+def test_calibration_promises_no_more_than_it_counted() -> None:
+    stratum = Stratum(12, 37, -np.inf, np.inf, 1999, (2.0, 1.0, 0.5))
+    known = Calibration("a test", (stratum,), ((0, 2000),))
+    assert Calibration.from_json(known.to_json()) == known
+    bound = known.bound(1.5, 36, 10.0, 1e-3)
+    assert bound.p_value == pytest.approx(2 / 2000) and bound.kept and bound.reachable
+    assert not known.bound(0.7, 36, 10.0, 1e-3).kept
+    # Below the scores that were kept nothing is promised.
+    assert known.bound(0.4, 36, 10.0, 1e-3).p_value == 1.0
+    assert not known.bound(9.0, 36, 10.0, 1e-4).reachable
+    assert known.bound(9.0, 100, 10.0, 1e-3).objects == 0
+    with pytest.raises(ModelError):
+        Calibration.from_json("{}")
+
+
+def test_too_few_calibration_objects_refuse() -> None:
+    few = Calibration("few", (Stratum(1, 1000, -np.inf, np.inf, 10, ()),), ((0, 1),))
+    settings = ReaderSettings(contest=ContestSettings(calibrated=few))
+    _, capture = cans(500, 1, 20.0)[0]
+    reading = read_tag(scans_of(capture), LAYOUTS, settings)
+    assert (reading.status, reading.code) == ("unknown", Code.UNCALIBRATED)
+
+
+def test_every_code_has_advice() -> None:
+    assert set(ADVICE) == set(Code)
+    assert all(ADVICE[code].endswith(".") for code in Code if code is not Code.NONE)
+
+
+def test_free_positions_are_read_like_a_turntable() -> None:
+    """The model needs the antenna's places alone."""
+    truth, capture = cans(500, 1, 20.0)[0]
+    scans = scans_of(capture)
+    free = scans.with_aperture(Aperture(scans.aperture.positions))
+    assert np.allclose(Spectra.of(free).data, Spectra.of(scans).data)
+    assert truth in {layout.name for layout in LAYOUTS}

@@ -1,0 +1,183 @@
+"""Reading with enrolled bodies and objects, and what the registry keeps of them."""
+
+from __future__ import annotations
+
+import shutil
+import sqlite3
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from bodies_synthetic import MUG, TAG, Thing, capture, ring
+
+from tagid.errors import FileFormatError, RegistryError
+from tagid.pipeline.answer import Identification
+from tagid.pipeline.identify import aspect_spectra, identify
+from tagid.tags.bodies.enrolled import EnrolledBody, Searches, hypotheses, signature_wavenumbers
+from tagid.tags.bodies.hypothesis import Kind, Pose
+from tagid.tags.bodies.joint import Named, enrol_signature
+from tagid.tags.bodies.signature import Signature, echo
+from tagid.tags.bodies.signature_file import to_bytes
+from tagid.tags.enrolling.layout_file import read_entries, write_layouts
+from tagid.tags.enrolling.registry import Registry
+from tagid.tags.layouts.layout import Layout, builtin_layouts
+
+GOLDEN = Path(__file__).parents[1] / "data" / "registry-v1.sqlite"
+LAYOUTS = list(builtin_layouts().values())
+
+
+def enrolled(thing: Thing, name: str, kind: str) -> Signature:
+    places = ((0.002 - 0.003j, 0.3), (-0.004 + 0.001j, 2.2), (0.001 + 0.005j, 4.4))
+    captures = [
+        Named(f"{name}{i}", aspect_spectra(capture(thing, i, centre=centre, rotation=turn)))
+        for i, (centre, turn) in enumerate(places)
+    ]
+    return enrol_signature(captures, name, kind).signature  # type: ignore[arg-type]
+
+
+@pytest.fixture(scope="module")
+def mug() -> Signature:
+    return enrolled(MUG, "mug", "body")
+
+
+@pytest.fixture(scope="module")
+def tagged() -> Signature:
+    return enrolled(MUG.plus(TAG), "mug-7", "object")
+
+
+def read(thing: Thing, *signatures: Signature, seed: int = 50) -> Identification:
+    taken = capture(thing, seed, centre=0.004 - 0.004j, rotation=1.0, views=36)
+    return identify(taken, LAYOUTS, None, 1, signatures)
+
+
+def test_a_tag_on_an_enrolled_body_is_named(mug: Signature) -> None:
+    answer = read(MUG.plus(TAG), mug)
+    reading = answer.reading
+    assert answer.status == "identified" and reading is not None
+    assert (reading.layout, reading.kind) == ("container-90", Kind.BODY)
+    on_mug = next(one for one in reading.hypotheses if one.kind is Kind.BODY)
+    assert on_mug.name == "mug" and on_mug.left < 0.01
+    assert read(MUG.plus(TAG)).status != "identified"
+
+
+def test_an_untagged_body_and_another_tag_are_not_named(mug: Signature) -> None:
+    assert read(MUG, mug).status == "no_tag"
+    for other in (ring(10, 150), ring(200)):
+        assert read(MUG.plus(other), mug).status in ("unknown", "ambiguous", "no_tag")
+
+
+def test_an_enrolled_object_is_named_as_a_whole(mug: Signature, tagged: Signature) -> None:
+    answer = read(MUG.plus(TAG), tagged)
+    reading = answer.reading
+    assert answer.status == "identified" and reading is not None
+    assert (reading.layout, reading.kind) == ("mug-7", Kind.OBJECT)
+    with_body = read(MUG.plus(TAG), mug, tagged)
+    assert with_body.reading is not None and with_body.reading.layout == "mug-7"
+    for other in (MUG, MUG.plus(ring(100)), MUG.plus(ring(100, 280))):
+        answer = read(other, tagged)
+        assert answer.status != "identified" or answer.reading.layout != "mug-7"  # type: ignore[union-attr]
+    twin = replace(tagged, name="mug-8")
+    assert read(MUG.plus(TAG), tagged, twin).status == "ambiguous"
+
+
+def test_signatures_of_another_band_take_no_part(tagged: Signature) -> None:
+    other = replace(tagged, wavenumbers=tagged.wavenumbers * 1.2)
+    assert hypotheses([other], signature_wavenumbers(3.95e9, 1.7e9)).objects == ()
+    assert read(MUG.plus(TAG), other).status != "identified"
+
+
+def test_a_body_as_hypothesis_is_its_echo_at_any_frequencies(mug: Signature) -> None:
+    spectra = aspect_spectra(capture(MUG, 3, views=36))
+    body = EnrolledBody(mug, Searches(mug.order))
+    pose = Pose((0.003, -0.002), 0.8)
+    there = body.echo(spectra, np.array([0j, pose.centre]), np.array([0.0, pose.turn_rad]))
+    assert np.allclose(there[1], echo(spectra, mug, pose))
+    coarse = body.echo(spectra.thinned(2), np.array([pose.centre]), np.array([pose.turn_rad]))
+    assert np.allclose(coarse[0], there[1][::2])
+    assert body.turns and not replace(body, signature=replace(mug, noise=mug.noise * 1e6)).turns
+
+
+def test_a_registry_of_schema_1_is_migrated(tmp_path: Path, mug: Signature) -> None:
+    path = tmp_path / "registry.sqlite"
+    shutil.copy(GOLDEN, path)
+    registry = Registry(path)
+    assert registry.version == 9 and registry.signatures() == []
+    names = [layout.name for layout in registry.layouts()]
+    assert names == ["container-90", "helmet-120", "helmet-linear", "mine"]
+    assert registry.get("mine").sigma_m == pytest.approx(1e-3)
+    assert {change.kind for change in registry.history()} == {"layout"}
+    assert all(change.layout is not None for change in registry.history())
+    assert registry.add_all([], "3 captures", signatures=[mug]) == 10
+    assert registry.go_back(6) == 12
+    assert registry.signatures() == [] and "container-180" in [one.name for one in registry.layouts()]
+    with sqlite3.connect(path) as connection:
+        assert connection.execute("PRAGMA user_version").fetchone()[0] == 2
+    connection.close()
+
+
+def test_bodies_and_objects_are_kept_undone_and_removed(
+    tmp_path: Path, mug: Signature, tagged: Signature
+) -> None:
+    registry = Registry(tmp_path / "r.db")
+    layout = Layout("mug-7", np.array([[0.045, 0], [0, 0.045]]))
+    assert registry.add_all([layout], "3 captures", signatures=[tagged], replace=False) == 6
+    assert registry.add_all([], "3 captures", signatures=[mug], replace=False) == 7
+    assert registry.add_all([], "again", signatures=[mug]) == 7
+    with pytest.raises(RegistryError, match="a body named mug is enrolled already"):
+        registry.add_all([], "x", signatures=[mug], replace=False)
+    assert [(one.kind, one.name) for one in registry.contents().signatures] == [
+        ("body", "mug"),
+        ("object", "mug-7"),
+    ]
+    assert to_bytes(registry.signature("body", "mug")) == to_bytes(mug)
+    assert registry.remove_signature("body", "mug") == 8
+    with pytest.raises(RegistryError, match="no body is named 'mug'"):
+        registry.remove_signature("body", "mug")
+    assert registry.go_back() == 9
+    assert [one.name for one in registry.signatures("body")] == ["mug"]
+    # An identity goes as a whole and comes back as a whole.
+    assert registry.remove("mug-7") == 11
+    assert registry.signatures("object") == []
+    registry.go_back()
+    assert [one.name for one in registry.signatures("object")] == ["mug-7"]
+    assert registry.get("mug-7").size == 2
+    last = registry.history("mug")[-1]
+    assert last.kind == "body" and isinstance(last.entry, Signature)
+
+
+def test_a_damaged_signature_is_seen_and_can_be_removed(tmp_path: Path, mug: Signature) -> None:
+    registry = Registry(tmp_path / "r.db")
+    registry.add_all([], "3 captures", signatures=[mug])
+    good = registry.version
+    data = bytearray(to_bytes(mug))
+    data[len(data) // 2] ^= 1
+    connection = sqlite3.connect(registry.path, isolation_level=None)
+    for wrong in (bytes(data), b"", "text", 7, to_bytes(replace(mug, name="other"))):
+        connection.execute("UPDATE signature SET data = ?", (wrong,))
+        with pytest.raises(RegistryError, match="damaged signature of the body 'mug'") as caught:
+            registry.contents()
+        assert "bodies --remove" in caught.value.remedy
+    connection.close()
+    assert len(registry.layouts()) == 4
+    registry.remove_signature("body", "mug")
+    assert registry.history("mug")[-1].entry is None
+    registry.go_back(good)
+    assert [one.name for one in registry.signatures()] == ["mug"]
+
+
+def test_files_carry_signatures(tmp_path: Path, mug: Signature, tagged: Signature) -> None:
+    path = tmp_path / "all.toml"
+    write_layouts(LAYOUTS, path, [mug, tagged])
+    entries = read_entries(path)
+    assert [to_bytes(one) for one in entries.signatures] == [to_bytes(mug), to_bytes(tagged)]
+    assert [one.to_dict() for one in entries.layouts] == [one.to_dict() for one in LAYOUTS]
+    write_layouts([], path, [mug])
+    assert read_entries(path).layouts == ()
+    text = path.read_text("utf-8")
+    for wrong in (text.replace('data = "VEFH', 'data = "AEFH'), text.replace('data = "', 'data = "*')):
+        path.write_text(wrong, "utf-8")
+        with pytest.raises(FileFormatError, match="signature 1"):
+            read_entries(path)
+    write_layouts(LAYOUTS, path)
+    assert "version = 1" in path.read_text("utf-8")

@@ -1,0 +1,104 @@
+"""Calibrate the decision about tags on bodies: scores of objects that carry no enrolled tag.
+
+Run `python -m train.calibrate --first 200000 --count 4000 --jobs 2 --scores scores.jsonl`, as often and on as
+many machines as wanted, then `python -m train.calibrate --write tagid/tags/bodies/calibration.json FILES` to
+make the file that the package ships. Seeds from SEALED on are not for this.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import multiprocessing
+import os
+from itertools import pairwise
+from pathlib import Path
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import numpy as np
+
+from tagid.imaging.preprocess import PreprocessSettings, preprocess
+from tagid.tags.bodies.calibration import Calibration, Stratum
+from tagid.tags.bodies.decide import BodyDecision, score, tag_snr_db
+from tagid.tags.bodies.reader import BodySettings, read_on_body
+from tagid.tags.bodies.spectra import Spectra
+from tagid.tags.layouts.layout import builtin_layouts
+from tagid.tags.reading.views import fold_views
+from train.population import STATEMENT, draw
+
+SEALED = 9_000_000
+"""Seeds from here on are drawn once, for the report."""
+VIEWS = (12, 24, 361)
+SNRS_DB = (-np.inf, np.inf)
+KEPT = 60
+"""Scores kept of each stratum: p-values up to 60 / n are exact."""
+
+
+def one(seed: int) -> dict[str, float | int | str]:
+    """The score of the object of a seed."""
+    specimen = draw(seed)
+    settings = PreprocessSettings(matched_filter=False, extent_m=0.5)
+    spectra = Spectra.of(fold_views(preprocess(specimen.capture, settings=settings), 0.15))
+    body = BodySettings()
+    reading = read_on_body(spectra, list(builtin_layouts().values()), body.body, body)
+    assert reading is not None
+    evidence = score(reading, BodyDecision())
+    return {
+        "seed": seed,
+        "score": evidence if np.isfinite(evidence) else "refused",
+        "views": specimen.views,
+        "snr_db": tag_snr_db(reading),
+    }
+
+
+def strata(rows: list[dict[str, float | int | str]], views: list[int]) -> tuple[Stratum, ...]:
+    """Scores by views and SNR."""
+    found = []
+    for low, high in pairwise(views):
+        for weak, strong in pairwise(SNRS_DB):
+            own = [r for r in rows if low <= float(r["views"]) < high and weak <= float(r["snr_db"]) < strong]
+            scores = sorted((float(r["score"]) for r in own if r["score"] != "refused"), reverse=True)
+            found.append(Stratum(low, high, float(weak), float(strong), len(own), tuple(scores[:KEPT])))
+    return tuple(found)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("files", nargs="*", type=Path, help="scores to make the calibration of")
+    parser.add_argument("--write", type=Path, help="calibration file to write")
+    parser.add_argument("--first", type=int, default=200_000)
+    parser.add_argument("--count", type=int, default=0)
+    parser.add_argument("--fewest", action="store_true", help="only the stratum of the fewest views")
+    parser.add_argument(
+        "--views", type=int, nargs="*", default=VIEWS, help="limits of the strata; each needs 999 objects"
+    )
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--scores", type=Path, default=Path("scores.jsonl"))
+    arguments = parser.parse_args()
+    seeds = range(arguments.first, arguments.first + arguments.count)
+    if any(seed >= SEALED for seed in seeds):
+        parser.error(f"seeds from {SEALED} on are sealed")
+    if arguments.count:
+        chosen = [s for s in seeds if not arguments.fewest or draw(s).views < VIEWS[1]]
+        with (
+            multiprocessing.get_context("fork").Pool(arguments.jobs) as pool,
+            arguments.scores.open("a") as file,
+        ):
+            for row in pool.imap_unordered(one, chosen, chunksize=4):
+                file.write(json.dumps(row) + "\n")
+                file.flush()
+    if arguments.write:
+        rows = {}
+        for path in arguments.files:
+            for line in path.read_text().splitlines():
+                row = json.loads(line)
+                rows[row["seed"]] = row
+        known = sorted(rows)
+        drawn = strata(list(rows.values()), arguments.views)
+        made = Calibration(STATEMENT, drawn, ((known[0], known[-1] + 1),))
+        arguments.write.write_text(made.to_json())
+
+
+if __name__ == "__main__":
+    main()
