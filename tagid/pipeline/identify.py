@@ -94,7 +94,7 @@ def identify_together(
     settings: ImagingSettings | None = None,
     registry_version: int | None = None,
 ) -> tuple[Identification, list[Identification]]:
-    """Name the object of several prepared captures jointly, and of each alone (see `tags.reading.vote`).
+    """Name the object of several prepared captures jointly, and of each alone (see `tags.matching.vote`).
 
     Raises as `identify` does.
     """
