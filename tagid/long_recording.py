@@ -1,6 +1,6 @@
-"""Recording for hours: every scan to the journal and forgotten, and capture files made of it at the end.
+"""Long recordings: scans go to the journal and are not kept; capture files are written from it at the end.
 
-Nothing grows with the time it takes, so a day in the field ends because somebody stops it and not the memory.
+Memory does not grow with the length of the recording.
 """
 
 from __future__ import annotations
@@ -11,16 +11,18 @@ from pathlib import Path
 from typing import Any
 
 from tagid.errors import DataError, StorageError, TagidError
-from tagid.intake import Intake
+from tagid.intake import HostLimit, Intake
 from tagid.radar.messages import SCAN_FOREVER
 from tagid.radar.p440 import P440
 from tagid.radar.resume import Gap
 from tagid.recorder import (
     CAPTURE_SUFFIX,
-    SYNC_S,
     RecordingPlan,
+    capture_beside,
     journal_beside,
     journal_header,
+    start_journal,
+    with_recovery,
     with_remedy,
 )
 from tagid.storage.journal import JournalWriter
@@ -34,7 +36,7 @@ class RecordingLimits:
 
     Attributes:
         scans: after so many; None never.
-        seconds: after so long on the radar's clock, s; None never.
+        seconds: after so long on the radar's clock, or a second later on the host's, s; None never.
         interval_us: time between scans, us; 0 as fast as the settings allow.
         part_bytes: samples in one capture file, bytes; a longer recording becomes several.
     """
@@ -69,12 +71,15 @@ class RecordingWatch:
     Attributes:
         progress: told about twice a second of scans.
         gap: told when scans arrive again after the radar was gone.
-        stop: asked after every scan; True ends the recording, which is complete where it had no limit.
+        stop: asked about ten times per second, also while no scan comes; True ends the recording, which is
+            complete where it had no limit.
+        named: called with the path of the first capture file once its journal is created.
     """
 
     progress: Callable[[RecordingState], None] = lambda state: None
     stop: Callable[[], bool] = lambda: False
     gap: Callable[[Gap], None] = lambda gap: None
+    named: Callable[[Path], None] = lambda path: None
 
 
 def part_path(first: Path, part: int) -> Path:
@@ -110,17 +115,21 @@ def record_long(
         DataError: no scan arrived.
     """
     watch = watch or RecordingWatch()
-    journal_path = journal_beside(path)
+    if not plan.renumber:
+        journal_beside(path)
     failed: TagidError | None = None
     whole = False
     with radar:
         status = radar.status()
         taken = radar.config if plan.config is None else radar.set_config(plan.config)
         header = journal_header(plan, taken, {"serial": status.serial, "package": status.package})
-        with JournalWriter(journal_path, header, sync_seconds=SYNC_S) as journal:
+        with start_journal(path, header, plan.renumber) as journal:
+            journal_path, path = journal.path, capture_beside(journal.path)
+            watch.named(path)
             try:
                 with JournalQueue(journal) as queue:
                     intake = Intake(radar, queue, plan.resume_s, watch.gap)
+                    intake.guard(journal)
                     try:
                         whole = _receive(intake, limits, journal, watch)
                     except StorageError:
@@ -128,7 +137,7 @@ def record_long(
                     except TagidError as error:
                         failed = error
             except StorageError as error:
-                raise with_remedy(error, f"Free space, then `tagid recover {journal_path}`.") from error
+                raise with_recovery(error, journal_path) from error
             counters = intake.summary()
             if failed is None and whole:
                 journal.close({"radar": counters})
@@ -141,11 +150,12 @@ def record_long(
 
 
 def _receive(intake: Intake, limits: RecordingLimits, journal: JournalWriter, watch: RecordingWatch) -> bool:
-    """Whether the recording came to the end that it was to have."""
+    """Whether the recording came to its planned end."""
     period_s = max(intake.config.scan_period_s, limits.interval_us * 1e-6)
     check_every = max(1, round(0.5 / period_s))
     first_ms: int | None = None
-    for scan in intake.scans(SCAN_FOREVER, limits.interval_us):
+    limit = HostLimit(limits.seconds)
+    for scan in intake.scans(SCAN_FOREVER, limits.interval_us, lambda: watch.stop() or limit.passed()):
         first_ms = scan.radar_time_ms if first_ms is None else first_ms
         seconds = (scan.radar_time_ms - first_ms) * 1e-3
         done = limits.scans is not None and intake.scans_taken >= limits.scans
@@ -154,9 +164,7 @@ def _receive(intake: Intake, limits: RecordingLimits, journal: JournalWriter, wa
             watch.progress(RecordingState(intake.scans_taken, seconds, intake.scans_lost, journal.size))
         if done:
             return True
-        if watch.stop():
-            break
-    return limits.scans is None and limits.seconds is None
+    return limit.passed() or (limits.scans is None and limits.seconds is None)
 
 
 def _finish(
@@ -172,7 +180,7 @@ def _finish(
             journal_path, lambda part: part_path(path, part), counters, limits.part_bytes
         )
     except StorageError as error:
-        raise with_remedy(error, f"Free space, then `tagid recover {journal_path}`.") from error
+        raise with_recovery(error, journal_path) from error
     journal_path.unlink(missing_ok=True)
     if failed is not None:
         places = ", ".join(str(each) for each in written.paths)

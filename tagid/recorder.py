@@ -19,7 +19,7 @@ from tagid import __version__
 from tagid.capture import Capture
 from tagid.constants import RANGE_STEP_M, SPEED_OF_LIGHT
 from tagid.errors import CaptureInterrupted, ConfigError, DataError, StorageError, TagidError
-from tagid.intake import Intake
+from tagid.intake import HostLimit, Intake
 from tagid.motion.device import Motion
 from tagid.motion.turntable import OVERLAP_TURNS
 from tagid.radar.assembler import Scan
@@ -59,6 +59,7 @@ class RecordingPlan:
         motion: URL of what turns the object, kept with the capture.
         object: what is known of the object, plain JSON values.
         resume_s: how long a radar that went away is waited for, s.
+        renumber: take the next free name where the wanted one is taken.
     """
 
     config: RadarConfig | None
@@ -70,6 +71,7 @@ class RecordingPlan:
     motion: str = "free"
     object: dict[str, Any] = field(default_factory=dict)
     resume_s: float = RESUME_S
+    renumber: bool = False
 
 
 def plan_window(
@@ -103,6 +105,7 @@ class Watch:
     Attributes:
         progress: told after every half second of scans.
         gap: told when scans arrive again after the radar was gone.
+        named: called with the capture's path once its journal is created.
         resolve: gives a capture its angles, from the motion's URL; asked when the motion believes that a turn
             is complete (imaging knows whether the shortest repetition is a turn, the motion does not), and
             at the end. It raises DataError where it cannot.
@@ -111,6 +114,7 @@ class Watch:
     progress: Progress | None = None
     resolve: Callable[[Capture, str], Capture] | None = None
     gap: Callable[[Gap], None] = lambda gap: None
+    named: Callable[[Path], None] = lambda path: None
 
 
 def record(
@@ -132,16 +136,20 @@ def record(
         DeviceError and its kinds: the radar or the table failed. DiskFullError, StorageError: files.
         CaptureInterrupted: stopped by the user. DataError: no scan arrived.
     """
-    journal_path = journal_beside(path)
     stopped: TagidError | None = None
+    if not plan.renumber:
+        journal_beside(path)
     with radar:
         status = radar.status()
         taken = radar.config if plan.config is None else radar.set_config(plan.config)
         header = journal_header(plan, taken, {"serial": status.serial, "package": status.package})
-        with JournalWriter(journal_path, header, sync_seconds=SYNC_S) as journal:
+        with start_journal(path, header, plan.renumber) as journal:
+            journal_path, path = journal.path, capture_beside(journal.path)
+            (watch or Watch()).named(path)
             try:
                 with JournalQueue(journal) as queue:
                     intake = Intake(radar, queue, plan.resume_s, (watch or Watch()).gap)
+                    intake.guard(journal)
                     try:
                         _receive((intake, queue), motion, (plan, header), radar.config, watch or Watch())
                     except KeyboardInterrupt:
@@ -152,7 +160,7 @@ def record(
                     except TagidError as error:
                         stopped = error
             except StorageError as error:
-                raise with_remedy(error, f"Free space, then `tagid recover {journal_path}`.") from error
+                raise with_recovery(error, journal_path) from error
             summary = {"radar": intake.summary()}
             if stopped is None:
                 journal.close(summary)
@@ -174,7 +182,7 @@ def _receive(
     told = 0
     try:
         motion.start()
-        for scan in intake.scans(plan.scans or SCAN_FOREVER):
+        for scan in intake.scans(plan.scans or SCAN_FOREVER, until=HostLimit(plan.max_seconds).passed):
             scans.append(scan)
             motion.check()
             if len(scans) % max(1, check_every // 5) == 0:
@@ -251,6 +259,44 @@ def journal_beside(path: Path) -> Path:
     return path.with_name(path.name.removesuffix(CAPTURE_SUFFIX) + JOURNAL_SUFFIX)
 
 
+def capture_beside(journal_path: Path) -> Path:
+    """The capture file that a journal's scans become."""
+    return journal_path.with_name(journal_path.name.removesuffix(JOURNAL_SUFFIX) + CAPTURE_SUFFIX)
+
+
+def start_journal(path: Path, header: dict[str, Any], renumber: bool = False) -> JournalWriter:
+    """The journal of a capture that is to be written at `path`; creating it reserves the name.
+
+    With `renumber` the next free name is taken instead of a taken one. Creation is exclusive, so two
+    recordings that start at once in one folder get two names.
+
+    Raises StorageError where the name is taken, or the journal cannot be created.
+    """
+    stem = path.name.removesuffix(CAPTURE_SUFFIX)
+    for number in range(1, 1000 if renumber else 2):
+        wanted = path if number == 1 else path.with_name(f"{stem}-{number}{CAPTURE_SUFFIX}")
+        if renumber and wanted.exists():
+            continue
+        journal_path = journal_beside(wanted)
+        try:
+            journal = JournalWriter(journal_path, header, sync_seconds=SYNC_S)
+        except StorageError as error:
+            if not journal_path.is_file():
+                raise
+            if renumber:
+                continue
+            raise StorageError(
+                f"{journal_path} exists: another recording is writing it, or one was interrupted",
+                f"Choose another name; if no recording runs, `tagid recover {journal_path}`.",
+            ) from error
+        if not wanted.exists():
+            return journal
+        # Another recording of this name ended between the two checks.
+        journal.__exit__(None, None, None)
+        journal_path.unlink(missing_ok=True)
+    raise StorageError(f"{path} and the names after it are taken", "Choose another folder.")
+
+
 def journal_header(plan: RecordingPlan, taken: RadarConfig, radar: dict[str, Any]) -> dict[str, Any]:
     """What a journal says of its scans; `radar` is what the radar says of itself."""
     asked = None if plan.config is None else asdict(plan.config)
@@ -296,7 +342,7 @@ def _finish(
     try:
         write_capture(path, capture)
     except StorageError as error:
-        raise with_remedy(error, f"Free space, then `tagid recover {journal_path}`.") from error
+        raise with_recovery(error, journal_path) from error
     journal_path.unlink(missing_ok=True)
     if stopped is not None:
         raise with_remedy(stopped, f"The {capture.views} scans that arrived are in {path}.") from stopped
@@ -308,11 +354,13 @@ def with_remedy(error: TagidError, remedy: str) -> TagidError:
     return type(error)(error.message, f"{error.remedy} {remedy}".strip())
 
 
+def with_recovery(error: TagidError, journal_path: Path) -> TagidError:
+    """The same error with how to recover the journal, where there is one."""
+    if not journal_path.exists():
+        return error
+    return with_remedy(error, f"Free space, then `tagid recover {journal_path}`.")
+
+
 def capture_path(folder: Path, now: float | None = None) -> Path:
-    """A new capture file's path in a folder: named after the second, numbered where that is taken."""
-    stem = time.strftime("scan-%Y%m%d-%H%M%S", time.localtime(now))
-    for number in range(1, 1000):
-        path = folder / f"{stem}{'' if number == 1 else f'-{number}'}{CAPTURE_SUFFIX}"
-        if not path.exists():
-            return path
-    raise StorageError(f"{folder} holds a thousand captures of this second", "Choose another folder.")
+    """The path of a new capture file, named after the second; a plan with `renumber` makes it unique."""
+    return folder / time.strftime(f"scan-%Y%m%d-%H%M%S{CAPTURE_SUFFIX}", time.localtime(now))

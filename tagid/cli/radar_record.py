@@ -75,6 +75,7 @@ def register(group: typer.Typer) -> None:
             motion=config["motion.url"],
             object={"note": note} if note else {},
             resume_s=config["radar.resume_s"],
+            renumber=out is None,
         )
         limits = RecordingLimits(scans, seconds, interval_us)
         with terminal.progress("record", seconds or scans) as advance, stop_on_signal() as asked_to_stop:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -83,8 +84,6 @@ def _scans(
     repeat: int,
 ) -> Result:
     """One turn, or several and one answer from all of them; what was recorded before a failure is kept."""
-    from dataclasses import replace
-
     from tagid.cli.identify import vote_on
 
     turns = [_scan(terminal, config, limits, about, preview) for _ in range(repeat)]
@@ -134,15 +133,20 @@ def _scan(
     layouts_registry = imaging.open_registry()
     layouts, version = layouts_registry.layouts(), layouts_registry.version
     motion = open_motion(config["motion.url"])
-    path = capture_path(folder)
+    paths: list[Path] = []
     with terminal.progress("record", motion.needed_seconds()) as advance:
         capture = record(
             open_radar(url, Sources(), config["radar.timeout_s"]),
             motion,
-            plan,
-            path,
-            Watch(lambda count, seconds: advance(seconds, f"{count} scans, {seconds:.1f} s"), resolve_turn),
+            replace(plan, renumber=True),
+            capture_path(folder),
+            Watch(
+                lambda count, seconds: advance(seconds, f"{count} scans, {seconds:.1f} s"),
+                resolve_turn,
+                named=paths.append,
+            ),
         )
+    path = paths[-1]
     stem = path.name.removesuffix(".tagid.h5")
     png = path.with_name(f"{stem}.png")
     npz = path.with_name(f"{stem}.image.npz")

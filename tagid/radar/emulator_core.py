@@ -1,6 +1,6 @@
-"""A P440 as a state machine: bytes in, bytes out, time handed in; no sockets, no clock of its own.
+"""A P440 as a state machine: bytes in, bytes out, time as an argument; no sockets and no clock of its own.
 
-The UDP emulator, the replay and the tests all drive this one core, so that they show the same radar.
+The UDP emulator, the replay and the tests all drive this core, so they behave as the same radar.
 """
 
 from __future__ import annotations
@@ -33,6 +33,12 @@ from tagid.radar.sources import FixedSource, FollowingSource, ScanSource
 _T = MessageType
 _BAUD_RATES: Final = range(9_600, 921_601)
 _MRM_REQUESTS: Final = (_T.SET_CONFIG_REQUEST, _T.GET_CONFIG_REQUEST, _T.CONTROL_REQUEST)
+
+
+_LAG_S: Final = 0.5
+"""Delay behind the clock up to which scans are still sent one after the other, s of the emulated clock."""
+_LONGEST_LAG_S: Final = 2.0
+"""Delay from which on the emulator continues with the present scan, s of the emulated clock."""
 
 
 @dataclass
@@ -179,13 +185,30 @@ class EmulatorCore:
     def advance_by_one(self, now_s: float) -> list[bytes]:
         """Lets time pass until `now_s` or the next scan, whichever is first; returns what left the radar.
 
-        One scan a call, so that a slow source cannot keep a request (a stop!) from being heard.
+        One scan per call, so that a slow source cannot keep a request (a stop!) from being heard. Where the
+        source or this process is too slow, scans are skipped as if they were lost on the way: the scene
+        moves on with the clock, so a late scan must show the moment of its timestamp.
         """
         due = self.next_due_s
         if due is not None and due <= now_s:
+            self._catch_up(now_s - due)
             return self.step()
         self._now = max(self._now, now_s)
         return []
+
+    def _catch_up(self, lag_s: float) -> None:
+        """Skips scans of a run that is late: some of them where the delay is short, else all."""
+        run = self._state.run
+        if run is None or lag_s <= _LAG_S:
+            return
+        if self._fixed:
+            run.started_s += lag_s  # a recording has its own clock, and none of its scans may be skipped
+            return
+        late = int(lag_s / run.period_s)
+        skipped = late if lag_s > _LONGEST_LAG_S else min(int(lag_s / _LAG_S), late)
+        if run.count != SCAN_FOREVER:
+            skipped = min(skipped, run.count - 1 - run.index)
+        run.index += skipped
 
     def step(self) -> list[bytes]:
         """Jumps to the next thing that happens by itself (a scan, the end of a boot)."""

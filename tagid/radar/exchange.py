@@ -84,6 +84,7 @@ class Exchange:
             raise UsageError(
                 f"the radar cannot be sent this: {error}", "Give a value within the limits."
             ) from error
+        bytes_before, heard = self._bytes_in_vain(), 0
         starts = request is _T.CONTROL_REQUEST and fields.get("scan_count", 0) > 0
         attempts = attempts or self.attempts
         for attempt in range(attempts):
@@ -96,6 +97,7 @@ class Exchange:
                     if self.link.exhausted:
                         break
                     continue
+                heard += 1
                 if isinstance(message, Fragment):
                     if starts and (message.id - message_id) & 0xFFFF < 2 * WINDOW:
                         self.early.append(message)
@@ -108,9 +110,20 @@ class Exchange:
                     return message
                 else:
                     self._refused(message, request, message_id)
+        strange = self._bytes_in_vain() - bytes_before
+        if strange and not heard:
+            raise DeviceTimeoutError(
+                f"something answers at {self.link}, but not as a P440 ({request.name} sent {attempts} times)",
+                "Check the address and port; on a serial line, the framing (usb or uart), the baud rate, and "
+                "that the device is a P440.",
+            )
         raise DeviceTimeoutError(
             f"the radar at {self.link} did not answer {request.name} ({attempts} tries)", NO_ANSWER
         )
+
+    def _bytes_in_vain(self) -> int:
+        """What arrived so far that is no message: packets, and bytes outside frames on a serial line."""
+        return self.statistics.malformed + self.link.skipped_bytes
 
     def drain(self) -> None:
         """Drops what still arrives after a stop, until it has been quiet for a moment."""
