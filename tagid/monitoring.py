@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from tagid.inspection import noise_power_of, signal_to_noise_db
 from tagid.radar.assembler import Scan, Statistics
 from tagid.radar.settings import RadarConfig
-from tagid.report.curves import analytic
+from tagid.signal import analytic
 
 ROWS: Final = 200
 """Rows of the waterfall that are kept; no terminal shows more."""

@@ -32,6 +32,7 @@ from tagid.radar.messages import (
     Status,
     encode,
 )
+from tagid.radar.patience import Patience
 from tagid.radar.scan_info import Fragment
 from tagid.radar.settings import RadarConfig
 from tagid.radar.status import RadarStatus
@@ -40,10 +41,6 @@ _T = MessageType
 BOOT_QUIET_S: Final = 3.0
 """Time after a reboot in which only READY_INFO counts: before its boot a radar may still answer."""
 _POLL_S: Final = 0.25
-_STOP_POLL_S: Final = 0.1
-"""Longest time between two calls of a caller's `until`, s."""
-_AWAY_S: Final = 0.5
-"""A pass of the receiving loop that takes longer means that this process was stopped or got no CPU, s."""
 _WHOLE_S: Final = 4.0
 _WHOLE_PERIODS: Final = 20
 """Time in which one whole scan must come while fragments arrive: so many seconds or scan periods. With 30 %
@@ -257,7 +254,7 @@ class P440:
         try:
             self._talk.scanning = True
             self._start(count, interval_us, patience)
-            yield from self._run(assembler, end_id, _Patience(patience, whole), until)
+            yield from self._run(assembler, end_id, Patience(patience, whole), until)
         except DeviceTimeoutError:
             self._stop_quietly(silent=True)
             raise
@@ -266,7 +263,7 @@ class P440:
             self._stop_quietly()
 
     def _run(
-        self, assembler: ScanAssembler, end_id: int | None, patience: _Patience, until: Callable[[], bool]
+        self, assembler: ScanAssembler, end_id: int | None, patience: Patience, until: Callable[[], bool]
     ) -> Iterator[Scan]:
         first_id = assembler.next_id or 0
         early = self._talk.early
@@ -369,60 +366,3 @@ class P440:
 
 def _before(scans: list[Scan], end_id: int | None) -> list[Scan]:
     return [scan for scan in scans if end_id is None or scan.scan_id < end_id]
-
-
-class _Patience:
-    """How long a run waits: for any fragment, and, while fragments come, for a whole scan.
-
-    Time in which this process did not run does not count: what came meanwhile waits in the receive buffer.
-
-    Args:
-        quiet_s: time without a fragment after which the radar counts as silent, s.
-        whole_s: time without a whole scan after which the run is given up although fragments come, s.
-
-    Attributes:
-        fragments: packets since the last whole scan.
-        whole_scans: whole scans when the time was last renewed.
-    """
-
-    def __init__(self, quiet_s: float, whole_s: float) -> None:
-        self.quiet_s, self.whole_s = quiet_s, whole_s
-        self.fragments = self.whole_scans = 0
-        self._now = self._asked = time.monotonic()
-        self._quiet_at = self._now + quiet_s
-        self._whole_at = self._now + whole_s
-
-    def tick(self) -> bool:
-        """Takes the time for the checks below; whether the caller is to be asked whether to stop."""
-        before, self._now = self._now, time.monotonic()
-        away = self._now - before
-        if away > _AWAY_S:
-            self._quiet_at += away
-            self._whole_at += away
-        due = self._now >= self._asked + _STOP_POLL_S
-        if due:
-            self._asked = self._now
-        return due
-
-    def wait_s(self) -> float:
-        """How long to wait for the next packet, s."""
-        return max(min(self._quiet_at, self._whole_at, self._asked + _STOP_POLL_S) - self._now, 0.0)
-
-    def heard(self) -> None:
-        """A fragment came."""
-        self._quiet_at = time.monotonic() + self.quiet_s
-
-    def renew(self, whole_scans: int) -> None:
-        """A whole scan came, and the caller has taken it."""
-        self.whole_scans, self.fragments = whole_scans, 0
-        self._now = time.monotonic()
-        self._quiet_at = self._now + self.quiet_s
-        self._whole_at = self._now + self.whole_s
-
-    def silent(self) -> bool:
-        """Whether no fragment came for too long."""
-        return self._now >= self._quiet_at
-
-    def fruitless(self) -> bool:
-        """Whether fragments came for too long without making a whole scan."""
-        return self._now >= self._whole_at

@@ -15,7 +15,7 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 
 LEVELS = (
     {"errors", "constants", "__init__"},
-    {"geometry", "capture", "config", "waveform", "ports"},
+    {"geometry", "capture", "config", "waveform", "signal", "ports"},
     {"imaging", "tags", "storage", "radar", "motion", "simulate", "models_store"},
     {"pipeline", "report", "doctor", "result", "sources", "inspection", "turn", "identification"}
     | {"recorder", "long_recording", "intake", "calibration", "monitoring"},

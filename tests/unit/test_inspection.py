@@ -13,7 +13,7 @@ import pytest
 from tagid.capture import Capture
 from tagid.constants import RANGE_STEP_M, SAMPLE_STEP_S
 from tagid.inspection import inspect, noise_power_of
-from tagid.report.curves import analytic
+from tagid.signal import analytic
 
 BINS = 576
 
