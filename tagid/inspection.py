@@ -1,6 +1,6 @@
-"""The short table about a recording: is it strong enough, unclipped, complete, and does the object turn?
+"""Statistics of a recording: is it strong enough, unclipped and complete, and does the object turn?
 
-`tagid show` prints it, and `tagid doctor` and bug reports quote it, so every figure says how it was obtained.
+`tagid show` prints them, and bug reports quote them, so every figure says how it was obtained.
 """
 
 from __future__ import annotations
@@ -22,6 +22,8 @@ from tagid.signal import analytic
 
 # A P440's base integration index; a larger number in a file is not believed (P440 MRM API: 6..15).
 _LARGEST_INTEGRATION_INDEX = 15
+MOST_BYTES = 64 << 20
+"""Samples that are inspected or drawn at a time, bytes; of longer recordings every n-th view is taken."""
 _BLOCK_BINS = 16
 _GATE_BINS = 64
 
@@ -66,6 +68,7 @@ class RecordingSummary:
         period_s, period_sigma_s: seconds a turn and their standard deviation; None where none was found.
         period_note: why there is no period, or what is doubtful about it; empty otherwise.
         strongest: the strongest return; None where all samples are zero.
+        every: noise, SNR, period and strongest return are from every so-manieth view; 1 is all of them.
     """
 
     views: int
@@ -84,6 +87,12 @@ class RecordingSummary:
     period_sigma_s: float | None
     period_note: str
     strongest: StrongReturn | None
+    every: int = 1
+
+    @property
+    def changes(self) -> bool:
+        """Whether something moves or turns, as far as the noise lets it be seen."""
+        return self.changing_snr_db is not None
 
 
 @dataclass(frozen=True)
@@ -105,12 +114,13 @@ NO_CHANGE = Turning(note="nothing changes from scan to scan beyond the noise")
 
 def inspect(capture: Capture) -> RecordingSummary:
     """The summary of a capture; a figure that its data cannot give is None, never a guess."""
-    signal = analytic(capture.samples)
+    some, every = thinned(capture)
+    signal = analytic(some.samples)
     noise_power = noise_power_of(signal)
-    strongest = strongest_return(signal, capture)
+    strongest = strongest_return(signal, some)
     changing_snr, changing_bin = signal_to_noise_db(signal - signal.mean(axis=0), noise_power)
     rate, duration = scan_rate(capture)
-    turning = turning_period(capture) if changing_snr is not None else NO_CHANGE
+    turning = turning_period(some) if changing_snr is not None else NO_CHANGE
     ranges = capture.ranges_m
     # Of a real sample's analytic noise power, half is the sample's own.
     own = 1.0 if np.iscomplexobj(capture.samples) else 0.5
@@ -131,6 +141,7 @@ def inspect(capture: Capture) -> RecordingSummary:
         period_sigma_s=turning.sigma_s,
         period_note=turning.note,
         strongest=strongest,
+        every=every,
     )
 
 
@@ -195,12 +206,30 @@ def clipped_fraction(capture: Capture) -> float | None:
 
 
 def lost_scans(capture: Capture) -> int | None:
-    """Scans missing between the first and the last: gaps of the number, else what the importer counted."""
+    """Lost scans: gaps of the scan numbers, or what the recorder or importer counted where that is more.
+
+    The recorder's count includes scans lost before the first and after the last; of one part of a long
+    recording it is that of the whole, so there the gaps decide.
+    """
+    gaps = None
     if capture.scan_id is not None and capture.views > 1:
         steps = np.diff(capture.scan_id)
-        return int((steps[steps > 1] - 1).sum())
+        gaps = int((steps[steps > 1] - 1).sum())
     counted = capture.radar.get("scans_lost")
-    return int(counted) if isinstance(counted, int) and counted >= 0 else None
+    if not isinstance(counted, int) or isinstance(counted, bool) or counted < 0:
+        return gaps
+    if gaps is not None and "recording" in capture.radar:
+        return gaps
+    return max(counted, gaps or 0)
+
+
+def thinned(capture: Capture, most_bytes: int = MOST_BYTES) -> tuple[Capture, int]:
+    """(capture of every n-th view, n) whose samples take at most `most_bytes`; n is 1 where all fit.
+
+    What draws or inspects a recording needs several times its samples in memory.
+    """
+    every = max(1, -(-capture.samples.nbytes // most_bytes))
+    return (capture, 1) if every == 1 else (capture.select(slice(None, None, every)), every)
 
 
 def scan_rate(capture: Capture) -> tuple[float | None, float | None]:

@@ -174,6 +174,9 @@ def notes(radar: dict[str, Any]) -> list[str]:
     found = []
     if lost := radar.get("scans_lost"):
         found.append(f"{lost} scan{'' if lost == 1 else 's'} lost between radar and computer")
+    statistics = radar.get("statistics")
+    if isinstance(statistics, dict) and (malformed := statistics.get("malformed")):
+        found.append(f"{malformed} packet{'' if malformed == 1 else 's'} were damaged or no P440 messages")
     if dropped := radar.get("scans_dropped"):
         found.append(drop_note(dropped))
     if count := radar.get("gap_count"):

@@ -21,7 +21,7 @@ from tagid.radar.messages import (
     encode,
     status_text,
 )
-from tagid.radar.scan_info import SCAN_INFO_BYTES, SCAN_INFO_HEAD, Fragment, read_fragment
+from tagid.radar.scan_info import SCAN_INFO_HEAD, Fragment, read_fragment
 
 _T = MessageType
 _QUIET_S: Final = 0.05
@@ -144,7 +144,7 @@ class Exchange:
         deadline = time.monotonic() + timeout
         while (packet := self.link.receive(max(deadline - time.monotonic(), 0.0))) is not None:
             self.statistics.received += 1
-            if len(packet) == SCAN_INFO_BYTES and packet.startswith(SCAN_INFO_HEAD):
+            if packet.startswith(SCAN_INFO_HEAD):
                 fragment = read_fragment(packet)
                 if fragment is not None:
                     return fragment

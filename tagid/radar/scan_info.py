@@ -51,7 +51,13 @@ class Fragment(NamedTuple):
 
 
 def read_fragment(packet: bytes) -> Fragment | None:
-    """The fragment in a packet of SCAN_INFO's size and type; None where its numbers disagree."""
+    """The fragment in a packet of SCAN_INFO's type; None where its numbers or its length disagree.
+
+    A P440 pads the last fragment of a scan to the length of the others; one that ends with its samples is
+    read as well.
+    """
+    if len(packet) < _HEADER.size:
+        return None
     (_, scan_id, node, stamp, start, stop, _, _, _, antenna, _, here, total, index, count) = (
         _HEADER.unpack_from(packet)
     )
@@ -60,6 +66,8 @@ def read_fragment(packet: bytes) -> Fragment | None:
     if count != -(-total // SAMPLES_PER_MESSAGE) or index >= count:
         return None
     if here != min(SAMPLES_PER_MESSAGE, total - index * SAMPLES_PER_MESSAGE):
+        return None
+    if len(packet) not in (SCAN_INFO_BYTES, _HEADER.size + here * _BIG.itemsize):
         return None
     samples = np.frombuffer(packet, _BIG, here, _HEADER.size)
     return Fragment(scan_id, stamp, (total, count, start, stop, antenna, node), index, samples)

@@ -14,6 +14,7 @@ from typing import Any, BinaryIO
 from tagid.errors import MissingExtraError, UsageError
 from tagid.storage import atomic
 from tagid.storage.history import FIELDS, TYPES, Filter, History
+from tagid.storage.spreadsheet import cell
 
 _BATCH = 10_000
 
@@ -42,7 +43,7 @@ def _csv(rows: Iterator[dict[str, Any]], path: Path) -> int:
         table = csv.DictWriter(file, FIELDS)
         table.writeheader()
         for row in rows:
-            table.writerow(row)
+            table.writerow({name: cell(value) for name, value in row.items()})
             count += 1
     return count
 

@@ -12,8 +12,9 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-from tagid.errors import RegistryError, TagidError
+from tagid.errors import RegistryError, TagidError, UsageError
 from tagid.storage.database import Database, Schema
+from tagid.storage.spreadsheet import FORMULA_STARTS
 from tagid.tags.layout import Layout, builtin_layouts, layout_from_dict
 
 APPLICATION_ID = 0x74616764
@@ -122,13 +123,15 @@ class Registry:
             replace: whether they may stand for others of their names.
             since: store only where this is still the version; else nothing is done and None returned.
 
-        Raises RegistryError where a name is taken and `replace` is not set.
+        Raises RegistryError where a name is taken and `replace` is not set, UsageError for a label or notes
+        that a spreadsheet would run as a formula.
         """
         with self._database.transaction() as connection:
             if since is not None and self._version(connection) != since:
                 return None
             now = self._definitions(connection)
             for layout in layouts:
+                _check_label(layout)
                 text = json.dumps(layout.to_dict(), sort_keys=True)
                 if layout.name in now and not replace:
                     raise RegistryError(
@@ -261,3 +264,13 @@ class Registry:
     def _missing(self, name: str) -> RegistryError:
         names = ", ".join(layout.name for layout in self.layouts())
         return RegistryError(f"no layout is named {name[:80]!r}", f"Enrolled are: {names or 'none'}.")
+
+
+def _check_label(layout: Layout) -> None:
+    """Raises UsageError for texts of a layout to enrol that a spreadsheet would run."""
+    for name in ("label", "notes"):
+        if getattr(layout, name).lstrip().startswith(FORMULA_STARTS):
+            raise UsageError(
+                f"layout {layout.name}: the {name} begins with {getattr(layout, name).lstrip()[0]!r}",
+                "Begin it with a letter or digit: spreadsheets run such texts as formulas.",
+            )

@@ -195,7 +195,7 @@ def test_estimate_is_plain() -> None:
 
 
 def test_a_gap_in_the_turn_lowers_the_quality_that_is_stated() -> None:
-    """Two seconds of ten without a scan: nothing witnesses a fifth of the turn. Scattered losses are no gap."""
+    """Two seconds of ten without a scan are a gap; scattered losses are none."""
     scene, turn_s = scene_from_name("points-4", 3), 10.0
     acq = Acquisition(views=400, turns=1.3, period_s=turn_s, snr_db=20)
     capture, truth = simulate_capture(scene, acq, 3)
