@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
@@ -26,7 +26,8 @@ from tagid.radar.messages import (
     decode,
     encode,
 )
-from tagid.radar.scan_info import RAW_FILTER, scan_packets
+from tagid.radar.scan_info import RAW_FILTER
+from tagid.radar.server_filters import ALL_FILTERS, ServerFilters
 from tagid.radar.settings import RadarConfig
 from tagid.radar.sources import FixedSource, FollowingSource, ScanSource
 
@@ -62,6 +63,9 @@ class _State:
     opmode: int = OPMODE_MRM
     sleep: int = SLEEP_ACTIVE
     filter_mask: int = RAW_FILTER
+    motion_index: int = 0
+    multiplier: int = 0
+    filters: ServerFilters = field(default_factory=lambda: ServerFilters(RAW_FILTER, 0))
     boots_until_s: float | None = None
     run: _Run | None = None
     clipped: int = 0
@@ -105,9 +109,7 @@ class EmulatorCore:
             _T.SERVER_CONNECT_REQUEST: lambda m: _confirm(_T.SERVER_CONNECT_CONFIRM, m),
             _T.SERVER_DISCONNECT_REQUEST: lambda m: _confirm(_T.SERVER_DISCONNECT_CONFIRM, m),
             _T.SET_FILTER_REQUEST: self._set_filter,
-            _T.GET_FILTER_REQUEST: lambda m: encode(
-                _T.GET_FILTER_CONFIRM, m.id, mask=self._state.filter_mask
-            ),
+            _T.GET_FILTER_REQUEST: self._get_filter,
             _T.GET_STATUSINFO_REQUEST: lambda m: self._firmware.status_info(m.id, self._identity),
             _T.REBOOT_REQUEST: self._reboot,
             _T.SET_OPMODE_REQUEST: self._set_opmode,
@@ -242,12 +244,8 @@ class EmulatorCore:
         limit = config.clip_counts
         state.clipped += int(np.count_nonzero(np.abs(samples) > limit))
         stamp = self._fixed.timestamp_ms(index) & 0xFFFFFFFF if self._fixed else self._timestamp()
-        return scan_packets(
-            np.clip(samples, -limit, limit).astype(np.int32),
-            config,
-            (run.first_id + index) & 0xFFFF,
-            stamp,
-        )
+        taken = np.clip(samples, -limit, limit).astype(np.int32)
+        return state.filters.packets(taken, config, (run.first_id + index) & 0xFFFF, stamp)
 
     def _set_config(self, message: Message) -> bytes:
         self._state.run = None  # silently, as the real radar does
@@ -275,8 +273,24 @@ class EmulatorCore:
         return _confirm(_T.CONTROL_CONFIRM, message)
 
     def _set_filter(self, message: Message) -> bytes:
-        status = Status.OK if message["mask"] == RAW_FILTER else Status.UNSUPPORTED_VALUE
-        return _confirm(_T.SET_FILTER_CONFIRM, message, status)
+        mask = message["mask"]
+        if not mask or mask & ~ALL_FILTERS:
+            return _confirm(_T.SET_FILTER_CONFIRM, message, Status.UNSUPPORTED_VALUE)
+        self._state.filter_mask = mask
+        self._state.motion_index = message["motion_index"]
+        self._state.multiplier = message["threshold_multiplier"]
+        self._state.filters = ServerFilters(mask, self._state.multiplier)
+        return _confirm(_T.SET_FILTER_CONFIRM, message)
+
+    def _get_filter(self, message: Message) -> bytes:
+        state = self._state
+        return encode(
+            _T.GET_FILTER_CONFIRM,
+            message.id,
+            mask=state.filter_mask,
+            motion_index=state.motion_index,
+            threshold_multiplier=state.multiplier,
+        )
 
     def power_cycle(self) -> None:
         """Boots anew: settings from flash, no run, and deaf until READY_INFO."""

@@ -74,7 +74,11 @@ def read_fragment(packet: bytes) -> Fragment | None:
 
 
 def scan_packets(
-    samples: NDArray[np.int32], config: RadarConfig, scan_id: int, timestamp_ms: int
+    samples: NDArray[np.int32],
+    config: RadarConfig,
+    scan_id: int,
+    timestamp_ms: int,
+    filter_bit: int = RAW_FILTER,
 ) -> list[bytes]:
     """The SCAN_INFO packets of one scan: 1452 bytes each, the last one zero-padded.
 
@@ -83,6 +87,7 @@ def scan_packets(
         config: settings it was taken with.
         scan_id: message id, u16, that all fragments share.
         timestamp_ms: radar clock, u32, that all fragments share.
+        filter_bit: what the samples are: 1 raw, as a radar sends them.
     """
     total = len(samples)
     count = -(-total // SAMPLES_PER_MESSAGE)
@@ -98,7 +103,7 @@ def scan_packets(
             config.scan_start_ps,
             config.scan_stop_ps,
             BINS_PER_SAMPLE,
-            RAW_FILTER,
+            filter_bit,
             _RESERVED,
             config.antenna_mode,
             OPMODE_MRM,
