@@ -6,6 +6,8 @@ instance says what happened and what to do next, so that no command ever shows a
 
 from __future__ import annotations
 
+import re
+
 EXIT_OK = 0
 EXIT_FAILED = 1
 EXIT_USAGE = 2
@@ -28,6 +30,25 @@ def displayable(text: str) -> str:
     except UnicodeEncodeError:  # half a surrogate pair, from JSON perhaps: it stands for no byte
         raw = text.encode("utf-8", "backslashreplace")
     return raw.decode("utf-8", "backslashreplace")
+
+
+def visible(text: str) -> str:
+    """Text that cannot steer a terminal: control characters but the line feed stand as \\xNN or \\uNNNN.
+
+    C0, DEL and C1 controls begin escape sequences; line separators and the marks that change the direction of
+    writing let one text pass for another (Unicode Technical Report 36).
+
+    >>> visible("red \\x1b[31m")
+    'red \\\\x1b[31m'
+    """
+    return _CONTROLS.sub(lambda found: _escaped(ord(found.group())), text)
+
+
+_CONTROLS = re.compile("[\x00-\x09\x0b-\x1f\x7f-\x9f\u200e\u200f\u2028-\u202e\u2066-\u2069]")
+
+
+def _escaped(code: int) -> str:
+    return f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}"
 
 
 class TagidError(Exception):

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -180,6 +181,19 @@ def model_bytes(name: str, folder: Path = FOLDER) -> tuple[bytes, Entry]:
     return content, entry
 
 
+def load_onnxruntime() -> Any:
+    """The package onnxruntime with its telemetry off; every session is made with what this returns.
+
+    From its import on, onnxruntime 1.31 otherwise writes a device id and a database into the user's cache
+    folder, and sends events over the network. Raises ImportError where it is not installed.
+    """
+    os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
+    import onnxruntime
+
+    onnxruntime.disable_telemetry_events()
+    return onnxruntime
+
+
 def open_model(name: str, threads: int = 1, folder: Path = FOLDER) -> Model:
     """A model ready to run on the processor.
 
@@ -192,8 +206,7 @@ def open_model(name: str, threads: int = 1, folder: Path = FOLDER) -> Model:
         ModelError: file or graph differ from the manifest (hash, opset, names, dtypes, shapes).
         StorageError: it is missing.
     """
-    import onnxruntime
-
+    onnxruntime = load_onnxruntime()
     content, entry = model_bytes(name, folder)
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = threads

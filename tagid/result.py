@@ -1,6 +1,7 @@
 """What every command returns, and the only place that turns it into text.
 
-Scripts read the JSON envelope, people read the drawn result; both come from one value and cannot disagree.
+Scripts read the JSON envelope, people read the drawn result; both come from one value. Names and texts come
+from files and devices, so control characters are escaped here, in all that is written for people.
 """
 
 from __future__ import annotations
@@ -11,10 +12,10 @@ import sys
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
-from tagid.errors import EXIT_OK, TagidError
+from tagid.errors import EXIT_OK, TagidError, visible
 
 if TYPE_CHECKING:
-    from rich.console import RenderableType
+    from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
 
 RESULT_VERSION = 1
 """Version of the JSON envelope; it changes only when a field changes its meaning or goes."""
@@ -81,7 +82,10 @@ def _plain(value: Any) -> Any:
 
 
 def render(result: Result, output: str, quiet: bool = False) -> None:
-    """Write a result: one JSON document on stdout, or text or CSV there with errors and remarks on stderr."""
+    """Write a result: one JSON document on stdout, or text or CSV there with errors and remarks on stderr.
+
+    Raises OSError where stdout or stderr takes no more, e.g. on a full disk.
+    """
     if output == "json":
         json.dump(result.envelope(), sys.stdout, indent=2, allow_nan=False)
         sys.stdout.write("\n")
@@ -95,11 +99,25 @@ def render(result: Result, output: str, quiet: bool = False) -> None:
         sys.stdout.write(result.csv)
         sys.stdout.flush()
     elif result.human is not None:
-        Console(highlight=False).print(result.human)
+        Console(highlight=False).print(Harmless(result.human))
+        sys.stdout.flush()
     if not quiet:
         for message in result.messages:
-            err.print(Text(f"note: {message}", style="yellow"))
+            err.print(Text(f"note: {visible(message)}", style="yellow"))
     for entry in result.errors:
-        err.print(Text.assemble(("error: ", "bold red"), entry["message"]), soft_wrap=True)
+        err.print(Text.assemble(("error: ", "bold red"), visible(entry["message"])), soft_wrap=True)
         if entry["remedy"]:
-            err.print(Text.assemble(("what to do: ", "bold"), entry["remedy"]), soft_wrap=True)
+            err.print(Text.assemble(("what to do: ", "bold"), visible(entry["remedy"])), soft_wrap=True)
+
+
+class Harmless:
+    """Anything rich can draw, with the control characters of its texts escaped; rich's own colours stay."""
+
+    def __init__(self, drawn: RenderableType) -> None:
+        self._drawn = drawn
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        from rich.segment import Segment
+
+        for segment in console.render(self._drawn, options):
+            yield segment if segment.control else Segment(visible(segment.text), segment.style)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from tagid.capture import Pulse
 from tagid.constants import BANDWIDTH_HZ, CENTER_FREQUENCY_HZ
+from tagid.signal import from_positive, positive_spectrum
 
 
 def nominal_pulse(
@@ -38,12 +39,7 @@ def analytic_pulse(pulse: Pulse, oversampling: int = 1) -> NDArray[np.complex128
         (n * oversampling,) complex128; time zero is at index (n // 2) * oversampling.
     """
     n = len(pulse.samples)
-    padded = 2 * n
-    spectrum = np.fft.fft(pulse.samples, padded)
-    fine = np.zeros(padded * oversampling, dtype=np.complex128)
-    fine[: n + 1] = spectrum[: n + 1]
-    fine[1:n] *= 2
-    return np.asarray(np.fft.ifft(fine)[: n * oversampling] * oversampling, dtype=np.complex128)
+    return from_positive(positive_spectrum(pulse.samples, 2 * n), 2 * n, n, oversampling)
 
 
 def pulse_at(pulse: Pulse, time_s: NDArray[np.floating]) -> NDArray[np.complex128]:

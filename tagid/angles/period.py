@@ -33,6 +33,8 @@ MARKED = 0.98
 """The same where a marker stands off the axis: what misses it is a few per cent less alike."""
 SLOWER = 1.5
 """A period is doubted where the echoes move as if a turn took this many times as long."""
+GAP = 0.03
+"""A pause between scans of this part of a turn is a gap: no scan witnesses what happened in it."""
 NOMINAL_TOLERANCE = 0.15
 """A nominal period is believed to 15 %."""
 
@@ -44,7 +46,8 @@ class PeriodEstimate:
     Attributes:
         period_s: s a turn.
         sigma_s: its standard deviation (jackknife over range bins), s.
-        quality: 0..1, likeness of the scans after a turn relative to what noise lets through.
+        quality: 0..1, correlation of the scans with those one turn later, relative to the most that the noise
+            allows, times the share of a turn that was recorded without a gap.
         turns: turns in the record.
         multiple: turns of the lag that was measured (the longest available).
         harmonic_ambiguous: the scans also repeat after a fraction of this period, or are clearly more alike
@@ -205,12 +208,19 @@ def find_period(
     return PeriodEstimate(
         period_s=period * ac.step_s,
         sigma_s=sigma / multiple * ac.step_s,
-        quality=float(np.clip(rho[peak] / ac.coherence, 0, 1)),
+        quality=float(np.clip(rho[peak] / ac.coherence, 0, 1)) * _recorded_share(times_s, period * ac.step_s),
         turns=ac.scans / period,
         multiple=multiple,
         harmonic_ambiguous=bool(rivals),
         rivals_s=tuple(r * ac.step_s for r in rivals),
     )
+
+
+def _recorded_share(times_s: NDArray[np.floating], period_s: float) -> float:
+    """Share of one turn that is not inside gaps longer than `GAP` turns, 0..1."""
+    steps = np.diff(np.asarray(times_s, dtype=np.float64))
+    missing = float(steps[steps > GAP * period_s].sum())
+    return max(0.0, 1 - missing / period_s)
 
 
 def _rivals(

@@ -15,7 +15,7 @@ from tagid import __version__
 from tagid.batch.inputs import Source
 from tagid.batch.job import Job, Outcome
 from tagid.batch.local import TICK_S, Results, Tasks
-from tagid.batch.work import failed_record, work
+from tagid.batch.work import failed_record, unexpected, work
 from tagid.errors import ClusterError, MissingExtraError, TagidError
 
 CONNECT_S = 10.0
@@ -148,6 +148,8 @@ class _Remote:
             return Outcome(failed_record(source, error))
         except (self._distributed.client.FutureCancelledError, TimeoutError, OSError) as fault:
             raise self._gone() from fault
+        except Exception as error:
+            return Outcome(failed_record(source, unexpected(source, error)))
 
     def _check(self) -> None:
         if self._client.status not in ("running", "connecting"):

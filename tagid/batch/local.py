@@ -19,7 +19,7 @@ from multiprocessing.connection import wait as wait_for
 
 from tagid.batch.inputs import Source
 from tagid.batch.job import Job, Outcome
-from tagid.batch.work import failed_record, work
+from tagid.batch.work import failed_record, unexpected, work
 from tagid.errors import TagidError
 
 AHEAD = 2
@@ -89,7 +89,7 @@ class _Pool:
             else:
                 for future in done:
                     position, source = self._under_way.pop(future)
-                    yield position, source, future.result()
+                    yield position, source, _outcome(source, future)
 
     def _submit(self, task: tuple[int, Source]) -> None:
         with _no_interrupt():
@@ -107,8 +107,8 @@ class _Pool:
         """A worker died and took the pool along: do what was under way one by one, to find the culprit."""
         left = []
         for future, task in list(self._under_way.items()):
-            if future in done and future.exception() is None:
-                yield *task, future.result()
+            if future in done and not isinstance(future.exception(), BrokenProcessPool):
+                yield *task, _outcome(task[1], future)
             else:
                 left.append(task)
         self._under_way.clear()
@@ -120,7 +120,7 @@ class _Pool:
             try:
                 while not wait([future], timeout=TICK_S).done:
                     yield None
-                yield position, source, future.result()
+                yield position, source, _outcome(source, future)
             except BrokenProcessPool:
                 error = TagidError(
                     "the process that worked on this file died (out of memory, or a fault in a library)",
@@ -136,6 +136,19 @@ class _Pool:
             _stop(self._executor)
             self._executor = None
         self._under_way.clear()
+
+
+def _outcome(source: Source, future: Future[Outcome]) -> Outcome:
+    """What a worker gave, or the item's failure where its result could not even be sent here.
+
+    Raises BrokenProcessPool.
+    """
+    try:
+        return future.result()
+    except BrokenProcessPool:
+        raise
+    except Exception as error:
+        return Outcome(failed_record(source, unexpected(source, error)))
 
 
 _END = object()

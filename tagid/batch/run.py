@@ -151,12 +151,16 @@ class _Run:
         watch = self._plan.watch
         if watch is None:
             return
+        places = {source.location: position for position, source in enumerate(self._sources)}
         for source in watch.arrivals(self._sources):
             if source is None:
                 yield None
                 continue
-            self._sources.append(source)
-            yield len(self._sources) - 1, source
+            # A file that changed after its answer, e.g. one that was still being copied, keeps its place.
+            position = places.setdefault(source.location, len(self._sources))
+            if position == len(self._sources):
+                self._sources.append(source)
+            yield position, source
 
     def _keep(self, record: dict[str, Any], reused: bool) -> None:
         if reused:
@@ -177,8 +181,9 @@ class _Run:
         fresh = done - self._reused
         seconds = time.monotonic() - self._clock
         rate = fresh / seconds if seconds > 0 else 0.0
-        left = (len(self._sources) - done) / rate if rate > 0 else None
-        self._hooks.progress(done, len(self._sources), rate, left)
+        # A watched file that changed is done twice.
+        left = max(len(self._sources) - done, 0) / rate if rate > 0 else None
+        self._hooks.progress(min(done, len(self._sources)), len(self._sources), rate, left)
 
     def _judged(self, record: dict[str, Any], position: int) -> dict[str, Any]:
         """The record with what was expected of it."""

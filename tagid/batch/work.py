@@ -1,6 +1,6 @@
 """One item from its file to its record and pictures: what a worker does, wherever it runs.
 
-Nothing that happens to one item may end the batch, so every fault becomes a record that says what to do.
+Nothing that happens to one item may end the batch, so every fault becomes that item's record.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ import logging
 import os
 import tempfile
 import time
+import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -59,15 +60,23 @@ def work(source: Source, job: Job) -> Outcome:
                 image, sinogram, drawing = _pictures(prepared, answer, job)
     except TagidError as error:
         answer = _failed(source, error)
-    except (ArithmeticError, LookupError, MemoryError, OSError, RuntimeError, TypeError, ValueError) as error:
-        logging.getLogger("tagid").debug("unexpected error in %s", source.name, exc_info=True)
-        fault = TagidError(
-            f"{source.name}: unexpected {type(error).__name__}: {error}",
-            "This is a fault in tagid: run `tagid identify` on the file with -vv and report what it prints.",
-        )
-        answer = _failed(source, fault)
+    except Exception as error:
+        answer = _failed(source, unexpected(source, error))
     record = make_record(source, answer, watch.seconds, facts["sha256"], facts["size"])
     return Outcome(record, image, sinogram, drawing, cpu_s=time.process_time() - began)
+
+
+def unexpected(source: Source, error: BaseException) -> TagidError:
+    """What to report of an item that failed as nothing should; its type and place go to the log."""
+    frames = traceback.extract_tb(error.__traceback__)
+    place = f"{Path(frames[-1].filename).name}:{frames[-1].lineno}" if frames else "an unknown place"
+    log = logging.getLogger("tagid")
+    log.warning("%s: unexpected %s at %s", source.name, type(error).__name__, place)
+    log.debug("%s", source.name, exc_info=error)
+    return TagidError(
+        f"{source.name}: unexpected {type(error).__name__}: {str(error)[:300]}",
+        "This is a fault in tagid: run `tagid identify` on the file with -vv and report what it prints.",
+    )
 
 
 def make_record(

@@ -87,6 +87,7 @@ def _list(terminal: Terminal, store: Any, wanted: Any) -> Result:
     from rich.text import Text
 
     from tagid.storage.history import FIELDS
+    from tagid.storage.spreadsheet import cell
 
     total = store.count(wanted)
     if terminal.output == "human" and wanted.limit is None:
@@ -96,7 +97,7 @@ def _list(terminal: Terminal, store: Any, wanted: Any) -> Result:
     text = io.StringIO()
     table = csv.DictWriter(text, FIELDS)
     table.writeheader()
-    table.writerows(rows)
+    table.writerows({name: cell(value) for name, value in row.items()} for row in rows)
     shown = Table("time (UTC)", "file", "answer", "score", "margin", "by", box=None)
     colours = {"identified": "green", "failed": "red"}
     for row in rows:

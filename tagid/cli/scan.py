@@ -101,8 +101,6 @@ def _scans(
     repeat: int,
 ) -> Result:
     """One turn, or several and one answer from all of them; what was recorded before a failure is kept."""
-    from dataclasses import replace
-
     from tagid.cli.identify import vote_on
 
     turns = [_scan(terminal, config, limits, about, view) for _ in range(repeat)]
@@ -153,16 +151,21 @@ def _scan(
     plan = plan_of(config, url, limits, about)
     known = imaging.open_registry().contents()
     motion = open_motion(config["motion.url"])
-    path = capture_path(folder)
+    paths: list[Path] = []
     with terminal.progress("record", motion.needed_seconds()) as advance:
         capture = record(
             open_radar(url, config["radar.timeout_s"]),
             motion,
-            plan,
-            path,
-            Watch(lambda count, seconds: advance(seconds, f"{count} scans, {seconds:.1f} s"), resolve_turn),
+            replace(plan, renumber=True),
+            capture_path(folder),
+            Watch(
+                lambda count, seconds: advance(seconds, f"{count} scans, {seconds:.1f} s"),
+                resolve_turn,
+                named=paths.append,
+            ),
         )
     resolved = capture.motion.resolved
+    path = paths[-1]
     stem = path.name.removesuffix(".tagid.h5")
     png = path.with_name(f"{stem}.png")
     npz = path.with_name(f"{stem}.image.npz")

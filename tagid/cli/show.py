@@ -13,6 +13,7 @@ from tagid.config import load_config
 from tagid.result import Result
 
 if TYPE_CHECKING:
+    from tagid.capture import Capture
     from tagid.recording.inspection import RecordingSummary
 
 
@@ -24,11 +25,13 @@ def register(app: typer.Typer) -> None:
         terminal: Terminal,
         file: options.CaptureFile,
         png: Annotated[Path | None, typer.Option("--png", help="Picture (default: beside the file).")] = None,
-        changing: Annotated[bool, typer.Option("--changing", help="Draw only what changes.")] = False,
+        changing: Annotated[
+            bool, typer.Option("--changing", help="Draw without the mean scan: only what changes.")
+        ] = False,
         cable_delay: options.CableDelay = None,
         node: options.Node = None,
     ) -> Result:
-        """Draw range profile, sinogram and spectrum of a recording, with a short table.
+        """Draw range profile, scans over time and spectrum of a recording, and print its statistics.
 
         Example: tagid show helmet.tagid.h5
         """
@@ -37,7 +40,7 @@ def register(app: typer.Typer) -> None:
         from rich.text import Text
 
         from tagid.pipeline.load import LoadSettings, load_capture
-        from tagid.recording.inspection import inspect
+        from tagid.recording.inspection import inspect, thinned
         from tagid.report.charts import draw_recording
         from tagid.storage.importers import remarks
 
@@ -45,7 +48,9 @@ def register(app: typer.Typer) -> None:
         capture = load_capture(file, LoadSettings.of(config, node=node), turn=False)
         summary = inspect(capture)
         target = png or file.with_name(file.name.removesuffix(".tagid.h5") + ".png")
-        draw_recording(capture, target, file.name, changing_only=changing)
+        draw_recording(
+            thinned(capture)[0], target, file.name, changing_only=changing, turning=_turns(summary, capture)
+        )
         table = Table(show_header=False, box=None)
         for name, text in _rows(summary):
             table.add_row(name, text)
@@ -74,7 +79,15 @@ def register(app: typer.Typer) -> None:
             },
             "complete": capture.complete,
         }
-        return Result("show", data, Group(table, Text(f"picture {target}")), messages=remarks(capture))
+        messages = remarks(capture)
+        if summary.every > 1:
+            messages += (f"SNR, period and picture are from every {summary.every}th scan",)
+        return Result("show", data, Group(table, Text(f"picture {target}")), messages=messages)
+
+
+def _turns(summary: RecordingSummary, capture: Capture) -> bool:
+    """Whether the views are those of something that turns: it changes, or the recording has its angles."""
+    return summary.changes or capture.angles_rad is not None
 
 
 def _rows(summary: RecordingSummary) -> list[tuple[str, str]]:
@@ -82,21 +95,26 @@ def _rows(summary: RecordingSummary) -> list[tuple[str, str]]:
         return "-" if value is None else format(value, form)
 
     rate = or_dash(summary.scan_rate_hz, ".1f")
-    period = summary.period_note
-    if summary.period_s is not None:
-        period = f"{summary.period_s:.3f} s +- {summary.period_sigma_s or 0:.3f} s {period}"
     clipped = "-" if summary.clipped_fraction is None else f"{summary.clipped_fraction:.2%}"
+    count = "1 scan" if summary.views == 1 else f"{summary.views} scans"
+    per_second = "" if summary.scan_rate_hz is None else f", {rate} per second"
     rows = [
-        ("scans", f"{summary.views} of {summary.bins} samples, {rate} a second"),
+        ("scans", f"{count} of {summary.bins} samples{per_second}"),
         ("range", f"{summary.range_from_m:.2f} to {summary.range_to_m:.2f} m"),
         ("SNR", f"{or_dash(summary.snr_db, '.1f')} dB"),
-        (
-            "turning",
-            f"{or_dash(summary.changing_snr_db, '.1f')} dB at {or_dash(summary.changing_range_m, '.2f')} m",
-        ),
+    ]
+    if summary.changes:
+        changing = f"{summary.changing_snr_db:.1f} dB at {or_dash(summary.changing_range_m, '.2f')} m"
+        rows.append(("changing", changing))
+        period = summary.period_note
+        if summary.period_s is not None:
+            period = f"{summary.period_s:.3f} s +- {summary.period_sigma_s or 0:.3f} s {period}"
+        rows.append(("period", period))
+    else:
+        rows.append(("changing", "nothing beyond the noise" if summary.views > 1 else "- (one scan)"))
+    rows += [
         ("clipped", clipped),
         ("lost scans", "-" if summary.lost_scans is None else str(summary.lost_scans)),
-        ("period", period),
     ]
     if summary.strongest:
         s = summary.strongest

@@ -16,6 +16,7 @@ from tagid.errors import DataError, MissingExtraError, StorageError, UsageError
 from tagid.geometry import ImageGrid
 from tagid.imaging.operator import ForwardOperator
 from tagid.imaging.types import BasebandScans, Image
+from tagid.models_store import load_onnxruntime
 
 POINT_SIGMA_M = 0.01
 """Standard deviation of the Gaussian that stands for a true point, m."""
@@ -177,7 +178,7 @@ def lpips(image: NDArray[np.generic], truth: NDArray[np.generic], model: Path) -
         UsageError: the model is not of that form.
     """
     try:
-        import onnxruntime
+        onnxruntime = load_onnxruntime()
     except ImportError as error:
         raise MissingExtraError(
             "LPIPS needs onnxruntime", "Install it with: pip install onnxruntime"

@@ -135,7 +135,13 @@ class ScanAssembler:
         self._pending: dict[tuple[int, int], _Partial] = {}
         self._ready: dict[int, Scan] = {}
         self._newest_ready = -1
+        self._whole = 0
         self.newest_id: int | None = None
+
+    @property
+    def whole_scans(self) -> int:
+        """Scans of which every fragment came, those still held back included."""
+        return self._whole
 
     @property
     def next_id(self) -> int | None:
@@ -202,6 +208,7 @@ class ScanAssembler:
 
     def _complete(self, scan_id: int, timestamp_ms: int, partial: _Partial) -> None:
         del self._pending[scan_id, timestamp_ms]
+        self._whole += 1
         reference = self._time_reference if self._time_reference is not None else timestamp_ms
         radar_time = unwrap(timestamp_ms, reference, 32)
         self._time_reference = max(radar_time, reference)

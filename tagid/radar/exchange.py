@@ -21,7 +21,7 @@ from tagid.radar.messages import (
     encode,
     status_text,
 )
-from tagid.radar.scan_info import SCAN_INFO_BYTES, SCAN_INFO_HEAD, Fragment, read_fragment
+from tagid.radar.scan_info import SCAN_INFO_HEAD, Fragment, read_fragment
 
 _T = MessageType
 _QUIET_S: Final = 0.05
@@ -84,6 +84,7 @@ class Exchange:
             raise UsageError(
                 f"the radar cannot be sent this: {error}", "Give a value within the limits."
             ) from error
+        bytes_before, heard = self._bytes_in_vain(), 0
         starts = request is _T.CONTROL_REQUEST and fields.get("scan_count", 0) > 0
         attempts = attempts or self.attempts
         for attempt in range(attempts):
@@ -96,6 +97,7 @@ class Exchange:
                     if self.link.exhausted:
                         break
                     continue
+                heard += 1
                 if isinstance(message, Fragment):
                     if starts and (message.id - message_id) & 0xFFFF < 2 * WINDOW:
                         self.early.append(message)
@@ -108,9 +110,20 @@ class Exchange:
                     return message
                 else:
                     self._refused(message, request, message_id)
+        strange = self._bytes_in_vain() - bytes_before
+        if strange and not heard:
+            raise DeviceTimeoutError(
+                f"something answers at {self.link}, but not as a P440 ({request.name} sent {attempts} times)",
+                "Check the address and port; on a serial line, the framing (usb or uart), the baud rate, and "
+                "that the device is a P440.",
+            )
         raise DeviceTimeoutError(
             f"the radar at {self.link} did not answer {request.name} ({attempts} tries)", NO_ANSWER
         )
+
+    def _bytes_in_vain(self) -> int:
+        """What arrived so far that is no message: packets, and bytes outside frames on a serial line."""
+        return self.statistics.malformed + self.link.skipped_bytes
 
     def drain(self) -> None:
         """Drops what still arrives after a stop, until it has been quiet for a moment."""
@@ -131,7 +144,7 @@ class Exchange:
         deadline = time.monotonic() + timeout
         while (packet := self.link.receive(max(deadline - time.monotonic(), 0.0))) is not None:
             self.statistics.received += 1
-            if len(packet) == SCAN_INFO_BYTES and packet.startswith(SCAN_INFO_HEAD):
+            if packet.startswith(SCAN_INFO_HEAD):
                 fragment = read_fragment(packet)
                 if fragment is not None:
                     return fragment

@@ -1,7 +1,7 @@
-"""Scans that go on after the radar was away: a plug pulled and put back, a restart, a cable out for a moment.
+"""Scans that continue after the radar was away: a plug pulled and put back, a restart, a loose cable.
 
-A recording of ten minutes must not be lost because a plug was loose for two seconds; but what is missing is
-marked, and numbers and clock go on as if the radar had scanned all the while.
+A recording of ten minutes must not be lost because a plug was loose for two seconds. What is missing is
+marked, and scan numbers and clock continue as if the radar had scanned all the time.
 """
 
 from __future__ import annotations
@@ -37,29 +37,34 @@ def steady_scans(
     interval_us: int = 0,
     resume_s: float = RESUME_S,
     on_gap: Callable[[ScanGap], None] = lambda gap: None,
+    until: Callable[[], bool] = lambda: False,
 ) -> Iterator[Scan]:
     """The scans of a run as `P440.scans` gives them, and those after the radar came back.
 
-    After a gap, scan numbers have moved on by the scans that would have come, and the radar's clock is
-    carried on, by the host's where the radar restarted. A radar that is only silent is asked once more; one
-    that lost its plug or its power is waited for.
+    After a gap, scan numbers have moved on by the scans that would have come, and the radar's clock
+    continues, by the host's clock where the radar restarted. A radar that is only silent is asked once more;
+    one that lost its plug or its power is waited for.
 
     Args:
         radar: connected and set.
         count, interval_us: as for `P440.scans`; scans that would have come in a gap do not count.
         resume_s: how long a radar that is gone or boots is waited for, s; 0 never waits.
-        on_gap: told before the first scan after a gap.
+        on_gap: called before the first scan after a gap.
+        until: as for `P440.scans`; also asked while the radar is waited for.
 
-    Raises what `P440.scans` raises where the radar does not come back, or comes back with other settings.
+    Raises what `P440.scans` raises where the radar does not come back, comes back with other settings, or
+    sends no whole scan for `resume_s` although it came back.
     """
     last: Scan | None = None
+    last_at = 0.0
     shift_ms = done = 0
     reason, rebooted = "", False
     while True:
         before, join = last, None
         first_id = newest_id = 0
         try:
-            for scan in radar.scans(count if count == SCAN_FOREVER else count - done, interval_us):
+            left = count if count == SCAN_FOREVER else count - done
+            for scan in radar.scans(left, interval_us, until):
                 if join is None:
                     first_id = scan.scan_id
                     join = _Join(0, shift_ms)
@@ -70,9 +75,12 @@ def steady_scans(
                 newest_id = scan.scan_id
                 last = join.shifted(scan)
                 yield last
+                last_at = time.monotonic()
             return
         except (DeviceGoneError, DeviceRestartedError, DeviceTimeoutError) as error:
             if resume_s <= 0 or last is None:
+                raise
+            if join is None and time.monotonic() - last_at > resume_s:
                 raise
             if join is not None:
                 done += newest_id - first_id + 1
@@ -80,7 +88,8 @@ def steady_scans(
             if count != SCAN_FOREVER and done >= count:
                 return
             reason, rebooted = error.message, isinstance(error, DeviceRestartedError)
-            _come_back(radar, error, resume_s)
+            if not _come_back(radar, error, resume_s, until):
+                return
 
 
 @dataclass(frozen=True)
@@ -117,23 +126,28 @@ def _joined(before: Scan, first: Scan, period_s: float, shift_ms: int | None) ->
     return join, ScanGap(before.scan_id, gap_ms * 1e-3, "", restarted)
 
 
-def _come_back(radar: P440, error: DeviceError, resume_s: float) -> None:
-    """Waits for the radar and sets it as before. Raises `error` where it stays away."""
+def _come_back(radar: P440, error: DeviceError, resume_s: float, until: Callable[[], bool]) -> bool:
+    """Waits for the radar and sets it as before; False where the caller ended the wait.
+
+    Raises `error` where the radar stays away.
+    """
     asked, taken = replace(radar.asked, persist=0), radar.config
     deadline = time.monotonic() + resume_s
-    while True:
+    while not until():
         try:
             radar.reconnect()
             back = radar.set_config(asked)
-            break
         except DeviceRejectedError:
             raise
         except DeviceError as still:
             if isinstance(error, DeviceTimeoutError) or time.monotonic() >= deadline:
                 raise error from still
-        time.sleep(_POLL_S)
-    if replace(back, persist=taken.persist) != taken:
-        raise DeviceError(
-            "the radar came back with another scan window or other settings",
-            "The scans up to then are kept; run the command again.",
-        )
+            time.sleep(_POLL_S)
+            continue
+        if replace(back, persist=taken.persist) != taken:
+            raise DeviceError(
+                "the radar came back with another scan window or other settings",
+                "The scans up to then are kept; run the command again.",
+            )
+        return True
+    return False

@@ -51,7 +51,13 @@ class Fragment(NamedTuple):
 
 
 def read_fragment(packet: bytes) -> Fragment | None:
-    """The fragment in a packet of SCAN_INFO's size and type; None where its numbers disagree."""
+    """The fragment in a packet of SCAN_INFO's type; None where its numbers or its length disagree.
+
+    A P440 pads the last fragment of a scan to the length of the others; one that ends with its samples is
+    read as well.
+    """
+    if len(packet) < _HEADER.size:
+        return None
     (_, scan_id, node, stamp, start, stop, _, _, _, antenna, _, here, total, index, count) = (
         _HEADER.unpack_from(packet)
     )
@@ -61,12 +67,18 @@ def read_fragment(packet: bytes) -> Fragment | None:
         return None
     if here != min(SAMPLES_PER_MESSAGE, total - index * SAMPLES_PER_MESSAGE):
         return None
+    if len(packet) not in (SCAN_INFO_BYTES, _HEADER.size + here * _BIG.itemsize):
+        return None
     samples = np.frombuffer(packet, _BIG, here, _HEADER.size)
     return Fragment(scan_id, stamp, (total, count, start, stop, antenna, node), index, samples)
 
 
 def scan_packets(
-    samples: NDArray[np.int32], config: RadarConfig, scan_id: int, timestamp_ms: int
+    samples: NDArray[np.int32],
+    config: RadarConfig,
+    scan_id: int,
+    timestamp_ms: int,
+    filter_bit: int = RAW_FILTER,
 ) -> list[bytes]:
     """The SCAN_INFO packets of one scan: 1452 bytes each, the last one zero-padded.
 
@@ -75,6 +87,7 @@ def scan_packets(
         config: settings it was taken with.
         scan_id: message id, u16, that all fragments share.
         timestamp_ms: radar clock, u32, that all fragments share.
+        filter_bit: what the samples are: 1 raw, as a radar sends them.
     """
     total = len(samples)
     count = -(-total // SAMPLES_PER_MESSAGE)
@@ -90,7 +103,7 @@ def scan_packets(
             config.scan_start_ps,
             config.scan_stop_ps,
             BINS_PER_SAMPLE,
-            RAW_FILTER,
+            filter_bit,
             _RESERVED,
             config.antenna_mode,
             OPMODE_MRM,

@@ -20,6 +20,7 @@ from tagid.errors import DataError, UsageError
 from tagid.metadata import RadarInfo, RadarSettings, ReferenceFacts, ReferenceName
 from tagid.radar.p440 import P440
 from tagid.radar.settings import RadarConfig
+from tagid.signal import from_positive, positive_spectrum
 from tagid.waveform import nominal_pulse, pulse_at
 
 LONGEST_DELAY_PS = 25_000.0
@@ -228,14 +229,11 @@ def _envelopes(scan: NDArray[np.float64], step_s: float) -> tuple[NDArray[np.flo
     bins = len(scan)
     length = 1 << (2 * bins - 1).bit_length()
     half = length // 2
-    spectrum = np.fft.fft(scan - scan.mean(), length)[:half]
-    spectrum[1:] *= 2
+    spectrum = positive_spectrum(scan - scan.mean(), length)
     offset = (np.arange(length) + half) % length - half
-    pulse = np.fft.fft(pulse_at(nominal_pulse(), offset * step_s))[:half]
-    padded = np.zeros((2, length * _FINER), dtype=np.complex128)
-    padded[0, :half] = spectrum
-    padded[1, :half] = spectrum * np.conj(pulse)
-    envelopes = np.abs(np.fft.ifft(padded, axis=1))[:, : bins * _FINER] * _FINER
+    pulse = np.fft.fft(pulse_at(nominal_pulse(), offset * step_s))[: half + 1]
+    both = np.stack([spectrum, spectrum * np.conj(pulse)])
+    envelopes = np.abs(from_positive(both, length, bins, _FINER))
     return envelopes[0], envelopes[1]
 
 

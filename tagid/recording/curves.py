@@ -12,32 +12,12 @@ from numpy.typing import NDArray
 
 from tagid.capture import Capture
 from tagid.constants import SPEED_OF_LIGHT
+from tagid.signal import analytic
 
-# Views transformed at once: bounds the memory of a long recording to a few tens of MB.
+# Views transformed at once, which bounds the memory of a long recording.
 _CHUNK = 256
 
 TIME_LABEL = "time (s)"
-
-
-def analytic(samples: NDArray[np.generic]) -> NDArray[np.complex64]:
-    """The analytic signal along the last axis, (views, bins); complex samples are taken as analytic already.
-
-    Negative frequencies are removed and positive ones doubled (Marple, IEEE Trans. Signal Processing 47,
-    1999), so that the magnitude is the envelope of real RF samples.
-    """
-    if np.iscomplexobj(samples):
-        return np.asarray(samples, dtype=np.complex64)
-    bins = samples.shape[-1]
-    weight = np.zeros(bins)
-    weight[0] = 1
-    weight[1 : (bins + 1) // 2] = 2
-    if bins % 2 == 0:
-        weight[bins // 2] = 1
-    result = np.empty(samples.shape, dtype=np.complex64)
-    for first in range(0, len(samples), _CHUNK):
-        part = np.asarray(samples[first : first + _CHUNK], dtype=np.float64)
-        result[first : first + _CHUNK] = np.fft.ifft(np.fft.fft(part, axis=-1) * weight, axis=-1)
-    return result
 
 
 def slow_time(capture: Capture) -> tuple[NDArray[np.float64], str]:

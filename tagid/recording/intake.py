@@ -1,26 +1,48 @@
-"""Scans from the radar into the journal, with everything that happened on the way noted, in constant memory.
+"""Scans from the radar into the journal, in constant memory; losses, gaps and dropped scans are counted.
 
-Every command that records goes through here, so that a loss, a gap or a slow disk looks the same everywhere.
+Every command that records uses this module, so that a loss, a gap or a slow disk is reported the same way.
 """
 
 from __future__ import annotations
 
+import stat
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, replace
 from typing import Final
 
 from tagid.capture import ViewFlag
+from tagid.errors import StorageError
 from tagid.metadata import RadarInfo, ScanGap
 from tagid.radar.assembler import Scan
 from tagid.radar.messages import SCAN_FOREVER
 from tagid.radar.p440 import P440
 from tagid.radar.resume import RESUME_S, steady_scans
 from tagid.radar.settings import RadarConfig
-from tagid.storage.journal import JournalScan
+from tagid.storage.journal import JournalScan, JournalWriter
 from tagid.storage.journal_queue import JournalQueue, drop_note
 
 _MOST_GAPS: Final = 1000
 """Gaps that are described one by one; all are counted."""
+
+_HOST_SLACK_S: Final = 1.0
+"""How much later than the radar's clock the host's clock ends a recording, s: transport takes time."""
+_GUARD_EVERY_S: Final = 0.5
+
+
+class HostLimit:
+    """A time limit on the host's clock, for a radar whose own clock or scans stand still.
+
+    Args:
+        seconds: the limit, s; None never passes.
+    """
+
+    def __init__(self, seconds: float | None) -> None:
+        self._end = None if seconds is None else time.monotonic() + seconds + _HOST_SLACK_S
+
+    def passed(self) -> bool:
+        """Whether the limit and a second of slack have passed."""
+        return self._end is not None and time.monotonic() >= self._end
 
 
 class Intake:
@@ -52,6 +74,12 @@ class Intake:
         self._queue = queue
         self._resume_s = resume_s
         self._on_gap = on_gap
+        self._journal: JournalWriter | None = None
+        self._guard_at = 0.0
+
+    def guard(self, journal: JournalWriter) -> None:
+        """Check twice per second that the journal's file still holds all that was written."""
+        self._journal = journal
 
     @property
     def config(self) -> RadarConfig:
@@ -63,15 +91,26 @@ class Intake:
         """Scans that did not come whole."""
         return self._radar.statistics.lost_scans
 
-    def scans(self, count: int = SCAN_FOREVER, interval_us: int = 0) -> Iterator[Scan]:
-        """The scans of a run, each on its way to the disk when it is handed out; a dropped one is not.
+    def scans(
+        self,
+        count: int = SCAN_FOREVER,
+        interval_us: int = 0,
+        until: Callable[[], bool] = lambda: False,
+    ) -> Iterator[Scan]:
+        """The scans of a run, each put into the journal's queue before it is yielded; dropped scans are not.
 
-        Raises what `steady_scans` and `JournalQueue.put` raise.
+        `until` is asked about ten times per second, also while no scan comes; True ends the run. Raises what
+        `steady_scans` and `JournalQueue.put` raise.
         """
         clip = self._radar.config.clip_counts
         last_id: int | None = None
         gaps_before = self.gap_count
-        for scan in steady_scans(self._radar, count, interval_us, self._resume_s, self._gap):
+
+        def ends() -> bool:
+            self._check_journal()
+            return until()
+
+        for scan in steady_scans(self._radar, count, interval_us, self._resume_s, self._gap, ends):
             flags = ViewFlag.NONE
             if int(scan.samples.max()) >= clip or int(scan.samples.min()) <= -clip:
                 flags |= ViewFlag.CLIPPED
@@ -102,6 +141,25 @@ class Intake:
             gaps=tuple(self.gaps),
         )
 
+    def _check_journal(self) -> None:
+        """Raises StorageError where the journal's file vanished, was replaced or became shorter."""
+        if self._journal is None or time.monotonic() < self._guard_at:
+            return
+        self._guard_at = time.monotonic() + _GUARD_EVERY_S
+        path, written = self._journal.path, self._journal.size
+        try:
+            there = path.stat()
+        except OSError:
+            lost = "vanished"
+        else:
+            if not stat.S_ISREG(there.st_mode) or there.st_size >= written:
+                return
+            lost = f"shrank to {there.st_size} of {written} bytes"
+        raise StorageError(
+            f"{path} {lost} while it was recorded to",
+            "Check the folder and its disk (was it deleted, moved or unmounted?), then record again.",
+        )
+
     def _gap(self, gap: ScanGap) -> None:
         self.gap_count += 1
         if len(self.gaps) < _MOST_GAPS:
@@ -112,8 +170,11 @@ class Intake:
 def notes(radar: RadarInfo) -> list[str]:
     """What a user should know of a recording, one sentence each."""
     found = []
-    if radar.scans_lost:
-        found.append(f"{radar.scans_lost} scans were lost on the way from the radar")
+    if lost := radar.scans_lost:
+        found.append(f"{lost} scan{'' if lost == 1 else 's'} lost between radar and computer")
+    malformed = int((radar.statistics or {}).get("malformed", 0))
+    if malformed:
+        found.append(f"{malformed} packet{'' if malformed == 1 else 's'} were damaged or no P440 messages")
     if radar.scans_dropped:
         found.append(drop_note(radar.scans_dropped))
     if radar.gap_count:

@@ -1,12 +1,12 @@
-"""Recording for hours: every scan to the journal and forgotten, and capture files made of it at the end.
+"""Long recordings: scans go to the journal and are not kept; capture files are written from it at the end.
 
-Nothing grows with the time it takes, so a day in the field ends because somebody stops it and not the memory.
+Memory does not grow with the length of the recording.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from tagid import interrupts
@@ -14,14 +14,15 @@ from tagid.errors import DataError, StorageError
 from tagid.metadata import ScanGap
 from tagid.radar.messages import SCAN_FOREVER
 from tagid.radar.p440 import P440
+from tagid.recording.intake import HostLimit
 from tagid.recording.plan import RecordingPlan, journal_beside
 from tagid.recording.session import (
     Recorded,
     Session,
     check_all_read,
     record_to_journal,
-    recover_remedy,
     where_kept,
+    with_recovery,
     with_remedy,
 )
 from tagid.storage.hdf5 import SUFFIX as CAPTURE_SUFFIX
@@ -34,7 +35,7 @@ class RecordingLimits:
 
     Attributes:
         scans: after so many; None never.
-        seconds: after so long on the radar's clock, s; None never.
+        seconds: after so long on the radar's clock, or a second later on the host's, s; None never.
         interval_us: time between scans, us; 0 as fast as the settings allow.
         part_bytes: samples in one capture file, bytes; a longer recording becomes several.
     """
@@ -69,12 +70,15 @@ class RecordingWatch:
     Attributes:
         progress: told about twice a second of scans.
         gap: told when scans arrive again after the radar was gone.
-        stop: asked after every scan; True ends the recording, which is complete where it had no limit.
+        stop: asked about ten times per second, also while no scan comes; True ends the recording, which is
+            complete where it had no limit.
+        named: called with the path of the first capture file once its journal is created.
     """
 
     progress: Callable[[RecordingState], None] = lambda state: None
     stop: Callable[[], bool] = lambda: False
     gap: Callable[[ScanGap], None] = lambda gap: None
+    named: Callable[[Path], None] = lambda path: None
 
 
 def part_path(first: Path, part: int) -> Path:
@@ -111,17 +115,25 @@ def record_long(
         DataError: no scan arrived.
     """
     watch = watch or RecordingWatch()
-    journal_path = journal_beside(path)
+    if not plan.renumber:
+        journal_beside(path)
+    kept = [path]
+
+    def named(taken: Path) -> None:
+        kept.append(taken)
+        watch.named(taken)
+
     try:
         with interrupts.deferred() as signals:
 
             def receive(session: Session) -> bool:
                 return _receive(session, limits, watch)
 
-            recorded = record_to_journal(radar, plan, journal_path, receive, watch.gap, signals)
-            return _finish(journal_path, path, limits, recorded)
+            told = replace(watch, named=named)
+            recorded = record_to_journal(radar, plan, path, receive, told, signals)
+            return _finish(recorded, limits)
     except KeyboardInterrupt as stop:
-        raise interrupts.stopped_by_user(stop, where_kept(path, journal_path)) from stop
+        raise interrupts.stopped_by_user(stop, where_kept(kept[-1])) from stop
 
 
 def _receive(session: Session, limits: RecordingLimits, watch: RecordingWatch) -> bool:
@@ -130,7 +142,8 @@ def _receive(session: Session, limits: RecordingLimits, watch: RecordingWatch) -
     period_s = max(intake.config.scan_period_s, limits.interval_us * 1e-6)
     check_every = max(1, round(0.5 / period_s))
     first_ms: int | None = None
-    for scan in intake.scans(SCAN_FOREVER, limits.interval_us):
+    limit = HostLimit(limits.seconds)
+    for scan in intake.scans(SCAN_FOREVER, limits.interval_us, lambda: watch.stop() or limit.passed()):
         first_ms = scan.radar_time_ms if first_ms is None else first_ms
         seconds = (scan.radar_time_ms - first_ms) * 1e-3
         done = limits.scans is not None and intake.scans_taken >= limits.scans
@@ -141,14 +154,12 @@ def _receive(session: Session, limits: RecordingLimits, watch: RecordingWatch) -
             )
         if done:
             return True
-        if watch.stop():
-            break
-    return limits.scans is None and limits.seconds is None
+    return limit.passed() or (limits.scans is None and limits.seconds is None)
 
 
-def _finish(journal_path: Path, path: Path, limits: RecordingLimits, recorded: Recorded) -> WrittenCaptures:
+def _finish(recorded: Recorded, limits: RecordingLimits) -> WrittenCaptures:
     """Make the capture files of the journal, which is removed only when they were read back and compared."""
-    ended_by = recorded.ended_by
+    ended_by, journal_path, path = recorded.ended_by, recorded.journal, recorded.path
     if not recorded.scans:
         journal_path.unlink(missing_ok=True)
         raise ended_by or DataError(
@@ -160,7 +171,7 @@ def _finish(journal_path: Path, path: Path, limits: RecordingLimits, recorded: R
         )
         check_all_read(journal_path, written.views, recorded.scans)
     except StorageError as error:
-        raise with_remedy(error, recover_remedy(journal_path)) from error
+        raise with_recovery(error, journal_path) from error
     journal_path.unlink(missing_ok=True)
     if ended_by is not None:
         places = ", ".join(str(each) for each in written.paths)

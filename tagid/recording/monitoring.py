@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from tagid.radar.assembler import Scan, Statistics
 from tagid.radar.settings import RadarConfig
-from tagid.recording.curves import analytic
 from tagid.recording.inspection import noise_power_of, signal_to_noise_db
+from tagid.signal import analytic
 
 ROWS: Final = 200
 """Rows of the waterfall that are kept; no terminal shows more."""

@@ -33,6 +33,7 @@ class RecordingPlan:
         motion: URL of what turns the object, kept with the capture.
         object: what is known of the object.
         resume_s: how long a radar that went away is waited for, s.
+        renumber: take the next free name where the wanted one is taken.
     """
 
     config: RadarConfig | None
@@ -44,6 +45,7 @@ class RecordingPlan:
     motion: str = "free"
     object: ObjectInfo = field(default_factory=ObjectInfo)
     resume_s: float = RESUME_S
+    renumber: bool = False
 
 
 def plan_window(
@@ -80,11 +82,11 @@ def journal_beside(path: Path) -> Path:
     return path.with_name(path.name.removesuffix(CAPTURE_SUFFIX) + JOURNAL_SUFFIX)
 
 
+def capture_beside(journal_path: Path) -> Path:
+    """The capture file that a journal's scans become."""
+    return journal_path.with_name(journal_path.name.removesuffix(JOURNAL_SUFFIX) + CAPTURE_SUFFIX)
+
+
 def capture_path(folder: Path, now: float | None = None) -> Path:
-    """A new capture file's path in a folder: named after the second, numbered where that is taken."""
-    stem = time.strftime("scan-%Y%m%d-%H%M%S", time.localtime(now))
-    for number in range(1, 1000):
-        path = folder / f"{stem}{'' if number == 1 else f'-{number}'}{CAPTURE_SUFFIX}"
-        if not path.exists():
-            return path
-    raise StorageError(f"{folder} holds a thousand captures of this second", "Choose another folder.")
+    """The path of a new capture file, named after the second; a plan with `renumber` makes it unique."""
+    return folder / time.strftime(f"scan-%Y%m%d-%H%M%S{CAPTURE_SUFFIX}", time.localtime(now))

@@ -18,14 +18,15 @@ from tagid.motion.turntable import OVERLAP_TURNS
 from tagid.radar.assembler import Scan
 from tagid.radar.messages import SCAN_FOREVER
 from tagid.radar.p440 import P440
+from tagid.recording.intake import HostLimit
 from tagid.recording.plan import RecordingPlan, journal_beside
 from tagid.recording.session import (
     Recorded,
     Session,
     check_all_read,
     record_to_journal,
-    recover_remedy,
     where_kept,
+    with_recovery,
     with_remedy,
 )
 from tagid.storage.hdf5 import write_capture
@@ -46,6 +47,7 @@ class Watch:
     Attributes:
         progress: told after every half second of scans.
         gap: told when scans arrive again after the radar was gone.
+        named: called with the capture's path once its journal is created.
         resolve: gives a capture its angles, from the motion's URL; asked when the motion believes that a turn
             is complete (imaging knows whether the shortest repetition is a turn, the motion does not), and
             at the end. It raises DataError where it cannot.
@@ -54,6 +56,7 @@ class Watch:
     progress: Progress | None = None
     resolve: Callable[[Capture, str], Capture] | None = None
     gap: Callable[[ScanGap], None] = lambda gap: None
+    named: Callable[[Path], None] = lambda path: None
 
 
 def record(
@@ -76,8 +79,14 @@ def record(
         DeviceError and its kinds: the radar or the table failed. DiskFullError, StorageError: files.
         CaptureInterrupted: stopped by the user. DataError: no scan arrived.
     """
-    journal_path = journal_beside(path)
     watch = watch or Watch()
+    if not plan.renumber:
+        journal_beside(path)
+    kept = [path]
+
+    def named(taken: Path) -> None:
+        kept.append(taken)
+        watch.named(taken)
 
     def receive(session: Session) -> bool:
         _OneTurn(session, motion, watch).run()
@@ -85,10 +94,11 @@ def record(
 
     try:
         with interrupts.deferred() as signals:
-            recorded = record_to_journal(radar, plan, journal_path, receive, watch.gap, signals)
-            return _finish(journal_path, path, recorded, watch)
+            told = replace(watch, named=named)
+            recorded = record_to_journal(radar, plan, path, receive, told, signals)
+            return _finish(recorded, watch)
     except KeyboardInterrupt as stop:
-        raise interrupts.stopped_by_user(stop, where_kept(path, journal_path)) from stop
+        raise interrupts.stopped_by_user(stop, where_kept(kept[-1])) from stop
 
 
 class _OneTurn:
@@ -107,7 +117,8 @@ class _OneTurn:
         check_every = max(1, round(0.5 / self._session.config.scan_period_s))
         try:
             self._motion.start()
-            for scan in self._session.intake.scans(self._plan.scans or SCAN_FOREVER):
+            limit = HostLimit(self._plan.max_seconds)
+            for scan in self._session.intake.scans(self._plan.scans or SCAN_FOREVER, until=limit.passed):
                 self._scans.append(scan)
                 self._motion.check()
                 if len(self._scans) % max(1, check_every // 5) == 0:
@@ -169,9 +180,9 @@ class _OneTurn:
         return OVERLAP_TURNS * (resolved.period_s or 0.0) if resolved else 0.0
 
 
-def _finish(journal_path: Path, path: Path, recorded: Recorded, watch: Watch) -> Capture:
+def _finish(recorded: Recorded, watch: Watch) -> Capture:
     """Make the capture file of the journal, which is removed only when that was read back and compared."""
-    ended_by = recorded.ended_by
+    ended_by, journal_path, path = recorded.ended_by, recorded.journal, recorded.path
     journal = read_journal(journal_path)
     if not journal.scans:
         journal_path.unlink(missing_ok=True)
@@ -190,7 +201,7 @@ def _finish(journal_path: Path, path: Path, recorded: Recorded, watch: Watch) ->
         write_capture(path, capture)
         check_all_read(journal_path, capture.views, recorded.scans)
     except StorageError as error:
-        raise with_remedy(error, recover_remedy(journal_path)) from error
+        raise with_recovery(error, journal_path) from error
     journal_path.unlink(missing_ok=True)
     if ended_by is not None:
         raise with_remedy(ended_by, f"The {capture.views} scans that arrived are in {path}.") from ended_by

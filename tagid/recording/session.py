@@ -11,7 +11,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from tagid import __version__, interrupts
 from tagid.constants import RANGE_STEP_M
@@ -20,7 +20,9 @@ from tagid.metadata import METADATA_VERSION, MotionInfo, RadarInfo, ScanGap
 from tagid.radar.p440 import P440
 from tagid.radar.settings import RadarConfig
 from tagid.recording.intake import Intake
-from tagid.recording.plan import RecordingPlan
+from tagid.recording.plan import RecordingPlan, capture_beside, journal_beside
+from tagid.storage.hdf5 import SUFFIX as CAPTURE_SUFFIX
+from tagid.storage.journal import SUFFIX as JOURNAL_SUFFIX
 from tagid.storage.journal import JournalWriter
 from tagid.storage.journal_queue import JournalQueue
 from tagid.storage.metadata import VERSION_KEY
@@ -53,14 +55,31 @@ class Recorded:
     """What a journal holds after the last scan.
 
     Attributes:
+        journal: its path. path: of the capture file that it becomes.
         scans: number of scans.
         counters: what was counted meanwhile.
         ended_by: what ended the recording early; None where it came to its end.
     """
 
+    journal: Path
+    path: Path
     scans: int
     counters: RadarInfo
     ended_by: TagidError | None
+
+
+class Told(Protocol):
+    """Callbacks of a recording."""
+
+    @property
+    def gap(self) -> Callable[[ScanGap], None]:
+        """Called when scans arrive again after the radar was gone."""
+        ...
+
+    @property
+    def named(self) -> Callable[[Path], None]:
+        """Called with the capture's path once its journal is created."""
+        ...
 
 
 def record_to_journal(
@@ -68,10 +87,10 @@ def record_to_journal(
     plan: RecordingPlan,
     path: Path,
     receive: Callable[[Session], bool],
-    on_gap: Callable[[ScanGap], None],
+    told: Told,
     signals: interrupts.Deferred,
 ) -> Recorded:
-    """Connect, configure, and record into the journal at `path`.
+    """Connect, configure, and record into the journal of a capture that is to be written at `path`.
 
     A stop signal takes effect while the radar is set and while scans arrive, not while the journal is opened
     or closed. The journal gets its end record where `receive` says that the recording is complete.
@@ -79,9 +98,9 @@ def record_to_journal(
     Args:
         radar: not connected yet.
         plan: what to record.
-        path: of the journal.
+        path: of the capture; the next free name is taken where the plan says so.
         receive: takes the scans; returns whether the recording is complete.
-        on_gap: called when scans arrive again after the radar was gone.
+        told: callbacks.
         signals: the deferral of stop signals that the caller keeps until its files are written.
 
     Raises:
@@ -95,10 +114,13 @@ def record_to_journal(
         header = journal_header(plan, taken, RadarInfo(serial=status.serial, package=status.package))
         ended_by: TagidError | None = None
         complete = False
-        with JournalWriter(path, header, sync_seconds=SYNC_S) as journal:
+        with start_journal(path, header, plan.renumber) as journal:
+            journal_path, path = journal.path, capture_beside(journal.path)
+            told.named(path)
             try:
                 with JournalQueue(journal) as queue:
-                    intake = Intake(radar, queue, plan.resume_s, on_gap)
+                    intake = Intake(radar, queue, plan.resume_s, told.gap)
+                    intake.guard(journal)
                     try:
                         with signals.listening():
                             complete = receive(Session(plan, radar.config, intake, queue, journal))
@@ -109,11 +131,44 @@ def record_to_journal(
                     except TagidError as error:
                         ended_by = error
             except StorageError as error:
-                raise with_remedy(error, recover_remedy(path)) from error
+                raise with_recovery(error, journal_path) from error
             counters = intake.counted()
             if ended_by is None and complete:
                 journal.close({"radar": counters.to_json()})
-            return Recorded(journal.scans, counters, ended_by)
+            return Recorded(journal_path, path, journal.scans, counters, ended_by)
+
+
+def start_journal(path: Path, header: dict[str, Any], renumber: bool = False) -> JournalWriter:
+    """The journal of a capture that is to be written at `path`; creating it reserves the name.
+
+    With `renumber` the next free name is taken instead of a taken one. Creation is exclusive, so two
+    recordings that start at once in one folder get two names.
+
+    Raises StorageError where the name is taken, or the journal cannot be created.
+    """
+    stem = path.name.removesuffix(CAPTURE_SUFFIX)
+    for number in range(1, 1000 if renumber else 2):
+        wanted = path if number == 1 else path.with_name(f"{stem}-{number}{CAPTURE_SUFFIX}")
+        if renumber and wanted.exists():
+            continue
+        journal_path = journal_beside(wanted)
+        try:
+            journal = JournalWriter(journal_path, header, sync_seconds=SYNC_S)
+        except StorageError as error:
+            if not journal_path.is_file():
+                raise
+            if renumber:
+                continue
+            raise StorageError(
+                f"{journal_path} exists: another recording is writing it, or one was interrupted",
+                f"Choose another name; if no recording runs, `tagid recover {journal_path}`.",
+            ) from error
+        if not wanted.exists():
+            return journal
+        # Another recording of this name ended between the two checks.
+        journal.__exit__(None, None, None)
+        journal_path.unlink(missing_ok=True)
+    raise StorageError(f"{path} and the names after it are taken", "Choose another folder.")
 
 
 def journal_header(plan: RecordingPlan, taken: RadarConfig, radar: RadarInfo) -> dict[str, Any]:
@@ -159,8 +214,9 @@ def recover_remedy(journal: Path) -> str:
     return f"The scans are kept in {journal}; `tagid recover {journal}` makes the capture file."
 
 
-def where_kept(path: Path, journal: Path) -> str:
-    """Where the scans are after a stop signal that came outside the recording itself."""
+def where_kept(path: Path) -> str:
+    """Where the scans of a capture are after a stop signal that came outside the recording itself."""
+    journal = path.with_name(path.name.removesuffix(CAPTURE_SUFFIX) + JOURNAL_SUFFIX)
     if path.exists():
         return f"The recording is complete in {path}."
     return recover_remedy(journal) if journal.exists() else ""
@@ -169,3 +225,8 @@ def where_kept(path: Path, journal: Path) -> str:
 def with_remedy(error: TagidError, remedy: str) -> TagidError:
     """The same error with more to do next."""
     return type(error)(error.message, f"{error.remedy} {remedy}".strip())
+
+
+def with_recovery(error: TagidError, journal: Path) -> TagidError:
+    """The same error with how to recover the journal, where there is one."""
+    return with_remedy(error, recover_remedy(journal)) if journal.exists() else error

@@ -26,7 +26,9 @@ _SPECTRUM = (_LEFT, 990, _RIGHT, 1250)
 _HIGHEST_SHOWN_HZ = 8.2e9
 
 
-def draw_recording(capture: Capture, path: Path, title: str = "", *, changing_only: bool = False) -> None:
+def draw_recording(
+    capture: Capture, path: Path, title: str = "", *, changing_only: bool = False, turning: bool = True
+) -> None:
     """Writes a PNG of a recording, 1000 x 1330 px.
 
     From above: mean and largest envelope over range and the mean envelope of what changes (dB of the
@@ -38,7 +40,8 @@ def draw_recording(capture: Capture, path: Path, title: str = "", *, changing_on
         capture: the recording.
         path: the PNG; it appears complete or not at all.
         title: one line above the charts, cut where it is too long.
-        changing_only: draw the sinogram without the mean scan; leakage and room hide a turning tag otherwise.
+        changing_only: draw the scans without the mean scan; leakage and room hide a turning tag otherwise.
+        turning: whether something turns, so that the scans over time are a sinogram.
 
     Raises:
         StorageError, DiskFullError: the file cannot be written.
@@ -48,7 +51,9 @@ def draw_recording(capture: Capture, path: Path, title: str = "", *, changing_on
     canvas.text((_LEFT, 30), fit_text(canvas, title, _WIDTH - _LEFT - 30, 28), 28)
     _draw_profile(canvas, curves, capture.range_step_m)
     what = "what changes in" if changing_only else "envelope of"
-    _draw_sinogram(canvas, capture, curves, f"Sinogram: {what} {capture.views} views")
+    count = "1 scan" if capture.views == 1 else f"{capture.views} scans"
+    name = "Sinogram" if turning else "Scans over time"
+    _draw_sinogram(canvas, capture, curves, f"{name}: {what} {count}")
     _draw_spectrum(canvas, capture, curves)
     canvas.save(Path(path))
 

@@ -14,6 +14,7 @@ from typing import Any, TextIO
 from xml.sax.saxutils import quoteattr
 
 from tagid.files import replacing_text
+from tagid.storage.spreadsheet import cell
 
 Record = Mapping[str, Any]
 
@@ -51,16 +52,15 @@ def row_of(record: Record) -> dict[str, Any]:
 
 
 def write_csv(path: Path, records: Iterable[Record]) -> None:
-    """items.csv: UTF-8, RFC 4180, true and false for truth values. Raises StorageError, DiskFullError."""
+    """items.csv: UTF-8, RFC 4180, cells as `spreadsheet.cell` makes them.
+
+    Raises StorageError, DiskFullError.
+    """
     with replacing_text(path) as file:
         table = csv.writer(file)
         table.writerow(CSV_COLUMNS)
         for record in records:
-            table.writerow([_cell(value) for value in row_of(record).values()])
-
-
-def _cell(value: Any) -> Any:
-    return str(value).lower() if isinstance(value, bool) else value
+            table.writerow([cell(value) for value in row_of(record).values()])
 
 
 def line_of(record: Record) -> str:

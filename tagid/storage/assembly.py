@@ -42,6 +42,9 @@ def decode_settings(text: str | bytes, where: str) -> dict[str, Any]:
         value = json.loads(text)
     except (ValueError, RecursionError) as error:
         raise FileFormatError(f"{where}: the settings are not JSON") from error
+    half = "\\ud" if isinstance(text, str) else b"\\ud"
+    if half in text.lower():  # type: ignore[operator]
+        _check_unicode(json.dumps(value, ensure_ascii=False), where)
     if not isinstance(value, dict):
         raise FileFormatError(f"{where}: the settings are a JSON {type(value).__name__}, expected an object")
     return value
@@ -61,7 +64,16 @@ def text(value: Any, where: str) -> str:
         value = value.decode("utf-8", errors="replace")
     if not isinstance(value, str) or len(value) > 4096:
         raise FileFormatError(f"{where}: expected a short text, found {_short(value)}")
+    _check_unicode(value, where)
     return str(value)
+
+
+def _check_unicode(content: str, where: str) -> None:
+    """Raises FileFormatError for a text that cannot be written: half of a surrogate pair, from JSON."""
+    try:
+        content.encode("utf-8")
+    except UnicodeEncodeError as error:
+        raise FileFormatError(f"{where}: holds half of a surrogate pair, which is no character") from error
 
 
 def unwrap(counter: NDArray[Any], modulus: int) -> NDArray[np.int64]:
@@ -76,12 +88,43 @@ def unwrap(counter: NDArray[Any], modulus: int) -> NDArray[np.int64]:
     return unwrapped
 
 
+_LIMITS = {
+    "range_start_m": (-1e7, 1e7),
+    "range_step_m": (1e-6, 1e4),
+    "axis_distance_m": (1e-6, 1e7),
+    "antenna_height_m": (-1e7, 1e7),
+    "center_frequency_hz": (1.0, 1e13),
+    "bandwidth_hz": (1.0, 1e13),
+}
+"""What a radar can have, (least, most): far beyond any that is known, from terahertz to orbit."""
+_LONGEST_MS = 1e15
+
+
+def _check_plausible(path: Path, fields: dict[str, Any]) -> None:
+    """Raises FileFormatError for numbers that no radar can have; they would overflow in what follows."""
+    for name, (least, most) in _LIMITS.items():
+        value = fields.get(name)
+        if value is not None and not least <= value <= most:
+            raise FileFormatError(
+                f"{path}: {name} is {value:g}, which no radar can have",
+                f"Expected {least:g} to {most:g} (SI units): check the file's units.",
+            )
+    for name, most in (("antenna_positions_m", 1e7), ("angles_rad", 1e9), ("radar_time_ms", _LONGEST_MS)):
+        values = fields.get(name)
+        if values is not None and len(values) and not float(np.abs(values).max()) <= most:
+            raise FileFormatError(f"{path}: {name} reaches {np.abs(values).max():g}, which is not plausible")
+    pulse = fields.get("pulse")
+    if pulse is not None and not 1e-15 <= pulse.step <= 1.0:
+        raise FileFormatError(f"{path}: pulse_step_s is {pulse.step:g}, which is not plausible")
+
+
 def build_capture(path: Path, **fields: Any) -> Capture:
     """A validated Capture from the fields of a file. Raises FileFormatError naming the file.
 
     A file that names no capture gets a UUID of its scans (RFC 9562, version 5): read again, here or on
     another computer, it is the same capture.
     """
+    _check_plausible(path, fields)
     try:
         capture = Capture(**fields)
     except DataError as error:

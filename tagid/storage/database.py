@@ -129,7 +129,18 @@ class Database:
         with self.connection() as connection:
             version = int(connection.execute("PRAGMA user_version").fetchone()[0])
             owner = int(connection.execute("PRAGMA application_id").fetchone()[0])
+            self._check_objects(connection)
         return version == self.schema.version and owner == self.schema.application_id
+
+    def _check_objects(self, connection: sqlite3.Connection) -> None:
+        """Refuses views and triggers, which tagid never makes: reading a view may never end."""
+        query = "SELECT name FROM sqlite_master WHERE type IN ('view', 'trigger') LIMIT 1"
+        found = connection.execute(query).fetchone()
+        if found is not None:
+            raise self.schema.error(
+                f"the {self.schema.what} {self.path} holds a view or trigger, {str(found[0])[:80]!r}",
+                self.schema.restore,
+            )
 
     def _prepare(
         self, connection: sqlite3.Connection, fill: Callable[[sqlite3.Connection], None] | None
@@ -142,6 +153,7 @@ class Database:
             raise schema.error(
                 f"{self.path} is a database of another program", f"Give another path for the {schema.what}."
             )
+        self._check_objects(connection)
         if version > schema.version:
             raise schema.error(
                 f"{self.path} has schema {version}, this tagid knows up to {schema.version}",

@@ -1,48 +1,17 @@
-"""Captures out to other programs: one function that chooses the format by the suffix and writes it whole.
-
-Choosing by suffix is right for writing, where nothing but the name says what the user wants.
-"""
+"""Captures out to other programs: the suffix chooses the format; a file is written whole or not at all."""
 
 from __future__ import annotations
 
-import io
 from pathlib import Path
-from types import MappingProxyType
-from typing import Any, cast
-
-import numpy as np
-from numpy.typing import NDArray
 
 from tagid import files
 from tagid.capture import Capture
 from tagid.errors import UsageError
 from tagid.storage import hdf5
-from tagid.storage.assembly import encode_settings
-from tagid.storage.metadata import metadata_of
+from tagid.storage.mat import encode_mat
 from tagid.storage.mrm_ret_export import mrm_ret_lines
 from tagid.storage.npz import encode_npz
 from tagid.storage.recordings import encode_recording
-
-_MAT_NAMES = MappingProxyType(
-    {
-        "angles_rad": "angle_rad",
-        "angle_sigma_rad": "angle_sigma_rad",
-        "antenna_positions_m": "antenna_positions_m",
-        "host_time_ns": "host_time_ns",
-        "radar_time_ms": "radar_time_ms",
-        "scan_id": "scan_id",
-        "flags": "flags",
-        "axis_distance_m": "axis_distance_m",
-        "antenna_height_m": "antenna_height_m",
-        "center_frequency_hz": "center_frequency_hz",
-        "bandwidth_hz": "bandwidth_hz",
-        "range_start_m": "range_start_m",
-        "range_step_m": "range_step_m",
-        "uuid": "uuid",
-        "created_utc": "created_utc",
-        "tool_version": "tool_version",
-    }
-)
 
 SUFFIXES = (".npz", ".mat", ".out", ".prd", ".csv", ".h5")
 """Formats that `export` writes, by the end of the name."""
@@ -51,8 +20,8 @@ SUFFIXES = (".npz", ".mat", ".out", ".prd", ".csv", ".h5")
 def export(capture: Capture, path: Path) -> None:
     """Write a capture in the format that the suffix of `path` names; the file is whole or not there.
 
-    `.npz` the generic NPZ file (see `tagid.storage.npz`), `.mat` MATLAB 5 (see `encode_mat`), `.out` and
-    `.prd` P440 recordings (int32 counts only), `.csv` MRM-RET logs (the same), `.h5` the capture file.
+    `.npz` the generic NPZ file (see `tagid.storage.npz`), `.mat` MATLAB 5 (see `tagid.storage.mat`), `.out`
+    and `.prd` P440 recordings (int32 counts only), `.csv` MRM-RET logs (the same), `.h5` the capture file.
 
     Raises:
         UsageError: another suffix, or samples that the format cannot hold.
@@ -74,33 +43,3 @@ def export(capture: Capture, path: Path) -> None:
                 stream.write(line)
     else:
         raise UsageError(f"{path}: no format has the suffix {suffix!r}", f"Use one of {', '.join(SUFFIXES)}.")
-
-
-def encode_mat(capture: Capture) -> bytes:
-    """The bytes of a MATLAB 5 file.
-
-    Variables: samples (views, bins) int32, single or complex single; range_m (bins, 1), m; range_start_m,
-    range_step_m; as columns, where known, angle_rad, angle_sigma_rad, host_time_ns (int64), radar_time_ms,
-    scan_id (int64), flags (uint8); antenna_positions_m (views, 3); axis_distance_m, antenna_height_m,
-    center_frequency_hz, bandwidth_hz; pulse with pulse_step_s; radar, motion, object as JSON text; uuid,
-    created_utc, tool_version, complete, format.
-    """
-    from scipy.io import savemat  # late: 100 ms that no other command should pay
-
-    variables: dict[str, NDArray[Any] | str | float] = {
-        "format": hdf5.FORMAT,
-        "complete": np.asarray(capture.complete),
-        "samples": capture.samples,
-        "range_m": capture.ranges_m,
-    }
-    for field, name in _MAT_NAMES.items():
-        value = getattr(capture, field)
-        if value is not None:
-            variables[name] = value
-    for name, part in metadata_of(capture).items():
-        variables[name] = encode_settings(part)
-    if capture.pulse is not None:
-        variables |= {"pulse": capture.pulse.samples, "pulse_step_s": capture.pulse.step}
-    buffer = io.BytesIO()
-    savemat(cast(Any, buffer), variables, oned_as="column", do_compression=True)
-    return buffer.getvalue()

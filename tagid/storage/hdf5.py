@@ -61,9 +61,12 @@ _VIEW_ARRAYS = {
 _NUMBERS = ("range_start_m", "range_step_m", "antenna_height_m", "center_frequency_hz", "bandwidth_hz")
 _TEXTS = ("uuid", "created_utc", "tool_version")
 _BLOCK_BYTES = 1 << 20
-_MAX_EXPANSION = 200
+_MAX_EXPANSION = 20
 _SMALL_BYTES = 16 << 20
-"""Scans hold noise and deflate 2:1 or so; far more, of something large, was made to fill the memory."""
+"""Scans hold noise and deflate 2:1 to 5:1; far more, of something large, was made to fill the memory."""
+_KNOWN = frozenset(
+    {"pulse", "scans/samples", "scans/samples_imag", *(f"scans/{name}" for name in _VIEW_ARRAYS)}
+)
 
 
 def write_capture(path: Path, capture: Capture) -> None:
@@ -320,7 +323,7 @@ def _read_arrays(file: Any, path: Path) -> dict[str, NDArray[Any]]:
         for name in group:
             if not isinstance(group.get(name, getlink=True), h5py.HardLink):
                 raise FileFormatError(f"{path}: /{prefix}{name} is a link, which is not followed")
-            if prefix == "" and name == "scans":
+            if prefix + name not in _KNOWN:
                 continue
             dataset = group[name]
             if not isinstance(dataset, h5py.Dataset):

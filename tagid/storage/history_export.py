@@ -15,6 +15,7 @@ from typing import Any
 from tagid import files
 from tagid.errors import MissingExtraError, UsageError
 from tagid.storage.history import FIELDS, TYPES, Filter, History
+from tagid.storage.spreadsheet import cell
 
 _BATCH = 10_000
 
@@ -43,7 +44,7 @@ def _csv(rows: Iterator[dict[str, Any]], path: Path) -> int:
         table = csv.DictWriter(file, FIELDS)
         table.writeheader()
         for row in rows:
-            table.writerow(row)
+            table.writerow({name: cell(value) for name, value in row.items()})
             count += 1
     return count
 

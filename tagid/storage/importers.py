@@ -1,6 +1,6 @@
-"""Any file that holds scans, read into a capture; its content says what it is, as names lie.
+"""Any file that holds scans, read into a capture; the content decides the format, not the name.
 
-Every reading command goes through here, so each of them takes each format.
+Every reading command uses this module, so each of them takes every format.
 """
 
 from __future__ import annotations
@@ -10,23 +10,23 @@ from pathlib import Path
 from tagid import files
 from tagid.capture import Capture
 from tagid.errors import FileFormatError
-from tagid.storage import hdf5, journal, journal_capture, mrm_ret, npz, recordings
+from tagid.storage import hdf5, journal, journal_capture, mat, mrm_ret, npz, recordings
 from tagid.storage.p440 import choose_node
 
 _KNOWN = (
-    "Expected a capture (.tagid.h5), a journal, a generic NPZ file, a P440 recording (.prd, .out) or an "
-    "MRM-RET log (.csv)."
+    "Expected a capture (.tagid.h5), a journal, a generic NPZ file, a MATLAB file that tagid wrote, a P440 "
+    "recording (.prd, .out) or an MRM-RET log (.csv)."
 )
 _HEAD = 1 << 16
 
 
 def read_any(path: Path, cable_delay_ps: float = 0.0, node: int | None = None) -> Capture:
-    """Read a capture file, a journal, a generic NPZ file, a P440 recording or an MRM-RET log.
+    """Read a capture, a journal, a generic NPZ or our MATLAB file, a P440 recording or an MRM-RET log.
 
     Args:
         path: the file.
-        cable_delay_ps: two-way cable delay to take off the ranges of recordings and logs, ps; the other
-            formats hold ranges that it has been taken off already.
+        cable_delay_ps: two-way cable delay to subtract from the ranges of recordings and logs, ps; the other
+            formats hold ranges from which it is subtracted already.
         node: number of the radar to read, where a recording or log holds scans of several.
 
     Raises:
@@ -37,7 +37,7 @@ def read_any(path: Path, cable_delay_ps: float = 0.0, node: int | None = None) -
     head = files.read_head(path, _HEAD)
     if not head:
         raise FileFormatError(f"{path}: the file is empty", _KNOWN)
-    if not head.startswith((hdf5.MAGIC, journal.MAGIC, npz.MAGIC)):
+    if not head.startswith((hdf5.MAGIC, journal.MAGIC, npz.MAGIC, mat.MAGIC)):
         if recordings.is_recording(head):
             return recordings.read_recording(path, cable_delay_ps, node)
         if mrm_ret.is_mrm_ret(head):
@@ -47,6 +47,8 @@ def read_any(path: Path, cable_delay_ps: float = 0.0, node: int | None = None) -
         capture = hdf5.read_capture(path)
     elif head.startswith(journal.MAGIC):
         capture = journal_capture.read_journal_capture(path)
+    elif head.startswith(mat.MAGIC):
+        capture = mat.read_mat(path)
     else:
         capture = npz.read_npz(path)
     known = capture.radar.node_id
@@ -56,18 +58,18 @@ def read_any(path: Path, cable_delay_ps: float = 0.0, node: int | None = None) -
 
 
 def remarks(capture: Capture) -> tuple[str, ...]:
-    """What is worth saying of how a file was read, one sentence each; empty for one that is in order."""
+    """Remarks on how a file was read, one sentence each; empty for a file that is in order."""
     radar = capture.radar
     found = []
     left_over = radar.bytes_left_over or radar.journal_bytes_dropped
     if left_over:
         found.append(
-            f"{left_over} bytes were left over: the file is cut off or damaged; whole scans are kept"
+            f"{left_over} bytes are left over: the file is cut off or damaged; its whole scans are kept"
         )
-    if radar.scans_lost:
-        found.append(f"{radar.scans_lost} scans are missing between those that are whole, or were cut")
+    if lost := radar.scans_lost:
+        found.append(f"{lost} scan{' is' if lost == 1 else 's are'} missing or incomplete")
     if radar.packets_ignored:
-        found.append(f"{radar.packets_ignored} messages or lines are none of this radar's scans; left out")
+        found.append(f"{radar.packets_ignored} messages or lines are not scans of this radar; ignored")
     if radar.config_stale:
         asked, actual = (list(window or ()) for window in (radar.window_requested_ps, radar.window_actual_ps))
         found.append(f"the Config line is stale: it asks for {asked} ps, the scans hold {actual} ps")

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import io
 import json
+import lzma
 import tokenize
 import warnings
 import zipfile
@@ -24,7 +25,7 @@ from numpy.typing import NDArray
 
 from tagid import files
 from tagid.capture import Capture, Pulse
-from tagid.errors import DataError, FileFormatError
+from tagid.errors import DataError, FileFormatError, displayable
 from tagid.metadata import METADATA_VERSION
 from tagid.storage.assembly import build_capture, decode_settings, encode_settings, number, text
 from tagid.storage.metadata import PARTS, VERSION_KEY, metadata_of, read_metadata, stored_version
@@ -55,8 +56,8 @@ _OTHER = (
 _KEYS = frozenset((*_NUMBERS, *_VECTORS, *_OTHER))
 _TEXTS = ("uuid", "created_utc", "tool_version")
 _SMALL_BYTES = 16 << 20
-_MAX_EXPANSION = 200
-"""Scans hold noise and deflate 2:1 or so; far more, of something large, was made to fill the memory."""
+_MAX_EXPANSION = 20
+"""Scans hold noise and deflate 2:1 to 5:1; far more, of something large, was made to fill the memory."""
 
 
 def read_npz(path: Path) -> Capture:
@@ -166,7 +167,7 @@ def read_arrays(path: Path, data: bytes, keys: frozenset[str]) -> dict[str, NDAr
     # zipfile and numpy raise any of these on damaged files, depending on where the damage is.
     except (
         zipfile.BadZipFile, zlib.error, OSError, EOFError, ValueError, RuntimeError, TypeError, SyntaxError,
-        LookupError, MemoryError, OverflowError, tokenize.TokenError,
+        LookupError, MemoryError, OverflowError, tokenize.TokenError, lzma.LZMAError,
     ) as error:  # fmt: skip
         raise FileFormatError(
             f"{path}: the NPZ file is damaged or cut off ({str(error)[:120]})",
@@ -252,13 +253,15 @@ def _object(content: str) -> dict[str, Any]:
     """A JSON object as it is; any other text is the object's label."""
     try:
         value = json.loads(content)
-    except (ValueError, RecursionError):
+        json.dumps(value, ensure_ascii=False).encode()
+    except (ValueError, RecursionError):  # half a surrogate pair is a ValueError, too
         value = content
-    return value if isinstance(value, dict) else {"label": content}
+    return value if isinstance(value, dict) else {"label": displayable(content)}
 
 
 def _string(value: NDArray[Any], where: str) -> str:
     if value.shape != () or value.dtype.kind not in "US":
         raise FileFormatError(f"{where}: has shape {value.shape} and dtype {value.dtype}, expected one text")
     item = value.item()
-    return item.decode("utf-8", errors="replace") if isinstance(item, bytes) else str(item)
+    content = item.decode("utf-8", errors="replace") if isinstance(item, bytes) else str(item)
+    return displayable(content)

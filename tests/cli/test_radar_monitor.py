@@ -6,12 +6,14 @@ import fcntl
 import json
 import os
 import pty
+import re
 import signal
 import struct
 import subprocess
 import sys
 import termios
 import threading
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -41,9 +43,13 @@ class Echo:
 
 
 def watch_on_a_terminal(
-    home: dict[str, str], url: str, *words: str, interrupt_after: int = 0, **environment: str
+    home: dict[str, str],
+    url: str,
+    *words: str,
+    enough: Callable[[bytes], bool] | None = None,
+    **environment: str,
 ) -> tuple[dict, bytes]:
-    """(the JSON result, everything that the terminal was sent)."""
+    """(the JSON result, everything that the terminal was sent); Ctrl-C is sent once that is `enough`."""
     master, slave = pty.openpty()
     fcntl.ioctl(slave, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))
     child = subprocess.Popen(
@@ -60,7 +66,7 @@ def watch_on_a_terminal(
         try:
             while data := os.read(master, 65536):
                 sent.extend(data)
-                if interrupt_after and not asked and sent.count(b"scans/s") >= interrupt_after:
+                if enough is not None and not asked and enough(bytes(sent)):
                     asked.append(1)
                     child.send_signal(signal.SIGINT)
         except OSError:  # the other end is closed
@@ -82,9 +88,17 @@ def device(**faults: float) -> UdpEmulator:
 
 @pytest.mark.parametrize("colour", [True, False])
 def test_it_draws_in_colour_and_without(home: dict[str, str], colour: bool) -> None:
+    """It ends when it has drawn losses, clipping and an SNR, however long a busy machine takes for that."""
+
+    def enough(sent: bytes) -> bool:
+        drawn = re.findall(rb"SNR (\d+\.\d)", sent)
+        losses = re.findall(rb"lost \d+\.\d% \((\d+)\)", sent)
+        clipping = re.findall(rb"clipped (\d+\.\d+)%", sent)
+        return len(drawn) > 3 and float(drawn[-1]) > 30 and losses[-1] > b"0" and float(clipping[-1]) > 0
+
     with device(lose=0.1, seed=5) as radar:
         data, sent = watch_on_a_terminal(
-            home, radar.url, "--seconds", "3", **({} if colour else {"NO_COLOR": "1"})
+            home, radar.url, enough=enough, **({} if colour else {"NO_COLOR": "1"})
         )
     assert data["frames"] >= 2  # how many a second is for the benchmark: a busy machine draws late
     assert data["scans"] > 10
@@ -103,7 +117,7 @@ def test_it_draws_in_colour_and_without(home: dict[str, str], colour: bool) -> N
 
 def test_ctrl_c_is_the_ordinary_end_and_the_radar_stands_still(home: dict[str, str]) -> None:
     with device() as radar:
-        data, sent = watch_on_a_terminal(home, radar.url, interrupt_after=4)
+        data, sent = watch_on_a_terminal(home, radar.url, enough=lambda sent: sent.count(b"scans/s") >= 4)
         assert data["scans"] > 0
         again, _ = watch_on_a_terminal(home, radar.url, "--seconds", "0.5")
         assert again["scans"] > 0

@@ -162,3 +162,55 @@ def test_a_gap_in_ids_that_the_clock_confirms_is_a_gap() -> None:
     scans = [*packets_of(20, 0)[:2], scan_packets(samples_of(5000), CONFIG, 5000, 1000 + 16 * 5000)]
     assert [scan.scan_id for scan in feed(assembler, [p for s in scans for p in s])] == [0, 1, 5000]
     assert assembler.statistics.lost_scans == 4998
+
+
+def test_a_fragment_that_contradicts_its_scan_is_dropped_and_the_scan_still_comes() -> None:
+    """Same id and time, but another window: it must neither be mixed in nor stop the rest."""
+    good = scan_packets(samples_of(0), CONFIG, 3, 500)
+    other = RadarConfig(scan_start_ps=12_000, scan_stop_ps=62_000)
+    assert other.samples == CONFIG.samples
+    alien = scan_packets(samples_of(7), other, 3, 500)
+    assembler = ScanAssembler(3)
+    (scan,) = feed(assembler, [good[0], alien[1], alien[2], *good[1:]])
+    np.testing.assert_array_equal(scan.samples, samples_of(0))
+    assert assembler.statistics.malformed == 2
+    assert assembler.statistics.duplicate == 0
+
+
+def test_unfinished_scans_take_bounded_memory_and_the_oldest_goes() -> None:
+    """Without its first fragment no scan is ever whole; a hostile sender does this for hours."""
+    assembler = ScanAssembler(0)
+    for i in range(MAX_PENDING + 40):
+        assert assembler.add(fragment(scan_packets(samples_of(i), CONFIG, 5, i)[1])) == []
+        assert len(assembler._pending) == min(i + 1, MAX_PENDING)
+    times = [time_ms for _, time_ms in assembler._pending]
+    assert times == list(range(40, MAX_PENDING + 40))
+
+
+def test_whole_scans_wait_in_bounded_memory_for_one_that_never_comes() -> None:
+    """All stamps are the same, so that time never gives up the missing scan: the bound does."""
+    assembler = ScanAssembler(0)
+    out: list[Scan] = []
+    for i in range(1, MAX_READY + 1):
+        for packet in scan_packets(samples_of(i), CONFIG, i, 77):
+            out += assembler.add(fragment(packet))
+        assert len(assembler._ready) <= MAX_READY
+    assert [scan.scan_id for scan in out] == list(range(1, MAX_READY + 1))
+    assert assembler.statistics.lost_scans == 1
+    assert assembler.whole_scans == MAX_READY
+
+
+def test_a_missing_scan_is_waited_for_until_both_window_and_time_are_over() -> None:
+    """Eight scans must have overtaken it, and 100 ms of the radar's clock have passed since the first did."""
+
+    def first_out(step_ms: int) -> int:
+        assembler = ScanAssembler(0)
+        for i in range(1, 200):
+            stamp = i * step_ms
+            if any(assembler.add(fragment(p)) for p in scan_packets(samples_of(i), CONFIG, i, stamp)):
+                return i
+        return -1
+
+    assert first_out(50) == 8  # the window decides
+    assert first_out(10) == 11  # 100 ms after scan 1
+    assert first_out(1) == 101

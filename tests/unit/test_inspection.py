@@ -13,8 +13,8 @@ import pytest
 from tagid.capture import Capture
 from tagid.constants import RANGE_STEP_M, SAMPLE_STEP_S
 from tagid.metadata import MotionInfo, RadarInfo, RadarSettings, ResolvedMotion
-from tagid.recording.curves import analytic
 from tagid.recording.inspection import inspect, noise_power_of
+from tagid.signal import analytic
 
 BINS = 576
 

@@ -194,3 +194,17 @@ def test_nominal_speed_is_used_and_told_where_the_data_show_no_period() -> None:
 
 def test_estimate_is_plain() -> None:
     assert PeriodEstimate(1.0, 0.1, 1.0, 1.3).rivals_s == ()
+
+
+def test_a_gap_in_the_turn_lowers_the_quality_that_is_stated() -> None:
+    """Two seconds of ten without a scan are a gap; scattered losses are none."""
+    scene, turn_s = scene_from_name("points-4", 3), 10.0
+    acq = Acquisition(views=400, turns=1.3, period_s=turn_s, snr_db=20)
+    capture, truth = simulate_capture(scene, acq, 3)
+    times = truth.times_s
+    whole = find_period(capture.samples, times)
+    assert whole.quality > 0.95
+    seen = (times < 4.0) | (times > 6.0)
+    assert find_period(capture.samples[seen], times[seen]).quality == pytest.approx(0.8, abs=0.05)
+    some = np.random.default_rng(1).random(len(times)) > 0.1
+    assert find_period(capture.samples[some], times[some]).quality > 0.9

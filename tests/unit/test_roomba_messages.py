@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import math
+import struct
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tagid.errors import UsageError
+from tagid.motion.emulation.body import BodySettings
+from tagid.motion.emulation.roomba import RoombaCore
 from tagid.motion.roomba import messages as oi
 from tagid.motion.roomba.messages import Op, Packet
 from tagid.motion.roomba.odometry import MM_PER_COUNT, SpinOdometry
@@ -100,3 +104,28 @@ def test_a_frame_with_a_wrong_bit_is_no_frame(place: int) -> None:
     frame[place] ^= 0x04
     decoder = StreamDecoder(WATCHED)
     assert decoder.feed(bytes(frame) + bytes(40)) == [] and decoder.dropped >= 1
+
+
+def test_the_emulated_robot_tells_distance_and_angle_since_they_were_last_asked_for() -> None:
+    """Packets 19 and 20 (Open Interface): a circle of 500 mm radius, asked about ten times per second."""
+    core = RoombaCore(BodySettings(lag_s=0.0, encoder_noise=0.0), now_s=0.0)
+    core.handle(bytes([Op.START, Op.SAFE]), 0.0)
+    right, left = 200, 114
+    core.handle(bytes([Op.DRIVE_DIRECT]) + struct.pack(">hh", right, left), 0.0)
+    ask = bytes([Op.QUERY_LIST, 2, Packet.DISTANCE, Packet.ANGLE])
+    told = np.array([struct.unpack(">hh", core.handle(ask, 0.1 * k)) for k in range(1, 101)])
+    ways = np.array(core.body.ways_mm())
+    assert abs(told[:, 0].sum() - ways.mean()) < 1  # what rounding left of one answer comes with the next
+    turned = np.degrees((ways[1] - ways[0]) / core.body.settings.wheel_base_mm)
+    assert abs(told[:, 1].sum() - turned) < 1.01
+    assert turned == pytest.approx(np.degrees(core.body.heading_rad), rel=1e-6)
+    assert told[:, 1].sum() > 150  # counter-clockwise is positive
+    assert struct.unpack(">hh", core.handle(ask, 10.0)) == (0, 0)
+    # One alone does not reset the other.
+    core.handle(bytes([Op.SENSORS, Packet.DISTANCE]), 12.0)
+    (angle,) = struct.unpack(">h", core.handle(bytes([Op.SENSORS, Packet.ANGLE]), 12.0))
+    assert angle > 20
+    core.handle(bytes([Op.DRIVE_DIRECT]) + struct.pack(">hh", -200, -200), 12.0)
+    core.handle(ask, 12.0)
+    distance, angle = struct.unpack(">hh", core.handle(ask, 13.0))
+    assert (distance < -190, angle) == (True, 0)

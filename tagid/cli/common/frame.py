@@ -5,21 +5,32 @@ A command's own file then holds its options and one call into the library, nothi
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import inspect
 import logging
+import os
 import sys
 import typing
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Annotated, Any
 
 import typer
 
 from tagid import interrupts
-from tagid.errors import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_USAGE, CaptureInterrupted, TagidError, UsageError
+from tagid.errors import (
+    EXIT_FAILED,
+    EXIT_INTERRUPTED,
+    EXIT_USAGE,
+    CaptureInterrupted,
+    StorageError,
+    TagidError,
+    UsageError,
+    visible,
+)
 from tagid.result import Result, render
 
 
@@ -45,6 +56,7 @@ class Terminal:
             yield lambda done, remark: None
             return
         from rich.console import Console
+        from rich.markup import escape
         from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
         columns = (
@@ -57,7 +69,7 @@ class Terminal:
             task = bars.add_task(f"{what:<12}", total=total, remark="")
 
             def advance(done: float, remark: str) -> None:
-                bars.update(task, completed=done, remark=remark)
+                bars.update(task, completed=done, remark=escape(visible(remark)))
 
             yield advance
             if total is not None:
@@ -151,17 +163,7 @@ def execute(name: str, terminal: Terminal, work: Callable[[], Result]) -> Result
         result = Result.from_error(name, interrupts.stopped_by_user(stop))
     except BrokenPipeError:
         return Result(name, status="error", exit_code=EXIT_FAILED)
-    except (
-        ArithmeticError,
-        AttributeError,
-        ImportError,
-        LookupError,
-        MemoryError,
-        OSError,
-        RuntimeError,
-        TypeError,
-        ValueError,
-    ) as error:
+    except Exception as error:
         logging.getLogger("tagid").debug("unexpected error", exc_info=True)
         fault = TagidError(
             f"unexpected {type(error).__name__}: {error}",
@@ -172,8 +174,36 @@ def execute(name: str, terminal: Terminal, work: Callable[[], Result]) -> Result
         result = Result.from_error(name, CaptureInterrupted("stopped by the user") if stopped else fault)
     if result.exit_code == EXIT_INTERRUPTED:
         logging.getLogger("tagid").info("interrupted")
-    render(result, terminal.output.value, terminal.quiet)
-    return result
+    return _write(result, terminal.output.value, terminal.quiet)
+
+
+def _write(result: Result, output: str, quiet: bool = False) -> Result:
+    """Render a result; the same result, or one that says that its output could not be written."""
+    try:
+        render(result, output, quiet)
+        return result
+    except BrokenPipeError:
+        problem = ""
+    except OSError as error:
+        problem = f"error: the output cannot be written: {error.strerror or error}\n"
+    # What is still buffered would fail once more when the interpreter ends.
+    for stream in (sys.stdout, sys.stderr):
+        _drop_if_broken(stream)
+    with contextlib.suppress(OSError, ValueError):
+        sys.stderr.write(problem)
+        sys.stderr.flush()
+    return replace(result, status="error", exit_code=result.exit_code or EXIT_FAILED)
+
+
+def _drop_if_broken(stream: typing.TextIO) -> None:
+    """Lead a stream that takes no more to the null device."""
+    try:
+        stream.flush()
+    except OSError:
+        with contextlib.suppress(OSError, ValueError):
+            null = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(null, stream.fileno())
+            os.close(null)
 
 
 def serve(app: typer.Typer) -> int:
@@ -190,8 +220,11 @@ def serve(app: typer.Typer) -> int:
         words = [word for word in sys.argv[1:] if not word.startswith("-")]
         usage = UsageError(error.format_message(), f"`{name} --help` and `{name} COMMAND -h` show what fits.")
         if usage.message:
-            render(Result.from_error(words[0] if words else name, usage), "json" if as_json else "human")
+            _write(Result.from_error(words[0] if words else name, usage), "json" if as_json else "human")
         return EXIT_USAGE
+    except OSError as error:  # the help text, on a full disk or a closed pipe
+        failure = StorageError(f"the output cannot be written: {error.strerror or error}")
+        return _write(Result.from_error(name, failure), "human").exit_code
     except (KeyboardInterrupt, typer.Abort):
         return EXIT_INTERRUPTED
     return code if isinstance(code, int) else 0
@@ -199,4 +232,14 @@ def serve(app: typer.Typer) -> int:
 
 def _set_up_logging(terminal: Terminal) -> None:
     level = (logging.WARNING, logging.INFO, logging.DEBUG)[min(terminal.verbose, 2)]
-    logging.basicConfig(level=level, format="%(levelname)s %(name)s: %(message)s", force=True)
+    handler = logging.StreamHandler()
+    handler.setFormatter(_Harmless("%(levelname)s %(name)s: %(message)s"))
+    logging.basicConfig(level=level, handlers=[handler], force=True)
+
+
+class _Harmless(logging.Formatter):
+    """A log line with control characters escaped, as it names files and what devices sent."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        """The line; its line feeds stay."""
+        return visible(super().format(record))

@@ -79,7 +79,7 @@ def register(app: typer.Typer) -> None:
         delay_ms: Annotated[float, typer.Option("--delay-ms", help="How late, milliseconds.")] = 20.0,
         status_bytes: Annotated[int, typer.Option("--status-bytes", help="64, or 32 as old firmware.")] = 64,
         sleep_bytes: Annotated[int, typer.Option("--sleep-bytes", help="Sleep confirm: 12 or 8.")] = 12,
-        server: Annotated[bool, typer.Option("--server", help="Confirm SERVER_CONNECT and filters.")] = False,
+        server: Annotated[bool, typer.Option("--server", help="Also answer as the vendor's server.")] = False,
         seed: options.Seed = 0,
     ) -> Result:
         """Be a P440 on UDP, or on a serial port whose path is printed, until stopped.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -130,7 +131,8 @@ def _record(terminal: Terminal, config: Config, turns: float) -> Capture:
     folder = Path(config["storage.folder"] or ".")
     folder.mkdir(parents=True, exist_ok=True)
     limits = Limits(None, 20 + 1.5 * device.needed_seconds())
-    plan = plan_of(config, str(config["radar.url"]), limits, ObjectInfo(note="calibration"))
+    about = ObjectInfo(note="calibration")
+    plan = replace(plan_of(config, str(config["radar.url"]), limits, about), renumber=True)
     with terminal.progress("record", device.needed_seconds()) as advance:
         watch = Watch(lambda count, seconds: advance(seconds, f"{count} scans"), with_angles)
         return record(open_configured(config), device, plan, capture_path(folder), watch)

@@ -74,6 +74,7 @@ def register(group: typer.Typer) -> None:
             motion=config["motion.url"],
             object=ObjectInfo(note=note or None),
             resume_s=config["radar.resume_s"],
+            renumber=out is None,
         )
         limits = RecordingLimits(scans, seconds, interval_us)
         with (

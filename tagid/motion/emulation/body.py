@@ -139,6 +139,10 @@ class Body:
         share = (time_s - times[right - 1]) / (times[right] - times[right - 1])
         return self._headings[right - 1] + share * (self._headings[right] - self._headings[right - 1])
 
+    def ways_mm(self) -> tuple[float, float]:
+        """Distance that the left and right wheel have rolled, forwards positive, mm."""
+        return self._way[0], self._way[1]
+
     def encoders(self) -> tuple[int, int]:
         """Left and right counts as int16."""
         counts = []

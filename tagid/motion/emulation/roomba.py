@@ -5,12 +5,15 @@ It answers what a Create 2 answers, also to clients that are not ours (iRobot, "
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Final
 
 from tagid.motion.emulation.body import Body, BodySettings
 from tagid.motion.roomba import messages as oi
 from tagid.motion.roomba.messages import Mode, Op, Packet
+from tagid.motion.roomba.odometry import WHEEL_BASE_MM
 
 SLEEP_AFTER_S: Final = 300.0
 _RESET_S: Final = 3.0
@@ -60,6 +63,8 @@ class _State:
     starts_at_s: float | None = None
     buffer: bytearray = field(default_factory=bytearray)
     speeds: tuple[int, int] = (0, 0)
+    told_mm: tuple[float, float] = (0.0, 0.0)
+    """What packets 19 and 20 have told of the way and of the difference of the wheels."""
 
 
 class RoombaCore:
@@ -140,7 +145,7 @@ class RoombaCore:
         return out
 
     def _fit_frame(self) -> bytes:
-        frame = oi.stream_frame(self._state.streamed, self._sensors())
+        frame = oi.stream_frame(self._state.streamed, self._sensors(self._state.streamed))
         # What does not fit into 15 ms at this rate is cut off, as on the real wire.
         return frame[: int(self._state.baud / 10 * oi.FRAME_S)]
 
@@ -227,10 +232,28 @@ class RoombaCore:
 
     def _answer(self, packets: bytes | list[int]) -> bytes:
         known = [packet for packet in packets if packet in oi.PACKETS or packet in oi.GROUPS]
-        values = self._sensors()
+        values = self._sensors(known)
         return b"".join(oi.pack_packet(packet, values) for packet in known)
 
-    def _sensors(self) -> dict[int, int]:
+    def _since_told(self, packets: Iterable[int]) -> dict[int, int]:
+        """Packets 19 and 20: distance, mm, and angle, degrees, of the wheels since each was last asked for.
+
+        Asking resets them; what rounding leaves is kept for the next answer.
+        """
+        asked = {single for packet in packets for single in oi.members(packet)}
+        left, right = self.body.ways_mm()
+        way, difference = (left + right) / 2, right - left
+        told_way, told_difference = self._state.told_mm
+        degree_mm = math.radians(1) * WHEEL_BASE_MM
+        distance = max(-32768, min(32767, math.trunc(way - told_way)))
+        angle = max(-32768, min(32767, math.trunc((difference - told_difference) / degree_mm)))
+        self._state.told_mm = (
+            told_way + distance if oi.Packet.DISTANCE in asked else told_way,
+            told_difference + angle * degree_mm if oi.Packet.ANGLE in asked else told_difference,
+        )
+        return {oi.Packet.DISTANCE: distance, oi.Packet.ANGLE: angle}
+
+    def _sensors(self, packets: Iterable[int]) -> dict[int, int]:
         w, state = self.world, self._state
         left, right = self.body.encoders()
         return {
@@ -249,6 +272,7 @@ class RoombaCore:
             38: len(state.streamed),
             41: state.speeds[0],
             42: state.speeds[1],
+            **self._since_told(packets),
         }
 
 

@@ -54,6 +54,8 @@ class Packet(IntEnum):
     CLIFF_FRONT_LEFT = 10
     CLIFF_FRONT_RIGHT = 11
     CLIFF_RIGHT = 12
+    DISTANCE = 19
+    ANGLE = 20
     CHARGING_STATE = 21
     VOLTAGE = 22
     CURRENT = 23

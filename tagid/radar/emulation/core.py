@@ -1,13 +1,13 @@
-"""A P440 as a state machine: bytes in, bytes out, time handed in; no sockets, no clock of its own.
+"""A P440 as a state machine: bytes in, bytes out, time as an argument; no sockets and no clock of its own.
 
-The UDP emulator, the replay and the tests all drive this one core, so that they show the same radar.
+The UDP emulator, the replay and the tests all drive this core, so they behave as the same radar.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
@@ -27,12 +27,19 @@ from tagid.radar.messages import (
     decode,
     encode,
 )
-from tagid.radar.scan_info import RAW_FILTER, scan_packets
+from tagid.radar.scan_info import RAW_FILTER
+from tagid.radar.server_filters import ALL_FILTERS, ServerFilters
 from tagid.radar.settings import RadarConfig
 
 _T = MessageType
 _BAUD_RATES: Final = range(9_600, 921_601)
 _MRM_REQUESTS: Final = (_T.SET_CONFIG_REQUEST, _T.GET_CONFIG_REQUEST, _T.CONTROL_REQUEST)
+
+
+_LAG_S: Final = 0.5
+"""Delay behind the clock up to which scans are still sent one after the other, s of the emulated clock."""
+_LONGEST_LAG_S: Final = 2.0
+"""Delay from which on the emulator continues with the present scan, s of the emulated clock."""
 
 
 @dataclass
@@ -56,6 +63,9 @@ class _State:
     opmode: int = OPMODE_MRM
     sleep: int = SLEEP_ACTIVE
     filter_mask: int = RAW_FILTER
+    motion_index: int = 0
+    multiplier: int = 0
+    filters: ServerFilters = field(default_factory=lambda: ServerFilters(RAW_FILTER, 0))
     boots_until_s: float | None = None
     run: _Run | None = None
     clipped: int = 0
@@ -99,9 +109,7 @@ class EmulatorCore:
             _T.SERVER_CONNECT_REQUEST: lambda m: _confirm(_T.SERVER_CONNECT_CONFIRM, m),
             _T.SERVER_DISCONNECT_REQUEST: lambda m: _confirm(_T.SERVER_DISCONNECT_CONFIRM, m),
             _T.SET_FILTER_REQUEST: self._set_filter,
-            _T.GET_FILTER_REQUEST: lambda m: encode(
-                _T.GET_FILTER_CONFIRM, m.id, mask=self._state.filter_mask
-            ),
+            _T.GET_FILTER_REQUEST: self._get_filter,
             _T.GET_STATUSINFO_REQUEST: lambda m: self._firmware.status_info(m.id, self._identity),
             _T.REBOOT_REQUEST: self._reboot,
             _T.SET_OPMODE_REQUEST: self._set_opmode,
@@ -179,13 +187,30 @@ class EmulatorCore:
     def advance_by_one(self, now_s: float) -> list[bytes]:
         """Lets time pass until `now_s` or the next scan, whichever is first; returns what left the radar.
 
-        One scan a call, so that a slow source cannot keep a request (a stop!) from being heard.
+        One scan per call, so that a slow source cannot keep a request (a stop!) from being heard. Where the
+        source or this process is too slow, scans are skipped as if they were lost on the way: the scene
+        moves on with the clock, so a late scan must show the moment of its timestamp.
         """
         due = self.next_due_s
         if due is not None and due <= now_s:
+            self._catch_up(now_s - due)
             return self.step()
         self._now = max(self._now, now_s)
         return []
+
+    def _catch_up(self, lag_s: float) -> None:
+        """Skips scans of a run that is late: some of them where the delay is short, else all."""
+        run = self._state.run
+        if run is None or lag_s <= _LAG_S:
+            return
+        if self._fixed:
+            run.started_s += lag_s  # a recording has its own clock, and none of its scans may be skipped
+            return
+        late = int(lag_s / run.period_s)
+        skipped = late if lag_s > _LONGEST_LAG_S else min(int(lag_s / _LAG_S), late)
+        if run.count != SCAN_FOREVER:
+            skipped = min(skipped, run.count - 1 - run.index)
+        run.index += skipped
 
     def step(self) -> list[bytes]:
         """Jumps to the next thing that happens by itself (a scan, the end of a boot)."""
@@ -219,12 +244,8 @@ class EmulatorCore:
         limit = config.clip_counts
         state.clipped += int(np.count_nonzero(np.abs(samples) > limit))
         stamp = self._fixed.timestamp_ms(index) & 0xFFFFFFFF if self._fixed else self._timestamp()
-        return scan_packets(
-            np.clip(samples, -limit, limit).astype(np.int32),
-            config,
-            (run.first_id + index) & 0xFFFF,
-            stamp,
-        )
+        taken = np.clip(samples, -limit, limit).astype(np.int32)
+        return state.filters.packets(taken, config, (run.first_id + index) & 0xFFFF, stamp)
 
     def _set_config(self, message: Message) -> bytes:
         self._state.run = None  # silently, as the real radar does
@@ -252,8 +273,24 @@ class EmulatorCore:
         return _confirm(_T.CONTROL_CONFIRM, message)
 
     def _set_filter(self, message: Message) -> bytes:
-        status = Status.OK if message["mask"] == RAW_FILTER else Status.UNSUPPORTED_VALUE
-        return _confirm(_T.SET_FILTER_CONFIRM, message, status)
+        mask = message["mask"]
+        if not mask or mask & ~ALL_FILTERS:
+            return _confirm(_T.SET_FILTER_CONFIRM, message, Status.UNSUPPORTED_VALUE)
+        self._state.filter_mask = mask
+        self._state.motion_index = message["motion_index"]
+        self._state.multiplier = message["threshold_multiplier"]
+        self._state.filters = ServerFilters(mask, self._state.multiplier)
+        return _confirm(_T.SET_FILTER_CONFIRM, message)
+
+    def _get_filter(self, message: Message) -> bytes:
+        state = self._state
+        return encode(
+            _T.GET_FILTER_CONFIRM,
+            message.id,
+            mask=state.filter_mask,
+            motion_index=state.motion_index,
+            threshold_multiplier=state.multiplier,
+        )
 
     def power_cycle(self) -> None:
         """Boots anew: settings from flash, no run, and deaf until READY_INFO."""

@@ -22,7 +22,6 @@ from tagid.radar.framing import Framing
 from tagid.radar.links import DEFAULT_PORT, bind_udp
 
 _IDLE_S: Final = 0.05
-_WORST_LAG_S: Final = 0.5
 
 
 class StopEvent(Protocol):
@@ -124,11 +123,8 @@ class Server:
         now = (time.monotonic() - self._origin) * self._rate
         if self._wire.paces and self._core.scanning and not self._wire.ready():
             self._core.hold_back(now)
-            return
-        self.send(self._core.advance_by_one(now))
-        # A source slower than the radar slows the emulated clock; it must not end in bursts.
-        lag = time.monotonic() - self._origin - self._core.now_s / self._rate
-        self._origin += lag if lag > _WORST_LAG_S else 0.0
+        else:
+            self.send(self._core.advance_by_one(now))
 
     def _release(self) -> None:
         """What was held back goes when its time has come, or at once where nothing can follow it."""

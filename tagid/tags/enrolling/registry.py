@@ -12,8 +12,9 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-from tagid.errors import RegistryError, TagidError
+from tagid.errors import RegistryError, TagidError, UsageError
 from tagid.storage.database import Database, Schema
+from tagid.storage.spreadsheet import FORMULA_STARTS
 from tagid.tags.bodies.signature import Signature, SignatureKind
 from tagid.tags.bodies.signature_file import from_bytes, to_bytes
 from tagid.tags.layouts.layout import Layout, builtin_layouts, layout_from_dict
@@ -193,8 +194,11 @@ class Registry:
             signatures: of different kinds or names; an object may have the name of a layout, of which it is
                 the signature.
 
-        Raises RegistryError where a name is taken and `replace` is not set.
+        Raises RegistryError where a name is taken and `replace` is not set, UsageError for a label or notes
+        that a spreadsheet would run as a formula.
         """
+        for layout in layouts:
+            _check_label(layout)
         new: dict[Key, str | bytes] = {
             ("layout", one.name): json.dumps(one.to_dict(), sort_keys=True) for one in layouts
         }
@@ -391,3 +395,13 @@ class Registry:
 
 def _article(kind: str) -> str:
     return "an object" if kind == "object" else f"a {kind}"
+
+
+def _check_label(layout: Layout) -> None:
+    """Raises UsageError for texts of a layout to enrol that a spreadsheet would run."""
+    for name in ("label", "notes"):
+        if getattr(layout, name).lstrip().startswith(FORMULA_STARTS):
+            raise UsageError(
+                f"layout {layout.name}: the {name} begins with {getattr(layout, name).lstrip()[0]!r}",
+                "Begin it with a letter or digit: spreadsheets run such texts as formulas.",
+            )

@@ -1,0 +1,187 @@
+"""MATLAB 5 files: captures out to MATLAB and Octave, and back.
+
+Only what `encode_mat` writes is read; other MATLAB files come in as NPZ, where their variables can be named.
+"""
+
+from __future__ import annotations
+
+import io
+import warnings
+import zlib
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Final, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tagid import files
+from tagid.capture import Capture, Pulse
+from tagid.errors import DataError, FileFormatError
+from tagid.metadata import METADATA_VERSION
+from tagid.storage import hdf5
+from tagid.storage.assembly import build_capture, decode_settings, encode_settings, number, text
+from tagid.storage.metadata import PARTS, VERSION_KEY, metadata_of, read_metadata
+
+MAGIC: Final = b"MATLAB 5.0 MAT-file"
+
+_SCALARS: Final = (
+    "axis_distance_m",
+    "antenna_height_m",
+    "center_frequency_hz",
+    "bandwidth_hz",
+    "wave_speed_m_s",
+    "range_start_m",
+    "range_step_m",
+)
+_TEXTS: Final = ("uuid", "created_utc", "tool_version")
+_VECTORS: Final = MappingProxyType(
+    {
+        "angles_rad": ("angle_rad", "float64"),
+        "angle_sigma_rad": ("angle_sigma_rad", "float64"),
+        "host_time_ns": ("host_time_ns", "int64"),
+        "radar_time_ms": ("radar_time_ms", "float64"),
+        "scan_id": ("scan_id", "int64"),
+        "flags": ("flags", "uint8"),
+        "antenna_positions_m": ("antenna_positions_m", "float64"),
+    }
+)
+"""Field of Capture -> (variable, dtype)."""
+_NAMES: Final = frozenset(
+    (
+        *("format", "complete", "samples", "pulse", "pulse_step_s"),
+        *(*_SCALARS, *_TEXTS, *PARTS, VERSION_KEY),
+        *(name for name, _ in _VECTORS.values()),
+    )
+)
+_SAMPLE_TYPES: Final = ("int32", "float32", "complex64")
+_MAX_EXPANSION: Final = 20
+_SMALL_BYTES: Final = 16 << 20
+_ITEM_BYTES: Final = 16
+
+
+def encode_mat(capture: Capture) -> bytes:
+    """The bytes of a MATLAB 5 file.
+
+    Variables: samples (views, bins) int32, single or complex single; range_m (bins, 1), m; range_start_m,
+    range_step_m; as columns, where known, angle_rad, angle_sigma_rad, host_time_ns (int64), radar_time_ms,
+    scan_id (int64), flags (uint8); antenna_positions_m (views, 3); axis_distance_m, antenna_height_m,
+    center_frequency_hz, bandwidth_hz, wave_speed_m_s; pulse with pulse_step_s; radar, motion, object as JSON
+    text with metadata_version; uuid, created_utc, tool_version, complete, format.
+    """
+    from scipy.io import savemat  # late: 100 ms that no other command should pay
+
+    variables: dict[str, NDArray[Any] | str | float] = {
+        "format": hdf5.FORMAT,
+        "complete": np.asarray(capture.complete),
+        "samples": capture.samples,
+        "range_m": capture.ranges_m,
+    }
+    names = {name: name for name in (*_SCALARS, *_TEXTS)} | {key: name for key, (name, _) in _VECTORS.items()}
+    for field, name in names.items():
+        value = getattr(capture, field)
+        if value is not None:
+            variables[name] = value
+    variables[VERSION_KEY] = float(METADATA_VERSION)
+    for name, part in metadata_of(capture).items():
+        variables[name] = encode_settings(part)
+    if capture.pulse is not None:
+        variables |= {"pulse": capture.pulse.samples, "pulse_step_s": capture.pulse.step}
+    buffer = io.BytesIO()
+    savemat(cast(Any, buffer), variables, oned_as="column", do_compression=True)
+    return buffer.getvalue()
+
+
+def read_mat(path: Path) -> Capture:
+    """Read a MATLAB 5 file that `encode_mat` wrote.
+
+    Raises:
+        StorageError: the file cannot be read.
+        FileFormatError: damaged, written by another program, or not plausible.
+    """
+    found = _load(path, files.read_bytes(path))
+    if "format" not in found or _text(found, "format", path) != hdf5.FORMAT or "samples" not in found:
+        raise FileFormatError(
+            f"{path}: is a MATLAB file, but not one that tagid wrote",
+            "Import other data as NPZ: see `tagid import --help`.",
+        )
+    samples = found["samples"]
+    if samples.dtype.name not in _SAMPLE_TYPES:
+        raise FileFormatError(f"{path}: samples have dtype {samples.dtype}, expected {_SAMPLE_TYPES}")
+    fields: dict[str, Any] = {"samples": np.ascontiguousarray(samples)}
+    for name in _SCALARS:
+        if name in found:
+            fields[name] = number(found[name].reshape(-1)[0] if found[name].size == 1 else found[name], name)
+    missing = [name for name in ("range_start_m", "range_step_m") if name not in fields]
+    if missing:
+        raise FileFormatError(f"{path}: the MATLAB file lacks {', '.join(missing)}")
+    for field, (name, dtype) in _VECTORS.items():
+        if name in found:
+            fields[field] = _vector(path, name, found[name], dtype)
+    for name in _TEXTS:
+        if name in found:
+            fields[name] = text(_text(found, name, path), f"{path} ({name})")
+    parts = {
+        name: decode_settings(_text(found, name, path), f"{path} ({name})") for name in PARTS if name in found
+    }
+    version = found.get(VERSION_KEY)
+    fields |= read_metadata(
+        parts, str(path), int(number(version.reshape(-1)[0], VERSION_KEY)) if version is not None else 1
+    )
+    if "pulse" in found and "pulse_step_s" in found:
+        values = found["pulse"]
+        if values.dtype.kind not in "iuf" or found["pulse_step_s"].size != 1:
+            raise FileFormatError(f"{path}: pulse is not an array of real numbers with one step")
+        try:
+            fields["pulse"] = Pulse(
+                values.reshape(-1).astype(np.float64), float(found["pulse_step_s"].item())
+            )
+        except DataError as error:
+            raise FileFormatError(f"{path}: {error.message}") from error
+    fields["complete"] = bool(found["complete"].any()) if "complete" in found else True
+    return build_capture(path, **fields)
+
+
+def _load(path: Path, data: bytes) -> dict[str, NDArray[Any]]:
+    """The variables that tagid knows; what they claim is checked before memory is taken for it."""
+    from scipy.io import loadmat, whosmat
+    from scipy.io.matlab import MatReadError
+
+    limit = max(_SMALL_BYTES, _MAX_EXPANSION * len(data))
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # scipy warns of variables that it reads only in part
+            claimed = 0
+            for name, shape, kind in whosmat(cast(Any, io.BytesIO(data))):
+                size = _ITEM_BYTES
+                for length in shape:
+                    size *= int(length)
+                claimed += size if name in _NAMES else 0
+                if name in _NAMES and kind in ("cell", "struct", "object", "function", "opaque", "sparse"):
+                    raise FileFormatError(f"{path}: {name} is a {kind}, expected numbers or text")
+            if not 0 <= claimed <= limit:
+                raise FileFormatError(f"{path}: the variables claim {claimed} bytes, which is not plausible")
+            found = loadmat(cast(Any, io.BytesIO(data)), variable_names=sorted(_NAMES))
+    # scipy raises any of these on damaged files, depending on where the damage is.
+    except (
+        MatReadError, OSError, EOFError, ValueError, TypeError, LookupError, MemoryError, OverflowError,
+        NotImplementedError, AttributeError, RuntimeError, zlib.error,
+    ) as error:  # fmt: skip
+        raise FileFormatError(f"{path}: the MATLAB file is damaged ({str(error)[:120]})") from error
+    return {name: value for name, value in found.items() if name in _NAMES and isinstance(value, np.ndarray)}
+
+
+def _vector(path: Path, name: str, values: NDArray[Any], dtype: str) -> NDArray[Any]:
+    if values.dtype.kind not in "iuf":
+        raise FileFormatError(f"{path}: {name} has dtype {values.dtype}, expected numbers")
+    converted = values.astype(dtype)
+    if not np.array_equal(converted, values):
+        raise FileFormatError(f"{path}: {name} holds values that do not fit {dtype}")
+    return np.ascontiguousarray(converted if name == "antenna_positions_m" else converted.reshape(-1))
+
+
+def _text(found: dict[str, NDArray[Any]], name: str, path: Path) -> str:
+    value = found[name]
+    if value.dtype.kind != "U" or value.size > 1:
+        raise FileFormatError(f"{path}: {name} is not one text")
+    return str(value.reshape(-1)[0]) if value.size else ""
