@@ -56,6 +56,7 @@ def turn_and_compare(motion: DrivenMotion, table: TurningTable, radians: float) 
     assert not table.speed_deg_s
 
 
+@pytest.mark.realtime
 @pytest.mark.parametrize("direction", ["ccw", "cw"])
 def test_a_comxim_table_tells_its_angle(comxim: tuple[ComximCore, PtyPort], direction: str) -> None:
     core, port = comxim
@@ -64,6 +65,7 @@ def test_a_comxim_table_tells_its_angle(comxim: tuple[ComximCore, PtyPort], dire
     turn_and_compare(motion, core.table, 0.3)
 
 
+@pytest.mark.realtime
 @pytest.mark.parametrize("direction", ["ccw", "cw"])
 def test_the_direction_is_that_of_the_makers_documents(
     comxim: tuple[ComximCore, PtyPort], direction: str
@@ -97,6 +99,7 @@ def test_the_direction_is_that_of_the_makers_documents(
             assert (counter if asked else clockwise) not in sent
 
 
+@pytest.mark.realtime
 def test_a_table_wired_the_other_way_round_is_told_by_its_setting() -> None:
     core = ComximCore(now_s=time.monotonic(), backwards=True)
     with PtyPort(core) as port:
@@ -106,6 +109,7 @@ def test_a_table_wired_the_other_way_round_is_told_by_its_setting() -> None:
         assert motion.track().info["reversed"] is True
 
 
+@pytest.mark.realtime
 def test_a_table_that_cannot_turn_is_told_within_seconds(comxim: tuple[ComximCore, PtyPort]) -> None:
     core, port = comxim
     core.table.blocked = True
@@ -137,6 +141,7 @@ def test_a_table_that_answers_an_error_is_quoted() -> None:
     assert error.value.remedy
 
 
+@pytest.mark.realtime
 def test_a_port_that_holds_no_table_is_told() -> None:
     class Mute:
         baud = 115200
@@ -153,6 +158,7 @@ def test_a_port_that_holds_no_table_is_told() -> None:
             motion.start()
 
 
+@pytest.mark.realtime
 def test_a_revopoint_table_over_bluetooth() -> None:
     core = RevopointCore(now_s=time.monotonic())
     with GattPort(core, "REVO_DUAL_AXIS_TABLE", SERVICE, CHARACTERISTIC) as port:
