@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --constraint constraints.txt
 DEMO_DIR ?= demo
 
-.PHONY: demo test lint types check browser clean
+.PHONY: demo test lint types docs check browser clean
 
 $(VENV)/.base: pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
@@ -24,7 +24,7 @@ $(VENV)/.dev: $(VENV)/.base
 demo: $(VENV)/.base
 	PYTHONDONTWRITEBYTECODE=1 $(BIN)/tagid scan --demo --save-dir $(DEMO_DIR)
 
-test: lint types check
+test: lint types docs check
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check .
@@ -32,6 +32,10 @@ lint: $(VENV)/.dev
 
 types: $(VENV)/.dev
 	$(BIN)/mypy
+
+# The pages of docs/ as a site in build/site; a broken link is an error.
+docs: $(VENV)/.dev
+	$(BIN)/mkdocs build --strict --quiet
 
 # The page of `tagid report` is tested in a real Chromium. Where it is not there and may not be installed, those
 # tests are skipped and say why.

@@ -1,6 +1,6 @@
 """What imaging costs: seconds of BP, FISTA and ATS, how they grow, what they are spent on, and both engines.
 
-Run `python tests/benchmarks/bench_cost.py` for everything (`--write` puts it into docs/results.md and
+Run `python tests/benchmarks/bench_cost.py` for everything (`--write` puts it into docs/results/cost.md and
 docs/pictures), `--quick` for fewer repetitions and sizes. One scene of 4 points with noise 0.316, 0.7 m,
 radar at 1 m. "wall" is the best of the repetitions; "CPU" is the time of that process, which other load
 disturbs less; set-up is in all of them, preprocessing is not. The engines run in processes of their own, from
@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 from bench_reconstruction import simulate
-from imaging_report import PICTURES, curves, table, write_block
+from imaging_report import PICTURES, commit, curves, table, write_block
 
 from tagid.geometry import ImageGrid
 from tagid.imaging.ats.fit import AtsSettings, fit
@@ -242,7 +242,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="half the sizes, few repetitions")
     parser.add_argument("--only", choices=("targets", "growth", "engines", "process"), help="one part")
-    parser.add_argument("--write", action="store_true", help="into docs/results.md and docs/pictures")
+    parser.add_argument("--write", action="store_true", help="into docs/results/cost.md and docs/pictures")
     options = parser.parse_args()
     repeats = 3 if options.quick else 9
     parts: dict[str, tuple[str, Callable[[], str]]] = {
@@ -256,16 +256,13 @@ def main() -> None:
         if options.only in (None, name):
             command = f"`python tests/benchmarks/bench_cost.py {arguments}`".replace(" `", "`")
             load = f"load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores"
-            text = f"{command}, 1 scene, best of {repeats}, {load}\n\n{work()}"
+            text = f"{command}, 1 scene, best of {repeats}, {load}, {commit()}\n\n{work()}"
             if name == "growth" and options.write:
-                text += (
-                    "\n"
-                    + "\n".join(f"![](pictures/cost-{k}.png)" for k in ("views", "pixels", "bins"))
-                    + "\n"
-                )
+                varied = ("views", "pixels", "bins")
+                text += "".join(f"\n![Time against {k}](../pictures/cost-{k}.png)" for k in varied) + "\n"
             print(f"## {title}\n\n{text}", flush=True)
             if options.write:
-                write_block(f"cost-{name}", title, text)
+                write_block("cost", f"cost-{name}", title, text)
 
 
 if __name__ == "__main__":

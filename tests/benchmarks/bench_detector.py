@@ -1,7 +1,7 @@
 """Who finds reflectors among ghosts: local maxima, CLEAN in the scans, the network; and the network's time.
 
-Run `python tests/benchmarks/bench_detector.py --scenes 400`; it prints what docs/results.md shows. The scenes
-are the detector's test split (never trained or calibrated on).
+Run `python tests/benchmarks/bench_detector.py --scenes 400`; it prints docs/results/detector.md. The
+scenes are the detector's test split (never trained or calibrated on).
 """
 
 from __future__ import annotations

@@ -389,12 +389,12 @@ def main() -> None:
         text = work(run)
         arguments = f"{name} --quick" if options.quick else f"{name} --seeds {seeds}"
         machine = f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"
-        made = f"`python tests/benchmarks/bench_imaging.py {arguments}`, {date.today()}, {machine}, "
-        made += f"numpy {np.__version__}.\n\n"
-        shown = "".join(f"\n![{title}](pictures/{figure}.png)\n" for figure in figures)
+        made = f"`python tests/benchmarks/bench_imaging.py {arguments}`, {report.commit()}, "
+        made += f"{date.today()}, {machine}, numpy {np.__version__}.\n\n"
+        shown = "".join(f"\n![{title}](../pictures/{figure}.png)\n" for figure in figures)
         print(f"{title}\n\n{made}{text}", flush=True)
         if options.write:
-            report.write_block(name, title, made + text + shown)
+            report.write_block("imaging", name, title, made + text + shown)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """How true the angles are, per motion source, over real wires in real time; and what they do to the reader.
 
 Run `python tests/benchmarks/bench_motion.py` (about five minutes), `--short` for a look; it prints what
-docs/results.md shows. Every angle is held against the emulator's own truth at the moment of the scan.
+docs/results/motion.md shows. Every angle is held against the emulator's own truth at the moment of the scan.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """How often the reader is right: layouts, views, SNR, other objects, imperfections, and the limit.
 
-Run `python tests/benchmarks/identification.py --jobs 2` for what docs/results.md shows, `--short` for a check
-of some minutes, `--only grid` (roc, methods, robustness) for a part.
+Run `python tests/benchmarks/identification.py --jobs 2` for what docs/results/identification.md shows,
+`--short` for a check of some minutes, `--only grid` (roc, methods, robustness) for a part.
 """
 
 from __future__ import annotations

@@ -1,13 +1,14 @@
-"""Tables and figures of the imaging benchmarks: printed, and on request written into docs/results.md.
+"""Tables and figures of the imaging benchmarks: printed, and on request written into docs/results/.
 
-A block of docs/results.md between `<!-- imaging:NAME -->` and `<!-- end -->` belongs to the experiment of
-that name; the script that made it replaces it as a whole, so that no figure is ever typed by hand.
+A block of a page between `<!-- imaging:NAME -->` and `<!-- end -->` belongs to the experiment of that name;
+the script that made it replaces it as a whole, so that no figure is ever typed by hand.
 """
 
 from __future__ import annotations
 
 import multiprocessing
 import re
+import subprocess
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TypeVar
@@ -19,7 +20,7 @@ from tagid.report.canvas import Canvas
 from tagid.report.colours import BLUE, GREEN, INK, ORANGE, colourise, to_decibels
 
 ROOT = Path(__file__).resolve().parents[2]
-RESULTS = ROOT / "docs" / "results.md"
+RESULTS = ROOT / "docs" / "results"
 PICTURES = ROOT / "docs" / "pictures"
 DYNAMIC_RANGE_DB = 30.0
 Job = TypeVar("Job")
@@ -52,19 +53,27 @@ def spread(work: Callable[[Job], Result], jobs: Sequence[Job], processes: int) -
         return pool.map(work, jobs, chunksize=1)
 
 
-def write_block(name: str, title: str, text: str) -> None:
-    """Replace the block of that name in docs/results.md, or add it at the end of the section Imaging."""
-    content = RESULTS.read_text(encoding="utf-8")
-    block = f"<!-- imaging:{name} -->\n### {title}\n\n{text.strip()}\n<!-- end -->\n"
+def commit() -> str:
+    """The commit that is checked out, with "+" where files differ from it."""
+
+    def git(*words: str) -> str:
+        return subprocess.run(["git", "-C", ROOT, *words], capture_output=True, text=True, check=True).stdout
+
+    changed = git("status", "--porcelain", "--untracked-files=no")
+    return f"commit {git('rev-parse', '--short=10', 'HEAD').strip()}{'+' if changed else ''}"
+
+
+def write_block(page: str, name: str, title: str, text: str) -> None:
+    """Replace the block of that name in docs/results/PAGE.md, or add it at the end."""
+    path = RESULTS / f"{page}.md"
+    content = path.read_text(encoding="utf-8")
+    block = f"<!-- imaging:{name} -->\n## {title}\n\n{text.strip()}\n<!-- end -->\n"
     there = re.compile(rf"<!-- imaging:{re.escape(name)} -->\n.*?<!-- end -->\n", re.DOTALL)
     if there.search(content):
         content = there.sub(lambda _: block, content)
     else:
-        start = content.index("## Imaging")
-        after = content.find("\n## ", start + 1)
-        at = len(content) if after < 0 else after + 1
-        content = content[:at].rstrip("\n") + "\n\n" + block + "\n" + content[at:]
-    RESULTS.write_text(content, encoding="utf-8")
+        content = content.rstrip("\n") + "\n\n" + block
+    path.write_text(content, encoding="utf-8")
 
 
 def picture_grid(

@@ -150,7 +150,7 @@ def point_problem(
 
 
 def random_points(count: int, views: int, noise: float, seed: int) -> Problem:
-    """`count` points uniform within +-0.22 m, as in docs/results.md since the first table."""
+    """`count` points uniform within +-0.22 m, as in docs/results/imaging.md since the first table."""
     rng = np.random.default_rng([FIRST_SEED + seed, count])
     return point_problem(rng.uniform(-0.22, 0.22, (count, 2)), views, noise, rng)
 

@@ -1,6 +1,7 @@
 """How exactly a recording tells where each reflector is: the error that capacity and confusion rates rest on.
 
-Run `python tests/benchmarks/localisation.py` for what docs/results.md shows, `--short` for a check.
+Run `python tests/benchmarks/localisation.py` for what docs/results/localisation.md shows,
+`--short` for a check.
 Scenes are those of identification_scenes.py; "own echoes" adds what an object itself sends back as it turns.
 """
 

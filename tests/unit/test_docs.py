@@ -1,0 +1,192 @@
+"""The pages are true of the code: links resolve, the API is what the docstrings say, refusals are explained."""
+
+from __future__ import annotations
+
+import ast
+import importlib.util
+import re
+import subprocess
+import sys
+from html.parser import HTMLParser
+from pathlib import Path
+from types import ModuleType
+from urllib.parse import urlsplit
+
+import pytest
+
+import tagid
+
+ROOT = Path(__file__).resolve().parents[2]
+DOCS = ROOT / "docs"
+PROVENANCE = ("Command", "Commit", "Machine", "Date", "Seeds")
+
+
+def api_script() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("make_api", DOCS / "make_api.py")
+    assert spec and spec.loader
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_the_api_page_is_what_the_docstrings_say() -> None:
+    assert (DOCS / "api.md").read_text() == api_script().render(), "run: python docs/make_api.py"
+
+
+def test_the_api_page_has_every_public_name_with_a_signature_and_words() -> None:
+    page = (DOCS / "api.md").read_text()
+    sections = dict(re.findall(r"^### (\w+)\n(.*?)(?=^##|\Z)", page, re.M | re.S))
+    assert sorted(sections) == sorted(tagid.__all__)
+    for name, text in sections.items():
+        if name != "__version__":
+            assert f"```python\n{name}(" in text, f"{name} has no signature"
+            assert len(text.split("```")[2].split()) > 3, f"{name} has no docstring"
+
+
+def test_the_script_turns_sections_into_lists_and_leaves_equations_readable() -> None:
+    def example(a_b: int, *, c: str = "x") -> None:
+        """y = <A x_0, y> * 2.
+
+        Args:
+            a_b: first,
+                and more.
+            c: second.
+
+        Raises:
+            KeyError and its kinds: never.
+        """
+
+    script = api_script()
+    assert script.signature("example", example) == "example(a_b: int, *, c: str = 'x') -> None"
+    text = script.prose(example)
+    assert text.startswith("y = &lt;A x\\_0, y&gt; \\* 2.")
+    assert "- `a_b`: first,\n  and more.\n- `c`: second." in text
+    assert "**Raises**\n\n- KeyError and its kinds: never." in text
+
+
+def refusals() -> list[str]:
+    """Every reason that the reader can give, as patterns: what is computed at run time stands for anything.
+
+    They are the second words of `return status, reason` and the `reason`s of verdicts and readings.
+    """
+    found = []
+    for path in sorted((ROOT / "tagid" / "tags").rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text())):
+            words: ast.expr | None = None
+            if (
+                isinstance(node, ast.Return)
+                and isinstance(node.value, ast.Tuple)
+                and len(node.value.elts) == 2
+            ):
+                status = node.value.elts[0]
+                if isinstance(status, ast.Constant) and status.value in ("unknown", "no_tag", "ambiguous"):
+                    words = node.value.elts[1]
+            elif isinstance(node, ast.Call):
+                given = {k.arg: k.value for k in node.keywords}
+                called = node.func.id if isinstance(node.func, ast.Name) else ""
+                words = given.get("reason") or (
+                    node.args[2] if called == "Verdict" and node.args[2:] else None
+                )
+            if isinstance(words, ast.Constant) and words.value:
+                found.append(re.escape(str(words.value)))
+            elif isinstance(words, ast.JoinedStr):
+                parts = words.values
+                found.append(
+                    "".join(
+                        re.escape(str(p.value)) if isinstance(p, ast.Constant) else r"[^|]+?" for p in parts
+                    )
+                )
+    return found
+
+
+def test_every_reason_for_a_refusal_is_explained() -> None:
+    page = (DOCS / "refusals.md").read_text()
+    reasons = refusals()
+    assert len(reasons) >= 10
+    rows = [line.split("|") for line in page.splitlines() if line.startswith("|")]
+    said = [row[1].strip() for row in rows]
+    missing = [reason for reason in reasons if not any(re.fullmatch(reason, one) for one in said)]
+    assert not missing
+    assert all(row[-2].strip() for row in rows), "nothing to do"
+
+
+def test_every_code_of_a_refusal_is_on_the_page() -> None:
+    """A reader that gives codes gives none that the page does not name."""
+    page = (DOCS / "refusals.md").read_text()
+    trees = [ast.parse(path.read_text()) for path in (ROOT / "tagid" / "tags").rglob("*.py")]
+    kinds = [n for tree in trees for n in ast.walk(tree) if isinstance(n, ast.ClassDef) and n.name == "Code"]
+    values = [node.value for kind in kinds for node in kind.body if isinstance(node, ast.Assign)]
+    codes = [str(value.value) for value in values if isinstance(value, ast.Constant)]
+    assert [code for code in codes if code and f"`{code}`" not in page] == []
+
+
+@pytest.mark.parametrize("page", sorted((DOCS / "results").glob("*.md")), ids=lambda p: p.name)
+def test_a_page_of_results_says_where_its_tables_come_from(page: Path) -> None:
+    text = page.read_text()
+    head = text.split("\n## ")[0]
+    assert [word for word in PROVENANCE if not re.search(rf"{word}: *\S", head)] == []
+    scripts = re.findall(r"tests/(?:benchmarks|property)/\w+\.py", head)
+    assert scripts, "names no script"
+    assert [script for script in scripts if not (ROOT / script).exists()] == []
+
+
+def test_the_results_page_has_ten_figures_each_with_a_table() -> None:
+    rows = [line for line in (DOCS / "results.md").read_text().splitlines() if re.match(r"\| \d+ \|", line)]
+    assert len(rows) == 10
+    assert all(re.search(r"\]\(results/[\w-]+\.md(#[\w-]+)?\) \|$", row) for row in rows)
+
+
+@pytest.mark.parametrize("page", ["README.md", "CONTRIBUTING.md", "CHANGELOG.md"])
+def test_links_of_the_pages_beside_the_site_lead_somewhere(page: str) -> None:
+    text = (ROOT / page).read_text()
+    targets = [t for t in re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", text) if not urlsplit(t).scheme]
+    assert [target for target in targets if not (ROOT / target).exists()] == []
+
+
+def test_the_readme_is_short_and_the_changelog_dated() -> None:
+    assert len((ROOT / "README.md").read_text().splitlines()) < 120
+    assert re.search(
+        rf"^## \[{re.escape(tagid.__version__)}\] - \d{{4}}-\d\d-\d\d$",
+        (ROOT / "CHANGELOG.md").read_text(),
+        re.M,
+    )
+
+
+class Loads(HTMLParser):
+    """What a page makes the browser load without being asked."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.urls: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        given = dict(attrs)
+        wanted = {"link": "href", "script": "src", "img": "src", "iframe": "src", "source": "src"}
+        if tag in wanted and given.get(wanted[tag]) and given.get("rel") != "canonical":
+            self.urls.append(str(given[wanted[tag]]))
+
+
+def test_the_site_builds_strictly_and_loads_nothing_from_elsewhere(tmp_path: Path) -> None:
+    pytest.importorskip("mkdocs", reason="the extra `docs` is not installed")
+    command = [sys.executable, "-W", "ignore", "-m", "mkdocs", "build", "--strict", "--quiet"]
+    done = subprocess.run(
+        [*command, "--site-dir", str(tmp_path / "site")],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+    assert done.returncode == 0, done.stderr
+    # The page for what is not found is written for the root of a server.
+    pages = [page for page in (tmp_path / "site").rglob("*.html") if page.name != "404.html"]
+    assert len(pages) > 20
+    away = set()
+    for page in pages:
+        loads = Loads()
+        loads.feed(page.read_text(encoding="utf-8"))
+        away |= {url for url in loads.urls if urlsplit(url).netloc}
+        missing = [u for u in loads.urls if not (page.parent / urlsplit(u).path).exists()]
+        assert missing == [], page.name
+    for style in (tmp_path / "site").rglob("*.css"):
+        away |= set(re.findall(r"url\(['\"]?((?:https?:)?//[^)'\"]+)", style.read_text(encoding="utf-8")))
+    assert away == set()

@@ -1,0 +1,74 @@
+"""The programs of docs/examples.md run as they stand there, and do what the page says."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "examples.md"
+
+
+def program(heading: str) -> str:
+    """The Python block under a heading of the page."""
+    found = re.search(rf"^## {re.escape(heading)}\n.*?^```python\n(.*?)^```$", PAGE.read_text(), re.M | re.S)
+    assert found, f"no program under {heading!r}"
+    return found[1]
+
+
+def run(heading: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    """The names that the program leaves behind, run in a folder of its own."""
+    monkeypatch.chdir(folder)
+    names: dict[str, Any] = {"__name__": "example"}
+    exec(compile(program(heading), f"{PAGE.name}: {heading}", "exec"), names)
+    return names
+
+
+def test_every_program_of_the_page_is_run_here() -> None:
+    assert PAGE.read_text().count("```python") == 3
+
+
+def test_a_capture_becomes_a_picture_with_the_reflectors_where_they_are(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    names = run("Image a capture and plot it", tmp_path, monkeypatch)
+    with Image.open(tmp_path / "helmet.png") as picture:
+        assert picture.size == (940, 900)
+        assert len(picture.convert("RGB").getcolors(maxcolors=1 << 20) or []) > 100
+    magnitude, axis = np.abs(names["result"].image.values), names["result"].image.grid.axis
+    for x, y in names["truth"].positions_m[:, :2]:
+        near = magnitude[np.ix_(np.abs(axis - y) < 0.012, np.abs(axis - x) < 0.012)]
+        assert near.max() > 0.3 * magnitude.max()
+    assert magnitude[:, np.abs(axis) > 0.2].max() < 0.1 * magnitude.max()
+
+
+def test_a_refusal_names_a_reason_of_the_page_on_refusals(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    names = run("Identify, and explain a refusal", tmp_path, monkeypatch)
+    answer = names["answer"]
+    assert (answer.status, answer.reading.layout) == ("unknown", None)
+    assert re.fullmatch(r"the nearest layout explains \d+% of the echo", answer.reading.reason)
+    assert "the nearest layout explains N% of the echo" in (PAGE.parent / "refusals.md").read_text()
+    everyone = names["answer_with_all"]
+    assert (everyone.status, everyone.reading.layout) == ("identified", "helmet-120")
+    assert "helmet-linear" in capsys.readouterr().out
+
+
+def test_methods_are_scored_on_views_that_they_have_not_seen(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    names = run("Score a method of your own", tmp_path, monkeypatch)
+    scores, unexplained, size = names["scores"], names["unexplained"], names["A"].shape[1]
+    assert unexplained(np.zeros(size, np.complex64)) == pytest.approx(1.0)
+    assert set(scores) == {"own", "sparse", "omp", "ats"}
+    assert all(0 < score < 0.4 for score in scores.values())
+    # The score notices a wrong sign and a view that is in the wrong place.
+    own = names["brightest_pixels"](names["A"].select(names["seen"]), names["y"][names["seen"]])
+    assert unexplained(-own) > 1.5
+    assert unexplained(own.reshape(64, 64).T.ravel()) > 0.9
+    assert not set(names["seen"]) & set(names["unseen"])
