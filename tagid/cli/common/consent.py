@@ -1,6 +1,6 @@
-"""Nothing moves before a person agreed: the one question that every moving command asks.
+"""Confirmation before anything moves: the prompt shared by all commands that move a device.
 
-A script answers with --yes; where nobody can answer, nothing moves.
+Scripts pass --yes; without it and without a terminal, nothing moves.
 """
 
 from __future__ import annotations
@@ -18,34 +18,34 @@ Yes = Annotated[
 
 
 def agree(what: str, yes: bool) -> None:
-    """Return where it may move.
+    """Return if the movement is confirmed.
 
     Args:
-        what: what will move and how, for the question.
+        what: what will move and how, for the prompt.
         yes: whether --yes was given.
 
     Raises:
-        UsageError: nobody can be asked. CaptureInterrupted: the answer was no.
+        UsageError: no terminal to ask on. CaptureInterrupted: the user declined.
     """
     if yes:
         return
     if not sys.stdin.isatty():
         raise UsageError(
-            f"{what}, and nobody is here to agree", "Look that its surroundings are free, then add --yes."
+            f"{what}: no terminal to confirm on", "Make sure that nothing is in the way, then add --yes."
         )
     try:
-        agreed = typer.confirm(f"{what}. Are its surroundings free?", default=False, err=True)
+        agreed = typer.confirm(f"{what}. Is the area clear?", default=False, err=True)
     except typer.Abort:
         agreed = False
     if not agreed:
-        raise CaptureInterrupted("not agreed: nothing was moved")
+        raise CaptureInterrupted("declined: nothing was moved")
 
 
 def agree_to(motion_url: str, yes: bool) -> None:
-    """Ask about the device of a URL, where it moves on command. Raises as `agree`, and UsageError."""
+    """Ask before moving the device of a URL, if it moves on command. Raises as `agree`, and UsageError."""
     from tagid.motion.urls import open_motion
 
     motion = open_motion(motion_url)
     if motion.moves and motion.nominal_s is not None:
         way = "clockwise" if motion.direction < 0 else "counter-clockwise"
-        agree(f"{motion_url} will turn {way}, {motion.nominal_s:.0f} s a turn", yes)
+        agree(f"{motion_url} will turn {way}, {motion.nominal_s:.0f} s per turn", yes)

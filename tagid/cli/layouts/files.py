@@ -1,4 +1,4 @@
-"""`tagid layouts export`, `import` and `undo`: layouts in files, and the registry's way back."""
+"""`tagid layouts export`, `import` and `undo`: exchange layouts as files, and revert the registry."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def register(app: typer.Typer) -> None:
     def export(
         terminal: Terminal,
         file: Annotated[Path, typer.Argument(help="TOML file to write.")],
-        names: Annotated[list[str] | None, typer.Argument(help="Layouts; all where none is named.")] = None,
+        names: Annotated[list[str] | None, typer.Argument(help="Names of layouts; default all.")] = None,
     ) -> Result:
         """Write enrolled layouts to a TOML file.
 
@@ -46,15 +46,15 @@ def register(app: typer.Typer) -> None:
             list[Path], typer.Argument(help="TOML or JSON files, or other registries (.sqlite).")
         ],
         force: Annotated[
-            bool, typer.Option("--force", help="Replace layouts, and accept some that can be confused.")
+            bool, typer.Option("--force", help="Replace existing layouts, and accept confusable ones.")
         ] = False,
         yes: enrolling.Yes = False,
         dry_run: enrolling.DryRun = False,
     ) -> Result:
-        """Enrol the layouts of files: all of them, or none where one is in conflict.
+        """Enrol the layouts of files: all of them, or none if one conflicts.
 
-        The nearest other layout of each and the expected rate of confusion are shown first; at a terminal you
-        are asked before anything is stored.
+        The nearest other layout to each and the expected confusion rate are shown first; on a terminal,
+        nothing is stored before you confirm.
 
         Example: tagid layouts import tags.toml
         """
@@ -69,7 +69,7 @@ def register(app: typer.Typer) -> None:
                 known = found.setdefault(layout.name, layout)
                 if known.to_dict() != layout.to_dict():
                     raise FileFormatError(
-                        f"{file}: {layout.name} differs from that of another file", "Rename one of them."
+                        f"{file}: {layout.name} differs from the one in another file", "Rename one of them."
                     )
         source = f"file {', '.join(f.name for f in files)}"[:200]
         registry = open_registry()
@@ -92,10 +92,10 @@ def register(app: typer.Typer) -> None:
     def undo(
         terminal: Terminal,
         to: Annotated[
-            int | None, typer.Option("--to", help="Back to this version; the last change is undone without.")
+            int | None, typer.Option("--to", help="Version to go back to; default: undo the last change.")
         ] = None,
     ) -> Result:
-        """Take the last change of the registry back, or all since a version; again brings it back.
+        """Undo the registry's last change, or all since a version; a second undo redoes it.
 
         Example: tagid layouts undo --to 4
         """
@@ -106,7 +106,7 @@ def register(app: typer.Typer) -> None:
         registry = open_registry()
         version = registry.go_back(to)
         names = [layout.name for layout in registry.layouts()]
-        line = Text(f"{len(names)} layouts are enrolled again, registry version {version}")
+        line = Text(f"{len(names)} layouts are enrolled now, registry version {version}")
         return Result("layouts undo", {"registry_version": version, "layouts": names}, line)
 
 
