@@ -1,6 +1,6 @@
-"""Layouts in files that people edit and exchange: TOML, one layout or many.
+"""Layout files for editing and exchange: TOML, one or more layouts.
 
-What was exported comes back unchanged, and a file from elsewhere is checked field by field before it is used.
+Export and import are a round trip; every field of a file is checked before use.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ MAX_LAYOUTS = 2000
 
 
 def layouts_to_toml(layouts: Sequence[Layout]) -> str:
-    """TOML text of layouts; `read_layouts` takes it back."""
+    """TOML text of layouts; `read_layouts` reads it."""
     import tomli_w
 
     tables: list[dict[str, Any]] = []
@@ -31,7 +31,7 @@ def layouts_to_toml(layouts: Sequence[Layout]) -> str:
 
 
 def write_layouts(layouts: Sequence[Layout], path: Path) -> None:
-    """Write a file of layouts, whole or not at all. Raises StorageError."""
+    """Write a file of layouts atomically. Raises StorageError."""
     write_bytes(path, layouts_to_toml(layouts).encode("utf-8"))
 
 
@@ -63,7 +63,7 @@ def read_layouts(path: Path) -> list[Layout]:
         )
     if version > VERSION:
         raise FileFormatError(
-            f"{path} has version {version}, this tagid reads up to {VERSION}",
+            f"{path} has version {version}, this tagid supports up to {VERSION}",
             "Use the newer tagid that wrote it.",
         )
     tables = data.get("layout")
