@@ -1,6 +1,6 @@
-"""Captures out to other programs: one function that chooses the format by the suffix and writes it whole.
+"""Export of captures to other programs; the suffix selects the format.
 
-Choosing by suffix is right for writing, where nothing but the name says what the user wants.
+For writing, the name is the only statement of what the user wants; readers go by content.
 """
 
 from __future__ import annotations
@@ -45,11 +45,11 @@ _MAT_NAMES = MappingProxyType(
 )
 
 SUFFIXES = (".npz", ".mat", ".out", ".prd", ".csv", ".h5")
-"""Formats that `export` writes, by the end of the name."""
+"""Formats that `export` writes, by suffix."""
 
 
 def export(capture: Capture, path: Path) -> None:
-    """Write a capture in the format that the suffix of `path` names; the file is whole or not there.
+    """Write a capture atomically, in the format given by the suffix of `path`.
 
     `.npz` the generic NPZ file (see `tagid.storage.npz`), `.mat` MATLAB 5 (see `encode_mat`), `.out` and
     `.prd` P440 recordings (int32 counts only), `.csv` MRM-RET logs (the same), `.h5` the capture file.
@@ -73,19 +73,19 @@ def export(capture: Capture, path: Path) -> None:
             for line in mrm_ret_lines(capture):
                 stream.write(line)
     else:
-        raise UsageError(f"{path}: no format has the suffix {suffix!r}", f"Use one of {', '.join(SUFFIXES)}.")
+        raise UsageError(f"{path}: unknown suffix {suffix!r}", f"Use one of {', '.join(SUFFIXES)}.")
 
 
 def encode_mat(capture: Capture) -> bytes:
     """The bytes of a MATLAB 5 file.
 
     Variables: samples (views, bins) int32, single or complex single; range_m (bins, 1), m; range_start_m,
-    range_step_m; as columns, where known, angle_rad, angle_sigma_rad, host_time_ns (int64), radar_time_ms,
+    range_step_m; as columns, if known, angle_rad, angle_sigma_rad, host_time_ns (int64), radar_time_ms,
     scan_id (int64), flags (uint8); antenna_positions_m (views, 3); axis_distance_m, antenna_height_m,
     center_frequency_hz, bandwidth_hz; pulse with pulse_step_s; radar, motion, object as JSON text; uuid,
     created_utc, tool_version, complete, format.
     """
-    from scipy.io import savemat  # late: 100 ms that no other command should pay
+    from scipy.io import savemat  # imported late: it takes 100 ms
 
     variables: dict[str, NDArray[Any] | str | float] = {
         "format": hdf5.FORMAT,

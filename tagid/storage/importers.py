@@ -1,6 +1,6 @@
-"""Any file that holds scans, read into a capture; its content says what it is, as names lie.
+"""Import of any scan file as a capture; the format is detected from the content, not the name.
 
-Every reading command goes through here, so each of them takes each format.
+All reading commands use it, so each of them accepts every format.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ def read_any(path: Path, cable_delay_ps: float = 0.0, node: int | None = None) -
 
     Args:
         path: the file.
-        cable_delay_ps: two-way cable delay to take off the ranges of recordings and logs, ps; the other
-            formats hold ranges that it has been taken off already.
-        node: number of the radar to read, where a recording or log holds scans of several.
+        cable_delay_ps: two-way cable delay to subtract from the ranges of recordings and logs, ps; it is
+            already subtracted in the other formats.
+        node: number of the radar to read, if a recording or log holds several.
 
     Raises:
         StorageError: missing, a folder, no permission.
         FileFormatError: none of these formats, or damaged.
-        UsageError: scans of several radars and no `node`, or none of that one.
+        UsageError: scans of several radars and no `node`, or none of that radar.
     """
     head = files.read_head(path, _HEAD)
     if not head:
@@ -42,7 +42,7 @@ def read_any(path: Path, cable_delay_ps: float = 0.0, node: int | None = None) -
             return recordings.read_recording(path, cable_delay_ps, node)
         if mrm_ret.is_mrm_ret(head):
             return mrm_ret.read_mrm_ret(path, cable_delay_ps, node)
-        raise FileFormatError(f"{path}: the file is of no known format", _KNOWN)
+        raise FileFormatError(f"{path}: unknown file format", _KNOWN)
     if head.startswith(hdf5.MAGIC):
         capture = hdf5.read_capture(path)
     elif head.startswith(journal.MAGIC):
@@ -56,18 +56,20 @@ def read_any(path: Path, cable_delay_ps: float = 0.0, node: int | None = None) -
 
 
 def remarks(capture: Capture) -> tuple[str, ...]:
-    """What is worth saying of how a file was read, one sentence each; empty for one that is in order."""
+    """Remarks on reading a file, one sentence each; empty if there is nothing to report."""
     radar = capture.radar
     found = []
     left_over = radar.bytes_left_over or radar.journal_bytes_dropped
     if left_over:
         found.append(
-            f"{left_over} bytes were left over: the file is cut off or damaged; whole scans are kept"
+            f"{left_over} bytes could not be read: the file is truncated or damaged; whole scans are kept"
         )
     if radar.scans_lost:
-        found.append(f"{radar.scans_lost} scans are missing between those that are whole, or were cut")
+        found.append(f"{radar.scans_lost} scans are missing or incomplete")
     if radar.packets_ignored:
-        found.append(f"{radar.packets_ignored} messages or lines are none of this radar's scans; left out")
+        found.append(
+            f"{radar.packets_ignored} messages or lines that are not scans of this radar were skipped"
+        )
     if radar.config_stale:
         asked, actual = (list(window or ()) for window in (radar.window_requested_ps, radar.window_actual_ps))
         found.append(f"the Config line is stale: it asks for {asked} ps, the scans hold {actual} ps")
