@@ -1,6 +1,6 @@
-"""Scans from the radar into the journal, with everything that happened on the way noted, in constant memory.
+"""Passes scans from the radar to the journal and records all losses, in constant memory.
 
-Every command that records goes through here, so that a loss, a gap or a slow disk looks the same everywhere.
+All recording commands use it, so that losses, gaps and slow disks are reported in the same way.
 """
 
 from __future__ import annotations
@@ -20,22 +20,22 @@ from tagid.storage.journal import JournalScan
 from tagid.storage.journal_queue import JournalQueue, drop_note
 
 _MOST_GAPS: Final = 1000
-"""Gaps that are described one by one; all are counted."""
+"""Gaps described individually; all are counted."""
 
 
 class Intake:
     """One recording's scans.
 
     Args:
-        radar: connected and set.
+        radar: connected and configured.
         queue: leads to the journal.
-        resume_s: how long a radar that is gone is waited for, s.
-        on_gap: told of each gap when scans arrive again.
+        resume_s: longest wait for a lost radar, s.
+        on_gap: called for each gap when scans arrive again.
 
     Attributes:
-        scans_taken: scans put into the queue.
-        gap_count: times the radar was gone.
-        gaps: the first 1000 of them.
+        scans_taken: number of scans put into the queue.
+        gap_count: number of times the radar was lost.
+        gaps: the first 1000 gaps.
     """
 
     def __init__(
@@ -60,11 +60,11 @@ class Intake:
 
     @property
     def scans_lost(self) -> int:
-        """Scans that did not come whole."""
+        """Number of lost or incomplete scans."""
         return self._radar.statistics.lost_scans
 
     def scans(self, count: int = SCAN_FOREVER, interval_us: int = 0) -> Iterator[Scan]:
-        """The scans of a run, each on its way to the disk when it is handed out; a dropped one is not.
+        """The scans of a run, each already queued for the disk; dropped ones are skipped.
 
         Raises what `steady_scans` and `JournalQueue.put` raise.
         """
@@ -110,10 +110,10 @@ class Intake:
 
 
 def notes(radar: RadarInfo) -> list[str]:
-    """What a user should know of a recording, one sentence each."""
+    """Remarks on a recording for the user, one sentence each."""
     found = []
     if radar.scans_lost:
-        found.append(f"{radar.scans_lost} scans were lost on the way from the radar")
+        found.append(f"{radar.scans_lost} scans were lost between radar and computer")
     if radar.scans_dropped:
         found.append(drop_note(radar.scans_dropped))
     if radar.gap_count:
@@ -121,6 +121,6 @@ def notes(radar: RadarInfo) -> list[str]:
         times = "once" if radar.gap_count == 1 else f"{radar.gap_count} times"
         why = radar.gaps[0].reason if radar.gaps else ""
         found.append(
-            f"the radar was gone {times}, {seconds:.1f} s in all; recording continued afterwards ({why})"
+            f"the radar was lost {times}, for {seconds:.1f} s in total; recording then continued ({why})"
         )
     return found

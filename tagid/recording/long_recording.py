@@ -1,6 +1,6 @@
-"""Recording for hours: every scan to the journal and forgotten, and capture files made of it at the end.
+"""Recording for hours: every scan goes to the journal only, and capture files are written at the end.
 
-Nothing grows with the time it takes, so a day in the field ends because somebody stops it and not the memory.
+Memory does not grow with the duration, so that a recording can run all day.
 """
 
 from __future__ import annotations
@@ -33,10 +33,10 @@ class RecordingLimits:
     """When a long recording ends.
 
     Attributes:
-        scans: after so many; None never.
-        seconds: after so long on the radar's clock, s; None never.
-        interval_us: time between scans, us; 0 as fast as the settings allow.
-        part_bytes: samples in one capture file, bytes; a longer recording becomes several.
+        scans: maximum number of scans; None for no limit.
+        seconds: maximum duration on the radar's clock, s; None for no limit.
+        interval_us: time between scans, us; 0 for the highest rate of the settings.
+        part_bytes: samples in one capture file, bytes; longer recordings are split.
     """
 
     scans: int | None = None
@@ -47,12 +47,12 @@ class RecordingLimits:
 
 @dataclass(frozen=True)
 class RecordingState:
-    """How far it is.
+    """Progress of a recording.
 
     Attributes:
         scans: in the journal.
-        seconds: since the first, on the radar's clock, s.
-        lost: scans that did not come whole.
+        seconds: since the first scan, on the radar's clock, s.
+        lost: lost or incomplete scans.
         journal_bytes: size of the journal.
     """
 
@@ -64,12 +64,12 @@ class RecordingState:
 
 @dataclass(frozen=True)
 class RecordingWatch:
-    """Callbacks of a recording, and what ends it.
+    """Callbacks of a recording.
 
     Attributes:
-        progress: told about twice a second of scans.
-        gap: told when scans arrive again after the radar was gone.
-        stop: asked after every scan; True ends the recording, which is complete where it had no limit.
+        progress: called about twice per second of scans.
+        gap: called when scans arrive again after the radar was lost.
+        stop: called after every scan; True ends the recording, which is complete if it had no limit.
     """
 
     progress: Callable[[RecordingState], None] = lambda state: None
@@ -78,9 +78,9 @@ class RecordingWatch:
 
 
 def part_path(first: Path, part: int) -> Path:
-    """The path of part 1, 2, ... of a recording that is too long for one file; `first` is that of part 1.
+    """The path of part 1, 2, ... of a split recording; `first` is that of part 1.
 
-    Raises StorageError where it is taken.
+    Raises StorageError if it exists.
     """
     if part == 1:
         return first
@@ -93,21 +93,21 @@ def part_path(first: Path, part: int) -> Path:
 def record_long(
     radar: P440, plan: RecordingPlan, limits: RecordingLimits, path: Path, watch: RecordingWatch | None = None
 ) -> WrittenCaptures:
-    """Record until a limit or until told to stop, in constant memory, and write the capture file or files.
+    """Record until a limit or a stop request, in constant memory, and write the capture file or files.
 
-    The journal lies beside them while recording. It is removed after all of them were read back and compared.
-    If the radar fails, what arrived is written as not complete, and the error says where. A stop signal takes
-    effect while scans arrive; later ones wait for the files.
+    The journal is next to them while recording, and is removed after all of them were read back and compared.
+    If the radar fails, the received scans are written as incomplete, and the error says where. A stop signal
+    takes effect while scans arrive; later ones are delayed until the files are written.
 
     Args:
         radar: not connected yet.
         plan: settings and geometry; its scans, seconds and motion are not used.
-        limits: when it ends.
-        path: of the first capture file.
+        limits: limits of the recording.
+        path: path of the first capture file.
         watch: callbacks.
 
     Raises:
-        DeviceError and its kinds: the radar failed. DiskFullError, StorageError: files; the journal stays.
+        DeviceError and its kinds: the radar failed. DiskFullError, StorageError: files; the journal is kept.
         DataError: no scan arrived.
     """
     watch = watch or RecordingWatch()
@@ -125,7 +125,7 @@ def record_long(
 
 
 def _receive(session: Session, limits: RecordingLimits, watch: RecordingWatch) -> bool:
-    """Whether the recording came to the end that it was to have."""
+    """Whether the recording ended as requested."""
     intake = session.intake
     period_s = max(intake.config.scan_period_s, limits.interval_us * 1e-6)
     check_every = max(1, round(0.5 / period_s))
@@ -147,7 +147,7 @@ def _receive(session: Session, limits: RecordingLimits, watch: RecordingWatch) -
 
 
 def _finish(journal_path: Path, path: Path, limits: RecordingLimits, recorded: Recorded) -> WrittenCaptures:
-    """Make the capture files of the journal, which is removed only when they were read back and compared."""
+    """Write the capture files of the journal; the journal is removed only after read-back and comparison."""
     ended_by = recorded.ended_by
     if not recorded.scans:
         journal_path.unlink(missing_ok=True)
