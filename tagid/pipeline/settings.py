@@ -1,4 +1,4 @@
-"""How a capture becomes an image and an answer: the settings of the pipeline, validated when made."""
+"""Settings of the pipeline from capture to image and answer, validated when made."""
 
 from __future__ import annotations
 
@@ -21,30 +21,30 @@ METHODS = ("auto", *IMAGING_METHODS)
 PULSES = ("auto", "nominal", "estimate")
 PRESETS = ("field", "paper")
 FOCUS_M = 0.04
-"""Half-width of the axis distance search, m: an error of 3 cm then lies inside the search and not at its
-edge, where a maximum is not trusted."""
+"""Half-width of the axis distance search, m: an error of 3 cm is then inside the search and not at its
+edge, where a maximum is not accepted."""
 
 
 @dataclass(frozen=True)
 class ImagingSettings:
-    """How a capture becomes an image.
+    """Settings of imaging and reading.
 
     Attributes:
         method: a name of `tagid.pipeline.methods.METHODS`, or "auto", which is ats.
-        ats: how ats with the preset "field" fits; the seed is the one of these settings.
-        extent_m, pixels: the image's side, m and pixels.
-        background: static background that is removed, "mean", "median" or "none".
-        focus_m: how far the axis distance is searched to both sides, m; 0 takes it as given.
-        seed: of everything random.
-        preset: what ats is: "field", or "paper", the published method to the letter.
-        centre_m: (x, y) of the image's middle, m; None is the rotation axis or, for free antenna positions,
-            wherever the strong echoes lie.
-        delay_m: how far the path delay of free antenna positions is searched to both sides, one-way m.
-        restore: show sparse images at the resolution of the data (`tagid.imaging.restore`), or bare pixels.
+        ats: settings of ats with the preset "field"; the seed is `seed`.
+        extent_m, pixels: side of the image, m and pixels.
+        background: static background to remove, "mean", "median" or "none".
+        focus_m: half-width of the axis distance search, m; 0 for no search.
+        seed: random seed.
+        preset: variant of ats: "field", or "paper", exactly the published method.
+        centre_m: (x, y) of the image centre, m; None is the rotation axis or, for free antenna positions,
+            the location of the strong echoes.
+        delay_m: half-width of the path delay search for free antenna positions, one-way m.
+        restore: show sparse images at the resolution of the data (`tagid.imaging.restore`), or as raw pixels.
         free_size: whether extent and pixels may follow the echoes of free antenna positions.
-        pulse: "auto", the one in the capture or else the nominal one of its band; "nominal"; or "estimate",
-            found from the scans where that explains them better (`tagid.imaging.pulsefit`).
-        false_accept: probability of naming what is no tag, or a tag that nobody enrolled.
+        pulse: "auto", the pulse of the capture or else the nominal one of its band; "nominal"; or "estimate",
+            estimated from the scans if that fits them better (`tagid.imaging.pulsefit`).
+        false_accept: probability of identifying an object without an enrolled tag.
         direction_known: see `tags.matcher.ReaderSettings`.
     """
 
@@ -66,15 +66,15 @@ class ImagingSettings:
 
     def __post_init__(self) -> None:
         if self.preset not in PRESETS:
-            raise UsageError(f"there is no preset {self.preset!r}", f"Use {' or '.join(PRESETS)}.")
+            raise UsageError(f"unknown preset {self.preset!r}", f"Use {' or '.join(PRESETS)}.")
         if self.centre_m is not None and not (np.abs(self.centre_m) <= 1000).all():
-            raise UsageError(f"the image's centre is {self.centre_m}", "Give X,Y in metres.")
+            raise UsageError(f"the image centre is {self.centre_m}", "Give X,Y in metres.")
         if not (np.isfinite(self.delay_m) and 0 <= self.delay_m <= 2):
             raise UsageError(f"the delay search is {self.delay_m} m", "Give 0 to 2 m.")
         if self.pulse not in PULSES:
-            raise UsageError(f"there is no pulse {self.pulse!r}", f"Use {', '.join(PULSES)}.")
+            raise UsageError(f"unknown pulse {self.pulse!r}", f"Use {', '.join(PULSES)}.")
         if self.method not in METHODS:
-            raise UsageError(f"there is no imaging method {self.method!r}", f"Use {', '.join(METHODS)}.")
+            raise UsageError(f"unknown imaging method {self.method!r}", f"Use {', '.join(METHODS)}.")
         if not (np.isfinite(self.focus_m) and 0 <= self.focus_m <= 0.1):
             raise UsageError(f"the focus range is {self.focus_m} m", "Give 0 to 0.1 m.")
 
@@ -98,7 +98,7 @@ class Stopwatch:
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Time one stage; stages of one name add up."""
+        """Time one stage; stages of the same name add up."""
         start = time.perf_counter()
         try:
             yield
