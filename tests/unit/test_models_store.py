@@ -65,7 +65,7 @@ def test_another_schema_or_opset_is_refused_naming_both(folder: Path) -> None:
     with pytest.raises(ModelError, match=r"numbers is .*\(9,\).*manifest says .*\(7,\)"):
         open_model("ats_step", folder=folder)
     change(folder, "ats_step", opset=OPSET - 1)
-    with pytest.raises(ModelError, match=f"opset {OPSET - 1}, wanted is {OPSET}"):
+    with pytest.raises(ModelError, match=f"opset {OPSET - 1}, expected {OPSET}"):
         open_model("ats_step", folder=folder)
 
 
