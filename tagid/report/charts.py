@@ -29,7 +29,7 @@ _HIGHEST_SHOWN_HZ = 8.2e9
 def draw_recording(capture: Capture, path: Path, title: str = "", *, changing_only: bool = False) -> None:
     """Writes a PNG of a recording, 1000 x 1330 px.
 
-    From above: mean and largest envelope over range and the mean envelope of what changes (dB of the
+    From above: mean and largest envelope over range and the mean envelope of the changing part (dB of the
     largest); the envelope of every view over range (dB below the 99.9th percentile, gaps of lost scans in
     grey); the mean spectrum over frequency with the band of the pulse shaded. Frequencies follow from the
     range step: sampling rate = c / (2 step).
@@ -38,7 +38,8 @@ def draw_recording(capture: Capture, path: Path, title: str = "", *, changing_on
         capture: the recording.
         path: the PNG; it appears complete or not at all.
         title: one line above the charts, cut where it is too long.
-        changing_only: draw the sinogram without the mean scan; leakage and room hide a turning tag otherwise.
+        changing_only: draw the sinogram without the mean scan; otherwise leakage and room hide a rotating
+            tag.
 
     Raises:
         StorageError, DiskFullError: the file cannot be written.
@@ -47,7 +48,7 @@ def draw_recording(capture: Capture, path: Path, title: str = "", *, changing_on
     canvas = Canvas(_WIDTH, _HEIGHT)
     canvas.text((_LEFT, 30), fit_text(canvas, title, _WIDTH - _LEFT - 30, 28), 28)
     _draw_profile(canvas, curves, capture.range_step_m)
-    what = "what changes in" if changing_only else "envelope of"
+    what = "changing part of" if changing_only else "envelope of"
     _draw_sinogram(canvas, capture, curves, f"Sinogram: {what} {capture.views} views")
     _draw_spectrum(canvas, capture, curves)
     canvas.save(Path(path))
@@ -94,7 +95,7 @@ def _draw_profile(canvas: Canvas, curves: RecordingCurves, step_m: float) -> Non
     axes.curve(curves.range_m, to_decibels(curves.changing_envelope, 120.0, top), GREEN, 2.5)
     axes.curve(curves.range_m, mean, BLUE, 2.5)
     axes.frame("range, one way (m)", "envelope (dB)", "Range profile")
-    _legend(canvas, _PROFILE, [("mean", BLUE), ("largest of any view", ORANGE), ("what changes", GREEN)])
+    _legend(canvas, _PROFILE, [("mean", BLUE), ("largest of any view", ORANGE), ("changing part", GREEN)])
 
 
 def _draw_sinogram(canvas: Canvas, capture: Capture, curves: RecordingCurves, title: str) -> None:
