@@ -36,7 +36,7 @@ class PageSettings:
     """Settings of the page.
 
     Attributes:
-        title: its title.
+        title: title of the page.
         megabytes: size limit of all pictures together.
     """
 
