@@ -1,6 +1,6 @@
-"""The recording of one turn, whatever it came from: the one value that devices produce and imaging consumes.
+"""The recording of one turn from any source: the value that devices produce and imaging consumes.
 
-It is frozen and validated when made, so that nothing after it has to ask whether shapes or units fit.
+It is frozen and validated when made, so that later code can rely on shapes and units.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from tagid.metadata import MotionInfo, ObjectInfo, RadarInfo
 
 
 class ViewFlag(enum.IntFlag):
-    """What is known to be odd about a view (uint8 in files)."""
+    """Known problems of a view (uint8 in files)."""
 
     NONE = 0
     CLIPPED = 1
@@ -33,7 +33,7 @@ class ViewFlag(enum.IntFlag):
 
 @dataclass(frozen=True, eq=False)
 class Pulse:
-    """A transmitted pulse as received from a point, antennas included.
+    """A transmitted pulse as received from a point target, antennas included.
 
     Attributes:
         samples: (n,) float64 real RF amplitude; the middle sample n // 2 is time zero.
@@ -54,27 +54,27 @@ class Pulse:
 
 @dataclass(frozen=True, eq=False)
 class Capture:
-    """Range profiles of one recording, with what is known of where and when they were taken.
+    """Range profiles of one recording, with the known geometry and times.
 
     Attributes:
         samples: (views, bins) int32 or float32 real RF counts, or complex64 analytic.
-        range_start_m: one-way range of bin 0 after the cable delay is taken off, m.
+        range_start_m: one-way range of bin 0 after subtracting the cable delay, m.
         range_step_m: one-way range between bins, m.
-        angles_rad: (views,) object angle, rad; None where not known (yet).
-        angle_sigma_rad: (views,) standard deviation of the angles, rad; None where not known.
-        axis_distance_m: radar to rotation axis, m; None where not known.
-        antenna_height_m: antenna above the object's plane, m.
+        angles_rad: (views,) object angle, rad; None if unknown (yet).
+        angle_sigma_rad: (views,) standard deviation of the angles, rad; None if unknown.
+        axis_distance_m: radar to rotation axis, m; None if unknown.
+        antenna_height_m: antenna height above the object's plane, m.
         antenna_positions_m: (views, 3) antenna positions in the object's frame, m, instead of angles.
-        host_time_ns: (views,) int64 arrival time on the host, ns since the epoch; None where not known.
-        radar_time_ms: (views,) float64 radar clock, ms (whole on a P440); None where not known.
-        scan_id: (views,) int64 unwrapped scan number, gaps are lost scans; None where not known.
+        host_time_ns: (views,) int64 arrival time on the host, ns since the epoch; None if unknown.
+        radar_time_ms: (views,) float64 radar clock, ms (whole on a P440); None if unknown.
+        scan_id: (views,) int64 unwrapped scan number, gaps are lost scans; None if unknown.
         flags: (views,) uint8 of `ViewFlag`.
         center_frequency_hz, bandwidth_hz: the band of the pulse, Hz.
         wave_speed_m_s: speed of the wave in the medium, m/s; ranges follow from delays with it.
         pulse: the pulse, where it came with the data.
         radar, motion, object: what is known of each (`tagid.metadata`).
         uuid, created_utc, tool_version: provenance.
-        complete: False while recording or where the end is missing.
+        complete: False while recording or if the end is missing.
     """
 
     samples: NDArray[Any]
@@ -109,7 +109,7 @@ class Capture:
             raise DataError(f"samples have dtype {s.dtype}, expected int32, float32 or complex64")
         if not np.isfinite(s).all():
             bad = int(np.count_nonzero(~np.isfinite(s).all(axis=1)))
-            raise DataError(f"{bad} of {len(s)} views hold samples that are not finite")
+            raise DataError(f"{bad} of {len(s)} views hold non-finite samples")
         if not (np.isfinite(self.range_step_m) and self.range_step_m > 0):
             raise DataError(f"range step is {self.range_step_m} m, expected a positive number")
         if not np.isfinite(self.range_start_m):
@@ -157,23 +157,23 @@ class Capture:
         return self.wave_speed_m_s / self.center_frequency_hz
 
     def aperture(self) -> Aperture:
-        """The antenna positions of the views; DataError where neither angles nor positions are known."""
+        """The antenna positions of the views; DataError if neither angles nor positions are known."""
         if self.antenna_positions_m is not None:
             return Aperture(self.antenna_positions_m)
         if self.angles_rad is None:
             raise DataError(
                 "the capture holds no angles",
-                "Say how the object turned: --motion free (period from the data) or --motion 'free?rpm=2'.",
+                "Specify the motion: --motion free (period from the data) or --motion 'free?rpm=2'.",
             )
         if self.axis_distance_m is None:
             raise DataError(
-                "the distance from the radar to the rotation axis is not known",
+                "the distance from the radar to the rotation axis is unknown",
                 "Give it with --axis-distance METRES.",
             )
         return Aperture.turntable(self.angles_rad, self.axis_distance_m, self.antenna_height_m)
 
     def select(self, views: NDArray[np.integer] | slice) -> Capture:
-        """The capture of some views only; the provenance stays."""
+        """The capture with selected views only; the provenance is kept."""
         names = ("angles_rad", "angle_sigma_rad", "antenna_positions_m", "host_time_ns", "radar_time_ms")
         parts: dict[str, Any] = {
             name: None if getattr(self, name) is None else getattr(self, name)[views]

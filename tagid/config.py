@@ -1,6 +1,6 @@
-"""Settings that outlive a command, each remembering where its value came from.
+"""Stored settings, each with the source of its value.
 
-Command line beats environment beats file beats default, so that a value that surprises can always be traced.
+The command line overrides the environment, which overrides the file, which overrides the defaults.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ KIT_ADDRESSES = "192.168.1.100,192.168.1.101,192.168.1.102,192.168.1.103"
 """Addresses of the units of a P440 kit at delivery (P440 MRM documents)."""
 
 METHODS = ("auto", "bp", "bp-raw", "range-doppler", "polar", "sparse", "omp", "ats")
-"""Names that `tagid.pipeline.methods` knows, told here so that help needs no numpy."""
+"""Names in `tagid.pipeline.methods`, repeated here so that help needs no numpy."""
 
 
 @dataclass(frozen=True)
 class Setting:
-    """One setting's definition: dotted name, type, default, bounds and a line of help."""
+    """One setting's definition: dotted name, type, default, bounds and help line."""
 
     name: str
     kind: type[str] | type[float] | type[int]
@@ -38,14 +38,19 @@ class Setting:
 
     @property
     def variable(self) -> str:
-        """Environment variable that sets it."""
+        """Name of its environment variable."""
         return "TAGID_" + self.name.upper().replace(".", "_")
 
 
 SETTINGS: tuple[Setting, ...] = (
     Setting("radar.url", str, None, "the radar, e.g. udp://192.168.1.100"),
-    Setting("radar.addresses", str, KIT_ADDRESSES, "where `radar find` asks: HOST[:PORT], commas between"),
-    Setting("radar.integration", int, 11, "pulse integration index, 6 to 15 (2^n pulses a sample)", 6, 15),
+    Setting(
+        "radar.addresses",
+        str,
+        KIT_ADDRESSES,
+        "addresses that `radar find` probes: HOST[:PORT], comma-separated",
+    ),
+    Setting("radar.integration", int, 11, "pulse integration index, 6 to 15 (2^n pulses per sample)", 6, 15),
     Setting("radar.gain", int, 63, "transmit gain, 0 to 63", 0, 63),
     Setting("radar.antenna_mode", int, 2, "0 A/A, 1 B/B, 2 TxA-RxB, 3 TxB-RxA", 0, 3),
     Setting("radar.cable_delay_ps", float, 0.0, "cable and antenna delay, two-way, ps", -1e6, 1e6),
@@ -53,8 +58,8 @@ SETTINGS: tuple[Setting, ...] = (
         "radar.cable_delay_sigma_ps", float, None, "its standard deviation, ps (radar calibrate)", 0, 1e5
     ),
     Setting("radar.background", str, None, "capture of the empty scene (radar calibrate)"),
-    Setting("radar.timeout_s", float, 2.0, "longest silence before the radar counts as gone, s", 0.05, 60),
-    Setting("radar.resume_s", float, 20.0, "longest wait for a radar that went away, s", 0, 3600),
+    Setting("radar.timeout_s", float, 2.0, "silence after which the radar counts as lost, s", 0.05, 60),
+    Setting("radar.resume_s", float, 20.0, "longest wait for a lost radar, s", 0, 3600),
     Setting("motion.url", str, "free", "what turns the object, e.g. free?rpm=2"),
     Setting("motion.passkey", str, None, "six digits that pair with the Bluetooth bridge"),
     Setting("motion.axis_distance_m", float, None, "radar to rotation axis, m", 1e-3, 1e4),
@@ -69,7 +74,7 @@ SETTINGS: tuple[Setting, ...] = (
         "auto (the capture's or nominal), nominal, or estimate (from the scans)",
         choices=("auto", "nominal", "estimate"),
     ),
-    Setting("imaging.pixels", int, 128, "pixels a side", 16, 1024),
+    Setting("imaging.pixels", int, 128, "pixels per side", 16, 1024),
     Setting(
         "tags.false_accept", float, 1e-3, "chance of naming an object without an enrolled tag", 1e-9, 0.5
     ),
@@ -82,14 +87,14 @@ SETTINGS: tuple[Setting, ...] = (
     ),
     Setting("storage.folder", str, None, "where captures are written (default: current folder)"),
 )
-"""Every setting there is."""
+"""All settings."""
 
 _BY_NAME = {setting.name: setting for setting in SETTINGS}
 
 
 @dataclass(frozen=True)
 class Value:
-    """A setting's value and where it came from."""
+    """A setting's value and its source."""
 
     value: Any
     source: Source
@@ -116,7 +121,7 @@ def config_path() -> Path:
 
 
 def data_folder() -> Path:
-    """Where the registry lives: TAGID_DATA, or the user's data folder."""
+    """Folder of the registry: TAGID_DATA, or the user's data folder."""
     if os.environ.get("TAGID_DATA"):
         return Path(os.environ["TAGID_DATA"])
     import platformdirs
@@ -128,9 +133,9 @@ def parse_value(name: str, raw: Any, where: str) -> Any:
     """Check and convert one value. Raises ConfigError naming the setting, the place and the bounds."""
     setting = _BY_NAME.get(name)
     if setting is None:
-        raise ConfigError(f"{where}: there is no setting {name!r}", "`tagid config` lists all settings.")
+        raise ConfigError(f"{where}: unknown setting {name!r}", "`tagid config` lists all settings.")
     if setting.kind is str and isinstance(raw, list):
-        raw = ",".join(map(str, raw))  # a TOML list, where the command line has commas
+        raw = ",".join(map(str, raw))  # a TOML list, for which the command line has commas
     try:
         value: Any = setting.kind(raw)
         if setting.kind is int and float(raw) != value:
@@ -148,7 +153,7 @@ def parse_value(name: str, raw: Any, where: str) -> Any:
 
 
 def read_file(path: Path) -> dict[str, Any]:
-    """Settings of the file by dotted name; empty where there is no file. Raises ConfigError, StorageError."""
+    """Settings of the file by dotted name; empty if there is no file. Raises ConfigError, StorageError."""
     try:
         text = path.read_text(encoding="utf-8")
     except FileNotFoundError:
@@ -165,7 +170,7 @@ def read_file(path: Path) -> dict[str, Any]:
     for section, table in tables.items():
         if not isinstance(table, dict):
             raise ConfigError(
-                f"{path}: {section!r} stands outside a section", "`tagid config` lists all settings."
+                f"{path}: {section!r} is outside a section", "`tagid config` lists all settings."
             )
         for key, raw in table.items():
             found[f"{section}.{key}"] = parse_value(f"{section}.{key}", raw, str(path))
@@ -192,7 +197,7 @@ def load_config(overrides: Mapping[str, Any] | None = None) -> Config:
 
 
 def change_file(name: str, raw: Any | None) -> Path:
-    """Set one setting in the file, or remove it where `raw` is None; returns the file's path.
+    """Set one setting in the file, or remove it if `raw` is None; returns the file's path.
 
     Raises as `change_settings` does.
     """
@@ -200,7 +205,7 @@ def change_file(name: str, raw: Any | None) -> Path:
 
 
 def change_settings(changes: Mapping[str, Any | None]) -> Path:
-    """Set several settings in the file at once, or remove those that are None; returns the file's path.
+    """Set several settings in the file at once, removing those that are None; returns the file's path.
 
     Raises:
         ConfigError: a setting is unknown or out of range; the file is then unchanged.

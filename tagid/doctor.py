@@ -1,7 +1,4 @@
-"""What could keep `tagid scan` from working here, each finding with one remedy.
-
-A person in the field has one question when something does not work: what do I change.
-"""
+"""Checks whether `tagid scan` can work on this computer; each finding has one remedy."""
 
 from __future__ import annotations
 
@@ -25,13 +22,13 @@ _PACKAGES = ("numpy", "scipy", "h5py", "typer", "rich", "pillow", "pyserial")
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that was checked.
+    """The result of one check.
 
     Attributes:
-        topic: what was checked.
-        level: "ok", "warning" (works without) or "problem".
+        topic: subject of the check.
+        level: "ok", "warning" (not essential) or "problem".
         text: what was found.
-        remedy: what to do; empty where all is well.
+        remedy: what to do; empty if there is no problem.
     """
 
     topic: str
@@ -41,7 +38,7 @@ class Finding:
 
 
 def examine(config: Config) -> list[Finding]:
-    """Check software, disk, registry, serial ports and the configured radar's answer."""
+    """Check software, disk, registry, serial ports and the configured radar."""
     return [
         *_versions(),
         _engines(),
@@ -73,8 +70,8 @@ def _engines() -> Finding:
     except TagidError as error:
         return Finding("imaging", "problem", error.message, error.remedy)
     if not is_compiled():
-        remedy = "Install a C compiler, then tagid again; nothing but speed depends on it."
-        return Finding("imaging", "warning", f"{what}; without the compiled kernel, ten times slower", remedy)
+        remedy = "Install a C compiler, then reinstall tagid; it affects speed only."
+        return Finding("imaging", "warning", f"{what}; no compiled kernel, ten times slower", remedy)
     return Finding("imaging", "ok", f"{what}, compiled kernel")
 
 
@@ -83,7 +80,9 @@ def _disk(folder: Path) -> Finding:
     while not place.exists() and place != place.parent:
         place = place.parent
     if not os.access(place, os.W_OK):
-        return Finding("disk", "problem", f"{place} cannot be written to", "Set storage.folder to another.")
+        return Finding(
+            "disk", "problem", f"{place} cannot be written to", "Set storage.folder to another folder."
+        )
     free = shutil.disk_usage(place).free
     text = f"{free / 2**30:.1f} GiB free for captures in {folder.resolve()}"
     if free < _LOW_DISK_BYTES:
@@ -139,7 +138,7 @@ def _radar(config: Config) -> Finding:
     if found.config is not None:
         text += f", {found.config.samples} samples"
     if status.built_in_test:
-        remedy = "Power-cycle the radar; if it stays, the unit needs service."
+        remedy = "Power-cycle the radar; if the error persists, the unit needs service."
         return Finding("radar", "problem", f"{text}, self test {status.built_in_test}", remedy)
     if odd := found.warnings():
         return Finding("radar", "warning", f"{text}; {'; '.join(odd)}", "`tagid radar info` shows more.")

@@ -1,7 +1,7 @@
-"""One tree of exceptions for everything a user can meet.
+"""The exceptions that a user can meet, in one hierarchy.
 
-Every class carries a stable code (part of the JSON contract) and the exit code of the process, and every
-instance says what happened and what to do next, so that no command ever shows a traceback.
+Every class has a stable code (part of the JSON contract) and the exit code of the process. Every instance
+says what happened and what to do next, so that no command ever shows a traceback.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ EXIT_INTERRUPTED = 130
 
 
 def displayable(text: str) -> str:
-    """Text that can be written as UTF-8: bytes of a file name that are none stand as \\xNN.
+    """Text that can be written as UTF-8: other bytes of a file name appear as \\xNN.
 
     >>> displayable("caf\\udce9.npz")
     'caf\\\\xe9.npz'
@@ -27,7 +27,7 @@ def displayable(text: str) -> str:
         return text
     try:
         raw = text.encode("utf-8", "surrogateescape")
-    except UnicodeEncodeError:  # half a surrogate pair, from JSON perhaps: it stands for no byte
+    except UnicodeEncodeError:  # half a surrogate pair, e.g. from JSON: it represents no byte
         raw = text.encode("utf-8", "backslashreplace")
     return raw.decode("utf-8", "backslashreplace")
 
@@ -69,7 +69,7 @@ class TagidError(Exception):
 
 
 class UsageError(TagidError):
-    """An option or argument makes no sense."""
+    """An option or argument is invalid."""
 
     code = "usage"
     exit_code = EXIT_USAGE
@@ -90,7 +90,7 @@ class MissingExtraError(TagidError):
 
 
 class FileFormatError(TagidError):
-    """A file is not what its name or the caller says: truncated, wrong version, wrong dtype, not finite."""
+    """A file is not of the expected format: truncated, wrong version, wrong dtype, not finite."""
 
     code = "bad_file"
 
@@ -102,7 +102,7 @@ class StorageError(TagidError):
 
 
 class DiskFullError(StorageError):
-    """The disk is full; what was written before stays."""
+    """The disk is full; data written before is kept."""
 
     code = "disk_full"
 
@@ -120,13 +120,13 @@ class RegistryError(TagidError):
 
 
 class LayoutConflictError(RegistryError):
-    """A layout is so near to an enrolled one that the two could be confused."""
+    """A layout is so similar to an enrolled one that they could be confused."""
 
     code = "layout_conflict"
 
 
 class ModelError(TagidError):
-    """A shipped model is damaged, of another release, or fed with another shape than it takes."""
+    """A shipped model is damaged, of another release, or given input of the wrong shape."""
 
     code = "model"
 
@@ -139,7 +139,7 @@ class DeviceError(TagidError):
 
 
 class DeviceTimeoutError(DeviceError):
-    """A device did not answer, or stopped answering, within the time it was given."""
+    """A device did not answer, or stopped answering, within its timeout."""
 
     code = "device_timeout"
 
@@ -151,7 +151,7 @@ class DeviceGoneError(DeviceError):
 
 
 class DeviceRestartedError(DeviceError):
-    """A device restarted by itself in the middle of its work; it answers again after its boot."""
+    """A device restarted by itself during work; it answers again after booting."""
 
     code = "device_restarted"
 
@@ -169,7 +169,7 @@ class PortInUseError(DeviceError):
 
 
 class ClusterError(TagidError):
-    """A cluster that was to do the work is not there, or not fit for it."""
+    """The requested cluster is unavailable or unsuitable."""
 
     code = "cluster"
 

@@ -1,6 +1,6 @@
-"""The only place that opens files by name: whole reads with a limit, and writes that are all or nothing.
+"""The only module that opens files by name: whole reads with a size limit, and atomic writes.
 
-Every failure of the operating system becomes one clear error here, so that no format has to know about errno.
+Every operating system error becomes a clear error here, so that formats need not know about errno.
 """
 
 from __future__ import annotations
@@ -22,20 +22,20 @@ from tagid.errors import DiskFullError, FileFormatError, StorageError
 
 _T = TypeVar("_T")
 _TEMPORARY = ".tagid.tmp"
-"""End of the names of files that are being written."""
+"""Suffix of files that are being written."""
 
 MAX_FILE_BYTES = 2 << 30
-"""Largest file read whole, and largest array accepted from one, bytes: hours of a P440 at full rate."""
+"""Largest file read at once and largest array in a file, bytes: hours of a P440 at full rate."""
 
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 def storage_error(error: OSError, path: Path, doing: str) -> StorageError:
-    """The error to show for what the operating system answered while `doing` something with `path`."""
+    """The error to show for an OSError that was raised while `doing` something with `path`."""
     if error.errno in _FULL:
         return DiskFullError(
-            f"{path}: the disk is full (or a quota or file size limit is reached) while {doing}",
-            "Free some space or choose another folder; what was written before is kept.",
+            f"{path}: the disk is full (or a quota or file size limit was reached) while {doing}",
+            "Free some space or choose another folder; data written before is kept.",
         )
     if isinstance(error, FileNotFoundError):
         return StorageError(f"{path}: no such file or folder while {doing}", "Check the path.")
@@ -43,12 +43,12 @@ def storage_error(error: OSError, path: Path, doing: str) -> StorageError:
         return StorageError(f"{path}: already exists", "Choose another name or move the file away.")
     if isinstance(error, PermissionError) or error.errno == errno.EROFS:
         return StorageError(
-            f"{path}: no permission while {doing}", "Check the rights of the file and folder."
+            f"{path}: no permission while {doing}", "Check the permissions of the file and folder."
         )
     if isinstance(error, IsADirectoryError):
         return StorageError(f"{path}: is a folder, not a file", "Give the path of a file.")
     if isinstance(error, NotADirectoryError):
-        return StorageError(f"{path}: a part of the path is not a folder", "Check the path.")
+        return StorageError(f"{path}: part of the path is not a folder", "Check the path.")
     return StorageError(f"{path}: {error.strerror or error} while {doing}", "Check the path and the device.")
 
 
@@ -61,23 +61,21 @@ def read_bytes(path: Path, limit: int = MAX_FILE_BYTES) -> bytes:
     """
     data = read_head(path, limit + 1)
     if len(data) > limit:
-        raise FileFormatError(
-            f"{path}: has more than the limit of {limit} bytes", "Record or export in parts."
-        )
+        raise FileFormatError(f"{path}: exceeds the limit of {limit} bytes", "Record or export in parts.")
     return data
 
 
 def read_head(path: Path, count: int) -> bytes:
-    """The first `count` bytes of a regular file, or all that it has. Raises StorageError."""
+    """The first `count` bytes of a regular file, or all of a shorter one. Raises StorageError."""
     with open_regular(path) as (stream, size):
         return stream.read(min(count, size + 1))
 
 
 @contextmanager
 def open_regular(path: Path) -> Iterator[tuple[BinaryIO, int]]:
-    """A regular file to be read in parts, and its size in bytes, for what may be larger than the memory.
+    """Open a regular file for reading in parts, with its size in bytes; for files larger than memory.
 
-    Raises StorageError: missing, not readable, or not a regular file; also where reading it fails.
+    Raises StorageError: missing, not readable, or not a regular file; or reading fails.
     """
     try:
         status = path.stat()
@@ -98,10 +96,10 @@ def write_bytes(path: Path, data: bytes | memoryview, private: bool = False) -> 
 
 
 class PatientFile(io.RawIOBase):
-    """A new file that remembers what its operations raise; `check` raises it later.
+    """A new file that stores the first exception of its operations; `check` raises it later.
 
-    It is for writers that cannot clean up after an exception: HDF5 calls it from C, where an exception leaves
-    a file that can never be closed. After the first failure it writes nothing more and reports success.
+    For writers that cannot clean up after an exception: HDF5 calls it from C, where an exception leaves a
+    file that can never be closed. After the first failure, it writes nothing more and reports success.
     """
 
     def __init__(self, path: Path) -> None:
@@ -110,35 +108,35 @@ class PatientFile(io.RawIOBase):
         self._file = FileIO(path, "x+b")
 
     def write(self, data: Any) -> int:
-        """Writes all of `data`; once something has failed, nothing. Returns the bytes of `data`."""
+        """Write all of `data`, or nothing after a failure. Returns the size of `data` in bytes."""
         whole = memoryview(data).cast("B")
         self._try(lambda: write_all(self._file, whole))
         return len(whole)
 
     def truncate(self, size: int | None = None) -> int:
-        """Cuts or extends the file to `size` bytes; once something has failed, does nothing."""
+        """Truncate or extend the file to `size` bytes; does nothing after a failure."""
         return self._try(lambda: self._file.truncate(size)) or 0
 
     def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
-        """As of any file; 0 once something has failed."""
+        """As for any file; 0 after a failure."""
         return self._try(lambda: self._file.seek(offset, whence)) or 0
 
     def tell(self) -> int:
-        """As of any file; 0 once something has failed."""
+        """As for any file; 0 after a failure."""
         return self._try(self._file.tell) or 0
 
     def readinto(self, buffer: Any) -> int:
-        """Fills `buffer`, with zeros after the end of the file or once something has failed."""
+        """Fill `buffer`, with zeros after the end of the file or after a failure."""
         target = memoryview(buffer).cast("B")
         count = self._try(lambda: self._file.readinto(target)) or 0
         target[count:] = bytes(len(target) - count)
         return len(target)
 
     def flush(self) -> None:
-        """Nothing is buffered."""
+        """Does nothing: the file is unbuffered."""
 
     def fileno(self) -> int:
-        """The descriptor."""
+        """The file descriptor."""
         return self._file.fileno()
 
     def readable(self) -> bool:
@@ -159,12 +157,12 @@ class PatientFile(io.RawIOBase):
         self._file.close()
 
     def check(self) -> None:
-        """Raises what failed first."""
+        """Raise the first failure, if any."""
         if self.failure is not None:
             raise self.failure
 
     def _try(self, work: Callable[[], _T]) -> _T | None:
-        """What `work` returns; None where it, or anything before it, has raised."""
+        """The result of `work`; None if it, or anything before it, raised."""
         if self.failure is None:
             try:
                 return work()
@@ -190,24 +188,24 @@ def replacing(
 
     Raises:
         DiskFullError: no space left.
-        StorageError: the folder is missing or not writable, or the name belongs to something not a file.
+        StorageError: the folder is missing or not writable, or the name is not a regular file.
     """
     target = Path(os.path.realpath(path))
-    # Renaming over a device node would replace it, which root may do: only plain files are overwritten.
+    # As root, renaming over a device node would replace it: only regular files are overwritten.
     if target.exists() and not target.is_file():
         raise StorageError(f"{path}: exists and is not a regular file", "Give the path of a file.")
     with interrupts.deferred():
         clear_abandoned(target.parent)
         temporary, stream = _open_temporary(target, path)
         try:
-            # The file is renamed before it is closed: closing it ends its lock.
+            # The file is renamed before it is closed: closing it releases its lock.
             with stream:
                 if private:
                     os.fchmod(stream.fileno(), 0o600)
                 try:
                     yield stream
                 except Exception as error:
-                    stream.check()  # what was raised then is a consequence
+                    stream.check()  # the exception raised there is a consequence
                     raise error
                 stream.check()
                 os.fsync(stream.fileno())
@@ -223,14 +221,14 @@ def replacing(
 
 
 def _open_temporary(target: Path, path: Path) -> tuple[Path, PatientFile]:
-    """A new locked file beside `target`: its lock, which ends with the process, marks it as in use."""
+    """A new locked file beside `target`: its lock, held until the process ends, marks it as in use."""
     while True:
         temporary = target.with_name(f".{target.name[:80]}.{secrets.token_hex(6)}{_TEMPORARY}")
         try:
             stream = PatientFile(temporary)
         except OSError as error:
             raise storage_error(error, path, "writing") from error
-        # Another process may have taken it for abandoned before it was locked.
+        # Another process may have removed it as abandoned before it was locked.
         if _lock(stream.fileno()) is not False and temporary.exists():
             return temporary, stream
         stream.close()
@@ -240,7 +238,7 @@ def _open_temporary(target: Path, path: Path) -> tuple[Path, PatientFile]:
 def clear_abandoned(folder: Path) -> None:
     """Remove the temporary files in a folder that `replacing` made in processes that were killed.
 
-    A file that a running process has locked stays, and so do those that cannot be locked or removed.
+    Files locked by a running process stay, as do those that cannot be locked or removed.
     """
     try:
         found = [path for path in folder.iterdir() if path.name[0] == "." and path.name.endswith(_TEMPORARY)]
@@ -257,7 +255,7 @@ def clear_abandoned(folder: Path) -> None:
 
 
 def _lock(descriptor: int) -> bool | None:
-    """Lock a file until it is closed: True, False where it is locked already, None where that is unknown."""
+    """Lock a file until it is closed: True; False if it is locked already; None if unknown."""
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
@@ -269,7 +267,7 @@ def _lock(descriptor: int) -> bool | None:
 
 @contextmanager
 def replacing_text(path: Path) -> Iterator[TextIO]:
-    """As `replacing`, for text in UTF-8 with line ends as written; what is no text stands as an escape."""
+    """As `replacing`, for text in UTF-8 without newline translation; invalid characters are escaped."""
     with replacing(path) as stream:
         text = io.TextIOWrapper(io.BufferedWriter(stream, 1 << 20), "utf-8", "backslashreplace", newline="")
         try:
@@ -279,7 +277,7 @@ def replacing_text(path: Path) -> Iterator[TextIO]:
 
 
 def write_all(file: int | FileIO, data: bytes | memoryview) -> None:
-    """Hand all of `data` to the operating system, however many writes it takes. Raises OSError."""
+    """Write all of `data` to the operating system, in as many calls as needed. Raises OSError."""
     rest = memoryview(data)
     descriptor = file if isinstance(file, int) else file.fileno()
     while rest:
@@ -287,7 +285,7 @@ def write_all(file: int | FileIO, data: bytes | memoryview) -> None:
 
 
 def forget_cached(path: Path) -> None:
-    """Ask the operating system to read a file from the device when it is next read. Raises OSError."""
+    """Ask the operating system to drop its cache, so that the next read is from disk. Raises OSError."""
     if hasattr(os, "posix_fadvise"):  # not on macOS
         descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
         try:
@@ -297,7 +295,7 @@ def forget_cached(path: Path) -> None:
 
 
 def sync_folder(folder: Path) -> None:
-    """Make the names in a folder durable, where the file system offers that."""
+    """Make the names in a folder durable, if the file system supports it."""
     try:
         descriptor = os.open(folder, os.O_RDONLY)
     except OSError:  # e.g. a folder with write but no read permission: the file itself is synced already

@@ -1,6 +1,6 @@
-"""Where the antenna stands as seen from the turning object, and the grid an image is made on.
+"""The antenna positions in the frame of the rotating object, and the image grid.
 
-Operators take these frozen values instead of loose numbers; the sign convention of the turn lives here alone.
+Operators take these frozen values. The sign convention of the rotation is defined only here.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ class Aperture:
     Attributes:
         positions: (views, 3) float64, m. The object's plane is z = 0, the rotation axis is the origin.
         angles: (views,) float64, rad, object angle counter-clockwise from above; None for free positions.
-        axis_distance: m from the axis to the antenna's foot; None for free positions.
+        axis_distance: horizontal distance from the axis to the antenna, m; None for free positions.
         height: antenna height above the object's plane, m.
     """
 
@@ -37,9 +37,9 @@ class Aperture:
 
     @classmethod
     def turntable(cls, angles: NDArray[np.floating], axis_distance: float, height: float = 0.0) -> Aperture:
-        """Aperture of a turning object seen by a fixed radar at (axis_distance, 0, height).
+        """Aperture of a rotating object seen by a fixed radar at (axis_distance, 0, height).
 
-        The object turns by +angle (counter-clockwise from above), so in its own frame the antenna stands at
+        The object rotates by +angle (counter-clockwise from above), so in its own frame the antenna is at
         axis_distance * (cos(-angle), sin(-angle)).
 
         >>> a = Aperture.turntable(np.array([0.0, np.pi / 2]), 1.0)
@@ -48,7 +48,7 @@ class Aperture:
         """
         turn: NDArray[np.float64] = np.asarray(angles, dtype=np.float64)
         if not np.isfinite(axis_distance) or axis_distance <= 0:
-            raise DataError(f"axis distance is {axis_distance} m, expected a positive number of metres")
+            raise DataError(f"axis distance is {axis_distance} m, expected a positive number")
         positions = np.stack(
             [axis_distance * np.cos(-turn), axis_distance * np.sin(-turn), np.full(turn.shape, height)],
             axis=1,
@@ -61,13 +61,13 @@ class Aperture:
         return len(self.positions)
 
     def with_axis_distance(self, axis_distance: float) -> Aperture:
-        """The same turn seen from another distance. Raises DataError for free positions."""
+        """The same rotation seen from another distance. Raises DataError for free positions."""
         if self.angles is None:
             raise DataError("the axis distance of free antenna positions is not defined")
         return Aperture.turntable(self.angles, axis_distance, self.height)
 
     def select(self, views: NDArray[np.integer] | slice) -> Aperture:
-        """The aperture of some views only."""
+        """The aperture of selected views."""
         angles = None if self.angles is None else self.angles[views]
         return Aperture(self.positions[views], angles, self.axis_distance, self.height)
 
@@ -78,7 +78,7 @@ class ImageGrid:
 
     Attributes:
         extent: side of the square, m.
-        pixels: pixels a side; pixel centres lie at ((i + 0.5) / pixels - 0.5) * extent.
+        pixels: pixels per side; pixel centres are at ((i + 0.5) / pixels - 0.5) * extent.
     """
 
     extent: float = 0.5
@@ -88,7 +88,7 @@ class ImageGrid:
         if not (np.isfinite(self.extent) and self.extent > 0):
             raise UsageError(f"image extent is {self.extent} m", "Give a positive side in metres.")
         if not 2 <= self.pixels <= 4096:
-            raise UsageError(f"image has {self.pixels} pixels a side", "Give 2 to 4096 pixels.")
+            raise UsageError(f"image has {self.pixels} pixels per side", "Give 2 to 4096 pixels.")
 
     @property
     def step(self) -> float:

@@ -1,7 +1,7 @@
-"""SIGINT, SIGTERM and SIGHUP: the only place of the product that handles them.
+"""SIGINT, SIGTERM and SIGHUP: the only module that handles them.
 
-A stop signal must never end a write halfway, least of all inside a callback of a C library. Writes run within
-`deferred`; a signal that arrives there takes effect after it.
+A stop signal must never interrupt a write, least of all inside a callback of a C library. Writes run within
+`deferred`, which delays signals until the write has ended.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ Handler = Callable[[int, FrameType | None], Any] | int | None
 
 
 def stopped_by_user(stop: KeyboardInterrupt, remedy: str = "") -> CaptureInterrupted:
-    """The error to show for a stop signal; it keeps the message and remedy of an error before it."""
+    """The error to show for a stop signal; it keeps the message and remedy of an earlier error."""
     before = stop.__context__
     if isinstance(before, TagidError):
         return CaptureInterrupted(f"stopped by the user; {before.message}", before.remedy)
@@ -31,7 +31,7 @@ def stopped_by_user(stop: KeyboardInterrupt, remedy: str = "") -> CaptureInterru
 
 
 class _Stop:
-    """A request to stop that is asked for, not forced; see `asked_to_stop`."""
+    """A graceful stop request; see `asked_to_stop`."""
 
     def __init__(self, tell: Callable[[], None]) -> None:
         self.asked = False
@@ -39,7 +39,7 @@ class _Stop:
 
 
 class _State:
-    """Of the main thread; no other thread changes it, and signal handlers run on the main thread only."""
+    """State of the main thread; no other thread changes it, and signal handlers run there only."""
 
     depth = 0
     waiting: list[int]
@@ -62,7 +62,7 @@ def _on_signal(number: int, frame: FrameType | None) -> None:
 
 
 def _act(late: bool = False) -> None:
-    """What a signal does within `handled`; `late` is one that waited for a write to end."""
+    """Effect of a signal within `handled`; `late` marks one that waited for a write to end."""
     _state.waiting.clear()
     _state.delivered = True
     stop = _state.stop
@@ -75,10 +75,10 @@ def _act(late: bool = False) -> None:
 
 @contextmanager
 def handled() -> Iterator[None]:
-    """Within, each of `SIGNALS` raises KeyboardInterrupt in the main thread; for a program's outermost call.
+    """Make each of `SIGNALS` raise KeyboardInterrupt in the main thread; for a program's outermost call.
 
-    A signal that the process was started to ignore, as by `nohup`, stays ignored. At the exit of the
-    interpreter all of them are ignored: what was to be written is written.
+    A signal that was ignored when the process started (`nohup`) stays ignored. While the interpreter exits,
+    all signals are ignored: all files are written by then.
     """
     if not _on_main_thread():
         yield
@@ -94,16 +94,16 @@ def handled() -> Iterator[None]:
 
 
 def delivered() -> bool:
-    """Whether a signal took effect since `handled` was entered."""
+    """Whether a signal has taken effect since `handled` was entered."""
     return _state.delivered
 
 
 @contextmanager
 def asked_to_stop(tell: Callable[[], None] = lambda: None) -> Iterator[Callable[[], bool]]:
-    """Within, the first signal makes the yielded function return True; another one raises KeyboardInterrupt.
+    """The first signal makes the yielded function return True; a second one raises KeyboardInterrupt.
 
-    Signals that arrive during a write count as the first one, however many they are. Also a SIGINT that a
-    shell had its background process ignore is taken, because stopping is how such a command ends.
+    Signals that arrive during a write count as one, the first. SIGINT, which the shell makes a background
+    process ignore, is handled as well, because stopping is how such a command ends.
 
     Args:
         tell: called in the main thread at the first signal.
@@ -122,7 +122,7 @@ def asked_to_stop(tell: Callable[[], None] = lambda: None) -> Iterator[Callable[
 
 
 class Deferred:
-    """The context manager that `deferred` makes."""
+    """The context manager returned by `deferred`."""
 
     def __init__(self) -> None:
         self._active = _on_main_thread()
@@ -142,7 +142,7 @@ class Deferred:
             self._end(stopped_already=isinstance(error, KeyboardInterrupt | CaptureInterrupted))
 
     def listening(self) -> Listening:
-        """A context manager: signals take effect at once within, unless an outer `deferred` is active."""
+        """A context manager: within it, signals take effect at once, unless an outer `deferred` is active."""
         return Listening(self)
 
     def _begin(self) -> None:
@@ -168,7 +168,7 @@ class Deferred:
 
 
 class Listening:
-    """The context manager that `Deferred.listening` makes."""
+    """The context manager returned by `Deferred.listening`."""
 
     def __init__(self, deferral: Deferred) -> None:
         self._deferral = deferral
@@ -187,11 +187,11 @@ class Listening:
 
 
 def deferred() -> Deferred:
-    """A context manager: `SIGNALS` wait within, and take effect, each once, when the outermost one ends.
+    """A context manager that delays `SIGNALS`; each takes effect once, when the outermost one ends.
 
-    On another thread than the main one it does nothing, as signals are handled on the main thread. Where the
-    program handles them itself, its handlers are called after the end. Where KeyboardInterrupt or
-    CaptureInterrupted leaves the block, the signals that waited are dropped: the work stops already.
+    It does nothing on threads other than the main one, because signals are handled on the main thread. If the
+    program handles the signals itself, its handlers are called at the end. If KeyboardInterrupt or
+    CaptureInterrupted leaves the block, the delayed signals are dropped: the work is stopping already.
     """
     return Deferred()
 
@@ -201,7 +201,7 @@ def _on_main_thread() -> bool:
 
 
 def _install(also: tuple[int, ...] = ()) -> dict[int, Handler]:
-    """Handle the signals here; returns the handlers that this replaced."""
+    """Install the handlers; returns the previous ones."""
     before: dict[int, Handler] = {}
     for number in SIGNALS:
         handler = signal.getsignal(number)
@@ -214,13 +214,13 @@ def _install(also: tuple[int, ...] = ()) -> dict[int, Handler]:
 
 
 def _restore(before: dict[int, Handler]) -> bool:
-    """Put handlers back; whether the signals are still handled here, by an outer `handled`."""
+    """Restore handlers; returns whether an outer `handled` still handles the signals."""
     failure: BaseException | None = None
     for number, handler in before.items():
         while signal.getsignal(number) is _on_signal:
             try:
                 signal.signal(number, handler)
-            except BaseException as error:  # raised by a handler that was put back a moment ago
+            except BaseException as error:  # raised by a handler that was just restored
                 failure = error
     if failure is not None:
         raise failure

@@ -1,7 +1,7 @@
-"""The shipped networks and graphs, and the only way to open them: by name, checked against the manifest.
+"""The shipped networks and graphs, opened only by name and verified against the manifest.
 
-A model file that is damaged, of another release or of another shape gives wrong names to objects without any
-error; so everything about it is compared with what the manifest says before it runs.
+A model file that is damaged, from another release or of another shape would silently identify objects
+wrongly, so it is compared with the manifest before it runs.
 """
 
 from __future__ import annotations
@@ -22,23 +22,23 @@ from tagid.errors import ModelError, StorageError
 from tagid.files import read_bytes, write_bytes
 
 FOLDER = Path(__file__).parent / "models"
-"""In a checkout a link to the folder `models/` at its top; in a wheel the files themselves."""
+"""In a checkout, a link to the top-level folder `models/`; in a wheel the files themselves."""
 
 OPSET = 20
-"""The one version of the ONNX operator set that graphs are exported with and accepted in."""
+"""The version of the ONNX operator set of all graphs."""
 
 MAX_BYTES = 1 << 28
 _MAX_MANIFEST_BYTES = 1 << 20
 MANIFEST_VERSION = 1
 _DTYPES = {"float32": "tensor(float)", "int64": "tensor(int64)"}
-_REINSTALL = "Install tagid again; in a checkout, restore the folder models/."
+_REINSTALL = "Reinstall tagid; in a checkout, restore the folder models/."
 
 Shape = tuple[int | str, ...]
 
 
 @dataclass(frozen=True)
 class Tensor:
-    """An input or output: numpy dtype name and shape; a named dimension has one size wherever it occurs."""
+    """An input or output: numpy dtype name and shape; a named dimension has the same size everywhere."""
 
     dtype: str
     shape: Shape
@@ -46,15 +46,15 @@ class Tensor:
 
 @dataclass(frozen=True)
 class Entry:
-    """What the manifest says of a model.
+    """A model's entry in the manifest.
 
     Attributes:
-        name: what `open_model` is asked for.
-        file: file in the folder of the manifest.
+        name: argument of `open_model`.
+        file: file name in the folder of the manifest.
         sha256, size: of the file.
         opset: ONNX operator set.
         inputs, outputs: by name, in order.
-        facts: anything else: what it was made from, its measured quality.
+        facts: other facts: training data, measured quality.
     """
 
     name: str
@@ -68,7 +68,7 @@ class Entry:
 
     @classmethod
     def from_json(cls, name: str, item: Mapping[str, Any]) -> Entry:
-        """Parse one entry. Raises KeyError, TypeError or ValueError where it is none."""
+        """Parse one entry. Raises KeyError, TypeError or ValueError if it is invalid."""
         file = str(item["file"])
         if Path(file).name != file:
             raise ValueError(f"file {file!r} is not a plain name")
@@ -93,7 +93,7 @@ class Model:
     """An opened model.
 
     Attributes:
-        entry: what the manifest says of it.
+        entry: its manifest entry.
     """
 
     def __init__(self, entry: Entry, session: Any) -> None:
@@ -110,7 +110,7 @@ class Model:
         """Compare inputs with the manifest.
 
         Raises:
-            ModelError: a name, dtype, rank or size differs; the message says what is given and wanted.
+            ModelError: a name, dtype, rank or size differs; the message gives both values.
         """
         wanted = self.entry.inputs
         if set(feeds) != set(wanted):
@@ -129,7 +129,7 @@ class Model:
                 )
                 raise ModelError(
                     f"model {self.entry.name}: input {name} is {given.dtype.name}{list(given.shape)}, "
-                    f"wanted is {tensor.dtype}{list(tensor.shape)}" + (f" with {known}" if known else "")
+                    f"expected {tensor.dtype}{list(tensor.shape)}" + (f" with {known}" if known else "")
                 )
 
     def run(self, feeds: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
@@ -142,7 +142,7 @@ def manifest(folder: Path = FOLDER) -> Mapping[str, Entry]:
     """Every shipped model by name.
 
     Raises:
-        ModelError: the manifest is not one.
+        ModelError: the manifest is invalid.
         StorageError: it is missing.
     """
     path = folder / "manifest.json"
@@ -150,25 +150,25 @@ def manifest(folder: Path = FOLDER) -> Mapping[str, Entry]:
         found = json.loads(read_bytes(path, _MAX_MANIFEST_BYTES))
         if found["manifest_version"] != MANIFEST_VERSION:
             version = found["manifest_version"]
-            raise ModelError(f"{path} has version {version}, wanted is {MANIFEST_VERSION}", _REINSTALL)
+            raise ModelError(f"{path} has version {version}, expected {MANIFEST_VERSION}", _REINSTALL)
         return {str(name): Entry.from_json(str(name), item) for name, item in found["models"].items()}
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise ModelError(f"{path} is not a manifest of models: {error!r}", _REINSTALL) from None
+        raise ModelError(f"{path} is not a model manifest: {error!r}", _REINSTALL) from None
 
 
 def model_bytes(name: str, folder: Path = FOLDER) -> tuple[bytes, Entry]:
-    """Content of a model file, after its size, sha256 and opset were found to be the manifest's.
+    """Content of a model file whose size, sha256 and opset match the manifest.
 
     Raises:
-        ModelError: there is no such model, or the file is another one; the message gives both values.
+        ModelError: unknown model, or a different file; the message gives both values.
         StorageError: the file is missing.
     """
     known = manifest(folder)
     if name not in known:
-        raise ModelError(f"there is no model {name!r}; there are: {', '.join(sorted(known))}", _REINSTALL)
+        raise ModelError(f"unknown model {name!r}; known are: {', '.join(sorted(known))}", _REINSTALL)
     entry, path = known[name], folder / known[name].file
     if entry.opset != OPSET:
-        raise ModelError(f"model {name} has opset {entry.opset}, wanted is {OPSET}", _REINSTALL)
+        raise ModelError(f"model {name} has opset {entry.opset}, expected {OPSET}", _REINSTALL)
     try:
         content = read_bytes(path, MAX_BYTES)
     except StorageError as error:
@@ -199,11 +199,11 @@ def open_model(name: str, threads: int = 1, folder: Path = FOLDER) -> Model:
 
     Args:
         name: in the manifest.
-        threads: onnxruntime's threads.
-        folder: where manifest and files are.
+        threads: number of onnxruntime threads.
+        folder: folder of manifest and files.
 
     Raises:
-        ModelError: file or graph differ from the manifest (hash, opset, names, dtypes, shapes).
+        ModelError: file or graph differs from the manifest (hash, opset, names, dtypes, shapes).
         StorageError: it is missing.
     """
     onnxruntime = load_onnxruntime()
@@ -212,7 +212,7 @@ def open_model(name: str, threads: int = 1, folder: Path = FOLDER) -> Model:
     options.intra_op_num_threads = threads
     options.inter_op_num_threads = 1
     options.log_severity_level = 3
-    # The arena keeps the largest working set for good; plain allocations cost little beside the sums.
+    # The arena never shrinks; plain allocations cost little compared with the computation.
     options.enable_cpu_mem_arena = options.enable_mem_pattern = False
     try:
         session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
@@ -231,13 +231,13 @@ def open_model(name: str, threads: int = 1, folder: Path = FOLDER) -> Model:
 
 
 def check_all(folder: Path = FOLDER) -> None:
-    """Raises ModelError or StorageError where any shipped file is not what the manifest says."""
+    """Raises ModelError or StorageError if any shipped file does not match the manifest."""
     for name in manifest(folder):
         model_bytes(name, folder)
 
 
 def write_entry(entry: Entry, content: bytes, folder: Path = FOLDER) -> None:
-    """Put a model and its manifest entry into a folder, replacing one of the same name."""
+    """Add a model and its manifest entry to a folder, replacing one of the same name."""
     path = folder / "manifest.json"
     found: dict[str, Any] = {"manifest_version": MANIFEST_VERSION, "models": {}}
     if path.exists():
@@ -262,8 +262,8 @@ def entry_of(
 
 
 def _shape(dimensions: Any) -> Shape:
-    """A shape from JSON or from onnxruntime: whole numbers and names."""
+    """A shape from JSON or from onnxruntime: integers and names."""
     shape = tuple(dimensions)
     if not all(isinstance(d, (int, str)) and not isinstance(d, bool) for d in shape):
-        raise ValueError(f"shape {dimensions!r} is not made of numbers and names")
+        raise ValueError(f"shape {dimensions!r} does not consist of integers and names")
     return shape

@@ -1,7 +1,4 @@
-"""Serial ports: one way to open them, for radars and for what turns the object.
-
-What keeps a port from opening is told once, with its remedy.
-"""
+"""Serial ports for radars and motion devices: opening them, with one clear error for each failure."""
 
 from __future__ import annotations
 
@@ -16,17 +13,17 @@ if TYPE_CHECKING:
 
 
 def open_port(path: str, baud: int, write_timeout_s: float, find: str) -> serial.Serial:
-    """A serial port, 8N1, for us alone, with nothing left over from before.
+    """A serial port, 8N1, with exclusive access and empty buffers.
 
     Args:
         path: device file.
         baud: baud rate.
-        write_timeout_s: longest wait for the port to take bytes, s.
-        find: what lists the ports, for the remedy.
+        write_timeout_s: longest wait for a write, s.
+        find: how to list the ports, for the remedy.
 
     Raises:
         PortInUseError: another program has it open.
-        DeviceGoneError: there is no such port (now).
+        DeviceGoneError: the port does not exist (now).
         DeviceError: no permission, or not a serial port.
     """
     import serial
@@ -40,11 +37,11 @@ def open_port(path: str, baud: int, write_timeout_s: float, find: str) -> serial
         text = str(error)
         if number in (errno.EAGAIN, errno.EBUSY) or "exclusively lock" in text:
             raise PortInUseError(
-                f"{path} is held by another program",
+                f"{path} is in use by another program",
                 "Close the other program (a terminal, another tagid, ModemManager) and try again.",
             ) from error
         if number in (errno.ENOENT, errno.ENODEV, errno.ENXIO, errno.EIO) or not Path(path).exists():
-            raise DeviceGoneError(f"there is no serial port {path}", f"Plug it in; {find}.") from error
+            raise DeviceGoneError(f"no serial port {path}", f"Plug it in; {find}.") from error
         if number in (errno.EACCES, errno.EPERM):
             raise DeviceError(
                 f"no permission to open {path}",

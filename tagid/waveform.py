@@ -1,6 +1,6 @@
 """The transmitted pulse as a function of time, nominal or measured.
 
-Simulation and imaging must mean the same pulse, so both take it from here.
+Shared by simulation and imaging, so that both use the same pulse.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ def nominal_pulse(
     """Gaussian-windowed cosine s(t) = exp(-t^2 / (2 tau^2)) cos(2 pi fc t) (paper, eq. 1).
 
     tau follows from the -10 dB width B of the power spectrum: tau = sqrt(ln 10) / (pi B)
-    (the paper leaves tau open).
+    (the paper does not give tau).
 
     Args:
         center_frequency_hz: fc, Hz.
@@ -43,10 +43,10 @@ def analytic_pulse(pulse: Pulse, oversampling: int = 1) -> NDArray[np.complex128
 
 
 def pulse_at(pulse: Pulse, time_s: NDArray[np.floating]) -> NDArray[np.complex128]:
-    """Analytic pulse at times of any shape (s; zero is the pulse's middle sample), zero outside it.
+    """Analytic pulse at times of any shape (s; zero at the pulse's middle sample), zero outside it.
 
-    The pulse is first brought to a step of 2 ps or less by the Fourier transform, then interpolated linearly;
-    at 5 GHz that leaves an error under 0.1 %.
+    The pulse is resampled to a step of 2 ps or less by the Fourier transform, then interpolated linearly; at
+    5 GHz the error is below 0.1 %.
     """
     oversampling = max(1, int(np.ceil(pulse.step / 2e-12)))
     z = analytic_pulse(pulse, oversampling)

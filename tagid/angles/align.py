@@ -1,6 +1,6 @@
-"""The radar's scans and the motion's readings on one time axis, and what is left unexplained.
+"""Aligns radar scans and motion readings on one time axis, with residuals.
 
-Both reach this computer late, never early, so the true course of each clock is the lower edge of its arrival
+Both arrive with a positive delay, so each clock follows the lower envelope of its arrival
 times (S. B. Moon, P. Skelly, D. Towsley, "Estimation and removal of clock skew from network delay
 measurements", IEEE INFOCOM 1999).
 """
@@ -20,13 +20,13 @@ from tagid.metadata import Track
 Floats = NDArray[np.float64]
 
 _WINDOW: Final = 33
-"""Readings to both sides that the local edge of the motion's arrival times is taken from."""
+"""Readings on each side that define the local lower envelope of the motion's arrival times."""
 _MIN_SIGMA_S: Final = 1e-3
-"""Whole-millisecond stamps of the radar and of host clocks."""
+"""Rounding of radar and host timestamps to whole milliseconds."""
 _UNEVEN: Final = 0.01
-"""How far the speed of a table that runs by itself may change from turn to turn, relative."""
+"""Relative speed change per turn of a free-running table."""
 _GAP_S: Final = 0.1
-"""Beyond the first or last reading by more than this, an angle is a guess and its sigma says so."""
+"""Beyond the first or last reading by more than this, sigma marks the angle as unknown."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,11 +34,11 @@ class Alignment:
     """Angles of scans from a motion track.
 
     Attributes:
-        angles_rad, sigma_rad: (scans,) at the scans, without the device's common scale error.
-        drift: how much faster the host's clock runs than the radar's, relative.
+        angles_rad, sigma_rad: (scans,) of the scans, without the device's common scale error.
+        drift: relative rate of the host clock against the radar clock.
         radar_residual_ms: RMS of the scans' arrival times after the clocks were aligned.
-        motion_residual_ms: the same of the motion's readings.
-        clock_sigma_s: standard deviation of the time between radar and motion, but for a constant.
+        motion_residual_ms: the same for the motion readings.
+        clock_sigma_s: standard deviation of the time between radar and motion, up to a constant.
         outside: scans before the first or after the last reading.
     """
 
@@ -51,7 +51,7 @@ class Alignment:
     outside: int
 
     def facts(self) -> dict[str, Any]:
-        """What the capture keeps of it."""
+        """The values stored in the capture."""
         return {
             "clock_drift_ppm": self.drift * 1e6,
             "radar_arrival_residual_ms": self.radar_residual_ms,
@@ -62,9 +62,9 @@ class Alignment:
 
 
 def lower_edge(times_s: Floats, arrivals_s: Floats) -> tuple[float, float]:
-    """(offset, slope) of the line below all arrivals that lies closest to them.
+    """(offset, slope) of the closest line below all arrivals.
 
-    The sum of distances is least for the edge of the lower convex hull over the mean of the times.
+    The sum of distances is smallest for the edge of the lower convex hull at the mean time.
     """
     if len(times_s) < 3 or np.ptp(times_s) <= 0:
         return float(np.min(arrivals_s - times_s)), 1.0
@@ -87,10 +87,10 @@ def lower_edge(times_s: Floats, arrivals_s: Floats) -> tuple[float, float]:
 
 
 def even_times(arrivals_s: Floats, step_s: float) -> Floats:
-    """When readings of an even pace were taken, up to a constant: the edge of the arrivals nearby.
+    """Times of uniformly paced readings, up to a constant: the local lower envelope of the arrivals.
 
-    A reading that came late is moved to where its neighbours that came early say it belongs; a lost one
-    disturbs only half a second.
+    A delayed reading is moved to the time implied by its early neighbours; a lost one affects only half a
+    second.
     """
     index = np.arange(len(arrivals_s)) * step_s
     late = arrivals_s - index
@@ -103,23 +103,23 @@ def align(clock: UniformClock, host_time_ns: NDArray[np.int64], track: Track) ->
     """Angles of scans from a track.
 
     Args:
-        clock: of the scans, from the radar's stamps.
-        host_time_ns: (scans,) when they arrived.
-        track: of the motion; at least two readings.
+        clock: clock of the scans, from the radar's timestamps.
+        host_time_ns: (scans,) arrival times.
+        track: motion readings; at least two.
 
     Raises:
         DataError: no readings, or not one of them during the recording.
     """
     if len(track) < 2:
         raise DataError(
-            f"the motion gave {len(track)} readings: the angles are not known",
-            "Take the period from the scans: --motion free.",
+            f"the motion gave {len(track)} readings: the angles are unknown",
+            "Use the period from the scans: --motion free.",
         )
     zero = int(host_time_ns[0])
     arrivals = np.asarray((host_time_ns - zero) * 1e-9, dtype=np.float64)
     offset, slope = lower_edge(clock.times_s, arrivals)
     if abs(slope - 1) > 1e-2:
-        # Not a drift of a crystal: arrivals too few or too disturbed to tell it.
+        # Larger than the drift of a crystal: the arrivals are too few or too noisy to measure it.
         offset, slope = float(np.min(arrivals - clock.times_s)), 1.0
     scan_times = offset + slope * clock.times_s
     heard = np.asarray((track.host_time_ns - zero) * 1e-9, dtype=np.float64)
@@ -133,12 +133,13 @@ def align(clock: UniformClock, host_time_ns: NDArray[np.int64], track: Track) ->
         taken = heard
     if scan_times[-1] < taken[0] or scan_times[0] > taken[-1]:
         raise DataError(
-            "no scan was recorded while the motion was measured", "Check the clock of this computer."
+            "no scan was recorded between the first and last motion readings",
+            "Check the clock of this computer.",
         )
     motion_residual = float(np.sqrt(np.mean((heard - taken) ** 2)))
     radar_residual = float(np.sqrt(np.mean((arrivals - scan_times) ** 2)))
-    # An edge found from n late arrivals with mean lateness m lies about m / n above the true one; that of the
-    # motion is found anew every half second.
+    # An envelope from n arrivals with mean delay m is about m / n above the true one; that of the
+    # motion is estimated every half second.
     lateness = float(np.mean(heard - taken))
     clock_sigma = float(np.hypot(_MIN_SIGMA_S, 3 * lateness / np.sqrt(_WINDOW)) + clock.sigma_s)
     if step is None:
@@ -148,7 +149,7 @@ def align(clock: UniformClock, host_time_ns: NDArray[np.int64], track: Track) ->
     beyond = np.maximum(np.maximum(taken[0] - scan_times, scan_times - taken[-1]), 0.0)
     at = np.interp(scan_times, taken, angles)
     if track.info.get("runs_on") and len(taken) > 2:
-        # A table that turns by itself was turning before the first reading, too, and goes on after the last.
+        # A free-running table also turns before the first reading and after the last.
         first = (angles[1] - angles[0]) / (taken[1] - taken[0])
         last = (angles[-1] - angles[-2]) / (taken[-1] - taken[-2])
         at += np.minimum(scan_times - taken[0], 0) * first + np.maximum(scan_times - taken[-1], 0) * last

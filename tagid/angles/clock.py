@@ -1,7 +1,7 @@
-"""One uniform clock through the radar's whole-millisecond timestamps.
+"""Fits a uniform clock to the radar's whole-millisecond timestamps.
 
-A scan takes 21.573 ms and is stamped in whole milliseconds: alone a stamp is off by up to 1 ms, but the radar
-scans evenly, so a line through all of them is good to microseconds.
+A scan takes 21.573 ms and is stamped in whole milliseconds: one stamp is off by up to 1 ms, but the radar
+scans uniformly, so a line through all stamps is accurate to microseconds.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from tagid.errors import DataError
 
 OUTLIER_MS = 1.5
-"""A stamp further from the line than rounding (1 ms) plus jitter is not used for the line."""
+"""Stamps further from the line than rounding (1 ms) plus jitter are outliers."""
 WRAP_MS = 2.0**32
 """The radar's clock is a u32 of milliseconds (P440 MRM API)."""
 
@@ -28,9 +28,9 @@ class UniformClock:
         index: (scans,) whole scan periods since the first scan; gaps are lost scans.
         period_s: scan period, s.
         period_sigma_s: its standard deviation, s.
-        sigma_s: standard deviation of one of times_s, s (worst: at the ends).
+        sigma_s: standard deviation of times_s at the ends, the worst case, s.
         residual_ms: RMS of stamp minus line, ms; 0.29 for pure rounding.
-        outliers: stamps that were not used.
+        outliers: number of stamps not used.
     """
 
     times_s: NDArray[np.float64]
@@ -54,11 +54,11 @@ def _indexes(
 def fit_clock(
     radar_time_ms: NDArray[np.floating], scan_id: NDArray[np.integer] | None = None
 ) -> UniformClock:
-    """Fit the uniform clock, least squares with outliers left out (the first scan is often one).
+    """Fit the uniform clock, least squares without outliers (the first scan is often one).
 
     Args:
-        radar_time_ms: (scans,) stamps, whole ms; a wrap of the u32 counter is undone.
-        scan_id: (scans,) unwrapped scan numbers; without them lost scans are told from the gaps in time.
+        radar_time_ms: (scans,) stamps, whole ms; wraps of the u32 counter are removed.
+        scan_id: (scans,) unwrapped scan numbers; without them, lost scans are inferred from time gaps.
 
     Raises:
         DataError: fewer than two scans, stamps that do not advance, ids that do not increase.
@@ -69,7 +69,7 @@ def fit_clock(
             f"a clock cannot be fitted through {stamps.size} timestamps", "Record at least two scans."
         )
     if scan_id is not None and (len(scan_id) != len(stamps) or (np.diff(scan_id) <= 0).any()):
-        raise DataError("scan numbers do not increase, or are not as many as timestamps")
+        raise DataError("scan numbers do not increase, or their number differs from that of the timestamps")
     stamps = stamps + WRAP_MS * np.concatenate([[0], np.cumsum(np.diff(stamps) < -WRAP_MS / 2)])
     if scan_id is not None:
         guess = float(np.median(np.diff(stamps) / np.diff(scan_id)))
@@ -78,10 +78,10 @@ def fit_clock(
     if guess <= 0:
         raise DataError(
             "the radar's timestamps do not advance",
-            "Give the scan period, or record with a radar that stamps.",
+            "Give the scan period, or record with a radar that timestamps its scans.",
         )
     index = _indexes(stamps, scan_id, guess)
-    # A robust start: the median slope over long baselines is not moved by a few bad stamps.
+    # A robust start: the median slope over long baselines is robust against a few bad stamps.
     half = len(stamps) // 2
     slope = float(
         np.median(
@@ -93,7 +93,7 @@ def fit_clock(
     for _ in range(4):
         inliers = np.abs(stamps - offset - slope * index) <= OUTLIER_MS
         if np.count_nonzero(inliers) < max(2, len(stamps) // 2):
-            # No uniform clock within rounding: keep every stamp and let the residual tell.
+            # No uniform clock within rounding: keep every stamp; the residual shows it.
             inliers = np.ones(len(stamps), dtype=bool)
         slope, offset = (
             np.polyfit(index[inliers], stamps[inliers], 1) if inliers.sum() > 2 else (slope, offset)
@@ -103,7 +103,7 @@ def fit_clock(
         used = inliers
     residual = stamps[used] - offset - slope * index[used]
     rms = float(np.sqrt(np.mean(residual**2)))
-    # Rounding is uniform with std 1/sqrt(12) ms; a residual below that (few stamps) is luck.
+    # Rounding is uniform with std 1/sqrt(12) ms; a smaller residual (few stamps) is chance.
     noise_ms = max(rms, 1 / np.sqrt(12))
     spread = float(np.sqrt(np.sum((index[used] - index[used].mean()) ** 2))) or 1.0
     period_sigma = noise_ms / spread

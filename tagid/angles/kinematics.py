@@ -1,7 +1,7 @@
-"""A rough rotation period from range and speed alone, which symmetry cannot deceive.
+"""A rough rotation period from range and range rate, independent of symmetry.
 
-A target that looks the same after half a turn repeats twice a turn, but its reflectors still move at the
-speed that their distance from the axis and the true period ask for.
+A target with two-fold symmetry repeats twice per turn, but the speed of its reflectors still depends on their
+radius and the true period.
 """
 
 from __future__ import annotations
@@ -13,26 +13,26 @@ Floats = NDArray[np.float64]
 
 
 def _products(x: NDArray[np.complex128], received: NDArray[np.bool_], lag: int) -> Floats:
-    """(columns,) mean over scans of Re x_i conj(x_{i + lag}): free of noise in the mean."""
+    """(columns,) mean over scans of Re x_i conj(x_{i + lag}): noise averages out."""
     both = received[lag:] & received[:-lag]
     product = (x[lag:] * x[:-lag].conj()).real[both]
     return np.asarray(product.mean(axis=0) if len(product) else np.zeros(x.shape[1]))
 
 
 def kinematic_period(scans: NDArray[np.float32], received: NDArray[np.bool_], step_s: float) -> float | None:
-    """Period of a turn, s, to some ten per cent at 20 dB; None where the echoes are too weak.
+    """Rotation period, s, to about ten per cent at 20 dB; None if the echoes are too weak.
 
-    A reflector at radius r has range -r cos(w t) and range rate r w sin(w t), so over a turn
+    A reflector at radius r has range -r cos(w t) and range rate r w sin(w t), so over one turn
     w^2 = <rate^2> / var(range). The rate's mean square is the curvature of the slow-time autocorrelation at
     lag zero, 2 (1 - rho(tau)) / tau^2, divided by the mean square wavenumber of the range profile; the
-    range variance is that of the echo energy over range bins, less the pulse's, 1 / (4 var(wavenumber)).
-    Energies are products of neighbouring scans, free of noise. All lengths are in bins and cancel. Weak
-    echoes come out too fast (a factor of 2 at 10 dB, of 5 at 0 dB), boxes too: it can warn of a longer
-    period, not rule one out.
+    range variance is that of the echo energy over range bins, minus that of the pulse, 1 / (4
+    var(wavenumber)). Energies are products of neighbouring scans, unbiased by noise. All lengths are in bins
+    and cancel. Weak echoes give too short a period (a factor of 2 at 10 dB, of 5 at 0 dB), boxes too: it can
+    warn of a longer period, but not exclude one.
 
     Args:
         scans: (scans, bins) real, mean removed, on a uniform grid.
-        received: (scans,) which are there.
+        received: (scans,) True where received.
         step_s: scan period, s.
     """
     spectrum = np.fft.rfft(scans.astype(np.float64), axis=1)
@@ -53,7 +53,7 @@ def kinematic_period(scans: NDArray[np.float32], received: NDArray[np.bool_], st
 
     filtered = np.fft.irfft(spectrum * band, scans.shape[1], axis=1)
     energy = _products(filtered.astype(np.complex128), received, 1)
-    # A bin far out weighs much in a variance: only those count whose energy cannot be chance.
+    # Distant bins dominate a variance: only bins with significant energy count.
     chance = np.mean(filtered[received] ** 2, axis=0) * 4 / np.sqrt(np.count_nonzero(received))
     energy = np.where((energy > 0.03 * energy.max()) & (energy > chance), energy, 0)
     if energy.sum() <= 0:

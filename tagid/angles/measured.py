@@ -1,7 +1,7 @@
-"""Angles of a capture from a device's own readings, held against the period that the scans show.
+"""Angles of a capture from device readings, scaled by the period found in the scans.
 
-A robot's effective wheel base is known to some per cent before it is calibrated; the radar sees a full turn
-to a part in a thousand.
+Before calibration, a robot's effective wheel base is known to a few per cent; the radar measures a full turn
+to 0.1 %.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from tagid.metadata import ResolvedMotion, Track
 
 TURN: Final = 2 * np.pi
 _STEADY: Final = 0.7
-"""Scans at less than this share of the usual speed (spinning up) are left out of the search."""
+"""Scans at less than this share of the usual speed (spinning up) are excluded from the search."""
 _WIDEST: Final = 0.25
 _DEFAULT_SCALE_SIGMA: Final = 0.01
 
@@ -28,17 +28,17 @@ _DEFAULT_SCALE_SIGMA: Final = 0.01
 def turn_in_own_angle(
     samples: NDArray[Any], angles_rad: NDArray[np.floating], scale_sigma: float
 ) -> PeriodEstimate:
-    """What the device calls a full turn, from the scans' repetition over the device's own angle.
+    """The device's angle of a full turn, from the repetition of the scans over that angle.
 
-    The search runs over angle instead of time, so an uneven speed does not matter.
+    The search is over angle instead of time and so independent of speed variations.
 
     Args:
         samples: (scans, bins).
-        angles_rad: (scans,) by the device, rad.
-        scale_sigma: how far it may be off, relative, one sigma.
+        angles_rad: (scans,) from the device, rad.
+        scale_sigma: relative standard deviation of the device's scale.
 
     Returns:
-        the period and its sigma in the device's radians: 2 pi where it is right.
+        the period and its sigma in the device's radians: 2 pi for a correct scale.
 
     Raises:
         DataError: less than 1.1 turns, or no repetition near a full turn.
@@ -48,7 +48,7 @@ def turn_in_own_angle(
     usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
     moving = np.flatnonzero(steps >= _STEADY * usual)
     if usual <= 0 or len(moving) < 20:
-        raise DataError("the object hardly turned", "Record a full turn and a bit more.")
+        raise DataError("the object turned too little", "Record at least 1.1 turns.")
     inside = slice(moving[0], moving[-1] + 1)
     angle, seen = turned[inside], np.asarray(samples)[inside]
     rising = np.concatenate([[True], np.diff(np.maximum.accumulate(angle)) > 0.2 * usual])
@@ -59,13 +59,13 @@ def turn_in_own_angle(
 def measured_angles(
     samples: NDArray[Any], clock: UniformClock, host_time_ns: NDArray[np.int64], track: Track
 ) -> Angles:
-    """Angle and sigma of every scan from readings, scaled by the radar's own period where it shows.
+    """Angle and sigma of every scan from readings, scaled by the radar's period if it is found.
 
     Args:
         samples: (scans, bins).
-        clock: of the scans.
-        host_time_ns: (scans,) when they arrived.
-        track: the readings.
+        clock: clock of the scans.
+        host_time_ns: (scans,) arrival times.
+        track: motion readings.
 
     Raises:
         DataError: see `align`.

@@ -1,7 +1,7 @@
-"""The rotation period, from the sinogram repeating itself after each turn.
+"""The rotation period, from the repetition of the sinogram after each turn.
 
-A target that looks the same after half a turn repeats twice a turn; that case is decided by a nominal period
-where there is one, and always reported.
+A target with two-fold symmetry repeats twice per turn; a nominal period, if given, decides this case, and it
+is always reported.
 """
 
 from __future__ import annotations
@@ -16,27 +16,27 @@ from tagid.angles.sinogram import Autocorrelation, autocorrelate, uniform_grid
 from tagid.errors import DataError
 
 MIN_TURNS = 1.1
-"""Least record in turns: the overlap of a tenth of a turn is where chance likeness begins."""
+"""Minimum record in turns: at less than a tenth of a turn of overlap, similarity is chance."""
 OVERLAP = 0.08
-"""Least overlap of a lag, as a fraction of the lag."""
+"""Minimum overlap of a lag, as a fraction of the lag."""
 SIGNIFICANT = 6.0
-"""A repetition counts from this many standard deviations of chance likeness on."""
+"""Minimum correlation of a repetition, in standard deviations of chance correlation."""
 JACKKNIFE_SCALE = 2.5
-"""Neighbouring groups of bins share their echoes, so the jackknife is too small by this (simulated)."""
+"""Neighbouring groups of bins share echoes, so the jackknife sigma is low by this factor (simulated)."""
 ACCEPT = 0.6
-"""Least quality of a period: likeness after a turn relative to what noise leaves of it."""
+"""Minimum quality of a period: correlation after a turn relative to the limit set by noise."""
 RIVAL = 0.7
-"""A fraction of the period whose quality reaches this part of the period's own makes it ambiguous."""
+"""The period is ambiguous if the quality of a fraction of it reaches this share of its own."""
 ALIKE = 0.9
-"""The first repetition of this part of the best one's likeness is the period."""
+"""The period is the first repetition with this share of the best correlation."""
 MARKED = 0.98
-"""The same where a marker stands off the axis: what misses it is a few per cent less alike."""
+"""The same with an off-axis marker: repetitions that miss it correlate a few per cent less."""
 SLOWER = 1.5
 """A period is doubted where the echoes move as if a turn took this many times as long."""
 GAP = 0.03
 """A pause between scans of this part of a turn is a gap: no scan witnesses what happened in it."""
 NOMINAL_TOLERANCE = 0.15
-"""A nominal period is believed to 15 %."""
+"""Relative uncertainty of a nominal period."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class PeriodEstimate:
     """A rotation period.
 
     Attributes:
-        period_s: s a turn.
+        period_s: period of a turn, s.
         sigma_s: its standard deviation (jackknife over range bins), s.
         quality: 0..1, correlation of the scans with those one turn later, relative to the most that the noise
             allows, times the share of a turn that was recorded without a gap.
@@ -65,7 +65,7 @@ class PeriodEstimate:
 
 
 def _refine(rho: NDArray[np.float64], peak: int, half_width: int) -> float:
-    """Vertex of the least-squares parabola through the samples around a peak, in lags."""
+    """Vertex of the least-squares parabola through samples around a peak, in lags."""
     low, high = max(1, peak - half_width), min(len(rho), peak + half_width + 1)
     lag = np.arange(low, high) - peak
     if len(lag) < 3:
@@ -83,7 +83,7 @@ def _lobe(rho: NDArray[np.float64], level: float) -> int:
 
 
 def _near(rho: NDArray[np.float64], lag: float, tolerance: float) -> tuple[int, float]:
-    """Strongest lag within a relative tolerance of a lag, and its value; (0, 0) where out of reach."""
+    """Strongest lag within a relative tolerance of a lag, and its value; (0, 0) if out of range."""
     low = max(1, int(np.floor(lag * (1 - tolerance))))
     high = min(len(rho), int(np.ceil(lag * (1 + tolerance))) + 1)
     if low >= high:
@@ -93,15 +93,16 @@ def _near(rho: NDArray[np.float64], lag: float, tolerance: float) -> tuple[int, 
 
 
 def _enough(ac: Autocorrelation) -> NDArray[np.float64]:
-    """(lags,) least correlation that counts as a repetition: alike enough, and not by chance.
+    """(lags,) minimum correlation of a repetition: high enough, and not by chance.
 
-    Chance is judged on Fisher's z = artanh(rho), which is normal also for the few samples of a short overlap.
+    Significance is tested on Fisher's z = artanh(rho), which is normal also for the few samples of a short
+    overlap.
     """
     return np.maximum(ACCEPT * ac.coherence, np.tanh(SIGNIFICANT * ac.noise))
 
 
 def _first_turn(ac: Autocorrelation, rho: NDArray[np.float64], within: tuple[int, int], marker: bool) -> int:
-    """The smallest lag that is a peak nearly as high as the highest one; 0 where none is high enough."""
+    """The smallest lag that is a peak nearly as high as the highest one; 0 if none is high enough."""
     low, high = within
     enough = _enough(ac)
     inner = rho[low : high + 1]
@@ -114,7 +115,7 @@ def _first_turn(ac: Autocorrelation, rho: NDArray[np.float64], within: tuple[int
     best = float(rho[peaks].max())
     slack = 2 * np.hypot(ac.noise[peaks], ac.noise[peaks[np.argmax(rho[peaks])]])
     if marker:
-        # True turns are alike to half a per cent; what misses a weak marker is so by some per cent.
+        # True turns correlate to half a per cent; missing a weak marker costs a few per cent.
         return int(peaks[rho[peaks] >= MARKED * best][0])
     return int(peaks[rho[peaks] >= ALIKE * best - slack][0])
 
@@ -124,8 +125,8 @@ def _peak_place(
 ) -> tuple[float, float]:
     """(lag, sigma) of a peak.
 
-    sigma joins the jackknife over groups of bins with the place's scatter under strong noise, about
-    half_width * sigma_rho / rho where sigma_rho = noise (1 - rho^2); it is at least a hundredth of a lag.
+    sigma combines the jackknife over groups of bins with the scatter of the peak under strong noise, about
+    half_width * sigma_rho / rho with sigma_rho = noise (1 - rho^2); it is at least 0.01 lag.
     """
     lag = _refine(rho, peak, half_width)
     active = [g for g in range(len(ac.products)) if ac.products[g, 0] > 0]
@@ -149,20 +150,20 @@ def find_period(
     """Rotation period from the autocorrelation of the mean-removed sinogram.
 
     The peak is measured by a parabola on the longest multiple of the period that still overlaps, which
-    divides its error by that multiple.
+    divides the error by that multiple.
 
     Args:
         samples: (scans, bins) real RF or complex, any units.
         times_s: (scans,) s, increasing; see `fit_clock`.
-        nominal_s: expected period, s; without it the shortest repetition is taken.
+        nominal_s: expected period, s; if None, the shortest repetition is used.
         min_s, max_s: bounds of the search, s.
-        tolerance: how far the period may be from the expected one, relative.
-        marker: something off the axis breaks the target's symmetry: a clearly better repetition later wins.
+        tolerance: relative tolerance around the nominal period.
+        marker: an off-axis marker breaks the target's symmetry: a clearly better later repetition is used.
 
-    Simulated at 20 scans/s and 20..30 s a turn: worst of 12 errors 0.08, 0.02, 0.02 % at 10 dB with 1.3, 2.3
+    Simulated at 20 scans/s and 20..30 s/turn: worst of 12 errors 0.08, 0.02, 0.02 % at 10 dB with 1.3, 2.3
     and 3.2 turns for four points in 20 cm, up to 0.26 % for a container's tag. At 0 dB a search without a
-    nominal period takes a multiple or a fraction now and then, mostly but not always reported: give
-    the nominal one.
+    nominal period sometimes finds a multiple or fraction, mostly but not always reported: give a
+    nominal period.
 
     Raises:
         DataError: less than 1.1 turns, nothing moves, or no repetition is found.
@@ -226,9 +227,9 @@ def _recorded_share(times_s: NDArray[np.floating], period_s: float) -> float:
 def _rivals(
     ac: Autocorrelation, rho: NDArray[np.float64], period: float, peak: int, half_width: int
 ) -> list[float]:
-    """Other periods, in lags, that the scans allow: a fraction about as alike, the double if clearly more.
+    """Other periods, in lags, that fit the scans: a fraction if similar, the double if clearly better.
 
-    Where noise is strong, "about" is two standard deviations of chance.
+    With strong noise, "similar" means within two standard deviations of chance.
     """
     found: list[float] = []
     value = float(rho[peak])
@@ -248,7 +249,7 @@ def _rivals(
 def _slower(
     samples: NDArray[np.generic], times_s: NDArray[np.floating], period_s: float, step_s: float
 ) -> list[float]:
-    """Multiple of a period, in lags, at which the echoes seem to move; empty where they agree with it."""
+    """Multiple of a period, in lags, that fits the echoes' motion; empty if they agree with it."""
     x, received, _ = uniform_grid(np.real(samples), times_s)
     x[received] -= x[received].mean(axis=0)
     moving = kinematic_period(x, received, step_s)

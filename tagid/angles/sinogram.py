@@ -1,7 +1,7 @@
-"""Slow-time autocorrelation of a sinogram: how alike scans are to those a given time later.
+"""Slow-time autocorrelation of a sinogram: the similarity of scans at a given time lag.
 
 It is normalised to the energy of the overlap and split into groups of range bins, so that the period search
-can compare lags of any length and tell how far its answer scatters.
+can compare lags of any length and estimate its own scatter.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from tagid.errors import DataError
 
 GROUPS = 12
 MAX_GAP_FACTOR = 20
-"""Scans on the uniform grid may be at most this many times those received; more means wrong times."""
+"""Scans on the uniform grid may be at most this many times those received; more indicates wrong times."""
 
 
 @dataclass(frozen=True, eq=False)
 class Autocorrelation:
-    """Correlation of scans that lie k scan periods apart.
+    """Correlation of scans that are k scan periods apart.
 
     Attributes:
         step_s: time between lags, s.
@@ -46,17 +46,17 @@ class Autocorrelation:
         return np.asarray(self.products.sum(axis=0) / self.norm)
 
     def without(self, group: int) -> NDArray[np.float64]:
-        """The products without one group of bins, for the jackknife; the norm drops out of a peak's place."""
+        """The products without one group of bins, for the jackknife; the norm does not shift peaks."""
         return np.asarray((self.products.sum(axis=0) - self.products[group]) / self.norm)
 
 
 def uniform_grid(
     samples: NDArray[np.generic], times_s: NDArray[np.floating]
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_], float]:
-    """Scans on a uniform time grid, lost ones zero.
+    """Scans on a uniform time grid, lost ones are zero.
 
     Returns:
-        (scans, bins) float32 (of complex samples real and imaginary parts side by side), (scans,) which were
+        (scans, bins) float32 (of complex samples real and imaginary parts side by side), (scans,) True where
         received, and the step in s.
 
     Raises:
@@ -78,7 +78,7 @@ def uniform_grid(
             "most of the scans were lost: the period cannot be searched", "Check the link, and record again."
         )
     flat = np.concatenate([x.real, x.imag], axis=1) if np.iscomplexobj(x) else x
-    # Rounding to the grid may put two scans of a jittered clock on one place; the later one stays.
+    # Rounding to the grid may put two scans of a jittered clock on one position; the later one is kept.
     grid = np.zeros((index[-1] + 1, flat.shape[1]), dtype=np.float32)
     grid[index] = flat
     received = np.zeros(len(grid), dtype=bool)
@@ -87,10 +87,10 @@ def uniform_grid(
 
 
 def _repeating_share(x: NDArray[Any], both: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """(columns,) share of each column's slow-time energy that is alike from scan to scan; pure noise gives 0.
+    """(columns,) share of each column's slow-time energy that correlates between scans; 0 for pure noise.
 
-    The product of neighbouring scans has no noise in its mean; its scatter in columns of noise alone says how
-    large a chance value gets.
+    The product of neighbouring scans is unbiased by noise; its scatter in pure noise columns shows how
+    large a chance value can get.
     """
     signal = np.einsum("ib,ib->b", x[1:][both], x[:-1][both].conj()).real.astype(np.float64)
     energy = np.einsum("ib,ib->b", x[1:][both], x[1:][both].conj()).real.astype(np.float64)
@@ -100,10 +100,10 @@ def _repeating_share(x: NDArray[Any], both: NDArray[np.bool_]) -> NDArray[np.flo
 
 
 def _band_filtered(x: NDArray[np.float32], both: NDArray[np.bool_], parts: int) -> NDArray[np.float32]:
-    """Range profiles through a filter that passes the frequencies that repeat: the pulse's own band.
+    """Range profiles filtered to the frequencies that repeat: the pulse's own band.
 
-    The band is taken from the data, so that it fits any radar; neighbouring frequencies are averaged, because
-    a band is smooth and chance is not.
+    The band is estimated from the data, so that it fits any radar. Neighbouring frequencies are averaged,
+    because a band is smooth and noise is not.
     """
     bins = x.shape[1] // parts
     split = x.reshape(len(x), parts, bins)
@@ -117,14 +117,14 @@ def _band_filtered(x: NDArray[np.float32], both: NDArray[np.bool_], parts: int) 
 
 
 def _slow_time_lowpass(x: NDArray[np.float32]) -> tuple[NDArray[np.float32], float]:
-    """Scans through a low-pass that keeps 98 % of what stands above the noise's flat slow-time spectrum.
+    """Scans after a low-pass that keeps 98 % of the energy above the noise's flat slow-time spectrum.
 
     Returns:
-        the scans, and the number of independent noise samples a scan that is left, 0..1.
+        the scans, and the remaining number of independent noise samples per scan, 0..1.
     """
     spectrum = np.fft.rfft(x, axis=0)
     power = (np.abs(spectrum) ** 2).sum(axis=1)
-    # The upper half holds noise alone where scans are denser than the echoes' own bandwidth asks.
+    # The upper half is noise only, if the scan rate exceeds the Nyquist rate of the echoes.
     noise = float(np.median(power[len(power) // 2 :]))
     excess = np.cumsum(np.maximum(power - 1.3 * noise, 0))
     if excess[-1] <= 0:
@@ -154,7 +154,7 @@ def autocorrelate(samples: NDArray[np.generic], times_s: NDArray[np.floating]) -
     if len(chosen) == 0:
         raise DataError(
             "nothing in the scans moves: the period cannot be found",
-            "Check that the table turns and that the range window holds it.",
+            "Check that the table turns and that the range window covers it.",
         )
     x = x[:, chosen] * weights[chosen].astype(np.float32)
     signal = _signal_energy(x, both)
@@ -162,7 +162,7 @@ def autocorrelate(samples: NDArray[np.generic], times_s: NDArray[np.floating]) -
     n = len(x)
     size = 1 << (2 * n - 1).bit_length()
     energy = np.einsum("ib,ib->b", x, x)
-    # Groups of neighbouring bins with about the same energy each: neighbours share their echoes.
+    # Groups of neighbouring bins with about the same energy each: neighbours share echoes.
     group = np.minimum((np.cumsum(energy) / energy.sum() * GROUPS).astype(int), GROUPS - 1)
     products = np.zeros((GROUPS, n))
     for g in range(GROUPS):
@@ -174,7 +174,7 @@ def autocorrelate(samples: NDArray[np.generic], times_s: NDArray[np.floating]) -
             products[g] = np.fft.irfft(power, size)[:n]
     scan_energy = np.einsum("ib,ib->i", x, x).astype(np.float64)
     e, m = np.fft.rfft(scan_energy, size), np.fft.rfft(received.astype(np.float64), size)
-    early = np.fft.irfft(e.conj() * m, size)[:n]  # energy of scans that have a partner k later
+    early = np.fft.irfft(e.conj() * m, size)[:n]  # energy of scans with a partner k later
     late = np.fft.irfft(m.conj() * e, size)[:n]
     tiny = 1e-9 * scan_energy.sum()
     norm = np.sqrt(np.maximum(early, tiny) * np.maximum(late, tiny))
@@ -191,7 +191,7 @@ def _independent_bins(x: NDArray[np.float32]) -> float:
 
 
 def _signal_energy(x: NDArray[np.float32], both: NDArray[np.bool_]) -> float:
-    """Energy without noise: products of scans one and two apart, by an even parabola back to lag zero."""
+    """Noise-free energy: products of scans 1 and 2 apart, fitted back to lag zero by an even parabola."""
     one = float(np.einsum("ib,ib->", x[1:][both], x[:-1][both]))
     pairs = both[1:] & both[:-1]
     two = float(np.einsum("ib,ib->", x[2:][pairs], x[:-2][pairs]))

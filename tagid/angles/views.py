@@ -1,7 +1,7 @@
-"""An angle for every scan, and fewer, better views out of many scans.
+"""Angles of scans, and averaging or thinning of scans to views.
 
-A free-running table gives hundreds of scans a turn and some more than a turn; imaging wants one turn evenly
-covered, and as many views as the object's size asks for.
+A free-running table gives hundreds of scans per turn and more than one turn; imaging needs one turn, evenly
+covered, with as many views as the size of the object requires.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ class Angles:
     Attributes:
         angles_rad: (scans,) object angle, counter-clockwise from above, zero at the first scan, rad.
         sigma_rad: (scans,) standard deviation relative to the first scan, rad.
-        info: how they were found.
+        info: metadata on how they were found.
     """
 
     angles_rad: NDArray[np.float64]
@@ -32,13 +32,13 @@ class Angles:
 
 
 def _one_turn(angles_rad: NDArray[np.floating]) -> tuple[NDArray[np.float64], NDArray[np.bool_], float]:
-    """Turned angle since the outermost view, which views lie in the first turn, and the angle between."""
+    """Angle since the outermost view, which views are in the first turn, and the step between views."""
     a = np.asarray(angles_rad, dtype=np.float64)
     if a.ndim != 1 or len(a) == 0 or not np.isfinite(a).all():
         raise DataError(f"angles have shape {a.shape}, expected (views,), finite")
-    # From the lowest or highest angle, not from the first scan: imported ones come in any order or wrapped.
+    # From the lowest or highest angle, not the first scan: imported angles may be unordered or wrapped.
     turned = a - a.min() if a[-1] >= a[0] else a.max() - a
-    # Half of a view's step is left open at the end: the view after a full turn is the first one again.
+    # Half a step is excluded at the end: the view after a full turn repeats the first one.
     step = float(np.ptp(turned)) / max(1, len(a) - 1)
     return turned, turned < 2 * np.pi - 0.5 * step, step
 
@@ -46,15 +46,15 @@ def _one_turn(angles_rad: NDArray[np.floating]) -> tuple[NDArray[np.float64], ND
 def select_views(
     angles_rad: NDArray[np.floating], views: int | None = None, step_rad: float | None = None
 ) -> NDArray[np.int64]:
-    """Indexes of views evenly spread over one turn, or over less where there is less; the overlap is dropped.
+    """Indexes of views evenly spaced over at most one turn; the overlap is dropped.
 
     Args:
         angles_rad: (scans,) object angles, rad, in the order of recording.
-        views: views a turn wanted; all of the turn where neither this nor step_rad is given.
+        views: views per turn; all views of the turn if neither this nor step_rad is given.
         step_rad: angle between views instead, rad.
 
     Returns:
-        (n,) increasing indexes, the scan nearest to each wanted angle; fewer than asked where scans lack.
+        (n,) increasing indexes, the scan nearest to each wanted angle; fewer if scans are missing.
     """
     turned, inside, scan_step = _one_turn(angles_rad)
     candidates = np.flatnonzero(inside)
@@ -77,22 +77,22 @@ def select_views(
 
 
 def average_into_views(capture: Capture, views: int) -> Capture:
-    """Average scans into evenly spaced angular sectors: noise falls by sqrt(scans a view).
+    """Average scans into evenly spaced angular sectors: noise falls by sqrt(scans per view).
 
-    Scans in a sector are smeared over its width w: the echo of a reflector at radius r turns its phase by
+    Scans in a sector are smeared over its width w: the echo of a reflector at radius r changes its phase by
     up to 4 pi r w / lambda across the sector and loses sinc(2 r w / lambda). That is 1 dB at
     w = 0.13 lambda / r, at 3.95 GHz 5.7 deg for r = 0.1 m and 1.7 deg for 0.34 m.
 
     Args:
         capture: with angles; integer samples become float32.
-        views: sectors a turn.
+        views: sectors per turn.
 
     Returns:
-        a capture with one view per sector that holds scans, at the mean angle of its scans. Flags are
-        combined; times, scan numbers and antenna positions do not survive the averaging.
+        a capture with one view per non-empty sector, at the mean angle of its scans. Flags are
+        combined; times, scan numbers and antenna positions are dropped.
 
     Raises:
-        DataError: the capture has no angles. UsageError: no views asked.
+        DataError: the capture has no angles. UsageError: views is not positive.
     """
     if capture.angles_rad is None:
         raise DataError(
@@ -100,7 +100,7 @@ def average_into_views(capture: Capture, views: int) -> Capture:
             "Resolve the angles first: --motion free.",
         )
     if views < 1:
-        raise UsageError(f"{views} views a turn", "Give 1 or more.")
+        raise UsageError(f"{views} views per turn", "Give 1 or more.")
     angles = capture.angles_rad
     wrapped = (angles - angles[0]) % (2 * np.pi)
     # Sectors are centred on multiples of the step, the last half joins the first.

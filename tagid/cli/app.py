@@ -1,4 +1,4 @@
-"""The `tagid` program: its commands, and the last line of defence for wrong command lines.
+"""The `tagid` program: its commands, and the last handler for invalid command lines.
 
 It imports no numerics, so that `tagid --help` answers at once.
 """
@@ -33,7 +33,7 @@ from tagid.cli.radar import app as radar
 
 app = typer.Typer(
     name="tagid",
-    help="Read the identity of a tagged object from radar scans of it turning.",
+    help="Read the identity of a tagged object from radar scans taken while it turns.",
     epilog="Try it without a radar: tagid scan --demo",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
@@ -76,5 +76,5 @@ def _root(
 
 
 def main() -> None:
-    """Entry point: run the command line, with every wrong command line answered in the wanted format."""
+    """Entry point: run the command line, and report an invalid one in the requested format."""
     sys.exit(serve(app))

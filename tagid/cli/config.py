@@ -1,4 +1,4 @@
-"""`tagid config`: settings and where they came from."""
+"""`tagid config`: settings and their sources."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def register(app: typer.Typer) -> None:
         name: Annotated[str | None, typer.Argument(help="A setting, e.g. radar.url.")] = None,
         value: Annotated[str | None, typer.Argument(help="Its new value.")] = None,
     ) -> Result:
-        """Show or change the settings that outlive a command.
+        """Show or change the stored settings.
 
         Example: tagid config set radar.url udp://192.168.1.100
         """
@@ -36,13 +36,13 @@ def register(app: typer.Typer) -> None:
                     "e.g. `tagid config set motion.axis_distance_m 1.0`, `tagid config unset radar.url`.",
                 )
             path = change_file(name, value)
-            text = f"{name} = {value}" if value is not None else f"{name} is back to its default"
+            text = f"{name} = {value}" if value is not None else f"{name} reset to its default"
             return Result("config", {"path": str(path), name: value}, Text(f"{text} ({path})"))
         loaded = load_config()
         if action == "path":
             return Result("config", {"path": str(loaded.path)}, Text(str(loaded.path)))
         if action != "list":
-            raise UsageError(f"there is no action {action!r}", "Use list, set, unset or path.")
+            raise UsageError(f"unknown action {action!r}", "Use list, set, unset or path.")
         table = Table("setting", "value", "from", "meaning", box=None)
         for setting in SETTINGS:
             entry = loaded.values[setting.name]

@@ -1,4 +1,4 @@
-"""`tagid doctor`: what keeps it from working here, and what to do."""
+"""`tagid doctor`: find problems on this computer, and suggest remedies."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`tagid history`: what was identified on this computer, listed, filtered, exported."""
+"""`tagid history`: list, filter and export the identifications made on this computer."""
 
 from __future__ import annotations
 
@@ -33,21 +33,22 @@ def register(app: typer.Typer) -> None:
         terminal: Terminal,
         action: Annotated[str, typer.Argument(help="list or export.")] = "list",
         file: Annotated[
-            Path | None, typer.Argument(help="Of export: a .parquet or .csv file.", show_default=False)
+            Path | None, typer.Argument(help="For export: a .parquet or .csv file.", show_default=False)
         ] = None,
         status: Annotated[
             str | None, typer.Option("--status", help="identified, unknown, ambiguous, no_tag, failed.")
         ] = None,
         layout: Annotated[str | None, typer.Option("--layout", help="Name of a layout.")] = None,
         uuid: Annotated[str | None, typer.Option("--uuid", help="UUID of a capture.")] = None,
-        part: Annotated[str | None, typer.Option("--file", help="A part of the file's name.")] = None,
+        part: Annotated[str | None, typer.Option("--file", help="Part of the file name.")] = None,
         made_by: Annotated[
-            str | None, typer.Option("--command", help="scan, identify or report made it.")
+            str | None, typer.Option("--command", help="Made by scan, identify or report.")
         ] = None,
         since: Annotated[str | None, typer.Option("--since", help="From this date or time on, UTC.")] = None,
         until: Annotated[str | None, typer.Option("--until", help="Before this date or time, UTC.")] = None,
         limit: Annotated[
-            int | None, typer.Option("--limit", help="The newest so many; 20 on a terminal, else all.")
+            int | None,
+            typer.Option("--limit", help="Newest entries to show; default 20 on a terminal, else all."),
         ] = None,
     ) -> Result:
         """List the identifications made on this computer, newest first, or export them.
@@ -64,7 +65,7 @@ def register(app: typer.Typer) -> None:
             return _export(store, file, wanted)
         if action != "list" or file is not None:
             raise UsageError(
-                f"there is no action {action!r}", "Use `tagid history` or `tagid history export FILE`."
+                f"unknown action {action!r}", "Use `tagid history` or `tagid history export FILE`."
             )
         return _list(terminal, store, wanted)
 
@@ -112,5 +113,5 @@ def _list(terminal: Terminal, store: Any, wanted: Any) -> Result:
         )
     notes = (f"the newest {len(rows)} of {total}; --limit shows more",) if total > len(rows) else ()
     if not total:
-        notes = ("nothing in the history fits",)
+        notes = ("no matching entries",)
     return Result("history", data, shown, messages=notes, csv=text.getvalue())

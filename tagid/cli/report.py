@@ -1,4 +1,4 @@
-"""`tagid report`: identify many captures and write what people and programs keep of it."""
+"""`tagid report`: identify many captures and write a report."""
 
 from __future__ import annotations
 
@@ -38,33 +38,35 @@ def register(app: typer.Typer) -> None:
         expect: Annotated[
             Path | None, typer.Option("--expect", help="CSV with file,expected_layout to compare with.")
         ] = None,
-        resume: Annotated[bool, typer.Option("--resume", help="Go on without redoing what is done.")] = False,
+        resume: Annotated[
+            bool, typer.Option("--resume", help="Continue an earlier run; keep its answers.")
+        ] = False,
         fail_fast: Annotated[bool, typer.Option("--fail-fast", help="Stop at the first failure.")] = False,
         watch: Annotated[
-            Path | None, typer.Option("--watch", help="Keep identifying what arrives in this folder.")
+            Path | None, typer.Option("--watch", help="Keep identifying new captures in this folder.")
         ] = None,
         idle_stop: Annotated[
-            float | None, typer.Option("--idle-stop", help="With --watch: end after so many idle seconds.")
+            float | None, typer.Option("--idle-stop", help="With --watch: stop after this many idle seconds.")
         ] = None,
-        jobs: Annotated[int, typer.Option("--jobs", "-j", help="Processes; 0 takes every core.")] = 0,
+        jobs: Annotated[int, typer.Option("--jobs", "-j", help="Worker processes; 0: one per core.")] = 0,
         dask: Annotated[
             str | None, typer.Option("--dask", help="Scheduler of a Dask cluster, tcp://HOST:PORT.")
         ] = None,
         pictures: Annotated[bool, typer.Option("--pictures/--no-pictures", help="Draw each object.")] = True,
         page_megabytes: Annotated[
-            float, typer.Option("--page-megabytes", help="All pictures of the page together, MB.")
+            float, typer.Option("--page-megabytes", help="Limit for all pictures of the page, MB.")
         ] = 32.0,
-        title: Annotated[str, typer.Option("--title", help="The page's headline.")] = "",
+        title: Annotated[str, typer.Option("--title", help="Title of the page.")] = "",
         method: options.Method = None,
         motion: options.MotionUrl = None,
         axis_distance: options.AxisDistance = None,
         antenna_height: options.AntennaHeight = None,
         background: options.Background = "mean",
     ) -> Result:
-        """Identify many captures: a page, tables and a test report.
+        """Identify many captures: write a page, tables and a test report.
 
-        Pictures are drawn by backprojection unless --method or the configuration says otherwise. Ctrl-C
-        leaves a report of what is finished; --resume goes on from there.
+        Pictures use backprojection unless --method or the configuration selects another method. Ctrl-C still
+        writes a report of the finished items; --resume continues from there.
 
         Example: tagid report captures/ --out report --expect manifest.csv
         """
@@ -118,7 +120,7 @@ def _job(config: Config, background: str, pictures: bool) -> Job:
     from tagid.pipeline.load import LoadSettings
 
     settings = imaging.settings_from(config, background)
-    # A picture by the slower methods takes as long as ten identifications: only where it is asked for.
+    # The slower methods take as long per picture as ten identifications: use them only on request.
     method = "bp" if settings.method == "auto" else settings.method
     enrolled = imaging.open_registry().contents()
     return Job(
@@ -137,7 +139,7 @@ def _watch(folder: Path | None, out: Path, idle_stop: float | None) -> Any:
     if folder is None:
         return None
     if not folder.is_dir():
-        raise UsageError(f"--watch {folder} is not a folder", "Give the folder in which captures arrive.")
+        raise UsageError(f"--watch {folder} is not a folder", "Give the folder where captures arrive.")
     return FolderWatch(folder, out, idle_stop_s=idle_stop)
 
 
@@ -210,7 +212,7 @@ def _result(terminal: Terminal, plan: Plan, finished: Finished, notes: tuple[str
     if finished.interrupted:
         stop = CaptureInterrupted(
             f"stopped by the user after {summary['items']} of {summary['inputs']} items",
-            f"The report in {plan.out} holds them; add --resume to go on.",
+            f"The report in {plan.out} holds them; add --resume to continue.",
         )
         errors.append({"code": stop.code, "message": stop.message, "remedy": stop.remedy})
         code, status = EXIT_INTERRUPTED, "partial"
@@ -227,16 +229,16 @@ def _result(terminal: Terminal, plan: Plan, finished: Finished, notes: tuple[str
 def _remarks(plan: Plan, finished: Finished) -> list[str]:
     remarks = []
     if finished.reused:
-        remarks.append(f"{finished.reused} answers were taken over from the earlier run")
+        remarks.append(f"{finished.reused} answers were reused from the earlier run")
     for twin in finished.summary["duplicate_uuids"][:5]:
         what = "copies of one capture" if twin["same_content"] else "different files with one capture UUID"
         remarks.append(f"{what}, {twin['capture_uuid']}: {', '.join(twin['files'][:4])}")
     more = len(finished.summary["duplicate_uuids"]) - 5
     if more > 0:
-        remarks.append(f"{more} more captures come in several files; summary.json lists them")
+        remarks.append(f"{more} more captures are in several files; summary.json lists them")
     if plan.inputs.passed_over:
-        remarks.append(f"{len(plan.inputs.passed_over)} files in the folders are no recordings")
-    remarks += [f"could not look into {folder}" for folder in plan.inputs.unreadable[:5]]
+        remarks.append(f"{len(plan.inputs.passed_over)} files in the folders are not recordings")
+    remarks += [f"cannot read folder {folder}" for folder in plan.inputs.unreadable[:5]]
     expected = finished.summary["expected"]
     if expected and expected["not_in_manifest"]:
         remarks.append(f"{expected['not_in_manifest']} items are not in the manifest")

@@ -1,4 +1,4 @@
-"""`tagid import`, `export` and `recover`: captures from and to other formats, and back from a journal."""
+"""`tagid import`, `export` and `recover`: convert captures, and rebuild them from a journal."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tagid.result import Result
 
 CAPTURE_SUFFIX = ".tagid.h5"
 _Out = Annotated[Path | None, typer.Option("--out", "-o", help="File to write.", show_default=False)]
-_Force = Annotated[bool, typer.Option("--force", help="Write over a file that exists.")]
+_Force = Annotated[bool, typer.Option("--force", help="Overwrite an existing file.")]
 
 
 def register(app: typer.Typer) -> None:
@@ -32,7 +32,7 @@ def register(app: typer.Typer) -> None:
         node: options.Node = None,
         force: _Force = False,
     ) -> Result:
-        """Turn a recording of another tool into a capture file.
+        """Convert another tool's recording to a capture file.
 
         Example: tagid import scan08.out --out scan08.tagid.h5
         """
@@ -51,7 +51,9 @@ def register(app: typer.Typer) -> None:
         )
         target = _target(file, out, CAPTURE_SUFFIX, force)
         if not target.name.endswith(".h5"):
-            raise UsageError(f"{target} does not end in {CAPTURE_SUFFIX}", "Use `tagid export` for others.")
+            raise UsageError(
+                f"{target} does not end in {CAPTURE_SUFFIX}", "Use `tagid export` for other formats."
+            )
         capture = load_capture(file, LoadSettings.of(config, node=node), turn=False)
         write_capture(target, capture)
         line = Text(f"{target}: {capture.views} scans of {capture.bins} samples")
@@ -93,11 +95,11 @@ def register(app: typer.Typer) -> None:
     @command(app, "recover")
     def recover(
         terminal: Terminal,
-        journal: Annotated[Path, typer.Argument(help="The .tagid.journal that was left.")],
+        journal: Annotated[Path, typer.Argument(help="The .tagid.journal file.")],
         out: _Out = None,
         force: _Force = False,
     ) -> Result:
-        """Make a capture file of the journal that a killed recording left.
+        """Make a capture file from the journal of an interrupted recording.
 
         Example: tagid recover scan-20260102-101112.tagid.journal
         """
@@ -113,7 +115,7 @@ def register(app: typer.Typer) -> None:
         state = "complete" if written.complete else "cut short"
         lines = [f"{written.views} scans recovered, the recording was {state}", *map(str, written.paths)]
         dropped = written.bytes_dropped
-        messages = (f"{dropped} bytes of the journal belong to no whole scan and were left out",)
+        messages = (f"{dropped} bytes of the journal were dropped because they hold no whole scan",)
         data = {
             "path": str(written.paths[0]),
             "paths": [str(path) for path in written.paths],
@@ -125,7 +127,7 @@ def register(app: typer.Typer) -> None:
 
 
 def _add_measured_angles(journal: Path, target: Path) -> None:
-    """Write the capture once more with its angles, where the motion measured them while recording."""
+    """Rewrite the capture with its angles, if the motion device measured them."""
     from tagid.pipeline.resolve import with_measured_angles
     from tagid.storage.hdf5 import write_capture
     from tagid.storage.journal_capture import read_journal_capture

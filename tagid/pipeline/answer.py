@@ -1,6 +1,6 @@
-"""The answer to "what is this object" as a value: the contract's fields, and nothing of how it was found.
+"""The answer to "what is this object" as a value with the fields of the JSON contract.
 
-Commands, batch runs and the history pass it on, so it has one way to become JSON.
+Commands, batch runs and the history share it, so that its JSON form is defined once.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ class Identification:
     """The answer to "what is this object" (contract: Identification).
 
     Attributes:
-        reading: what the scans say; None where status is "failed".
+        reading: result of reading the scans; None where status is "failed".
         status: "identified", "unknown", "ambiguous", "no_tag" or "failed".
-        capture_uuid, registry_version, label: provenance and the name for people.
-        seconds: of each stage.
+        capture_uuid, registry_version, label: provenance and readable name.
+        seconds: seconds per stage.
         error: {code, message, remedy} where status is "failed".
-        second: what the network says of the image; None for free antenna positions and where status is
+        second: the network's result for the image; None for free antenna positions and where status is
             "failed".
     """
 
@@ -103,7 +103,7 @@ class Identification:
         ]
 
     def _reflectors(self) -> list[dict[str, Any]]:
-        """Those of the reading, with the network's probabilities where it was asked."""
+        """The scores of the reading, with the network's probabilities if it was used."""
         found = self.reading.reflectors if self.reading else ()
         rows: list[dict[str, Any]] = [
             {"x_m": p.x_m, "y_m": p.y_m, "amplitude_db": p.amplitude_db, "matched": p.matched} for p in found

@@ -1,7 +1,7 @@
-"""The way in: any recording becomes a capture that is ready for imaging and reading.
+"""Loads any recording as a capture that is ready for imaging and reading.
 
-read -> missing geometry -> reference background -> angles -> one turn. Every command and every batch worker
-loads through `load_capture`, so that a shared option means the same everywhere.
+read -> missing geometry -> reference background -> angles -> one turn. All commands and batch workers use
+`load_capture`, so that a shared option has the same effect everywhere.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ class Default:
     """A value for captures that lack it.
 
     Attributes:
-        value: the value; None where there is none.
-        overrides: whether it also replaces what the capture holds (it was given on the command line).
+        value: the value; None if there is none.
+        overrides: whether it also replaces the capture's own value (it was given on the command line).
     """
 
     value: Any = None
@@ -35,11 +35,11 @@ class Default:
 
 @dataclass(frozen=True, eq=False)
 class LoadSettings:
-    """What is applied to a capture while it is loaded.
+    """Settings applied while a capture is loaded.
 
     Attributes:
         cable_delay_ps: two-way cable delay to subtract from the ranges of raw recordings, ps.
-        node: number of the radar to read, where a log holds several.
+        node: number of the radar to read, if a log holds several.
         axis_distance_m, antenna_height_m: geometry for captures that lack it, m.
         motion: device URL of what turned the object.
         motion_is_default: whether `motion` is only the built-in default; a capture's own URL then wins.
@@ -67,8 +67,8 @@ class LoadSettings:
 
         Raises:
             UsageError: unknown background.
-            ConfigError: a reference background is wanted and none was recorded; StorageError and
-                FileFormatError where its file cannot be read.
+            ConfigError: a reference background is requested but was not recorded; StorageError and
+                FileFormatError if its file cannot be read.
         """
         if background not in BACKGROUNDS:
             raise UsageError(f"--background is {background!r}", f"Use {', '.join(BACKGROUNDS)}.")
@@ -89,7 +89,7 @@ class LoadSettings:
         )
 
     def described(self) -> dict[str, Any]:
-        """Everything here that an answer depends on, as plain JSON values."""
+        """All settings that an answer depends on, as plain JSON values."""
         given = {
             "motion.url": self.motion,
             "motion.axis_distance_m": self.axis_distance_m,
@@ -107,10 +107,10 @@ class LoadSettings:
         }
 
     def motion_for(self, capture: Capture) -> str | None:
-        """Motion that gives the capture its angles; None keeps those it has.
+        """URL of the motion that determines the angles; None keeps those of the capture.
 
-        The command line comes first, then the angles or positions of the capture, then the URL that it was
-        recorded with, then the configuration.
+        Precedence: command line, angles or positions of the capture, the URL it was recorded with,
+        configuration.
         """
         known = capture.angles_rad is not None
         if self.motion.overrides and not (known and self.as_recorded):
@@ -126,15 +126,15 @@ def load_capture(source: Path | Capture, settings: LoadSettings | None = None, t
     """A recording, ready for imaging and reading.
 
     Args:
-        source: a file in any format that `tagid` reads, or a capture that is in memory already.
-        settings: what to apply; by default nothing is known beyond the file.
+        source: a file in any format that `tagid` reads, or a capture in memory.
+        settings: settings to apply; by default only what the file holds.
         turn: resolve the angles and reduce the scans to one turn of views; False keeps every scan, for
             inspection.
 
     Raises:
         StorageError: the file cannot be read. FileFormatError: unknown format, or damaged.
         UsageError: scans of several radars and no `node`.
-        DataError: no angles and none to be found, or a reference background that does not fit.
+        DataError: no angles known or found, or the reference background does not match.
     """
     settings = settings or LoadSettings()
     capture = (

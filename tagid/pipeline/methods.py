@@ -1,7 +1,7 @@
-"""Every imaging method by its name, so that commands, tests and benchmarks mean the same by it.
+"""The imaging methods by name, shared by commands, tests and benchmarks.
 
-Each takes baseband scans and a grid about the origin and gives an image; what it wants of the preprocessing
-stands beside it.
+Each takes baseband scans and a grid about the origin and returns an image; its preprocessing requirements
+are listed with it.
 """
 
 from __future__ import annotations
@@ -19,20 +19,20 @@ Progress = Callable[[float, float, str], None]
 """Called with (done, total, remark)."""
 
 OMP_POINTS = 32
-"""Points of matching pursuit at most: two or three times the reflectors of any tag."""
+"""Maximum number of points of matching pursuit: two or three times the reflectors of any tag."""
 OMP_STOP = 4.5
-"""It ends where no correlation exceeds this many standard deviations of noise: the largest of 10^4 pixels of
+"""It stops when no correlation exceeds this many standard deviations of noise: the largest of 10^4 pixels of
 pure noise reaches 3.5 to 4."""
 
 
 @dataclass(frozen=True)
 class MethodInfo:
-    """What a method is and wants.
+    """A method and its preprocessing requirements.
 
     Attributes:
-        title: for tables and pictures.
-        matched_filter: whether it takes scans correlated with the pulse.
-        sparse: whether its pixels are reflectivities, finer than the data resolve.
+        title: title for tables and pictures.
+        matched_filter: whether it needs scans correlated with the pulse.
+        sparse: whether its pixels are reflectivities, finer than the resolution of the data.
     """
 
     title: str
@@ -63,13 +63,13 @@ def make_image(
     """Image of scans by a method of `METHODS`.
 
     Args:
-        scans: preprocessed as the method's `MethodInfo` says.
-        grid: pixels about the origin.
+        scans: preprocessed as the method's `MethodInfo` requires.
+        grid: image grid about the origin.
         method: a key of `METHODS`.
         seed: random seed.
         preset: "field" or "paper", for ats.
-        progress: called while the slow ones run.
-        ats: how ats with the preset "field" fits; its seed is the one above.
+        progress: called during the slow methods.
+        ats: settings of ats with the preset "field"; its seed is `seed`.
     """
 
     def steps(step: int, of: int, loss: float) -> None:

@@ -1,6 +1,6 @@
 """A capture made ready for imaging and reading; each derived quantity is computed once and shared.
 
-A scan is imaged, read and shown to the network. All three take their baseband scans and pulse from here.
+Imaging, reading and the network share its baseband scans and pulse.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from tagid.pipeline.settings import ImagingSettings, Stopwatch
 from tagid.pipeline.turn import resolve_turn
 
 MAX_VIEWS = 360
-"""Scans are averaged into at most this many views per turn: 1 degree, the paper's step; it moves a reflector
-on the rim of a 0.25 m object by 4.4 mm, under an eighth of a wavelength."""
+"""Scans are averaged into at most this many views per turn: 1 degree, the paper's step, displaces a reflector
+at a radius of 0.25 m by 4.4 mm, less than an eighth of a wavelength."""
 MAX_POSITIONS = 2000
-"""Free antenna positions are not averaged but thinned to this number."""
+"""Free antenna positions are thinned, not averaged, to this number."""
 
 
 def prepare(capture: Capture, motion: str | None = None) -> Capture:
@@ -29,26 +29,26 @@ def prepare(capture: Capture, motion: str | None = None) -> Capture:
 
     Args:
         capture: any capture.
-        motion: device URL of what turned the object; None keeps the angles of the capture, or estimates the
-            rotation period from the data where it has none.
+        motion: URL of the motion device; None keeps the angles of the capture, or estimates the rotation
+            period from the data if it has none.
 
     Raises:
-        DataError: the angles are neither given nor found in the data.
+        DataError: the angles are neither known nor found in the data.
     """
     turned = resolve_turn(capture, motion)
     return one_turn(turned, MAX_VIEWS if turned.antenna_positions_m is None else MAX_POSITIONS)
 
 
 class PreparedCapture:
-    """A prepared capture with its settings, its pulse and its baseband scans.
+    """A prepared capture with its settings, pulse and baseband scans.
 
     Args:
         capture: the result of `prepare`.
-        settings: of imaging and reading.
+        settings: settings of imaging and reading.
 
     Attributes:
         settings: as given.
-        watch: seconds spent here, by stage ("pulse", "preprocess").
+        watch: seconds per stage ("pulse", "preprocess").
     """
 
     def __init__(self, capture: Capture, settings: ImagingSettings | None = None) -> None:
@@ -61,26 +61,26 @@ class PreparedCapture:
 
     @property
     def given(self) -> Capture:
-        """The capture as it was given, before the choice of a pulse."""
+        """The capture as given, before a pulse was selected."""
         return self._given
 
     @property
     def capture(self) -> Capture:
-        """The capture with the pulse that the settings ask for. Raises DataError where the estimate fails."""
+        """The capture with the pulse selected by the settings. Raises DataError where the estimate fails."""
         if self._with_pulse is None:
             self._with_pulse = self._choose_pulse()
         return self._with_pulse
 
     @property
     def pulse_estimate(self) -> PulseEstimate | None:
-        """The estimate of the pulse; None where the settings ask for none."""
+        """The estimate of the pulse; None if the settings select none."""
         return self._estimate if self.capture is not None else None
 
     def scans(self, settings: PreprocessSettings) -> BasebandScans:
         """The baseband scans for these settings, computed at the first call.
 
         Raises:
-            DataError: too few views or bins, or the object lies outside the range window.
+            DataError: too few views or bins, or the object is outside the range window.
         """
         if settings not in self._scans:
             capture = self.capture
@@ -104,10 +104,10 @@ class PreparedCapture:
 def as_prepared(capture: Capture | PreparedCapture, settings: ImagingSettings | None) -> PreparedCapture:
     """The prepared capture itself, or one of a plain capture and settings.
 
-    Raises UsageError where settings accompany a `PreparedCapture`, which has its own.
+    Raises UsageError if settings are given with a `PreparedCapture`, which has its own.
     """
     if isinstance(capture, Capture):
         return PreparedCapture(capture, settings)
     if settings is not None and settings != capture.settings:
-        raise UsageError("a PreparedCapture brings its own settings", "Make a new one with other settings.")
+        raise UsageError("a PreparedCapture has its own settings", "Make a new one with other settings.")
     return capture

@@ -1,6 +1,6 @@
-"""From a recording without angles to one turn of views with angles: what imaging asks of motion.
+"""From a recording without angles to one turn of views with angles, as imaging needs it.
 
-It joins the clock, the motion device and the thinning of views, so that scanning and reading a file agree.
+It combines clock, motion device and thinning of views; live scans and files use the same code.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from tagid.motion.urls import open_motion
 
 
 def clock_of(capture: Capture) -> UniformClock:
-    """The clock of a capture: of the radar's stamps where there are any, else of the host's arrival times.
+    """The clock of a capture: from the radar's timestamps if any, else from the host's arrival times.
 
     Raises:
         DataError: neither is known, or they do not advance.
@@ -34,16 +34,15 @@ def clock_of(capture: Capture) -> UniformClock:
 
 
 def with_angles(capture: Capture, motion: str | None = None) -> Capture:
-    """The capture with an angle and a sigma for every scan.
+    """The capture with an angle and its sigma for every scan.
 
     Args:
         capture: any capture.
-        motion: device URL of what turned the object. None keeps angles or antenna positions that are there,
-            and else takes the period from the data. Of a device that measures, the angles are those of the
-            recording.
+        motion: URL of the motion device. None keeps the angles or antenna positions of the capture, or else
+            estimates the period from the data. Measuring devices use the angles of the recording.
 
     Raises:
-        UsageError: the URL makes no sense. DataError: no times, or no period in the data and no speed given.
+        UsageError: invalid URL. DataError: no times, or no period in the data and no speed given.
     """
     known = capture.angles_rad is not None or capture.antenna_positions_m is not None
     if motion is None and known:
@@ -69,7 +68,7 @@ def with_angles(capture: Capture, motion: str | None = None) -> Capture:
 
 
 def with_measured_angles(capture: Capture) -> Capture:
-    """A recovered capture with the angles that its motion measured, where it did; else as it is."""
+    """A recovered capture with the angles measured by its motion device, if any; else unchanged."""
     if capture.motion.track is None:
         return capture
     try:
@@ -79,7 +78,7 @@ def with_measured_angles(capture: Capture) -> Capture:
 
 
 def turn_line(resolved: ResolvedMotion | None) -> str:
-    """How the angles were found, in one line; "" where that is not known.
+    """One line on how the angles were found; "" if unknown.
 
     >>> turn_line(ResolvedMotion(turns=1.312, period_s=8.63, quality=0.97, kind="free"))
     '1.31 turns of 8.63 s (free), period quality 0.97'
@@ -99,10 +98,10 @@ def turn_line(resolved: ResolvedMotion | None) -> str:
 
 
 def one_turn(capture: Capture, max_views: int) -> Capture:
-    """At most so many views, evenly over one turn.
+    """At most `max_views` views, evenly spaced over one turn.
 
-    Denser scans are averaged into views, which lowers the noise; otherwise the scans of the first turn
-    stay as they are. A capture of free antenna positions is thinned only.
+    Denser scans are averaged into views, which lowers the noise; otherwise the scans of the first turn are
+    kept. A capture of free antenna positions is thinned only.
     """
     if capture.angles_rad is None:
         every = -(-capture.views // max_views)

@@ -1,4 +1,4 @@
-"""How a capture becomes an image and an answer: the settings of the pipeline, validated when made."""
+"""Settings of the pipeline from capture to image and answer, validated when made."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ MOST_FREE_PIXELS = 512
 
 @dataclass(frozen=True)
 class ImagingSettings:
-    """How a capture becomes an image.
+    """Settings of imaging and reading.
 
     Attributes:
         method: a name of `tagid.pipeline.methods.METHODS`, or "auto", which is ats.
@@ -48,9 +48,9 @@ class ImagingSettings:
         held_out: compute how well the image predicts views that it was not made from
             (`tagid.imaging.heldout`).
         free_size: whether extent and pixels may follow the echoes of free antenna positions.
-        pulse: "auto", the one in the capture or else the nominal one of its band; "nominal"; or "estimate",
-            found from the scans where that explains them better (`tagid.imaging.pulsefit`).
-        false_accept: probability of naming what is no tag, or a tag that nobody enrolled.
+        pulse: "auto", the pulse of the capture or else the nominal one of its band; "nominal"; or "estimate",
+            estimated from the scans if that fits them better (`tagid.imaging.pulsefit`).
+        false_accept: probability of identifying an object without an enrolled tag.
         direction_known: see `tags.matcher.ReaderSettings`.
     """
 
@@ -82,7 +82,7 @@ class ImagingSettings:
             if reach is not None and not (np.isfinite(reach) and reach >= 0):
                 raise UsageError(f"the {name} is {reach} m", "Give zero or more metres.")
         if self.pulse not in PULSES:
-            raise UsageError(f"there is no pulse {self.pulse!r}", f"Use {', '.join(PULSES)}.")
+            raise UsageError(f"unknown pulse {self.pulse!r}", f"Use {', '.join(PULSES)}.")
         if self.method not in METHODS:
             raise UsageError(f"there is no imaging method {self.method!r}", f"Use {', '.join(METHODS)}.")
 
@@ -108,7 +108,7 @@ class Stopwatch:
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Time one stage; stages of one name add up."""
+        """Time one stage; stages of the same name add up."""
         start = time.perf_counter()
         try:
             yield

@@ -1,7 +1,7 @@
-"""Which multiple of the shortest repetition is a whole turn, decided by the image that explains the scans.
+"""Selects the multiple of the shortest repetition that is a full turn, by imaging.
 
-An object alike after 1/n of a turn repeats n times a turn, which no autocorrelation can tell from a faster
-table; but only at the true speed do a few points at rest explain how the echoes move.
+An object with n-fold symmetry repeats n times per turn, which autocorrelation cannot distinguish from a
+faster table. Only at the true speed do a few fixed points explain how the echoes move.
 """
 
 from __future__ import annotations
@@ -20,23 +20,23 @@ from tagid.motion.urls import open_motion
 from tagid.pipeline.resolve import one_turn, with_angles
 
 MULTIPLES = (1, 2, 3, 4)
-"""Symmetries that are looked for: a tag of four reflectors can be alike four times a turn."""
+"""Symmetries that are tested: a tag of four reflectors can repeat four times per turn."""
 _SHORTEST_TURN = 0.3
-"""Part of a turn that must be recorded before a multiple can be judged."""
+"""Fraction of a turn that must be recorded before a multiple can be tested."""
 _POINTS = 6
 _GRID = ImageGrid(0.3, 60)
-"""Holds the layouts (radius up to 130 mm) at the Nyquist step of the point response, 5 mm < lambda / 8."""
+"""Covers the layouts (radius up to 130 mm) with the Nyquist step of the point response, 5 mm < lambda / 8."""
 _VIEWS = 90
 _BETTER = 0.7
-"""A multiple is believed where it leaves less than this share of what the shortest repetition leaves: on
-the four layouts at 10 and 20 dB the true one leaves 0.05 to 0.4."""
+"""A multiple is accepted if its residual is below this fraction of the shortest repetition's: on
+the four layouts at 10 and 20 dB the true one has 0.05 to 0.4."""
 
 
 def resolve_turn(capture: Capture, motion: str | None = None) -> Capture:
-    """The capture with angles; a period from the data alone is checked for being a part of a turn.
+    """The capture with angles; a period from the data alone is checked for being a fraction of a turn.
 
     Args:
-        capture: any capture; angles and positions that are there stay unless a motion is named.
+        capture: any capture; existing angles and positions are kept unless a motion is given.
         motion: device URL; None takes the period from the data.
 
     Raises:
@@ -65,7 +65,7 @@ def resolve_turn(capture: Capture, motion: str | None = None) -> Capture:
         try:
             left[multiple] = unexplained_share(candidates[multiple])
         except DataError:
-            # The object lies outside the window or nothing turns: imaging will say so better.
+            # The object is outside the window or nothing rotates: imaging reports that more clearly.
             return first
     best = min(left, key=lambda multiple: left[multiple])
     if left[best] >= _BETTER * left[1]:
@@ -82,9 +82,9 @@ def resolve_turn(capture: Capture, motion: str | None = None) -> Capture:
 
 
 def unexplained_share(capture: Capture) -> float:
-    """Share of the energy above noise that six points at rest leave unexplained (matching pursuit).
+    """Fraction of the energy above noise that six fixed points do not explain (matching pursuit).
 
-    Raises DataError where the capture cannot be imaged.
+    Raises DataError if the capture cannot be imaged.
     """
     settings = PreprocessSettings(extent_m=_GRID.extent, matched_filter=False)
     scans = preprocess(one_turn(capture, _VIEWS), settings=settings)

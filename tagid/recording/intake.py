@@ -23,7 +23,7 @@ from tagid.storage.journal import JournalScan, JournalWriter
 from tagid.storage.journal_queue import JournalQueue, drop_note
 
 _MOST_GAPS: Final = 1000
-"""Gaps that are described one by one; all are counted."""
+"""Gaps described individually; all are counted."""
 
 _HOST_SLACK_S: Final = 1.0
 """How much later than the radar's clock the host's clock ends a recording, s: transport takes time."""
@@ -49,15 +49,15 @@ class Intake:
     """One recording's scans.
 
     Args:
-        radar: connected and set.
+        radar: connected and configured.
         queue: leads to the journal.
-        resume_s: how long a radar that is gone is waited for, s.
-        on_gap: told of each gap when scans arrive again.
+        resume_s: longest wait for a lost radar, s.
+        on_gap: called for each gap when scans arrive again.
 
     Attributes:
-        scans_taken: scans put into the queue.
-        gap_count: times the radar was gone.
-        gaps: the first 1000 of them.
+        scans_taken: number of scans put into the queue.
+        gap_count: number of times the radar was lost.
+        gaps: the first 1000 gaps.
     """
 
     def __init__(
@@ -88,7 +88,7 @@ class Intake:
 
     @property
     def scans_lost(self) -> int:
-        """Scans that did not come whole."""
+        """Number of lost or incomplete scans."""
         return self._radar.statistics.lost_scans
 
     def scans(
@@ -168,7 +168,7 @@ class Intake:
 
 
 def notes(radar: RadarInfo) -> list[str]:
-    """What a user should know of a recording, one sentence each."""
+    """Remarks on a recording for the user, one sentence each."""
     found = []
     if lost := radar.scans_lost:
         found.append(f"{lost} scan{'' if lost == 1 else 's'} lost between radar and computer")
@@ -182,6 +182,6 @@ def notes(radar: RadarInfo) -> list[str]:
         times = "once" if radar.gap_count == 1 else f"{radar.gap_count} times"
         why = radar.gaps[0].reason if radar.gaps else ""
         found.append(
-            f"the radar was gone {times}, {seconds:.1f} s in all; recording continued afterwards ({why})"
+            f"the radar was lost {times}, for {seconds:.1f} s in total; recording then continued ({why})"
         )
     return found

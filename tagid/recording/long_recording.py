@@ -48,12 +48,12 @@ class RecordingLimits:
 
 @dataclass(frozen=True)
 class RecordingState:
-    """How far it is.
+    """Progress of a recording.
 
     Attributes:
         scans: in the journal.
-        seconds: since the first, on the radar's clock, s.
-        lost: scans that did not come whole.
+        seconds: since the first scan, on the radar's clock, s.
+        lost: lost or incomplete scans.
         journal_bytes: size of the journal.
     """
 
@@ -65,7 +65,7 @@ class RecordingState:
 
 @dataclass(frozen=True)
 class RecordingWatch:
-    """Callbacks of a recording, and what ends it.
+    """Callbacks of a recording.
 
     Attributes:
         progress: told about twice a second of scans.
@@ -82,9 +82,9 @@ class RecordingWatch:
 
 
 def part_path(first: Path, part: int) -> Path:
-    """The path of part 1, 2, ... of a recording that is too long for one file; `first` is that of part 1.
+    """The path of part 1, 2, ... of a split recording; `first` is that of part 1.
 
-    Raises StorageError where it is taken.
+    Raises StorageError if it exists.
     """
     if part == 1:
         return first
@@ -97,21 +97,21 @@ def part_path(first: Path, part: int) -> Path:
 def record_long(
     radar: P440, plan: RecordingPlan, limits: RecordingLimits, path: Path, watch: RecordingWatch | None = None
 ) -> WrittenCaptures:
-    """Record until a limit or until told to stop, in constant memory, and write the capture file or files.
+    """Record until a limit or a stop request, in constant memory, and write the capture file or files.
 
-    The journal lies beside them while recording. It is removed after all of them were read back and compared.
-    If the radar fails, what arrived is written as not complete, and the error says where. A stop signal takes
-    effect while scans arrive; later ones wait for the files.
+    The journal is next to them while recording, and is removed after all of them were read back and compared.
+    If the radar fails, the received scans are written as incomplete, and the error says where. A stop signal
+    takes effect while scans arrive; later ones are delayed until the files are written.
 
     Args:
         radar: not connected yet.
         plan: settings and geometry; its scans, seconds and motion are not used.
-        limits: when it ends.
-        path: of the first capture file.
+        limits: limits of the recording.
+        path: path of the first capture file.
         watch: callbacks.
 
     Raises:
-        DeviceError and its kinds: the radar failed. DiskFullError, StorageError: files; the journal stays.
+        DeviceError and its kinds: the radar failed. DiskFullError, StorageError: files; the journal is kept.
         DataError: no scan arrived.
     """
     watch = watch or RecordingWatch()
@@ -137,7 +137,7 @@ def record_long(
 
 
 def _receive(session: Session, limits: RecordingLimits, watch: RecordingWatch) -> bool:
-    """Whether the recording came to the end that it was to have."""
+    """Whether the recording ended as requested."""
     intake = session.intake
     period_s = max(intake.config.scan_period_s, limits.interval_us * 1e-6)
     check_every = max(1, round(0.5 / period_s))

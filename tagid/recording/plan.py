@@ -1,4 +1,4 @@
-"""What is to be recorded: the settings of the radar, the geometry, the limits, and the names of the files."""
+"""The recording plan: radar settings, geometry, limits and file names."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from tagid.storage.hdf5 import SUFFIX as CAPTURE_SUFFIX
 from tagid.storage.journal import SUFFIX as JOURNAL_SUFFIX
 
 _MARGIN_M = 0.35
-"""Kept on both sides of the image: the pulse's length, the autofocus and clutter-free bins for the noise."""
+"""Margin on both sides of the image: pulse length, autofocus, and clutter-free bins for the noise."""
 
 
 @dataclass(frozen=True)
 class RecordingPlan:
-    """What is recorded.
+    """A recording plan.
 
     Attributes:
-        config: the radar settings asked for; None leaves the radar's own.
-        axis_distance_m, antenna_height_m: of the antenna, m; the distance may be unknown (None).
+        config: requested radar settings; None keeps those of the radar.
+        axis_distance_m, antenna_height_m: of the antenna, m; the distance may be None (unknown).
         cable_delay_ps: two-way delay to subtract from the ranges, ps.
-        scans: number of scans; None until the motion says that a turn is complete.
+        scans: number of scans; None to record until the motion reports a full turn.
         max_seconds: longest recording, s.
         motion: URL of what turns the object, kept with the capture.
         object: what is known of the object.
@@ -51,15 +51,15 @@ class RecordingPlan:
 def plan_window(
     axis_distance_m: float, extent_m: float, cable_delay_ps: float, base: RadarConfig
 ) -> RadarConfig:
-    """The settings whose range window holds the object and a margin around it.
+    """The settings whose range window covers the object and a margin.
 
-    Raises ConfigError where the radar would stand inside the object.
+    Raises ConfigError if the radar would be inside the image.
     """
     reach = extent_m / np.sqrt(2) + _MARGIN_M
     if axis_distance_m <= extent_m / 2:
         raise ConfigError(
             f"the axis distance is {axis_distance_m} m, but the image reaches {extent_m / 2} m from the axis",
-            "Move the radar away or make the extent smaller.",
+            "Move the radar away or reduce the extent.",
         )
 
     def picoseconds(range_m: float) -> int:
@@ -73,9 +73,9 @@ def plan_window(
 
 
 def journal_beside(path: Path) -> Path:
-    """The journal of a capture file that is to be written.
+    """The journal of a capture file to be written.
 
-    Raises StorageError where the capture exists already.
+    Raises StorageError if the capture exists already.
     """
     if path.exists():
         raise StorageError(f"{path} exists already", "Choose another name; captures are never overwritten.")

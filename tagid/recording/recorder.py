@@ -1,4 +1,4 @@
-"""From two devices to a capture of one turn: scans go to the journal first, then to a capture file."""
+"""Records one turn from radar and motion device: first to the journal, then to a capture file."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from tagid.storage.journal import read_journal
 from tagid.storage.journal_capture import journal_to_capture
 
 _JUDGED_SCANS = 2000
-"""Scans examined while recording; more are thinned, so that the radar's queue never waits long."""
+"""Maximum number of scans examined while recording; more are thinned to keep the radar's queue short."""
 
 Progress = Callable[[int, float], None]
 """Called with (scans, seconds)."""
@@ -62,15 +62,16 @@ class Watch:
 def record(
     radar: P440, motion: Motion, plan: RecordingPlan, path: Path, watch: Watch | None = None
 ) -> Capture:
-    """Record until a turn is complete and write the capture file at `path`, with angles where they are known.
+    """Record until a turn is complete and write the capture file at `path`, with angles if they are known.
 
-    The journal lies beside it while recording. It is removed after the capture file was read back and
-    compared. If recording ends early, the capture file holds what arrived, marked as not complete, and the
-    error says so. A stop signal takes effect while scans arrive; later ones wait for the file.
+    The journal is next to it while recording, and is removed after the capture file was read back and
+    compared. If recording ends early, the capture file holds the received scans, marked as incomplete, and
+    the error says so. A stop signal takes effect while scans arrive; later ones are delayed until the file is
+    written.
 
     Args:
         radar: a client, not connected.
-        motion: what turns the object; started before and stopped after, whatever happens.
+        motion: motion device; started before and always stopped after.
         plan: what to record.
         path: the capture file to write; it must not exist.
         watch: callbacks.
@@ -102,7 +103,7 @@ def record(
 
 
 class _OneTurn:
-    """Takes scans until a turn is complete, and the motion's readings beside them."""
+    """Takes scans and motion readings until a turn is complete."""
 
     def __init__(self, session: Session, motion: Motion, watch: Watch) -> None:
         self._session = session
@@ -150,7 +151,7 @@ class _OneTurn:
         return seconds >= self._needed_s
 
     def _keep_readings(self) -> None:
-        """Put the motion's new readings into the journal."""
+        """Write the new motion readings to the journal."""
         track = self._motion.track()
         kept = self._readings_kept
         if track is None or len(track) <= kept:
@@ -160,7 +161,7 @@ class _OneTurn:
         self._readings_kept = len(track)
 
     def _needed_seconds(self) -> float:
-        """Seconds to record; 0 where what arrived does not tell, because then more of it is no help."""
+        """Seconds to record; 0 if the scans do not show it, because more scans would not help."""
         if not self._watch.resolve:
             return 0.0
         every = -(-len(self._scans) // _JUDGED_SCANS)

@@ -1,6 +1,6 @@
-"""The frame of every recording: radar -> queue -> journal, and the journal kept until its files are safe.
+"""Shared by all recordings: radar -> queue -> journal, which is kept until its files are verified.
 
-Whatever ends a recording early, what arrived stays on disk and the error says where.
+If a recording ends early, the received scans stay on disk and the error says where.
 """
 
 from __future__ import annotations
@@ -28,19 +28,19 @@ from tagid.storage.journal_queue import JournalQueue
 from tagid.storage.metadata import VERSION_KEY
 
 SYNC_S = 0.5
-"""Shortest time between two syncs of the disk, s: what a power cut may cost."""
+"""Minimum time between two syncs of the disk, s: the most that a power cut can lose."""
 
 
 @dataclass(frozen=True)
 class Session:
-    """A recording while scans arrive.
+    """A running recording.
 
     Attributes:
-        plan: what to record.
+        plan: the recording plan.
         config: the radar's settings in force.
-        intake: gives the scans.
-        queue: takes readings of the motion.
-        journal: where everything goes.
+        intake: source of the scans.
+        queue: takes motion readings.
+        journal: the journal being written.
     """
 
     plan: RecordingPlan
@@ -52,13 +52,13 @@ class Session:
 
 @dataclass(frozen=True)
 class Recorded:
-    """What a journal holds after the last scan.
+    """Summary of a journal after the last scan.
 
     Attributes:
         journal: its path. path: of the capture file that it becomes.
         scans: number of scans.
-        counters: what was counted meanwhile.
-        ended_by: what ended the recording early; None where it came to its end.
+        counters: counters of the recording.
+        ended_by: error that ended the recording early; None if it is complete.
     """
 
     journal: Path
@@ -92,8 +92,8 @@ def record_to_journal(
 ) -> Recorded:
     """Connect, configure, and record into the journal of a capture that is to be written at `path`.
 
-    A stop signal takes effect while the radar is set and while scans arrive, not while the journal is opened
-    or closed. The journal gets its end record where `receive` says that the recording is complete.
+    A stop signal takes effect while the radar is configured and while scans arrive, not while the journal is
+    opened or closed. The journal gets its end record if `receive` reports a complete recording.
 
     Args:
         radar: not connected yet.
@@ -175,9 +175,9 @@ def journal_header(plan: RecordingPlan, taken: RadarConfig, radar: RadarInfo) ->
     """The header of a journal, as JSON values.
 
     Args:
-        plan: what was asked for.
+        plan: the recording plan.
         taken: the radar's settings in force.
-        radar: what the radar says of itself.
+        radar: the radar's own description.
     """
     info = replace(
         radar,
@@ -201,7 +201,7 @@ def journal_header(plan: RecordingPlan, taken: RadarConfig, radar: RadarInfo) ->
 
 
 def check_all_read(journal: Path, read: int, written: int) -> None:
-    """Raises StorageError where a journal gave fewer scans than were written to it; it must then be kept."""
+    """Raises StorageError if fewer scans were read from a journal than written; it must then be kept."""
     if read < written:
         raise StorageError(
             f"{journal}: only {read} of the {written} recorded scans could be read back",
@@ -210,8 +210,8 @@ def check_all_read(journal: Path, read: int, written: int) -> None:
 
 
 def recover_remedy(journal: Path) -> str:
-    """What to do where the capture file of a journal could not be written."""
-    return f"The scans are kept in {journal}; `tagid recover {journal}` makes the capture file."
+    """The remedy if the capture file of a journal could not be written."""
+    return f"The scans are kept in {journal}; `tagid recover {journal}` writes the capture file."
 
 
 def where_kept(path: Path) -> str:
@@ -223,7 +223,7 @@ def where_kept(path: Path) -> str:
 
 
 def with_remedy(error: TagidError, remedy: str) -> TagidError:
-    """The same error with more to do next."""
+    """The same error with an extended remedy."""
     return type(error)(error.message, f"{error.remedy} {remedy}".strip())
 
 

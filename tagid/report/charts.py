@@ -31,7 +31,7 @@ def draw_recording(
 ) -> None:
     """Writes a PNG of a recording, 1000 x 1330 px.
 
-    From above: mean and largest envelope over range and the mean envelope of what changes (dB of the
+    From above: mean and largest envelope over range and the mean envelope of the changing part (dB of the
     largest); the envelope of every view over range (dB below the 99.9th percentile, gaps of lost scans in
     grey); the mean spectrum over frequency with the band of the pulse shaded. Frequencies follow from the
     range step: sampling rate = c / (2 step).
@@ -99,7 +99,7 @@ def _draw_profile(canvas: Canvas, curves: RecordingCurves, step_m: float) -> Non
     axes.curve(curves.range_m, to_decibels(curves.changing_envelope, 120.0, top), GREEN, 2.5)
     axes.curve(curves.range_m, mean, BLUE, 2.5)
     axes.frame("range, one way (m)", "envelope (dB)", "Range profile")
-    _legend(canvas, _PROFILE, [("mean", BLUE), ("largest of any view", ORANGE), ("what changes", GREEN)])
+    _legend(canvas, _PROFILE, [("mean", BLUE), ("largest of any view", ORANGE), ("changing part", GREEN)])
 
 
 def _draw_sinogram(canvas: Canvas, capture: Capture, curves: RecordingCurves, title: str) -> None:

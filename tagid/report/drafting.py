@@ -28,7 +28,7 @@ DASH_MM, GAP_MM = 2.0, 1.5
 
 @dataclass(frozen=True)
 class Line:
-    """A straight line between points (x, y), mm; dashed for what is not to be cut or stuck on."""
+    """A straight line between points (x, y), mm; dashed if not to be cut or glued."""
 
     start: tuple[float, float]
     end: tuple[float, float]
@@ -163,9 +163,9 @@ Tile = tuple[float, float, float, float]
 
 
 def room(paper: str) -> tuple[float, float]:
-    """Width and height, mm, of what an upright sheet takes. Raises UsageError for another paper."""
+    """Width and height, mm, of the printable area of a sheet. Raises UsageError for another paper."""
     if paper not in PAPERS_MM:
-        raise UsageError(f"there is no paper {paper!r}", f"Use {', '.join(PAPERS_MM)}.")
+        raise UsageError(f"unknown paper size {paper!r}", f"Use {', '.join(PAPERS_MM)}.")
     width, height = PAPERS_MM[paper]
     return width - 2 * MARGIN_MM, height - 2 * MARGIN_MM
 

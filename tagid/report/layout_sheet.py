@@ -1,6 +1,6 @@
-"""A layout on paper and in the terminal: the plan with its dimensions, and the template for its reflectors.
+"""Layout drawings: dimensioned plan, terminal plan, and 1:1 reflector template.
 
-The plan is seen from above with the axis in the middle, x to the right, as positions are given in files.
+The plan is seen from above with the axis in the middle, x to the right, as in layout files.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from tagid.tags.layouts.design import REFLECTOR_M
 from tagid.tags.layouts.layout import Layout
 
 EDGE_MM = 28.0
-"""The plan of a helmet lies on two sheets of A4 so."""
+"""Landscape fits the plan of a helmet on two A4 sheets."""
 CUT_MM = 6.0
-"""Room for the letter at a cut."""
+"""Space for the letter at a cut."""
 SPOT_MM = 23.0
 """Half of what a reflector and its figures take on the strip: no cut goes there if there is a choice."""
 STRIP_FOOT_MM = 22.0
@@ -136,7 +136,7 @@ def strip(layout: Layout, surface_radius_m: float | None = None) -> Drawing:
     sheet.add(
         Text(
             (left, 16),
-            f"{layout.name}: printed side out, join A to A, 0 deg is +x, {length:.1f} mm round, "
+            f"{layout.name}: printed side out, join A to A, 0 deg is +x, {length:.1f} mm around, "
             f"surface radius {radius:.1f} mm",
             3.2,
             "start",
@@ -256,7 +256,7 @@ def _widest_gap_deg(angles: NDArray[np.float64]) -> int:
 
 
 def _sides(layout: Layout) -> list[tuple[int, int]]:
-    """Pairs of reflectors next to each other around the layout's middle, whose distance is worth drawing."""
+    """Pairs of reflectors next to each other around the layout's middle, whose distance is drawn."""
     offset = layout.positions - layout.positions.mean(axis=0)
     order = np.argsort(np.arctan2(offset[:, 1], offset[:, 0]))
     pairs = list(zip(order, np.roll(order, -1), strict=True))

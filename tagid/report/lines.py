@@ -1,6 +1,6 @@
-"""A file of lines that others may read while it grows: it never shows a part of a line.
+"""A file of lines that may be read while it grows: it never contains a partial line.
 
-Results are there as soon as they are known, for whoever follows the run.
+Results are available as soon as they are known.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ class GrowingLines:
         self._open(os.O_TRUNC)
 
     def reopen(self) -> None:
-        """Go on at the end of what now bears the name, e.g. after it was replaced."""
+        """Continue at the end of the file that now has the name, e.g. after a replacement."""
         self._open(0)
 
     def add(self, line: str) -> None:
-        """Add a line, whole or not at all."""
+        """Add a line, atomically."""
         with interrupts.deferred():
             end = os.fstat(self._descriptor).st_size
             try:
@@ -39,7 +39,7 @@ class GrowingLines:
                 raise files.storage_error(error, self.path, "adding a result") from error
 
     def close(self) -> None:
-        """Close the file; it stays."""
+        """Close the file; it is kept."""
         if self._descriptor >= 0:
             os.close(self._descriptor)
             self._descriptor = -1

@@ -1,6 +1,6 @@
-"""The report as one HTML file that needs nothing else: totals, a table to sort and filter, pictures.
+"""The report as one self-contained HTML file: totals, a table to sort and filter, pictures.
 
-It is written in pieces, and its pictures share a budget, so that ten thousand objects make a page that opens.
+It is written in pieces with a size budget for pictures, so that a page of ten thousand objects still opens.
 """
 
 from __future__ import annotations
@@ -24,20 +24,20 @@ if TYPE_CHECKING:
 Record = dict[str, Any]
 SMALL_SIDE = 32
 SMALL_BYTES = 900
-"""A picture reduced to `SMALL_SIDE` px takes about so much."""
+"""Approximate size of a picture reduced to `SMALL_SIDE` px."""
 _FULL_SHARE = 0.75
-"""Part of the budget for pictures in full size; the rest shows the others small."""
+"""Part of the budget for pictures in full size; the rest is for small ones."""
 _BASE64 = 4 / 3
 _SHOWN_MISSES = 500
 
 
 @dataclass(frozen=True)
 class PageSettings:
-    """Of the page.
+    """Settings of the page.
 
     Attributes:
-        title: its headline.
-        megabytes: all pictures together take at most so much of the page.
+        title: title of the page.
+        megabytes: size limit of all pictures together.
     """
 
     title: str = "Radar tag identification"
@@ -45,7 +45,7 @@ class PageSettings:
 
     def __post_init__(self) -> None:
         if not 0 <= self.megabytes <= 1000:
-            raise UsageError(f"the page's pictures may take {self.megabytes} MB", "Give 0 to 1000 MB.")
+            raise UsageError(f"the picture limit of the page is {self.megabytes} MB", "Give 0 to 1000 MB.")
 
 
 class Items(Protocol):
@@ -109,7 +109,7 @@ def write_page(
 
 
 class _Content:
-    """What the template takes one by one."""
+    """The generators used by the template."""
 
     def __init__(self, items: Items, judged: Callable[[Record, int], Record], settings: PageSettings) -> None:
         self._items, self._judged = items, judged
@@ -129,14 +129,14 @@ class _Content:
             yield htmlsafe_json_dumps([*who, *measured, r["expected"], r["correct"], size])
 
     def details(self) -> Iterator[tuple[int, Markup]]:
-        """What opens with an item: its record and how its pictures are drawn."""
+        """The details of each item: its record and drawing data."""
         from jinja2.utils import htmlsafe_json_dumps
 
         for position, record, drawing, _ in self._items.items():
             yield position, htmlsafe_json_dumps({**self._judged(record, position), "drawing": drawing})
 
     def pictures(self) -> Iterator[tuple[int, str, str]]:
-        """(position, image, sinogram) in base64; those that find no room are not among them."""
+        """(position, image, sinogram) in base64; without those over budget."""
         for position, size in self._size.items():
             if size == 0:
                 continue
@@ -169,7 +169,7 @@ def _allot(items: Iterator[tuple[int, Record, int]], megabytes: float) -> dict[i
 
 
 def _interest(record: Record) -> tuple[int, float]:
-    """The lower, the sooner somebody will open it: misses, then what is no name, then narrow decisions."""
+    """Sort key, most interesting first: misses, then unidentified items, then narrow decisions."""
     if record["correct"] is False:
         return 0, record["margin"]
     return (2 if record["status"] == "identified" else 1), record["margin"]

@@ -1,6 +1,6 @@
 """The reconstructed image as a picture: dB, metres, and the reflectors that were found.
 
-It is what a user looks at in the sun or pastes into a report, hence white paper and large letters.
+Large letters on white, readable in sunlight and in printed reports.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def draw_image(
         title: one line above the image, cut where it is too long.
         reflectors: (x, y, label, matched) each; a circle where matched, a cross where not. Those outside
             the image are not drawn.
-        dynamic_range_db: what lies further below the brightest pixel has the darkest colour.
+        dynamic_range_db: pixels further below the brightest one have the darkest colour.
         centre_m: (x, y) of the image's middle, m; the rotation axis is the origin.
 
     Raises:
@@ -67,7 +67,7 @@ def draw_image(
     canvas = Canvas(_WIDTH, _HEIGHT)
     x, y = centre_m
     axes = Axes(canvas, box, (x - half_x, x + half_x), (y - half_y, y + half_y))
-    # Smoothing is for the eye only; where a pixel is large, its true square is more honest.
+    # Smoothing is cosmetic; large pixels are drawn as squares.
     axes.raster(colourise(decibels, dynamic_range_db), smooth=scale < 12)
     for marker in reflectors:
         _mark(axes, Marker(*marker))

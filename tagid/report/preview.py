@@ -1,4 +1,4 @@
-"""The image drawn with characters in the terminal, for a glance over ssh where no picture can be opened.
+"""The image drawn with characters in the terminal, for use over ssh without graphics.
 
 Two pixels share a cell by a half block in 24-bit colour; without colour, ten characters stand for lightness.
 """
@@ -39,14 +39,14 @@ def preview(
         values: (y, x) complex or real, row 0 the lowest y.
         extent_m: side of the image along x, m.
         width: columns of the terminal to use, labels included; a cell is taken as twice as high as wide.
-        dynamic_range_db: what lies further below the brightest pixel is darkest.
+        dynamic_range_db: pixels further below the brightest one are darkest.
         colour: half blocks in colour, or characters; None decides by the environment (NO_COLOR, TERM).
             Commands pass `colour_wanted(console)`.
         centre_m: (x, y) of the image's middle, m.
 
     Raises:
         DataError: the image is empty, not two-dimensional or not finite.
-        UsageError: extent, dynamic range or width makes no sense.
+        UsageError: invalid extent, dynamic range or width.
     """
     magnitude = checked_magnitude(values, extent_m, dynamic_range_db)
     if not 16 <= width <= _LARGEST_WIDTH:

@@ -1,4 +1,4 @@
-"""What a radar says, as tables for people."""
+"""Radar status and settings as tables."""
 
 from __future__ import annotations
 
@@ -41,14 +41,14 @@ def _settings_rows(config: RadarConfig) -> dict[str, str]:
         "window": f"{start:.3f} to {stop:.3f} m with cables, {config.samples} samples "
         f"({config.scan_start_ps} to {config.scan_stop_ps} ps)",
         "integration": f"index {config.base_integration_index}, {1 << config.base_integration_index} pulses",
-        "scan rate": f"up to {1 / config.scan_period_s:.1f} scans a second",
+        "scan rate": f"up to {1 / config.scan_period_s:.1f} scans per second",
         "gain": f"{config.transmit_gain} of 63, code channel {config.code_channel}",
         "antennas": _ANTENNAS.get(config.antenna_mode, str(config.antenna_mode)),
     }
 
 
 def found_table(radars: Sequence[FoundRadar]) -> Table:
-    """The radars of a search."""
+    """Table of the radars found."""
     table = Table("radar", "where", "serial", "MRM", "temperature", "self test", box=None)
     for radar in radars:
         s = radar.status

@@ -1,4 +1,4 @@
-"""A radar's settings before, asked for and taken, side by side, because a radar takes what fits its grid."""
+"""A radar's previous, requested and actual settings side by side; the radar rounds to its own grid."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from tagid.radar.settings import RadarConfig
 _MEANING = {
     "scan_start_ps": "first sample, two-way ps",
     "scan_stop_ps": "end of the window, two-way ps",
-    "base_integration_index": "2^n pulses a sample",
+    "base_integration_index": "2^n pulses per sample",
     "transmit_gain": "0 to 63",
     "antenna_mode": "0 A/A, 1 B/B, 2 TxA-RxB, 3 TxB-RxA",
-    "code_channel": "0 to 10, apart for radars side by side",
+    "code_channel": "0 to 10, different for neighbouring radars",
     "node_id": "the radar's number",
-    "persist": "1: kept in flash",
+    "persist": "1: stored in flash",
 }
 
 
 def settings_table(
     before: RadarConfig, asked: Mapping[str, int], taken: RadarConfig, cable_delay_ps: float
 ) -> Table:
-    """A line a setting; what was not taken as asked is marked, start and stop also in metres."""
+    """One line per setting; deviations from the request are marked, start and stop also in metres."""
     table = Table("setting", "before", "asked", "taken", "meaning", box=None)
     old, new = asdict(before), asdict(taken)
     for name, meaning in _MEANING.items():
@@ -49,9 +49,9 @@ def settings_table(
             f"metres without the {cable_delay_ps:g} ps of cable and antennas",
         )
     rate = f"{1 / before.scan_period_s:.1f}", "", f"{1 / taken.scan_period_s:.1f}"
-    table.add_row("scans a second", *rate, "at most, from samples and integration")
+    table.add_row("scans per second", *rate, "at most, from samples and integration")
     samples = str(before.samples), "", str(taken.samples)
-    table.add_row("samples", *samples, f"a scan, {RANGE_STEP_M * 1e3:.2f} mm apart, a multiple of 96")
+    table.add_row("samples", *samples, f"per scan, {RANGE_STEP_M * 1e3:.2f} mm apart, a multiple of 96")
     clip = str(before.clip_counts), "", str(taken.clip_counts)
     table.add_row("clips at", *clip, "counts")
     return table

@@ -1,6 +1,6 @@
-"""A report's files for programs: a row, a line or a test case an object.
+"""Machine-readable report files: one row, line or test case per object.
 
-Each is written in pieces from a stream of records, so that their number does not matter.
+Each is written in pieces from a stream of records, in constant memory.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ CSV_COLUMNS = (
     "capture_uuid", "content_sha256", "size_bytes", "tool_version", "model_sha256", "registry_version",
     *(f"{stage}_s" for stage in STAGES), "total_s", "time_utc",
 )  # fmt: skip
-"""Columns of items.csv; what has a unit says it."""
+"""Columns of items.csv; names include units."""
 # What XML 1.0 cannot hold, not even escaped (section 2.2).
 _NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
@@ -36,7 +36,7 @@ def total_s(record: Record) -> float:
 
 
 def row_of(record: Record) -> dict[str, Any]:
-    """A record as one flat row with `CSV_COLUMNS`; what is not known is None."""
+    """A record as one flat row with `CSV_COLUMNS`; unknown values are None."""
     centre = record["centre_m"] or (None, None)
     error = record["error"] or {}
     own = {
@@ -69,7 +69,7 @@ def line_of(record: Record) -> str:
 
 
 def write_jsonl(path: Path, records: Iterable[Record]) -> None:
-    """items.jsonl: one JSON document a line. Raises StorageError, DiskFullError."""
+    """items.jsonl: one JSON document per line. Raises StorageError, DiskFullError."""
     with replacing_text(path) as file:
         for record in records:
             file.write(line_of(record))
@@ -82,9 +82,9 @@ def write_json(path: Path, value: Mapping[str, Any]) -> None:
 
 
 def write_junit(path: Path, records: Iterable[Record], summary: Mapping[str, Any]) -> None:
-    """junit.xml: a test case an object, as the JUnit and Jenkins schema has it.
+    """junit.xml: one test case per object, after the JUnit and Jenkins schema.
 
-    An object passes where the answer is what the manifest expects; without one, where it is identified. An
+    An object passes if the answer matches the manifest or, without one, if it is identified. An
     item that failed is an error.
 
     Raises StorageError, DiskFullError.
@@ -104,7 +104,7 @@ def write_junit(path: Path, records: Iterable[Record], summary: Mapping[str, Any
 
 
 def verdict(record: Record) -> tuple[str, str] | None:
-    """("error" or "failure", why) of an item; None where it passes."""
+    """("error" or "failure", why) of an item; None if it passes."""
     if record["status"] == "failed":
         return "error", record["reason"]
     expected = record.get("expected")

@@ -1,6 +1,6 @@
 """The small pictures of a report's page: bare rasters, a few kilobytes each.
 
-Axes, scale bar and markers are drawn by the page itself, so one raster serves in small and in large.
+Axes, scale bar and markers are drawn by the page itself, so that one raster serves all sizes.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ IMAGE_SIDE = 96
 SINOGRAM_ROWS, SINOGRAM_COLUMNS = 72, 128
 IMAGE_DB, SINOGRAM_DB = 30.0, 30.0
 LEVELS = 32
-"""Colours in a picture, about 1 dB apart: more make noise expensive without showing more."""
+"""Colours in a picture, about 1 dB apart: more would only enlarge files with noise."""
 
 
 def draw_pictures(
@@ -84,7 +84,7 @@ def smaller(png: bytes, side: int) -> bytes:
 
 
 def _fitted(magnitude: NDArray[np.floating]) -> NDArray[np.floating]:
-    """At most `IMAGE_SIDE` pixels a side; the largest of each block, so that no point is lost."""
+    """At most `IMAGE_SIDE` pixels per side; the largest of each block, so that no point is lost."""
     step = -(-max(magnitude.shape) // IMAGE_SIDE)
     rows, columns = (n // step * step for n in magnitude.shape)
     blocks = magnitude[:rows, :columns].reshape(rows // step, step, columns // step, step)
@@ -92,7 +92,7 @@ def _fitted(magnitude: NDArray[np.floating]) -> NDArray[np.floating]:
 
 
 def _sinogram(capture: Capture) -> NDArray[np.float64]:
-    """(rows, columns) dB of what changes from view to view, first view on top."""
+    """(rows, columns) dB of the part that changes between views, first view on top."""
     envelope = RecordingCurves.of(capture, changing_only=True).envelope
     order = np.arange(capture.views, dtype=np.float64)
     if capture.angles_rad is not None and np.all(np.diff(capture.angles_rad) > 0):

@@ -1,6 +1,6 @@
 """The monitor's screen: range to the right, time downwards, and the figures above it, as text.
 
-It is drawn a dozen times a second through a terminal that may be far away, so few colours are used, equal
+It is drawn a dozen times a second, possibly over a slow terminal link, so few colours are used, equal
 neighbours share one escape sequence, and without colours characters stand for strength.
 """
 
@@ -87,7 +87,7 @@ def draw(snapshot: Snapshot, title: str, size: tuple[int, int], colour: bool) ->
 
 
 def _figures(s: Snapshot) -> Text:
-    """Scan rate, SNR, clipping, loss, temperature; what is wrong in red."""
+    """Scan rate, SNR, clipping, loss, temperature; problems in red."""
     text = Text()
     rate = "-" if s.scan_rate_hz is None else f"{s.scan_rate_hz:.1f}"
     text.append(f"{rate} scans/s  ")
@@ -107,11 +107,11 @@ def _state(s: Snapshot) -> Text:
         return Text(f"no scan for {s.silent_s:.0f} s", style="bold red")
     if s.note:
         return Text(s.note, style="yellow")
-    return Text(f"{s.scans} scans in {s.seconds:.0f} s; Ctrl-C ends")
+    return Text(f"{s.scans} scans in {s.seconds:.0f} s; Ctrl-C stops")
 
 
 def _levels(envelope: NDArray[np.float64]) -> NDArray[np.intp]:
-    """0..15 by decibels below the strongest; noise, which says nothing, is level 0 almost everywhere."""
+    """0..15 by decibels below the strongest; noise is level 0 almost everywhere."""
     decibels = to_decibels(envelope, DEPTH_DB)
     floor = max(float(np.median(decibels)) + 6.0, -DEPTH_DB)
     share = (decibels - floor) / max(-floor, 1.0)

@@ -1,6 +1,6 @@
-"""From values found in a file to a Capture: the checks that every format shares.
+"""From the values in a file to a Capture: the checks shared by all formats.
 
-A file is not trusted, so whatever does not fit ends here in an error that names the file and the field.
+Files are not trusted: every invalid value raises an error that names the file and the field.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ MAX_JSON_BYTES = 64 << 20
 
 
 def encode_settings(settings: dict[str, Any]) -> str:
-    """JSON text of a settings dict; numpy values become plain ones, what is not finite becomes null."""
+    """JSON text of a settings dict; numpy values become plain ones, non-finite ones become null."""
     return json.dumps(_plain(settings), allow_nan=False, sort_keys=True)
 
 
 def decode_settings(text: str | bytes, where: str) -> dict[str, Any]:
-    """A dict from JSON text of a file.
+    """A dict from JSON text in a file.
 
     Raises:
-        FileFormatError: too long, not JSON, or not an object; `where` says which file and field.
+        FileFormatError: too long, not JSON, or not an object; `where` names the file and field.
     """
     if len(text) > MAX_JSON_BYTES:
         raise FileFormatError(
@@ -77,7 +77,7 @@ def _check_unicode(content: str, where: str) -> None:
 
 
 def unwrap(counter: NDArray[Any], modulus: int) -> NDArray[np.int64]:
-    """A counter that wraps at `modulus`, continued: every step is taken as the smallest in either direction.
+    """A counter that wraps at `modulus`, continued: every step is the smallest one in either direction.
 
     >>> unwrap(np.array([65534, 65535, 1]), 65536).tolist()
     [65534, 65535, 65537]
@@ -121,8 +121,8 @@ def _check_plausible(path: Path, fields: dict[str, Any]) -> None:
 def build_capture(path: Path, **fields: Any) -> Capture:
     """A validated Capture from the fields of a file. Raises FileFormatError naming the file.
 
-    A file that names no capture gets a UUID of its scans (RFC 9562, version 5): read again, here or on
-    another computer, it is the same capture.
+    A file without a UUID gets one derived from its scans (RFC 9562, version 5), so that reading it again,
+    also on another computer, gives the same capture.
     """
     _check_plausible(path, fields)
     try:

@@ -1,6 +1,6 @@
-"""What every sqlite file of the house does alike: owner's mark, migrations, transactions, clear errors.
+"""The base of every sqlite file of tagid: application id, migrations, transactions, clear errors.
 
-The registry of layouts and the history of identifications stand on it and hold only their own tables.
+The registry of layouts and the history of identifications add only their own tables.
 """
 
 from __future__ import annotations
@@ -16,30 +16,30 @@ from tagid import interrupts
 from tagid.errors import DiskFullError, RegistryError, TagidError
 
 BUSY_SECONDS = 10.0
-"""How long a process waits for another one's transaction, s."""
+"""Longest wait for another process's transaction, s."""
 
 _REMEDIES = {
-    sqlite3.SQLITE_READONLY: "Make the file and its folder writable for you, or give another path.",
-    sqlite3.SQLITE_PERM: "Make the file and its folder writable for you, or give another path.",
-    sqlite3.SQLITE_CANTOPEN: "Make the file and its folder readable for you, or give another path.",
-    sqlite3.SQLITE_BUSY: "Another process is changing it; try again when that is done.",
-    sqlite3.SQLITE_LOCKED: "Another process is changing it; try again when that is done.",
+    sqlite3.SQLITE_READONLY: "Get write permission for the file and its folder, or give another path.",
+    sqlite3.SQLITE_PERM: "Get write permission for the file and its folder, or give another path.",
+    sqlite3.SQLITE_CANTOPEN: "Get read permission for the file and its folder, or give another path.",
+    sqlite3.SQLITE_BUSY: "Another process is changing it; try again later.",
+    sqlite3.SQLITE_LOCKED: "Another process is changing it; try again later.",
 }
-"""What to do where the file itself is sound, by sqlite's code."""
+"""Remedies for errors of an intact file, by sqlite error code."""
 
 Migration = tuple[str, ...]
-"""The statements that lead from one schema version to the next."""
+"""The statements that migrate one schema version to the next."""
 
 
 @dataclass(frozen=True)
 class Schema:
-    """What a file must be.
+    """The kind of a file and its schema.
 
     Attributes:
-        what: the file's name for people, e.g. "registry".
-        application_id: the owner's mark in the file (sqlite header, offset 68).
-        migrations: one step a version, oldest first; their number is the present version.
-        restore: what to do when the file is damaged, one sentence.
+        what: readable name of the file, e.g. "registry".
+        application_id: application id in the sqlite header, offset 68.
+        migrations: one step per version, oldest first; their number is the current version.
+        restore: remedy if the file is damaged, one sentence.
         error: class of the errors.
         write_ahead: keep a write-ahead log, so that readers and one writer do not wait for each other.
     """
@@ -53,19 +53,19 @@ class Schema:
 
     @property
     def version(self) -> int:
-        """The present version."""
+        """The current version."""
         return len(self.migrations)
 
 
 class Database:
-    """A sqlite file brought to its schema's present version.
+    """A sqlite file migrated to the current version of its schema.
 
     Every change is one immediate transaction, so several processes may use it at once.
 
     Args:
-        path: the file; it and its folder are made where they do not exist.
-        schema: what it must be.
-        fill: called in the transaction that makes a new file, with its connection.
+        path: the file; it and its folder are created if they do not exist.
+        schema: its expected schema.
+        fill: called with the connection in the transaction that creates a new file.
 
     Raises:
         the schema's error: another program's file, damaged, from a newer tagid, locked or not writable.
@@ -81,7 +81,7 @@ class Database:
             self.path.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise schema.error(
-                f"cannot make the folder of the {schema.what} {self.path}: {error.strerror}",
+                f"cannot create the folder of the {schema.what} {self.path}: {error.strerror}",
                 f"Give a {schema.what} path in a folder that you can write to.",
             ) from error
         if not self._ready():
@@ -93,7 +93,7 @@ class Database:
 
     @contextlib.contextmanager
     def connection(self) -> Iterator[sqlite3.Connection]:
-        """A connection whose faults are clear errors; sqlite opens lazily, they come with the first use."""
+        """A connection that raises clear errors; sqlite opens lazily, so they occur at the first use."""
         try:
             with contextlib.closing(
                 sqlite3.connect(self.path, timeout=BUSY_SECONDS, isolation_level=None)
@@ -105,22 +105,22 @@ class Database:
 
     @contextlib.contextmanager
     def transaction(self) -> Iterator[sqlite3.Connection]:
-        """One immediate transaction, undone on any exception; stop signals wait for its end."""
+        """One immediate transaction, undone on any exception; stop signals are delayed until its end."""
         with self.connection() as connection:
             connection.execute("BEGIN IMMEDIATE")
             with interrupts.deferred():
                 try:
                     yield connection
                 except BaseException:
-                    # sqlite has rolled back by itself where the disk was full.
+                    # sqlite has already rolled back if the disk was full.
                     if connection.in_transaction:
                         connection.execute("ROLLBACK")
                     raise
                 connection.execute("COMMIT")
 
     def _ready(self) -> bool:
-        """Whether the file is there with its present schema: then opening it writes nothing, and one that may
-        only be read can be."""
+        """Whether the file exists with the current schema: opening it then writes nothing, so that it may be
+        read-only."""
         try:
             if self.schema.write_ahead or not self.path.is_file() or not self.path.stat().st_size:
                 return False
@@ -156,7 +156,7 @@ class Database:
         self._check_objects(connection)
         if version > schema.version:
             raise schema.error(
-                f"{self.path} has schema {version}, this tagid knows up to {schema.version}",
+                f"{self.path} has schema {version}, this tagid supports up to {schema.version}",
                 f"Use the newer tagid that wrote it, or another {schema.what}.",
             )
         for step in schema.migrations[version:]:
@@ -177,9 +177,9 @@ class Database:
 
 
 def _write_ahead(connection: sqlite3.Connection) -> None:
-    """Turn the write-ahead log on; it stays on for the file.
+    """Turn the write-ahead log on; the setting is stored in the file.
 
-    sqlite does not wait for other processes here, whatever the timeout, so this does.
+    sqlite ignores its timeout here, so this function waits for other processes.
     """
     end = time.monotonic() + BUSY_SECONDS
     while True:

@@ -14,11 +14,11 @@ from tagid.storage.npz import encode_npz
 from tagid.storage.recordings import encode_recording
 
 SUFFIXES = (".npz", ".mat", ".out", ".prd", ".csv", ".h5")
-"""Formats that `export` writes, by the end of the name."""
+"""Formats that `export` writes, by suffix."""
 
 
 def export(capture: Capture, path: Path) -> None:
-    """Write a capture in the format that the suffix of `path` names; the file is whole or not there.
+    """Write a capture atomically, in the format given by the suffix of `path`.
 
     `.npz` the generic NPZ file (see `tagid.storage.npz`), `.mat` MATLAB 5 (see `tagid.storage.mat`), `.out`
     and `.prd` P440 recordings (int32 counts only), `.csv` MRM-RET logs (the same), `.h5` the capture file.

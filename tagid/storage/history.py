@@ -1,6 +1,6 @@
-"""Every identification that was ever made on this computer, in a sqlite file beside the registry.
+"""All identifications made on this computer, in a sqlite file next to the registry.
 
-An answer given last month can be found again with the settings, the registry version and the tool behind it.
+Each one is stored with its settings, the registry version and the tool version.
 """
 
 from __future__ import annotations
@@ -81,13 +81,13 @@ _SCHEMA = Schema(
 
 @dataclass(frozen=True)
 class Filter:
-    """Which identifications are wanted; a field that is None or empty asks nothing.
+    """A filter for identifications; a field that is None or empty matches everything.
 
     Attributes:
-        status, layout, capture_uuid, command: exact.
-        file: a part of the file's name.
-        since, until: ISO 8601 date or time, UTC where no zone is given; from `since` on, before `until`.
-        limit: at most so many.
+        status, layout, capture_uuid, command: exact match.
+        file: part of the file name.
+        since, until: ISO 8601 date or time, UTC if no zone is given; from `since` on, before `until`.
+        limit: maximum number.
     """
 
     status: str | None = None
@@ -101,18 +101,18 @@ class Filter:
 
     def __post_init__(self) -> None:
         if self.status and self.status not in STATUSES:
-            raise UsageError(f"there is no status {self.status!r}", f"Use one of {', '.join(STATUSES)}.")
+            raise UsageError(f"unknown status {self.status!r}", f"Use one of {', '.join(STATUSES)}.")
         if self.limit is not None and self.limit < 1:
             raise UsageError(f"the limit is {self.limit}", "Give 1 or more.")
 
 
 def utc_text(moment: datetime | None = None) -> str:
-    """A moment (now, where None) as the history writes it, so that text compares as time does."""
+    """A time (None: now) as stored in the history, in a form that sorts as text."""
     return (moment or datetime.now(UTC)).astimezone(UTC).isoformat(timespec="milliseconds")
 
 
 class History:
-    """The identifications in a sqlite file, made where it does not exist; safe with several processes.
+    """The identifications in a sqlite file, created if it does not exist; safe with several processes.
 
     Raises:
         StorageError: another program's file, damaged, from a newer tagid, locked or not writable.
@@ -124,7 +124,7 @@ class History:
         self.path = self._database.path
 
     def begin(self, command: str, settings: Mapping[str, Any]) -> int:
-        """Note a run of a command with its settings (plain JSON values); returns its number."""
+        """Record a run of a command with its settings (plain JSON values); returns its number."""
         row = (utc_text(), command, __version__, platform.node(), json.dumps(settings, sort_keys=True))
         with self._database.transaction() as connection:
             return int(
@@ -137,9 +137,9 @@ class History:
             )
 
     def add(self, run: int, records: Iterable[Mapping[str, Any]]) -> list[int]:
-        """Keep identifications of a run, all or none; returns their numbers.
+        """Store identifications of a run, all or none; returns their numbers.
 
-        A record has the fields of the contract's Identification, with `file` and, where known, `time_utc`
+        A record has the fields of the contract's Identification, with `file` and, if known, `time_utc`
         and `content_sha256`.
         """
         names = ("run_id", *_COLUMNS)
@@ -155,7 +155,7 @@ class History:
         return numbers
 
     def find(self, wanted: Filter | None = None, *, oldest_first: bool = False) -> Iterator[dict[str, Any]]:
-        """Rows with `FIELDS`, read as they are taken: the newest ones, newest first unless told otherwise."""
+        """Rows with `FIELDS`, read lazily: the newest ones, by default newest first."""
         where, values = _conditions(wanted or Filter())
         limit = f" LIMIT {int(wanted.limit)}" if wanted and wanted.limit else ""
         columns = ", ".join(f"run.{name}" if name == "command" else f"i.{name}" for name in FIELDS)
@@ -170,14 +170,14 @@ class History:
                 yield dict(zip(FIELDS, row, strict=True))
 
     def count(self, wanted: Filter | None = None) -> int:
-        """How many there are, the limit aside."""
+        """Number of matching rows, without the limit."""
         where, values = _conditions(wanted or Filter())
         query = f"SELECT COUNT(*) FROM identification i JOIN run ON run.id = i.run_id{where}"
         with self._database.connection() as connection:
             return int(connection.execute(query, values).fetchone()[0])
 
     def reflectors(self, number: int) -> list[dict[str, Any]]:
-        """The reflectors of one identification, strongest first as the reader gave them."""
+        """The reflectors of one identification, in the reader's order: strongest first."""
         query = (
             "SELECT x_m, y_m, amplitude_db, matched FROM reflector"
             " WHERE identification_id = ? ORDER BY number"

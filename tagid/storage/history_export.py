@@ -1,6 +1,6 @@
-"""The history as one table for other programs: Parquet with its types, or CSV.
+"""The history as one table for other programs: typed Parquet, or CSV.
 
-Rows go through one batch at a time, so that a history of years needs little memory.
+Rows are written in batches, so that memory stays small for any history.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ _BATCH = 10_000
 
 
 def export(history: History, wanted: Filter, path: Path) -> int:
-    """Write the rows that fit, oldest first, as .parquet or .csv by the name; returns their number.
+    """Write the matching rows, oldest first, as .parquet or .csv by suffix; returns their number.
 
     Parquet keeps the types of `tagid.storage.history.TYPES`; `time_utc` becomes a UTC timestamp.
 
     Raises:
         UsageError: another suffix. MissingExtraError: Parquet without pyarrow.
-        StorageError, DiskFullError: the file cannot be written; nothing is left under its name then.
+        StorageError, DiskFullError: the file cannot be written; no partial file is left.
     """
     rows = history.find(wanted, oldest_first=True)
     suffix = path.suffix.lower()
@@ -78,7 +78,7 @@ def _parquet(rows: Iterator[dict[str, Any]], path: Path) -> int:
 
 
 class _Sink:
-    """What pyarrow needs of a file that is written once from front to back."""
+    """The file methods that pyarrow needs for sequential writing."""
 
     closed = False
 
@@ -98,7 +98,7 @@ class _Sink:
         self._file.flush()
 
     def close(self) -> None:
-        """The file is closed by who opened it."""
+        """Does nothing: the caller closes the file."""
 
 
 def _batch(pa: Any, schema: Any, rows: list[dict[str, Any]]) -> Any:

@@ -1,4 +1,4 @@
-"""Image files: what `tagid reconstruct --out` leaves for other programs.
+"""Image files: the output of `tagid reconstruct --out` for other programs.
 
 One NPZ with the complex image, its axes and every setting, so that figures can be checked elsewhere.
 """
@@ -17,7 +17,7 @@ from tagid.files import write_bytes
 
 
 class Grid(Protocol):
-    """What is needed of a grid: its axis, m."""
+    """The part of a grid that is needed: its axis, m."""
 
     @property
     def axis(self) -> NDArray[np.float64]:
@@ -26,7 +26,7 @@ class Grid(Protocol):
 
 
 class GriddedImage(Protocol):
-    """What is needed of an image; `tagid.imaging.types.Image` is one."""
+    """The part of an image that is needed; `tagid.imaging.types.Image` is one."""
 
     @property
     def values(self) -> NDArray[np.complex64]:
@@ -35,7 +35,7 @@ class GriddedImage(Protocol):
 
     @property
     def grid(self) -> Grid:
-        """Where the pixels lie."""
+        """The grid of the pixels."""
         ...
 
     @property
@@ -45,12 +45,12 @@ class GriddedImage(Protocol):
 
     @property
     def centre_m(self) -> tuple[float, float]:
-        """(x, y) of the grid's middle, m."""
+        """(x, y) of the grid centre, m."""
         ...
 
 
 def write_image(path: Path, image: GriddedImage) -> None:
-    """Write `image` complex64 (y, x), `x_m`, `y_m` and `settings` (JSON), whole or not at all.
+    """Write `image` complex64 (y, x), `x_m`, `y_m` and `settings` (JSON), atomically.
 
     Raises StorageError, DiskFullError.
     """

@@ -32,7 +32,7 @@ def read_any(path: Path, cable_delay_ps: float = 0.0, node: int | None = None) -
     Raises:
         StorageError: missing, a folder, no permission.
         FileFormatError: none of these formats, or damaged.
-        UsageError: scans of several radars and no `node`, or none of that one.
+        UsageError: scans of several radars and no `node`, or none of that radar.
     """
     head = files.read_head(path, _HEAD)
     if not head:
@@ -42,7 +42,7 @@ def read_any(path: Path, cable_delay_ps: float = 0.0, node: int | None = None) -
             return recordings.read_recording(path, cable_delay_ps, node)
         if mrm_ret.is_mrm_ret(head):
             return mrm_ret.read_mrm_ret(path, cable_delay_ps, node)
-        raise FileFormatError(f"{path}: the file is of no known format", _KNOWN)
+        raise FileFormatError(f"{path}: unknown file format", _KNOWN)
     if head.startswith(hdf5.MAGIC):
         capture = hdf5.read_capture(path)
     elif head.startswith(journal.MAGIC):

@@ -1,10 +1,10 @@
-"""Append-only record of what arrives, written before anything else is done with it.
+"""Append-only record of a recording, written before any other processing.
 
-After a kill or a power cut at any moment everything but the record in flight can be read back.
+After a kill or a power cut, everything but the record being written can be read back.
 
 Layout, little-endian: magic `TAGIDJNL`, version u32; then records of marker `REC\\x1e`, kind u32, payload
 length u32, CRC-32 u32 (over kind, length and payload), payload. Kinds: 1 header (JSON), 2 scan, 3 end (JSON),
-4 readings of the motion (JSON: lists host_time_ns, angle_rad, sigma_rad, and info, what is known of them).
+4 readings of the motion (JSON: lists host_time_ns, angle_rad, sigma_rad, and info, their metadata).
 The payload of a scan is scan_id i64, host_time_ns i64, radar_time_ms f64, flags u8, dtype u8 (0 int32,
 1 float32), two zero bytes, bins u32, samples.
 """
@@ -32,7 +32,7 @@ from tagid.storage.journal_records import MAX_PAYLOAD, PREAMBLE, intact_records,
 MAGIC = b"TAGIDJNL"
 VERSION = 1
 SUFFIX = ".tagid.journal"
-"""Usual ending of a journal's name."""
+"""Usual suffix of a journal."""
 
 _SCAN = struct.Struct("<qqdBBHI")
 _HEADER, _SCAN_KIND, _END, _MOTION = 1, 2, 3, 4
@@ -43,7 +43,7 @@ _CODES = {("i", 4): 0, ("f", 4): 1}
 
 @dataclass(frozen=True, eq=False)
 class JournalScan:
-    """One scan as it was appended; see `JournalWriter.append` for the fields."""
+    """One appended scan; see `JournalWriter.append` for the fields."""
 
     scan_id: int
     host_time_ns: int
@@ -56,13 +56,13 @@ class JournalWriter:
     """Appends scans to a new file, unbuffered.
 
     Args:
-        path: file to create; it must not exist.
-        header: what a Capture needs besides the scans: `range_start_m`, `range_step_m` and, where known,
+        path: the file to create; it must not exist.
+        header: the fields of a Capture besides the scans: `range_start_m`, `range_step_m` and, if known,
             `axis_distance_m`, `antenna_height_m`, `center_frequency_hz`, `bandwidth_hz`, `uuid`,
             `created_utc`, `tool_version` and the dicts `radar`, `motion`, `object`.
-        sync_every: records after which the disk is synced: what a power cut may cost at most (a kill of the
-            process costs nothing); 0 leaves it to the operating system.
-        sync_seconds: the disk is synced no more often than this, s, however many records come.
+        sync_every: number of records after which the disk is synced: the most that a power cut may lose (a
+            killed process loses nothing); 0 leaves it to the operating system.
+        sync_seconds: minimum time between syncs, s.
 
     Raises:
         DiskFullError, StorageError: the file cannot be created or written.
@@ -85,7 +85,7 @@ class JournalWriter:
     def _create(self, header: dict[str, Any]) -> None:
         flags = os.O_WRONLY | os.O_CREAT | os.O_APPEND
         try:
-            # An existing device node (a pipe, /dev/full) may be appended to; an existing file is never.
+            # An existing device node (a pipe, /dev/full) may be appended to, but never an existing file.
             exclusive = 0 if self.path.exists() and not self.path.is_file() else os.O_EXCL
             self._descriptor = os.open(self.path, flags | exclusive, 0o666)
         except OSError as error:
@@ -103,7 +103,7 @@ class JournalWriter:
 
     @property
     def size(self) -> int:
-        """Bytes in the file."""
+        """Size of the file, bytes."""
         return self._size
 
     def append(
@@ -114,7 +114,7 @@ class JournalWriter:
         samples: NDArray[np.int32] | NDArray[np.float32],
         flags: int = 0,
     ) -> None:
-        """Add one scan; when this returns, the operating system has it.
+        """Add one scan; on return, it has been passed to the operating system.
 
         Args:
             scan_id: unwrapped scan number.
@@ -124,13 +124,13 @@ class JournalWriter:
             flags: of `tagid.capture.ViewFlag`.
 
         Raises:
-            DiskFullError: no space; the record is taken off again, all before it stays.
+            DiskFullError: no space; the record is removed again, all earlier ones are kept.
             DataError: samples of another shape or dtype.
         """
         self.append_all((JournalScan(scan_id, host_time_ns, radar_time_ms, flags, samples),))
 
     def append_all(self, scans: Sequence[JournalScan]) -> None:
-        """Add scans with one write; raises as `append` does. Where space ends, as many as fit stay."""
+        """Add scans with one write; raises as `append` does. If space runs out, those that fit are kept."""
         records = [self._packed(scan) for scan in scans]
         with interrupts.deferred():
             self._append(records)
@@ -161,16 +161,16 @@ class JournalWriter:
             )
         if self._layout not in (None, (code, len(samples))):
             raise DataError(
-                f"scan {scan_id} has {len(samples)} samples ({samples.dtype}), unlike those before it"
+                f"scan {scan_id} has {len(samples)} samples ({samples.dtype}), unlike the earlier ones"
             )
         self._layout = (code, len(samples))
         head = _SCAN.pack(scan_id, scan.host_time_ns, scan.radar_time_ms, scan.flags, code, 0, len(samples))
         return pack_record(_SCAN_KIND, head + samples.astype(_DTYPES[code], copy=False).tobytes())
 
     def append_motion(self, readings: dict[str, Any]) -> None:
-        """Add readings of the motion: lists of one length host_time_ns, angle_rad, sigma_rad; and info.
+        """Add readings of the motion: lists of equal length host_time_ns, angle_rad, sigma_rad; and info.
 
-        Raises DiskFullError: no space; all before it stays.
+        Raises DiskFullError: no space; earlier records are kept.
         """
         with interrupts.deferred():
             self._write(pack_record(_MOTION, encode_settings(readings).encode()))
@@ -192,7 +192,7 @@ class JournalWriter:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Close the file; without `close` before, the recording stays marked as not complete."""
+        """Close the file; unless `close` was called, the recording stays marked as incomplete."""
         with interrupts.deferred():
             if self._descriptor >= 0:
                 try:
@@ -209,7 +209,7 @@ class JournalWriter:
         try:
             files.write_all(self._descriptor, data)
         except BaseException as error:
-            # A partial record would hide nothing from the reader, but it need not be there.
+            # The reader would skip a partial record, but it is removed all the same.
             self._cut_back()
             if isinstance(error, OSError):
                 raise files.storage_error(error, self.path, "appending to the journal") from error
@@ -219,7 +219,7 @@ class JournalWriter:
     def _cut_back(self) -> None:
         try:
             os.ftruncate(self._descriptor, self._size)
-        except OSError:  # not a regular file; the reader drops a partial record as well
+        except OSError:  # not a regular file; the reader also drops a partial record
             return
 
     def _sync(self) -> None:
@@ -238,15 +238,15 @@ class JournalWriter:
 
 @dataclass(frozen=True, eq=False)
 class Journal:
-    """What could be read of a journal.
+    """The readable content of a journal.
 
     Attributes:
-        path: the file.
+        path: path of the file.
         header: as given to the writer.
-        scans: all intact scans, in the order of the file.
-        summary: of the end record; None where that is missing (killed, power cut, disk full).
+        scans: all intact scans, in file order.
+        summary: content of the end record; None if it is missing (killed, power cut, disk full).
         bytes_dropped: bytes that belong to no intact record.
-        motion: all readings of the motion, None where there are none.
+        motion: all readings of the motion, None if there are none.
     """
 
     path: Path
@@ -259,14 +259,14 @@ class Journal:
 
 @dataclass
 class JournalStream:
-    """A journal read scan by scan, however large it is; made by `open_journal`.
+    """A journal read scan by scan, in constant memory; see `open_journal`.
 
     Attributes:
         path: the file.
         header: as given to the writer.
-        summary: of the end record; None before the end, and where it is missing.
+        summary: content of the end record; None before the end or if it is missing.
         bytes_dropped: bytes that belong to no intact record; known at the end.
-        motion: readings of the motion so far; None where there are none.
+        motion: motion readings up to now; None if there are none.
     """
 
     path: Path
@@ -278,7 +278,7 @@ class JournalStream:
     motion: dict[str, Any] | None = None
 
     def scans(self) -> Iterator[JournalScan]:
-        """Every intact scan, in the order of the file; once. Raises FileFormatError."""
+        """Every intact scan, in file order; may be called once. Raises FileFormatError."""
         for kind, payload in self.records:
             self.bytes_dropped -= record_bytes(payload)
             if kind == _SCAN_KIND:
@@ -291,7 +291,7 @@ class JournalStream:
     def _add_motion(self, part: dict[str, Any]) -> None:
         if not all(isinstance(part.get(name), list) for name in _READINGS):
             raise FileFormatError(
-                f"{self.path}: a motion record of the journal is not what its version defines"
+                f"{self.path}: a motion record of the journal does not match its format version"
             )
         joined: dict[str, Any] = self.motion or {name: [] for name in _READINGS}
         for name in _READINGS:
@@ -301,7 +301,7 @@ class JournalStream:
 
 @contextmanager
 def open_journal(path: Path) -> Iterator[JournalStream]:
-    """A journal to be read in constant memory; errors as for `read_journal`."""
+    """Open a journal for reading in constant memory; errors as for `read_journal`."""
     with files.open_regular(path) as (stream, size):
         head = stream.read(PREAMBLE.size)
         if len(head) < PREAMBLE.size or head[: len(MAGIC)] != MAGIC:
@@ -310,7 +310,7 @@ def open_journal(path: Path) -> Iterator[JournalStream]:
         if version != VERSION:
             raise FileFormatError(
                 f"{path}: journal version {version}, this tagid reads version {VERSION}",
-                "It was made by a newer tagid; upgrade." if version > VERSION else "The file is damaged.",
+                "It was written by a newer tagid; upgrade." if version > VERSION else "The file is damaged.",
             )
         records = intact_records(stream, size)
         kind, payload = next(records, (0, b""))
@@ -326,18 +326,18 @@ def open_journal(path: Path) -> Iterator[JournalStream]:
 def read_journal(path: Path) -> Journal:
     """Read every intact record; a cut or damaged part is skipped and counted.
 
-    Memory stays within a small multiple of the file's size, whatever lengths its records claim.
+    Memory stays within a small multiple of the file's size, whatever record lengths the file claims.
 
     Raises:
         StorageError: the file cannot be read.
-        FileFormatError: not a journal, made by a newer version, without an intact header, or too large to
-            be held in memory.
+        FileFormatError: not a journal, made by a newer version, without an intact header, or too large
+            for memory.
     """
     with open_journal(path) as stream:
         if stream.size > files.MAX_FILE_BYTES:
             raise FileFormatError(
-                f"{path}: has more than the limit of {files.MAX_FILE_BYTES} bytes",
-                f"`tagid recover {path}` makes capture files of it, in parts that can be read.",
+                f"{path}: exceeds the limit of {files.MAX_FILE_BYTES} bytes",
+                f"`tagid recover {path}` converts it to capture files of readable size.",
             )
         scans = tuple(stream.scans())
         return Journal(path, stream.header, scans, stream.summary, stream.bytes_dropped, stream.motion)
@@ -349,4 +349,4 @@ def _parse_scan(path: Path, payload: bytes) -> JournalScan:
         if code < len(_DTYPES) and len(payload) == _SCAN.size + bins * _DTYPES[code].itemsize:
             samples = np.frombuffer(payload, dtype=_DTYPES[code], offset=_SCAN.size)
             return JournalScan(scan_id, host_time_ns, radar_time_ms, flags, samples)
-    raise FileFormatError(f"{path}: a scan record of the journal is not what its version defines")
+    raise FileFormatError(f"{path}: a scan record of the journal does not match its format version")

@@ -1,6 +1,6 @@
-"""From a journal to captures: one in memory, or files written as the journal is read.
+"""From a journal to captures: one in memory, or files written while the journal is read.
 
-A recording of hours is larger than the memory and than any command could read, so it becomes several files.
+A recording of hours exceeds the memory of any command, so it is split into several files.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from tagid.storage.journal import Journal, JournalScan, open_journal, read_journ
 from tagid.storage.metadata import PARTS, read_metadata, stored_version
 
 PART_BYTES = 1 << 30
-"""Samples in one file of a long recording, bytes: half of what a command reads at most."""
+"""Samples in one file of a long recording, bytes: half the limit for reading."""
 
 _BLOCK_BYTES = 1 << 19
 _NUMBERS = ("range_start_m", "range_step_m", "axis_distance_m", "antenna_height_m")
@@ -33,11 +33,11 @@ _TEXTS = ("uuid", "created_utc", "tool_version")
 
 
 def journal_to_capture(journal: Journal) -> Capture:
-    """The capture that a journal holds; `complete` is False where its end record is missing.
+    """The capture that a journal holds; `complete` is False if its end record is missing.
 
-    The objects `radar`, `motion` and `object` of the end record add to those of the header; bytes that were
-    dropped are noted as `radar.journal_bytes_dropped`, readings of the motion are `motion.track`
-    (`tagid.pipeline.resolve.with_measured_angles` makes angles of them).
+    The objects `radar`, `motion` and `object` of the end record extend those of the header. Dropped bytes are
+    noted as `radar.journal_bytes_dropped`, motion readings as `motion.track`
+    (`tagid.pipeline.resolve.with_measured_angles` converts them to angles).
 
     Raises:
         FileFormatError: no scan is intact, scans differ in shape or dtype, or the header lacks a value.
@@ -51,13 +51,13 @@ def journal_to_capture(journal: Journal) -> Capture:
 
 
 def read_journal_capture(path: Path) -> Capture:
-    """The capture that a journal file holds, read twice so that the memory is that of the capture alone.
+    """The capture that a journal file holds, read twice to use no more memory than the capture.
 
     Raises as `read_journal` and `journal_to_capture` do.
     """
     with open_journal(path) as stream:
         if stream.size > files.MAX_FILE_BYTES:
-            return journal_to_capture(read_journal(path))  # which explains
+            return journal_to_capture(read_journal(path))  # raises the detailed error
         count = 0
 
         def counted() -> Iterator[JournalScan]:
@@ -75,7 +75,7 @@ def read_journal_capture(path: Path) -> Capture:
 
 
 def common_layout(path: Path, scans: Iterable[JournalScan]) -> tuple[int, np.dtype[Any]]:
-    """(bins, dtype) of the scans. Raises FileFormatError where there is none or they differ."""
+    """(bins, dtype) of the scans. Raises FileFormatError if there is none or they differ."""
     layout: tuple[int, np.dtype[Any]] | None = None
     for scan in scans:
         own = len(scan.samples), scan.samples.dtype.newbyteorder("=")
@@ -91,7 +91,7 @@ def common_layout(path: Path, scans: Iterable[JournalScan]) -> tuple[int, np.dty
 
 @dataclass(frozen=True, eq=False)
 class ScanArrays:
-    """Scans as the arrays of a capture: (views, bins) samples and (views,) of the rest."""
+    """Scans as arrays of a capture: (views, bins) samples and (views,) of the rest."""
 
     samples: NDArray[Any]
     host_time_ns: NDArray[np.int64]
@@ -101,13 +101,13 @@ class ScanArrays:
 
     @classmethod
     def empty(cls, views: int, bins: int, dtype: np.dtype[Any]) -> Self:
-        """Arrays of zeros for so many scans."""
+        """Zero-filled arrays for `views` scans."""
         integers = np.zeros((2, views), np.int64)
         times, flags = np.zeros(views, np.float64), np.zeros(views, np.uint8)
         return cls(np.zeros((views, bins), dtype), integers[0], times, integers[1], flags)
 
     def fill(self, path: Path, scans: Iterator[JournalScan]) -> None:
-        """Fill all rows. Raises FileFormatError where the journal at `path` has fewer scans left."""
+        """Fill all rows. Raises FileFormatError if the journal at `path` has too few scans left."""
         for row in range(len(self.samples)):
             scan = next(scans, None)
             if scan is None:
@@ -126,7 +126,7 @@ class ScanArrays:
 def capture_fields(
     path: Path, header: dict[str, Any], summary: dict[str, Any] | None, dropped: int
 ) -> dict[str, Any]:
-    """The fields of a Capture that a journal's header and end record give. Raises FileFormatError."""
+    """The fields of a Capture from a journal's header and end record. Raises FileFormatError."""
     fields: dict[str, Any] = {"complete": summary is not None}
     for name in (*_NUMBERS, *_BAND):
         if header.get(name) is not None:
@@ -159,15 +159,15 @@ def _to_capture(journal: Journal, arrays: ScanArrays) -> Capture:
 
 @dataclass(frozen=True)
 class WrittenCaptures:
-    """What `write_captures` made.
+    """The result of `write_captures`.
 
     Attributes:
-        paths: the files, in the order of the recording.
-        views, bins: scans of all files together, and samples of a scan.
+        paths: the files, in recording order.
+        views, bins: scans of all files, and samples per scan.
         complete: whether the journal has its end record.
         bytes_dropped: bytes of the journal that belong to no intact record.
-        radar: the settings and counters that the files hold.
-        has_track: whether the journal holds readings of the motion, which the files do not.
+        radar: the settings and counters stored in the files.
+        has_track: whether the journal holds readings of the motion, which the files do not contain.
     """
 
     paths: tuple[Path, ...]
@@ -185,16 +185,16 @@ def write_captures(
     counters: RadarInfo | None = None,
     part_bytes: int = PART_BYTES,
 ) -> WrittenCaptures:
-    """Write the capture files of a journal in constant memory, each of them whole or not at all.
+    """Write the capture files of a journal in constant memory, each atomically.
 
     Args:
         journal: the file.
-        part_path: gives the path of part 1, 2, ... (one part where the recording is short enough).
-        counters: what the recording counted; fills the journal's `radar`.
+        part_path: returns the path of part 1, 2, ... (one part if the recording is short enough).
+        counters: counters of the recording; added to the journal's `radar`.
         part_bytes: samples in one file, bytes.
 
     Raises:
-        StorageError, DiskFullError: a file cannot be read or written; parts before it stay.
+        StorageError, DiskFullError: a file cannot be read or written; earlier parts are kept.
         FileFormatError: as for `journal_to_capture`.
     """
     views = 0

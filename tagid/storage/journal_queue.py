@@ -1,7 +1,7 @@
-"""A bounded queue before the journal, so that a disk that is slow for a moment does not cost a scan.
+"""A bounded queue before the journal, so that a temporarily slow disk loses no scan.
 
-The radar sends whether the disk is ready or not. Scans wait here in bounded memory; what does not fit is
-dropped and counted, never silently.
+The radar sends at its own pace. Scans wait here in bounded memory; those that do not fit are dropped and
+counted, never silently.
 """
 
 from __future__ import annotations
@@ -16,22 +16,22 @@ from tagid.errors import TagidError
 from tagid.storage.journal import JournalScan, JournalWriter
 
 QUEUE_BYTES: Final = 64 << 20
-"""Samples that may wait: 40 s at the radar's highest data rate of 1.5 MB/s."""
+"""Limit for waiting samples, bytes: 40 s at the radar's highest data rate of 1.5 MB/s."""
 
 _PER_SCAN: Final = 512
-"""What a waiting scan takes beside its samples, bytes, roughly."""
+"""Approximate memory of a waiting scan besides its samples, bytes."""
 _BATCH: Final = 256
 
 
 class JournalQueue:
-    """Hands scans to a journal on a thread of its own; a context manager whose end waits for all of them.
+    """Writes scans to a journal on its own thread; a context manager whose exit waits for all of them.
 
     Args:
-        writer: the journal; it stays the caller's to close, after this.
-        limit_bytes: memory that waiting scans may take.
+        writer: the journal; the caller closes it afterwards.
+        limit_bytes: memory limit for waiting scans.
 
     Attributes:
-        dropped: scans that found the queue full.
+        dropped: number of scans dropped because the queue was full.
     """
 
     def __init__(self, writer: JournalWriter, limit_bytes: int = QUEUE_BYTES) -> None:
@@ -49,9 +49,9 @@ class JournalQueue:
         self._thread.start()
 
     def put(self, scan: JournalScan) -> bool:
-        """Adds a scan; False where it was dropped because the disk is too slow.
+        """Add a scan; False if it was dropped because the disk is too slow.
 
-        Raises DiskFullError, StorageError or DataError where writing an earlier scan failed.
+        Raises DiskFullError, StorageError or DataError if writing an earlier scan failed.
         """
         size = scan.samples.nbytes + _PER_SCAN
         with self._changed:
@@ -66,7 +66,7 @@ class JournalQueue:
         return True
 
     def put_motion(self, readings: dict[str, Any]) -> None:
-        """Adds readings of the motion, see `JournalWriter.append_motion`; never dropped. Raises as `put`."""
+        """Add motion readings, see `JournalWriter.append_motion`; never dropped. Raises as `put`."""
         with self._changed:
             self._raise_failure()
             self._readings.append(readings)
@@ -121,5 +121,5 @@ class JournalQueue:
 
 
 def drop_note(dropped: int) -> str:
-    """What to tell a user of scans that the disk was too slow for."""
-    return f"{dropped} scans were dropped because the disk was too slow: record to a faster one"
+    """The message about scans that were dropped because of a slow disk."""
+    return f"{dropped} scans were dropped because the disk was too slow: record to a faster disk"

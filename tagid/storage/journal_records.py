@@ -1,6 +1,6 @@
-"""The records of a journal, found one after the other in a file of any size.
+"""The records of a journal, read one by one from a file of any size.
 
-A recording of hours is larger than the memory, so nothing here holds more than one record and a buffer.
+Long recordings exceed the memory, so this module holds at most one record and a buffer.
 """
 
 from __future__ import annotations
@@ -24,23 +24,23 @@ def pack_record(kind: int, payload: bytes) -> bytes:
 
 
 def record_bytes(payload: bytes) -> int:
-    """Bytes that a record with this payload takes in the file."""
+    """Size of a record with this payload in the file, bytes."""
     return _RECORD.size + len(payload)
 
 
 def intact_records(stream: BinaryIO, size: int) -> Iterator[tuple[int, bytes]]:
-    """(kind, payload) of every record whose CRC holds, in the order of the file.
+    """(kind, payload) of every record whose CRC holds, in file order.
 
-    A cut or damaged part is skipped up to the next marker. Memory stays within one payload and a buffer of
-    1 MiB, and time within a small multiple of the size, whatever lengths the records claim.
+    A cut or damaged part is skipped up to the next marker. Memory is limited to one payload and a buffer of
+    1 MiB, time to a small multiple of the size, whatever lengths the records claim.
 
     Args:
         stream: the journal, seekable.
-        size: its bytes.
+        size: its size, bytes.
     """
     window = _Window(stream, size)
     position = PREAMBLE.size
-    # A crafted file could make every marker claim a long payload: the work spent on failures is bounded, too.
+    # A crafted file could make every marker claim a long payload: the work on failures is bounded as well.
     patience = size + MAX_PAYLOAD
     while patience > 0:
         head = window.take(position, _RECORD.size)
@@ -65,7 +65,7 @@ def _crc(kind: int, payload: bytes) -> int:
 
 
 class _Window:
-    """A buffered look at any part of a file; reading forward costs each byte once."""
+    """A buffered view of a file; sequential access reads each byte once."""
 
     def __init__(self, stream: BinaryIO, size: int) -> None:
         self._stream = stream
@@ -83,7 +83,7 @@ class _Window:
         return self._data[first : first + count]
 
     def find(self, mark: bytes, position: int) -> int:
-        """Where `mark` next stands, -1 where it does not."""
+        """Position of the next `mark`, -1 if there is none."""
         while position < self._size:
             data = self.take(position, min(_BUFFER, self._size - position))
             found = data.find(mark)

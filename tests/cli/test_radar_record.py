@@ -61,7 +61,7 @@ def test_config_sets_only_what_is_asked_and_shows_both_sides(tagid) -> None:
         assert data["samples"] % 96 == 0
         again = tagid(*words)
         assert "20" in again.out
-        for name in ("before", "asked", "taken", "scan_start_ps", "scans a second"):
+        for name in ("before", "asked", "taken", "scan_start_ps", "scans per second"):
             assert name in again.out
         for bad in (
             ("--gain", "64"),

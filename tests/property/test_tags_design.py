@@ -204,7 +204,7 @@ def test_what_there_is_no_room_for_is_told() -> None:
         HELMET.with_rows(9)
     with pytest.raises(UsageError, match="radius of 110 m"):
         TaggedObject("own", "other", (Row(110.0),))
-    with pytest.raises(UsageError, match="no object"):
+    with pytest.raises(UsageError, match="unknown object"):
         object_named("../etc")
     with pytest.raises(UsageError, match="too many"):
         necklaces(48, 12)

@@ -76,9 +76,9 @@ def test_the_whole_way(tagid, captures: Path, tmp_path: Path) -> None:
     fine = tagid("report", "captures", "--out", "r", "--resume")
     assert fine.code == 0
     assert "3 objects: 3 identified" in fine.out
-    assert "3 answers were taken over" in fine.err
+    assert "3 answers were reused" in fine.err
 
-    # Every answer was kept once, those that were taken over not again.
+    # Every answer was kept once, and reused answers not again.
     rows = tagid("history", "--output", "json").json["data"]["items"]
     assert len(rows) == 5
     assert {row["command"] for row in rows} == {"report"}

@@ -65,7 +65,7 @@ def test_another_schema_or_opset_is_refused_naming_both(folder: Path) -> None:
     with pytest.raises(ModelError, match=r"numbers is .*\(9,\).*manifest says .*\(7,\)"):
         open_model("ats_step", folder=folder)
     change(folder, "ats_step", opset=OPSET - 1)
-    with pytest.raises(ModelError, match=f"opset {OPSET - 1}, wanted is {OPSET}"):
+    with pytest.raises(ModelError, match=f"opset {OPSET - 1}, expected {OPSET}"):
         open_model("ats_step", folder=folder)
 
 
@@ -80,7 +80,7 @@ def test_inputs_of_another_shape_are_refused_naming_both() -> None:
     }
     model.check(feeds)
     with pytest.raises(
-        ModelError, match=r"confidence is float32\[3, 5\], wanted is float32\['views', 'bins'\]"
+        ModelError, match=r"confidence is float32\[3, 5\], expected float32\['views', 'bins'\]"
     ):
         model.check({**feeds, "confidence": np.zeros((3, 5), np.float32)})
     with pytest.raises(ModelError, match="float64"):
@@ -106,5 +106,5 @@ def test_a_file_outside_the_folder_or_missing_is_refused(folder: Path) -> None:
     change(folder, "ats_step", file="gone.onnx")
     with pytest.raises(StorageError, match=r"gone\.onnx"):
         model_bytes("ats_step", folder)
-    with pytest.raises(ModelError, match="there are: ats_step"):
+    with pytest.raises(ModelError, match="known are: ats_step"):
         model_bytes("another", folder)

@@ -51,7 +51,7 @@ def test_a_layout_takes_back_its_own_dict() -> None:
         ({"kind": "hat"}, "kind"),
         ({"symmetry": 3}, "symmetry"),
         ({"positions_m": [[0.1, 0.0]]}, "positions"),
-        ({"positions_m": [[0.1, 0.0], [0.1, float("nan")]]}, "axis"),
+        ({"positions_m": [[0.1, 0.0], [0.1, float("nan")]]}, "not finite"),
         ({"positions_m": [[110, 0], [0, 110]]}, "axis"),
         ({"positions_m": [[0.1, 0.0], [0.1, float("inf")]]}, "not finite"),
         ({"positions_m": [[0.1, 0.0], [0.101, 0.0]]}, "apart"),

@@ -26,12 +26,12 @@ def agree(what: str, yes: bool, warning: str = "") -> None:
     """Return where it may move.
 
     Args:
-        what: what will move and how, for the question.
+        what: what will move and how, for the prompt.
         yes: whether --yes was given.
         warning: what does not stop it by itself; shown before the question, and also where --yes was given.
 
     Raises:
-        UsageError: nobody can be asked. CaptureInterrupted: the answer was no.
+        UsageError: no terminal to ask on. CaptureInterrupted: the user declined.
     """
     if warning:
         typer.echo(f"{warning}.", err=True)
@@ -43,15 +43,15 @@ def agree(what: str, yes: bool, warning: str = "") -> None:
             "Make sure that its surroundings are free, then add --yes.",
         )
     try:
-        agreed = typer.confirm(f"{what}. Are its surroundings free?", default=False, err=True)
+        agreed = typer.confirm(f"{what}. Is the area clear?", default=False, err=True)
     except typer.Abort:
         agreed = False
     if not agreed:
-        raise CaptureInterrupted("not agreed: nothing was moved")
+        raise CaptureInterrupted("declined: nothing was moved")
 
 
 def agree_to(motion_url: str, yes: bool) -> None:
-    """Ask about the device of a URL, where it moves on command. Raises as `agree`, and UsageError."""
+    """Ask before moving the device of a URL, if it moves on command. Raises as `agree`, and UsageError."""
     from tagid.motion.urls import open_motion
 
     motion = open_motion(motion_url)

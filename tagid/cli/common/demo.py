@@ -1,4 +1,4 @@
-"""The demo's radar: an emulated P440 in a process of its own, reached over a real UDP socket on loopback."""
+"""The demo's radar: an emulated P440 in its own process, reached over a real UDP socket on loopback."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ DEMO_CENTRE = "0.005,-0.003"
 
 @contextmanager
 def emulated_radar(scene: str) -> Iterator[dict[str, Any]]:
-    """Run an emulator while the block runs; yields the settings that lead to it.
+    """Run an emulator while the block runs; yields the settings for connecting to it.
 
-    Raises DeviceError with the emulator's own words where it does not start.
+    Raises DeviceError with the emulator's message if it does not start.
     """
     arguments = ["emulate", "p440", "--bind", "127.0.0.1:0", "--scene", scene, "--rpm", str(DEMO_RPM)]
     arguments += ["--centre", DEMO_CENTRE]

@@ -1,6 +1,6 @@
-"""What enrolling shows and asks before anything is stored, the same whatever the layouts come from.
+"""What `enroll` and `layouts import` show and ask before they store anything.
 
-A script gets the same as JSON and decides by itself: it is asked nothing.
+Scripts get the same data as JSON and are not asked.
 """
 
 from __future__ import annotations
@@ -27,22 +27,22 @@ if TYPE_CHECKING:
 
 Yes = Annotated[bool, typer.Option("--yes", "-y", help="Store without asking.", show_default=False)]
 DryRun = Annotated[
-    bool, typer.Option("--dry-run", help="Show what it would mean and store nothing.", show_default=False)
+    bool, typer.Option("--dry-run", help="Show the outcome but store nothing.", show_default=False)
 ]
 SHOWN = 6
-"""Neighbours listed for people; JSON has them all."""
+"""Neighbours listed in text output; JSON has them all."""
 
 
 def direction_known() -> bool:
-    """Whether the configuration knows which way objects turn."""
+    """Whether the direction of rotation is configured."""
     return bool(load_config({})["tags.direction"] == "known")
 
 
 def about(outlook: Outlook) -> str:
-    """The expected confusion in words."""
+    """The expected confusion as text."""
     place = outlook.place
     sigma = outlook.layout.sigma_m
-    own = f", its own positions known to {sigma * 1e3:.1f} mm" if sigma > 0 else ""
+    own = f", its positions known to {sigma * 1e3:.1f} mm" if sigma > 0 else ""
     return (
         f"expected confusion with all of them: {rate_in_words(outlook.confusion_rate)} of readings at "
         f"{place.views} views and {place.snr_db} dB (each coordinate off by {place.sigma_m * 1e3:.1f} mm, as "
@@ -51,22 +51,22 @@ def about(outlook: Outlook) -> str:
 
 
 def neighbours(outlook: Outlook, shown: int = SHOWN) -> RenderableType:
-    """The nearest enrolled layouts of one, for people."""
+    """The nearest enrolled layouts to one, as a table."""
     from rich.console import Group
     from rich.table import Table
     from rich.text import Text
 
     if not outlook.neighbours:
-        return Text("nothing else is enrolled that it could be confused with")
+        return Text("no other layout is enrolled")
     table = Table(box=None)
     for head in ("nearest enrolled", "worst mm", "RMS mm", "confused", "remark"):
         table.add_column(head, no_wrap=head != "remark")
     for one in outlook.neighbours[: max(shown, len(outlook.confusable))]:
         distance = one.distance
         same = distance.worst_m < float("inf")
-        remark = "not of its size" if not same else ""
+        remark = "different number of reflectors" if not same else ""
         if distance.nested:
-            remark = "one is a part of the other"
+            remark = "one is a subset of the other"
         if one.confusable:
             remark = "COULD BE CONFUSED"
         table.add_row(
@@ -80,7 +80,7 @@ def neighbours(outlook: Outlook, shown: int = SHOWN) -> RenderableType:
 
 
 def family_neighbours(outlooks: Sequence[Outlook]) -> RenderableType:
-    """The nearest other layout of each of several, for people."""
+    """The nearest other layout to each of several, as a table."""
     from rich.console import Group
     from rich.table import Table
     from rich.text import Text
@@ -103,7 +103,7 @@ def family_neighbours(outlooks: Sequence[Outlook]) -> RenderableType:
 
 
 def as_data(outlook: Outlook) -> dict[str, Any]:
-    """The same for scripts."""
+    """The same as JSON values."""
     place = outlook.place
     return {
         "nearest": [
@@ -126,9 +126,9 @@ def as_data(outlook: Outlook) -> dict[str, Any]:
 
 
 def agree(terminal: Terminal, shown: RenderableType, question: str, yes: bool) -> bool:
-    """Show what enrolling would mean and ask, where a person is there to be asked.
+    """Show the outcome of enrolling, and ask for confirmation on a terminal.
 
-    Returns whether it was shown. Raises CaptureInterrupted where the answer is no: nothing is stored then.
+    Returns whether it was shown. Raises CaptureInterrupted if the user declines: nothing is stored then.
     """
     if yes or terminal.output != Output.human or not (sys.stdin.isatty() and sys.stderr.isatty()):
         return False
@@ -140,13 +140,13 @@ def agree(terminal: Terminal, shown: RenderableType, question: str, yes: bool) -
     except typer.Abort:
         agreed = False
     if not agreed:
-        raise CaptureInterrupted("not agreed: nothing was stored")
+        raise CaptureInterrupted("declined: nothing was stored")
     return True
 
 
 @dataclass(frozen=True)
 class Wish:
-    """How layouts are to be stored: over conflicts, without being asked, or not at all."""
+    """How to store layouts: overriding conflicts, without a prompt, or not at all."""
 
     force: bool = False
     yes: bool = False
@@ -155,12 +155,12 @@ class Wish:
 
 @dataclass(frozen=True)
 class Stored:
-    """What became of several layouts.
+    """The outcome of enrolling several layouts.
 
     Attributes:
-        version: the registry's version since; None where nothing was stored.
-        data: their neighbours, for scripts.
-        seen: the same for people; None where they have seen it before they agreed.
+        version: the new registry version; None if nothing was stored.
+        data: their neighbours, as JSON values.
+        seen: their neighbours, as text; None if already shown before the prompt.
         error: why nothing was stored.
     """
 
@@ -172,7 +172,7 @@ class Stored:
     def result(
         self, name: str, data: dict[str, Any], lines: Sequence[RenderableType], messages: Sequence[str] = ()
     ) -> Result:
-        """The command's result around it."""
+        """As the result of a command."""
         from rich.console import Group
 
         human = Group(*([] if self.seen is None else [self.seen]), *([] if self.error else lines))
@@ -192,7 +192,7 @@ def store_family(
 ) -> Stored:
     """Show what enrolling layouts together would mean, ask, and store them, and signatures, all or none.
 
-    Raises CaptureInterrupted where the answer is no, RegistryError.
+    Raises CaptureInterrupted if the user declines, RegistryError.
     """
     from rich.text import Text
 
@@ -224,5 +224,5 @@ def store_family(
 
 
 def rate_in_words(rate: float) -> str:
-    """A rate for people: nothing under one in a million million is worth a figure."""
+    """A rate as text; rates below 1e-12 are not given as a figure."""
     return "under 1e-12" if rate < 1e-12 else f"{rate:.1e}"

@@ -1,6 +1,6 @@
-"""What all commands share: common options, one place for errors, one place for output.
+"""What all commands share: common options, error handling, output.
 
-A command's own file then holds its options and one call into the library, nothing else.
+A command's own file then holds only its options and one call into the library.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from tagid.result import Result, render
 
 
 class Output(StrEnum):
-    """How a result is written."""
+    """How a result is printed."""
 
     human = "human"
     json = "json"
@@ -43,7 +43,7 @@ class Output(StrEnum):
 
 @dataclass(frozen=True)
 class Terminal:
-    """How this run talks to its user."""
+    """Output format and progress display of this run."""
 
     output: StrEnum = Output.human
     quiet: bool = False
@@ -77,11 +77,11 @@ class Terminal:
 
 
 _COMMON = {
-    "quiet": Annotated[bool, typer.Option("--quiet", "-q", help="No progress, no remarks.")],
-    "verbose": Annotated[int, typer.Option("--verbose", "-v", count=True, help="Say more; twice: debug.")],
+    "quiet": Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar, no remarks.")],
+    "verbose": Annotated[int, typer.Option("--verbose", "-v", count=True, help="Log more; twice: debug.")],
 }
 _DEFAULTS: dict[str, Any] = {"quiet": False, "verbose": 0}
-_OUTPUT_HELP = "Text for people or one JSON document."
+_OUTPUT_HELP = "Readable text or one JSON document."
 
 
 def command(
@@ -89,7 +89,7 @@ def command(
 ) -> Callable[[Callable[..., Result]], Callable[..., Result]]:
     """Register a function `(terminal, ...) -> Result` as a command with the common options added.
 
-    `formats` are what --output takes: "human", "json" and, where the result has it, "csv".
+    `formats` are the choices of --output: "human", "json" and, if the result has one, "csv".
     """
 
     def decorate(function: Callable[..., Result]) -> Callable[..., Result]:
@@ -100,7 +100,7 @@ def command(
 
 
 def group_command(app: typer.Typer, name: str) -> Callable[[Callable[..., Result]], Callable[..., Result]]:
-    """Register a function as what a group of commands does where none of them is named."""
+    """Register a function to run when a command group is called without a command."""
 
     def decorate(function: Callable[..., Result]) -> Callable[..., Result]:
         run = _with_common_options(name, function, Output)
@@ -151,7 +151,7 @@ def _with_common_options(
 
 
 def execute(name: str, terminal: Terminal, work: Callable[[], Result]) -> Result:
-    """Do the work, turn whatever happens into a Result, write it, and return it."""
+    """Run the work, turn its outcome or error into a Result, write it, and return it."""
     _set_up_logging(terminal)
     try:
         result = work()
@@ -167,9 +167,9 @@ def execute(name: str, terminal: Terminal, work: Callable[[], Result]) -> Result
         logging.getLogger("tagid").debug("unexpected error", exc_info=True)
         fault = TagidError(
             f"unexpected {type(error).__name__}: {error}",
-            "This is a fault in tagid: run again with -vv and report what it prints.",
+            "This is a bug in tagid: run again with -vv and report the output.",
         )
-        # A library that is stopped while it is being loaded may raise anything.
+        # A library that is interrupted while being imported may raise anything.
         stopped = interrupts.delivered()
         result = Result.from_error(name, CaptureInterrupted("stopped by the user") if stopped else fault)
     if result.exit_code == EXIT_INTERRUPTED:
@@ -207,7 +207,7 @@ def _drop_if_broken(stream: typing.TextIO) -> None:
 
 
 def serve(app: typer.Typer) -> int:
-    """Run the command line of a program; every wrong one is answered in the wanted format.
+    """Run the command line of a program; report an invalid one in the requested format.
 
     Returns the exit code.
     """
@@ -218,7 +218,9 @@ def serve(app: typer.Typer) -> int:
     except typer.TyperException as error:
         as_json = any(word == "json" or word == "--output=json" for word in sys.argv[1:])
         words = [word for word in sys.argv[1:] if not word.startswith("-")]
-        usage = UsageError(error.format_message(), f"`{name} --help` and `{name} COMMAND -h` show what fits.")
+        usage = UsageError(
+            error.format_message(), f"`{name} --help` and `{name} COMMAND -h` show the options."
+        )
         if usage.message:
             _write(Result.from_error(words[0] if words else name, usage), "json" if as_json else "human")
         return EXIT_USAGE

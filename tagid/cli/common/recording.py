@@ -1,4 +1,4 @@
-"""What the commands that record a turn have in common: from the configuration to a recording plan."""
+"""Shared by the commands that record a turn: from the configuration to a recording plan."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Limits:
-    """When a recording ends, whatever the motion says.
+    """Limits of a recording, besides the end of the turn.
 
     Attributes:
-        scans: number of scans; None until a turn is complete.
+        scans: number of scans; None to record a full turn.
         max_seconds: longest duration, s.
     """
 
@@ -50,7 +50,7 @@ def plan_of(config: Config, url: str, limits: Limits, about: ObjectInfo) -> Reco
 
 
 def _window(config: Config, url: str) -> RadarConfig | None:
-    """The radar settings to ask for; None leaves a replayed recording its own."""
+    """The radar settings to request; None keeps those of a replayed recording."""
     from tagid.radar.settings import RadarConfig
     from tagid.recording.plan import plan_window
 
@@ -64,8 +64,8 @@ def _window(config: Config, url: str) -> RadarConfig | None:
     )
     if distance is None:
         raise ConfigError(
-            "the distance from the radar to the rotation axis is not known",
-            "Measure it to a centimetre or two and give --axis-distance METRES, or keep it with "
+            "the distance from the radar to the rotation axis is unknown",
+            "Measure it to 1 or 2 cm and give --axis-distance METRES, or store it with "
             "`tagid config set motion.axis_distance_m METRES`.",
         )
     return plan_window(distance, config["imaging.extent_m"], config["radar.cable_delay_ps"], base)

@@ -1,4 +1,4 @@
-"""How one answer from several recordings is written: the answer, and what each recording says alone."""
+"""Output of a joint answer from several recordings, with each recording's own answer."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def joint_item(
 def joint_text(
     joint: Identification, files: Sequence[str], alone: Sequence[Identification]
 ) -> RenderableType:
-    """The joint answer for a person, and a line for each recording."""
+    """The joint answer as text, with one line per recording."""
     from rich.console import Group
     from rich.text import Text
 

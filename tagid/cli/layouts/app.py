@@ -1,6 +1,6 @@
 """`tagid layouts`: the enrolled identities, and the group of commands about layouts.
 
-One thin file a command; a new one is added to `PARTS` and nowhere else.
+One file per command; new commands are added to `PARTS` only.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def register(app: typer.Typer) -> None:
         history: Annotated[bool, typer.Option("--history", help="Every change ever made.")] = False,
         remove: Annotated[str | None, typer.Option("--remove", help="Remove this layout or object.")] = None,
     ) -> Result:
-        """List, design, draw, exchange and check the layouts; alone it lists those enrolled.
+        """List, design, draw, exchange and check the layouts; without a command, list those enrolled.
 
         Example: tagid layouts --history
         """
@@ -40,7 +40,7 @@ def register(app: typer.Typer) -> None:
         registry = open_registry()
         if remove:
             version = registry.remove(remove, "tagid layouts --remove")
-            line = Text(f"{remove} removed; its history stays (registry version {version})")
+            line = Text(f"{remove} removed; its history is kept (registry version {version})")
             return Result("layouts", {"removed": remove, "registry_version": version}, line)
         if history:
             changes = registry.history()

@@ -1,4 +1,4 @@
-"""`tagid layouts check`: which of the enrolled layouts can be taken for another."""
+"""`tagid layouts check`: which of the enrolled layouts can be confused with another."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ def register(app: typer.Typer) -> None:
         terminal: Terminal,
         sigma: Annotated[
             float | None,
-            typer.Option("--sigma", help="Error of one coordinate, metres; what was measured without."),
+            typer.Option("--sigma", help="Error of one coordinate, metres; default: as measured."),
         ] = None,
     ) -> Result:
-        """Check the registry: every pair's distance and how often noise confuses it.
+        """Check the registry: distance and confusion rate of every pair.
 
         Example: tagid layouts check
         """
@@ -67,7 +67,7 @@ def register(app: typer.Typer) -> None:
                 remark + (", as its mirror image" if other.mirrored else ""),
             )
         for part, whole in nested[:10]:
-            table.add_row(f"{part.name} - {whole.name}", "-", "-", "-", "the first is a part of the second")
+            table.add_row(f"{part.name} - {whole.name}", "-", "-", "-", "the first is a subset of the second")
         data = {
             "layouts": len(enrolled),
             "registry_version": version,
@@ -92,12 +92,12 @@ def register(app: typer.Typer) -> None:
                 "layouts check",
                 data,
                 messages=tuple(remarks),
-                human=Text(f"{len(enrolled)} layouts, no two of one size"),
+                human=Text(f"{len(enrolled)} layouts, no two with the same number of reflectors"),
             )
         if not bad:
             return Result("layouts check", data, table, messages=tuple(remarks))
         error = LayoutConflictError(
-            f"{len(bad)} pair(s) of layouts could be confused: within {CONFUSABLE_M * 1e3:.0f} mm, or "
+            f"{len(bad)} pair(s) of layouts could be confused: closer than {CONFUSABLE_M * 1e3:.0f} mm, or "
             "more often than enrolling allows",
             "Remove one of each pair with `tagid layouts --remove NAME`, or move a reflector.",
         )

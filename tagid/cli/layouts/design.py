@@ -1,4 +1,4 @@
-"""`tagid layouts design` and `capacity`: families of layouts for an object, and how large they can be."""
+"""`tagid layouts design` and `capacity`: families of layouts for an object, and their largest size."""
 
 from __future__ import annotations
 
@@ -21,28 +21,24 @@ if TYPE_CHECKING:
 ObjectName = Annotated[str, typer.Option("--object", help="helmet, mug or container.")]
 Radius = Annotated[
     list[float] | None,
-    typer.Option("--radius", help="Your own object: a row's radius in metres; once for each row."),
+    typer.Option("--radius", help="Custom object: radius of a row in metres; repeat for each row."),
 ]
-Height = Annotated[
-    list[float] | None, typer.Option("--height", help="Heights of these rows, metres; as many as radii.")
-]
+Height = Annotated[list[float] | None, typer.Option("--height", help="Height of each --radius row, metres.")]
 Rows = Annotated[
     int | None,
-    typer.Option("--rows", help="Use so many of the object's rows, 1 without.", show_default=False),
+    typer.Option("--rows", help="Number of the object's rows to use; default 1.", show_default=False),
 ]
-Slots = Annotated[int, typer.Option("--slots", help="Equal steps around the object.")]
-Spacing = Annotated[
-    float | None, typer.Option("--spacing", help="Least distance of two reflectors, metres (0.04).")
-]
+Slots = Annotated[int, typer.Option("--slots", help="Equal angular steps around the object.")]
+Spacing = Annotated[float | None, typer.Option("--spacing", help="Minimum reflector spacing, metres (0.04).")]
 Mirror = Annotated[
     bool | None,
     typer.Option(
         "--mirror/--no-mirror",
-        help="Whether mirror images are two layouts; without, as tags.direction is set.",
+        help="Count mirror images as two layouts; default: follows tags.direction.",
         show_default=False,
     ),
 ]
-Seed = Annotated[int, typer.Option("--seed", help="Of the search for the best set.")]
+Seed = Annotated[int, typer.Option("--seed", help="Random seed of the search for the best set.")]
 
 
 def register(app: typer.Typer) -> None:
@@ -52,20 +48,19 @@ def register(app: typer.Typer) -> None:
     def design(
         terminal: Terminal,
         target: ObjectName = "helmet",
-        reflectors: Annotated[int, typer.Option("--reflectors", help="Reflectors on each layout.")] = 3,
+        reflectors: Annotated[int, typer.Option("--reflectors", help="Reflectors per layout.")] = 3,
         slots: Slots = 12,
-        count: Annotated[int, typer.Option("--count", help="Layouts wanted.")] = 10,
+        count: Annotated[int, typer.Option("--count", help="Number of layouts.")] = 10,
         rows: Rows = None,
         radius: Radius = None,
         height: Height = None,
         spacing: Spacing = None,
         mirror: Mirror = None,
         seed: Seed = 0,
-        alone: Annotated[
-            bool, typer.Option("--alone", help="Do not keep away from the layouts that are enrolled.")
-        ] = False,
+        alone: Annotated[bool, typer.Option("--alone", help="Ignore the enrolled layouts.")] = False,
         prefix: Annotated[
-            str | None, typer.Option("--prefix", help="Of the names, e.g. mug-r3s12.", show_default=False)
+            str | None,
+            typer.Option("--prefix", help="Prefix of the names, e.g. mug-r3s12.", show_default=False),
         ] = None,
         out: Annotated[
             Path | None, typer.Option("--out", help="Write them as TOML.", show_default=False)
@@ -73,7 +68,7 @@ def register(app: typer.Typer) -> None:
         enroll: Annotated[bool, typer.Option("--enroll", help="Enrol them all, or none.")] = False,
         yes: enrolling.Yes = False,
     ) -> Result:
-        """Design layouts that a radar tells apart best in any turn of the object.
+        """Design the layouts that a radar distinguishes best at any orientation of the object.
 
         Example: tagid layouts design --object helmet --reflectors 3 --slots 12 --count 10 --out helmets.toml
         """
@@ -97,14 +92,14 @@ def register(app: typer.Typer) -> None:
         mirror: Mirror = None,
         seed: Seed = 0,
         error_rate: Annotated[
-            float, typer.Option("--error-rate", help="Rate of wrong names allowed.")
+            float, typer.Option("--error-rate", help="Allowed rate of wrong identifications.")
         ] = 0.001,
         sigma: Annotated[
             float | None,
-            typer.Option("--sigma", help="Your own measured error of one coordinate, metres."),
+            typer.Option("--sigma", help="Measured error of one coordinate, metres."),
         ] = None,
     ) -> Result:
-        """Tell how many identities an object carries at a stated rate of wrong names.
+        """Compute how many identities an object can carry at a given error rate.
 
         Example: tagid layouts capacity --object mug --error-rate 0.001
         """
@@ -119,7 +114,7 @@ def register(app: typer.Typer) -> None:
 def object_from(
     name: str, rows: int | None, radii: list[float] | None, heights: list[float] | None
 ) -> TaggedObject:
-    """The built-in object with its rows, or one's own from radii and heights. Raises UsageError."""
+    """The built-in object with its rows, or a custom one from radii and heights. Raises UsageError."""
     from tagid.tags.layouts.objects import Row, TaggedObject, object_named
 
     if not radii:
@@ -131,7 +126,7 @@ def object_from(
             f"{len(radii)} radii and {len(heights)} heights", "Give as many --height as --radius."
         )
     if rows is not None:
-        raise UsageError("--rows with --radius", "Every --radius is a row; leave --rows out.")
+        raise UsageError("--rows with --radius", "Every --radius is a row; omit --rows.")
     given = tuple(Row(r, h) for r, h in zip(radii, heights or [0.0] * len(radii), strict=True))
     return TaggedObject("own", "other", given, "Own object")
 
@@ -167,12 +162,12 @@ def _designed(terminal: Terminal, family: Family, out: Path | None, wish: enroll
     near = sum(len(confusable(a, family.layouts[:i])) for i, a in enumerate(family.layouts))
     if near:
         messages.append(
-            f"{near} pairs of them are too near to be told apart in noise (reflectors within "
+            f"{near} pairs of them are too similar to be told apart in noise (reflectors within "
             f"{CONFUSABLE_M * 1e3:.0f} mm): ask for fewer, or give more --slots or --rows"
         )
     if family.ghost_m < GHOST_M:
         messages.append(
-            f"reflectors as near as {family.ghost_m * 1e3:.0f} mm can make a ghost (under "
+            f"reflectors only {family.ghost_m * 1e3:.0f} mm apart can cause a ghost (under "
             f"{GHOST_M * 1e3:.0f} mm); --spacing {GHOST_M:g} avoids it"
         )
     if out is not None:
@@ -199,12 +194,12 @@ def _designed(terminal: Terminal, family: Family, out: Path | None, wish: enroll
     lines: list[RenderableType] = [
         Text(
             f"{len(family.layouts)} of {family.candidates} possible layouts ({family.necklaces} necklaces), "
-            f"least rotational distance {least}" + ("" if family.proven else ", the largest found")
+            f"minimum rotational distance {least}" + ("" if family.proven else ", the largest found")
         )
     ]
     lines.append(
         Text(
-            f"expected to be taken for another of them: {enrolling.rate_in_words(rate)} of readings at "
+            f"expected confusion within the set: {enrolling.rate_in_words(rate)} of readings at "
             f"{place.views} views and {place.snr_db} dB"
         )
     )
@@ -267,9 +262,9 @@ def _capacity(
         ]
     radii = ", ".join(f"{row.radius_m * 1e3:.0f} mm" for row in target.rows)
     line = Text(
-        f"{target.label or target.name} (radius {radii}), {rules[0].slots} slots: identities with at most "
-        f"{error_rate:g} wrong names, and the distance they then keep"
-        + ("" if sigma is not None else f"; errors measured on a radius of {known[0].radius_m * 1e3:.0f} mm")
+        f"{target.label or target.name} (radius {radii}), {rules[0].slots} slots: identities at an error "
+        f"rate of at most {error_rate:g} (and their minimum distance)"
+        + ("" if sigma is not None else f"; errors measured at a radius of {known[0].radius_m * 1e3:.0f} mm")
     )
     return Result(
         "layouts capacity",

@@ -69,8 +69,8 @@ def register(app: typer.Typer) -> None:
     ) -> Result:
         """Enrol the layouts, bodies and objects of files: all of them, or none where one is in conflict.
 
-        The nearest other layout of each and the expected rate of confusion are shown first; at a terminal you
-        are asked before anything is stored.
+        The nearest other layout to each and the expected confusion rate are shown first; on a terminal,
+        nothing is stored before you confirm.
 
         Example: tagid layouts import tags.toml
         """
@@ -95,7 +95,7 @@ def register(app: typer.Typer) -> None:
                 known = found.setdefault(layout.name, layout)
                 if known.to_dict() != layout.to_dict():
                     raise FileFormatError(
-                        f"{file}: {layout.name} differs from that of another file", "Rename one of them."
+                        f"{file}: {layout.name} differs from the one in another file", "Rename one of them."
                     )
         source = f"file {', '.join(f.name for f in files)}"[:200]
         registry = open_registry()

@@ -1,4 +1,4 @@
-"""`tagid layouts show`: one layout in the terminal, as a dimensioned drawing, and as a template to print."""
+"""`tagid layouts show`: a layout on the terminal, as a dimensioned drawing, or as a printable template."""
 
 from __future__ import annotations
 
@@ -20,17 +20,21 @@ def register(app: typer.Typer) -> None:
         terminal: Terminal,
         name: Annotated[str, typer.Argument(help="Name of the layout.")],
         file: Annotated[
-            Path | None, typer.Option("--file", help="Take it from this TOML file, not from the registry.")
+            Path | None, typer.Option("--file", help="Read it from this TOML file instead of the registry.")
         ] = None,
         png: Annotated[Path | None, typer.Option("--png", help="Write the plan with dimensions.")] = None,
         svg: Annotated[Path | None, typer.Option("--svg", help="Write the plan with dimensions.")] = None,
         template: Annotated[
             Path | None, typer.Option("--template", help="Write a 1:1 template, .pdf or .svg.")
         ] = None,
-        paper: Annotated[str, typer.Option("--paper", help="Of a PDF template: a4, a3, letter.")] = "a4",
+        paper: Annotated[
+            str, typer.Option("--paper", help="Paper of a PDF template: a4, a3, letter.")
+        ] = "a4",
         surface_radius: Annotated[
             float | None,
-            typer.Option("--surface-radius", help="Radius of the surface the strip is wrapped on, metres."),
+            typer.Option(
+                "--surface-radius", help="Radius of the surface that the strip wraps around, metres."
+            ),
         ] = None,
     ) -> Result:
         """Draw a layout.

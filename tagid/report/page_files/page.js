@@ -184,7 +184,7 @@
       const [cx, cy] = at(r.x_m, r.y_m);
       const path = r.matched ? `M${cx - 6} ${cy}h12M${cx} ${cy - 6}v12` : `M${cx - 5} ${cy - 5}l10 10M${cx - 5} ${cy + 5}l10 -10`;
       twice(svg, "path", { d: path, class: "reflector", stroke: r.matched ? "#ffffff" : "#ff8c6e" },
-        `reflector ${i + 1} ${mm(r.x_m, r.y_m)}, ${r.amplitude_db.toFixed(1)} dB${r.matched ? "" : ", of no layout"}`);
+        `reflector ${i + 1} ${mm(r.x_m, r.y_m)}, ${r.amplitude_db.toFixed(1)} dB${r.matched ? "" : ", not in the layout"}`);
     });
     return [svg, make("figcaption", {}, `Image (${d.method}), dB below the brightest pixel. Ring: layout; plus: reflector of the layout; cross: another reflector.`)];
   };
@@ -192,7 +192,7 @@
     const d = item.drawing, angles = d.angle_deg;
     const y = angles ? { from: angles[0], to: angles[1], label: "angle, degrees" } : { from: 1, to: Math.max(2, d.views), label: "view" };
     const { svg } = plot(source, { from: d.range_m[0], to: d.range_m[1], label: "range, m" }, y, d.sinogram_db, `Sinogram of ${item.file}`);
-    return [svg, make("figcaption", {}, `Sinogram of ${d.views} views without what is constant over angle.`)];
+    return [svg, make("figcaption", {}, `Sinogram of ${d.views} views, mean over angle subtracted.`)];
   };
 
   const seconds = (item) => Object.entries(item.seconds).map(([name, s]) => `${name} ${s.toFixed(3)}`).join(", ");
@@ -256,7 +256,7 @@
     }
     byId("heads").append(head);
   }
-  // On a phone the heads are not seen; a list sorts there.
+  // Phones hide the column headings; a list sorts instead.
   const sorting = make("select", { id: "sorting" }, make("option", { value: "" }, "as given"));
   for (const column of columns.slice(1)) {
     for (const [sign, words] of [["+", "rising"], ["-", "falling"]])
@@ -279,7 +279,7 @@
   turn("p-back", () => state.page - 1);
   turn("p-next", () => state.page + 1);
   turn("p-last", () => Infinity);
-  // Paper cannot turn pages: what fits is printed.
+  // Printing shows all rows that fit.
   const MOST_PRINTED = 1000;
   addEventListener("beforeprint", () => fill(state.shown.slice(0, MOST_PRINTED)));
   addEventListener("afterprint", show);

@@ -1,7 +1,7 @@
-"""How many identities an object carries: as many layouts as localisation still keeps apart.
+"""Capacity of an object: the number of layouts that localisation can still tell apart.
 
-The error of one reflector's position, measured and not assumed, sets how far apart two layouts must lie; the
-largest family that far apart is the capacity.
+The measured error of a reflector's position determines the distance that layouts must keep. The capacity is
+the size of the largest family that keeps this distance.
 """
 
 from __future__ import annotations
@@ -18,18 +18,18 @@ from tagid.tags.layouts.design import MAX_COUNT, DesignRules, candidates, distan
 from tagid.tags.layouts.objects import TaggedObject
 
 LEVELS = 24
-"""Distances tried between the smallest and the largest that occur."""
+"""Number of distances tried between the smallest and the largest that occur."""
 
 
 @dataclass(frozen=True)
 class Localisation:
-    """Measured error of one reflector's place.
+    """Measured error of a reflector's position.
 
     Attributes:
         views, snr_db: of the recordings (SNR of one sample at the strongest reflector's echo).
-        sigma_m: RMS error of one coordinate after the tag's turn and place are fitted, m.
-        radius_m: of the object that it was measured on, m.
-        own_echoes: whether the object sends back echoes of its own as it turns: a shell off the axis, a
+        sigma_m: RMS error of one coordinate after fitting the tag's rotation and position, m.
+        radius_m: radius of the object used for the measurement, m.
+        own_echoes: whether the object itself has echoes that change with rotation: a shell off the axis, a
             handle, a rim.
     """
 
@@ -56,31 +56,31 @@ def _measured() -> tuple[Localisation, ...]:
 
 
 MEASURED = _measured()
-"""Printed by `tests/benchmarks/localisation.py`; docs/results.md shows the run. On a mug, reflectors are
-nearer to each other and to a handle, and each moves the others."""
+"""Printed by `tests/benchmarks/localisation.py`; see docs/results.md. On a mug, reflectors are closer to each
+other and to the handle, which biases their positions."""
 
 
 def measured_on(radius_m: float) -> tuple[Localisation, ...]:
-    """What was measured on the object whose size is nearest."""
+    """The errors measured on the object closest in size."""
     nearest = min({place.radius_m for place in MEASURED}, key=lambda known: abs(known - radius_m))
     return tuple(place for place in MEASURED if place.radius_m == nearest)
 
 
 def reference(radius_m: float) -> Localisation:
-    """The recording that confusion rates are told for: of an object with own echoes, 36 views and 0 dB,
-    the worst that the reader is meant for."""
+    """The recording for which confusion rates are quoted: object with own echoes, 36 views, 0 dB. These are
+    the worst conditions that the reader is designed for."""
     return next(p for p in measured_on(radius_m) if p.own_echoes and (p.views, p.snr_db) == (36, 0))
 
 
 @dataclass(frozen=True)
 class Capacity:
-    """Identities of one number of reflectors on an object.
+    """Identities an object can carry with a given number of reflectors.
 
     Attributes:
-        reflectors: on each layout.
-        identities: size of the largest family found that keeps the error rate; 1 where no two can be told.
+        reflectors: reflectors per layout.
+        identities: size of the largest family found for the error rate; 1 if no two can be told apart.
         distance_m: least rotational distance (RMS over reflectors) in that family, m.
-        error_rate: its expected rate of wrong names, the union bound over all others.
+        error_rate: its expected rate of wrong identifications, the union bound over all others.
     """
 
     reflectors: int
@@ -90,7 +90,7 @@ class Capacity:
 
 
 def confusion_rate(distance_m: float, reflectors: int, sigma_m: float) -> float:
-    """Probability that noise of sigma a coordinate makes one layout look nearer to another.
+    """Probability that noise of sigma per coordinate makes one layout look closer to another.
 
     The two differ by sqrt(K) d in the 2K coordinates together; noise along that direction must exceed half of
     it: Q(sqrt(K) d / (2 sigma)).
@@ -104,13 +104,13 @@ def confusion_rate(distance_m: float, reflectors: int, sigma_m: float) -> float:
 
 
 def capacity(target: TaggedObject, rules: DesignRules, sigma_m: float, error_rate: float) -> Capacity:
-    """The largest family found on an object whose rate of wrong names stays below the one stated.
+    """The largest family found on an object whose rate of wrong identifications stays below `error_rate`.
 
     Args:
         target: object with the rows to use.
         rules: reflectors, slots and physical limits.
         sigma_m: measured error of one coordinate, m.
-        error_rate: rate of wrong names allowed.
+        error_rate: allowed rate of wrong identifications.
 
     Raises UsageError for an impossible error, rate, or number of candidates.
     """
@@ -124,7 +124,7 @@ def capacity(target: TaggedObject, rules: DesignRules, sigma_m: float, error_rat
             continue
         found = families.largest(level)
         if len(found) <= best.identities:
-            break  # farther apart there are fewer
+            break  # larger distances allow fewer
         allowed = min(len(found), 1 + int(error_rate / max(rate, 1e-300)))
         if allowed > best.identities:
             least = least_of(families.distance, found[:allowed])
@@ -134,7 +134,7 @@ def capacity(target: TaggedObject, rules: DesignRules, sigma_m: float, error_rat
 
 
 class _Families:
-    """The largest families of one object by the distance that they keep, each looked for once."""
+    """The largest families of one object by minimum distance, each searched once."""
 
     def __init__(self, target: TaggedObject, rules: DesignRules) -> None:
         points, _, _ = candidates(target, rules)
@@ -147,11 +147,11 @@ class _Families:
         self._known: dict[float, list[int]] = {}
 
     def largest(self, level: float) -> list[int]:
-        """The largest family found whose members lie so far apart, m."""
+        """The largest family found whose members keep this distance, m."""
         if level not in self._known:
             rng = np.random.default_rng([self.seed, self.levels.index(level)])
             far = self.distance >= level - TIE_M
-            # Next to nothing is left out at small distances: many starts find the same.
+            # Small distances exclude few candidates, so that many starts find the same set.
             starts = RESTARTS if level > np.median(self.levels) / 2 else RESTARTS // 10
             self._known[level] = largest_clique(far, rng, starts)[:MAX_COUNT]
         return self._known[level]

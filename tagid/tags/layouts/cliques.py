@@ -1,7 +1,6 @@
-"""Sets of layouts that all keep their distance: cliques in the graph of those far enough apart.
+"""Sets of layouts with a minimum pairwise distance: cliques of the compatibility graph.
 
-Greedy choices find good sets quickly, and a search with bounds then finds a better one or proves
-that there is none.
+A greedy search quickly finds good sets; branch and bound then finds a better one or proves that none exists.
 """
 
 from __future__ import annotations
@@ -13,19 +12,19 @@ from numpy.typing import NDArray
 
 RESTARTS = 200
 CLIMBS = 6
-"""Fresh starts that may fail to beat the best set before the exact search takes over."""
+"""Consecutive random starts without improvement before the exact search begins."""
 NODES = 20_000
-"""Branches that the exact search may open before it gives up, about a second; a count and not a time, so that
-the same question has the same answer on every machine."""
+"""Branches that the exact search may open (about one second). A count instead of a time, so that the answer
+does not depend on the machine."""
 
 
 TIE_M = 1e-9
-"""Distances nearer to each other than this are one: what is left of rounding."""
+"""Distances that differ by less than this are equal within rounding."""
 
 
 @dataclass(frozen=True)
 class FarSet:
-    """A set whose least distance is as large as found.
+    """The set with the largest minimum distance found.
 
     Attributes:
         chosen: indexes, sorted.
@@ -37,23 +36,23 @@ class FarSet:
 
 
 class SearchTooLongError(Exception):
-    """The exact search has used its branches up."""
+    """The exact search has used up its branches."""
 
 
 def farthest_set(
     distance: NDArray[np.float64], count: int, rng: np.random.Generator, nodes: int = NODES
 ) -> FarSet:
-    """`count` rows of a symmetric matrix of distances, their least distance to each other as large as found.
+    """`count` rows of a symmetric distance matrix with the largest minimum distance found.
 
-    Bisection over the distances that occur: at each, a set is looked for in which all lie at least so far
-    apart (a clique), by greedy choices from random starts, the candidate that leaves most others first. The
-    best is improved by fresh starts, and then exactly until it is proven that no set keeps a larger distance.
+    Bisection over the distances that occur: for each, search a set with at least this pairwise distance (a
+    clique), greedily from random starts, preferring candidates compatible with the most others. The
+    best set is improved by more starts, then by the exact search until no larger distance is possible.
 
     Args:
         distance: (n, n), n >= count.
-        count: rows wanted.
-        rng: of the random starts.
-        nodes: branches of the exact search in all.
+        count: number of rows.
+        rng: for the random starts.
+        nodes: total branches of the exact search.
     """
     n = len(distance)
     if count == 1:
@@ -83,7 +82,7 @@ def farthest_set(
 
 
 def least_of(distance: NDArray[np.float64], chosen: list[int]) -> float:
-    """Least distance of two of the chosen rows; infinite of one."""
+    """Minimum distance of two chosen rows; infinite for a single row."""
     part = distance[np.ix_(chosen, chosen)] + np.diag(np.full(len(chosen), np.inf))
     return float(part.min())
 
@@ -91,7 +90,7 @@ def least_of(distance: NDArray[np.float64], chosen: list[int]) -> float:
 def clique(
     compatible: NDArray[np.bool_], count: int, rng: np.random.Generator, restarts: int = RESTARTS
 ) -> list[int] | None:
-    """`count` mutually compatible rows of a symmetric matrix (n, n), or None where none were found."""
+    """`count` mutually compatible rows of a symmetric matrix (n, n), or None if none were found."""
     found = largest_clique(compatible, rng, restarts)
     return found[:count] if len(found) >= count else None
 
@@ -118,7 +117,7 @@ def largest_clique(
 
 
 class _Search:
-    """The branches of `exact_clique`; sets of rows are the bits of whole numbers."""
+    """The branches of `exact_clique`; sets of rows are bits of integers."""
 
     def __init__(self, nodes: int = NODES) -> None:
         self.left = nodes
@@ -162,12 +161,12 @@ class _Search:
 def exact_clique(
     compatible: NDArray[np.bool_], count: int, search: _Search | None = None
 ) -> list[int] | None:
-    """`count` mutually compatible rows of a symmetric matrix, or None where it is proven that there are none.
+    """`count` mutually compatible rows of a symmetric matrix, or None if provably there are none.
 
     Branch and bound: a set that can be coloured with m colours, none of them on two compatible rows, holds no
-    clique of more than m (Tomita and Seki 2003). Rows with too few compatible ones are left out before.
+    clique of more than m (Tomita and Seki 2003). Rows with too few compatible rows are removed first.
 
-    Raises SearchTooLongError where the search has no branches left; None gives it those of `NODES`.
+    Raises SearchTooLongError when the branches are used up; None means `NODES`.
     """
     n = len(compatible)
     graph = compatible & ~np.eye(n, dtype=bool)
@@ -177,7 +176,7 @@ def exact_clique(
         if (enough == alive).all():
             break
         alive = enough
-    # Rows with few compatible ones first: the colouring is tighter so.
+    # Rows with few compatible ones first, which makes the colouring tighter.
     order = np.flatnonzero(alive)
     order = order[np.argsort(graph[np.ix_(order, order)].sum(axis=1), kind="stable")[::-1]]
     part = graph[np.ix_(order, order)]

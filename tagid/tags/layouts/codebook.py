@@ -1,6 +1,6 @@
-"""How far apart layouts are when any turn may lie between them: what decides whether two can be told apart.
+"""Rotation-invariant distance of layouts, which decides whether two can be told apart.
 
-A family of tags is judged by its smallest distance, as AprilTag families are by their Hamming distance.
+A family of tags is rated by its minimum distance, as AprilTag families are by their Hamming distance.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from tagid.tags.layouts.layout import Layout, rotation_matrix
 
 CONFUSABLE_M = 12e-3
-"""Nearer than this (worst reflector) two layouts are confusable: about one null radius of the point response,
+"""Layouts closer than this (worst reflector) are confusable: about one null radius of the point response,
 2.405 / 2k = 14.5 mm at 3.95 GHz, less wobble and fit."""
 CENTRE_TOLERANCE_M = 14e-3
-"""The reader looks for an object's centre within +- this, so a shift of this size tells no layouts apart."""
+"""The reader searches the object's centre within +- this, so such shifts do not distinguish layouts."""
 MAX_PAIRINGS = 5040
 _ROTATION_STEP_RAD = np.deg2rad(4.0)
 _ARC_STEPS = 16
@@ -29,14 +29,14 @@ _BLOCK = 1 << 18
 
 @dataclass(frozen=True)
 class LayoutDistance:
-    """Distance of two layouts under the best rotation, shift within the centre's tolerance, and assignment.
+    """Distance of two layouts under the best rotation, shift within the centre tolerance, and assignment.
 
     Attributes:
-        rms_m: root mean square over reflectors, m; infinite where their numbers differ.
-        worst_m: largest over reflectors, m; infinite where their numbers differ.
-        rotation_deg: turn of the first that brings it onto the second.
-        nested_m: where the numbers differ, the worst distance of the smaller one's reflectors from their
-            counterparts in the larger: near zero means that one is a part of the other. Else infinite.
+        rms_m: root mean square over reflectors, m; infinite if the numbers of reflectors differ.
+        worst_m: largest over reflectors, m; infinite if the numbers of reflectors differ.
+        rotation_deg: rotation of the first onto the second.
+        nested_m: if the numbers differ, the worst distance of the smaller layout's reflectors from their
+            counterparts in the larger: near zero means that one is a subset of the other. Else infinite.
     """
 
     rms_m: float
@@ -46,16 +46,16 @@ class LayoutDistance:
 
     @property
     def nested(self) -> bool:
-        """Whether one layout is a part of the other."""
+        """Whether one layout is a subset of the other."""
         return self.nested_m < CONFUSABLE_M
 
 
 def rotational_distance(
     a: Layout, b: Layout, centre_tolerance_m: float = CENTRE_TOLERANCE_M
 ) -> LayoutDistance:
-    """Smallest distance of two layouts over turns, shifts of up to the tolerance, and pairings.
+    """Smallest distance of two layouts over rotations, shifts up to the tolerance, and pairings.
 
-    Mirror images count as different: an object is never seen from below.
+    Mirror images are distinct: an object is never seen from below.
 
     >>> from tagid.tags.layouts.layout import builtin_layouts
     >>> b = builtin_layouts()
@@ -72,11 +72,11 @@ def rotational_distance(
 
 @dataclass(frozen=True, eq=False)
 class Pairing:
-    """How one set of points is brought nearest to another.
+    """The best alignment of one point set to another.
 
     Attributes:
-        rms_m, worst_m: distances left, m.
-        rotation_rad, shift_m: R(rotation) p + shift lies near its partner.
+        rms_m, worst_m: residual distances, m.
+        rotation_rad, shift_m: R(rotation) p + shift is close to its partner.
         partner: (K,) index of each point's partner in the other set.
     """
 
@@ -90,10 +90,10 @@ class Pairing:
 def best_pairing(
     small: NDArray[np.float64], large: NDArray[np.float64], tolerance_m: float = np.inf
 ) -> Pairing:
-    """Turn, shift up to the tolerance and pairing that bring points (K, 2) nearest to (L, 2), L >= K.
+    """Rotation, shift (up to the tolerance) and pairing that best align points (K, 2) with (L, 2), L >= K.
 
-    Every pairing is tried where there are few, else every start of a grid of turns is brought to its own
-    minimum by pairing and turning alternately.
+    For few points every pairing is tried; otherwise each start rotation of a grid is refined by alternating
+    pairing and alignment.
     """
     if perm(len(large), len(small)) > MAX_PAIRINGS:
         return _nearest_pairing(small, large, tolerance_m)
@@ -108,16 +108,16 @@ def best_pairing(
 def best_places(
     points: NDArray[np.float64], partners: NDArray[np.float64], tolerance_m: float = np.inf
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Turns and shifts, within the tolerance, that bring points nearest to their partners.
+    """Rotations and shifts, within the tolerance, that best align points with their partners.
 
-    The unlimited optimum is Kabsch's (1976); where its shift is too long, see `_held_turn`.
+    The unlimited optimum is Kabsch's (1976); if its shift is too long, see `_held_turn`.
 
     Args:
         points, partners: (..., K, 2), broadcast against each other, m.
         tolerance_m: longest shift, m.
 
     Returns:
-        RMS distance left (...), m; turn (...), rad; shift (..., 2), m.
+        residual RMS distance (...), m; rotation (...), rad; shift (..., 2), m.
     """
     p = points[..., 0] + 1j * points[..., 1]
     q = partners[..., 0] + 1j * partners[..., 1]
@@ -146,9 +146,9 @@ def _misfit(
     other: NDArray[np.complex128],
     tolerance_m: float,
 ) -> NDArray[np.float64]:
-    """What a turn leaves of the mean square distance, but for a constant, where the shift is limited, m^2.
+    """Residual mean square distance at an angle, up to a constant, with a limited shift, m^2.
 
-    The centred points leave const - 2 Re(exp(-i angle) cross); the means leave what the shift cannot bridge.
+    The centred points contribute const - 2 Re(exp(-i angle) cross), the means what the shift cannot absorb.
     """
     turn = np.exp(1j * angle)
     beyond = np.maximum(np.abs(other - turn * own) - tolerance_m, 0)
@@ -161,11 +161,11 @@ def _held_turn(
     other: NDArray[np.complex128],
     tolerance_m: float,
 ) -> NDArray[np.float64]:
-    """Turns (n,), rad, that minimise `_misfit`.
+    """Rotations (n,), rad, that minimise `_misfit`.
 
-    One of its terms grows with the distance from the turn that fits the shapes, the other with that from the
-    turn that fits the means: the minimum lies on the shorter arc between the two, is bracketed there on a
-    grid and found by secants of the slope.
+    One term grows with the distance from the angle that fits the shapes, the other with that from the angle
+    that fits the means. The minimum is on the shorter arc between the two; it is bracketed on a grid and
+    refined by the secant method on the slope.
 
     Args:
         cross: (n,) mean of conj(p) q of the centred points, m^2.
@@ -179,7 +179,7 @@ def _held_turn(
     low, high = (np.clip(best + step, 0, _ARC_STEPS) / _ARC_STEPS for step in (-1, 1))
     fall, rise = (_slope(begin + t * arc, cross, own, other, tolerance_m) * arc for t in (low, high))
     for _ in range(_SECANTS):
-        # Illinois: a secant that halves the slope of an end which stays, so that both ends come in.
+        # Illinois: a secant method that halves the slope of a retained end, so that both ends converge.
         middle = low + (high - low) * np.clip(fall / np.minimum(fall - rise, -1e-300), 0.0, 1.0)
         middle = np.where((fall < 0) & (rise > 0), middle, np.where(fall >= 0, low, high))
         slope = _slope(begin + middle * arc, cross, own, other, tolerance_m) * arc
@@ -196,7 +196,7 @@ def _slope(
     other: NDArray[np.complex128],
     tolerance_m: float,
 ) -> NDArray[np.float64]:
-    """Derivative of `_misfit` by the angle, m^2."""
+    """Derivative of `_misfit` with respect to the angle, m^2."""
     turn = np.exp(1j * angle)
     gap = other - turn * own
     length = np.maximum(np.abs(gap), 1e-30)
@@ -210,13 +210,13 @@ def all_distances(
 ) -> NDArray[np.float64]:
     """(n, n) rotational distances (RMS over reflectors, m) of layouts (n, K, 2), K! pairings each.
 
-    The same as `rotational_distance` of every two, at once: an unlimited shift gives every pairing's least
-    possible distance, so the limited one is worked out only where it could still be the smallest.
+    Same result as `rotational_distance` of every pair, vectorised: the unlimited shift bounds
+    every pairing, so the limited shift is computed only where it could still be the smallest.
 
     Args:
         points: (n, K, 2) m.
         centre_tolerance_m: longest shift, m.
-        mirrored: of every layout to the mirror image of every other instead.
+        mirrored: compare every layout with the mirror image of every other.
     """
     z = points[..., 0] + 1j * points[..., 1]
     images = z.conj() if mirrored else z
@@ -277,7 +277,7 @@ def _nearest_pairing(small: NDArray[np.float64], large: NDArray[np.float64], tol
 def confusable(
     layout: Layout, others: Iterable[Layout], tolerance_m: float = CONFUSABLE_M
 ) -> dict[str, LayoutDistance]:
-    """Those of the others, by name, whose worst reflector lies within the tolerance of the layout's."""
+    """Other layouts, by name, whose worst reflector is within the tolerance of the layout's."""
     near = {}
     for other in others:
         distance = rotational_distance(layout, other)

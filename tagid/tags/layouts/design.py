@@ -1,7 +1,7 @@
-"""Families of layouts by design: the set of necklaces on an object that a radar tells apart best.
+"""Families of layouts by design: the necklaces on an object that a radar distinguishes best.
 
-As AprilTag families are built for a minimum Hamming distance, these are built for a minimum rotational
-distance in metres; where physics leaves no room, fewer layouts come out and the caller is told.
+As AprilTag families maximise a minimum Hamming distance, these maximise a minimum rotational distance in
+metres. If physics leaves too little room, `design` reports how many layouts fit.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from tagid.tags.layouts.necklaces import necklaces, occupied
 from tagid.tags.layouts.objects import Row, TaggedObject
 
 REFLECTOR_M = 0.04
-"""Width of the paper's reflectors, octahedra of 20 mm radius: two cannot sit nearer."""
+"""Width of the paper's reflectors, octahedra of 20 mm radius: their centres cannot be closer."""
 GHOST_M = 0.07
-"""Nearer than about a wavelength (7.6 cm at 3.95 GHz) two reflectors modulate each other and make a ghost."""
+"""Reflectors closer than about a wavelength (7.6 cm at 3.95 GHz) modulate each other and cause a ghost."""
 MAX_SLOTS = 48
 MAX_COUNT = 500
 _MAX_PAIRINGS = 300_000_000
@@ -31,17 +31,17 @@ _MAX_PAIRINGS = 300_000_000
 
 @dataclass(frozen=True)
 class DesignRules:
-    """What a family is made of.
+    """Design rules of a family.
 
     Attributes:
-        reflectors: on each layout.
-        slots: equal steps around the object.
-        spacing_m: least distance of two reflectors, in space, m: a reflector's width.
-        resolution_m: least distance seen from above, m: nearer ones are one point to the radar.
-        mirror_counts: whether a layout and its mirror image may both be used; not where the direction of the
-            turn is unknown, for then they read alike.
-        centre_tolerance_m: how far off the axis an object may stand; shifts within it tell nothing apart.
-        seed: of the search for the best set.
+        reflectors: reflectors per layout.
+        slots: equal angular steps around the object.
+        spacing_m: minimum distance of two reflectors in space, m: a reflector's width.
+        resolution_m: minimum distance in plan view, m: closer ones merge into one point.
+        mirror_counts: whether a layout and its mirror image may both be used; False if the direction of
+            rotation is unknown, because they then read the same.
+        centre_tolerance_m: largest offset of an object from the axis; smaller shifts do not separate layouts.
+        seed: random seed of the search for the best set.
     """
 
     reflectors: int = 3
@@ -54,7 +54,7 @@ class DesignRules:
 
     def __post_init__(self) -> None:
         if not 2 <= self.reflectors <= MAX_REFLECTORS:
-            raise UsageError(f"{self.reflectors} reflectors a layout", f"Give 2 to {MAX_REFLECTORS}.")
+            raise UsageError(f"{self.reflectors} reflectors per layout", f"Give 2 to {MAX_REFLECTORS}.")
         if not self.reflectors <= self.slots <= MAX_SLOTS:
             raise UsageError(
                 f"{self.slots} slots for {self.reflectors} reflectors", f"Give up to {MAX_SLOTS} slots."
@@ -66,7 +66,7 @@ class DesignRules:
             if not (np.isfinite(value) and 0 <= value <= 1):
                 raise UsageError(
                     f"{name.removesuffix('_m').replace('_', ' ')} is {value:g} m",
-                    "Give 0 to 1, in metres and not in millimetres.",
+                    "Give 0 to 1, in metres, not millimetres.",
                 )
 
 
@@ -75,13 +75,13 @@ class Family:
     """A designed set of layouts.
 
     Attributes:
-        layouts: best set found.
-        distance_m: least rotational distance (RMS over reflectors) of two of them, m; infinite of one.
-        ghost_m: least distance between reflectors of one layout, m; under GHOST_M expect ghosts.
-        candidates: necklaces that keep the rules.
-        necklaces: necklaces there are.
-        rules: as designed.
-        proven: whether no set of so many candidates keeps a larger distance; else it is the largest found.
+        layouts: the best set found.
+        distance_m: minimum rotational distance (RMS over reflectors) of two layouts, m; infinite for one.
+        ghost_m: minimum distance between reflectors of one layout, m; expect ghosts below GHOST_M.
+        candidates: number of necklaces that meet the rules.
+        necklaces: number of all necklaces.
+        rules: the design rules.
+        proven: whether no other set of this size has a larger distance; else it is the largest found.
     """
 
     layouts: tuple[Layout, ...]
@@ -100,20 +100,20 @@ def design(
     prefix: str | None = None,
     beside: Sequence[Layout] = (),
 ) -> Family:
-    """The `count` layouts on an object whose least rotational distance is largest.
+    """The `count` layouts on an object with the largest minimum rotational distance.
 
     Args:
         target: object with its rows; every row is used.
         rules: reflectors, slots and physical limits.
-        count: layouts wanted.
-        prefix: of the names; None takes the object's and the numbers, as in helmet-r3s12-01.
-        beside: layouts already in use; what could be confused with one of them is left out.
+        count: number of layouts.
+        prefix: prefix of the names; None gives the object and the rules, as in helmet-r3s12-01.
+        beside: layouts already in use; candidates that could be confused with them are excluded.
 
     Raises:
-        UsageError: fewer than `count` layouts keep the rules; the message says how many do.
+        UsageError: fewer than `count` layouts meet the rules; the message says how many do.
     """
     if not 1 <= count <= MAX_COUNT:
-        raise UsageError(f"{count} layouts are wanted", f"Ask for 1 to {MAX_COUNT}.")
+        raise UsageError(f"cannot design {count} layouts", f"Ask for 1 to {MAX_COUNT}.")
     points, heights, total = candidates(target, rules)
     free = [i for i, p in enumerate(points) if not _taken(p, beside, rules)]
     taken = len(points) - len(free)
@@ -122,9 +122,9 @@ def design(
         raise UsageError(
             f"{target.name} has room for {len(points)} layouts of {rules.reflectors} reflectors in "
             f"{rules.slots} slots at {rules.spacing_m * 1e3:.0f} mm spacing"
-            + (f" beside those enrolled, which take {taken}" if taken else "")
+            + (f" besides the enrolled ones, which exclude {taken}" if taken else "")
             + f", not for {count}",
-            "Ask for fewer, or give more --slots, --reflectors or --rows, or less --spacing.",
+            "Ask for fewer, or increase --slots, --reflectors or --rows, or reduce --spacing.",
         )
     distance = distance_matrix(points, rules)
     far = farthest_set(distance, count, np.random.default_rng(rules.seed))
@@ -158,10 +158,10 @@ def design(
 def candidates(
     target: TaggedObject, rules: DesignRules
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], int]:
-    """Positions (n, K, 2) and heights (n, K), m, of the necklaces that keep the rules; all necklaces' number.
+    """Positions (n, K, 2) and heights (n, K), m, of the necklaces that meet the rules, and the number of all.
 
-    Rows of equal radius differ in height alone, which a radar at the object's level does not see: among words
-    that look alike from above only the one with the widest spacing in space stays.
+    Rows of equal radius differ only in height, which a radar at object level cannot resolve: of words that
+    are equal in plan view, only the one with the widest spacing in space is kept.
     """
     words = necklaces(rules.slots, rules.reflectors, len(target.rows), mirror_counts=rules.mirror_counts)
     kept: dict[tuple[tuple[int, float], ...], tuple[float, NDArray[np.float64], NDArray[np.float64]]] = {}
@@ -194,7 +194,7 @@ def _taken(points: NDArray[np.float64], beside: Sequence[Layout], rules: DesignR
 
 
 def _from_above(slots: list[int], rows: list[Row], count: int) -> tuple[tuple[int, float], ...]:
-    """Canonical form of what is seen from above: the smallest rotation of (slot, radius)."""
+    """Canonical form of the plan view: the smallest rotation of (slot, radius)."""
     turned = [
         tuple(sorted(((slot - first) % count, row.radius_m) for slot, row in zip(slots, rows, strict=True)))
         for first in slots
@@ -210,7 +210,7 @@ def _placed(slots: list[int], rows: list[Row], count: int) -> tuple[NDArray[np.f
 
 
 def _nearest(points: NDArray[np.float64], heights: NDArray[np.float64]) -> float:
-    """Least distance in space of two reflectors, m."""
+    """Minimum distance of two reflectors in space, m."""
     space = np.concatenate([points, heights[:, None]], axis=1)
     gap = np.linalg.norm(space[:, None] - space[None], axis=2)
     return float(gap[~np.eye(len(points), dtype=bool)].min())
@@ -219,15 +219,15 @@ def _nearest(points: NDArray[np.float64], heights: NDArray[np.float64]) -> float
 def distance_matrix(points: NDArray[np.float64], rules: DesignRules) -> NDArray[np.float64]:
     """(n, n) rotational distances (RMS, m) of layouts (n, K, 2): see `codebook.all_distances`.
 
-    Where mirror images read alike, a distance is that to the nearer image.
+    If mirror images read the same, the distance is the smaller one of both images.
 
-    Raises UsageError where there are too many to compare.
+    Raises UsageError if there are too many to compare.
     """
     n, k = points.shape[:2]
     if n * n * factorial(k) > _MAX_PAIRINGS:
         raise UsageError(
-            f"{n} candidate layouts of {k} reflectors are too many to compare all of them",
-            "Give fewer --slots, --reflectors or --rows, or more --spacing.",
+            f"{n} candidate layouts of {k} reflectors are too many to compare",
+            "Reduce --slots, --reflectors or --rows, or increase --spacing.",
         )
     straight = all_distances(points, rules.centre_tolerance_m)
     if rules.mirror_counts:

@@ -1,7 +1,7 @@
-"""A layout is data: where the reflectors of one identity sit on its object.
+"""A layout is data: the reflector positions of one identity on its object.
 
-It is validated when made, whether it comes from the package, a user's file or the command line, so that the
-matcher and the registry can rely on every field.
+It is validated when made, whether it comes from the package, a user's file or the command line, so that
+matcher and registry can rely on every field.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ KINDS = ("helmet", "container", "other")
 MAX_REFLECTORS = 16
 MAX_RADIUS_M = 1.0
 KIND_RADIUS_M = {"helmet": 0.2, "container": 0.35, "other": MAX_RADIUS_M}
-"""How far from the axis an object of a kind can carry a reflector: long helmets measure 0.35 m, a drum of 200
-litres has a radius of 0.29 m."""
+"""Largest distance of a reflector from the axis by kind: long helmets measure 0.35 m, a 200-litre drum has
+a radius of 0.29 m."""
 MIN_SPACING_M = 0.02
-"""Nearer than this two reflectors are one: the null of the point response J0(2kr) is at 14.5 mm, and the
-paper's octahedra have a radius of 20 mm themselves."""
+"""Reflectors closer than this are not resolved: the null of the point response J0(2kr) is at 14.5 mm, and the
+paper's octahedra have a radius of 20 mm."""
 SYMMETRY_TOLERANCE_M = 1e-3
 MAX_FILE_BYTES = 64 * 1024
 MAX_TEXT = 2000
@@ -49,14 +49,14 @@ def is_name(text: object) -> bool:
 
 
 def rotation_matrix(angle_rad: float | NDArray[np.floating]) -> NDArray[np.float64]:
-    """(..., 2, 2) matrices R with R @ p = p turned counter-clockwise by the angle."""
+    """(..., 2, 2) matrices R with R @ p = p rotated counter-clockwise by the angle."""
     c, s = np.cos(angle_rad), np.sin(angle_rad)
     rows = [np.stack([c, -s], axis=-1), np.stack([s, c], axis=-1)]
     return np.asarray(np.stack(rows, axis=-2), dtype=np.float64)
 
 
 def rotational_symmetry(positions: NDArray[np.float64], tolerance_m: float = SYMMETRY_TOLERANCE_M) -> int:
-    """Largest n for which a turn by 360/n degrees about z maps the points (K, 2) or (K, 3) onto themselves.
+    """Largest n for which a rotation by 360/n degrees about z maps points (K, 2) or (K, 3) onto themselves.
 
     >>> rotational_symmetry(np.array([[0.1, 0.0], [-0.1, 0.0]]))
     2
@@ -78,11 +78,11 @@ class Layout:
         name: lower-case slug, the identity's key.
         positions: (K, 2) float64, m, in the object's plane; the origin is the object's rotation axis.
         kind: "helmet", "container" or "other".
-        symmetry: rotational order n (a turn by 360/n degrees changes nothing); 0 asks to compute it.
-        notes, label: free text for people.
-        heights: (K,) float64, m, of the reflectors above the object's plane; None for all in it.
-        covariance: (K, 2, 2) float64, m^2, of each reflector's position where it was measured; None where the
-            positions are given and not measured.
+        symmetry: rotational order n (a rotation by 360/n degrees changes nothing); 0: compute it.
+        notes, label: free text.
+        heights: (K,) float64, m, of the reflectors above the object's plane; None if all are in it.
+        covariance: (K, 2, 2) float64, m^2, of each reflector's position if it was measured; None if the
+            positions are nominal.
     """
 
     name: str
@@ -108,10 +108,11 @@ class Layout:
         for name in ("notes", "label"):
             text = getattr(self, name)
             if not isinstance(text, str) or len(text) > MAX_TEXT:
-                raise UsageError(f"layout {self.name}: {name} is not a text of up to {MAX_TEXT} characters")
+                raise UsageError(f"layout {self.name}: {name} is not text of up to {MAX_TEXT} characters")
             if not all(character.isprintable() or character == "\n" for character in text):
                 raise UsageError(
-                    f"layout {self.name}: {name} holds control characters", "Use letters, digits and signs."
+                    f"layout {self.name}: {name} holds control characters",
+                    "Use letters, digits and punctuation.",
                 )
         object.__setattr__(self, "positions", self._checked_positions())
         object.__setattr__(self, "heights", self._checked_heights())
@@ -122,7 +123,7 @@ class Layout:
         if self.symmetry not in (0, computed):
             raise UsageError(
                 f"layout {self.name}: symmetry is {self.symmetry}, but its positions have {computed}",
-                "Leave symmetry out to have it computed.",
+                "Omit symmetry to have it computed.",
             )
         object.__setattr__(self, "symmetry", computed)
 
@@ -136,7 +137,7 @@ class Layout:
             ) from None
         if positions.ndim == 2 and positions.shape[1] == 2 and not 2 <= len(positions) <= MAX_REFLECTORS:
             raise UsageError(
-                f"layout {self.name}: positions of {len(positions)} reflector(s) are given",
+                f"layout {self.name}: {len(positions)} positions given",
                 f"Give 2 to {MAX_REFLECTORS} reflectors as [x, y] in metres.",
             )
         if positions.ndim != 2 or positions.shape[1] != 2:
@@ -146,7 +147,7 @@ class Layout:
             )
         if not np.isfinite(positions).all():
             raise UsageError(
-                f"layout {self.name}: a position is not finite, so no distance from the axis",
+                f"layout {self.name}: a position is not finite",
                 "Give finite numbers of metres.",
             )
         if np.abs(positions).max() > MAX_RADIUS_M:
@@ -158,7 +159,7 @@ class Layout:
         if gap.min() < MIN_SPACING_M:
             raise UsageError(
                 f"layout {self.name}: two reflectors are {gap.min() * 1e3:.1f} mm apart",
-                f"Place reflectors {MIN_SPACING_M * 1e3:.0f} mm or more apart; nearer ones look like one.",
+                f"Place reflectors at least {MIN_SPACING_M * 1e3:.0f} mm apart; closer ones look like one.",
             )
         positions.setflags(write=False)
         return positions
@@ -170,8 +171,8 @@ class Layout:
             given = np.full(1, np.nan)
         if given.shape != (self.size,) or not np.isfinite(given).all() or np.abs(given).max() > MAX_HEIGHT_M:
             raise UsageError(
-                f"layout {self.name}: heights_m is not one height of up to {MAX_HEIGHT_M:g} m a reflector",
-                "Give as many heights as reflectors, in metres, or leave them out.",
+                f"layout {self.name}: heights_m is not one height of up to {MAX_HEIGHT_M:g} m per reflector",
+                "Give one height per reflector, in metres, or omit them.",
             )
         given.setflags(write=False)
         return given
@@ -192,7 +193,7 @@ class Layout:
             raise UsageError(
                 f"layout {self.name}: covariance_m2 is not one covariance of up to ({MAX_SIGMA_M:g} m)^2 "
                 "a reflector",
-                "Give [xx, xy, yy] in square metres for each reflector, or leave it out.",
+                "Give [xx, xy, yy] in square metres per reflector, or omit it.",
             )
         given.setflags(write=False)
         return given
@@ -213,34 +214,34 @@ class Layout:
 
     @property
     def sigma_m(self) -> float:
-        """Largest standard deviation of a reflector's place in any direction, m; 0 where not measured."""
+        """Largest standard deviation of a reflector's position in any direction, m; 0 if not measured."""
         return 0.0 if self.covariance is None else float(np.sqrt(np.linalg.eigvalsh(self.covariance).max()))
 
     def check_room(self) -> None:
-        """Raises UsageError where a reflector lies outside what an object of the kind can be.
+        """Raises UsageError if a reflector is outside an object of this kind.
 
-        For new layouts only: one that was enrolled under other rules must stay readable.
+        For new layouts only: layouts enrolled under other rules must stay readable.
         """
         room = KIND_RADIUS_M[self.kind]
         if self.radius_m > room:
             raise UsageError(
-                f"layout {self.name}: a reflector is {self.radius_m:g} m off the axis, outside the object: a "
-                f"{self.kind} reaches {room:g} m",
-                f"Check the positions, or enrol it as kind other, which may reach {MAX_RADIUS_M:g} m.",
+                f"layout {self.name}: a reflector is {self.radius_m:g} m from the axis, outside the object: "
+                f"a {self.kind} has a radius up to {room:g} m",
+                f"Check the positions, or enrol it as kind other, with a radius up to {MAX_RADIUS_M:g} m.",
             )
 
     def placed(self, rotation_rad: float, centre_m: NDArray[np.floating]) -> NDArray[np.float64]:
-        """(K, 2) positions after a counter-clockwise turn about the origin and a shift, m."""
+        """(K, 2) positions after a counter-clockwise rotation about the origin and a shift, m."""
         return self.positions @ rotation_matrix(rotation_rad).T + np.asarray(centre_m)
 
     def mirrored(self) -> Layout:
-        """The layout as it looks where the object is taken to turn the other way: y changes its sign."""
+        """The mirrored layout (y negated), as seen if the direction of rotation is assumed wrongly."""
         flip = np.array([1.0, -1.0])
         seen = None if self.covariance is None else self.covariance * np.outer(flip, flip)
         return replace(self, positions=self.positions * flip, covariance=seen)
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain JSON values; `layout_from_dict` takes them back."""
+        """Plain JSON values; `layout_from_dict` reads them."""
         heights = [float(h) for h in np.asarray(self.heights)]
         seen = self.covariance
         rows = [] if seen is None else [[float(c[0, 0]), float(c[0, 1]), float(c[1, 1])] for c in seen]
@@ -257,7 +258,7 @@ class Layout:
 
 
 def layout_from_dict(data: Mapping[str, Any]) -> Layout:
-    """Layout from plain values; UsageError names the field that is missing, unknown or wrong."""
+    """Layout from plain JSON values; UsageError names the field that is missing, unknown or wrong."""
     if not isinstance(data, Mapping):
         raise UsageError("a layout is a table of fields", f"Give the fields {', '.join(_FIELDS)}.")
     for name in ("name", "positions_m"):
@@ -278,19 +279,20 @@ def layout_from_dict(data: Mapping[str, Any]) -> Layout:
     heights, seen = data.get("heights_m"), data.get("covariance_m2")
     if heights is not None and not _numbers([heights], None):
         raise UsageError(
-            "the layout's field heights_m is not a list of numbers", "Give one height a reflector, in metres."
+            "the layout's field heights_m is not a list of numbers",
+            "Give one height per reflector, in metres.",
         )
     if seen is not None and not _numbers(seen, 3):
         raise UsageError(
             "the layout's field covariance_m2 is not a list of [xx, xy, yy]",
-            "Give one covariance a reflector, in square metres, or leave it out.",
+            "Give one covariance per reflector, in square metres, or omit it.",
         )
     covariance = None if seen is None else [[[xx, xy], [xy, yy]] for xx, xy, yy in seen]
     return Layout(positions=data["positions_m"], heights=heights, covariance=covariance, **rest)  # type: ignore[arg-type]
 
 
 def _numbers(rows: Any, width: int | None) -> bool:
-    """Whether it is a list of lists of so many plain numbers; of any number where the width is None."""
+    """Whether it is a list of lists of `width` plain numbers each; any number if None."""
     return isinstance(rows, list) and all(
         isinstance(row, list)
         and width in (None, len(row))
@@ -314,7 +316,7 @@ def read_layout(path: Path) -> Layout:
     if len(raw) > MAX_FILE_BYTES:
         raise FileFormatError(
             f"{path} is larger than {MAX_FILE_BYTES // 1024} KiB, too large for a layout",
-            "Give a file with one layout.",
+            "Give a smaller file with one layout.",
         )
     try:
         text = raw.decode("utf-8")
@@ -338,5 +340,5 @@ def _builtin() -> tuple[Layout, ...]:
 
 
 def builtin_layouts() -> dict[str, Layout]:
-    """The layouts that come with the package, by name: the paper's two containers and two helmets."""
+    """The layouts of the package, by name: the paper's two containers and two helmets."""
     return {layout.name: layout for layout in _builtin()}

@@ -1,6 +1,6 @@
-"""Words on a ring that no turn makes equal: the combinatorial skeleton of a family of layouts.
+"""Necklaces, words on a ring up to rotation: the combinatorial basis of a layout family.
 
-An object stands on the table in any turn, so two words that are rotations of one another name one identity.
+An object's orientation on the table is arbitrary, so words that are rotations of each other are one identity.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from math import comb
 from tagid.errors import UsageError
 
 MAX_WORDS = 400_000
-"""Words examined at most; 24 slots, 5 reflectors and 2 rings are 283 360."""
+"""Maximum number of words examined; 24 slots, 5 reflectors and 2 rings are 283 360."""
 
 Bead = tuple[int, int]
 """(slots to the next occupied slot, colour): a necklace is a cycle of them."""
@@ -41,7 +41,7 @@ def _turned(word: tuple[Bead, ...]) -> list[tuple[Bead, ...]]:
 
 
 def mirrored(word: tuple[Bead, ...]) -> tuple[Bead, ...]:
-    """The word read the other way round, as its smallest rotation."""
+    """The word reversed, as its smallest rotation."""
     weight = len(word)
     back = tuple((word[(-i - 1) % weight][0], word[-i % weight][1]) for i in range(weight))
     return min(_turned(back))
@@ -53,29 +53,29 @@ def necklaces(
     """All necklaces with `weight` of `slots` occupied, each occupied slot in one of `colours`.
 
     Args:
-        slots: equal steps of the ring.
-        weight: occupied ones.
-        colours: kinds of occupation (rings or rows that a slot offers).
-        mirror_counts: whether a necklace and its mirror image are two; where the direction of the turn is
-            not known they are one.
+        slots: number of equal steps of the ring.
+        weight: number of occupied slots.
+        colours: number of ways to occupy a slot (rings or rows).
+        mirror_counts: whether a necklace and its mirror image are distinct; they are one if the direction of
+            rotation is unknown.
 
     Returns:
-        the smallest rotation of each, sorted.
+        smallest rotation of each, sorted.
 
     Raises:
-        UsageError: there are none, or more than MAX_WORDS words would have to be examined.
+        UsageError: no necklace exists, or more than MAX_WORDS words to examine.
 
     >>> [len(necklaces(12, k)) for k in (2, 3, 4)]
     [6, 19, 43]
     """
     if not (1 <= weight <= slots and colours >= 1):
         raise UsageError(
-            f"{weight} reflectors in {slots} slots", "Give as many slots as reflectors, or more."
+            f"{weight} reflectors in {slots} slots", "Give at least as many slots as reflectors."
         )
     words = comb(slots - 1, weight - 1) * colours**weight
     if words > MAX_WORDS:
         raise UsageError(
-            f"{weight} reflectors in {slots} slots and {colours} rows are {words:,} words, too many",
+            f"{weight} reflectors in {slots} slots and {colours} rows give {words:,} words, too many",
             "Use fewer slots, reflectors or rows.",
         )
     found = []

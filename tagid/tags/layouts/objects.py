@@ -1,6 +1,6 @@
-"""Objects that carry reflectors, as data: the radii and heights at which a reflector can be stuck on.
+"""Objects that carry reflectors, as data: radii and heights at which a reflector can be attached.
 
-A family of layouts is designed for an object, and whoever has another object gives its radii, not new code.
+A family of layouts is designed for an object, and other objects are defined by their radii, without new code.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ MAX_HEIGHT_M = 1.0
 
 @dataclass(frozen=True)
 class Row:
-    """A circle around the object's axis on which reflectors can sit.
+    """A circle around the object's axis on which reflectors can be placed.
 
     Attributes:
-        radius_m: of the reflectors' centres, m.
+        radius_m: radius of the reflectors' centres, m.
         height_m: above the object's plane (that of the first row), m.
     """
 
@@ -34,15 +34,15 @@ class Row:
 
 @dataclass(frozen=True)
 class TaggedObject:
-    """Where an object has room for reflectors.
+    """An object and the rows that can carry reflectors.
 
     Attributes:
-        name: for the command line.
-        kind: of the layouts made for it, one of `tagid.tags.layouts.layout.KINDS`.
-        rows: the first is the main one; the others are used where asked for.
-        label: for people.
+        name: name on the command line.
+        kind: kind of its layouts, one of `tagid.tags.layouts.layout.KINDS`.
+        rows: the first is the main one; the others are used on request.
+        label: readable name.
 
-    Raises UsageError where a row is impossible.
+    Raises UsageError if a row is invalid.
     """
 
     name: str
@@ -59,25 +59,26 @@ class TaggedObject:
             if not (np.isfinite(row.radius_m) and 0.01 <= row.radius_m <= MAX_RADIUS_M):
                 raise UsageError(
                     f"object {self.name}: a row has a radius of {row.radius_m:g} m",
-                    f"Give 0.01 to {MAX_RADIUS_M:g} m, in metres and not in millimetres.",
+                    f"Give 0.01 to {MAX_RADIUS_M:g} m, in metres, not millimetres.",
                 )
             if not (np.isfinite(row.height_m) and abs(row.height_m) <= MAX_HEIGHT_M):
                 raise UsageError(
-                    f"object {self.name}: a row is {row.height_m:g} m high", f"Give up to {MAX_HEIGHT_M:g} m."
+                    f"object {self.name}: a row has a height of {row.height_m:g} m",
+                    f"Give up to {MAX_HEIGHT_M:g} m.",
                 )
 
     def with_rows(self, count: int) -> TaggedObject:
-        """The same object with its first rows only. Raises UsageError where it has not so many."""
+        """The same object with its first rows only. Raises UsageError if it has fewer."""
         if not 1 <= count <= len(self.rows):
             raise UsageError(
-                f"{self.name} has room for 1 to {len(self.rows)} rows, not {count}", "Give fewer --rows."
+                f"{self.name} has {len(self.rows)} rows, cannot use {count}", "Give fewer --rows."
             )
         return TaggedObject(self.name, self.kind, self.rows[:count], self.label)
 
 
 @cache
 def builtin_objects() -> dict[str, TaggedObject]:
-    """The objects that come with the package, by name."""
+    """The built-in objects by name."""
     found = {}
     for file in (resources.files("tagid.tags.layouts") / "data" / "objects").iterdir():
         if file.name.endswith(".toml"):
@@ -88,11 +89,11 @@ def builtin_objects() -> dict[str, TaggedObject]:
 
 
 def object_named(name: str) -> TaggedObject:
-    """A built-in object. Raises UsageError listing the names where there is none."""
+    """A built-in object. Raises UsageError that lists the names if it is unknown."""
     objects = builtin_objects()
     if name not in objects:
         raise UsageError(
-            f"there is no object {name[:80]!r}",
+            f"unknown object {name[:80]!r}",
             f"Use {', '.join(objects)}, or give your own with --radius METRES.",
         )
     return objects[name]
