@@ -1,4 +1,4 @@
-"""The pages agree with the code: links resolve, the API matches the docstrings, refusals are explained."""
+"""The pages are true of the code: links resolve, the API is as in the docstrings, refusals are explained."""
 
 from __future__ import annotations
 
