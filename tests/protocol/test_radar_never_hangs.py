@@ -24,11 +24,12 @@ from tagid.radar.p440 import P440
 from tagid.radar.resume import steady_scans
 from tagid.radar.scan_info import SCAN_INFO_HEAD, read_fragment
 from tagid.radar.settings import RadarConfig
-from tagid.radar.urls import open_link, open_radar
+from tagid.radar.urls import open_link
 from tagid.recording.intake import HostLimit
 from tagid.recording.long_recording import RecordingLimits, RecordingWatch, record_long
-from tagid.recording.recorder import RecordingPlan, start_journal
-from tagid.recording.sources import Sources
+from tagid.recording.plan import RecordingPlan
+from tagid.recording.radars import open_radar
+from tagid.recording.session import start_journal
 from tagid.storage.importers import read_any
 
 
@@ -260,7 +261,7 @@ def test_a_journal_that_vanishes_or_shrinks_ends_the_recording_with_an_error(
         watch = RecordingWatch(progress)
         with pytest.raises(StorageError, match="while it was recorded to"):
             record_long(
-                open_radar(device.url, Sources()),
+                open_radar(device.url),
                 RecordingPlan(None, 1.0),
                 RecordingLimits(seconds=3600),
                 folder / "a.tagid.h5",

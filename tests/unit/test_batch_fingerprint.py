@@ -12,7 +12,8 @@ from tagid.batch.job import Job
 from tagid.config import load_config
 from tagid.imaging.ats.settings import AtsSettings
 from tagid.models_store import manifest
-from tagid.pipeline import ImagingSettings
+from tagid.pipeline.load import LoadSettings
+from tagid.pipeline.settings import ImagingSettings
 from tagid.tags.layouts.layout import Layout, builtin_layouts
 
 LAYOUTS = tuple(builtin_layouts().values())
@@ -23,7 +24,7 @@ def job(**changed: object) -> Job:
         "settings": ImagingSettings(),
         "layouts": LAYOUTS,
         "registry_version": 4,
-        "config": load_config({"motion.axis_distance_m": 1.0}),
+        "load": LoadSettings.of(load_config({"motion.axis_distance_m": 1.0})),
     }
     return Job(**(usual | changed))  # type: ignore[arg-type]
 
@@ -62,12 +63,12 @@ def test_layouts_registry_geometry_and_pictures_change_it() -> None:
         "a moved layout": job(layouts=(moved, *LAYOUTS[1:])),
         "one layout less": job(layouts=LAYOUTS[1:]),
         "another registry": job(registry_version=5),
-        "another distance": job(config=load_config({"motion.axis_distance_m": 1.01})),
+        "another distance": job(load=LoadSettings.of(load_config({"motion.axis_distance_m": 1.01}))),
         "another height": job(
-            config=load_config({"motion.axis_distance_m": 1.0, "motion.antenna_height_m": 0.1})
+            load=LoadSettings.of(load_config({"motion.axis_distance_m": 1.0, "motion.antenna_height_m": 0.1}))
         ),
         "another motion": job(
-            config=load_config({"motion.axis_distance_m": 1.0, "motion.url": "free?rpm=3"})
+            load=LoadSettings.of(load_config({"motion.axis_distance_m": 1.0, "motion.url": "free?rpm=3"}))
         ),
         "no pictures": job(pictures=False),
     }
@@ -80,7 +81,7 @@ def test_a_distance_from_the_command_line_is_another_than_one_from_the_file(
 ) -> None:
     """It stands over what a capture says, so the answer may differ."""
     monkeypatch.setenv("TAGID_MOTION_AXIS_DISTANCE_M", "1.0")
-    assert job(config=load_config({})).fingerprint() != job().fingerprint()
+    assert job(load=LoadSettings.of(load_config({}))).fingerprint() != job().fingerprint()
 
 
 def test_version_and_models_change_it(monkeypatch: pytest.MonkeyPatch) -> None:

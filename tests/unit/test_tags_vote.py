@@ -125,7 +125,8 @@ def test_strangers_are_told_by_a_further_reflector_and_by_points_that_fit_elsewh
 
 
 def answer(**changed: float) -> tuple[str, str]:
-    return decide(evidence(**changed), DecisionSettings())
+    verdict = decide(evidence(**changed), DecisionSettings())
+    return verdict.status, verdict.reason
 
 
 def test_every_reason_of_the_decision_has_its_threshold() -> None:
