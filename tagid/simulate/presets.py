@@ -143,7 +143,8 @@ def scene_from_name(name: str, seed: int = 0) -> Scene:
     if name == "corner":
         # A reflector on the axis, ten times a tag's: what a calibration looks at, in the room of "empty".
         corner = Points(np.zeros((1, 2)), np.array([10.0]))
-        return Scene(name, (corner,), room=room_clutter(rng), description=about)
+        # Its SNR refers to a unit reflector, as that of "empty" does, so that the room is the same in both.
+        return Scene(name, (corner,), room=room_clutter(rng), reference_amplitude=1.0, description=about)
     if name == "empty":
         return Scene(name, room=room_clutter(rng), reference_amplitude=1.0, description=about)
     if name == "untagged":

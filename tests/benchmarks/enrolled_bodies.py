@@ -21,6 +21,7 @@ import zlib
 from collections import Counter, defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from functools import lru_cache, partial
 from math import sqrt
 from pathlib import Path
@@ -30,6 +31,7 @@ from typing import Any
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
+from reading_bodies import commit
 
 from tagid.capture import Capture
 from tagid.errors import TagidError
@@ -235,12 +237,17 @@ def document(results: list[tuple[Scene, tuple[str, str, float]]], population: st
     lines = [
         "# Enrolled bodies and objects",
         "",
+        f"- Command: `{command}`",
+        f"- Commit: {commit()}",
+        f"- Machine: {platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}, "
+        f"numpy {np.__version__}",
+        f"- Date: {datetime.now(UTC):%Y-%m-%d}",
+        f"- Seeds: the {population} population of the script",
+        "",
         f"Full-wave scenes, {VIEWS} views, {DISTANCE_M:g} m; each body and object enrolled from three "
         f"captures of {ENROLMENT_VIEWS} views at 20 dB, 2 to 6 mm off the axis; others are read, with "
         f"the four built-in layouts. SNR is against one reflector of the tag. Seeds of the {population} set. "
         "A tag on `can35_handle` is the sum of the mug and of what the tag adds to the can without a handle.",
-        "",
-        f"    {command}",
         "",
         *table(dict(tagged), "what is enrolled"),
         "",

@@ -245,11 +245,13 @@ def document(rows: list[Row], arguments: argparse.Namespace) -> str:
         f"# Reading tags on bodies: {arguments.label}",
         "",
         f"Command: `python tests/benchmarks/reading_bodies.py --label {arguments.label} --population "
-        f"{arguments.population}` (continued until the time was up), commit {commit()}.",
+        f"{arguments.population}` (continued until the time was up).",
+        f"Commit: {commit()}.",
         f"Machine: {platform.machine()}, {os.cpu_count()} cores, one thread per scene, Python "
         f"{platform.python_version()}, numpy {np.__version__}. Date: {datetime.now(UTC):%Y-%m-%d}.",
         f"Seconds are wall-clock times of a machine with a load average of {os.getloadavg()[2]:.0f}.",
-        f"{len(used)} scenes in {cells} of the {grid} cells; population `{arguments.population}`, numbers 0",
+        f"{len(used)} scenes in {cells} of the {grid} cells.",
+        f"Seeds: population `{arguments.population}`, numbers 0",
         f"to {last} (`seed_of` in reading_bodies_scenes.py). SHA-256 of the sealed seeds:",
         f"{scenes.SEALED_SHA256}.",
         METHOD,
