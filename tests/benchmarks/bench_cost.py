@@ -92,7 +92,7 @@ def shares(views: int, pixels: int, oversampling: float, repeats: int) -> tuple[
     """CPU seconds of one ATS step: network and Adam, sums over views and pixels, products over range bins."""
     raw, settings = scans(views, oversampling), AtsSettings()
     grid = ImageGrid(EXTENT_M, pixels)
-    shape = settings.shape(grid)
+    shape = settings.shape(grid, raw.wavelength_m)
     fine = FineRange.of(raw, grid.points)
     arrays = GridArrays.of(grid, shape.cells, fine.step)
     whole = view_arrays(raw, fine.step, np.ones(raw.samples.shape), np.ones((views, 1)))
