@@ -5,6 +5,8 @@ They stand in one place because the wire, the imaging and the simulation must ag
 
 from __future__ import annotations
 
+from typing import Final
+
 SPEED_OF_LIGHT = 299_792_458.0
 """Speed of light in vacuum, m/s (SI, exact)."""
 
@@ -37,3 +39,6 @@ SAMPLES_PER_BLOCK = 96
 
 CLIP_COUNTS_PER_INTEGRATION = 127
 """A sample saturates at 127 * 2^PII counts (measured on recordings)."""
+
+CAPTURE_SUFFIX: Final = ".tagid.h5"
+"""Usual ending of a capture file's name."""

@@ -1,6 +1,6 @@
-"""The analytic signal of real RF samples: its magnitude is the envelope, its phase that of the carrier.
+"""The analytic signal of real RF samples, and peaks between samples.
 
-Every user takes it from here, so that all agree on scale, padding and the treatment of the mean.
+Every user takes them from here, so that all agree on scale, padding and the treatment of the mean.
 """
 
 from __future__ import annotations
@@ -50,3 +50,13 @@ def analytic(samples: NDArray[np.generic]) -> NDArray[np.complex64]:
         spectrum = positive_spectrum(part - mean, 2 * bins)
         result[first : first + _ROWS] = from_positive(spectrum, 2 * bins, bins) + mean
     return result
+
+
+def vertex(before: float, at: float, after: float) -> float:
+    """Place of the vertex of the parabola through three samples, in samples from the middle one.
+
+    The middle sample is the largest or smallest of the three, so the vertex is within half a sample; 0
+    where the three are on a line.
+    """
+    bend = before - 2 * at + after
+    return 0.5 * (before - after) / bend if bend else 0.0

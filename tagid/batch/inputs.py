@@ -14,10 +14,11 @@ from pathlib import Path
 from typing import Any
 
 from tagid import files
+from tagid.constants import CAPTURE_SUFFIX
 from tagid.errors import DataError, MissingExtraError, StorageError, displayable
 from tagid.storage import mrm_ret, npz
 
-SUFFIXES = (".tagid.h5", ".h5", ".hdf5", ".npz", ".prd", ".out", ".csv", ".tagid.journal", ".journal")
+SUFFIXES = (CAPTURE_SUFFIX, ".h5", ".hdf5", ".npz", ".prd", ".out", ".csv", ".tagid.journal", ".journal")
 """How names of recordings end, in small letters."""
 _URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]*(::[A-Za-z0-9+.-]+)*://")
 _HEAD = 1 << 16
@@ -149,7 +150,7 @@ def is_recording(path: Path) -> bool:
         if name.endswith(".journal"):
             # What `tagid scan` recorded from it lies beside it once the recording is complete.
             stem = path.name[: -len(".journal")].removesuffix(".tagid")
-            return not path.with_name(f"{stem}.tagid.h5").exists()
+            return not path.with_name(f"{stem}{CAPTURE_SUFFIX}").exists()
         head = files.read_head(path, _HEAD)
         if name.endswith(".csv"):
             return mrm_ret.is_mrm_ret(head)

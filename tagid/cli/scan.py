@@ -14,6 +14,7 @@ from tagid.cli.common.consent import Yes, agree_to
 from tagid.cli.common.frame import Terminal, command
 from tagid.cli.common.recording import Limits, plan_of
 from tagid.config import Config, load_config
+from tagid.constants import CAPTURE_SUFFIX
 from tagid.errors import ConfigError, StorageError, TagidError
 from tagid.result import Result
 
@@ -166,7 +167,7 @@ def _scan(
         )
     resolved = capture.motion.resolved
     path = paths[-1]
-    stem = path.name.removesuffix(".tagid.h5")
+    stem = path.name.removesuffix(CAPTURE_SUFFIX)
     png = path.with_name(f"{stem}.png")
     npz = path.with_name(f"{stem}.image.npz")
     drawn: list[RenderableType] = []

@@ -10,6 +10,7 @@ import typer
 from tagid.cli.common import options
 from tagid.cli.common.frame import Terminal, command
 from tagid.config import load_config
+from tagid.constants import CAPTURE_SUFFIX
 from tagid.result import Result
 
 if TYPE_CHECKING:
@@ -47,7 +48,7 @@ def register(app: typer.Typer) -> None:
         config = load_config({"radar.cable_delay_ps": cable_delay})
         capture = load_capture(file, LoadSettings.of(config, node=node), turn=False)
         summary = inspect(capture)
-        target = png or file.with_name(file.name.removesuffix(".tagid.h5") + ".png")
+        target = png or file.with_name(file.name.removesuffix(CAPTURE_SUFFIX) + ".png")
         draw_recording(
             thinned(capture)[0], target, file.name, changing_only=changing, turning=_turns(summary, capture)
         )

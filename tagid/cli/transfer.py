@@ -10,10 +10,10 @@ import typer
 from tagid.cli.common import options
 from tagid.cli.common.frame import Terminal, command
 from tagid.config import load_config
+from tagid.constants import CAPTURE_SUFFIX
 from tagid.errors import StorageError, UsageError
 from tagid.result import Result
 
-CAPTURE_SUFFIX = ".tagid.h5"
 _Out = Annotated[Path | None, typer.Option("--out", "-o", help="File to write.", show_default=False)]
 _Force = Annotated[bool, typer.Option("--force", help="Overwrite an existing file.")]
 

@@ -21,6 +21,7 @@ from tagid.imaging.lengths import search_range_m
 from tagid.imaging.pointmodel import Explained, explain, needed_evidence
 from tagid.imaging.preprocess import select_views
 from tagid.imaging.types import BasebandScans
+from tagid.signal import vertex
 
 Floats = NDArray[np.float64]
 
@@ -283,9 +284,7 @@ def _lowest(offsets: Floats, total: Floats) -> float:
     best = int(np.argmin(total))
     if not 0 < best < len(total) - 1:
         return float(offsets[best])
-    low, middle, high = total[best - 1 : best + 2]
-    bend = low - 2 * middle + high
-    shift = 0.5 * (low - high) / bend if bend > 0 else 0.0
+    shift = vertex(*(float(v) for v in total[best - 1 : best + 2]))
     return float(offsets[best] + shift * (offsets[1] - offsets[0]))
 
 

@@ -16,6 +16,7 @@ from tagid.geometry import ImageGrid
 from tagid.imaging.backprojection import upsample_at_carrier
 from tagid.imaging.kernel import RangeGeometry
 from tagid.imaging.types import BasebandScans
+from tagid.signal import vertex
 
 GROUPS = 12
 """Sectors of the turn, or pieces of the path: wide enough that neighbours share few sidelobes, many enough
@@ -141,9 +142,7 @@ def _between(line: NDArray[np.floating], at: int) -> float:
     """Vertex of the parabola through a maximum and its neighbours."""
     if not 0 < at < len(line) - 1:
         return float(at)
-    low, middle, high = (float(v) for v in line[at - 1 : at + 2])
-    bend = low - 2 * middle + high
-    return at + (float(np.clip(0.5 * (low - high) / bend, -0.5, 0.5)) if bend < 0 else 0.0)
+    return at + float(np.clip(vertex(*(float(v) for v in line[at - 1 : at + 2])), -0.5, 0.5))
 
 
 def _least_squares(columns: NDArray[np.complex64], data: NDArray[np.complex64]) -> NDArray[np.complex128]:

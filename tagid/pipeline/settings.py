@@ -10,16 +10,15 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from tagid.capture import Capture
+from tagid.config import METHODS as METHODS
 from tagid.errors import UsageError
 from tagid.imaging.ats.settings import AtsSettings
 from tagid.imaging.lengths import search_range_m
 from tagid.imaging.preprocess import MARGIN_WAVELENGTHS, Background, PreprocessSettings
-from tagid.pipeline.methods import METHODS as IMAGING_METHODS
 
 Progress = Callable[[float, float, str], None]
 """Called with (done, total, remark)."""
 
-METHODS = ("auto", *IMAGING_METHODS)
 PULSES = ("auto", "nominal", "estimate")
 PRESETS = ("field", "paper")
 MOST_FREE_PIXELS = 512

@@ -20,7 +20,7 @@ from tagid.errors import DataError, UsageError
 from tagid.metadata import RadarInfo, RadarSettings, ReferenceFacts, ReferenceName
 from tagid.radar.p440 import P440
 from tagid.radar.settings import RadarConfig
-from tagid.signal import from_positive, positive_spectrum
+from tagid.signal import from_positive, positive_spectrum, vertex
 from tagid.waveform import nominal_pulse, pulse_at
 
 LONGEST_DELAY_PS = 25_000.0
@@ -242,9 +242,7 @@ def _peak(envelope: NDArray[np.float64], low: int, high: int) -> float:
     best = low + int(envelope[low : high + 1].argmax())
     if not 0 < best < len(envelope) - 1:
         return float(best)
-    before, at, after = envelope[best - 1 : best + 2]
-    bend = before - 2 * at + after
-    return best + (0.5 * float((before - after) / bend) if bend < 0 else 0.0)
+    return best + float(vertex(*envelope[best - 1 : best + 2]))
 
 
 def _check_echo(

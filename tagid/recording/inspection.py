@@ -17,7 +17,7 @@ from tagid.capture import Capture
 from tagid.errors import DataError
 from tagid.metadata import ResolvedMotion
 from tagid.recording.curves import TIME_LABEL, slow_time
-from tagid.signal import analytic
+from tagid.signal import analytic, vertex
 
 MOST_BYTES = 64 << 20
 """Samples that are inspected or drawn at a time, bytes; of longer recordings every n-th view is taken."""
@@ -313,16 +313,14 @@ def strongest_return(signal: NDArray[np.complex64], capture: Capture) -> StrongR
     spectra = np.fft.fft(gate, length, axis=1) * np.conj(np.fft.fft(template, length))
     magnitude = np.fft.fftshift(np.abs(np.fft.ifft(spectra, axis=1)), axes=1)
     best = magnitude.argmax(axis=1)
-    shifts = best - length // 2 + _parabola(magnitude, best)
+    beside = [_between(curve, int(at)) for curve, at in zip(magnitude, best, strict=True)]
+    shifts = best - length // 2 + np.array(beside)
     ranges = capture.ranges_m
     return StrongReturn(peak, float(ranges[peak]), peak + shifts, coherence)
 
 
-def _parabola(curves: NDArray[np.floating], best: NDArray[np.intp]) -> NDArray[np.float64]:
-    """Fraction of a sample, -0.5..0.5, by which a parabola through three points moves each row's maximum."""
-    rows = np.arange(len(curves))
-    inner = np.clip(best, 1, curves.shape[1] - 2)
-    before, at, after = (curves[rows, inner + k].astype(np.float64) for k in (-1, 0, 1))
-    bend = before - 2 * at + after
-    move = np.where(bend < 0, 0.5 * (before - after) / np.where(bend < 0, bend, 1.0), 0.0)
-    return np.asarray(np.where(inner == best, np.clip(move, -0.5, 0.5), 0.0))
+def _between(curve: NDArray[np.floating], best: int) -> float:
+    """Fraction of a sample, -0.5..0.5, by which the vertex lies beside the curve's maximum."""
+    if not 0 < best < len(curve) - 1:
+        return 0.0
+    return float(vertex(*curve[best - 1 : best + 2].astype(np.float64)))

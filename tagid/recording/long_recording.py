@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from tagid import interrupts
+from tagid.constants import CAPTURE_SUFFIX
 from tagid.errors import DataError, StorageError
 from tagid.metadata import ScanGap
 from tagid.radar.messages import SCAN_FOREVER
@@ -25,7 +26,6 @@ from tagid.recording.session import (
     with_recovery,
     with_remedy,
 )
-from tagid.storage.hdf5 import SUFFIX as CAPTURE_SUFFIX
 from tagid.storage.journal_capture import PART_BYTES, WrittenCaptures, write_captures
 
 

@@ -8,12 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from tagid.constants import SPEED_OF_LIGHT
+from tagid.constants import CAPTURE_SUFFIX, SPEED_OF_LIGHT
 from tagid.errors import ConfigError, StorageError
 from tagid.metadata import ObjectInfo
 from tagid.radar.resume import RESUME_S
 from tagid.radar.settings import RadarConfig
-from tagid.storage.hdf5 import SUFFIX as CAPTURE_SUFFIX
 from tagid.storage.journal import SUFFIX as JOURNAL_SUFFIX
 
 _MARGIN_M = 0.35

@@ -14,14 +14,13 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from tagid import __version__, interrupts
-from tagid.constants import RANGE_STEP_M
+from tagid.constants import CAPTURE_SUFFIX, RANGE_STEP_M
 from tagid.errors import CaptureInterrupted, StorageError, TagidError
 from tagid.metadata import METADATA_VERSION, MotionInfo, RadarInfo, ScanGap
 from tagid.radar.p440 import P440
 from tagid.radar.settings import RadarConfig
 from tagid.recording.intake import Intake
 from tagid.recording.plan import RecordingPlan, capture_beside, journal_beside
-from tagid.storage.hdf5 import SUFFIX as CAPTURE_SUFFIX
 from tagid.storage.journal import SUFFIX as JOURNAL_SUFFIX
 from tagid.storage.journal import JournalWriter
 from tagid.storage.journal_queue import JournalQueue

@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 
 from tagid import files
 from tagid.capture import Capture, Pulse
-from tagid.constants import SPEED_OF_LIGHT
+from tagid.constants import CAPTURE_SUFFIX, SPEED_OF_LIGHT
 from tagid.errors import DataError, FileFormatError, StorageError, UsageError
 from tagid.storage.assembly import (
     MAX_JSON_BYTES,
@@ -44,8 +44,6 @@ from tagid.storage.metadata import PARTS, metadata_of, read_metadata
 from tagid.storage.migrations import FORMAT_VERSION, RawCapture, check_version, migrate
 
 FORMAT = "tagid.capture"
-SUFFIX = ".tagid.h5"
-"""Usual ending of a capture file's name."""
 MAGIC = b"\x89HDF\r\n\x1a\n"
 
 _VIEW_ARRAYS = {
@@ -209,7 +207,7 @@ def read_capture(path: Path) -> Capture:
     """
     data = files.read_bytes(path)
     if data[: len(MAGIC)] != MAGIC:
-        raise FileFormatError(f"{path}: is not an HDF5 file", f"A capture file ends in {SUFFIX}.")
+        raise FileFormatError(f"{path}: is not an HDF5 file", f"A capture file ends in {CAPTURE_SUFFIX}.")
     try:
         with h5py.File(io.BytesIO(data), "r") as file:
             version = _version(file, path)

@@ -1,16 +1,17 @@
 """Tags read from images instead of the scans: an image, a finder of reflectors, and the pairing with layouts.
 
 These rows show what each step of the textbook way costs against reading in the data; all share the matcher of
-`tagid.tags.network.constellation`, which may refuse as the product may.
+`constellation`, which may refuse as the product may.
 """
 
 from __future__ import annotations
+
+from constellation import read_constellation
 
 from tagid.capture import Capture
 from tagid.imaging.ats.fit import AtsSettings, fit
 from tagid.imaging.backprojection import backproject
 from tagid.tags.layouts.layout import Layout
-from tagid.tags.network.constellation import read_constellation
 from tagid.tags.network.planes import GRID, NetworkInput
 from tagid.tags.network.second_look import shipped_detector
 from train.evaluate import local_maxima

@@ -211,3 +211,11 @@ def test_every_module_says_why_it_exists_and_stays_readable(path: Path) -> None:
     if path.name != "__init__.py":
         assert ast.get_docstring(ast.parse(text)), "no docstring"
     assert text.count("\n") <= 600, "more than one thought"
+
+
+def test_the_configuration_knows_every_imaging_method() -> None:
+    """It lists them itself, because it must not load numerics."""
+    from tagid import config
+    from tagid.pipeline import methods
+
+    assert set(config.METHODS) == {"auto", *methods.METHODS}

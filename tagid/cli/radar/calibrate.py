@@ -13,6 +13,7 @@ from tagid.cli.common import options
 from tagid.cli.common.frame import Terminal, command
 from tagid.cli.radar.device import open_configured, radar_url
 from tagid.config import Config, data_folder, load_config
+from tagid.constants import CAPTURE_SUFFIX
 from tagid.errors import DataError, StorageError, UsageError
 from tagid.result import Result
 
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     from tagid.radar.settings import RadarConfig
     from tagid.recording.calibration import DelayEstimate
 
-REFERENCE_NAME = "background.tagid.h5"
+REFERENCE_NAME = f"background{CAPTURE_SUFFIX}"
 
 
 def register(group: typer.Typer) -> None:

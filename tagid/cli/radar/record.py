@@ -12,6 +12,7 @@ from tagid.cli.common import options
 from tagid.cli.common.frame import Terminal, command
 from tagid.cli.radar.device import open_configured, radar_url
 from tagid.config import load_config
+from tagid.constants import CAPTURE_SUFFIX
 from tagid.errors import EXIT_INTERRUPTED, EXIT_OK, StorageError, UsageError
 from tagid.result import Result
 
@@ -64,7 +65,7 @@ def register(group: typer.Typer) -> None:
         radar_url(config)
         _check(scans, seconds, interval_us)
         path = out or capture_path(_folder(Path(config["storage.folder"] or ".")))
-        if not path.name.endswith(".tagid.h5"):
+        if not path.name.endswith(CAPTURE_SUFFIX):
             raise UsageError(f"--out is {path}", "Give a name that ends in .tagid.h5.")
         plan = RecordingPlan(
             None,

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from tagid.tags.layouts.layout import Layout, builtin_layouts, rotation_matrix
-from tagid.tags.network.constellation import read_constellation
 from tagid.tags.network.detector import Detection
+from tests.benchmarks.constellation import read_constellation
 
 LAYOUTS = list(builtin_layouts().values())
 
