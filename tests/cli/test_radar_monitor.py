@@ -103,7 +103,8 @@ def test_it_draws_in_colour_and_without(home: dict[str, str], colour: bool) -> N
     assert data["frames"] >= 2  # how many a second is for the benchmark: a busy machine draws late
     assert data["scans"] > 10
     assert data["lost"] > 0
-    assert data["clipped_fraction"] > 0
+    # The last frame need not be a clipped one; one that was drawn is.
+    assert max(float(share) for share in re.findall(rb"clipped (\d+\.\d+)%", sent)) > 0
     assert data["temperature_c"] == 51.5
     assert data["snr_db"] > 30
     text = sent.decode(errors="replace")

@@ -147,7 +147,7 @@ def test_ports_that_cannot_be_used(flash, tmp_path: Path) -> None:  # type: igno
     try:
         fcntl.flock(slave, fcntl.LOCK_EX)
         code, _, text = flash(image(), os.ttyname(slave))
-        assert code == 4 and "held by another program" in text
+        assert code == 4 and "in use by another program" in text
         fcntl.flock(slave, fcntl.LOCK_UN)
         code, _, text = flash(image(), os.ttyname(slave))
         assert code == 4 and "no board answers" in text and "BOOT" in text

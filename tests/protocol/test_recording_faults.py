@@ -61,7 +61,7 @@ def test_a_recording_goes_on_after_the_plug_was_out_and_marks_the_gap(tmp_path: 
         np.testing.assert_array_equal(capture.samples[k], numbered(k, 96))
     for k in (at, capture.views - 1):
         np.testing.assert_array_equal(capture.samples[k], numbered(k - at, 96))
-    assert "was gone once" in notes(capture.radar)[0]
+    assert "was lost once" in notes(capture.radar)[0]
     assert read_any(path).radar.gaps == capture.radar.gaps
 
 

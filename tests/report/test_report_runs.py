@@ -94,13 +94,13 @@ def test_the_whole_way(tagid, captures: Path, tmp_path: Path) -> None:
         (("report", "nothing-here"), 1, "no captures in nothing-here"),
         (("report", "captures", "--jobs", -1), 2, "--jobs is -1"),
         (("report", "captures", "--expect", "captures/notes.txt"), 2, "a file and its expected layout"),
-        (("report", "captures", "--page-megabytes", -1), 2, "pictures may take -1"),
+        (("report", "captures", "--page-megabytes", -1), 2, "picture limit"),
         (("report", "captures", "--out", "captures/notes.txt"), 1, "already exists"),
         (("report", "--watch", "none"), 2, "is not a folder"),
         (("history", "export"), 2, "export needs a file"),
         (("history", "export", "a.xls"), 2, "format"),
         (("history", "--since", "yesterday"), 2, "not a date"),
-        (("history", "--status", "fine"), 2, "no status 'fine'"),
+        (("history", "--status", "fine"), 2, "unknown status 'fine'"),
     ],
 )
 def test_wrong_command_lines(
