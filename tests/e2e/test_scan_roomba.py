@@ -142,4 +142,4 @@ def test_the_helmet_on_a_sleeping_robot_behind_the_bridge_is_named(
         truth = TrueAngle(there["truth"])
         wait_until(lambda: not truth.state()["moving"])
         assert truth.state()["mode"] == 1
-    assert "482913" not in json.dumps(read_any(Path(document["data"]["files"]["capture"])).motion)
+    assert "482913" not in json.dumps(read_any(Path(document["data"]["files"]["capture"])).motion.to_json())
