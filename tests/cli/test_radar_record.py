@@ -232,9 +232,9 @@ def test_a_full_disk_keeps_the_journal_and_says_how_to_go_on(tmp_path: Path, mon
 
     def write(descriptor: int, data: bytes) -> int:
         nonlocal written
-        written += len(data)
-        if written > 100_000:
+        if written + len(data) > 100_000:  # a refused write takes no space
             raise OSError(28, os.strerror(28))
+        written += len(data)
         return real(descriptor, data)
 
     monkeypatch.setattr(journal_module.files.os, "write", write)
