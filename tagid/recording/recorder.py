@@ -11,7 +11,7 @@ import numpy as np
 from tagid import interrupts
 from tagid.capture import Capture
 from tagid.constants import RANGE_STEP_M
-from tagid.errors import DataError, StorageError
+from tagid.errors import DataError
 from tagid.metadata import ScanGap, Track
 from tagid.motion.device import Motion
 from tagid.motion.turntable import OVERLAP_TURNS
@@ -19,16 +19,8 @@ from tagid.radar.assembler import Scan
 from tagid.radar.messages import SCAN_FOREVER
 from tagid.radar.p440 import P440
 from tagid.recording.intake import HostLimit
-from tagid.recording.plan import RecordingPlan, journal_beside
-from tagid.recording.session import (
-    Recorded,
-    Session,
-    check_all_read,
-    record_to_journal,
-    where_kept,
-    with_recovery,
-    with_remedy,
-)
+from tagid.recording.plan import RecordingPlan
+from tagid.recording.session import Recorded, Session, Steps, Written, run_recording
 from tagid.storage.hdf5 import write_capture
 from tagid.storage.journal import read_journal
 from tagid.storage.journal_capture import journal_to_capture
@@ -81,25 +73,17 @@ def record(
         CaptureInterrupted: stopped by the user. DataError: no scan arrived.
     """
     watch = watch or Watch()
-    if not plan.renumber:
-        journal_beside(path)
-    kept = [path]
-
-    def named(taken: Path) -> None:
-        kept.append(taken)
-        watch.named(taken)
 
     def receive(session: Session) -> bool:
         _OneTurn(session, motion, watch).run()
         return True
 
-    try:
-        with interrupts.deferred() as signals:
-            told = replace(watch, named=named)
-            recorded = record_to_journal(radar, plan, path, receive, told, signals)
-            return _finish(recorded, watch)
-    except KeyboardInterrupt as stop:
-        raise interrupts.stopped_by_user(stop, where_kept(kept[-1])) from stop
+    def write(recorded: Recorded) -> Written[Capture]:
+        capture = _with_angles(recorded, watch)
+        write_capture(recorded.path, capture)
+        return Written(capture, capture.views, (recorded.path,))
+
+    return run_recording(radar, plan, path, Steps(receive, write), watch)
 
 
 class _OneTurn:
@@ -181,29 +165,15 @@ class _OneTurn:
         return OVERLAP_TURNS * (resolved.period_s or 0.0) if resolved else 0.0
 
 
-def _finish(recorded: Recorded, watch: Watch) -> Capture:
-    """Make the capture file of the journal, which is removed only when that was read back and compared."""
-    ended_by, journal_path, path = recorded.ended_by, recorded.journal, recorded.path
-    journal = read_journal(journal_path)
-    if not journal.scans:
-        journal_path.unlink(missing_ok=True)
-        raise ended_by or DataError(
-            "no complete scan arrived", "Check the network for lost packets with `tagid doctor`."
-        )
-    capture = journal_to_capture(journal)
+def _with_angles(recorded: Recorded, watch: Watch) -> Capture:
+    """The capture of a journal, with angles if they are known."""
+    ended_by = recorded.ended_by
+    capture = journal_to_capture(read_journal(recorded.journal))
     if ended_by is not None:
         capture = replace(capture, radar=capture.radar.with_known(recorded.counters))
     if watch.resolve and (ended_by is None or capture.motion.track is not None):
         try:
-            capture = watch.resolve(capture, capture.motion.url or "free")
+            return watch.resolve(capture, capture.motion.url or "free")
         except DataError as error:
-            capture = replace(capture, motion=capture.motion.without_track(not_resolved=error.message))
-    try:
-        write_capture(path, capture)
-        check_all_read(journal_path, capture.views, recorded.scans)
-    except StorageError as error:
-        raise with_recovery(error, journal_path) from error
-    journal_path.unlink(missing_ok=True)
-    if ended_by is not None:
-        raise with_remedy(ended_by, f"The {capture.views} scans that arrived are in {path}.") from ended_by
+            return replace(capture, motion=capture.motion.without_track(not_resolved=error.message))
     return capture
