@@ -16,6 +16,7 @@ from tagid.errors import DeviceError
 from tagid.motion.bridge.client import Bridge
 from tagid.motion.bridge.find import Backends, find
 from tagid.motion.bridge.protocol import Flag, Op, Status
+from tagid.motion.links import WAKE_S
 
 _ECHOES: Final = 20
 _SMALLEST_MTU: Final = 65
@@ -124,8 +125,8 @@ async def _brc(bridge: Bridge, plan: Plan) -> Step:
         return Step("BRC", "skipped", "as asked")
     if Flag.BRC not in bridge.info.flags:
         return Step("BRC", "skipped", "no pin is configured")
-    await bridge.request(Op.BRC, 200, 1, 0)
-    return Step("BRC", "passed", "one low pulse of 200 ms")
+    await bridge.request(Op.BRC, round(1000 * WAKE_S), 1, 0)
+    return Step("BRC", "passed", f"one low pulse of {WAKE_S:g} s")
 
 
 async def _robot(bridge: Bridge, plan: Plan, arrived: bytearray) -> Step:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import asyncio
 import secrets
 import uuid
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from typing import Any, ClassVar
 
@@ -193,28 +193,29 @@ class BumbleClient(BaseBleakClient):
             raise BleakError("Not connected")
         return self._connection
 
-    async def _do(self, work: Any) -> Any:
+    async def _do(self, work: Callable[[], Awaitable[Any]]) -> Any:
+        """Awaits what `work` starts; a link that is gone starts nothing. Raises BleakError."""
         self._needed()
         try:
-            return await work
+            return await work()
         except core.ProtocolError as error:
             raise BleakError(error.error_name or f"error {error.error_code}") from error
         except (core.BaseBumbleError, asyncio.CancelledError) as error:
             raise BleakError(str(error) or "the link broke") from error
 
     async def read_gatt_char(self, characteristic: BleakGATTCharacteristic, **options: Any) -> bytearray:
-        return bytearray(await self._do(characteristic.obj.read_value()))
+        return bytearray(await self._do(lambda: characteristic.obj.read_value()))
 
     async def read_gatt_descriptor(self, descriptor: BleakGATTDescriptor, **options: Any) -> bytearray:
-        return bytearray(await self._do(descriptor.obj.read_value()))
+        return bytearray(await self._do(lambda: descriptor.obj.read_value()))
 
     async def write_gatt_char(
         self, characteristic: BleakGATTCharacteristic, data: Any, response: bool
     ) -> None:
-        await self._do(characteristic.obj.write_value(bytes(data), with_response=response))
+        await self._do(lambda: characteristic.obj.write_value(bytes(data), with_response=response))
 
     async def write_gatt_descriptor(self, descriptor: BleakGATTDescriptor, data: Any) -> None:
-        await self._do(descriptor.obj.write_value(bytes(data), True))
+        await self._do(lambda: descriptor.obj.write_value(bytes(data), True))
 
     async def start_notify(
         self, characteristic: BleakGATTCharacteristic, callback: Any, **options: Any
@@ -223,10 +224,10 @@ class BumbleClient(BaseBleakClient):
             callback(bytearray(value))
 
         self._subscriptions[characteristic.handle] = received
-        await self._do(characteristic.obj.subscribe(received))
+        await self._do(lambda: characteristic.obj.subscribe(received))
 
     async def stop_notify(self, characteristic: BleakGATTCharacteristic) -> None:
-        await self._do(characteristic.obj.unsubscribe(self._subscriptions.pop(characteristic.handle)))
+        await self._do(lambda: characteristic.obj.unsubscribe(self._subscriptions.pop(characteristic.handle)))
 
 
 @asynccontextmanager
