@@ -7,13 +7,15 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pytest
 from hypothesis import settings
+
+from tests.warm import LIMIT_S, WarmProcess
 
 # The same examples in every run; fresh ones are for the long runs that CONTRIBUTING names.
 settings.register_profile("fixed", derandomize=True)
@@ -48,17 +50,29 @@ def home(tmp_path: Path) -> dict[str, str]:
     }
 
 
+@pytest.fixture(scope="session")
+def warm() -> Iterator[WarmProcess]:
+    environment = {k: v for k, v in os.environ.items() if not k.startswith("TAGID_")}
+    process = WarmProcess({**environment, "OMP_NUM_THREADS": "1", "COLUMNS": "200"})
+    yield process
+    process.close()
+
+
 @pytest.fixture
-def tagid(tmp_path: Path, home: dict[str, str]) -> Callable[..., Ran]:
+def tagid(tmp_path: Path, home: dict[str, str], warm: WarmProcess) -> Callable[..., Ran]:
     def run(*words: object, **more: str) -> Ran:
-        done = subprocess.run(
-            [sys.executable, "-m", "tagid", *map(str, words)],
-            capture_output=True,
-            text=True,
-            cwd=tmp_path,
-            env={**home, **more},
-            timeout=120,
-        )
+        argv = [str(word) for word in words]
+        if all(key.startswith("TAGID_") for key in more):
+            done = warm.run(argv, {**home, **more}, tmp_path)
+        else:  # some variables are read while modules are imported
+            done = subprocess.run(
+                [sys.executable, "-m", "tagid", *argv],
+                capture_output=True,
+                text=True,
+                cwd=tmp_path,
+                env={**home, **more},
+                timeout=LIMIT_S,
+            )
         assert "Traceback" not in done.stderr, done.stderr
         return Ran(done.returncode, done.stdout, done.stderr)
 
