@@ -172,7 +172,7 @@ def _check_signatures(new: dict[tuple[str, str], Signature], contents: Contents)
         other = new.get((one.kind, one.name))
         if other is not None and to_bytes(other) != to_bytes(one):
             raise LayoutConflictError(
-                f"a different {one.kind} named {one.name} is enrolled already",
+                f"a different {one.kind} named {one.name} is already enrolled",
                 "Remove one of them, or import with --force; nothing was stored.",
             )
 
