@@ -127,7 +127,7 @@ class Values:
 def least_squares(
     b: NDArray[np.complex128], gram: NDArray[np.complex128]
 ) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
-    """Amplitudes (..., K) = G^-1 b and explained energy (...) = b^H G^-1 b; G's diagonal is loaded by 1e-2."""
+    """Amplitudes (..., K) = G^-1 b and explained energy (...) = b^H G^-1 b, with 1e-2 of diagonal loading."""
     k = b.shape[-1]
     size = np.maximum(np.abs(np.trace(gram, axis1=-2, axis2=-1)) / k, 1e-30)  # 0 if no reflector is visible
     load = 1e-2 * size[..., None, None] * np.eye(k)
