@@ -157,7 +157,7 @@ def test_every_reason_of_the_decision_has_its_threshold() -> None:
     assert answer(outward=-0.5)[0] == "identified"
     assert "through the object" in answer(outward=-0.51)[1]
     assert "too weak" in answer(odds_nats=0.01)[1]
-    assert "other places" in answer(odds_nats=-0.01)[1]
+    assert "points elsewhere explain the echo better" in answer(odds_nats=-0.01)[1]
     asked = least_preference(evidence(), s.false_accept)
     off = asked - preference(evidence())
     assert answer(odds_nats=16.0 + off + 0.01)[0] == "identified"
