@@ -192,7 +192,9 @@ def test_the_preference_is_the_likelihood_ratio_that_its_text_writes_down() -> N
     assert answer(odds_nats=-9.9, noise_nats=600.0, nats=600.0)[1].startswith("the echo is too weak") or (
         answer(odds_nats=-9.9, noise_nats=600.0, nats=600.0)[0] == "identified"
     )
-    assert "other places" in answer(odds_nats=-10.1, noise_nats=600.0, nats=600.0)[1]
+    assert (
+        "points elsewhere explain the echo better" in answer(odds_nats=-10.1, noise_nats=600.0, nats=600.0)[1]
+    )
 
 
 def test_what_is_asked_grows_as_written() -> None:
