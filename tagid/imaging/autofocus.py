@@ -66,12 +66,12 @@ class AxisFocus:
 
     Attributes:
         axis_distance_m: distance that the returned scans assume, m; None for free antenna positions.
-        offset_m: its difference from the one given, m; 0 where the given one was kept.
+        offset_m: its difference from the one given, m; 0 if the given one was kept.
         sharpness: sum |f|^4 / (sum |f|^2)^2 of the brightest image of the search.
         contrast: largest brightness (see `focus_axis_distance`) over the median of the search, >= 1.
         peak_db: power of the brightest pixel over the mean noise power of a pixel, dB; inf without noise.
         reliable: the estimate passed every test; only then is it taken.
-        best_m: the best guess, m, taken or not; None where there was no search.
+        best_m: the best guess, m, taken or not; None if there was no search.
         sigma_m: its standard error by the jackknife over sectors of the turn, m; nan where not known.
         evidence: least t value, over all distances more than a quarter wavelength away, of the hypothesis
             that the sectors of the turn are explained better by the best guess; `needed_evidence` says what
@@ -79,7 +79,7 @@ class AxisFocus:
         needed: see there.
         second: energy of the second spot of the scene over that of the first.
         unexplained: share of the scans' energy that points leave over at the best guess.
-        reason: why it was not taken; empty where it was.
+        reason: why it was not taken; empty if it was.
     """
 
     axis_distance_m: float | None

@@ -59,7 +59,7 @@ class HeldOut:
 
 
 def left_out(views: int) -> NDArray[np.intp]:
-    """Numbers of the views to leave out, spread over all; empty where there are too few."""
+    """Numbers of the views to leave out, spread over all; empty if there are too few."""
     count = max(2, round(views * SHARE)) if views >= LEAST_VIEWS else 0
     return np.asarray((np.arange(count) + 0.5) * views / max(count, 1), dtype=np.intp)
 
@@ -71,7 +71,7 @@ def check(
     make: Callable[[BasebandScans], Image] | None,
     predicted: Callable[[BasebandScans, float], float] | None = None,
 ) -> HeldOut | None:
-    """Residual of an image made without some views, on those views; None where there are too few, or no data.
+    """Residual of an image made without some views, on those views; None if there are too few, or no data.
 
     Args:
         scans: as the method takes them, with or without matched filter.

@@ -67,7 +67,7 @@ def truth_image(
 
 
 def mse(image: NDArray[np.generic], truth: NDArray[np.generic]) -> float:
-    """Mean square difference of the peak-normalised magnitudes. Raises DataError where shapes differ."""
+    """Mean square difference of the peak-normalised magnitudes. Raises DataError if shapes differ."""
     if image.shape != truth.shape:
         raise DataError(f"image has shape {image.shape}, truth {truth.shape}")
     return float(((normalised_magnitude(image) - normalised_magnitude(truth)) ** 2).mean())

@@ -82,15 +82,15 @@ class DelayFocus:
     """What the search for the path delay found.
 
     Attributes:
-        delay_m: one-way metres that were subtracted from the scans' ranges; 0 where nothing was.
+        delay_m: one-way metres that were subtracted from the scans' ranges; 0 if nothing was.
         contrast: focus measure at the best delay over its median in the search.
         reliable: the best lies inside the search and the pieces of the path agree on it; only then is it
             taken.
         points: the strong echoes, strongest first, at the delay taken.
-        best_m: the best guess, m, taken or not; None where there was no search.
+        best_m: the best guess, m, taken or not; None if there was no search.
         evidence: how far the focus measure of the best delay is above that of the best rival outside its
             lobe, in jackknife standard errors over pieces of the path; `needed_evidence(PIECES)` is needed.
-        reason: why it was not taken; empty where it was.
+        reason: why it was not taken; empty if it was.
         sigma_m: standard error by the jackknife over pieces of the path, m; nan where not known.
     """
 
@@ -215,7 +215,7 @@ def focus_delay(
 
 
 def _rival(measure: Floats, best: int) -> int | None:
-    """The best delay outside the lobe about the best one; None where there is no other."""
+    """The best delay outside the lobe about the best one; None if there is no other."""
     lobe = measure >= _LOBE * measure[best]
     first, last = best, best
     while first > 0 and lobe[first - 1]:
@@ -259,7 +259,7 @@ def _strongest_first(points: tuple[EchoPoint, ...]) -> tuple[EchoPoint, ...]:
 
 
 def is_straight(positions: Floats, wavelength_m: float) -> bool:
-    """True where the antenna positions (views, 3) lie above one line to within a fortieth of a wavelength,
+    """True if the antenna positions (views, 3) lie above one line to within a fortieth of a wavelength,
     rms.
 
     Heights do not count: from a path in one upright plane both sides of it look the same.
@@ -349,7 +349,7 @@ class _Measure:
     pairs: list[tuple[int, int]]
 
     def responding(self) -> Floats:
-        """(echoes,) 1 where the echo comes into focus somewhere in the search, 0 where no delay makes a
+        """(echoes,) 1 where the echo comes into focus somewhere in the search, 0 if no delay makes a
         difference."""
         middle = np.maximum(np.median(self.power, axis=0), 1e-30)
         found = self.power.max(axis=0) / middle >= LEAST_CONTRAST
@@ -358,7 +358,7 @@ class _Measure:
         return np.asarray(found, dtype=np.float64)
 
     def agreeing(self, best: int) -> NDArray[np.bool_]:
-        """(echoes,) True where the echo comes into focus at this delay, if less clearly than those that
+        """(echoes,) True if the echo comes into focus at this delay, if less clearly than those that
         count."""
         middle = np.maximum(np.median(self.power, axis=0), 1e-30)
         top = self.power.max(axis=0)

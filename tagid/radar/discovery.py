@@ -41,8 +41,8 @@ class FoundRadar:
     Attributes:
         url: what to give as --radar.
         kind: "network", "P440 on USB", "P410 on USB" or "serial".
-        status: what it says of itself; None where it did not answer.
-        problem, remedy: why it did not answer, and what to do; empty where it did.
+        status: what it says of itself; None if it did not answer.
+        problem, remedy: why it did not answer, and what to do; empty if it did.
     """
 
     url: str
@@ -74,7 +74,7 @@ class Search:
 def addresses_from(text: str | None) -> tuple[str, ...]:
     """The addresses of the setting `radar.addresses`: HOST or HOST:PORT, separated by commas or spaces.
 
-    Raises ConfigError where there are more than 64.
+    Raises ConfigError if there are more than 64.
 
     >>> addresses_from("127.0.0.1:5000, 127.0.0.1:5001")
     ('127.0.0.1:5000', '127.0.0.1:5001')
@@ -105,7 +105,7 @@ def discover(
     urls: Sequence[str] = (),
     ports: Callable[[], list[tuple[str, str]]] = radar_ports,
 ) -> Search:
-    """Asks every candidate for its status, all at once; a scanning radar goes on scanning.
+    """Asks every candidate for its status, all at once; a scanning radar continues scanning.
 
     Args:
         addresses: HOST or HOST:PORT of the network, for UDP.

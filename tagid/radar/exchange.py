@@ -140,7 +140,7 @@ class Exchange:
             self.next_id = (message.id + 1) & 0xFFFF
 
     def receive(self, timeout: float) -> Message | Fragment | None:
-        """The next message, or None where none came in time; what is no message is counted and dropped."""
+        """The next message, or None if none came in time; what is no message is counted and dropped."""
         deadline = time.monotonic() + timeout
         while (packet := self.link.receive(max(deadline - time.monotonic(), 0.0))) is not None:
             self.statistics.received += 1

@@ -84,13 +84,13 @@ class StreamDecoder:
     def flush(self) -> list[bytes]:
         """The packets that count once the line has been quiet for a moment.
 
-        A frame that waits for its end gives way to whole frames inside it; where there are none it goes on
+        A frame that waits for its end gives way to whole frames inside it; where there are none it continues
         waiting, so that a pause in the middle of a frame costs nothing.
         """
         return self._take(quiet=True)
 
     def reset(self) -> None:
-        """Forgets what is buffered, e.g. after the line was opened anew."""
+        """Forgets what is buffered, e.g. after the line was reopened."""
         self.skipped += len(self._buffer)
         self._buffer.clear()
         self._locked = True
@@ -133,7 +133,7 @@ class StreamDecoder:
         self._locked = False
 
     def _size_at(self, at: int) -> int | None:
-        """Packet size of the frame that may start at `at`; 0 where none does, None: not known yet."""
+        """Packet size of the frame that may start at `at`; 0 if none does, None: not known yet."""
         data = self._buffer
         have = len(data) - at
         if have < _PREFIX:
@@ -159,7 +159,7 @@ class StreamDecoder:
         return size in _SIZES.get(data[at + 4] << 8 | data[at + 5], ())
 
     def _verdict(self, at: int, size: int, quiet: bool) -> bool | None:
-        """Whether the frame at `at` counts; None where that cannot be said before more bytes arrive."""
+        """Whether the frame at `at` counts; None if that cannot be said before more bytes arrive."""
         data = self._buffer
         end = at + _PREFIX + size + self._tail
         if len(data) < end:
@@ -177,7 +177,7 @@ class StreamDecoder:
         return True if quiet and behind is None else behind
 
     def _inner_head(self, start: int, end: int) -> bool | None:
-        """Whether a known message's frame starts in `start`..`end`; None where its head may still come."""
+        """Whether a known message's frame starts in `start`..`end`; None if its head may still come."""
         data = self._buffer
         at = data.find(SYNC, start, end + 1)
         while 0 <= at < end:

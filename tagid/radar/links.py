@@ -34,7 +34,7 @@ class Link(Protocol):
     """Whether a checksum keeps damaged packets out: UDP and UART have one, USB frames have none."""
 
     packet_time_s: float
-    """Time that the longest packet takes on the wire, s; 0 where that is nothing beside all else."""
+    """Time that the longest packet takes on the wire, s; 0 if that is nothing beside all else."""
 
     @property
     def exhausted(self) -> bool:
@@ -42,11 +42,11 @@ class Link(Protocol):
         ...
 
     def send(self, packet: bytes) -> None:
-        """Sends one packet. Raises DeviceError where the link is down."""
+        """Sends one packet. Raises DeviceError if the link is down."""
         ...
 
     def receive(self, timeout: float) -> bytes | None:
-        """The next packet, or None where none came within `timeout` seconds."""
+        """The next packet, or None if none came within `timeout` seconds."""
         ...
 
     def reopen(self) -> None:
@@ -61,7 +61,7 @@ class Link(Protocol):
 def bind_udp(host: str, port: int) -> socket.socket:
     """A UDP socket bound to an address; port 0 takes any free one.
 
-    Raises PortInUseError where another program holds the port, DeviceError for an address of another machine.
+    Raises PortInUseError if another program holds the port, DeviceError for an address of another machine.
     """
     sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     try:
@@ -128,7 +128,7 @@ class UdpLink:
         return int(self._socket.getsockname()[1])
 
     def send(self, packet: bytes) -> None:
-        """Sends one datagram. Raises DeviceError where the network is down."""
+        """Sends one datagram. Raises DeviceError if the network is down."""
         try:
             self._socket.sendto(packet, self.address)
         except OSError as error:

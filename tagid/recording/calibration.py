@@ -77,7 +77,7 @@ def estimate_delay(
         target: (views, bins) raw samples, ranges with no delay taken off.
         distance_m: taped from the antennas to the target's reflecting point, m.
         tape_error_m: standard deviation of that, m.
-        empty: (bins,) mean scan without the target on the same grid, counts; None where there is none.
+        empty: (bins,) mean scan without the target on the same grid, counts; None if there is none.
         longest_ps: longest delay looked for, ps.
 
     Raises:
@@ -153,7 +153,7 @@ def reference_on(reference: Capture, capture: Capture) -> NDArray[np.float64]:
     The two windows may differ by any part of a sample: the mean is brought to a 16 times finer step by the
     Fourier transform and interpolated linearly there. Integration scales it by 2^PII.
 
-    Raises DataError where the reference does not cover the capture or was taken with other settings.
+    Raises DataError if the reference does not cover the capture or was taken with other settings.
     """
     here, there = capture.radar.config or RadarSettings(), reference.radar.config or RadarSettings()
     for name in ("transmit_gain", "antenna_mode", "code_channel"):
@@ -201,7 +201,7 @@ def calibration_window(distances_m: Sequence[float], longest_ps: float, base: Ra
 def take_scans(radar: P440, count: int, progress: Callable[[int], None] = lambda done: None) -> Capture:
     """A capture of `count` scans with the radar's settings, no delay taken off, in memory.
 
-    Raises UsageError for more than 5000 scans, DataError where none arrives, DeviceError and its kinds.
+    Raises UsageError for more than 5000 scans, DataError if none arrives, DeviceError and its kinds.
     """
     if not 2 * _BLOCKS <= count <= _MOST_SCANS:
         raise UsageError(f"{count} scans are asked for", f"Give {2 * _BLOCKS} to {_MOST_SCANS}.")
@@ -253,7 +253,7 @@ def _check_echo(
     start_ps: float,
     step_ps: float,
 ) -> float:
-    """SNR of the echo, dB; DataError where it is none, not the only one, or clipped."""
+    """SNR of the echo, dB; DataError if it is none, not the only one, or clipped."""
     low, high, peak = found
     near = round(_APART_PS / step_ps * _FINER)
     away = np.ones(len(matched), dtype=bool)
