@@ -38,7 +38,7 @@ class Specimen:
 
     Attributes:
         capture: as recorded.
-        truth: the layout's name; None if the object carries none of the enrolled ones.
+        truth: the layout's name; None where the object carries none of the enrolled ones.
         body, clutter: kinds.
         reflectors: number.
         views, snr_db: of the recording, SNR per reflector at the peak of one sample.

@@ -21,7 +21,7 @@ from tagid.imaging.lengths import search_range_m
 from tagid.imaging.pointmodel import Explained, explain, needed_evidence
 from tagid.imaging.preprocess import select_views
 from tagid.imaging.types import BasebandScans
-from tagid.signal import vertex
+from tagid.signal import fitted_peak, vertex
 
 Floats = NDArray[np.float64]
 
@@ -173,7 +173,7 @@ def focus_axis_distance(
         float(measure[brightest] / np.median(measure)),
         _peak_db(few, images[brightest]),
     )
-    bright = _vertex(offsets, measure, brightest)
+    bright = fitted_peak(offsets, measure, brightest, _HALF_WINDOW)
     if seen.peak_db < MIN_PEAK_DB:
         reason = f"the image peak is {seen.peak_db:.1f} dB over the noise, {MIN_PEAK_DB:g} dB are needed"
         return scans, seen.focus(distance, 0.0, best_m=distance + bright, reason=reason)
@@ -298,13 +298,3 @@ def _peak_db(scans: BasebandScans, image: NDArray[np.complex64]) -> float:
         return float("inf")
     noise = scans.noise_std**2 / scans.aperture.views
     return float(10 * np.log10(np.abs(image).max() ** 2 / noise))
-
-
-def _vertex(at: Floats, values: Floats, best: int) -> float:
-    """Vertex of the parabola through the best value and two neighbours a side (least squares)."""
-    middle = int(np.clip(best, _HALF_WINDOW, len(at) - 1 - _HALF_WINDOW))
-    part = slice(middle - _HALF_WINDOW, middle + _HALF_WINDOW + 1)
-    bend, slope, _ = np.polyfit(at[part] - at[middle], values[part], 2)
-    if bend >= 0:
-        return float(at[best])
-    return float(np.clip(at[middle] - slope / (2 * bend), at[part][0], at[part][-1]))

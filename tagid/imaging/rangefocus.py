@@ -18,6 +18,7 @@ from tagid.imaging.backprojection import upsample_at_carrier
 from tagid.imaging.pointmodel import needed_evidence
 from tagid.imaging.preprocess import select_views
 from tagid.imaging.types import BasebandScans
+from tagid.signal import fitted_peak
 
 Floats = NDArray[np.float64]
 
@@ -197,9 +198,10 @@ def focus_delay(
         reason = "the pieces of the path do not agree on one delay"
     delay, sigma = guess, float("nan")
     for near in () if reason else (width, width / 3):
-        fine = _measure(few, reference, focused, delay + near * np.linspace(-1, 1, 13), _FINE * lam)
-        sigma = _spread(np.array([_vertex(delay + near * np.linspace(-1, 1, 13), m) for m in fine.without()]))
-        delay = _vertex(delay + near * np.linspace(-1, 1, 13), fine.power.sum(axis=1))
+        trials = delay + near * np.linspace(-1, 1, 13)
+        fine = _measure(few, reference, focused, trials, _FINE * lam)
+        sigma = _spread(np.array([_peak(trials, measure) for measure in fine.without()]))
+        delay = _peak(trials, fine.power.sum(axis=1))
         kept = _measure(few, reference, focused, np.array([delay]), _FINE * lam).points
         focused = focused[_real(kept, few.aperture.positions, focused, lam)]
     if not reason and not sigma <= MOST_SIGMA_WAVELENGTHS * lam:
@@ -461,11 +463,5 @@ def _mirrors(positions: Floats, echoes: Floats, lam: float) -> list[tuple[int, i
     return pairs
 
 
-def _vertex(at: Floats, values: Floats) -> float:
-    """Vertex of the parabola through the best value and three neighbours a side (least squares)."""
-    middle = int(np.clip(np.argmax(values), 3, len(at) - 4))
-    part = slice(middle - 3, middle + 4)
-    bend, slope, _ = np.polyfit(at[part] - at[middle], values[part], 2)
-    if bend >= 0:
-        return float(at[int(np.argmax(values))])
-    return float(np.clip(at[middle] - slope / (2 * bend), at[part][0], at[part][-1]))
+def _peak(at: Floats, values: Floats) -> float:
+    return fitted_peak(at, values, int(np.argmax(values)), 3)

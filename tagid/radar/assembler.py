@@ -220,7 +220,7 @@ class ScanAssembler:
         self._newest_ready = max(self._newest_ready, scan_id)
 
     def _in_turn(self, held: bool) -> list[Scan]:
-        """The scans that are next in order; with `held`, only those that need not wait for an unfinished one."""
+        """The next scans in order; with `held`, only those that need not wait for an unfinished one."""
         out: list[Scan] = []
         while self._ready and self._next is not None:
             scan = self._ready.pop(self._next, None)

@@ -136,7 +136,7 @@ class Exchange:
             self._left_over(message)
 
     def _left_over(self, message: Message | Fragment) -> None:
-        """Move request ids past the scan ids of an old run, so that its late packets precede the next run's."""
+        """Move request ids past the scan ids of an old run, so that its late packets precede the next run."""
         if isinstance(message, Fragment) and (message.id - self.next_id) & 0xFFFF < 0x8000:
             self.next_id = (message.id + 1) & 0xFFFF
 

@@ -16,7 +16,7 @@ from tagid.errors import DataError
 from tagid.imaging.types import BasebandScans
 from tagid.tags.bodies.spectra import Spectra, centred
 from tagid.tags.enrolling.precision import position_covariances
-from tagid.tags.layouts.codebook import CENTRE_TOLERANCE_M, CONFUSABLE_M, best_pairing
+from tagid.tags.layouts.codebook import CENTRE_TOLERANCE_M, CONFUSABLE_M, Pairing, best_pairing
 from tagid.tags.layouts.layout import Layout, rotation_matrix
 from tagid.tags.reading.field import MatchedField
 from tagid.tags.reading.reflectors import FinderSettings, find_reflectors
@@ -145,7 +145,7 @@ def average(
             pair = best_pairing(one.positions, mean, 2 * CENTRE_TOLERANCE_M)
             order = np.argsort(pair.partner)
             points, noise = one.positions[order], one.covariances[order]
-            turn, shift = _placed(points, noise, mean, (pair.rotation_rad, pair.shift_m), scatter)
+            turn, shift = _placed(points, noise, mean, pair, scatter)
             rotation = rotation_matrix(turn)
             placed.append(points @ rotation.T + shift)
             weights.append(np.linalg.inv(rotation @ noise @ rotation.T + scatter * np.eye(2)))
@@ -291,11 +291,14 @@ def _placed(
     points: NDArray[np.float64],
     noise: NDArray[np.float64],
     mean: NDArray[np.float64],
-    start: tuple[float, NDArray[np.float64]],
+    start: Pairing,
     scatter: float,
 ) -> tuple[float, NDArray[np.float64]]:
-    """Rotation and shift of points (K, 2) with noise (K, 2, 2) onto the mean, by weighted least squares."""
-    turn, shift = start[0], np.array(start[1])
+    """Rotation and shift of points (K, 2) with noise (K, 2, 2) onto the mean, by weighted least squares.
+
+    Starts at the unweighted rotation and shift of the pairing.
+    """
+    turn, shift = start.rotation_rad, np.array(start.shift_m)
     for _ in range(5):
         rotation = rotation_matrix(turn)
         weight = np.linalg.inv(rotation @ noise @ rotation.T + scatter * np.eye(2))
