@@ -46,7 +46,7 @@ class Board:
         self.port = port
 
     def python(self) -> Python:
-        """Version and kind. Raises DeviceRejectedError where it is too old for the bridge."""
+        """Version and kind. Raises DeviceRejectedError if it is too old for the bridge."""
         version, machine, mpy, free = self.evaluate(
             "(lambda s,g:('.'.join(str(i) for i in s.implementation[1][:3]),"
             "getattr(s.implementation,'_machine',s.platform),getattr(s.implementation,'_mpy',0),g.mem_free()))"
@@ -78,14 +78,14 @@ class Board:
         return bool(self._transport.eval("there"))
 
     def hash_of(self, path: str) -> str | None:
-        """SHA-256 of a file on the board, hex; None where there is none."""
+        """SHA-256 of a file on the board, hex; None if there is none."""
         with self._errors(f"reading {path}"):
             if not self._exists(path):
                 return None
             return bytes(self._transport.fs_hashfile(path, "sha256")).hex()
 
     def read(self, path: str) -> bytes | None:
-        """A small file of the board; None where there is none."""
+        """A small file of the board; None if there is none."""
         with self._errors(f"reading {path}"):
             if not self._exists(path):
                 return None
@@ -94,7 +94,7 @@ class Board:
     def write(self, path: str, data: bytes, progress: Callable[[int], None] = lambda done: None) -> None:
         """Writes a file whole: beside its name, checked by its hash, then renamed.
 
-        Raises DeviceError where it cannot be written or reads back differently.
+        Raises DeviceError if it cannot be written or reads back differently.
         """
         folder = path.rpartition("/")[0]
         with self._errors(f"writing {path}"):

@@ -149,7 +149,7 @@ def _esptool(progress: Progress) -> Iterator[Any]:
         raise MissingExtraError("flashing needs esptool", EXTRA) from error
 
     class Quiet(TemplateLogger):  # type: ignore[misc]
-        """Progress goes on, text is dropped: what matters comes as an exception."""
+        """Progress continues, text is dropped: what matters comes as an exception."""
 
         def print(self, *words: Any, **options: Any) -> None: ...
 

@@ -39,7 +39,7 @@ class JsonValue:
     def from_json(cls, values: Mapping[str, Any]) -> Self:
         """The value of a JSON object; unknown keys go to `extra`.
 
-        Raises DataError where a known key holds something of another type.
+        Raises DataError if a known key holds something of another type.
         """
         known: dict[str, Any] = {}
         extra: dict[str, Any] = {}
@@ -68,7 +68,7 @@ class JsonValue:
 
 @dataclass(frozen=True)
 class RadarSettings(JsonValue):
-    """The configuration block of a P440 as a recording holds it; a field is None where it is not known.
+    """The configuration block of a P440 as a recording holds it; a field is None if it is not known.
 
     Not limited to what a P440 accepts: `tagid.radar.settings.RadarConfig` is the validated counterpart.
 
@@ -96,7 +96,7 @@ class RadarSettings(JsonValue):
 
     @property
     def clip_counts(self) -> int | None:
-        """Amplitude at which a sample saturates, counts: 127 * 2^index (measured); None where not known."""
+        """Amplitude at which a sample saturates, counts: 127 * 2^index (measured); None if not known."""
         index = self.base_integration_index
         if index is None or not 0 <= index <= _LARGEST_INTEGRATION_INDEX:
             return None
@@ -109,7 +109,7 @@ class ScanGap(JsonValue):
 
     Attributes:
         after_scan: number of the last scan before it.
-        seconds: its length, on the radar's clock where that went on, else on the host's.
+        seconds: its length, on the radar's clock where that continued, else on the host's.
         reason: what happened.
         restarted: whether the radar's clock began anew.
     """
@@ -213,7 +213,7 @@ class RadarInfo(JsonValue):
 
     @property
     def clip_counts(self) -> int | None:
-        """Amplitude at which a sample saturates, counts; None where the integration is not known."""
+        """Amplitude at which a sample saturates, counts; None if the integration is not known."""
         return None if self.config is None else self.config.clip_counts
 
 
@@ -348,7 +348,7 @@ class MotionInfo(JsonValue):
         url: device URL, without secrets.
         kind: "simulated" where nothing turned.
         nominal_rpm: stated speed of an imported recording, turns per minute.
-        resolved: how the angles were found; None where they were not, or came with the file.
+        resolved: how the angles were found; None if they were not, or came with the file.
         not_resolved: why they could not be found.
         track: the device's own readings, until angles are made of them.
         averaged_into_views: number of views that scans were averaged into.

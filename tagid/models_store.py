@@ -185,7 +185,7 @@ def load_onnxruntime() -> Any:
     """The package onnxruntime with its telemetry off; every session is made with what this returns.
 
     From its import on, onnxruntime 1.31 otherwise writes a device id and a database into the user's cache
-    folder, and sends events over the network. Raises ImportError where it is not installed.
+    folder, and sends events over the network. Raises ImportError if it is not installed.
     """
     os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
     import onnxruntime

@@ -55,7 +55,7 @@ def measure(
 ) -> tuple[DetectorNetwork, Contract, dict[str, Figures]]:
     """The trained network, its contract from the validation scenes, its figures on the test scenes.
 
-    Raises StorageError where the dataset or the checkpoint is missing.
+    Raises StorageError if the dataset or the checkpoint is missing.
     """
     split = plans(scenes, ats_every)
     network = load_network(work / "checkpoint.pt")

@@ -172,7 +172,7 @@ class BumbleClient(BaseBleakClient):
             await self._connection.disconnect()
 
     async def pair(self, *args: Any, **options: Any) -> None:
-        """Pairs, or encrypts with the key of an earlier pairing. Raises BleakError where that fails."""
+        """Pairs, or encrypts with the key of an earlier pairing. Raises BleakError if that fails."""
         connection = self._needed()
         store = self.device.keystore
         try:

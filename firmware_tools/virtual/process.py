@@ -32,7 +32,7 @@ class BoardProcess:
         options: further words of the command line, see `python -m firmware_tools.virtual --help`.
         timeout: for its start and each answer, s.
 
-    Raises DeviceTimeoutError where it does not start.
+    Raises DeviceTimeoutError if it does not start.
     """
 
     def __init__(

@@ -172,7 +172,7 @@ def _pulse(name: str, seed: int) -> Pulse | None:
 
 
 def _pulse_of(path: Path) -> Pulse:
-    """The pulse that a capture holds. Raises the reader's errors, and DataError where it holds none."""
+    """The pulse that a capture holds. Raises the reader's errors, and DataError if it holds none."""
     from tagid.storage.importers import read_any
 
     pulse = read_any(path).pulse

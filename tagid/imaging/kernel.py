@@ -41,7 +41,7 @@ _BYTES_PER_PAIR = 16
 
 
 def is_compiled() -> bool:
-    """True where the C extension runs; False where numpy and scipy stand in for it."""
+    """True if the C extension runs; False where numpy and scipy stand in for it."""
     return _compiled is not None
 
 

@@ -41,7 +41,7 @@ class Explained:
     Attributes:
         left: (groups,) energy that they leave of each sector, over the energy of all scans.
         points: (n, 2) m; amplitudes: (n,) complex.
-        second: energy of the second spot over that of the first; 0 where there is one spot.
+        second: energy of the second spot over that of the first; 0 if there is one spot.
     """
 
     left: NDArray[np.float64]

@@ -146,12 +146,12 @@ def remove_background(samples: NDArray[Any], background: Background) -> NDArray[
 
 
 def assumed_pulse(capture: Capture) -> Pulse:
-    """The capture's own pulse, or the nominal one of its band. Raises DataError where the band is none."""
+    """The capture's own pulse, or the nominal one of its band. Raises DataError if the band is none."""
     return capture.pulse or nominal(capture)
 
 
 def nominal(capture: Capture) -> Pulse:
-    """The nominal pulse of the capture's band. Raises DataError where that is none of a pulse."""
+    """The nominal pulse of the capture's band. Raises DataError if that is none of a pulse."""
     ratio = capture.bandwidth_hz / capture.center_frequency_hz
     if not 0.01 <= ratio <= 1.8:
         raise DataError(
@@ -226,7 +226,7 @@ def _gate(
 def _noise_std(
     samples: NDArray[Any], baseband: NDArray[np.complex64], target: tuple[int, int], band: BandFilter
 ) -> float:
-    """Standard deviation of the complex noise of one baseband sample; 0 where it cannot be told.
+    """Standard deviation of the complex noise of one baseband sample; 0 if it cannot be told.
 
     Bins off the target are taken where there are enough; else the input's spectrum outside the pulse's band,
     taken as white. Both use the median of |z|^2, which is ln 2 times its mean for complex Gaussian noise.

@@ -37,7 +37,7 @@ class Region:
         capture: positions relative to `centre_m`, the path delay taken off the ranges.
         grid: the square about `centre_m`.
         centre_m: (x, y) in the frame of the original positions, m.
-        focus: result of the delay search; None where there was none.
+        focus: result of the delay search; None if there was none.
         mirrored: the path is straight, so that what lies on one side shows on the other, too.
         points: the strong echoes, strongest first, in the frame of the original positions.
     """

@@ -56,7 +56,7 @@ class BasebandScans:
         wave_speed_m_s: speed of the wave in the medium, m/s.
         center_hz: middle of the pulse's band, Hz, which sets the lengths of imaging; the carrier is the
             nearest bin of a Fourier transform. None: the carrier.
-        noise_std: estimated standard deviation of the complex noise of one sample, 0 where unknown.
+        noise_std: estimated standard deviation of the complex noise of one sample, 0 if unknown.
         background_removed: the mean (or median) over the views was subtracted, and with it the mean echo of
             the scene.
         independent_samples: n of `reading`: views * bins * bandwidth / sampling rate.

@@ -45,7 +45,7 @@ class BleAddress:
 
     Attributes:
         target: name or address; "" takes the only one.
-        passkey: six digits to pair with; None where none is needed.
+        passkey: six digits to pair with; None if none is needed.
         hci: a controller of our own instead of the system's, as a bumble transport, e.g. usb:0.
         seconds: how long to look for it, s.
     """

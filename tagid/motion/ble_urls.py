@@ -16,7 +16,7 @@ from tagid.motion.urls import Options
 
 
 def _refuse_a_readable_file(path: Path) -> None:
-    """Raise ConfigError where others can read the file that holds the pass-key."""
+    """Raise ConfigError if others can read the file that holds the pass-key."""
     if os.name == "posix" and path.exists() and path.stat().st_mode & 0o077:
         raise ConfigError(
             f"{path} holds the bridge's pass-key and other users can read it", f"Run: chmod 600 {path}"

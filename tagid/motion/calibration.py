@@ -115,7 +115,7 @@ def remember_reversed(device: str, is_reversed: bool) -> Path:
 
 
 def recall(robot: str) -> Calibration | None:
-    """What is remembered of a robot; None where nothing is. Raises ConfigError, StorageError."""
+    """What is remembered of a robot; None if nothing is. Raises ConfigError, StorageError."""
     return _load().get(robot)
 
 

@@ -59,7 +59,7 @@ class Motion(Protocol):
         ...
 
     def track(self) -> Track | None:
-        """The readings so far; None where the device measures nothing."""
+        """The readings so far; None if the device measures nothing."""
         ...
 
     def stop(self) -> None:
@@ -77,5 +77,5 @@ class Motion(Protocol):
     def resolve(
         self, samples: NDArray[Any], times_s: NDArray[np.floating], clock_sigma_s: float = 0.0
     ) -> Angles:
-        """Angle and sigma of every scan from the scans alone. Raises DataError where they cannot tell."""
+        """Angle and sigma of every scan from the scans alone. Raises DataError if they cannot tell."""
         ...

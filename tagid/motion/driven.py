@@ -98,7 +98,7 @@ class DrivenMotion(ABC):
 
     @abstractmethod
     def halt_now(self) -> None:
-        """Stop it, whoever started it. Raises DeviceError where it does not confirm."""
+        """Stop it, whoever started it. Raises DeviceError if it does not confirm."""
 
     def _facts(self) -> dict[str, Any]:
         """What a Track carries besides its readings."""

@@ -36,7 +36,7 @@ _FAREWELL: Final = b"x"
 _BEAT: Final = b"."
 _ECHO, _TRIPPED, _ASKED = b"e", b"t", b"a"
 
-# Plain Python without the package, so that it stands after some 20 ms. CLOCK_BOOTTIME goes on while the
+# Plain Python without the package, so that it stands after some 20 ms. CLOCK_BOOTTIME continues while the
 # computer sleeps. Only processes of the same user reach the socket: its folder is closed to all others.
 _PROGRAM: Final = """
 import os, select, signal, socket, subprocess, sys, time
@@ -133,7 +133,7 @@ class Watch:
 class Guardian:
     """Watches over this process from now until `release`.
 
-    Raises DeviceError where the helper does not start; then nothing may move.
+    Raises DeviceError if the helper does not start; then nothing may move.
     """
 
     def __init__(self, watch: Watch) -> None:
@@ -226,7 +226,7 @@ class Guardian:
 
 
 def runtime_folder() -> Path | None:
-    """A folder that only this user can enter, made where it is missing; None where there is none to trust."""
+    """A folder that only this user can enter, made where it is missing; None if there is none to trust."""
     if os.name != "posix":
         return None
     base = os.environ.get("XDG_RUNTIME_DIR")
@@ -250,7 +250,7 @@ def stop_socket(name: str) -> Path | None:
 
 
 def ask_to_stop(name: str) -> bool:
-    """Have the guardian of another process stop a device; False where none watches over it."""
+    """Have the guardian of another process stop a device; False if none watches over it."""
     path = stop_socket(name)
     if path is None or not path.exists():
         return False

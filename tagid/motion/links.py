@@ -21,13 +21,13 @@ class ByteLink(Protocol):
     """Carries bytes both ways."""
 
     def write(self, data: bytes) -> None:
-        """Send; may be called from any thread. Raises DeviceError where the link is down."""
+        """Send; may be called from any thread. Raises DeviceError if the link is down."""
         ...
 
     def read(self, timeout: float) -> bytes:
         """What has arrived, waiting up to `timeout` s for the first byte; b"" where nothing came.
 
-        Raises DeviceError where the link is down.
+        Raises DeviceError if the link is down.
         """
         ...
 
@@ -38,7 +38,7 @@ class ByteLink(Protocol):
     def beat(self) -> None:
         """Tell whatever watches that the driver is alive; call it several times within the armed time.
 
-        Raises MotionStoppedError where it has stopped the device, DeviceError where it is gone.
+        Raises MotionStoppedError if it has stopped the device, DeviceError if it is gone.
         """
         ...
 
@@ -56,7 +56,7 @@ class ByteLink(Protocol):
 
 
 def require(module: str, extra: str, what: str) -> None:
-    """Raise MissingExtraError where a package of an extra is not installed."""
+    """Raise MissingExtraError if a package of an extra is not installed."""
     import importlib.util
 
     if importlib.util.find_spec(module) is None:

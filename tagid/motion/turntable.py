@@ -116,7 +116,7 @@ class FreeTurntable:
         """Nothing: the table turns by itself."""
 
     def needed_seconds(self) -> float | None:
-        """1.3 turns at the nominal speed, or None where the speed is not known."""
+        """1.3 turns at the nominal speed, or None if the speed is not known."""
         return None if self.nominal_s is None else OVERLAP_TURNS * self.nominal_s
 
     def finished(self, samples: Sequence[NDArray[Any]] | NDArray[Any], times_s: Sequence[float]) -> bool:

@@ -16,7 +16,7 @@ GROUP: Final = "tagid.virtual_bluetooth"
 
 
 def virtual_bluetooth(part: str) -> Any:
-    """A part of the group. Raises MissingExtraError where nobody provides it."""
+    """A part of the group. Raises MissingExtraError if nobody provides it."""
     for entry in metadata.entry_points(group=GROUP, name=part):
         return entry.load()
     raise MissingExtraError(

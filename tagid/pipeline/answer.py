@@ -71,11 +71,11 @@ class Identification:
         }
 
     def _won(self) -> str | None:
-        """The kind of the hypothesis that the answer rests on; None where nothing was read."""
+        """The kind of the hypothesis that the answer rests on; None if nothing was read."""
         return self.reading.kind.value if self.reading else None
 
     def _bound(self) -> dict[str, Any] | None:
-        """What the false-accept setting rests on; None where no calibration was asked."""
+        """What the false-accept setting rests on; None if no calibration was asked."""
         bound = self.reading.bound if self.reading else None
         if bound is None:
             return None

@@ -46,7 +46,7 @@ class LoadSettings:
         as_recorded: keep the angles of a capture, even where the command line names the motion: it was
             recorded with this very motion.
         wave_speed_m_s: replaces the wave speed of the capture, m/s.
-        reference: recording of the empty scene to subtract; None where none is wanted.
+        reference: recording of the empty scene to subtract; None if none is wanted.
     """
 
     cable_delay_ps: float = 0.0

@@ -34,9 +34,9 @@ class Reconstruction:
     Attributes:
         image: complex reflectivity.
         method: the method used, never "auto".
-        focus: result of the search for the axis distance; None where there was none.
+        focus: result of the search for the axis distance; None if there was none.
         region: path delay and place of the image for free antenna positions; None for a turntable.
-        pulse: result of the estimate of the pulse; None where none was asked for.
+        pulse: result of the estimate of the pulse; None if none was asked for.
         views: number of views imaged, after averaging.
         seconds: of each stage.
     """

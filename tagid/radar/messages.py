@@ -1,6 +1,6 @@
-"""Every message of the P440's MRM interface as one big-endian packed numpy dtype, and bytes <-> values.
+"""Every message of the P440's MRM interface as a big-endian packed numpy dtype, with encoder and decoder.
 
-One table serves the client, the emulator and the file importers, so that no two of them can disagree.
+The client, the emulator and the file importers share this table, so they cannot disagree.
 """
 
 from __future__ import annotations
@@ -244,8 +244,8 @@ def _table() -> dict[int, MessageSpec]:
         t.INVALID_MESSAGE_CONFIRM: [("bad_type", ">u2"), ("bad_id", ">u2"), *_STATUS],
         t.READY_INFO: [],
     }
-    # Old firmware answers 32 bytes, without the package string; the vendor's headers have no status in the
-    # sleep confirm, where several clients expect one.
+    # Old firmware answers with 32 bytes, without the package string. The vendor's headers have no status in
+    # the sleep confirm, but several clients expect one.
     older = {
         t.GET_STATUSINFO_CONFIRM: (np.dtype([*_HEADER, *_STATUSINFO, *_STATUS]),),
         t.GET_SLEEPMODE_CONFIRM: (np.dtype([*_HEADER, ("mode", ">u4")]),),
@@ -260,16 +260,16 @@ MESSAGES: Final = MappingProxyType(_table())
 
 
 class MalformedMessage(DeviceError, ValueError):  # noqa: N818 - it says what the bytes are
-    """Bytes that are not a message; counted and dropped, or answered with INVALID_MESSAGE, hardly ever shown.
+    """Bytes that are not a message; counted and dropped, or answered with INVALID_MESSAGE, rarely reported.
 
     Attributes:
-        status: `Status.WRONG_SIZE` or `Status.UNRECOGNISED`, as the radar would call it.
+        status: `Status.WRONG_SIZE` or `Status.UNRECOGNISED`, as the radar would report it.
     """
 
     code = "malformed_message"
 
     def __init__(self, text: str, status: Status) -> None:
-        super().__init__(text, "Check that a P440 in MRM mode stands at the other end.")
+        super().__init__(text, "Check that the device is a P440 in MRM mode.")
         self.status = status
 
 
@@ -280,7 +280,7 @@ class Message:
     Attributes:
         type: its type.
         id: message id, 0..65535; a confirm carries the id of its request.
-        fields: structured scalar in the dtype of `MESSAGES[type]`, a copy of its own.
+        fields: structured scalar in the dtype of `MESSAGES[type]`, an independent copy.
     """
 
     type: MessageType
@@ -336,7 +336,7 @@ def _packed(message_type: MessageType, dtype: np.dtype[np.void], fields: dict[st
 
 
 def decode(data: bytes) -> Message:
-    """One message from the bytes of one packet, which must hold nothing else.
+    """One message from the bytes of one packet, which must contain nothing else.
 
     Raises:
         MalformedMessage: too short, of an unknown type, or not of that type's size.

@@ -55,9 +55,9 @@ class P440:
         timeout: wait for one answer, s.
         attempts: how often a request is sent before the radar counts as silent.
 
-    Every method raises DeviceTimeoutError where the radar stays silent, DeviceRejectedError where it refuses,
-    DeviceRestartedError where it reboots in the middle, DeviceGoneError where its port vanishes, and
-    DeviceError where the network fails.
+    Every method raises DeviceTimeoutError if the radar stays silent, DeviceRejectedError if it refuses,
+    DeviceRestartedError if it reboots in the middle, DeviceGoneError if its port vanishes, and
+    DeviceError if the network fails.
     """
 
     def __init__(self, link: Link, timeout: float = 1.0, attempts: int = 3) -> None:
@@ -146,7 +146,7 @@ class P440:
         return float(confirm["timestamp_ms"] * 1e-3)
 
     def get_config(self) -> RadarConfig:
-        """The settings in force. Raises DeviceRejectedError where they are none that tagid can read."""
+        """The settings in force. Raises DeviceRejectedError if they are none that tagid can read."""
         confirm = self._talk.request(_T.GET_CONFIG_REQUEST)
         accept(confirm, "get configuration")
         try:
@@ -232,7 +232,7 @@ class P440:
             interval_us: time between scans, us; 0 is as fast as the settings allow.
             until: asked about ten times per second, also while no whole scan comes; True ends the run.
 
-        Raises DeviceTimeoutError where the radar falls silent, or where its packets make no whole scan for
+        Raises DeviceTimeoutError if the radar falls silent, or where its packets make no whole scan for
         4 s or 20 scan periods; the scans before that have been yielded.
         """
         if not 1 <= count <= SCAN_FOREVER:

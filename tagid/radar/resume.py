@@ -1,4 +1,4 @@
-"""Scans that continue after the radar was away: a plug pulled and put back, a restart, a loose cable.
+"""Scans that continue after the radar was away: a plug pulled and reinserted, a restart, a loose cable.
 
 A recording of ten minutes must not be lost because a plug was loose for two seconds. What is missing is
 marked, and scan numbers and clock continue as if the radar had scanned all the time.
@@ -110,7 +110,7 @@ class _Join:
 def _joined(before: Scan, first: Scan, period_s: float, shift_ms: int | None) -> tuple[_Join, ScanGap]:
     """How a run that starts with `first` continues after `before`.
 
-    `shift_ms` is what the clock of `before` is moved by; None where the radar's clock surely restarted.
+    `shift_ms` is what the clock of `before` is moved by; None if the radar's clock surely restarted.
     """
     elapsed_ms = max((first.host_time_ns - before.host_time_ns) / 1e6, 0.0)
     expected = round(before.radar_time_ms + elapsed_ms)
@@ -127,7 +127,7 @@ def _joined(before: Scan, first: Scan, period_s: float, shift_ms: int | None) ->
 
 
 def _come_back(radar: P440, error: DeviceError, resume_s: float, until: Callable[[], bool]) -> bool:
-    """Waits for the radar and sets it as before; False where the caller ended the wait.
+    """Waits for the radar and sets it as before; False if the caller ended the wait.
 
     Raises `error` where the radar stays away.
     """

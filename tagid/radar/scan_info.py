@@ -51,7 +51,7 @@ class Fragment(NamedTuple):
 
 
 def read_fragment(packet: bytes) -> Fragment | None:
-    """The fragment in a packet of SCAN_INFO's type; None where its numbers or its length disagree.
+    """The fragment in a packet of SCAN_INFO's type; None if its numbers or its length disagree.
 
     A P440 pads the last fragment of a scan to the length of the others; one that ends with its samples is
     read as well.

@@ -87,7 +87,7 @@ class SerialLink:
         return self.decoder.skipped
 
     def send(self, packet: bytes) -> None:
-        """Sends one packet. Raises DeviceGoneError where the port is gone, DeviceError where it is stuck."""
+        """Sends one packet. Raises DeviceGoneError if the port is gone, DeviceError if it is stuck."""
         line = self._line()
         try:
             line.write(frame(packet, self.port.framing))
@@ -100,7 +100,7 @@ class SerialLink:
             raise self._gone(error) from error
 
     def receive(self, timeout: float) -> bytes | None:
-        """The next packet, or None after `timeout` seconds. Raises DeviceGoneError where the port is gone."""
+        """The next packet, or None after `timeout` seconds. Raises DeviceGoneError if the port is gone."""
         deadline = time.monotonic() + timeout
         while not self._packets:
             left = deadline - time.monotonic()

@@ -65,7 +65,7 @@ class RadarConfig:
         code_channel: 0..10.
         persist: 1 to keep the settings in flash.
 
-    Raises ConfigError where a value is out of range or the window is empty or too long.
+    Raises ConfigError if a value is out of range or the window is empty or too long.
     """
 
     scan_start_ps: int = 10_000

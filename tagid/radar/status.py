@@ -20,7 +20,7 @@ class RadarStatus:
         fpga_version: version and date.
         serial: serial number.
         board_revision: letter of the board.
-        built_in_test: 0 where the radar found itself healthy.
+        built_in_test: 0 if the radar found itself healthy.
         temperature_c: board temperature, degrees Celsius.
         package: hardware package, empty on old firmware.
     """

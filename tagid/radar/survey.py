@@ -21,7 +21,7 @@ class RadarSurvey:
 
     Attributes:
         status: versions, serial number, temperature, self test.
-        opmode, sleep_mode: as in the P440 MRM API; None where the firmware does not tell.
+        opmode, sleep_mode: as in the P440 MRM API; None if the firmware does not tell.
         config: settings in force; None outside MRM mode, where it tells none.
         uptime_s: its clock, s since boot, modulo 2^32 ms; None as above.
     """

@@ -41,7 +41,7 @@ class Snapshot:
         range_m: one-way range of the first and the last bin, m.
         scans, lost: complete scans and lost ones since the start.
         scan_rate_hz: of the last scans, by the radar's clock; None before two of them.
-        snr_db: strongest return over the noise in one scan; None where none stands out.
+        snr_db: strongest return over the noise in one scan; None if none stands out.
         peak_m: its range, m.
         clipped_fraction: of the samples of the two seconds up to the last scan.
         temperature_c: board temperature; None until the radar said it.

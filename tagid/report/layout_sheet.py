@@ -92,7 +92,7 @@ def strip(layout: Layout, surface_radius_m: float | None = None) -> Drawing:
         surface_radius_m: radius at which the strip lies on the object, m; None takes that of the outermost
             reflectors' centres.
 
-    Raises UsageError where a reflector sits on the axis: there is no side to unroll.
+    Raises UsageError if a reflector sits on the axis: there is no side to unroll.
     """
     radii = np.linalg.norm(layout.positions, axis=1)
     if radii.min() < 0.01:

@@ -7,7 +7,6 @@ Shells and handles belong to the object: they are placed off the axis with its r
 from __future__ import annotations
 
 import re
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -99,12 +98,12 @@ def scene_on_body(
             "Use a layout, points-N or untagged (the body alone).",
         )
     positions = plain.tag.positions if tagged and plain.tag is not None else np.zeros((0, 3))
-    about: dict[str, Any] = {"layout": name, "seed": seed} if tagged else {"seed": seed}
+    layout = name if tagged else ""
     room = room_clutter(rng)
     change = Variation(float(rng.uniform(0, 2 * np.pi)), strength_db=strength_db)
     try:
         return object_scene(
-            name, positions, body, reflector, rng=rng, room=room, variation=change, about=about
+            name, positions, body, reflector, rng=rng, room=room, variation=change, layout=layout, seed=seed
         )
     except DataError as error:
         raise UsageError(f"{name} does not fit on {body}: {error.message}", error.remedy) from None

@@ -296,7 +296,7 @@ def _version(file: Any, path: Path) -> int:
 
 
 def _attribute(file: Any, name: str) -> Any:
-    """A root attribute; None where it is missing or is not one number or text of fixed length.
+    """A root attribute; None if it is missing or is not one number or text of fixed length.
 
     Texts of variable length are never read: HDF5 2.0 loops for ever on a damaged heap of them.
     """

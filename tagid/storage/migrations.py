@@ -73,7 +73,7 @@ def migrate(
 
 
 def check_version(version: int, path: Path, current: int = FORMAT_VERSION) -> None:
-    """Raise FileFormatError where a file of this version cannot be read."""
+    """Raise FileFormatError if a file of this version cannot be read."""
     if version > current:
         raise FileFormatError(
             f"{path}: format version {version}, this tagid reads up to version {current}",

@@ -235,7 +235,7 @@ def wire_settings(capture: Capture) -> tuple[dict[str, Any], dict[str, Any]]:
 
 
 def _fill(record: NDArray[np.void], fields: dict[str, Any]) -> None:
-    """Set the fields that the record has; DataError where a value does not fit."""
+    """Set the fields that the record has; DataError if a value does not fit."""
     names = (set(_PER_SCAN) | set(_CONFIG_NAMES)) & set(record.dtype.names or ())
     for name in names & set(fields):
         field = record.dtype[name]

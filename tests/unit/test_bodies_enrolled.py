@@ -124,7 +124,7 @@ def test_bodies_and_objects_are_kept_undone_and_removed(
     assert registry.add_all([layout], "3 captures", signatures=[tagged], replace=False) == 6
     assert registry.add_all([], "3 captures", signatures=[mug], replace=False) == 7
     assert registry.add_all([], "again", signatures=[mug]) == 7
-    with pytest.raises(RegistryError, match="a body named mug is enrolled already"):
+    with pytest.raises(RegistryError, match="a body named mug is already enrolled"):
         registry.add_all([], "x", signatures=[mug], replace=False)
     assert [(one.kind, one.name) for one in registry.contents().signatures] == [
         ("body", "mug"),

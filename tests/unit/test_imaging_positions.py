@@ -10,7 +10,6 @@ from tagid.config import METHODS as CONFIG_METHODS
 from tagid.errors import UsageError
 from tagid.geometry import Aperture, ImageGrid
 from tagid.imaging.farfield import polar_format, range_doppler
-from tagid.imaging.metrics import localise, pick_peaks
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.imaging.rangefocus import focus_delay, is_straight
 from tagid.imaging.region import choose_region
@@ -18,6 +17,7 @@ from tagid.pipeline.prepared import prepare
 from tagid.pipeline.reconstruct import reconstruct
 from tagid.pipeline.settings import METHODS, ImagingSettings
 from tests.unit.imaging_scenes import STEP_M, analytic_echo, record, turn
+from train.metrics import localise, pick_peaks
 
 POINTS = np.array([[-0.6, 2.3], [0.5, 3.6]])
 

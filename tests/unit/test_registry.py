@@ -55,7 +55,7 @@ def test_each_change_raises_the_version_and_is_kept(tmp_path: Path) -> None:
 
 def test_taken_and_missing_names(tmp_path: Path) -> None:
     registry = Registry(tmp_path / "r.db")
-    with pytest.raises(RegistryError, match="enrolled already"):
+    with pytest.raises(RegistryError, match="already enrolled"):
         registry.add(builtin_layouts()["helmet-120"], "x")
     for call in (registry.get, registry.remove):
         with pytest.raises(RegistryError, match="no layout is named") as caught:
@@ -117,7 +117,7 @@ def test_a_damaged_layout_can_be_taken_out_and_got_back(tmp_path: Path) -> None:
     assert "--remove" in caught.value.remedy
     for name in ("container-180", "container-90"):
         registry.remove(name)
-    with pytest.raises(RegistryError, match="it is that of helmet-120"):
+    with pytest.raises(RegistryError, match="it belongs to helmet-120"):
         registry.layouts()
     registry.remove("strange")
     assert [layout.name for layout in registry.layouts()] == ["helmet-linear"]

@@ -182,7 +182,7 @@ class Bridge:
             self._reply(op, seq, status, payload)
 
     def _answer(self, op, seq, args):
-        """(status, payload); the status is None where the reply comes later."""
+        """(status, payload); the status is None if the reply comes later."""
         if op not in _ARGUMENTS:
             return _UNKNOWN, b""
         form = _ARGUMENTS[op]

@@ -58,7 +58,7 @@ class Pairing:
         self.secure = self.legacy = False
 
     def get(self, kind, index, key):
-        """The secret of a peer, or the one at a position; None where there is none."""
+        """The secret of a peer, or the one at a position; None if there is none."""
         for other, name, value in self._bonds:
             if other != kind:
                 continue

@@ -110,11 +110,11 @@ class Radio:
         self._ble.gatts_write(self._info, data)
 
     def send_bytes(self, data):
-        """Bytes for the host; False where the stack has no room, and they must be kept."""
+        """Bytes for the host; False if the stack has no room, and they must be kept."""
         return self._notify(self._tx, data)
 
     def send_event(self, data):
-        """A reply or event for the host; False where the stack has no room, and it must be kept."""
+        """A reply or event for the host; False if the stack has no room, and it must be kept."""
         return self._notify(self._event, data)
 
     def _notify(self, handle, data):
@@ -172,7 +172,7 @@ class Radio:
                 pass  # it is gone already
 
     def _irq(self, event, data):
-        # MicroPython prints what an interrupt raises and goes on; the loop has to hear of it and stop.
+        # MicroPython prints what an interrupt raises and continues; the loop has to hear of it and stop.
         try:
             return self._handle(event, data)
         except Exception as error:

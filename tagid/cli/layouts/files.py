@@ -67,7 +67,7 @@ def register(app: typer.Typer) -> None:
         yes: enrolling.Yes = False,
         dry_run: enrolling.DryRun = False,
     ) -> Result:
-        """Enrol the layouts, bodies and objects of files: all of them, or none where one is in conflict.
+        """Enrol the layouts, bodies and objects of files: all of them, or none if one is in conflict.
 
         The nearest other layout to each and the expected confusion rate are shown first; on a terminal,
         nothing is stored before you confirm.
@@ -164,7 +164,7 @@ def _count(layouts: Sequence[Layout], signatures: Sequence[Signature]) -> str:
 
 
 def _check_signatures(new: dict[tuple[str, str], Signature], contents: Contents) -> None:
-    """Raise LayoutConflictError where another body or object has the name of a new one."""
+    """Raise LayoutConflictError if another body or object has the name of a new one."""
     from tagid.errors import LayoutConflictError
     from tagid.tags.bodies.signature_file import to_bytes
 
@@ -172,7 +172,7 @@ def _check_signatures(new: dict[tuple[str, str], Signature], contents: Contents)
         other = new.get((one.kind, one.name))
         if other is not None and to_bytes(other) != to_bytes(one):
             raise LayoutConflictError(
-                f"a different {one.kind} named {one.name} is enrolled already",
+                f"a different {one.kind} named {one.name} is already enrolled",
                 "Remove one of them, or import with --force; nothing was stored.",
             )
 

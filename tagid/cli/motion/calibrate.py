@@ -96,7 +96,7 @@ def _direction(capture: Capture, name: str) -> Result:
 
     layouts = {one.name: one for one in imaging.open_registry().layouts()}
     if name not in layouts:
-        raise UsageError(f"no layout is called {name!r}", f"Enrolled are: {', '.join(sorted(layouts))}.")
+        raise UsageError(f"no layout is called {name!r}", f"Enrolled: {', '.join(sorted(layouts))}.")
     capture = prepare(capture)
     resolved = capture.motion.resolved or ResolvedMotion()
     told = "clockwise" if resolved.direction == -1 else "counter-clockwise"

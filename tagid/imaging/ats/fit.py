@@ -241,7 +241,7 @@ class _Fit:
             self.confidence = np.minimum(1, settings.robust * sigma / np.maximum(residual, 1e-30))
 
     def _light(self, scans: BasebandScans) -> NDArray[np.float32] | None:
-        """Spreading and beam (views, points); None where the settings have neither."""
+        """Spreading and beam (views, points); None if the settings have neither."""
         s = self.settings
         if s.spreading == 0 and s.beam_width_deg == 0:
             return None
@@ -366,7 +366,7 @@ def _aspect(positions: NDArray[np.float64], harmonics: int) -> NDArray[np.comple
 
 
 def _scales(scans: BasebandScans, grid: ImageGrid, settings: AtsSettings) -> _Scales | None:
-    """Scales and weights; None where nothing is to be fitted (zero data, or none within the grid's reach)."""
+    """Scales and weights; None if nothing is to be fitted (zero data, or none within the grid's reach)."""
     operator = ForwardOperator(scans, grid)
     data = np.ascontiguousarray(scans.samples, dtype=np.complex64)
     back = operator.adjoint(data)

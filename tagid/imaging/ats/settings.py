@@ -51,7 +51,7 @@ class AtsSettings:
         occlusion: what lies behind bright pixels is dimmed: attenuation of the brightest pixel, in nepers; 0:
             nothing hides behind anything.
         spreading: an echo's amplitude falls with this power of the range: 2 for a point reflector in free
-            space, 0 where the radar or an earlier step has made up for it.
+            space, 0 if the radar or an earlier step has made up for it.
         beam_width_deg: full -3 dB width of the antenna's one-way power pattern; 0: it sees all round.
         views_per_step: views of one step; a capture with more is used in interleaved subsets by turns.
         held_out: share of the views that the fit does not see, which tell when to stop; none under 18 views.
@@ -165,7 +165,7 @@ class Calibration:
     static: NDArray[np.complex64]
 
     def facts(self, learned: tuple[str, ...]) -> dict[str, Any]:
-        """What was learned, of `CALIBRATIONS`, as plain JSON values; empty where nothing was."""
+        """What was learned, of `CALIBRATIONS`, as plain JSON values; empty if nothing was."""
         found: dict[str, Any] = {}
         if "axis" in learned and np.isfinite(self.axis_sigma_m):
             found["axis"] = {

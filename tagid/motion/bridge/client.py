@@ -62,7 +62,7 @@ class Bridge:
         on_bytes: called with what the robot says.
         on_event: called with every unsolicited event.
         on_lost: called once when the link ends without `close`.
-        passkey: six digits to pair with, or None where the bridge is open or known already.
+        passkey: six digits to pair with, or None if the bridge is open or known already.
         backends: bleak backends, or None for the platform's.
         timeout: for one answer, s.
     """

@@ -117,7 +117,7 @@ Event = Reply | Tripped | IndexPulse | Overflow
 
 
 def decode_event(data: bytes) -> Event | None:
-    """What the bridge says on EVENT; None where it is nothing of this protocol.
+    """What the bridge says on EVENT; None if it is nothing of this protocol.
 
     >>> decode_event(bytes.fromhex("8407000100000000000000")).payload.hex()
     '0100000000000000'
@@ -157,7 +157,7 @@ class BridgeInfo:
 
     @classmethod
     def from_bytes(cls, data: bytes) -> Self:
-        """Raises ValueError where the bytes are too few."""
+        """Raises ValueError if the bytes are too few."""
         if len(data) < 5:
             raise ValueError(f"the bridge's information has {len(data)} bytes")
         name, chip, python = (data[5:].decode("utf-8", "replace") + ";;").split(";")[:3]
@@ -202,7 +202,7 @@ class BridgeStatus:
 
     @classmethod
     def from_bytes(cls, data: bytes) -> Self:
-        """Raises ValueError where the length is wrong."""
+        """Raises ValueError if the length is wrong."""
         if len(data) != _STATUS.size:
             raise ValueError(f"the bridge's status has {len(data)} bytes, not {_STATUS.size}")
         state, *rest = _STATUS.unpack(data)

@@ -129,7 +129,7 @@ class Body:
             self._headings.popleft()
 
     def heading_at(self, time_s: float) -> float:
-        """True heading at a moment of the last 30 s, rad; a moment to come goes on as it turns now."""
+        """True heading at a moment of the last 30 s, rad; a moment to come continues as it turns now."""
         times = self._times
         if time_s >= times[-1]:
             return self._headings[-1] + self._rate_rad_s * (time_s - times[-1])

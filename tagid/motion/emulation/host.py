@@ -115,7 +115,7 @@ class RoombaHost:
 
 
 def wait_until_still(host: RoombaHost, timeout_s: float) -> float | None:
-    """Seconds until the wheels stand, None where they do not within the timeout."""
+    """Seconds until the wheels stand, None if they do not within the timeout."""
     begin = time.monotonic()
     pause = threading.Event()
     while time.monotonic() - begin < timeout_s:

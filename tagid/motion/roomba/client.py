@@ -44,7 +44,7 @@ class RobotStatus:
         mode: as it is, whatever the firmware's off-by-one says.
         on_charger: home base or internal charger connected.
         voltage_v, current_a, temperature_c: of the battery.
-        charge: 0..1 of the capacity; None where the robot does not know.
+        charge: 0..1 of the capacity; None if the robot does not know.
         wheel_dropped: a wheel hangs free.
         mode_offset: what the firmware adds to the mode it reports.
     """
@@ -115,7 +115,7 @@ class OpenInterface:
     def query(self, packets: Sequence[int]) -> dict[int, int]:
         """Ask once; no stream may be on, because answers carry no header.
 
-        Raises DeviceTimeoutError where the answer does not come or is not as long as it must be.
+        Raises DeviceTimeoutError if the answer does not come or is not as long as it must be.
         """
         sizes = [oi.packet_size(packet) for packet in packets]
         self.link.write(oi.query(packets))

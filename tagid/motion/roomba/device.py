@@ -144,7 +144,7 @@ class Roomba(DrivenMotion):
         """Stop whatever it does and leave it in Passive; through the guardian of the process that drives it
         where there is one.
 
-        Raises DeviceError where it does not confirm.
+        Raises DeviceError if it does not confirm.
         """
         if ask_to_stop(self.robot):
             return

@@ -146,7 +146,7 @@ def stream(packets: Iterable[int]) -> bytes:
 
 
 def pause_stream(on: bool) -> bytes:
-    """Hold the stream, or let it go on."""
+    """Hold the stream, or let it continue."""
     return bytes([Op.PAUSE_STREAM, int(on)])
 
 

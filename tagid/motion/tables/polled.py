@@ -76,7 +76,7 @@ class PolledTable(DrivenMotion):
 
     @abstractmethod
     def _ask_angle(self) -> float | None:
-        """Its angle, degrees; None where it reports none now."""
+        """Its angle, degrees; None if it reports none now."""
 
     @abstractmethod
     def _tell_stop(self) -> None:
@@ -125,7 +125,7 @@ class PolledTable(DrivenMotion):
         self._buffer = b""
 
     def refuse(self, text: str) -> None:
-        """Raise DeviceRejectedError where an answer is an error."""
+        """Raise DeviceRejectedError if an answer is an error."""
         for mark in ("ERR=", "FAIL"):
             if mark in text:
                 # The halt of the guardian may have made it answer so.

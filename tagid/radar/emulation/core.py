@@ -151,7 +151,7 @@ class EmulatorCore:
 
     @property
     def next_due_s(self) -> float | None:
-        """Emulated time at which the next packet leaves by itself; None where nothing is planned."""
+        """Emulated time at which the next packet leaves by itself; None if nothing is planned."""
         if self._state.boots_until_s is not None:
             return self._state.boots_until_s
         return self._state.run.due_s() if self._state.run else None
@@ -293,7 +293,7 @@ class EmulatorCore:
         )
 
     def power_cycle(self) -> None:
-        """Boots anew: settings from flash, no run, and deaf until READY_INFO."""
+        """Reboots: settings from flash, no run, and deaf until READY_INFO."""
         flash = self._state.flash
         self._state = _State(flash, flash, boots_until_s=self._now + self._identity.boot_s)
 

@@ -68,7 +68,7 @@ def serve_udp(
 ) -> None:
     """Serves one emulated radar on UDP. `on_ready` is told the address when it listens.
 
-    Raises PortInUseError where another program holds the port.
+    Raises PortInUseError if another program holds the port.
     """
     sock = bind_udp(options.host, options.port)
     host, port = sock.getsockname()
@@ -245,7 +245,7 @@ class SerialEmulator(_Emulator):
         return f"serial://{path}" + ("?framing=uart" if self._framing is Framing.UART else "")
 
     def unplug(self) -> None:
-        """Pulls the plug; the radar, which has its own power, goes on."""
+        """Pulls the plug; the radar, which has its own power, continues."""
         self.order(self.wire.unplug)
 
     def plug(self) -> None:

@@ -98,7 +98,7 @@ class FaultyPath:
 
     @property
     def next_due_s(self) -> float | None:
-        """When the next delayed packet is due; None where nothing is held back."""
+        """When the next delayed packet is due; None if nothing is held back."""
         return min((until for _, until, _, _ in self._held), default=None)
 
     def _released(self, now_s: float) -> list[bytes]:

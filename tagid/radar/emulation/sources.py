@@ -64,7 +64,7 @@ class RecordingSource:
         timestamps_ms: (views,) radar clock; None counts scan periods from zero.
         loop: start over at the end, for ever.
 
-    Raises DataError where the samples do not fit the window of the settings.
+    Raises DataError if the samples do not fit the window of the settings.
     """
 
     def __init__(

@@ -58,7 +58,7 @@ class Wire(Protocol):
 
 
 class UdpWire:
-    """A bound UDP socket. Answers go to the port that asked; scans go on to the port that started them.
+    """A bound UDP socket. Answers go to the port that asked; scans continue to the port that started them.
 
     Args:
         sock: bound; closed with the wire.
@@ -121,7 +121,7 @@ class PtyWire:
         baud: bytes leave no faster than this rate (8N1) allows; None is as fast as they are taken.
         link: a symbolic link to the port is kept at this path, as udev does under /dev/serial/by-id.
 
-    Raises StorageError where the link cannot be made.
+    Raises StorageError if the link cannot be made.
     """
 
     paces = True

@@ -1,6 +1,6 @@
 """The enrolled layouts, bodies and objects, and every change made to them, in one sqlite file.
 
-A reading names the registry's version, so that it can be established later what it was chosen from.
+A reading records the registry's version, so the set of entries it was compared with can be established later.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from tagid.tags.bodies.signature_file import from_bytes, to_bytes
 from tagid.tags.layouts.layout import Layout, builtin_layouts, layout_from_dict
 
 APPLICATION_ID = 0x74616764
-"""Marks the file as ours ("tagd"), sqlite header, offset 68."""
+"""Application id in the sqlite header (offset 68): "tagd"."""
 MAX_DEFINITION = 64 * 1024
 
 _MIGRATIONS = (
@@ -55,13 +55,13 @@ class Change:
     """One entry of the history.
 
     Attributes:
-        version: the registry's version from then on.
+        version: registry version after the change.
         time_utc: ISO 8601.
         action: "add", "replace" or "remove".
         name: of the layout, body or object.
-        source: where it came from ("built-in", a file, "captures", ...).
+        source: origin of the entry ("built-in", a file, "captures", ...).
         kind: "layout", "body" or "object".
-        entry: as it was added, or as it was when removed; None where it is damaged.
+        entry: the entry as added or as removed; None if it is damaged.
     """
 
     version: int
@@ -74,18 +74,18 @@ class Change:
 
     @property
     def layout(self) -> Layout | None:
-        """The entry, where it is a layout."""
+        """The entry if it is a layout, else None."""
         return self.entry if isinstance(self.entry, Layout) else None
 
 
 @dataclass(frozen=True)
 class Contents:
-    """What was enrolled at one version.
+    """Everything enrolled at one version.
 
     Attributes:
-        version: of the registry.
-        layouts: by name.
-        signatures: of bodies and objects, by kind and name.
+        version: registry version.
+        layouts: sorted by name.
+        signatures: of bodies and objects, sorted by kind and name.
     """
 
     version: int
@@ -94,9 +94,9 @@ class Contents:
 
 
 class Registry:
-    """Layouts, bodies and objects in a sqlite file, which starts with the built-in layouts.
+    """Layouts, bodies and objects in a sqlite file. A new file contains the built-in layouts.
 
-    Safe to use from several processes: every change is one immediate transaction.
+    Several processes may use one file: every change is one immediate transaction.
 
     Raises:
         RegistryError: the file is not a registry, damaged, from a newer tagid, locked or not writable.
@@ -108,16 +108,16 @@ class Registry:
 
     @property
     def version(self) -> int:
-        """Number of changes made so far; grows by one with each."""
+        """Number of changes made so far."""
         with self._database.connection() as connection:
             return self._version(connection)
 
     def layouts(self) -> list[Layout]:
-        """All enrolled layouts, by name."""
+        """All enrolled layouts, sorted by name."""
         return self.snapshot()[1]
 
     def get(self, name: str) -> Layout:
-        """The layout of that name; RegistryError lists the names where there is none."""
+        """The layout of that name. Raises RegistryError, which lists the names, if there is none."""
         with self._database.connection() as connection:
             row = connection.execute("SELECT definition FROM layout WHERE name = ?", (name,)).fetchone()
         if row is None:
@@ -125,13 +125,13 @@ class Registry:
         return self._decode(name, row[0])
 
     def signatures(self, kind: SignatureKind | None = None) -> list[Signature]:
-        """The enrolled bodies and objects, or those of one kind, by kind and name."""
+        """The enrolled bodies and objects, or those of one kind, sorted by kind and name."""
         with self._database.connection() as connection:
             rows = connection.execute("SELECT kind, name, data FROM signature ORDER BY kind, name").fetchall()
         return [self._signature((k, name), data) for k, name, data in rows if kind in (None, k)]
 
     def signature(self, kind: SignatureKind, name: str) -> Signature:
-        """One body or object; RegistryError lists the names where there is none."""
+        """One body or object. Raises RegistryError, which lists the names, if there is none."""
         with self._database.connection() as connection:
             row = connection.execute(
                 "SELECT data FROM signature WHERE kind = ? AND name = ?", (kind, name)
@@ -141,7 +141,7 @@ class Registry:
         return self._signature((kind, name), row[0])
 
     def contents(self) -> Contents:
-        """The version, and everything enrolled at it."""
+        """The version and everything enrolled at that version."""
         with self._database.connection() as connection:
             connection.execute("BEGIN")
             version = self._version(connection)
@@ -155,7 +155,7 @@ class Registry:
         )
 
     def snapshot(self) -> tuple[int, list[Layout]]:
-        """The version, and all layouts enrolled at it."""
+        """The version and the layouts enrolled at that version."""
         with self._database.connection() as connection:
             connection.execute("BEGIN")
             version = self._version(connection)
@@ -166,8 +166,8 @@ class Registry:
     def add(self, layout: Layout, source: str, *, replace: bool = False) -> int:
         """Enrol a layout and return the new version.
 
-        Raises RegistryError where the name is taken and `replace` is not set. Whether it could be confused
-        with another is for `tagid.tags.enrolling.enrolment` to say.
+        Raises RegistryError if the name is taken and `replace` is not set. Conflicts with similar layouts are
+        checked by `tagid.tags.enrolling.enrolment`, not here.
         """
         version = self.add_all([layout], source, replace=replace)
         assert version is not None
@@ -182,20 +182,20 @@ class Registry:
         since: int | None = None,
         signatures: Sequence[Signature] = (),
     ) -> int | None:
-        """Enrol layouts, bodies and objects, all or none; returns the new version.
+        """Enrol layouts, bodies and objects, all or none, and return the new version.
 
-        An entry that is enrolled just so makes no new version.
+        An entry identical to the enrolled one does not change the version.
 
         Args:
-            layouts: of different names.
-            source: where they come from, for the history.
-            replace: whether they may replace others of their names.
-            since: store only where this is still the version; else nothing is done and None returned.
-            signatures: of different kinds or names; an object may have the name of a layout, of which it is
-                the signature.
+            layouts: with unique names.
+            source: origin of the entries, for the history.
+            replace: whether they may replace entries of the same name.
+            since: store only if this is still the version; otherwise do nothing and return None.
+            signatures: with unique pairs of kind and name; the signature of an object has the name of its
+                layout.
 
-        Raises RegistryError where a name is taken and `replace` is not set, UsageError for a label or notes
-        that a spreadsheet would run as a formula.
+        Raises RegistryError if a name is taken and `replace` is not set, and UsageError for a label or notes
+        that a spreadsheet would execute as a formula.
         """
         for layout in layouts:
             _check_label(layout)
@@ -210,7 +210,7 @@ class Registry:
             for key, value in new.items():
                 if key in now and not replace:
                     raise RegistryError(
-                        f"{_article(key[0])} named {key[1]} is enrolled already",
+                        f"{_article(key[0])} named {key[1]} is already enrolled",
                         "Choose another name, remove the old one first, or replace it with --force.",
                     )
                 if now.get(key) != value:
@@ -218,13 +218,13 @@ class Registry:
             return self._version(connection)
 
     def go_back(self, version: int | None = None) -> int:
-        """Restore all entries as they were at a version, by new changes; returns the new version.
+        """Restore all entries to their state at a version, as new changes, and return the new version.
 
         Args:
-            version: None takes the one before the last command (an import is one command of many changes), so
-                that going back twice changes nothing.
+            version: None takes the version before the last command (an import is one command with many
+                changes), so going back twice restores the current state.
 
-        Raises RegistryError where there is no such version.
+        Raises RegistryError if there is no such version.
         """
         with self._database.transaction() as connection:
             last = self._version(connection)
@@ -315,7 +315,7 @@ class Registry:
         return version
 
     def history(self, name: str | None = None) -> list[Change]:
-        """Every change, oldest first; of the entries of one name where it is given."""
+        """Every change, or only those to entries called `name`, oldest first."""
         query = "SELECT version, time_utc, action, name, source, kind, definition, data FROM change"
         with self._database.connection() as connection:
             if name is None:
@@ -359,7 +359,7 @@ class Registry:
                 raise ValueError("not a definition")
             layout = layout_from_dict(json.loads(text))
             if layout.name != name:
-                raise ValueError(f"it is that of {layout.name}")
+                raise ValueError(f"it belongs to {layout.name}")
             return layout
         except (ValueError, RecursionError, TagidError) as error:
             raise RegistryError(
@@ -375,7 +375,7 @@ class Registry:
                 raise ValueError("not a signature")
             signature = from_bytes(data, f"{kind} {name}")
             if (signature.kind, signature.name) != key:
-                raise ValueError(f"it is that of the {signature.kind} {signature.name}")
+                raise ValueError(f"it belongs to the {signature.kind} {signature.name}")
             return signature
         except (ValueError, TagidError) as error:
             group = "bodies --remove" if kind == "body" else "layouts --remove"
@@ -390,7 +390,7 @@ class Registry:
         with self._database.connection() as connection:
             rows = connection.execute(f"SELECT name, ?1 FROM {table} ORDER BY name", (kind,)).fetchall()
         names = ", ".join(str(row[0])[:80] for row in rows)
-        return RegistryError(f"no {kind} is named {name[:80]!r}", f"Enrolled are: {names or 'none'}.")
+        return RegistryError(f"no {kind} is named {name[:80]!r}", f"Enrolled: {names or 'none'}.")
 
 
 def _article(kind: str) -> str:
@@ -398,10 +398,10 @@ def _article(kind: str) -> str:
 
 
 def _check_label(layout: Layout) -> None:
-    """Raises UsageError for texts of a layout to enrol that a spreadsheet would run."""
+    """Raises UsageError for a label or notes that a spreadsheet would execute."""
     for name in ("label", "notes"):
         if getattr(layout, name).lstrip().startswith(FORMULA_STARTS):
             raise UsageError(
                 f"layout {layout.name}: the {name} begins with {getattr(layout, name).lstrip()[0]!r}",
-                "Begin it with a letter or digit: spreadsheets run such texts as formulas.",
+                "Begin it with a letter or digit: spreadsheets execute such text as a formula.",
             )

@@ -180,7 +180,7 @@ class Detector:
     """
 
     def __init__(self, model: Model) -> None:
-        """Of an opened model. Raises ModelError where its contract is another one."""
+        """Of an opened model. Raises ModelError if its contract is another one."""
         self._model = model
         self.contract = Contract.from_text(model.metadata.get(CONTRACT_KEY, ""), f"model {model.entry.name}")
         self.sha256 = model.entry.sha256

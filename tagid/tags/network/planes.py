@@ -59,7 +59,7 @@ class NetworkInput:
     def of(cls, image: Image, scans: BasebandScans) -> NetworkInput:
         """The input for an image on `GRID` and the scans that it was made from.
 
-        Raises UsageError where the image is on another grid.
+        Raises UsageError if the image is on another grid.
         """
         if image.grid != GRID:
             raise UsageError(

@@ -1,6 +1,7 @@
-"""The matched field on a coarse grid, where the search for every layout begins.
+"""The matched field on a coarse grid, from which the search for every layout starts.
 
-It is formed once for each pattern and read at thousands of places: its cost does not grow with the registry.
+The grid is computed once per pattern and interpolated at thousands of places, so its cost does not grow with
+the registry.
 """
 
 from __future__ import annotations
@@ -14,13 +15,15 @@ from tagid.tags.reading.aspect import Aspect, outward
 from tagid.tags.reading.field import MatchedField
 
 IMAGE_STEP_M = 3e-3
-"""Pixel of the coarse image; its finest fringe is lambda_min / 2 = 31 mm: bilinear reading errs by < 5 %."""
+"""Pixel of the coarse image. Its finest fringe is lambda_min / 2 = 31 mm; the bilinear interpolation error is
+< 5 %."""
 COARSE_NO_SIDE_M = 0.015
-"""On the coarse image sides are told from the turntable's axis, which is up to 14 mm off the object's."""
+"""As `NO_SIDE_M`, for the coarse image: it takes outward sides relative to the turntable's axis, which is up
+to 14 mm from the object's."""
 
 
 class CoarseImage:
-    """Complex image of b on a square, read by bilinear interpolation."""
+    """Complex image of b on a square, with bilinear interpolation."""
 
     def __init__(self, field: MatchedField, radius_m: float, aspect: Aspect, offsets_m: Sequence[float]):
         half = int(np.ceil(radius_m / IMAGE_STEP_M)) + 1
@@ -40,7 +43,7 @@ class CoarseImage:
         self.images[:, inside] = field.correlate_offsets(distances, offsets_m, weight)
 
     def static_overlap(self, points: NDArray[np.float64]) -> NDArray[np.complex64]:
-        """(..., K, K) part of the Gram matrix that is constant over views, to the nearest pixel."""
+        """(..., K, K) part of the Gram matrix that is constant over the views, at the nearest pixels."""
         index = np.rint(points / IMAGE_STEP_M).astype(np.int32) + self.half
         index = np.clip(index, 0, 2 * self.half)
         static = self.static[index[..., 1], index[..., 0]]
@@ -48,7 +51,7 @@ class CoarseImage:
         return overlap * self.field.views
 
     def read(self, points: NDArray[np.float64]) -> NDArray[np.complex64]:
-        """(offsets, ...) b at points (..., 2)."""
+        """(offsets, ...) interpolated b at points (..., 2), m."""
         position = (points / IMAGE_STEP_M + self.half).astype(np.float32)
         index = np.clip(position.astype(np.int32), 0, 2 * self.half - 1)
         part = position - index

@@ -1,5 +1,6 @@
-"""The matched field: correlation of the scans with a point anywhere in the object's plane, and of points with
-each other. Every statement about reflectors is made from these two, so no image grid limits its accuracy.
+"""The matched field: correlation of the scans with points in the object's plane, and between such points.
+
+All results about reflectors are computed from these two, so no image grid limits their accuracy.
 """
 
 from __future__ import annotations
@@ -13,34 +14,35 @@ from tagid.errors import DataError
 from tagid.imaging.types import BasebandScans
 
 FINE_STEP_M = 5e-4
-"""Range step of the tables, read at the nearest entry: baseband varies over c / B = 176 mm, so half a step is
-an error of 1 % at most and 0.5 % in the mean."""
+"""Range step of the tables, which are read at the nearest entry. Baseband varies over c / B = 176 mm, so half
+a step is an error of at most 1 % and on average 0.5 %."""
 RANK_FLOOR = 1e-3
 """Range profiles of all points of an object span few dimensions (2 B L / c is 4 for 0.35 m at 1.7 GHz);
-singular values under this part of the largest are left out."""
+singular values below this fraction of the largest are discarded."""
 _BLOCK = 1 << 18
 
 
 class MatchedField:
     """b(p) = <s_p, z> and G(p, q) = <s_p, s_q> for templates s_p[v, b] = g(R_b - d_v(p)) exp(-2jk d_v(p)).
 
-    Given scans without a matched filter the noise is white and b is the maximum-likelihood statistic.
-    What is constant over the views is taken from the data and from the templates alike: static clutter is a
-    free unknown of the fit: a reflector near the axis loses most of its energy to it, and the fit knows.
+    For scans without a matched filter, the noise is white and b is the maximum-likelihood statistic.
+    The part that is constant over the views is subtracted from the data and from the templates: static
+    clutter is thus a free unknown of the fit. A reflector near the axis loses most of its energy, and the fit
+    accounts for it.
 
-    Templates are kept in an orthonormal basis of the range profiles that the object can give, found once by a
-    singular value decomposition; some eight numbers a view stand for all range bins.
+    Templates are stored in an orthonormal basis of the range profiles that the object can produce, computed
+    once by singular value decomposition: about eight numbers per view represent all range bins.
 
     Args:
         scans: baseband scans (views, bins).
-        radius_m: largest distance from the axis that will be asked for, m.
+        radius_m: largest distance from the axis that will be evaluated, m.
 
     Attributes:
-        data: (views * rank,) complex64, the scans in the basis, without what is constant over the views.
-        energy: sum |z|^2 of the bins that the radius can reach.
-        template_energy: ||s_p||^2 of a point inside, before its constant part is taken out.
-        independent_samples: n of the criterion, of those bins.
-        noise_variance: variance of b(p) / ||s_p|| from noise alone, 0 where unknown.
+        data: (views * rank,) complex64, the scans in the basis, without the part constant over the views.
+        energy: sum |z|^2 over the bins within the radius.
+        template_energy: ||s_p||^2 of a point within the radius, before its constant part is subtracted.
+        independent_samples: n of the criterion, for those bins.
+        noise_variance: variance of b(p) / ||s_p|| from noise alone; 0 if unknown.
     """
 
     def __init__(self, scans: BasebandScans, radius_m: float) -> None:
@@ -58,7 +60,7 @@ class MatchedField:
             raise DataError(
                 f"the scans cover {ranges[0]:.2f} to {ranges[-1]:.2f} m, "
                 f"the object is at {near:.2f} to {far:.2f} m",
-                "Check the axis distance, or record a range window that holds the object.",
+                "Check the axis distance, or record a range window that covers the object.",
             )
         z = scans.samples[:, keep]
         z = z - z.mean(axis=0)
@@ -96,16 +98,16 @@ class MatchedField:
     def templates(
         self, distances: NDArray[np.float64], weight: NDArray[np.float32] | None = None
     ) -> NDArray[np.complex64]:
-        """(..., views * rank) templates of points given by their distances (..., views), m.
+        """(..., views * rank) templates of points with distances (..., views), m.
 
-        The weight (..., views) is their amplitude in each view, 1 unless given.
+        `weight` (..., views) is their amplitude in each view, 1 by default.
         """
         whole = self._profiles[self._index(distances)] * self._phase(distances, weight)[..., None]
         whole -= whole.mean(axis=-2, keepdims=True)
         return np.asarray(whole.reshape(*distances.shape[:-1], self.data.size))
 
     def correlate(self, templates: NDArray[np.complex64]) -> NDArray[np.complex128]:
-        """(...) b of templates (..., views * rank): the data against each."""
+        """(...) b of templates (..., views * rank): correlation of the data with each."""
         return np.asarray(templates.conj() @ self.data, dtype=np.complex128)
 
     def gram(self, templates: NDArray[np.complex64]) -> NDArray[np.complex128]:
@@ -115,7 +117,7 @@ class MatchedField:
     def static_part(
         self, distances: NDArray[np.float64], weight: NDArray[np.float32] | None = None
     ) -> NDArray[np.complex64]:
-        """(..., rank) mean over the views of the whole template, which `templates` takes out."""
+        """(..., rank) mean of the whole template over the views, which `templates` subtracts."""
         flat = distances.reshape(-1, self.views)
         sides = None if weight is None else weight.reshape(-1, self.views)
         rank = self._profiles.shape[1]
@@ -130,7 +132,7 @@ class MatchedField:
     def full_gram(
         self, distances: NDArray[np.float64], weight: NDArray[np.float32] | None = None
     ) -> NDArray[np.complex128]:
-        """(..., K, K) `gram` of points (..., K, views) before their constant parts are taken out."""
+        """(..., K, K) `gram` of points (..., K, views) before their constant parts are subtracted."""
         whole = self._profiles[self._index(distances)] * self._phase(distances, weight)[..., None]
         return self.gram(whole.reshape(*distances.shape[:-1], self.data.size))
 
@@ -140,9 +142,9 @@ class MatchedField:
         offsets_m: Sequence[float],
         weight: NDArray[np.float32] | None = None,
     ) -> NDArray[np.complex128]:
-        """(offsets, ...) b for points whose distances (..., views) are all longer by each offset, m.
+        """(offsets, ...) b for points whose distances (..., views) are increased by each offset, m.
 
-        For many points: no template is formed, and the phase of an offset is common to all views.
+        For many points: it forms no template, and the phase of an offset is common to all views.
         """
         flat = distances.reshape(-1, self.views)
         sides = None if weight is None else weight.reshape(-1, self.views)
@@ -182,14 +184,14 @@ class MatchedField:
 def _range_basis(
     profiles: NDArray[np.complex128],
 ) -> tuple[NDArray[np.complex128], NDArray[np.complex64]]:
-    """Orthonormal basis (bins, rank) of range profiles (bins, n), and their coordinates (n, rank)."""
+    """Orthonormal basis (bins, rank) of range profiles (bins, n), and their coordinates (n, rank) in it."""
     left, size, right = np.linalg.svd(profiles, full_matrices=False)
     rank = int(np.count_nonzero(size > RANK_FLOOR * size[0]))
     return left[:, :rank], np.ascontiguousarray((size[:rank, None] * right[:rank]).T.astype(np.complex64))
 
 
 def _effective_half_width(scans: BasebandScans) -> float:
-    """Range offset beyond which the response is under 1 % of its peak, m."""
+    """Range offset beyond which the response is below 1 % of its peak, m."""
     samples = scans.response.samples
     large = np.flatnonzero(np.abs(samples) > 0.01 * np.abs(samples).max())
     middle = len(samples) // 2

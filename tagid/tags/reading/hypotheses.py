@@ -1,7 +1,8 @@
-"""Where each layout fits best: rotation, centre and range offset found jointly, in the data domain.
+"""The place where each layout fits best: rotation, centre and range offset, found jointly in the data domain.
 
-A coarse grid reads one image per range offset; the best few places of every layout are then refined on exact
-templates, because three degrees are 6 mm at a helmet's rim and decide between layouts of one size.
+The search interpolates one coarse image per range offset. The best few places of every layout are then
+refined with exact templates, because three degrees are 6 mm at a helmet's rim and distinguish layouts of the
+same size.
 """
 
 from __future__ import annotations
@@ -18,18 +19,20 @@ from tagid.tags.reading.coarse import CoarseImage
 from tagid.tags.reading.field import MatchedField
 
 ALIKE = 0.25
-"""Spread of the logarithm of a tag's amplitudes: its reflectors differ by up to 20 %, and by aspect."""
+"""Standard deviation of the logarithm of a tag's amplitudes: reflectors differ by up to 20 %, and by
+aspect."""
 ODD_NATS = 8.0
-"""What one reflector of another strength can cost a layout: a factor of 2.7, or a missing one."""
+"""Largest penalty for one reflector of deviating amplitude: a factor of 2.7, or a missing reflector."""
 BEGINNING = 2
-"""Rounds of refinement from all starts, before the hopeless are left where they are."""
+"""Refinement rounds applied to all starts, before layouts that can no longer win are dropped."""
 FINISHED = 6
-"""Layouts refined to the end, at most: the name hangs on the best and the runner-up."""
+"""Largest number of layouts refined completely: the name depends only on the best and the runner-up."""
 REACH_NATS, REACH_SHARE = 15.0, 0.4
-"""The hopeless lack so many nats and this share of the best's energy: the coarse grid costs up to a quarter,
-the runner-up matters within the decision's margins, and noise gains some nats."""
+"""A layout is dropped if it is worse than the best by this many nats plus this share of the best's energy:
+the coarse grid loses up to a quarter of the energy, the runner-up matters only within the decision's margins,
+and noise can add some nats."""
 FULLY_VISIBLE = 0.5
-"""Visibility from which an amplitude is taken as measured."""
+"""Visibility above which an amplitude is used as measured."""
 
 
 @dataclass(frozen=True)
@@ -37,14 +40,16 @@ class SearchSettings:
     """Extent and steps of the search.
 
     Attributes:
-        arc_step_m, centre_step_m: the coarse grid, at the outermost reflector and of the centre.
-        centre_range_m: the object's axis is searched within +- this in x and y of the turntable's axis.
-        offsets_m: range offsets (errors of the axis distance) tried coarsely; refined between.
-        starts: places a layout that are refined.
-        iterations: halvings of the refinement's steps.
-        balance: amplitudes whose smallest is under this share of the largest are charged for.
-        aspects: patterns of the search; every layout is looked for with each of them.
-        patterns: patterns tried at the best places that were found.
+        arc_step_m, centre_step_m: steps of the coarse grid, along the outermost reflector's path and of the
+            centre.
+        centre_range_m: the object's axis is searched within +- this distance of the turntable's axis in x and
+            y.
+        offsets_m: range offsets (errors of the axis distance) of the coarse search; refined in between.
+        starts: number of places refined per layout.
+        iterations: number of refinement rounds, each with smaller steps.
+        balance: penalise a layout whose smallest amplitude is below this share of its largest.
+        aspects: patterns of the search; every layout is searched with each of them.
+        patterns: patterns tried at the best places found.
     """
 
     arc_step_m: float = 6e-3
@@ -63,16 +68,16 @@ class Fit:
     """The best place of one layout.
 
     Attributes:
-        layout: which.
-        aspect: from which sides its reflectors are seen.
-        place: (4,) counter-clockwise turn about the layout's origin, where that lies in x and y, and range
-            offset: measured distances are this much longer than the aperture says; rad, m.
+        layout: the layout.
+        aspect: the sides from which its reflectors are visible.
+        place: (4,) counter-clockwise rotation about the layout's origin (rad), x and y of that origin (m),
+            and range offset (m), the excess of measured distances over those of the aperture.
         positions: (K, 2) reflectors, m.
         amplitudes: (K,) complex least-squares amplitudes.
         sizes: (K,) their magnitudes, see `visible_sizes`.
-        visibility: (K,) share of a template's energy that is seen and varies over the views.
+        visibility: (K,) share of a template's energy that is visible and varies over the views.
         explained: b^H G^-1 b, energy.
-        charged: the same after the charge for unlike amplitudes.
+        charged: the same after the penalty for unequal amplitudes.
         criterion: J of `criterion`, lower is better.
     """
 
@@ -89,12 +94,12 @@ class Fit:
 
     @property
     def rotation_rad(self) -> float:
-        """The turn within the layout's symmetry, rad."""
+        """The rotation modulo the layout's symmetry, rad."""
         return float(np.mod(self.place[0], 2 * np.pi / self.layout.symmetry))
 
     @property
     def centre_m(self) -> NDArray[np.float64]:
-        """(2,) where the layout's origin lies, m."""
+        """(2,) position of the layout's origin, m."""
         return self.place[1:3]
 
     @property
@@ -104,13 +109,13 @@ class Fit:
 
     @property
     def look(self) -> Appearance:
-        """How any other point of this object would look."""
+        """How any other point on this object is seen."""
         return Appearance(self.aspect, self.centre_m, self.offset_m)
 
 
 @dataclass(frozen=True, eq=False)
 class Values:
-    """Least squares at many places (H, ...), fields as of `Fit`."""
+    """Least-squares results at many places (H, ...), with the fields of `Fit`."""
 
     amplitudes: NDArray[np.complex128]
     sizes: NDArray[np.float64]
@@ -122,9 +127,9 @@ class Values:
 def least_squares(
     b: NDArray[np.complex128], gram: NDArray[np.complex128]
 ) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
-    """Amplitudes (..., K) = G^-1 b and explained energy (...) = b^H G^-1 b; G is loaded by 1e-2 of itself."""
+    """Amplitudes (..., K) = G^-1 b and explained energy (...) = b^H G^-1 b, with 1e-2 of diagonal loading."""
     k = b.shape[-1]
-    size = np.maximum(np.abs(np.trace(gram, axis1=-2, axis2=-1)) / k, 1e-30)  # one that nobody sees is 0
+    size = np.maximum(np.abs(np.trace(gram, axis1=-2, axis2=-1)) / k, 1e-30)  # 0 if no reflector is visible
     load = 1e-2 * size[..., None, None] * np.eye(k)
     amplitudes = np.linalg.solve(gram + load, b[..., None])[..., 0]
     explained = np.real(np.sum(b.conj() * amplitudes, axis=-1))
@@ -136,9 +141,9 @@ def least_squares(
 def visible_sizes(
     amplitudes: NDArray[np.complex128], visibility: NDArray[np.floating]
 ) -> NDArray[np.float64]:
-    """|amplitudes| (..., K), drawn to the mean of the visible ones where a reflector can hardly be seen.
+    """|amplitudes| (..., K), shrunk towards the mean of the visible ones for reflectors with low visibility.
 
-    Visibility is the share of a template's energy that varies over the views; near the axis it goes to zero.
+    Visibility is the share of a template's energy that varies over the views; it tends to zero near the axis.
     """
     trust = np.minimum(visibility / FULLY_VISIBLE, 1.0)
     size = np.abs(amplitudes)
@@ -149,16 +154,16 @@ def visible_sizes(
 def charge(
     explained: NDArray[np.float64], size: NDArray[np.floating], balance: float, axis: int = -1
 ) -> NDArray[np.float64]:
-    """Explained energy (...) scaled down where reflectors, all alike, come out of unlike size (..., K)."""
+    """Explained energy (...), reduced where the fitted sizes (..., K) of equal reflectors differ too much."""
     ratio = size.min(axis=axis) / np.maximum(size.max(axis=axis), 1e-30)
     return np.asarray(explained * np.minimum(ratio / balance, 1.0), dtype=np.float64)
 
 
 def likeness(size: NDArray[np.float64], each: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(...) nats against amplitudes |a| (..., K) that belong to one tag, measured with e = `each` (...) nats.
+    """(...) penalty in nats for amplitudes |a| (..., K) of one tag, each measured with e = `each` (...) nats.
 
-    Their logarithms spread by ALIKE and by the error of 1 / (2 e); one reflector costs ODD_NATS at most,
-    because a damaged one says nothing about where the others are.
+    Their logarithms have the variance ALIKE^2 + 1 / (2 e). One reflector adds at most ODD_NATS, because a
+    damaged one contains no information about the positions of the others.
     """
     logarithm = np.log(np.maximum(size, 1e-6 * size.max(axis=-1, keepdims=True) + 1e-30))
     off = logarithm - np.median(logarithm, axis=-1, keepdims=True)
@@ -167,10 +172,10 @@ def likeness(size: NDArray[np.float64], each: NDArray[np.float64]) -> NDArray[np
 
 
 def criterion(field: MatchedField, value: Values, aspect: Aspect) -> NDArray[np.float64]:
-    """(...) J = n log(1 - e / E) + sum_k log(1 + n v_k) + log n where the pattern is not uniform + likeness.
+    """(...) J = n log(1 - e / E) + sum_k log(1 + n v_k) + likeness, plus log n if the pattern is not uniform.
 
-    Each amplitude is charged for what the data say about it (G. Schwarz, 1978, with the template's own share
-    v (..., K) of the samples), so a layout gains nothing by reflectors that nobody could have seen.
+    Each amplitude is penalised by the information that the data contain about it (G. Schwarz, 1978, with the
+    template's own share v (..., K) of the samples), so a layout gains nothing from invisible reflectors.
     """
     n = field.independent_samples
     left = np.maximum(1 - value.charged / field.energy, 1e-9)
@@ -184,7 +189,8 @@ def criterion(field: MatchedField, value: Values, aspect: Aspect) -> NDArray[np.
 def search(field: MatchedField, layouts: Sequence[Layout], settings: SearchSettings) -> list[Fit]:
     """The best fit of every layout, in the order given.
 
-    All layouts are refined a little, and only those that may still win or come second to the end.
+    All layouts are refined for a few rounds; only those that can still be best or second are refined
+    completely.
     """
     reach = max(layout.radius_m for layout in layouts) + settings.centre_range_m * np.sqrt(2)
     images = [CoarseImage(field, reach, aspect, settings.offsets_m) for aspect in settings.aspects]
@@ -214,7 +220,7 @@ def _criterion(fit: Fit) -> float:
 
 
 def _finished(field: MatchedField, found: list[Fit], settings: SearchSettings) -> Fit:
-    """Fits of one layout refined to the end, every other pattern tried there, and the best one moved."""
+    """Refine the fits of one layout completely, try every other pattern there, and refine the best again."""
     layout = found[0].layout
     rest = range(BEGINNING, settings.iterations)
     fits = []
@@ -238,7 +244,7 @@ def _finished(field: MatchedField, found: list[Fit], settings: SearchSettings) -
 def _coarse_starts(
     field: MatchedField, layout: Layout, coarse: CoarseImage, settings: SearchSettings
 ) -> tuple[NDArray[np.float64], float]:
-    """(starts, 4) rotation, x, y, offset of the best distinct places, and the charged energy of the best."""
+    """(starts, 4) rotation, x, y, offset of the best distinct places, and the best penalised energy."""
     turn = 2 * np.pi / layout.symmetry
     rotations = np.arange(0, turn - 1e-9, _rotation_step(layout, settings))
     count = int(np.floor(settings.centre_range_m / settings.centre_step_m))
@@ -253,7 +259,7 @@ def _coarse_starts(
     visibility = np.real(np.diagonal(gram, axis1=-2, axis2=-1)) / field.template_energy
     load = 1e-2 * field.template_energy * np.eye(layout.size)
     inverse = np.moveaxis(np.linalg.inv(gram + load).astype(np.complex64), (-2, -1), (0, 1)).copy()
-    # The reflectors lead, so that sums over them run along the memory.
+    # Reflectors are the first axis, so that sums over them access memory contiguously.
     b = np.stack([coarse.read(points[..., k, :]) for k in range(layout.size)])
     amplitudes = np.stack([sum(inverse[k, j] * b[j] for j in range(layout.size)) for k in range(layout.size)])
     explained = np.maximum(sum((b[k].conj() * amplitudes[k]).real for k in range(layout.size)), 0)
@@ -275,14 +281,14 @@ def _coarse_starts(
 
 
 def _rotation_step(layout: Layout, settings: SearchSettings) -> float:
-    """Coarse step of the rotation, rad: that of the arc at the outermost reflector, within 3 to 8 degrees."""
+    """Coarse rotation step, rad: the arc step at the outermost reflector, limited to 3 to 8 degrees."""
     return float(np.clip(settings.arc_step_m / layout.radius_m, np.deg2rad(3.0), np.deg2rad(8.0)))
 
 
 def _evaluate(
     field: MatchedField, layout: Layout, aspect: Aspect, places: NDArray[np.float64], balance: float
 ) -> Values:
-    """Exact templates at places (H, 4) of rotation, x, y and offset."""
+    """Least squares with exact templates at places (H, 4) of rotation, x, y and offset."""
     turned = np.swapaxes(rotation_matrix(places[:, 0]), -1, -2)
     points = layout.positions @ turned + places[:, None, 1:3]
     d = field.distances(points, np.asarray(layout.heights))
@@ -325,9 +331,9 @@ def _refine(
     settings: SearchSettings,
     rounds: range,
 ) -> NDArray[np.float64]:
-    """(H, 4) places after parabolic steps along every coordinate of all starts at once, on exact templates.
+    """(H, 4) places after parabolic steps in every coordinate, for all starts at once, with exact templates.
 
-    The steps shrink with every round; `rounds` says which of them are taken.
+    The steps shrink with every round; `rounds` are the rounds to run.
     """
     gap = settings.offsets_m[1] - settings.offsets_m[0] if len(settings.offsets_m) > 1 else 2e-3
     low = np.array([-np.inf, -settings.centre_range_m, -settings.centre_range_m, settings.offsets_m[0] - gap])
