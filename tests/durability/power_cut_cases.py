@@ -52,8 +52,8 @@ class Promise:
 
     Attributes:
         stage: what is promised at a cut (a line of the trace), as a value to compare.
-        broken: called with a folder in the state after the cut, and the cut; recovers and returns what is lost
-            or wrong, empty where nothing is.
+        broken: called with a folder in the state after the cut, and the cut; recovers, and returns what is
+            lost or wrong, empty where nothing is.
     """
 
     stage: Callable[[int], object]
@@ -125,7 +125,8 @@ def _journal() -> None:
     header = {"range_start_m": 0.5, "range_step_m": 0.009}
     with JournalWriter(Path("a.tagid.journal"), header, sync_every=4) as journal:
         for number in range(40):
-            journal.append(number, 10**18 + number, 20.0 * number, rng.integers(-999, 999, 96).astype(np.int32))
+            samples = rng.integers(-999, 999, 96).astype(np.int32)
+            journal.append(number, 10**18 + number, 20.0 * number, samples)
             if number % 7 == 6:
                 journal.append_motion({"host_time_ns": [1], "angle_rad": [0.1], "sigma_rad": [0.01]})
 
@@ -153,10 +154,9 @@ def _journal_promise(sync_every: int, sync_s: float) -> Callable[[Recording], Pr
         kept: list[_Kept] = []
         written: list[tuple[Write, int]] = []
         truth = []
-        end, records = PREAMBLE.size, 0
-        for kind, payload in intact_records(io.BytesIO(content), len(content)):
+        end = PREAMBLE.size
+        for records, (kind, payload) in enumerate(intact_records(io.BytesIO(content), len(content)), 1):
             end += record_bytes(payload)
-            records += 1
             by = next(one for one in writes if one.offset + len(one.data) >= end)
             written.append((by, records))
             if kind == _SCAN_KIND:
@@ -176,9 +176,8 @@ def _journal_promise(sync_every: int, sync_s: float) -> Callable[[Recording], Pr
             if not back:
                 return 0
             last, count = back[-1]
-            return sum(
-                one.records <= count - sync_every and last.time_s - one.written.time_s > sync_s for one in kept
-            )
+            old = [one for one in kept if last.time_s - one.written.time_s > sync_s]
+            return sum(one.records <= count - sync_every for one in old)
 
         def check(place: Path, cut: int) -> str:
             wanted = acknowledged(cut)
@@ -284,7 +283,7 @@ def _registry() -> None:
         words = [word for point in points for word in ("--point", point)]
         assert _command("enroll", name, "--kind", "other", *words, "--yes", "--force") == 0
         _tell(_DONE)
-    assert _command("layouts", "--remove", "new-0", "--yes") == 0
+    assert _command("layouts", "--remove", "new-0") == 0
     _tell(_DONE)
 
 
@@ -297,7 +296,7 @@ def _registries() -> list[list[str]]:
 
 def _read_registry(place: Path) -> list[str]:
     (place / "home" / "data").mkdir(parents=True, exist_ok=True)
-    registry = Registry(place / "home" / "data" / "registry.db")
+    registry = Registry(place / "home" / "data" / "registry.sqlite")
     contents = registry.contents()
     registry.add(Layout("after", np.array([[0.1, 0.0], [-0.02, 0.06], [-0.05, -0.04]])), "a test")
     assert registry.version == contents.version + 1
@@ -414,7 +413,8 @@ def _wrong_files(out: Path, whole: bool) -> str:
             json.loads(content)
         elif not content.rstrip().endswith(ends[name]) or not content:
             return f"{name} is not whole"
-        if name in ("items.csv", "items.jsonl") and len(content.splitlines()) != _ITEMS + (name == "items.csv"):
+        lines = {"items.csv": _ITEMS + 1, "items.jsonl": _ITEMS}.get(name)
+        if lines is not None and len(content.splitlines()) != lines:
             return f"{name} lacks items"
     return ""
 

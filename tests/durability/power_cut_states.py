@@ -1,10 +1,10 @@
 """States of a folder after a power cut, built from recorded system calls.
 
-What POSIX promises, and no more: a write or truncation is on disk after a later fsync of the file, a name after
-a later fsync of its folder. Of everything else any part may be there: each operation may be missing, whole or,
-if it is a write, torn at sectors, and later ones may be there without earlier ones. A rename is atomic. Current
-file systems order more than this; the model is that of T. S. Pillai et al., "All File Systems Are Not Created
-Equal", OSDI 2014.
+What POSIX promises, and no more: a write or truncation is on disk after a later fsync of the file, a name
+after a later fsync of its folder. Of everything else any part may be there: each operation may be missing,
+whole or, if it is a write, torn at sectors, and later ones may be there without earlier ones. A rename is
+atomic. Current file systems order more than this; the model is that of T. S. Pillai et al., "All File Systems
+Are Not Created Equal", OSDI 2014.
 """
 
 from __future__ import annotations
@@ -15,9 +15,20 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from syscalls import ROOT, UNRECORDED, Link, Operation, Recording, Rename, Sync, Truncate, Unlink, Write
-from syscalls import cut_to as cut_content
-from syscalls import write_into
+from syscalls import (
+    ROOT,
+    UNRECORDED,
+    Link,
+    Operation,
+    Recording,
+    Rename,
+    Sync,
+    Truncate,
+    Unlink,
+    Write,
+    cut_to,
+    write_into,
+)
 
 _SECTOR = 512
 _Effect = Write | Truncate | Link | Rename | Unlink
@@ -50,12 +61,16 @@ class State:
 def states(
     recording: Recording, stage: Callable[[int], object], each_cut: int, rng: random.Random
 ) -> Iterator[State]:
-    """Different states, in the order of their cuts: after every operation, up to `each_cut` and four for each.
+    """Different states, in the order of their cuts: after every operation, `each_cut` and four.
 
-    A state comes once for each stage: what is promised at a cut.
+    The four are nothing and everything of what is not synced, names without data and data without names. The
+    others are chosen at random from: all but one, one alone, one torn, and random subsets.
 
-    "Nothing" and "everything" of what is not synced come first, then names without data and data without names,
-    then a random choice of: all but one, one alone, one torn, and random subsets.
+    Args:
+        recording: what was recorded.
+        stage: what is promised at a cut; a state that was given is given again where more is promised.
+        each_cut: number of states chosen at random.
+        rng: chooses them.
     """
     disk = _Disk(recording)
     seen: set[tuple[bytes, object]] = set()
@@ -142,7 +157,7 @@ class _Disk:
 
 
 def _durable_at(operation: _Effect, operations: Sequence[Operation]) -> float:
-    """Line at which the first sync ended that started after the operation ended; infinite if there is none."""
+    """Line at which the first sync that started after the operation ended; infinite if there is none."""
     wanted = _objects(operation)
     ends = [
         one.end
@@ -153,13 +168,17 @@ def _durable_at(operation: _Effect, operations: Sequence[Operation]) -> float:
 
 
 def _apply(
-    one: _Effect, contents: dict[int, bytearray], names: dict[int, dict[str, int]], how: str, rng: random.Random
+    one: _Effect,
+    contents: dict[int, bytearray],
+    names: dict[int, dict[str, int]],
+    how: str,
+    rng: random.Random,
 ) -> None:
     if isinstance(one, Write):
         for offset, data in _parts(one, how, rng):
             write_into(contents.setdefault(one.inode, bytearray()), offset, data)
     elif isinstance(one, Truncate):
-        cut_content(contents.setdefault(one.inode, bytearray()), one.size)
+        cut_to(contents.setdefault(one.inode, bytearray()), one.size)
     elif isinstance(one, Link):
         names.setdefault(one.folder, {})[one.name] = one.inode
     elif isinstance(one, Rename):
@@ -215,9 +234,8 @@ def _choices(
                 choices.append(_Choice(f"up to {i}, {how}", before | {i: how}))
     for _ in range(max(4, most // 4)):
         share = rng.choice((0.2, 0.5, 0.8, 0.95))
-        kept = {
-            i: rng.choice(("whole", "whole", "cut off", "sectors")) for i in everything if rng.random() < share
-        }
+        there = [i for i in everything if rng.random() < share]
+        kept = {i: rng.choice(("whole", "whole", "cut off", "sectors")) for i in there}
         choices.append(_Choice(f"random {sorted(kept.items())[:40]}", kept))
     yield from rng.sample(choices, min(most, len(choices)))
 

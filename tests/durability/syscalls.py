@@ -1,7 +1,7 @@
 """Operations on files of a traced process, recorded with strace.
 
 strace sees what Python, HDF5 and sqlite alike ask of the operating system. One process with any number of
-threads is followed; the result is complete only if `Recording.final` equals the folder, which `record` checks.
+threads is followed. `record` checks that the result is complete: `Recording.final` equals the folder.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from pathlib import Path
 ROOT = 0
 """Inode of the recorded folder."""
 UNRECORDED = "-shm"
-"""End of the names of files that are written through mapped memory: sqlite's shared index, rebuilt by readers."""
+"""End of the names of files written through mapped memory: sqlite's shared index, which it rebuilds."""
 
 _CALLS = (
     "open,openat,creat,close,write,pwrite64,writev,pwritev,pwritev2,ftruncate,truncate,fallocate,lseek,fsync,"
