@@ -233,7 +233,7 @@ def _write(path: Path, found: Mapping[str, Any]) -> None:
         section, key = name.split(".", 1)
         tables.setdefault(section, {})[key] = value
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+        files.make_folder(path.parent)
     except OSError as error:
         raise files.storage_error(error, path, "making its folder") from error
     # It may hold a bridge's pass-key, which is for its owner alone.

@@ -99,7 +99,7 @@ def run_batch(plan: Plan, job: Job, runner: Runner, hooks: Hooks | None = None) 
     """
     hooks = hooks or Hooks()
     try:
-        plan.out.mkdir(parents=True, exist_ok=True)
+        files.make_folder(plan.out)
     except OSError as error:
         raise files.storage_error(error, plan.out, "making the report's folder") from error
     with Spool(plan.out / FILE_NAME, fresh=not plan.resume) as spool:

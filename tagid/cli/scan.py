@@ -16,6 +16,7 @@ from tagid.cli.common.recording import Limits, plan_of
 from tagid.config import Config, load_config
 from tagid.constants import CAPTURE_SUFFIX
 from tagid.errors import ConfigError, StorageError, TagidError
+from tagid.files import make_folder
 from tagid.result import Result
 
 if TYPE_CHECKING:
@@ -146,7 +147,7 @@ def _scan(
         )
     folder = Path(config["storage.folder"] or ".")
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        make_folder(folder)
     except OSError as error:
         raise StorageError(f"cannot make the folder {folder}: {error.strerror}", "Choose another.") from None
     plan = plan_of(config, url, limits, about)

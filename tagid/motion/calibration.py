@@ -104,12 +104,12 @@ def remember_reversed(device: str, is_reversed: bool) -> Path:
     """Keep the direction of a device; returns the file. Raises StorageError, ConfigError."""
     import tomli_w
 
-    from tagid.files import write_bytes
+    from tagid.files import make_folder, write_bytes
 
     recall_reversed(device)  # a damaged file is told, not overwritten
     path = data_folder() / _DIRECTIONS
     known = tomllib.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
-    path.parent.mkdir(parents=True, exist_ok=True)
+    make_folder(path.parent)
     write_bytes(path, tomli_w.dumps({**known, device: is_reversed}).encode())
     return path
 
@@ -123,13 +123,13 @@ def remember(robot: str, calibration: Calibration) -> Path:
     """Keep a robot's calibration; returns the file. Raises StorageError."""
     import tomli_w
 
-    from tagid.files import write_bytes
+    from tagid.files import make_folder, write_bytes
 
     known = _load()
     stamp = datetime.now(UTC).isoformat(timespec="seconds")
     known[robot] = Calibration(**{**asdict(calibration), "date_utc": stamp})
     path = calibrations_path()
-    path.parent.mkdir(parents=True, exist_ok=True)
+    make_folder(path.parent)
     text = tomli_w.dumps({name: asdict(one) for name, one in sorted(known.items())})
     write_bytes(path, text.encode())
     return path

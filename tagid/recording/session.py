@@ -29,7 +29,7 @@ from tagid.storage.metadata import VERSION_KEY
 _Result = TypeVar("_Result")
 
 SYNC_S = 0.5
-"""Minimum time between two syncs of the disk, s: the most that a power cut can lose."""
+"""Time between two syncs of the disk, s: a power cut loses no scan that was written so long before."""
 
 
 @dataclass(frozen=True)
@@ -221,7 +221,7 @@ def start_journal(path: Path, header: dict[str, Any], renumber: bool = False) ->
             continue
         journal_path = journal_beside(wanted)
         try:
-            journal = JournalWriter(journal_path, header, sync_seconds=SYNC_S)
+            journal = JournalWriter(journal_path, header, sync_every=1, sync_seconds=SYNC_S)
         except StorageError as error:
             if not journal_path.is_file():
                 raise

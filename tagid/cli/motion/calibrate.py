@@ -13,6 +13,7 @@ from tagid.cli.common.consent import Yes, agree_to
 from tagid.cli.common.frame import Terminal, command
 from tagid.config import Config, load_config
 from tagid.errors import DataError, UsageError
+from tagid.files import make_folder
 from tagid.result import Result
 
 if TYPE_CHECKING:
@@ -129,7 +130,7 @@ def _record(terminal: Terminal, config: Config, turns: float) -> Capture:
     device, _ = driven(config["motion.url"])
     device.turns = turns
     folder = Path(config["storage.folder"] or ".")
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     limits = Limits(None, 20 + 1.5 * device.needed_seconds())
     about = ObjectInfo(note="calibration")
     plan = replace(plan_of(config, str(config["radar.url"]), limits, about), renumber=True)

@@ -14,6 +14,7 @@ from tagid.cli.radar.device import open_configured, radar_url
 from tagid.config import load_config
 from tagid.constants import CAPTURE_SUFFIX
 from tagid.errors import EXIT_INTERRUPTED, EXIT_OK, StorageError, UsageError
+from tagid.files import make_folder
 from tagid.result import Result
 
 if TYPE_CHECKING:
@@ -120,7 +121,7 @@ def _check(scans: int | None, seconds: float | None, interval_us: int) -> None:
 
 def _folder(folder: Path) -> Path:
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        make_folder(folder)
     except OSError as error:
         raise StorageError(f"cannot make the folder {folder}: {error.strerror}", "Choose another.") from None
     return folder
