@@ -11,7 +11,7 @@ from imaging_scenes import helix, record, turn
 from tagid.errors import UsageError
 from tagid.geometry import ImageGrid
 from tagid.imaging import memory
-from tagid.imaging.operator import ForwardOperator
+from tagid.imaging.operator import PHASE_STEP, ForwardOperator, interpolation_gain
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
 
 GRID = ImageGrid(0.4, 24)
@@ -77,6 +77,45 @@ def test_forward_of_points_is_the_recorded_echo(aperture, matched):
     scans = scans_of(aperture, matched=matched)
     model = ForwardOperator(scans, POINTS).forward(amplitudes)
     assert np.abs(model - scans.samples).max() < 0.01 * np.abs(scans.samples).max()
+
+
+def test_the_gain_makes_up_for_what_linear_interpolation_loses():
+    """Mean over the place between two samples of (1 - f + f exp(j phi)) exp(-j f phi), for any phi."""
+    place = (np.arange(1000) + 0.5) / 1000
+    for phase in (0.05, 0.2, 1.0, 2.5):
+        between = 1 - place + place * np.exp(1j * phase)
+        mean = (between * np.exp(-1j * place * phase)).mean()
+        assert interpolation_gain(phase) * mean == pytest.approx(1.0, abs=1e-5)
+
+
+def test_the_model_has_the_echo_of_the_formula_on_average_and_nearly_everywhere(aperture):
+    """0.33 % are lost without the gain; what stays is the scatter that the module states, 0.15 % rms."""
+    scans = scans_of(aperture)
+    rng = np.random.default_rng(8)
+    for point in rng.uniform(-0.15, 0.15, (12, 2)):
+        away = np.linalg.norm(scans.aperture.positions - np.append(point, 0.0), axis=1)[:, None]
+        exact = scans.response(scans.ranges_m - away) * np.exp(-2j * scans.wavenumber * away)
+        model = ForwardOperator(scans, point[None]).forward(np.ones(1))
+        share = np.vdot(exact, model) / np.vdot(exact, exact)
+        assert abs(share - 1) < 1e-3
+        assert np.linalg.norm(model - exact) < 2.5e-3 * np.linalg.norm(exact)
+    assert PHASE_STEP**2 / 8 == pytest.approx(0.005)
+
+
+def test_the_slope_is_the_derivative_by_a_common_distance(aperture):
+    """All points 10 um farther: the difference of two models over the way, in amplitude and in phase."""
+    scans = scans_of(aperture)
+    rng = np.random.default_rng(9)
+    for point in rng.uniform(-0.15, 0.15, (4, 2)):
+        away = np.linalg.norm(scans.aperture.positions - np.append(point, 0.0), axis=1)[:, None]
+
+        def echo(distance, scans=scans):
+            return scans.response(scans.ranges_m - distance) * np.exp(-2j * scans.wavenumber * distance)
+
+        exact = (echo(away + 1e-5) - echo(away - 1e-5)) / 2e-5
+        slope = ForwardOperator(scans, point[None]).slope(np.ones(1))
+        assert np.linalg.norm(slope - exact) < 0.01 * np.linalg.norm(exact)
+        assert abs(np.vdot(exact, slope) / np.vdot(exact, exact) - 1) < 4e-3
 
 
 def test_turning_the_object_is_turning_the_aperture_back(aperture):
