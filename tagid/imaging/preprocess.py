@@ -6,6 +6,7 @@ the response of a point is known exactly: it is the same filter applied to the p
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -29,6 +30,12 @@ pulse's own width is kept, too. 30 mm for a P440."""
 
 MIN_NOISE_VALUES = 64
 """Values needed for a noise estimate good to about 10 %."""
+
+MIN_NOISE_BINS = 6
+"""Range bins beside the target from which the noise's spectrum over the band is estimated."""
+
+MIN_EARLY_VALUES = 16
+"""Values before the object from which its noise is told to 36 %, good enough to notice that it is coloured."""
 
 _CHUNK_SAMPLES = 1 << 22
 _LN2 = float(np.log(2))
@@ -114,7 +121,11 @@ def preprocess(
         raise DataError(f"all samples between {low:.2f} and {high:.2f} m are zero")
     lost = 1.0 if settings.background == "none" else np.sqrt(capture.views / (capture.views - 1))
     guard = int(np.ceil(band.response.half_width_m / step_m))
-    noise = _noise_std(samples, baseband, (first - guard, last + guard), band) * lost
+    # Nothing of the object arrives before its nearest point.
+    before = float(np.linalg.norm(aperture.positions, axis=1).min()) - settings.extent_m / 2 - band.width_m
+    early = baseband[:, 1 : max(1, int((before - start_m) / step_m) + 1)]
+    noise = _noise(samples, baseband, (first - guard, last + guard), band)
+    noise = _raised(noise, early, band)
     return BasebandScans(
         samples=gated,
         range_start_m=start_m + first * step_m,
@@ -122,7 +133,8 @@ def preprocess(
         carrier_hz=band.carrier_hz,
         response=band.response,
         aperture=aperture,
-        noise_std=float(noise),
+        noise_std=float(np.sqrt(noise.variance) * lost),
+        noise_density=noise.density * lost**2,
         independent_samples=gated.size * min(1.0, band.bandwidth_hz / band.rate_hz),
         background_removed=settings.background != "none",
         wave_speed_m_s=capture.wave_speed_m_s,
@@ -223,17 +235,52 @@ def _gate(
     return near - margin, far + margin
 
 
-def _noise_std(
+@dataclass(frozen=True)
+class _Noise:
+    """Noise of the baseband samples, both 0 where it cannot be told.
+
+    Attributes:
+        variance: of one complex sample.
+        density: see `BasebandScans.noise_density`.
+    """
+
+    variance: float = 0.0
+    density: float = 0.0
+
+
+def _raised(noise: _Noise, early: NDArray[np.complex64], band: BandFilter) -> _Noise:
+    """The noise, or that of the range bins before the object where it is clearly stronger.
+
+    A receiver's filter, or a transmitter in the band, makes noise that the spectrum outside the band does
+    not show.
+    """
+    values = early.size * band.bandwidth_hz / band.rate_hz
+    if noise.variance <= 0 or values < MIN_EARLY_VALUES:
+        return noise
+    seen = float(np.median(early.real**2 + early.imag**2)) / _LN2
+    # The median of n exponential variables has the relative standard deviation 1 / (ln 2 sqrt n) = 1.44 / sqrt n.
+    if seen < (1 + 4 * 1.44 / np.sqrt(values)) * noise.variance:
+        return noise
+    return _Noise(seen, _band_density([early], band) or noise.density * seen / noise.variance)
+
+
+def _noise(
     samples: NDArray[Any], baseband: NDArray[np.complex64], target: tuple[int, int], band: BandFilter
-) -> float:
-    """Standard deviation of the complex noise of one baseband sample; 0 if it cannot be told.
+) -> _Noise:
+    """Noise of the baseband samples, the background's share of it not yet restored.
 
     Bins off the target are taken where there are enough; else the input's spectrum outside the pulse's band,
     taken as white. Both use the median of |z|^2, which is ln 2 times its mean for complex Gaussian noise.
     """
-    off = np.concatenate([baseband[:, : max(0, target[0])], baseband[:, max(0, target[1]) :]], axis=1)
+    sides = [baseband[:, : max(0, target[0])], baseband[:, max(0, target[1]) :]]
+    off = np.concatenate(sides, axis=1)
+    power = np.abs(band.transfer) ** 2
+    # A filter that is flat over the band passes noise in its skirts, too.
+    flat = float(power[np.abs(band.offsets) * band.rate_hz / band.decimated_bins <= band.bandwidth_hz / 2].mean())
+    white = flat * band.decimated_bins / float(power.sum())
     if off.size * band.bandwidth_hz / band.rate_hz >= MIN_NOISE_VALUES:
-        return float(np.sqrt(np.median(off.real**2 + off.imag**2) / _LN2))
+        variance = float(np.median(off.real**2 + off.imag**2)) / _LN2
+        return _Noise(variance, _band_density(sides, band) or variance * white)
     window = np.hanning(samples.shape[1] + 2)[1:-1].astype(np.float32)
     n = samples.shape[1]
     rows = samples[:: max(1, len(samples) * n // _CHUNK_SAMPLES)] * window
@@ -248,9 +295,39 @@ def _noise_std(
         outside &= (frequency > 2 * band.input_rate_hz / n) & (frequency < 0.49 * band.input_rate_hz)
     values = spectrum[:, outside]
     if values.size < MIN_NOISE_VALUES:
-        return 0.0
-    variance = float(np.median(values.real**2 + values.imag**2)) / _LN2 / float((window**2).sum())
-    return float(np.sqrt(variance * (np.abs(band.transfer) ** 2).sum() / band.fft_bins))
+        return _Noise()
+    density = float(np.median(values.real**2 + values.imag**2)) / _LN2 / float((window**2).sum())
+    variance = density * float(power.sum()) / band.fft_bins
+    return _Noise(variance, variance * white)
+
+
+def _band_density(sides: Sequence[NDArray[np.complex64]], band: BandFilter) -> float:
+    """Mean density of the noise over the pulse's band from range bins off the target; 0 from too few bins.
+
+    A tapered Fourier transform of each side, because coloured noise is stronger in one part of the band than
+    in the skirts that the variance of a sample includes.
+    """
+    total = weight = 0.0
+    for side in sides:
+        bins = side.shape[1]
+        if bins < MIN_NOISE_BINS:
+            continue
+        window = np.hanning(bins + 2)[1:-1]
+        # Half of the band's width over the window's resolution, at most one frequency per bin.
+        reach = 0.5 * band.bandwidth_hz / band.rate_hz
+        offsets = np.linspace(-reach, reach, bins)
+        kernel = np.exp(-2j * np.pi * np.arange(bins)[:, None] * offsets) * window[:, None]
+        values = side @ kernel
+        # Over the views alone: of noise that is coloured, every frequency has its own mean.
+        power = np.median(values.real**2 + values.imag**2, axis=0) / _median_of(len(side))
+        total += bins * float(power.mean()) / float((window**2).sum())
+        weight += bins
+    return total / weight if weight else 0.0
+
+
+def _median_of(n: int) -> float:
+    """Expected median of n exponential variables of mean 1: ln 2 + 1 / (2 n) to first order."""
+    return _LN2 + 1 / (2 * n)
 
 
 def select_views(scans: BasebandScans, views: NDArray[np.integer] | slice) -> BasebandScans:

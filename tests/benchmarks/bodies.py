@@ -1,33 +1,37 @@
 """Tags on bodies, blind: full-wave scenes, null and foreign objects, and whether more signal or views helps.
 
-Run `python tests/benchmarks/bodies.py --write docs/results` for the tables, `--only fullwave --scenes 1` for
-a check of some minutes. Full-wave responses are read from ../shared/fullwave beside the checkout. Sealed
-seeds (tests/data/sealed_population.json) are read where the generator's hash agrees; nothing is chosen on
-them.
+Run `python tests/benchmarks/bodies.py --write docs/results` for the tables, `--only fullwave --scenes 1
+--development` for a check of some minutes. Every answer becomes a line of a JSONL file in --work, so that a
+run can be stopped and continued; answers of another version of the reader are not used again. Sealed seeds
+(tests/data/sealed_population.json) are read where the generator's hash agrees; nothing is chosen on them.
 """
 
 from __future__ import annotations
 
 import argparse
 import hashlib
-import importlib.util
 import json
 import multiprocessing
 import os
+import platform
 import sys
 import time
 from collections import Counter
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
+from functools import cache
+from itertools import pairwise
 from pathlib import Path
-from types import ModuleType
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 # train/ is not installed.
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import numpy as np
-from identification import wilson
+from bodies_scenes import FULLWAVE, OWN, RECORDINGS, ROOT, captured, drawn, tagged, unnamed
+from reading_bodies import commit, wilson
+from scipy.stats import beta
 
 from tagid.capture import Capture
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
@@ -35,175 +39,161 @@ from tagid.tags.layouts.layout import builtin_layouts
 from tagid.tags.matching.matcher import read_tag
 from train.population import STATEMENT, draw
 
-ROOT = Path(__file__).resolve().parents[2]
-FULLWAVE = ROOT.parent / "shared" / "fullwave"
 SEALED = ROOT / "tests" / "data" / "sealed_population.json"
 LAYOUTS = list(builtin_layouts().values())
-PARTS = ("fullwave", "foreign", "monotone")
-
-
-@dataclass(frozen=True)
-class Scene:
-    """One full-wave scene: an object of the responses, or a body with reflectors at any angles."""
-
-    group: str
-    name: str
-    angles_deg: tuple[float, ...] | None
-    truth: str | None
-
-
-@dataclass(frozen=True)
-class Recording:
-    """How it is recorded."""
-
-    views: int = 36
-    snr_db: float = 20.0
-    offset_m: float = 0.006
-    polarisation: str = "V"
-    hard: bool = False
-
-    @property
-    def label(self) -> str:
-        words = [f"{self.views} views", f"{self.snr_db:.0f} dB", f"{self.offset_m * 1e3:.0f} mm off"]
-        words += ["horizontal"] if self.polarisation == "H" else []
-        words += ["measured pulse, wobble 1 %, axis wrong by up to 10 mm"] if self.hard else []
-        return ", ".join(words)
-
-
-RECORDINGS = (
-    Recording(),
-    Recording(snr_db=10.0),
-    Recording(offset_m=0.0),
-    Recording(offset_m=0.010),
-    Recording(snr_db=10.0, offset_m=0.010, hard=True),
-    Recording(polarisation="H"),
-    Recording(views=18),
-    Recording(views=72),
-)
-NAMES = {"c90": "container-90", "c180": "container-180", "h120": "helmet-120", "lin": "helmet-linear"}
-FOREIGN = (
-    (), (0,), (0, 40), (0, 60), (0, 70), (0, 110), (0, 125), (0, 135), (0, 150), (0, 160), (0, 120, 240),
-    (0, 90, 180), (0, 90, 200), (0, 60, 180), (0, 90, 180, 270), (0, 45, 180, 225), (0, 72, 144, 216, 288),
-)  # fmt: skip
-
-
-def scenes() -> list[Scene]:
-    """Bare tags, round bodies, shells; untagged and foreign ones."""
-    found = [
-        Scene("bare tag", f"free{size}_{kind}", None, name)
-        for size in (20, 40)
-        for kind, name in NAMES.items()
-    ]
-    for can in ("can35", "can28"):
-        found += [Scene("metal can", can, (0.0, 90.0), "container-90")]
-        found += [Scene("metal can", can, (0.0, 180.0), "container-180")]
-        found += [Scene("foreign or untagged", can, tuple(map(float, a)), None) for a in FOREIGN]
-    found += [Scene("helmet shell", f"shell_h120_{size}", None, "helmet-120") for size in (20, 40)]
-    others = ("shell", "can35_handle", "free20_one", "free40_one")
-    found += [Scene("foreign or untagged", name, None, None) for name in others]
-    return found
-
-
-def generator() -> ModuleType:
-    """The module that makes captures of responses."""
-    spec = importlib.util.spec_from_file_location("scenes", FULLWAVE / "scenes.py")
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-def captured(scene: Scene, recording: Recording, seed: int) -> Capture:
-    """A capture; reflectors at other angles are turned copies of one, added to the body's response."""
-    made = generator_once()
-    name = scene.name
-    base = name.split("_")[0]
-    if scene.angles_deg is not None:
-        name = f"{base}@" + ",".join(f"{a:g}" for a in scene.angles_deg)
-        frequency, body = made.response(base)
-        own = made.response(f"{base}_one")[1] - body
-        order = np.fft.fftfreq(body.shape[2], 1 / body.shape[2])
-        turned = sum(own * np.exp(-1j * order * np.deg2rad(a)) for a in scene.angles_deg)
-        made._cache[name] = (frequency, body + turned)
-    one = f"{base}_one-{base}"
-    if base.startswith("free"):
-        one = f"{base}_one"
-    elif base == "shell":
-        one = "free40_one" if name.endswith("40") else "free20_one"
-    rng = np.random.default_rng([seed, 17, sum(map(ord, name))])
-    turn = rng.uniform(0, 2 * np.pi)
-    hard = {"pulse": "cr08", "wobble": 0.01, "distance_error": rng.uniform(-0.01, 0.01)}
-    scan, _ = made.make(
-        name,
-        rng,
-        reference=one,
-        views=recording.views,
-        distance=rng.uniform(0.8, 1.2),
-        centre=(recording.offset_m * np.cos(turn), recording.offset_m * np.sin(turn)),
-        snr_db=recording.snr_db,
-        pol=recording.polarisation,
-        **(hard if recording.hard else {}),
-    )
-    return Capture(
-        scan["samples"],
-        scan["range_start_m"],
-        scan["range_step_m"],
-        scan["angles_rad"],
-        axis_distance_m=scan["axis_distance_m"],
-    )
-
-
-_MADE: list[ModuleType] = []
-
-
-def generator_once() -> ModuleType:
-    if not _MADE:
-        _MADE.append(generator())
-    return _MADE[0]
+GRID_VIEWS = (12, 18, 36, 72)
+GRID_SNRS_DB = (0.0, 5.0, 10.0, 20.0, 30.0)
+DRAWN_FROM = {True: 0, False: 500_000}
+"""First number of the drawn full-wave scenes: of development, and reported."""
 
 
 @dataclass(frozen=True)
 class Answer:
-    """What became of one scene."""
+    """What became of one scene.
+
+    Attributes:
+        group, column: row and column of the table.
+        scene: what it was, for people.
+        outcome: "correct", "wrong" or the code of the refusal.
+        kind: hypothesis that won.
+        reason: of a refusal.
+        seconds: CPU time of the reading.
+    """
 
     group: str
     column: str
+    scene: str
     outcome: str
+    kind: str
+    reason: str
     seconds: float
 
 
-def answer(capture: Capture, truth: str | None) -> tuple[str, float]:
+@dataclass(frozen=True)
+class Run:
+    """How the benchmark is run.
+
+    Attributes:
+        jobs: processes.
+        work: folder of the answers.
+        development: even seeds and numbers, on which constants may be chosen; odd ones are reported.
+        until: time (monotonic, s) at which no further scene is started.
+    """
+
+    jobs: int
+    work: Path
+    development: bool
+    until: float
+
+
+@dataclass(frozen=True)
+class Task:
+    """One scene: a part of the benchmark and what its function takes."""
+
+    part: str
+    values: tuple[float, ...]
+
+    @property
+    def key(self) -> str:
+        return f"{self.part}:" + ",".join(f"{v:g}" for v in self.values)
+
+
+def read(capture: Capture, truth: str | None, row: tuple[str, str, str]) -> Answer:
+    """The answer to one capture."""
     start = time.process_time()
     settings = PreprocessSettings(matched_filter=False, extent_m=0.5)
     reading = read_tag(preprocess(capture, settings=settings), LAYOUTS)
-    seconds = time.process_time() - start
-    if reading.status != "identified":
-        return reading.code.value, seconds
-    return ("correct" if reading.layout == truth else "wrong"), seconds
+    seconds = round(time.process_time() - start, 3)
+    outcome = reading.code.value or reading.status
+    if reading.status == "identified":
+        outcome = "correct" if reading.layout == truth else "wrong"
+    return Answer(*row, outcome, str(reading.kind), reading.reason, seconds)
 
 
-def one_fullwave(task: tuple[Scene, Recording, int]) -> Answer:
-    scene, recording, seed = task
-    outcome, seconds = answer(captured(scene, recording, seed), scene.truth)
-    return Answer(scene.group, recording.label, outcome, seconds)
+def one(task: Task) -> tuple[str, Answer]:
+    """One scene, made and read."""
+    numbers = [int(v) for v in task.values]
+    if task.part in ("tagged", "unnamed"):
+        which, how, seed = numbers
+        scene, recording = (tagged() if task.part == "tagged" else unnamed())[which], RECORDINGS[how]
+        row = (scene.group, recording.label, f"{scene.name} {scene.angles_deg or ''}")
+        return task.key, read(captured(scene, recording, seed), scene.truth, row)
+    if task.part == "drawn":
+        scene, recording = drawn(numbers[0])
+        row = (scene.group, "all", f"{scene.name} {scene.angles_deg} {recording.label}")
+        return task.key, read(captured(scene, recording, numbers[0]), None, row)
+    if task.part == "null":
+        specimen = draw(numbers[0])
+        row = (
+            specimen.body,
+            f"{specimen.views} views",
+            f"{specimen.reflectors} reflectors {specimen.clutter}",
+        )
+        return task.key, read(specimen.capture, None, row)
+    seed, views, snr = numbers
+    specimen = draw(seed, tagged=True, views=views, snr_db=float(snr))
+    row = (f"{views} views", f"{snr} dB", specimen.body)
+    return task.key, read(specimen.capture, specimen.truth, row)
 
 
-def one_foreign(seed: int) -> Answer:
-    specimen = draw(seed)
-    outcome, seconds = answer(specimen.capture, None)
-    return Answer(specimen.body, f"{specimen.views} views", outcome, seconds)
+@cache
+def reader_hash() -> str:
+    """Hash of everything that decides an answer."""
+    digest = hashlib.sha256(" ".join(sorted(path.name for path in OWN.glob("*.npz"))).encode())
+    for folder in ("tagid/tags", "tagid/imaging", "train/population.py", "tests/benchmarks/bodies_scenes.py"):
+        path = ROOT / folder
+        for file in [path] if path.is_file() else sorted(path.rglob("*")):
+            if file.suffix in (".py", ".json") and "ats" not in file.parts:
+                digest.update(file.read_bytes())
+    return digest.hexdigest()[:16]
 
 
-def one_tagged(task: tuple[int, int, float]) -> Answer:
-    seed, views, snr = task
-    specimen = draw(seed, tagged=True, views=views, snr_db=snr)
-    outcome, seconds = answer(specimen.capture, specimen.truth)
-    return Answer(f"{views} views", f"{snr:.0f} dB", outcome, seconds)
+def answered(tasks: Sequence[Task], run: Run) -> list[Answer]:
+    """The answers to tasks, from the file or by reading; those that time did not allow are left out."""
+    path = run.work / f"answers-{reader_hash()}.jsonl"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    known: dict[str, Answer] = {}
+    for line in path.read_text().splitlines() if path.is_file() else []:
+        try:
+            found = json.loads(line)
+        except ValueError:
+            # A run that was stopped may leave half a line.
+            continue
+        known[found.pop("key")] = Answer(**found)
+    missing = [task for task in tasks if task.key not in known]
+    with path.open("a") as file:
+        for key, answer in _read_all(missing, run):
+            known[key] = answer
+            file.write(json.dumps({"key": key, **asdict(answer)}) + "\n")
+            file.flush()
+    return [known[task.key] for task in tasks if task.key in known]
+
+
+def _read_all(tasks: Sequence[Task], run: Run):  # type: ignore[no-untyped-def]
+    """(key, answer) of tasks until the time is up."""
+    if run.jobs == 1:
+        for task in tasks:
+            if time.monotonic() > run.until:
+                return
+            yield one(task)
+        return
+    with multiprocessing.get_context("fork").Pool(run.jobs) as pool:
+        for found in pool.imap(one, tasks):
+            yield found
+            if time.monotonic() > run.until:
+                pool.terminate()
+                return
 
 
 def cell(hits: int, total: int) -> str:
+    """Counts with Wilson's 95 % interval."""
     low, high = wilson(hits, total)
     return f"{hits}/{total} ({100 * low:.0f}..{100 * high:.0f} %)"
+
+
+def most(hits: int, total: int) -> str:
+    """Upper end of the exact 95 % interval (Clopper and Pearson 1934), one-sided."""
+    return f"{100 * (1.0 if hits == total else beta.ppf(0.95, hits + 1, total - hits)):.2f} %"
 
 
 def table(answers: list[Answer], wanted: str) -> list[str]:
@@ -220,25 +210,48 @@ def table(answers: list[Answer], wanted: str) -> list[str]:
     return [*lines, ""]
 
 
-def fullwave(jobs: int, number: int) -> list[str]:
-    """Named and refused full-wave scenes; odd seeds, which nothing was chosen on."""
-    if not FULLWAVE.exists():
-        return ["Full-wave responses are not beside this checkout: not run.", ""]
-    tasks = [(s, r, 2 * i + 1) for s in scenes() for r in RECORDINGS for i in range(number)]
-    with multiprocessing.get_context("fork").Pool(jobs) as pool:
-        answers = pool.map(one_fullwave, tasks, chunksize=4)
-    named = [a for a in answers if a.group != "foreign or untagged"]
-    others = [a for a in answers if a.group == "foreign or untagged"]
-    wrong = sum(a.outcome == "wrong" for a in named)
-    lines = ["Named rightly, blind (95 % interval):", "", *table(named, "correct")]
-    lines += [f"Named wrongly: {cell(wrong, len(named))}. Refusals: {reasons(named)}.", ""]
-    lines += ["Refused, as they should be:", "", *table(others, "refused")]
-    return [*lines, f"CPU seconds, median: {np.median([a.seconds for a in answers]):.2f}.", ""]
-
-
 def reasons(answers: list[Answer]) -> str:
+    """Refusals by code."""
     count = Counter(a.outcome for a in answers if a.outcome not in ("correct", "wrong"))
     return ", ".join(f"{code} {n}" for code, n in count.most_common()) or "none"
+
+
+def named(answers: list[Answer]) -> str:
+    """How many were named, and the bound that follows."""
+    count = sum(a.outcome in ("correct", "wrong") for a in answers)
+    bound = most(count, len(answers))
+    return f"Named: {count} of {len(answers)}; 95 % upper bound (Clopper and Pearson): {bound}."
+
+
+def fullwave(run: Run, number: int) -> list[str]:
+    """Named and refused full-wave scenes."""
+    seeds = [2 * i + (0 if run.development else 1) for i in range(number)]
+    grid = [(how, seed) for seed in seeds for how in range(len(RECORDINGS))]
+    own = answered([Task("tagged", (i, *g)) for g in grid for i in range(len(tagged()))], run)
+    wrong = sum(a.outcome == "wrong" for a in own)
+    lines = ["Named rightly, blind (95 % interval):", "", *table(own, "correct")]
+    lines += [f"Named wrongly: {cell(wrong, len(own))}. Refusals: {reasons(own)}.", ""]
+    for answer in own:
+        if answer.outcome != "correct" and run.development:
+            lines += [f"    {answer.scene} | {answer.column} | {answer.outcome} | {answer.reason}"]
+    time_ = sorted(a.seconds for a in own if a.column.startswith("36 views"))
+    return [
+        *lines,
+        f"CPU seconds of a reading at 36 views: median {np.median(time_):.2f}, most {time_[-1]:.2f}.",
+    ]
+
+
+def foreign(run: Run, number: int) -> list[str]:
+    """Full-wave objects that carry no enrolled tag: fixed ones, and drawn ones."""
+    seed = 0 if run.development else 1
+    grid = [(how, seed) for how in range(len(RECORDINGS))]
+    fixed = answered([Task("unnamed", (i, *g)) for i in range(len(unnamed())) for g in grid], run)
+    first = DRAWN_FROM[run.development]
+    random = answered([Task("drawn", (first + i,)) for i in range(number)], run)
+    lines = [named([*fixed, *random]), "", *table(fixed, "refused"), *table(random, "refused")]
+    lines += [f"Drawn scenes: numbers {first} to {first + len(random) - 1}.", ""] if random else []
+    lines += [f"    {a.group} | {a.scene} | {a.kind}" for a in (*fixed, *random) if a.outcome == "wrong"]
+    return lines
 
 
 def sealed_seeds() -> range:
@@ -250,51 +263,86 @@ def sealed_seeds() -> range:
     return range(sealed["first"], sealed["first"] + sealed["count"])
 
 
-def foreign(jobs: int, number: int) -> list[str]:
-    """Named objects of the sealed population."""
-    seeds = sealed_seeds()
+def null(run: Run, number: int) -> list[str]:
+    """Named objects of the sealed population; of its own seeds in development."""
+    seeds = range(100_000, 110_000) if run.development else sealed_seeds()
     seeds = seeds[: min(number, len(seeds))]
-    with multiprocessing.get_context("fork").Pool(jobs) as pool:
-        answers = pool.map(one_foreign, seeds, chunksize=8)
-    named = sum(a.outcome == "wrong" for a in answers)
-    _, most = wilson(named, len(answers))
-    head = f"Population: {STATEMENT}. Seeds {seeds[0]} to {seeds[-1]}."
-    return [
-        head,
-        "",
-        f"Named: {named} of {len(answers)}, 95 % upper bound {100 * most:.2f} %.",
-        "",
-        *table(answers, "refused"),
-    ]
+    answers = answered([Task("null", (seed,)) for seed in seeds], run)
+    head = f"Population: {STATEMENT}. Seeds {seeds[0]} to {seeds[0] + len(answers) - 1}."
+    lines = [head, "", named(answers), "", *table(answers, "refused")]
+    if run.development:
+        lines += [
+            f"    {a.group} | {a.column} | {a.scene} | {a.kind}" for a in answers if a.outcome == "wrong"
+        ]
+    return lines
 
 
-def monotone(jobs: int, number: int) -> list[str]:
+def monotone(run: Run, number: int) -> list[str]:
     """Tagged objects of the population at every SNR and number of views: the same seeds in each cell."""
-    tasks = [(s, v, n) for v in (12, 18, 36, 72) for n in (0.0, 5.0, 10.0, 20.0, 30.0) for s in range(number)]
-    with multiprocessing.get_context("fork").Pool(jobs) as pool:
-        answers = pool.map(one_tagged, tasks, chunksize=8)
-    return ["Bare tags and cans of the simulated population, named rightly:", "", *table(answers, "correct")]
+    first = 0 if run.development else 50_000
+    tasks = [Task("grid", (first + s, v, n)) for s in range(number) for v in GRID_VIEWS for n in GRID_SNRS_DB]
+    answers = answered(tasks, run)
+    answers.sort(key=lambda a: (int(a.group.split()[0]), int(a.column.split()[0])))
+    lines = ["Bare tags and cans of the simulated population, named rightly:", "", *table(answers, "correct")]
+    rate = {
+        (v, n): np.mean(
+            [a.outcome == "correct" for a in answers if (a.group, a.column) == (f"{v} views", f"{n:.0f} dB")]
+            or [0]
+        )
+        for v in GRID_VIEWS
+        for n in GRID_SNRS_DB
+    }
+    falls = [rate[v, a] - rate[v, b] for v in GRID_VIEWS for a, b in pairwise(GRID_SNRS_DB)]
+    falls += [rate[a, n] - rate[b, n] for n in GRID_SNRS_DB for a, b in pairwise(GRID_VIEWS)]
+    wrong = sum(a.outcome == "wrong" for a in answers)
+    lines += [
+        f"Largest fall from one cell to the next with more signal or views: {100 * max(falls):.1f} points."
+    ]
+    return [*lines, f"Named wrongly: {cell(wrong, len(answers))}. Refusals: {reasons(answers)}."]
+
+
+PARTS: dict[str, tuple[str, Callable[[Run, int], list[str]]]] = {
+    "fullwave": ("Full-wave scenes with an enrolled tag", fullwave),
+    "foreign": ("Full-wave scenes without an enrolled tag", foreign),
+    "null": ("Simulated null and foreign objects", null),
+    "monotone": ("More signal, more views", monotone),
+}
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--only", nargs="*", choices=PARTS, default=PARTS)
+    parser.add_argument("--only", nargs="*", choices=tuple(PARTS), default=tuple(PARTS))
     parser.add_argument("--scenes", type=int, default=4, help="recordings of each full-wave scene")
+    parser.add_argument("--foreign", type=int, default=500, help="drawn full-wave scenes")
     parser.add_argument("--objects", type=int, default=10_000, help="sealed objects")
-    parser.add_argument("--grid", type=int, default=60, help="tagged objects in each cell of the grid")
-    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--grid", type=int, default=100, help="tagged objects in each cell of the grid")
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--seconds", type=float, default=1e9, help="start no further scene after this time")
+    parser.add_argument("--development", action="store_true", help="the seeds on which constants are chosen")
+    parser.add_argument("--work", type=Path, default=ROOT / "build" / "bodies", help="folder of the answers")
     parser.add_argument("--write", type=Path, help="folder for bodies.md")
     arguments = parser.parse_args()
-    parts = {
-        "fullwave": ("Full-wave scenes", lambda: fullwave(arguments.jobs, arguments.scenes)),
-        "foreign": ("Null and foreign objects", lambda: foreign(arguments.jobs, arguments.objects)),
-        "monotone": ("More signal, more views", lambda: monotone(arguments.jobs, arguments.grid)),
+    until = time.monotonic() + arguments.seconds
+    run = Run(arguments.jobs, arguments.work, arguments.development, until)
+    numbers = {
+        "fullwave": arguments.scenes,
+        "foreign": arguments.foreign,
+        "null": arguments.objects,
+        "monotone": arguments.grid,
     }
+    words = " ".join(["python", *sys.argv])
     lines = ["# Tags on bodies, read blind", ""]
-    lines += [f"`python {' '.join(sys.argv)}`, {datetime.now(UTC):%Y-%m-%d}, numpy {np.__version__}.", ""]
+    lines += [f"Command: `{words}`.", f"Commit: {commit()}. Reader: {reader_hash()}."]
+    lines += [
+        f"Machine: {platform.machine()}, {os.cpu_count()} cores, one thread per scene, Python "
+        f"{platform.python_version()}, numpy {np.__version__}. Date: {datetime.now(UTC):%Y-%m-%d}.",
+        f"Seeds: {'even, of development' if arguments.development else 'odd; nothing was chosen on them'}.",
+        f"Full-wave responses: {'../shared/fullwave and ' if FULLWAVE.is_dir() else ''}tests/data/responses.",
+        "",
+    ]
     for name in arguments.only:
-        title, run = parts[name]
-        lines += [f"## {title}", "", *run()]
+        title, part = PARTS[name]
+        lines += [f"## {title}", "", *part(run, numbers[name]), ""]
     text = "\n".join(lines).rstrip() + "\n"
     print(text)
     if arguments.write:

@@ -88,7 +88,8 @@ class Spectra:
         data = kernel @ (scans.samples * taper).T.astype(np.complex128)
         data *= np.exp(2j * scans.wavenumber * distance)
         data -= data.mean(axis=1, keepdims=True)
-        noise = scans.noise_std**2 * size / independent * float((taper**2).sum(axis=1).mean())
+        density = scans.noise_density or scans.noise_std**2 * size / independent
+        noise = density * float((taper**2).sum(axis=1).mean())
         return cls(
             data,
             2 * scans.wavenumber + turn,

@@ -1,0 +1,250 @@
+"""Scenes of the benchmark on bodies read blind: solved responses, and the simulated population.
+
+Responses come from ../shared/fullwave beside the checkout (or where TAGID_SHARED points), captures from its
+own `scenes.py`, and from tests/data/responses, solved by `tagid.simulate.fullwave`. A tag at other angles is
+a sum of turned copies of what one reflector adds to the body, which leaves out the coupling between them.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import zlib
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+
+from tagid.capture import Capture
+from tagid.constants import SPEED_OF_LIGHT
+from tagid.simulate.response_file import read_response
+from tagid.tags.bodies.arrangement import difference_deg, gaps_deg
+
+ROOT = Path(__file__).resolve().parents[2]
+SHARED = Path(os.environ.get("TAGID_SHARED", ROOT.parent / "shared"))
+FULLWAVE = SHARED / "fullwave"
+OWN = ROOT / "tests" / "data" / "responses"
+
+NAMES = {"c90": "container-90", "c180": "container-180", "h120": "helmet-120", "lin": "helmet-linear"}
+ANGLES = {"container-90": (0.0, 90.0), "container-180": (0.0, 180.0)}
+UNNAMED = "foreign or untagged"
+FOREIGN_DEG = (
+    (), (0,), (0, 40), (0, 60), (0, 70), (0, 110), (0, 125), (0, 135), (0, 150), (0, 160), (0, 120, 240),
+    (0, 90, 180), (0, 90, 200), (0, 60, 180), (0, 90, 180, 270), (0, 45, 180, 225), (0, 72, 144, 216, 288),
+)  # fmt: skip
+DRAWN_BODIES = ("can35", "can28", "can40", "cup36", "free20", "free40")
+"""Bodies of drawn foreign tags, with a single reflector that was solved on each."""
+APART_DEG = 15.0
+"""A foreign tag differs by more than this from every enrolled one of its size."""
+RING_M = 0.045
+LEAST_M = 0.03
+"""Octahedra on a ring of 45 mm stand at least so far apart."""
+
+
+@dataclass(frozen=True)
+class Scene:
+    """An object of the responses, or a body with reflectors at any angles.
+
+    Attributes:
+        group: row of the table.
+        name: response; of the body where there are angles.
+        angles_deg: of the reflectors on it; None takes the response as it is.
+        truth: the layout that it carries; None for none of the enrolled ones.
+    """
+
+    group: str
+    name: str
+    angles_deg: tuple[float, ...] | None
+    truth: str | None
+
+
+@dataclass(frozen=True)
+class Recording:
+    """How a scene is recorded.
+
+    Attributes:
+        views: number of views.
+        snr_db: against one reflector of the tag, at its peak.
+        offset_m: of the object from the axis, in a random direction.
+        polarisation: "V" or "H".
+        hard: measured pulse, wobble of 0.01 rad, axis distance wrong by up to 10 mm.
+    """
+
+    views: int = 36
+    snr_db: float = 20.0
+    offset_m: float = 0.006
+    polarisation: str = "V"
+    hard: bool = False
+
+    @property
+    def label(self) -> str:
+        """Heading of its column."""
+        words = [f"{self.views} views", f"{self.snr_db:.0f} dB", f"{self.offset_m * 1e3:.0f} mm off"]
+        words += ["horizontal"] if self.polarisation == "H" else []
+        words += ["measured pulse, wobble 1 %, axis wrong by up to 10 mm"] if self.hard else []
+        return ", ".join(words)
+
+
+RECORDINGS = (
+    Recording(),
+    Recording(snr_db=10.0),
+    Recording(offset_m=0.0),
+    Recording(offset_m=0.010),
+    Recording(snr_db=10.0, offset_m=0.010, hard=True),
+    Recording(polarisation="H"),
+    Recording(views=18),
+    Recording(views=72),
+)
+
+
+def tagged() -> list[Scene]:
+    """Bare tags, round bodies, and bodies that are not round, each with an enrolled layout."""
+    found = [
+        Scene("bare tag", f"free{size}_{kind}", None, name)
+        for size in (20, 40)
+        for kind, name in NAMES.items()
+    ]
+    found += [Scene("bare tag", "free30_c90", None, "container-90")]
+    for group, body in (("metal can", "can35"), ("metal can", "can28"), ("metal can", "can40")):
+        found += [Scene(group, body, angles, name) for name, angles in ANGLES.items()]
+    found += [Scene("metal can", "can30_c180", None, "container-180")]
+    found += [Scene("ceramic cup", "cup36", angles, name) for name, angles in ANGLES.items()]
+    found += [Scene("helmet shell", f"shell_h120_{size}", None, "helmet-120") for size in (20, 40)]
+    found += [Scene("mug with a handle", "handle34_c90", None, "container-90")]
+    return [scene for scene in found if _solved(scene)]
+
+
+def unnamed() -> list[Scene]:
+    """Untagged bodies and fixed foreign tags."""
+    found = [
+        Scene(UNNAMED, can, tuple(map(float, angles)), None)
+        for can in ("can35", "can28")
+        for angles in FOREIGN_DEG
+    ]
+    names = ("shell", "can35_handle", "free20_one", "free40_one", "can30_foreign", "free20_foreign")
+    names += ("cup36", "handle34", "box", "can30", "can40")
+    found += [Scene(UNNAMED, name, None, None) for name in names]
+    return [scene for scene in found if _solved(scene)]
+
+
+def drawn(number: int) -> tuple[Scene, Recording]:
+    """A foreign tag of 1 to 5 reflectors, or none, at random angles, recorded at random."""
+    rng = np.random.default_rng([number, 29])
+    bodies = [body for body in DRAWN_BODIES if known(f"{body}_one")]
+    body = bodies[int(rng.integers(len(bodies)))]
+    free = body.startswith("free")
+    layouts = [np.deg2rad(one) for one in ANGLES.values()] + [np.deg2rad([0.0, 120.0, 240.0])]
+    while True:
+        count = int(rng.choice([1, 2, 2, 3, 3, 4, 5] if free else [0, 1, 2, 2, 2, 3, 3, 4, 5]))
+        angles = np.sort(rng.uniform(0, 2 * np.pi, count))
+        if rng.uniform() < 0.25 and count >= 3:
+            # An enrolled arrangement with one reflector more is the hardest foreign tag.
+            angles[: len(layouts[0])] = layouts[int(rng.integers(2))]
+        gaps = gaps_deg(angles) if count > 1 else np.full(1, 360.0)
+        if count > 1 and 2 * RING_M * np.sin(np.deg2rad(min(gaps.min(), 180.0)) / 2) < LEAST_M:
+            continue
+        if all(difference_deg(gaps, gaps_deg(own)) > APART_DEG for own in layouts if len(own) == len(angles)):
+            break
+    recording = Recording(
+        views=int(rng.choice([18, 36, 36, 72])),
+        snr_db=float(rng.choice([5.0, 10.0, 20.0, 30.0])),
+        offset_m=float(0.01 * np.sqrt(rng.uniform())),
+        polarisation=str(rng.choice(["V", "V", "H"])),
+        hard=bool(rng.uniform() < 0.5),
+    )
+    name = "bare" if free else "on a body"
+    return Scene(f"foreign tag, {name}", body, tuple(np.rad2deg(angles)), None), recording
+
+
+def _solved(scene: Scene) -> bool:
+    return known(scene.name) and (scene.angles_deg is None or known(f"{scene.name}_one"))
+
+
+def known(name: str) -> bool:
+    """Whether that response was solved."""
+    return (OWN / f"{name}.npz").is_file() or (FULLWAVE / "responses" / f"{name}.npz").is_file()
+
+
+@cache
+def generator() -> ModuleType:
+    """The module that makes captures of responses; it takes our own responses, too."""
+    spec = importlib.util.spec_from_file_location("scenes", FULLWAVE / "scenes.py")
+    if spec is None or spec.loader is None or not FULLWAVE.is_dir():
+        raise SystemExit(f"{FULLWAVE} is missing: set TAGID_SHARED to the folder that holds fullwave/")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    for path in OWN.glob("*.npz"):
+        if (FULLWAVE / "responses" / path.name).is_file():
+            continue
+        response = read_response(path)
+        rings = {(r.polarisation, round(r.distance_m, 3)): i for i, r in enumerate(response.rings)}
+        b = response.scattering_length_m.astype(complex)
+        upright = [b[:, rings["V", d]] for d in (0.8, 1.0, 1.2)]
+        across = [b[:, i] for (polarisation, _), i in rings.items() if polarisation == "H"]
+        four = np.stack([*upright, np.mean(across, axis=0)], axis=1)
+        module._cache[path.stem] = (response.frequency_hz, np.fft.fft(four, axis=2) / four.shape[2])
+    return module
+
+
+def _reference(base: str, name: str) -> str:
+    """Response whose echo is that of one reflector of the tag."""
+    if base.startswith("free"):
+        return "free20_one" if base == "free30" else f"{base}_one"
+    if base in ("shell", "box", "handle34"):
+        return "free40_one" if name.endswith("40") else "free20_one"
+    return f"{base}_one-{base}" if known(f"{base}_one") else "free20_one"
+
+
+def _ring_of(name: str, angles_deg: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """A bare tag on a ring of RING_M, from the response of one reflector about its own middle."""
+    made = generator()
+    around = np.exp(2j * np.pi * np.arange(72) / 72)
+    rings = []
+    for distance, polarisation in ((0.8, "V"), (1.0, "V"), (1.2, "V"), (1.0, "H")):
+        total = 0.0
+        for angle in np.deg2rad(angles_deg):
+            toward = (distance * around - RING_M * np.exp(1j * angle)) * np.exp(-1j * angle)
+            frequency, part = made.view(name, np.abs(toward), np.angle(toward), polarisation)
+            total = total + part.T
+        carrier = np.exp(4j * np.pi * frequency[:, None] / SPEED_OF_LIGHT * distance)
+        rings.append(total * distance**2 * carrier)
+    return frequency, np.fft.fft(np.stack(rings, axis=1), axis=2) / len(around)
+
+
+def captured(scene: Scene, recording: Recording, seed: int) -> Capture:
+    """The capture of a scene, the same for the same seed."""
+    made = generator()
+    name, base = scene.name, scene.name.split("_")[0]
+    if scene.angles_deg is not None:
+        name = f"{base}@" + ",".join(f"{a:g}" for a in scene.angles_deg)
+        if base.startswith("free"):
+            made._cache[name] = _ring_of(f"{base}_one", scene.angles_deg)
+        else:
+            frequency, own = made.response(f"{base}_one")
+            body = made.response(base)[1]
+            order = np.fft.fftfreq(own.shape[2], 1 / own.shape[2])
+            turned = sum((own - body) * np.exp(-1j * order * np.deg2rad(a)) for a in scene.angles_deg)
+            made._cache[name] = (frequency, body + turned)
+    rng = np.random.default_rng([seed, 17, zlib.crc32(name.encode())])
+    turn = rng.uniform(0, 2 * np.pi)
+    hard = {"pulse": "cr08", "wobble": 0.01, "distance_error": rng.uniform(-0.01, 0.01)}
+    scan, _ = made.make(
+        name,
+        rng,
+        reference=_reference(base, name),
+        views=recording.views,
+        distance=rng.uniform(0.8, 1.2),
+        centre=(recording.offset_m * np.cos(turn), recording.offset_m * np.sin(turn)),
+        snr_db=recording.snr_db,
+        pol=recording.polarisation,
+        **(hard if recording.hard else {}),
+    )
+    return Capture(
+        scan["samples"],
+        scan["range_start_m"],
+        scan["range_step_m"],
+        scan["angles_rad"],
+        axis_distance_m=scan["axis_distance_m"],
+    )
