@@ -13,6 +13,7 @@ from tagid.cli.common import options
 from tagid.cli.common.consent import Yes, agree_to
 from tagid.cli.common.frame import Terminal, command
 from tagid.cli.common.recording import Limits, plan_of
+from tagid.cli.common.truth import truth_of, with_truth
 from tagid.config import Config, load_config
 from tagid.constants import CAPTURE_SUFFIX
 from tagid.errors import ConfigError, StorageError, TagidError
@@ -60,6 +61,12 @@ def register(app: typer.Typer) -> None:
         repeat: Annotated[
             int, typer.Option("--repeat", help="Record so many turns and answer from all of them.")
         ] = 1,
+        truth: Annotated[
+            Path | None,
+            typer.Option(
+                "--truth", help="What emulate --truth wrote; kept in the capture.", show_default=False
+            ),
+        ] = None,
         yes: Yes = False,
     ) -> Result:
         """Record one turn of the object, image it and name it.
@@ -84,13 +91,15 @@ def register(app: typer.Typer) -> None:
         if not demo:
             config = load_config(overrides)
             agree_to(config["motion.url"], yes)
+            about = with_truth(about, truth_of(config["radar.url"] or "", truth))
             return _scans(terminal, config, limits, about, View(preview, subtract_body), repeat)
         from tagid.cli.common.demo import emulated_radar
 
         with emulated_radar(demo_scene) as there:
-            demo_config = load_config({**overrides, **there})
+            demo_config = load_config({**overrides, **there.settings})
             shown = View(preview, subtract_body)
-            return _scans(terminal, demo_config, limits, replace(about, demo=True), shown, repeat)
+            about = with_truth(replace(about, demo=True), there.object)
+            return _scans(terminal, demo_config, limits, about, shown, repeat)
 
 
 def _scans(

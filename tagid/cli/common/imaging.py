@@ -307,11 +307,20 @@ def describe(answer: Identification, name: str) -> RenderableType:
             x, y = (value * 1e3 for value in reading.centre_m)
             lines.append(
                 Text(
-                    f"  turned {reading.rotation_deg:.1f} deg, centre ({x:.1f}, {y:.1f}) mm, "
+                    f"  turned {degrees(reading.rotation_deg)} deg, centre ({x:.1f}, {y:.1f}) mm, "
                     f"margin {reading.margin:.2f}, {len(reading.reflectors)} reflectors"
                 )
             )
     return Group(*lines)
+
+
+def degrees(value: float) -> str:
+    """An angle from 0 up to, but not including, 360 degrees, to a tenth.
+
+    >>> degrees(359.98), degrees(-0.01), degrees(120.04)
+    ('0.0', '0.0', '120.0')
+    """
+    return f"{round(value, 1) % 360:.1f}"
 
 
 def failed(capture_uuid: str | None, error: TagidError) -> Identification:
