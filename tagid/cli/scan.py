@@ -135,6 +135,7 @@ def _scan(
 
     from tagid.cli.common import imaging
     from tagid.motion.urls import open_motion
+    from tagid.pipeline.diagnosis import recording_remarks, with_causes
     from tagid.pipeline.identify import identify, without_body
     from tagid.pipeline.load import LoadSettings, load_capture
     from tagid.pipeline.prepared import PreparedCapture
@@ -185,12 +186,15 @@ def _scan(
     files: dict[str, str | None] = {"capture": str(path), "png": None, "image": None}
     result_errors: tuple[dict[str, str], ...] = ()
     learned: dict[str, Any] = {}
+    remarks: tuple[str, ...] = ()
     try:
         loaded = load_capture(capture, loading)
+        remarks = recording_remarks(loaded)
         prepared = PreparedCapture(loaded, settings)
         answer = identify(
             prepared, known.layouts, registry_version=known.version, signatures=known.signatures
         )
+        answer = with_causes(answer, prepared, known.layouts)
         shown = without_body(prepared, answer) if view.subtract_body else prepared
         result = imaging.image_with_progress(terminal, shown)
         imaging.draw(result, answer, png)
@@ -229,7 +233,7 @@ def _scan(
     }
     items = [{"file": str(path), **answer.to_dict()}]
     kept = imaging.remember("scan", items, {"radar": url, "motion": config["motion.url"]})
-    messages = (*notes(capture.radar), *kept)
+    messages = (*notes(capture.radar), *remarks, *kept)
     data = {"items": items, **facts}
     status = "error" if result_errors else "success"
     return Result("scan", data, Group(*drawn), status, code, messages, result_errors)  # type: ignore[arg-type]

@@ -91,7 +91,7 @@ def register(app: typer.Typer) -> None:
         }
         if nested:
             remarks.append(
-                f"{len(nested)} layout(s) are a part of another, larger one. This is allowed: the reader counts "
+                f"{len(nested)} layout(s) are a part of a larger one. This is allowed: the reader counts "
                 "reflectors. But where the larger one loses a reflector, the smaller one may be named; avoid "
                 "such pairs on objects that could be mixed up."
             )
