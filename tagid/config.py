@@ -24,6 +24,11 @@ METHODS = ("auto", "bp", "bp-raw", "range-doppler", "polar", "sparse", "omp", "a
 """Names in `tagid.pipeline.methods`, repeated here so that help needs no numpy."""
 
 
+IMPLAUSIBLE_AXIS_M = 20.0
+"""An axis distance from which on centimetres or millimetres were meant: at 20 m an echo is 52 dB weaker than
+at 1 m, which no P440 receives from a tag."""
+
+
 @dataclass(frozen=True)
 class Setting:
     """One setting's definition: dotted name, type, default, bounds and help line."""
@@ -146,6 +151,11 @@ def parse_value(name: str, raw: Any, where: str) -> Any:
     if setting.low is not None and setting.high is not None and not setting.low <= value <= setting.high:
         raise ConfigError(
             f"{where}: {name} is {value}, expected {setting.low:g} to {setting.high:g}", setting.help
+        )
+    if name == "motion.axis_distance_m" and value >= IMPLAUSIBLE_AXIS_M:
+        raise ConfigError(
+            f"{where}: {name} is {value:g}. {value:g} m? Give metres",
+            f"e.g. {value / 100:g} for {value:g} cm; a turntable stands about 1 m from the antennas.",
         )
     if setting.choices and value not in setting.choices:
         raise ConfigError(f"{where}: {name} is {value!r}, expected one of {', '.join(setting.choices)}")

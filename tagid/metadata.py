@@ -228,6 +228,7 @@ class ResolvedMotion(JsonValue):
         turns: turns recorded. period_s, period_sigma_s: seconds per turn and their standard deviation.
         quality: 0..1, how well the scans repeat after a period.
         nominal_rpm: the stated speed, turns per minute.
+        measured_rpm: the speed that the scans show, where it contradicts the stated one.
         harmonic_ambiguous: whether a multiple of the period explains the scans as well.
         reason: why the data were not used.
         shortest_repetition_s, repetitions_a_turn, unexplained: see `tagid.pipeline.turn`.
@@ -249,6 +250,7 @@ class ResolvedMotion(JsonValue):
     period_sigma_s: float | None = None
     quality: float | None = None
     nominal_rpm: float | None = None
+    measured_rpm: float | None = None
     harmonic_ambiguous: bool | None = None
     reason: str | None = None
     shortest_repetition_s: float | None = None

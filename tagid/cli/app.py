@@ -37,6 +37,7 @@ app = typer.Typer(
     epilog="Try it without a radar: tagid scan --demo",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
+    rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 for part in (

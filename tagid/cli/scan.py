@@ -13,6 +13,7 @@ from tagid.cli.common import options
 from tagid.cli.common.consent import Yes, agree_to
 from tagid.cli.common.frame import Terminal, command
 from tagid.cli.common.recording import Limits, plan_of
+from tagid.cli.common.truth import truth_of, with_truth
 from tagid.config import Config, load_config
 from tagid.constants import CAPTURE_SUFFIX
 from tagid.errors import ConfigError, StorageError, TagidError
@@ -61,6 +62,12 @@ def register(app: typer.Typer) -> None:
         repeat: Annotated[
             int, typer.Option("--repeat", help="Record so many turns and answer from all of them.")
         ] = 1,
+        truth: Annotated[
+            Path | None,
+            typer.Option(
+                "--truth", help="What emulate --truth wrote; kept in the capture.", show_default=False
+            ),
+        ] = None,
         yes: Yes = False,
     ) -> Result:
         """Record one turn of the object, image it and name it.
@@ -85,13 +92,15 @@ def register(app: typer.Typer) -> None:
         if not demo:
             config = load_config(overrides)
             agree_to(config["motion.url"], yes)
+            about = with_truth(about, truth_of(config["radar.url"] or "", truth))
             return _scans(terminal, config, limits, about, View(preview, subtract_body), repeat)
         from tagid.cli.common.demo import emulated_radar
 
         with emulated_radar(demo_scene) as there:
-            demo_config = load_config({**overrides, **there})
+            demo_config = load_config({**overrides, **there.settings})
             shown = View(preview, subtract_body)
-            return _scans(terminal, demo_config, limits, replace(about, demo=True), shown, repeat)
+            about = with_truth(replace(about, demo=True), there.object)
+            return _scans(terminal, demo_config, limits, about, shown, repeat)
 
 
 def _scans(
@@ -127,6 +136,7 @@ def _scan(
 
     from tagid.cli.common import imaging
     from tagid.motion.urls import open_motion
+    from tagid.pipeline.diagnosis import recording_remarks, with_causes
     from tagid.pipeline.identify import identify, without_body
     from tagid.pipeline.load import LoadSettings, load_capture
     from tagid.pipeline.prepared import PreparedCapture
@@ -177,12 +187,15 @@ def _scan(
     files: dict[str, str | None] = {"capture": str(path), "png": None, "image": None}
     result_errors: tuple[dict[str, str], ...] = ()
     learned: dict[str, Any] = {}
+    remarks: tuple[str, ...] = ()
     try:
         loaded = load_capture(capture, loading)
+        remarks = recording_remarks(loaded)
         prepared = PreparedCapture(loaded, settings)
         answer = identify(
             prepared, known.layouts, registry_version=known.version, signatures=known.signatures
         )
+        answer = with_causes(answer, prepared, known.layouts)
         shown = without_body(prepared, answer) if view.subtract_body else prepared
         result = imaging.image_with_progress(terminal, shown)
         imaging.draw(result, answer, png)
@@ -221,7 +234,7 @@ def _scan(
     }
     items = [{"file": str(path), **answer.to_dict()}]
     kept = imaging.remember("scan", items, {"radar": url, "motion": config["motion.url"]})
-    messages = (*notes(capture.radar), *kept)
+    messages = (*notes(capture.radar), *remarks, *kept)
     data = {"items": items, **facts}
     status = "error" if result_errors else "success"
     return Result("scan", data, Group(*drawn), status, code, messages, result_errors)  # type: ignore[arg-type]

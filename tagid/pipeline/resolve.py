@@ -97,6 +97,21 @@ def turn_line(resolved: ResolvedMotion | None) -> str:
     return line
 
 
+def speed_contradiction(resolved: ResolvedMotion | None) -> str:
+    """One sentence with both speeds where the scans contradict the stated one; else "".
+
+    >>> speed_contradiction(ResolvedMotion(nominal_rpm=6.0, measured_rpm=10.02))
+    'the stated speed of 6 rpm (10.0 s per turn) is not that of the scans: they show 10 rpm (6.0 s per turn)'
+    """
+    if resolved is None or not resolved.measured_rpm or not resolved.nominal_rpm:
+        return ""
+    stated, shown = resolved.nominal_rpm, resolved.measured_rpm
+    return (
+        f"the stated speed of {stated:.3g} rpm ({60 / stated:.1f} s per turn) is not that of the scans: "
+        f"they show {shown:.3g} rpm ({60 / shown:.1f} s per turn)"
+    )
+
+
 def one_turn(capture: Capture, max_views: int) -> Capture:
     """At most `max_views` views, evenly spaced over one turn.
 

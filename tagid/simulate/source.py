@@ -15,7 +15,9 @@ from numpy.typing import NDArray
 
 from tagid.constants import CLIP_COUNTS_PER_INTEGRATION, SPEED_OF_LIGHT
 from tagid.errors import UsageError
+from tagid.metadata import ObjectInfo
 from tagid.simulate.acquisition import Acquisition, RangeWindow, Turn
+from tagid.simulate.capture import object_settings
 from tagid.simulate.noise import draw_noise
 from tagid.simulate.render import PulseTable, antennas, render_bodies, render_room
 from tagid.simulate.scene import Scene
@@ -93,6 +95,10 @@ class TurningScene:
         self._true_angle = true_angle
         self._monotonic: Callable[[float], float] | None = None
         self._room: tuple[RangeWindow, NDArray[np.complex128]] | None = None
+
+    def about(self) -> ObjectInfo:
+        """The object and the truth of a recording, as `simulate_capture` states them; SNR at index 11."""
+        return object_settings(self.scene, self._acquisition, self.snr)
 
     def follow(self, monotonic: Callable[[float], float]) -> None:
         """Take from the emulator which moment of time.monotonic() a time since the start is."""

@@ -122,7 +122,7 @@ def test_a_damaged_layout_can_be_taken_out_and_got_back(tmp_path: Path) -> None:
     registry.remove("strange")
     assert [layout.name for layout in registry.layouts()] == ["helmet-linear"]
     assert [c.layout is None for c in registry.history()] == [False] * 4 + [True] * 3
-    registry.go_back(4)
+    registry.undo(4)
     assert {a.name: a.to_dict() for a in registry.layouts()} == {
         name: layout.to_dict() for name, layout in builtin_layouts().items()
     }
@@ -282,14 +282,42 @@ def test_several_are_added_all_or_none_and_taken_back_as_one(tmp_path: Path) -> 
         merge(registry, [other], "file")
     assert registry.version == last
     assert merge(registry, [other], "file", force=True) == last + 1
-    registry.go_back()
+    step = registry.undo()
+    assert (step.undone, step.changed, step.added, step.removed) == ("file", ("helmet-120",), (), ())
     assert registry.get("helmet-120").to_dict() == before["helmet-120"]
-    registry.go_back(4)
+    registry.undo(4)
     assert {layout.name: layout.to_dict() for layout in registry.layouts()} == before
-    registry.go_back()
+    assert len(registry.redo().added) == 4
     assert len(registry.layouts()) == 8
     with pytest.raises(RegistryError, match="no version 99"):
-        registry.go_back(99)
+        registry.undo(99)
+
+
+def test_undo_goes_back_command_by_command_and_redo_forward(tmp_path: Path) -> None:
+    registry = Registry(tmp_path / "r.sqlite")
+    for number, name in enumerate(("one", "two", "three")):
+        registry.add(Layout(name, SCALENE * (0.6 + 0.1 * number)), f"file {name}")
+
+    def names() -> list[str]:
+        return [one.name for one in registry.layouts() if one.name in ("one", "two", "three", "four")]
+
+    with pytest.raises(RegistryError, match="nothing to redo"):
+        registry.redo()
+    assert registry.undo().undone == "file three" and names() == ["one", "two"]
+    assert registry.undo().removed == ("two",) and names() == ["one"]
+    assert registry.redo().added == ("two",) and names() == ["one", "two"]
+    assert registry.redo().added == ("three",) and names() == ["one", "three", "two"]
+    for _ in range(2):
+        registry.undo()
+    registry.add(Layout("four", SCALENE), "file four")
+    with pytest.raises(RegistryError, match="nothing to redo"):
+        registry.redo()  # a new change ends the row of what was undone
+    assert registry.undo().undone == "file four" and names() == ["one"]
+    assert registry.undo().undone == "file one" and names() == []
+    with pytest.raises(RegistryError, match="nothing to undo"):
+        registry.undo()
+    assert registry.redo().added == ("one",) and registry.redo().added == ("four",)
+    assert names() == ["four", "one"]
 
 
 def test_a_file_of_layouts_comes_back_unchanged(tmp_path: Path) -> None:

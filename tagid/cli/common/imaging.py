@@ -127,8 +127,8 @@ def focus_words(focus: AxisFocus | None) -> list[str]:
         return []
     if focus.reliable:
         return [
-            f"axis distance moved by {focus.offset_m * 1e3:+.1f} mm "
-            f"(standard error {focus.sigma_m * 1e3:.2g} mm, "
+            f"axis distance {focus.axis_distance_m:.4f} m, which differs by {focus.offset_m * 1e3:+.1f} mm from the "
+            f"given one (standard error {focus.sigma_m * 1e3:.2g} mm, "
             f"evidence {focus.evidence:.1f} of {focus.needed:.1f} needed)"
         ]
     lines = [f"the data do not tell the axis distance: {focus.reason}; the given value is used"]
@@ -281,6 +281,13 @@ def bound_words(bound: Bound) -> str:
     )
 
 
+def nearest_words(answer: Identification) -> str:
+    """The nearest layout, and how much of the echo it explains where that was compared."""
+    nearest = answer.to_dict()["nearest"]
+    share = "" if nearest["share"] is None else f", which explains {nearest['share']:.0%} of the echo"
+    return f"{nearest['layout']}{share}"
+
+
 def describe(answer: Identification, name: str) -> RenderableType:
     """The answer for a person: one bold line, then what stands behind it."""
     from rich.console import Group
@@ -298,7 +305,12 @@ def describe(answer: Identification, name: str) -> RenderableType:
     if reading:
         if reading.reason:
             lines.append(Text(f"  why: {reading.reason}"))
-            lines.append(Text(f"  what to do: {reading.advice}"))
+            if answer.status == "unknown":
+                lines.append(Text(f"  nearest layout: {nearest_words(answer)}"))
+            for cause in answer.causes:
+                lines.append(Text(f"  likely cause: {cause.text}", "bold"))
+                lines.append(Text(f"  what to do: {cause.remedy}"))
+            lines.append(Text(f"  {'otherwise' if answer.causes else 'what to do'}: {reading.advice}"))
         if reading.kind is not Kind.BARE:
             lines.append(Text(f"  read as: {HYPOTHESES[reading.kind]}"))
         if reading.bound is not None:
@@ -307,11 +319,20 @@ def describe(answer: Identification, name: str) -> RenderableType:
             x, y = (value * 1e3 for value in reading.centre_m)
             lines.append(
                 Text(
-                    f"  turned {reading.rotation_deg:.1f} deg, centre ({x:.1f}, {y:.1f}) mm, "
+                    f"  turned {degrees(reading.rotation_deg)} deg, centre ({x:.1f}, {y:.1f}) mm, "
                     f"margin {reading.margin:.2f}, {len(reading.reflectors)} reflectors"
                 )
             )
     return Group(*lines)
+
+
+def degrees(value: float) -> str:
+    """An angle from 0 up to, but not including, 360 degrees, to a tenth.
+
+    >>> degrees(359.98), degrees(-0.01), degrees(120.04)
+    ('0.0', '0.0', '120.0')
+    """
+    return f"{round(value, 1) % 360:.1f}"
 
 
 def failed(capture_uuid: str | None, error: TagidError) -> Identification:

@@ -112,3 +112,9 @@ Elevation = Annotated[
 ]
 ObjectCentre = Annotated[str, typer.Option("--centre", help="Object off the axis, X,Y in metres.")]
 Seed = Annotated[int, typer.Option("--seed", help="Random seed.")]
+LayoutFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--file", help="Layouts besides the enrolled ones, e.g. of layouts design --out.", show_default=False
+    ),
+]

@@ -46,6 +46,10 @@ _SCHEMA = Schema(
 )
 
 
+_BACK = "back to version "
+_FORWARD = "forward to version "
+"""Sources of the changes that undo and redo make; the number is the version restored."""
+
 Key = tuple[str, str]
 """Kind of an entry ("layout", "body" or "object") and its name."""
 
@@ -91,6 +95,52 @@ class Contents:
     version: int
     layouts: list[Layout]
     signatures: list[Signature]
+
+
+@dataclass(frozen=True)
+class Restored:
+    """What an undo or redo did.
+
+    Attributes:
+        version: of the registry from now on.
+        undone: source of the change that was undone, as in the history.
+        added, removed, changed: names of the entries that came back, went, or became another version again.
+    """
+
+    version: int
+    undone: str
+    added: tuple[str, ...] = ()
+    removed: tuple[str, ...] = ()
+    changed: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class _Steps:
+    """The versions that undo and redo go to, the next one last, and what made the present state."""
+
+    undo: list[int]
+    redo: list[int]
+    made_by: str
+
+    @classmethod
+    def of(cls, deeds: Sequence[tuple[int, str]]) -> _Steps:
+        """From (last version, source) of every command, as an editor keeps its two stacks."""
+        state, undo, redo = 0, list[int](), list[int]()
+        sources = dict(deeds)
+        for version, source in deeds:
+            for start, taken, kept in ((_BACK, undo, redo), (_FORWARD, redo, undo)):
+                number = source.removeprefix(start)
+                if source.startswith(start) and number.isdecimal():
+                    kept.append(state)
+                    state = int(number)
+                    if state in taken:
+                        del taken[taken.index(state) :]
+                    break
+            else:
+                undo.append(state)
+                redo.clear()
+                state = version
+        return cls(undo, redo, sources.get(state, f"the changes up to version {state}"))
 
 
 class Registry:
@@ -217,52 +267,83 @@ class Registry:
                     self._put(connection, key, value, source)
             return self._version(connection)
 
-    def go_back(self, version: int | None = None) -> int:
-        """Restore all entries to their state at a version, as new changes, and return the new version.
+    def undo(self, to: int | None = None) -> Restored:
+        """Undo the last command that changed the registry; called again, the one before it.
+
+        Every command is one step, however many entries it changed. The steps back are changes themselves, so
+        nothing is lost from the history.
 
         Args:
-            version: None takes the version before the last command (an import is one command with many
-                changes), so going back twice restores the current state.
+            to: restore this version instead.
 
-        Raises RegistryError if there is no such version.
+        Raises RegistryError where there is nothing to undo, or no such version.
         """
         with self._database.transaction() as connection:
             last = self._version(connection)
-            target = self._before_last_deed(connection) if version is None else version
-            if not 1 <= target < last:
+            steps = _Steps.of(self._deeds(connection))
+            if to is not None:
+                if not 1 <= to < last:
+                    raise RegistryError(
+                        f"there is no version {to} to go back to, the registry is at version {last}",
+                        "`tagid layouts --history` lists the versions.",
+                    )
+                return self._restore(connection, to, f"{_BACK}{to}", f"every change since version {to}")
+            if not steps.undo or steps.undo[-1] < 1:
                 raise RegistryError(
-                    f"there is no version {target} to go back to, the registry is at version {last}",
-                    "`tagid layouts --history` lists the versions.",
+                    "there is nothing to undo: the registry holds what it started with",
+                    "`tagid layouts --history` lists the changes.",
                 )
-            rows = connection.execute(
-                "SELECT action, kind, name, definition, data FROM change WHERE version <= ? ORDER BY version",
-                (target,),
-            )
-            then: dict[Key, str | bytes] = {}
-            for action, kind, name, definition, data in rows:
-                then.pop((kind, name), None)
-                if action != "remove":
-                    value = definition if kind == "layout" else data
-                    self._entry((kind, name), value)
-                    then[kind, name] = value
-            now = self._entries(connection)
-            source = f"back to version {target}"
-            for key in sorted(now.keys() - then.keys()):
-                self._take_out(connection, key, now[key], source)
-            for key, value in sorted(then.items(), key=lambda item: item[0]):
-                if now.get(key) != value:
-                    self._put(connection, key, value, source)
-            return self._version(connection)
+            target = steps.undo[-1]
+            return self._restore(connection, target, f"{_BACK}{target}", steps.made_by)
+
+    def redo(self) -> Restored:
+        """Take the last `undo` back. Raises RegistryError where nothing was undone since the last change."""
+        with self._database.transaction() as connection:
+            steps = _Steps.of(self._deeds(connection))
+            if not steps.redo:
+                raise RegistryError(
+                    "there is nothing to redo: the last change was not an undo",
+                    "`tagid layouts --history` lists the changes; `tagid layouts undo --to VERSION` restores "
+                    "any version.",
+                )
+            target = steps.redo[-1]
+            return self._restore(connection, target, f"{_FORWARD}{target}", "the last undo")
+
+    def _restore(self, connection: sqlite3.Connection, target: int, source: str, undone: str) -> Restored:
+        """Make all entries what they were at a version, by new changes."""
+        rows = connection.execute(
+            "SELECT action, kind, name, definition, data FROM change WHERE version <= ? ORDER BY version",
+            (target,),
+        )
+        then: dict[Key, str | bytes] = {}
+        for action, kind, name, definition, data in rows:
+            then.pop((kind, name), None)
+            if action != "remove":
+                value = definition if kind == "layout" else data
+                self._entry((kind, name), value)
+                then[kind, name] = value
+        now = self._entries(connection)
+        gone = sorted(now.keys() - then.keys())
+        put = [key for key, value in sorted(then.items(), key=lambda item: item[0]) if now.get(key) != value]
+        for key in gone:
+            self._take_out(connection, key, now[key], source)
+        for key in put:
+            self._put(connection, key, then[key], source)
+        return Restored(
+            self._version(connection),
+            undone,
+            removed=tuple(name for _, name in gone),
+            added=tuple(name for kind, name in put if (kind, name) not in now),
+            changed=tuple(name for kind, name in put if (kind, name) in now),
+        )
 
     @staticmethod
-    def _before_last_deed(connection: sqlite3.Connection) -> int:
-        rows = connection.execute("SELECT version, time_utc, source FROM change ORDER BY version DESC")
-        version, *deed = rows.fetchone()
-        for earlier, *other in rows:
-            if other != deed:
-                break
-            version = earlier
-        return int(version) - 1
+    def _deeds(connection: sqlite3.Connection) -> list[tuple[int, str]]:
+        """(last version, source) of every command that changed something, oldest first."""
+        rows = connection.execute("SELECT version, time_utc, source FROM change ORDER BY version")
+        found = [(int(version), (str(time), str(source))) for version, time, source in rows]
+        ends = [i for i, (_, deed) in enumerate(found) if i + 1 == len(found) or found[i + 1][1] != deed]
+        return [(found[i][0], found[i][1][1]) for i in ends]
 
     def _entries(self, connection: sqlite3.Connection) -> dict[Key, str | bytes]:
         found: dict[Key, str | bytes] = {
