@@ -44,7 +44,8 @@ class CoarseDisc:
     def points(self) -> NDArray[np.float64]:
         """(points, 2) places of the pixels inside, m."""
         row, column = np.nonzero(self.inside)
-        return np.stack([column - self.half, row - self.half], axis=-1) * IMAGE_STEP_M
+        places = np.stack([column - self.half, row - self.half], axis=-1)
+        return np.asarray(places * IMAGE_STEP_M, dtype=np.float64)
 
 
 class CoarseImage:

@@ -205,7 +205,9 @@ class MatchedField:
             d = flat[at : at + size]
             turn = self._range.phase(d, None if sides is None else sides[at : at + size]).conj()
             for i, offset in enumerate(offsets_m):
-                out[i, at : at + size] = np.einsum("pv,pv->p", values[self._range.index(d + offset) + first], turn)
+                out[i, at : at + size] = np.einsum(
+                    "pv,pv->p", values[self._range.index(d + offset) + first], turn
+                )
         out *= np.exp(2j * self.wavenumber * np.asarray(offsets_m))[:, None]
         return out.reshape(len(offsets_m), *distances.shape[:-1])
 
