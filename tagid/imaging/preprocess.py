@@ -276,7 +276,9 @@ def _noise(
     off = np.concatenate(sides, axis=1)
     power = np.abs(band.transfer) ** 2
     # A filter that is flat over the band passes noise in its skirts, too.
-    flat = float(power[np.abs(band.offsets) * band.rate_hz / band.decimated_bins <= band.bandwidth_hz / 2].mean())
+    flat = float(
+        power[np.abs(band.offsets) * band.rate_hz / band.decimated_bins <= band.bandwidth_hz / 2].mean()
+    )
     white = flat * band.decimated_bins / float(power.sum())
     if off.size * band.bandwidth_hz / band.rate_hz >= MIN_NOISE_VALUES:
         variance = float(np.median(off.real**2 + off.imag**2)) / _LN2

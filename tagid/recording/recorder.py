@@ -11,7 +11,7 @@ import numpy as np
 from tagid import interrupts
 from tagid.capture import Capture
 from tagid.constants import RANGE_STEP_M
-from tagid.errors import DataError
+from tagid.errors import CaptureInterrupted, DataError
 from tagid.metadata import ScanGap, Track
 from tagid.motion.device import Motion
 from tagid.motion.turntable import OVERLAP_TURNS
@@ -43,12 +43,20 @@ class Watch:
         resolve: gives a capture its angles, from the motion's URL; asked when the motion believes that a turn
             is complete (imaging knows whether the shortest repetition is a turn, the motion does not), and
             at the end. It raises DataError where it cannot.
+        began: called once the radar is configured, before the motion starts.
+        scan: called with each scan after it was put into the journal's queue; it must return at once.
+        ended: called after the last scan and when the motion was stopped, before the capture file is written.
+        stop: asked about ten times per second; True ends the recording early, as a stop signal does.
     """
 
     progress: Progress | None = None
     resolve: Callable[[Capture, str], Capture] | None = None
     gap: Callable[[ScanGap], None] = lambda gap: None
     named: Callable[[Path], None] = lambda path: None
+    began: Callable[[Session], None] = lambda session: None
+    scan: Callable[[Scan], None] = lambda scan: None
+    ended: Callable[[], None] = lambda: None
+    stop: Callable[[], bool] = lambda: False
 
 
 def record(
@@ -75,7 +83,11 @@ def record(
     watch = watch or Watch()
 
     def receive(session: Session) -> bool:
-        _OneTurn(session, motion, watch).run()
+        watch.began(session)
+        try:
+            _OneTurn(session, motion, watch).run()
+        finally:
+            watch.ended()
         return True
 
     def write(recorded: Recorded) -> Written[Capture]:
@@ -103,13 +115,20 @@ class _OneTurn:
         try:
             self._motion.start()
             limit = HostLimit(self._plan.max_seconds)
-            for scan in self._session.intake.scans(self._plan.scans or SCAN_FOREVER, until=limit.passed):
+
+            def ends() -> bool:
+                return limit.passed() or self._watch.stop()
+
+            for scan in self._session.intake.scans(self._plan.scans or SCAN_FOREVER, until=ends):
                 self._scans.append(scan)
+                self._watch.scan(scan)
                 self._motion.check()
                 if len(self._scans) % max(1, check_every // 5) == 0:
                     self._keep_readings()
                 if len(self._scans) % check_every == 0 and self._complete(scan):
                     return
+            if self._watch.stop():
+                raise CaptureInterrupted(f"stopped after {len(self._scans)} scans")
         finally:
             with interrupts.deferred():
                 try:

@@ -17,6 +17,7 @@ LAYERS = (
     {"cli", "__main__"},
     {"batch"},
     {"report", "doctor"},
+    {"live"},
     {"pipeline", "recording"},
     {"simulate"},
     {"tags"},

@@ -141,7 +141,9 @@ def test_a_failing_sync_is_said_with_its_place(tmp_path: Path, monkeypatch: pyte
         raise RuntimeError("first")
 
 
-def test_a_journal_that_cannot_be_begun_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_journal_that_cannot_be_begun_leaves_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def broken(folder: Path) -> None:
         raise OSError(errno.EIO, "Input/output error")
 

@@ -143,6 +143,19 @@ def chance(nats: float, size: int, places: float, scans: int = 1) -> float:
     return exp(min(tail, 0.0))
 
 
+def nats_needed(size: int, places: float, false_accept: float) -> float:
+    """The nats that noise alone, searched at so many places, reaches with probability `false_accept`.
+
+    >>> round(chance(nats_needed(3, 36600.0, 1e-3), 3, 36600.0), 6)
+    0.001
+    """
+    low, high = 0.0, 1e3
+    while high - low > 1e-9:
+        middle = (low + high) / 2
+        low, high = (middle, high) if chance(middle, size, places) > false_accept else (low, middle)
+    return high
+
+
 def odds(e: Evidence) -> float:
     """Nats by which the scans prefer the layout to at most as many points at arbitrary positions.
 

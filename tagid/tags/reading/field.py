@@ -1,11 +1,11 @@
-"""The matched field: correlation of the scans with points in the object's plane, and between such points.
-
-All results about reflectors are computed from these two, so no image grid limits their accuracy.
+"""The matched field: correlation of the scans with a point anywhere in the object's plane, and of points with
+each other. Every statement about reflectors is made from these two, so no image grid limits its accuracy.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,43 +14,38 @@ from tagid.errors import DataError
 from tagid.imaging.types import BasebandScans
 
 FINE_STEP_M = 5e-4
-"""Range step of the tables, which are read at the nearest entry. Baseband varies over c / B = 176 mm, so half
-a step is an error of at most 1 % and on average 0.5 %."""
+"""Range step of the tables, read at the nearest entry: baseband varies over c / B = 176 mm, so half a step is
+an error of 1 % at most and 0.5 % in the mean."""
 RANK_FLOOR = 1e-3
 """Range profiles of all points of an object span few dimensions (2 B L / c is 4 for 0.35 m at 1.7 GHz);
-singular values below this fraction of the largest are discarded."""
+singular values under this part of the largest are left out."""
 _BLOCK = 1 << 18
 
 
-class MatchedField:
-    """b(p) = <s_p, z> and G(p, q) = <s_p, s_q> for templates s_p[v, b] = g(R_b - d_v(p)) exp(-2jk d_v(p)).
-
-    For scans without a matched filter, the noise is white and b is the maximum-likelihood statistic.
-    The part that is constant over the views is subtracted from the data and from the templates: static
-    clutter is thus a free unknown of the fit. A reflector near the axis loses most of its energy, and the fit
-    accounts for it.
-
-    Templates are stored in an orthonormal basis of the range profiles that the object can produce, computed
-    once by singular value decomposition: about eight numbers per view represent all range bins.
-
-    Args:
-        scans: baseband scans (views, bins).
-        radius_m: largest distance from the axis that will be evaluated, m.
+@dataclass(frozen=True, eq=False)
+class RangeProfiles:
+    """Range profiles of all points within a radius, in an orthonormal basis; the same for every view.
 
     Attributes:
-        data: (views * rank,) complex64, the scans in the basis, without the part constant over the views.
-        energy: sum |z|^2 over the bins within the radius.
-        template_energy: ||s_p||^2 of a point within the radius, before its constant part is subtracted.
-        independent_samples: n of the criterion, for those bins.
-        noise_variance: variance of b(p) / ||s_p|| from noise alone; 0 if unknown.
+        keep: (bins,) which bins of a scan the radius can reach.
+        start_m: distance of the first profile, m; the next ones are FINE_STEP_M apart.
+        basis: (kept bins, rank) orthonormal.
+        profiles: (n, rank) complex64 coordinates of the profiles.
+        wavenumber: k of the carrier, rad/m.
     """
 
-    def __init__(self, scans: BasebandScans, radius_m: float) -> None:
-        self.antenna = scans.aperture.positions
-        self.wavenumber = scans.wavenumber
-        self.radius_m = radius_m
-        reach = np.linalg.norm(self.antenna[:, :2], axis=1)
-        height = self.antenna[:, 2]
+    keep: NDArray[np.bool_]
+    start_m: float
+    basis: NDArray[np.complex128]
+    profiles: NDArray[np.complex64]
+    wavenumber: float
+
+    @classmethod
+    def of(cls, scans: BasebandScans, radius_m: float) -> RangeProfiles:
+        """The profiles for the radar of some scans. Raises DataError where these miss the object's range."""
+        antenna = scans.aperture.positions
+        reach = np.linalg.norm(antenna[:, :2], axis=1)
+        height = antenna[:, 2]
         near = float(np.hypot(np.maximum(reach - radius_m, 0), height).min())
         far = float(np.hypot(reach + radius_m, height).max())
         width = _effective_half_width(scans)
@@ -60,8 +55,63 @@ class MatchedField:
             raise DataError(
                 f"the scans cover {ranges[0]:.2f} to {ranges[-1]:.2f} m, "
                 f"the object is at {near:.2f} to {far:.2f} m",
-                "Check the axis distance, or record a range window that covers the object.",
+                "Check the axis distance, or record a range window that holds the object.",
             )
+        start = near - 0.05
+        fine = np.arange(start, far + 0.05, FINE_STEP_M)
+        basis, profiles = _range_basis(scans.response(ranges[keep][:, None] - fine[None]))
+        return cls(keep, start, basis, profiles, scans.wavenumber)
+
+    def coordinates(self, samples: NDArray[np.complex64]) -> NDArray[np.complex64]:
+        """(views, rank) coordinates of scans (views, kept bins)."""
+        return np.asarray(samples @ self.basis.conj(), dtype=np.complex64)
+
+    def index(self, distances: NDArray[np.float64]) -> NDArray[np.int32]:
+        """Which profile belongs to each distance (...), m."""
+        position = (distances - (self.start_m - FINE_STEP_M / 2)) * (1 / FINE_STEP_M)
+        return np.clip(position.astype(np.int32), 0, len(self.profiles) - 1)
+
+    def phase(
+        self, distances: NDArray[np.float64], weight: NDArray[np.float32] | None = None
+    ) -> NDArray[np.complex64]:
+        """Weight times exp(-2jk d) in single precision; the angle, hundreds of radians, in double."""
+        angle = np.remainder(-2 * self.wavenumber * distances, 2 * np.pi).astype(np.float32)
+        out = np.empty(angle.shape, dtype=np.complex64)
+        np.cos(angle, out=out.real)
+        np.sin(angle, out=out.imag)
+        if weight is not None:
+            out *= weight
+        return out
+
+
+class MatchedField:
+    """b(p) = <s_p, z> and G(p, q) = <s_p, s_q> for templates s_p[v, b] = g(R_b - d_v(p)) exp(-2jk d_v(p)).
+
+    Given scans without a matched filter the noise is white and b is the maximum-likelihood statistic.
+    What is constant over the views is taken from the data and from the templates alike: static clutter is a
+    free unknown of the fit: a reflector near the axis loses most of its energy to it, and the fit knows.
+
+    Templates are kept in an orthonormal basis of the range profiles that the object can give, found once by a
+    singular value decomposition; some eight numbers a view stand for all range bins.
+
+    Args:
+        scans: baseband scans (views, bins).
+        radius_m: largest distance from the axis that will be asked for, m.
+
+    Attributes:
+        data: (views * rank,) complex64, the scans in the basis, without what is constant over the views.
+        energy: sum |z|^2 of the bins that the radius can reach.
+        template_energy: ||s_p||^2 of a point inside, before its constant part is taken out.
+        independent_samples: n of the criterion, of those bins.
+        noise_variance: variance of b(p) / ||s_p|| from noise alone, 0 where unknown.
+    """
+
+    def __init__(self, scans: BasebandScans, radius_m: float) -> None:
+        self.antenna = scans.aperture.positions
+        self.wavenumber = scans.wavenumber
+        self.radius_m = radius_m
+        range_profiles = RangeProfiles.of(scans, radius_m)
+        keep = range_profiles.keep
         z = scans.samples[:, keep]
         z = z - z.mean(axis=0)
         self.energy = float(np.sum(np.abs(z.astype(np.complex128)) ** 2))
@@ -72,11 +122,10 @@ class MatchedField:
         if scans.independent_samples <= 0:
             self.independent_samples = float(z.size)
         self.noise_variance = scans.noise_std**2 * z.size / self.independent_samples
-        self._start = near - 0.05
-        fine = np.arange(self._start, far + 0.05, FINE_STEP_M)
-        basis, self._profiles = _range_basis(scans.response(ranges[keep][:, None] - fine[None]))
-        coordinates = (z @ basis.conj()).astype(np.complex64)
+        self._range = range_profiles
+        coordinates = range_profiles.coordinates(z)
         self.data = coordinates.ravel()
+        self._profiles = range_profiles.profiles
         self._table = np.ascontiguousarray(coordinates @ self._profiles.conj().T)
         self.template_energy = float(self.views * np.median(np.sum(np.abs(self._profiles) ** 2, axis=1)))
 
@@ -98,16 +147,16 @@ class MatchedField:
     def templates(
         self, distances: NDArray[np.float64], weight: NDArray[np.float32] | None = None
     ) -> NDArray[np.complex64]:
-        """(..., views * rank) templates of points with distances (..., views), m.
+        """(..., views * rank) templates of points given by their distances (..., views), m.
 
-        `weight` (..., views) is their amplitude in each view, 1 by default.
+        The weight (..., views) is their amplitude in each view, 1 unless given.
         """
-        whole = self._profiles[self._index(distances)] * self._phase(distances, weight)[..., None]
+        whole = self._profiles[self._range.index(distances)] * self._range.phase(distances, weight)[..., None]
         whole -= whole.mean(axis=-2, keepdims=True)
         return np.asarray(whole.reshape(*distances.shape[:-1], self.data.size))
 
     def correlate(self, templates: NDArray[np.complex64]) -> NDArray[np.complex128]:
-        """(...) b of templates (..., views * rank): correlation of the data with each."""
+        """(...) b of templates (..., views * rank): the data against each."""
         return np.asarray(templates.conj() @ self.data, dtype=np.complex128)
 
     def gram(self, templates: NDArray[np.complex64]) -> NDArray[np.complex128]:
@@ -117,7 +166,7 @@ class MatchedField:
     def static_part(
         self, distances: NDArray[np.float64], weight: NDArray[np.float32] | None = None
     ) -> NDArray[np.complex64]:
-        """(..., rank) mean of the whole template over the views, which `templates` subtracts."""
+        """(..., rank) mean over the views of the whole template, which `templates` takes out."""
         flat = distances.reshape(-1, self.views)
         sides = None if weight is None else weight.reshape(-1, self.views)
         rank = self._profiles.shape[1]
@@ -125,15 +174,15 @@ class MatchedField:
         size = max(1, _BLOCK // (self.views * rank))
         for at in range(0, len(flat), size):
             d = flat[at : at + size]
-            turn = self._phase(d, None if sides is None else sides[at : at + size])
-            out[at : at + size] = np.einsum("pvr,pv->pr", self._profiles[self._index(d)], turn)
+            turn = self._range.phase(d, None if sides is None else sides[at : at + size])
+            out[at : at + size] = np.einsum("pvr,pv->pr", self._profiles[self._range.index(d)], turn)
         return np.asarray((out / self.views).reshape(*distances.shape[:-1], rank))
 
     def full_gram(
         self, distances: NDArray[np.float64], weight: NDArray[np.float32] | None = None
     ) -> NDArray[np.complex128]:
-        """(..., K, K) `gram` of points (..., K, views) before their constant parts are subtracted."""
-        whole = self._profiles[self._index(distances)] * self._phase(distances, weight)[..., None]
+        """(..., K, K) `gram` of points (..., K, views) before their constant parts are taken out."""
+        whole = self._profiles[self._range.index(distances)] * self._range.phase(distances, weight)[..., None]
         return self.gram(whole.reshape(*distances.shape[:-1], self.data.size))
 
     def correlate_offsets(
@@ -142,9 +191,9 @@ class MatchedField:
         offsets_m: Sequence[float],
         weight: NDArray[np.float32] | None = None,
     ) -> NDArray[np.complex128]:
-        """(offsets, ...) b for points whose distances (..., views) are increased by each offset, m.
+        """(offsets, ...) b for points whose distances (..., views) are all longer by each offset, m.
 
-        For many points: it forms no template, and the phase of an offset is common to all views.
+        For many points: no template is formed, and the phase of an offset is common to all views.
         """
         flat = distances.reshape(-1, self.views)
         sides = None if weight is None else weight.reshape(-1, self.views)
@@ -154,9 +203,11 @@ class MatchedField:
         size = max(1, _BLOCK // self.views)
         for at in range(0, len(flat), size):
             d = flat[at : at + size]
-            turn = self._phase(d, None if sides is None else sides[at : at + size]).conj()
+            turn = self._range.phase(d, None if sides is None else sides[at : at + size]).conj()
             for i, offset in enumerate(offsets_m):
-                out[i, at : at + size] = np.einsum("pv,pv->p", values[self._index(d + offset) + first], turn)
+                out[i, at : at + size] = np.einsum(
+                    "pv,pv->p", values[self._range.index(d + offset) + first], turn
+                )
         out *= np.exp(2j * self.wavenumber * np.asarray(offsets_m))[:, None]
         return out.reshape(len(offsets_m), *distances.shape[:-1])
 
@@ -164,34 +215,18 @@ class MatchedField:
         """(...) b at points (..., 2) in the plane, m."""
         return np.asarray(self.correlate_offsets(self.distances(points), (0.0,))[0])
 
-    def _index(self, distances: NDArray[np.float64]) -> NDArray[np.int32]:
-        position = (distances - (self._start - FINE_STEP_M / 2)) * (1 / FINE_STEP_M)
-        return np.clip(position.astype(np.int32), 0, len(self._profiles) - 1)
-
-    def _phase(
-        self, distances: NDArray[np.float64], weight: NDArray[np.float32] | None = None
-    ) -> NDArray[np.complex64]:
-        """Weight times exp(-2jk d) in single precision; the angle, hundreds of radians, in double."""
-        angle = np.remainder(-2 * self.wavenumber * distances, 2 * np.pi).astype(np.float32)
-        out = np.empty(angle.shape, dtype=np.complex64)
-        np.cos(angle, out=out.real)
-        np.sin(angle, out=out.imag)
-        if weight is not None:
-            out *= weight
-        return out
-
 
 def _range_basis(
     profiles: NDArray[np.complex128],
 ) -> tuple[NDArray[np.complex128], NDArray[np.complex64]]:
-    """Orthonormal basis (bins, rank) of range profiles (bins, n), and their coordinates (n, rank) in it."""
+    """Orthonormal basis (bins, rank) of range profiles (bins, n), and their coordinates (n, rank)."""
     left, size, right = np.linalg.svd(profiles, full_matrices=False)
     rank = int(np.count_nonzero(size > RANK_FLOOR * size[0]))
     return left[:, :rank], np.ascontiguousarray((size[:rank, None] * right[:rank]).T.astype(np.complex64))
 
 
 def _effective_half_width(scans: BasebandScans) -> float:
-    """Range offset beyond which the response is below 1 % of its peak, m."""
+    """Range offset beyond which the response is under 1 % of its peak, m."""
     samples = scans.response.samples
     large = np.flatnonzero(np.abs(samples) > 0.01 * np.abs(samples).max())
     middle = len(samples) // 2

@@ -1,8 +1,7 @@
-"""The place where each layout fits best: rotation, centre and range offset, found jointly in the data domain.
+"""Where each layout fits best: rotation, centre and range offset found jointly, in the data domain.
 
-The search interpolates one coarse image per range offset. The best few places of every layout are then
-refined with exact templates, because three degrees are 6 mm at a helmet's rim and distinguish layouts of the
-same size.
+A coarse grid reads one image per range offset; the best few places of every layout are then refined on exact
+templates, because three degrees are 6 mm at a helmet's rim and decide between layouts of one size.
 """
 
 from __future__ import annotations
@@ -19,20 +18,18 @@ from tagid.tags.reading.coarse import CoarseImage
 from tagid.tags.reading.field import MatchedField
 
 ALIKE = 0.25
-"""Standard deviation of the logarithm of a tag's amplitudes: reflectors differ by up to 20 %, and by
-aspect."""
+"""Spread of the logarithm of a tag's amplitudes: its reflectors differ by up to 20 %, and by aspect."""
 ODD_NATS = 8.0
-"""Largest penalty for one reflector of deviating amplitude: a factor of 2.7, or a missing reflector."""
+"""What one reflector of another strength can cost a layout: a factor of 2.7, or a missing one."""
 BEGINNING = 2
-"""Refinement rounds applied to all starts, before layouts that can no longer win are dropped."""
+"""Rounds of refinement from all starts, before the hopeless are left where they are."""
 FINISHED = 6
-"""Largest number of layouts refined completely: the name depends only on the best and the runner-up."""
+"""Layouts refined to the end, at most: the name hangs on the best and the runner-up."""
 REACH_NATS, REACH_SHARE = 15.0, 0.4
-"""A layout is dropped if it is worse than the best by this many nats plus this share of the best's energy:
-the coarse grid loses up to a quarter of the energy, the runner-up matters only within the decision's margins,
-and noise can add some nats."""
+"""The hopeless lack so many nats and this share of the best's energy: the coarse grid costs up to a quarter,
+the runner-up matters within the decision's margins, and noise gains some nats."""
 FULLY_VISIBLE = 0.5
-"""Visibility above which an amplitude is used as measured."""
+"""Visibility from which an amplitude is taken as measured."""
 
 
 @dataclass(frozen=True)
@@ -40,16 +37,14 @@ class SearchSettings:
     """Extent and steps of the search.
 
     Attributes:
-        arc_step_m, centre_step_m: steps of the coarse grid, along the outermost reflector's path and of the
-            centre.
-        centre_range_m: the object's axis is searched within +- this distance of the turntable's axis in x and
-            y.
-        offsets_m: range offsets (errors of the axis distance) of the coarse search; refined in between.
-        starts: number of places refined per layout.
-        iterations: number of refinement rounds, each with smaller steps.
-        balance: penalise a layout whose smallest amplitude is below this share of its largest.
-        aspects: patterns of the search; every layout is searched with each of them.
-        patterns: patterns tried at the best places found.
+        arc_step_m, centre_step_m: the coarse grid, at the outermost reflector and of the centre.
+        centre_range_m: the object's axis is searched within +- this in x and y of the turntable's axis.
+        offsets_m: range offsets (errors of the axis distance) tried coarsely; refined between.
+        starts: places a layout that are refined.
+        iterations: halvings of the refinement's steps.
+        balance: amplitudes whose smallest is under this share of the largest are charged for.
+        aspects: patterns of the search; every layout is looked for with each of them.
+        patterns: patterns tried at the best places that were found.
     """
 
     arc_step_m: float = 6e-3
@@ -68,16 +63,16 @@ class Fit:
     """The best place of one layout.
 
     Attributes:
-        layout: the layout.
-        aspect: the sides from which its reflectors are visible.
-        place: (4,) counter-clockwise rotation about the layout's origin (rad), x and y of that origin (m),
-            and range offset (m), the excess of measured distances over those of the aperture.
+        layout: which.
+        aspect: from which sides its reflectors are seen.
+        place: (4,) counter-clockwise turn about the layout's origin, where that lies in x and y, and range
+            offset: measured distances are this much longer than the aperture says; rad, m.
         positions: (K, 2) reflectors, m.
         amplitudes: (K,) complex least-squares amplitudes.
         sizes: (K,) their magnitudes, see `visible_sizes`.
-        visibility: (K,) share of a template's energy that is visible and varies over the views.
+        visibility: (K,) share of a template's energy that is seen and varies over the views.
         explained: b^H G^-1 b, energy.
-        charged: the same after the penalty for unequal amplitudes.
+        charged: the same after the charge for unlike amplitudes.
         criterion: J of `criterion`, lower is better.
     """
 
@@ -94,12 +89,12 @@ class Fit:
 
     @property
     def rotation_rad(self) -> float:
-        """The rotation modulo the layout's symmetry, rad."""
+        """The turn within the layout's symmetry, rad."""
         return float(np.mod(self.place[0], 2 * np.pi / self.layout.symmetry))
 
     @property
     def centre_m(self) -> NDArray[np.float64]:
-        """(2,) position of the layout's origin, m."""
+        """(2,) where the layout's origin lies, m."""
         return self.place[1:3]
 
     @property
@@ -109,13 +104,13 @@ class Fit:
 
     @property
     def look(self) -> Appearance:
-        """How any other point on this object is seen."""
+        """How any other point of this object would look."""
         return Appearance(self.aspect, self.centre_m, self.offset_m)
 
 
 @dataclass(frozen=True, eq=False)
 class Values:
-    """Least-squares results at many places (H, ...), with the fields of `Fit`."""
+    """Least squares at many places (H, ...), fields as of `Fit`."""
 
     amplitudes: NDArray[np.complex128]
     sizes: NDArray[np.float64]
@@ -127,9 +122,9 @@ class Values:
 def least_squares(
     b: NDArray[np.complex128], gram: NDArray[np.complex128]
 ) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
-    """Amplitudes (..., K) = G^-1 b and explained energy (...) = b^H G^-1 b, with 1e-2 of diagonal loading."""
+    """Amplitudes (..., K) = G^-1 b and explained energy (...) = b^H G^-1 b; G is loaded by 1e-2 of itself."""
     k = b.shape[-1]
-    size = np.maximum(np.abs(np.trace(gram, axis1=-2, axis2=-1)) / k, 1e-30)  # 0 if no reflector is visible
+    size = np.maximum(np.abs(np.trace(gram, axis1=-2, axis2=-1)) / k, 1e-30)  # one that nobody sees is 0
     load = 1e-2 * size[..., None, None] * np.eye(k)
     amplitudes = np.linalg.solve(gram + load, b[..., None])[..., 0]
     explained = np.real(np.sum(b.conj() * amplitudes, axis=-1))
@@ -141,9 +136,9 @@ def least_squares(
 def visible_sizes(
     amplitudes: NDArray[np.complex128], visibility: NDArray[np.floating]
 ) -> NDArray[np.float64]:
-    """|amplitudes| (..., K), shrunk towards the mean of the visible ones for reflectors with low visibility.
+    """|amplitudes| (..., K), drawn to the mean of the visible ones where a reflector can hardly be seen.
 
-    Visibility is the share of a template's energy that varies over the views; it tends to zero near the axis.
+    Visibility is the share of a template's energy that varies over the views; near the axis it goes to zero.
     """
     trust = np.minimum(visibility / FULLY_VISIBLE, 1.0)
     size = np.abs(amplitudes)
@@ -154,16 +149,16 @@ def visible_sizes(
 def charge(
     explained: NDArray[np.float64], size: NDArray[np.floating], balance: float, axis: int = -1
 ) -> NDArray[np.float64]:
-    """Explained energy (...), reduced where the fitted sizes (..., K) of equal reflectors differ too much."""
+    """Explained energy (...) scaled down where reflectors, all alike, come out of unlike size (..., K)."""
     ratio = size.min(axis=axis) / np.maximum(size.max(axis=axis), 1e-30)
     return np.asarray(explained * np.minimum(ratio / balance, 1.0), dtype=np.float64)
 
 
 def likeness(size: NDArray[np.float64], each: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(...) penalty in nats for amplitudes |a| (..., K) of one tag, each measured with e = `each` (...) nats.
+    """(...) nats against amplitudes |a| (..., K) that belong to one tag, measured with e = `each` (...) nats.
 
-    Their logarithms have the variance ALIKE^2 + 1 / (2 e). One reflector adds at most ODD_NATS, because a
-    damaged one contains no information about the positions of the others.
+    Their logarithms spread by ALIKE and by the error of 1 / (2 e); one reflector costs ODD_NATS at most,
+    because a damaged one says nothing about where the others are.
     """
     logarithm = np.log(np.maximum(size, 1e-6 * size.max(axis=-1, keepdims=True) + 1e-30))
     off = logarithm - np.median(logarithm, axis=-1, keepdims=True)
@@ -172,10 +167,10 @@ def likeness(size: NDArray[np.float64], each: NDArray[np.float64]) -> NDArray[np
 
 
 def criterion(field: MatchedField, value: Values, aspect: Aspect) -> NDArray[np.float64]:
-    """(...) J = n log(1 - e / E) + sum_k log(1 + n v_k) + likeness, plus log n if the pattern is not uniform.
+    """(...) J = n log(1 - e / E) + sum_k log(1 + n v_k) + log n where the pattern is not uniform + likeness.
 
-    Each amplitude is penalised by the information that the data contain about it (G. Schwarz, 1978, with the
-    template's own share v (..., K) of the samples), so a layout gains nothing from invisible reflectors.
+    Each amplitude is charged for what the data say about it (G. Schwarz, 1978, with the template's own share
+    v (..., K) of the samples), so a layout gains nothing by reflectors that nobody could have seen.
     """
     n = field.independent_samples
     left = np.maximum(1 - value.charged / field.energy, 1e-9)
@@ -189,11 +184,10 @@ def criterion(field: MatchedField, value: Values, aspect: Aspect) -> NDArray[np.
 def search(field: MatchedField, layouts: Sequence[Layout], settings: SearchSettings) -> list[Fit]:
     """The best fit of every layout, in the order given.
 
-    All layouts are refined for a few rounds; only those that can still be best or second are refined
-    completely.
+    All layouts are refined a little, and only those that may still win or come second to the end.
     """
     reach = max(layout.radius_m for layout in layouts) + settings.centre_range_m * np.sqrt(2)
-    images = [CoarseImage(field, reach, aspect, settings.offsets_m) for aspect in settings.aspects]
+    images = [CoarseImage.of(field, reach, aspect, settings.offsets_m) for aspect in settings.aspects]
     coarse = [[_coarse_starts(field, layout, image, settings) for image in images] for layout in layouts]
     most = max(score for found in coarse for _, score in found)
     begun: list[list[Fit]] = []
@@ -220,7 +214,7 @@ def _criterion(fit: Fit) -> float:
 
 
 def _finished(field: MatchedField, found: list[Fit], settings: SearchSettings) -> Fit:
-    """Refine the fits of one layout completely, try every other pattern there, and refine the best again."""
+    """Fits of one layout refined to the end, every other pattern tried there, and the best one moved."""
     layout = found[0].layout
     rest = range(BEGINNING, settings.iterations)
     fits = []
@@ -241,33 +235,70 @@ def _finished(field: MatchedField, found: list[Fit], settings: SearchSettings) -
     return min(best, moved, key=_criterion)
 
 
+@dataclass(frozen=True, eq=False)
+class CoarseGrid:
+    """The coarse hypotheses of one layout: every rotation at every place of its origin.
+
+    Attributes:
+        rotations: (A,) counter-clockwise, within the layout's symmetry, rad.
+        shifts: (S, 2) places of the layout's origin, m.
+        placed: (A, K, 2) rotated reflectors, m.
+    """
+
+    rotations: NDArray[np.float64]
+    shifts: NDArray[np.float64]
+    placed: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, layout: Layout, settings: SearchSettings) -> CoarseGrid:
+        """The grid of a layout."""
+        turn = 2 * np.pi / layout.symmetry
+        rotations = np.arange(0, turn - 1e-9, _rotation_step(layout, settings))
+        count = int(np.floor(settings.centre_range_m / settings.centre_step_m))
+        line = np.linspace(-1, 1, 2 * count + 1) * settings.centre_range_m
+        x, y = np.meshgrid(line, line)
+        shifts = np.stack([x.ravel(), y.ravel()], axis=-1)
+        shifts = shifts[np.linalg.norm(shifts, axis=1) <= settings.centre_range_m * 1.05]
+        placed = layout.positions @ np.swapaxes(rotation_matrix(rotations), -1, -2)
+        return cls(rotations, shifts, placed)
+
+    def energies(
+        self, coarse: CoarseImage, full_gram: NDArray[np.complex128], template_energy: float, balance: float
+    ) -> NDArray[np.float64]:
+        """(offsets, A, S) energy that each hypothesis explains, charged for unlike amplitudes.
+
+        Args:
+            coarse: where b is read.
+            full_gram: (A, K, K) of the templates at the turntable's axis, their constant parts included.
+            template_energy: as of `MatchedField`.
+            balance: see `SearchSettings`.
+        """
+        size = self.placed.shape[1]
+        points = self.placed[:, None] + self.shifts[None, :, None]
+        gram = full_gram[:, None] - coarse.static_overlap(points)
+        visibility = np.real(np.diagonal(gram, axis1=-2, axis2=-1)) / template_energy
+        load = 1e-2 * template_energy * np.eye(size)
+        inverse = np.moveaxis(np.linalg.inv(gram + load).astype(np.complex64), (-2, -1), (0, 1)).copy()
+        # The reflectors lead, so that sums over them run along the memory.
+        b = np.stack([coarse.read(points[..., k, :]) for k in range(size)])
+        amplitudes = np.stack([sum(inverse[k, j] * b[j] for j in range(size)) for k in range(size)])
+        explained = np.maximum(sum((b[k].conj() * amplitudes[k]).real for k in range(size)), 0)
+        trust = np.minimum(np.moveaxis(visibility, -1, 0)[:, None] / FULLY_VISIBLE, 1.0).astype(np.float32)
+        seen = np.abs(amplitudes)
+        typical = (trust * seen).sum(axis=0) / np.maximum(trust.sum(axis=0), 1e-9)
+        seen = trust * seen + (1 - trust) * typical
+        return charge(explained, seen, balance, axis=0)
+
+
 def _coarse_starts(
     field: MatchedField, layout: Layout, coarse: CoarseImage, settings: SearchSettings
 ) -> tuple[NDArray[np.float64], float]:
-    """(starts, 4) rotation, x, y, offset of the best distinct places, and the best penalised energy."""
-    turn = 2 * np.pi / layout.symmetry
-    rotations = np.arange(0, turn - 1e-9, _rotation_step(layout, settings))
-    count = int(np.floor(settings.centre_range_m / settings.centre_step_m))
-    line = np.linspace(-1, 1, 2 * count + 1) * settings.centre_range_m
-    x, y = np.meshgrid(line, line)
-    shifts = np.stack([x.ravel(), y.ravel()], axis=-1)
-    shifts = shifts[np.linalg.norm(shifts, axis=1) <= settings.centre_range_m * 1.05]
-    placed = layout.positions @ np.swapaxes(rotation_matrix(rotations), -1, -2)
-    points = placed[:, None] + shifts[None, :, None]
-    weight = coarse.aspect.weight(field, placed, outward(placed, np.zeros(2)))
-    gram = field.full_gram(field.distances(placed), weight)[:, None] - coarse.static_overlap(points)
-    visibility = np.real(np.diagonal(gram, axis1=-2, axis2=-1)) / field.template_energy
-    load = 1e-2 * field.template_energy * np.eye(layout.size)
-    inverse = np.moveaxis(np.linalg.inv(gram + load).astype(np.complex64), (-2, -1), (0, 1)).copy()
-    # Reflectors are the first axis, so that sums over them access memory contiguously.
-    b = np.stack([coarse.read(points[..., k, :]) for k in range(layout.size)])
-    amplitudes = np.stack([sum(inverse[k, j] * b[j] for j in range(layout.size)) for k in range(layout.size)])
-    explained = np.maximum(sum((b[k].conj() * amplitudes[k]).real for k in range(layout.size)), 0)
-    trust = np.minimum(np.moveaxis(visibility, -1, 0)[:, None] / FULLY_VISIBLE, 1.0).astype(np.float32)
-    size = np.abs(amplitudes)
-    typical = (trust * size).sum(axis=0) / np.maximum(trust.sum(axis=0), 1e-9)
-    size = trust * size + (1 - trust) * typical
-    scores = charge(explained, size, settings.balance, axis=0)
+    """(starts, 4) rotation, x, y, offset of the best distinct places, and the charged energy of the best."""
+    grid = CoarseGrid.of(layout, settings)
+    rotations, shifts, placed = grid.rotations, grid.shifts, grid.placed
+    weight = coarse.aspect.weight(field.antenna, placed, outward(placed, np.zeros(2)))
+    gram = field.full_gram(field.distances(placed), weight)
+    scores = grid.energies(coarse, gram, field.template_energy, settings.balance)
     starts: list[tuple[float, float, float, float]] = []
     best = scores.max(axis=2)
     most = float(best.max())
@@ -281,19 +312,19 @@ def _coarse_starts(
 
 
 def _rotation_step(layout: Layout, settings: SearchSettings) -> float:
-    """Coarse rotation step, rad: the arc step at the outermost reflector, limited to 3 to 8 degrees."""
+    """Coarse step of the rotation, rad: that of the arc at the outermost reflector, within 3 to 8 degrees."""
     return float(np.clip(settings.arc_step_m / layout.radius_m, np.deg2rad(3.0), np.deg2rad(8.0)))
 
 
 def _evaluate(
     field: MatchedField, layout: Layout, aspect: Aspect, places: NDArray[np.float64], balance: float
 ) -> Values:
-    """Least squares with exact templates at places (H, 4) of rotation, x, y and offset."""
+    """Exact templates at places (H, 4) of rotation, x, y and offset."""
     turned = np.swapaxes(rotation_matrix(places[:, 0]), -1, -2)
     points = layout.positions @ turned + places[:, None, 1:3]
     d = field.distances(points, np.asarray(layout.heights))
     facing = outward(layout.positions, np.zeros(2)) @ turned
-    templates = field.templates(d + places[:, 3, None, None], aspect.weight(field, points, facing))
+    templates = field.templates(d + places[:, 3, None, None], aspect.weight(field.antenna, points, facing))
     b, gram = field.correlate(templates), field.gram(templates)
     amplitudes, explained = least_squares(b, gram)
     visibility = np.real(np.diagonal(gram, axis1=-2, axis2=-1)) / field.template_energy
@@ -331,9 +362,9 @@ def _refine(
     settings: SearchSettings,
     rounds: range,
 ) -> NDArray[np.float64]:
-    """(H, 4) places after parabolic steps in every coordinate, for all starts at once, with exact templates.
+    """(H, 4) places after parabolic steps along every coordinate of all starts at once, on exact templates.
 
-    The steps shrink with every round; `rounds` are the rounds to run.
+    The steps shrink with every round; `rounds` says which of them are taken.
     """
     gap = settings.offsets_m[1] - settings.offsets_m[0] if len(settings.offsets_m) > 1 else 2e-3
     low = np.array([-np.inf, -settings.centre_range_m, -settings.centre_range_m, settings.offsets_m[0] - gap])

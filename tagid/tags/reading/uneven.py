@@ -60,7 +60,7 @@ class UnevenFit:
         size = best.layout.size
         d = field.distances(best.positions, np.asarray(best.layout.heights)) + best.offset_m
         facing = outward(best.positions, best.centre_m)
-        even = best.aspect.weight(field, best.positions, facing)
+        even = best.aspect.weight(field.antenna, best.positions, facing)
         angle = np.arctan2(field.antenna[:, 1], field.antenna[:, 0])
         orders = min(ORDERS, max(field.views // VIEWS_PER_ORDER, 1))
         turns = angle * np.arange(1, orders + 1)[:, None]
