@@ -25,7 +25,7 @@ def register(app: typer.Typer) -> None:
     def show(
         terminal: Terminal,
         file: options.CaptureFile,
-        png: Annotated[Path | None, typer.Option("--png", help="Picture (default: beside the file).")] = None,
+        png: Annotated[Path | None, typer.Option("--png", help="Picture (default: NAME.show.png beside the file).")] = None,
         changing: Annotated[
             bool, typer.Option("--changing", help="Draw without the mean scan: only what changes.")
         ] = False,
@@ -48,7 +48,8 @@ def register(app: typer.Typer) -> None:
         config = load_config({"radar.cable_delay_ps": cable_delay})
         capture = load_capture(file, LoadSettings.of(config, node=node), turn=False)
         summary = inspect(capture)
-        target = png or file.with_name(file.name.removesuffix(CAPTURE_SUFFIX) + ".png")
+        # The image of `scan` is NAME.png beside the capture, and stays.
+        target = png or file.with_name(file.name.removesuffix(CAPTURE_SUFFIX) + ".show.png")
         draw_recording(
             thinned(capture)[0], target, file.name, changing_only=changing, turning=_turns(summary, capture)
         )
