@@ -98,8 +98,13 @@ _BY_NAME = {setting.name: setting for setting in SETTINGS}
 
 
 @dataclass(frozen=True)
-class Value:
-    """A setting's value and its source."""
+class ConfigValue:
+    """The value of a setting and where it comes from.
+
+    Attributes:
+        value: the value, of the setting's type.
+        source: "command line", "environment", "file" or "default".
+    """
 
     value: Any
     source: Source
@@ -107,9 +112,14 @@ class Value:
 
 @dataclass(frozen=True)
 class Config:
-    """All settings resolved."""
+    """Values of all settings; `config["radar.url"]` is a value.
 
-    values: Mapping[str, Value]
+    Attributes:
+        values: value and source by the setting's name.
+        path: the configuration file, which need not exist.
+    """
+
+    values: Mapping[str, ConfigValue]
     path: Path
 
     def __getitem__(self, name: str) -> Any:
@@ -191,18 +201,22 @@ def load_config(overrides: Mapping[str, Any] | None = None) -> Config:
     """Resolve every setting; `overrides` are the command line's, None meaning not given."""
     path = config_path()
     from_file = read_file(path)
-    values: dict[str, Value] = {}
+    values: dict[str, ConfigValue] = {}
     for setting in SETTINGS:
         given = (overrides or {}).get(setting.name)
         if given is not None:
-            values[setting.name] = Value(parse_value(setting.name, given, "command line"), "command line")
+            values[setting.name] = ConfigValue(
+                parse_value(setting.name, given, "command line"), "command line"
+            )
         elif os.environ.get(setting.variable):
             raw = os.environ[setting.variable]
-            values[setting.name] = Value(parse_value(setting.name, raw, setting.variable), "environment")
+            values[setting.name] = ConfigValue(
+                parse_value(setting.name, raw, setting.variable), "environment"
+            )
         elif setting.name in from_file:
-            values[setting.name] = Value(from_file[setting.name], "file")
+            values[setting.name] = ConfigValue(from_file[setting.name], "file")
         else:
-            values[setting.name] = Value(setting.default, "default")
+            values[setting.name] = ConfigValue(setting.default, "default")
     return Config(values, path)
 
 

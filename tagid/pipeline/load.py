@@ -21,7 +21,7 @@ BACKGROUNDS = ("mean", "median", "reference", "none")
 
 
 @dataclass(frozen=True)
-class Default:
+class LoadDefault:
     """A value for captures that lack it.
 
     Attributes:
@@ -51,9 +51,9 @@ class LoadSettings:
 
     cable_delay_ps: float = 0.0
     node: int | None = None
-    axis_distance_m: Default = Default()
-    antenna_height_m: Default = Default()
-    motion: Default = Default("free")
+    axis_distance_m: LoadDefault = LoadDefault()
+    antenna_height_m: LoadDefault = LoadDefault()
+    motion: LoadDefault = LoadDefault("free")
     motion_is_default: bool = True
     as_recorded: bool = False
     wave_speed_m_s: float | None = None
@@ -73,9 +73,9 @@ class LoadSettings:
         if background not in BACKGROUNDS:
             raise UsageError(f"--background is {background!r}", f"Use {', '.join(BACKGROUNDS)}.")
 
-        def default(name: str) -> Default:
+        def default(name: str) -> LoadDefault:
             given = config.values[name]
-            return Default(given.value, given.value is not None and given.source == "command line")
+            return LoadDefault(given.value, given.value is not None and given.source == "command line")
 
         return cls(
             config["radar.cable_delay_ps"],

@@ -35,7 +35,7 @@ from tagid.radar.messages import (
 from tagid.radar.patience import Patience
 from tagid.radar.scan_info import Fragment
 from tagid.radar.settings import RadarConfig
-from tagid.radar.status import RadarStatus
+from tagid.radar.status import RadarStatus, status_from
 
 _T = MessageType
 BOOT_QUIET_S: Final = 3.0
@@ -129,7 +129,7 @@ class P440:
         """Versions, serial number, temperature, self test."""
         m = self._talk.request(_T.GET_STATUSINFO_REQUEST)
         accept(m, "status")
-        return RadarStatus.from_message(m)
+        return status_from(m)
 
     def ask_status(self) -> None:
         """Asks for the status in the middle of a run and does not wait: a lost answer must cost no scan.
@@ -358,7 +358,7 @@ class P440:
         if message.type is _T.CONTROL_CONFIRM and message["status"] != Status.OK:
             accept(message, "start scanning")
         if message.type is _T.GET_STATUSINFO_CONFIRM and message["status"] == Status.OK:
-            self.latest_status = RadarStatus.from_message(message)
+            self.latest_status = status_from(message)
             return
         if message.type is not _T.CONTROL_CONFIRM:
             self._talk.statistics.unexpected += 1

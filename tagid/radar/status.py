@@ -46,21 +46,22 @@ class RadarStatus:
             found.append(f"the board is at {self.temperature_c:.1f} degC, above {WARM_C:g}: give it air")
         return found
 
-    @classmethod
-    def from_message(cls, m: Message) -> RadarStatus:
-        """From a GET_STATUSINFO_CONFIRM of either size."""
-        # The date is binary-coded decimal: 0x16 is the year 16. The temperature counts quarters of a degree.
-        date = f"20{m['fpga_year']:02x}-{m['fpga_month']:02x}-{m['fpga_day']:02x}"
-        return cls(
-            mrm_version=f"{m['mrm_major']}.{m['mrm_minor']}.{m['mrm_build']}",
-            kernel_version=f"{m['kernel_major']}.{m['kernel_minor']}.{m['kernel_build']}",
-            fpga_version=f"{m['fpga_version']} ({date})",
-            serial=m["serial"],
-            board_revision=chr(m["board_revision"]) if 32 < m["board_revision"] < 127 else "",
-            built_in_test=m["bit_result"],
-            temperature_c=m["temperature_quarter_c"] / 4,
-            package=_printable(bytes(m["package"]).split(b"\0")[0]),
-        )
+
+def status_from(message: Message) -> RadarStatus:
+    """The status in a GET_STATUSINFO_CONFIRM of either size."""
+    m = message
+    # The date is binary-coded decimal: 0x16 is the year 16. The temperature counts quarters of a degree.
+    date = f"20{m['fpga_year']:02x}-{m['fpga_month']:02x}-{m['fpga_day']:02x}"
+    return RadarStatus(
+        mrm_version=f"{m['mrm_major']}.{m['mrm_minor']}.{m['mrm_build']}",
+        kernel_version=f"{m['kernel_major']}.{m['kernel_minor']}.{m['kernel_build']}",
+        fpga_version=f"{m['fpga_version']} ({date})",
+        serial=m["serial"],
+        board_revision=chr(m["board_revision"]) if 32 < m["board_revision"] < 127 else "",
+        built_in_test=m["bit_result"],
+        temperature_c=m["temperature_quarter_c"] / 4,
+        package=_printable(bytes(m["package"]).split(b"\0")[0]),
+    )
 
 
 def _printable(name: bytes) -> str:

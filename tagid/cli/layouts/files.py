@@ -16,7 +16,7 @@ from tagid.result import Result
 if TYPE_CHECKING:
     from tagid.tags.bodies.signature import Signature
     from tagid.tags.enrolling.layout_file import Entries
-    from tagid.tags.enrolling.registry import Contents, Registry, Restored
+    from tagid.tags.enrolling.registry import Registry, RegistryContents, Restored
     from tagid.tags.layouts.layout import Layout
 
 
@@ -194,7 +194,7 @@ def _count(layouts: Sequence[Layout], signatures: Sequence[Signature]) -> str:
     return ", ".join(parts)
 
 
-def _check_signatures(new: dict[tuple[str, str], Signature], contents: Contents) -> None:
+def _check_signatures(new: dict[tuple[str, str], Signature], contents: RegistryContents) -> None:
     """Raise LayoutConflictError if another body or object has the name of a new one."""
     from tagid.errors import LayoutConflictError
     from tagid.tags.bodies.signature_file import to_bytes

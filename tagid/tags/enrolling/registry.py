@@ -55,7 +55,7 @@ Key = tuple[str, str]
 
 
 @dataclass(frozen=True)
-class Change:
+class RegistryChange:
     """One entry of the history.
 
     Attributes:
@@ -83,7 +83,7 @@ class Change:
 
 
 @dataclass(frozen=True)
-class Contents:
+class RegistryContents:
     """Everything enrolled at one version.
 
     Attributes:
@@ -190,7 +190,7 @@ class Registry:
             raise self._missing(name, kind)
         return self._signature((kind, name), row[0])
 
-    def contents(self) -> Contents:
+    def contents(self) -> RegistryContents:
         """The version and everything enrolled at that version."""
         with self._database.connection() as connection:
             connection.execute("BEGIN")
@@ -198,7 +198,7 @@ class Registry:
             layouts = connection.execute("SELECT name, definition FROM layout ORDER BY name").fetchall()
             rows = connection.execute("SELECT kind, name, data FROM signature ORDER BY kind, name").fetchall()
             connection.execute("COMMIT")
-        return Contents(
+        return RegistryContents(
             version,
             [self._decode(name, text) for name, text in layouts],
             [self._signature((kind, name), data) for kind, name, data in rows],
@@ -395,7 +395,7 @@ class Registry:
             raise self._missing(keys[0][1], keys[0][0])
         return version
 
-    def history(self, name: str | None = None) -> list[Change]:
+    def history(self, name: str | None = None) -> list[RegistryChange]:
         """Every change, or only those to entries called `name`, oldest first."""
         query = "SELECT version, time_utc, action, name, source, kind, definition, data FROM change"
         with self._database.connection() as connection:
@@ -410,7 +410,7 @@ class Registry:
                 entry = self._entry((kind, named), definition if kind == "layout" else data)
             except RegistryError:
                 entry = None
-            changes.append(Change(number, time_utc, action, named, source, kind, entry))
+            changes.append(RegistryChange(number, time_utc, action, named, source, kind, entry))
         return changes
 
     def _fill(self, connection: sqlite3.Connection) -> None:
