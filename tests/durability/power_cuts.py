@@ -2,8 +2,8 @@
 
     nice -n 10 python tests/durability/power_cuts.py --each 12
 
-Each case runs under strace. From its system calls every kind of state that a power cut may leave is built (see
-`power_cut_states`), after each call, and the real recovery runs on it: `tagid recover`, the readers of
+Each case runs under strace. From its system calls every kind of state that a power cut may leave is built
+(see `power_cut_states`), after each call, and the real recovery runs on it: `tagid recover`, the readers of
 configuration, registry and history, `report --resume`. The exit code is 1 if anything acknowledged is lost
 anywhere. To see that the states would show a missing sync, each case runs again on the same recording without
 its syncs of files, and without those of folders; the states with losses are counted.
@@ -22,10 +22,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-sys.path[:0] = [
-    str(Path(__file__).resolve().parents[2]),
-    str(Path(__file__).resolve().parents[1] / "property"),
-]
+TESTS = Path(__file__).resolve().parents[1]
+sys.path[:0] = [str(TESTS.parent), str(TESTS / "property")]
 
 from power_cut_cases import CASES, recorded, unsynced  # noqa: E402
 from power_cut_states import Density, states  # noqa: E402
@@ -104,12 +102,12 @@ def main() -> int:
     print(f"{total} states, {bad} with a fault")
     if given.page:
         text = (
-            f"System calls recorded with strace, and {total} states that a power cut may leave: after each call, "
-            "what is not synced is missing, reordered or torn, and names are there without their data or data "
-            "without their names. `tagid recover` and the readers of each file run on every state. A state has a "
-            "fault if a scan is missing that was written more than half a second before the last one (for "
-            "`journal`: more than three records before), or if anything is missing that the program had reported "
-            "as done. The last two columns show the states with a fault if the code did not sync files or folders."
+            f"System calls recorded with strace, and {total} states that a power cut may leave. After each call, "
+            "what is not synced is missing, reordered or torn; names are there without their data, or data "
+            "without their names. `tagid recover` and the readers of each file run on every state. A fault is a "
+            "missing scan that was written more than half a second before the last one (in `journal`: more than "
+            "three records before), or anything missing that the program had reported as done. The last two "
+            "columns show the states with a fault if the code did not sync files, or folders."
         )
         columns = ("case", "operations", "states", "with a fault", "files not synced", "folders not synced")
         write_section(Section("Power cuts", text, str(given.seed), columns, rows))

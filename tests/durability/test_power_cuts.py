@@ -14,7 +14,6 @@ WHY_NOT = unavailable()
 pytestmark = pytest.mark.skipif(bool(WHY_NOT), reason=f"needs to trace system calls: {WHY_NOT}")
 DENSITY = {
     "radar record": Density(0, 20),
-    "capture": Density(1, 1),
     "configuration": Density(1, 1),
     "registry": Density(0, 8),
 }

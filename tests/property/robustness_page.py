@@ -19,8 +19,8 @@ ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs" / "results" / "robustness.md"
 _TITLE = """# Robustness
 
-Long runs of attackers against the program, each with what it counted. Every command writes its own section when it is
-given `--page`. The parsers under coverage-guided fuzzing have [a page of their own](fuzzing.md).
+Long runs of attackers against the program, each with what it counted. Every command writes its own section
+when it is given `--page`. The parsers under coverage-guided fuzzing have [a page of their own](fuzzing.md).
 """
 
 
