@@ -102,12 +102,13 @@ def main() -> int:
     print(f"{total} states, {bad} with a fault")
     if given.page:
         text = (
-            f"System calls recorded with strace, and {total} states that a power cut may leave. After each call, "
-            "what is not synced is missing, reordered or torn; names are there without their data, or data "
-            "without their names. `tagid recover` and the readers of each file run on every state. A fault is a "
-            "missing scan that was written more than half a second before the last one (in `journal`: more than "
-            "three records before), or anything missing that the program had reported as done. The last two "
-            "columns show the states with a fault if the code did not sync files, or folders."
+            f"System calls recorded with strace, and {total} states that a power cut may leave. After "
+            "each call, what is not synced is missing, reordered or torn; names are there without "
+            "their data, or data without their names. `tagid recover` and the readers of each file "
+            "run on every state. A fault is a missing scan that was written more than half a second "
+            "before the last one (in `journal`: more than three records before), or anything missing "
+            "that the program had reported as done. The last two columns show the states with a fault"
+            " if the code did not sync files, or folders."
         )
         columns = ("case", "operations", "states", "with a fault", "files not synced", "folders not synced")
         write_section(Section("Power cuts", text, str(given.seed), columns, rows))

@@ -261,10 +261,10 @@ def _told(outcomes: list[tuple[str, Outcome]], seed: int, page: bool) -> int:
     print(f"{len(outcomes)} tries, {sum(one.aimed for _, one in outcomes)} hit a write, {bad} with a fault")
     if page:
         text = (
-            "One to three of SIGINT, SIGTERM and SIGHUP within a few milliseconds while the output file is "
-            "being written. A fault is a damaged or missing file, a journal that went before its capture was "
-            "whole, a temporary file, a traceback, several messages, a wrong exit code, or a process that does "
-            "not end."
+            "One to three of SIGINT, SIGTERM and SIGHUP within a few milliseconds while the output "
+            "file is being written. A fault is a damaged or missing file, a journal that went before "
+            "its capture was whole, a temporary file, a traceback, several messages, a wrong exit "
+            "code, or a process that does not end."
         )
         columns = ("command", "tries", "during a write", "exit code: tries", "faults")
         write_section(Section("Stop signals", text, str(seed), columns, rows))
