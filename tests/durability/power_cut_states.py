@@ -58,25 +58,34 @@ class State:
             (place / name).write_bytes(content)
 
 
-def states(
-    recording: Recording, stage: Callable[[int], object], each_cut: int, rng: random.Random
-) -> Iterator[State]:
-    """Different states, in the order of their cuts: after every operation, `each_cut` and four.
+@dataclass(frozen=True)
+class Density:
+    """How many states: `each` chosen at random and four more, after one operation of `every` and the last."""
 
-    The four are nothing and everything of what is not synced, names without data and data without names. The
-    others are chosen at random from: all but one, one alone, one torn, and random subsets.
+    each: int = 8
+    every: int = 1
+
+
+def states(
+    recording: Recording, stage: Callable[[int], object], density: Density, rng: random.Random
+) -> Iterator[State]:
+    """Different states, in the order of their cuts.
+
+    The four at each cut are nothing and everything of what is not synced, names without data and data without
+    names. The others are chosen at random from: all but one, one alone, one torn, and random subsets.
 
     Args:
         recording: what was recorded.
         stage: what is promised at a cut; a state that was given is given again where more is promised.
-        each_cut: number of states chosen at random.
+        density: number of states.
         rng: chooses them.
     """
     disk = _Disk(recording)
     seen: set[tuple[bytes, object]] = set()
-    for cut in sorted({one.end + 1 for one in recording.operations}):
+    cuts = [one.end + 1 for one in recording.operations]
+    for cut in sorted({*cuts[:: density.every], cuts[-1]}):
         disk.advance(cut)
-        for choice in _choices(disk.pending, disk.extending, each_cut, rng):
+        for choice in _choices(disk.pending, disk.extending, density.each, rng):
             state = disk.state(cut, choice)
             key = (_digest(state), stage(cut))
             if key not in seen:
