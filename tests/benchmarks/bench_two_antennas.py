@@ -7,12 +7,14 @@ from __future__ import annotations
 
 import argparse
 import sys
-from datetime import date
 from pathlib import Path
 
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+
+from imaging_report import heading
 
 from tagid.geometry import Aperture
 from tagid.imaging.backprojection import upsample_at_carrier
@@ -41,9 +43,8 @@ def errors_mm(views: Aperture, assumed: Aperture, points: np.ndarray) -> np.ndar
     return np.array(errors)
 
 
-TEXT = """# Two antennas
-
-`python tests/benchmarks/bench_two_antennas.py --write`, {day}. {count} points drawn within 0.13 m of the
+TEXT = """{head}
+{count} points drawn within 0.13 m of the
 axis, each alone and without noise; a P440's band, 1 degree per view, axis distance 1 m to the middle between
 the antennas. Localisation error of the backprojected peak in mm, rms (largest), on a grid of {step} mm.
 
@@ -74,7 +75,12 @@ def main() -> None:
             cells = [f"{np.sqrt((e**2).mean()):.2f} ({e.max():.2f})" for e in found]
             line = (f"{apart:g} m apart", name, f"{1e3 * (reach - 1):.1f}", *cells)
             rows.append("| " + " | ".join(line) + " |")
-    text = TEXT.format(day=date.today(), count=POINTS, step=1e3 * STEP_M, rows="\n".join(rows))
+    text = TEXT.format(
+        head=heading("Two antennas", "python tests/benchmarks/bench_two_antennas.py --write", "0"),
+        count=POINTS,
+        step=1e3 * STEP_M,
+        rows="\n".join(rows),
+    )
     print(text)
     if given.write:
         RESULTS.write_text(text, encoding="utf-8")
