@@ -69,6 +69,7 @@ SETTINGS: tuple[Setting, ...] = (
     Setting("motion.passkey", str, None, "six digits that pair with the Bluetooth bridge"),
     Setting("motion.axis_distance_m", float, None, "radar to rotation axis, m", 1e-3, 1e4),
     Setting("motion.antenna_height_m", float, 0.0, "antenna above the object's plane, m", -10, 10),
+    Setting("motion.antenna_separation_m", float, 0.0, "between transmit and receive antenna, m", 0, 10),
     Setting("imaging.method", str, "auto", "bp, sparse, ats, auto and more", choices=METHODS),
     Setting("imaging.extent_m", float, 0.5, "side of the image, m", 1e-3, 1e4),
     Setting("imaging.ats", str, "", "settings of ats, e.g. robust=3,calibrate=axis+wobble"),

@@ -30,7 +30,7 @@ OPSET = 20
 MAX_BYTES = 1 << 28
 _MAX_MANIFEST_BYTES = 1 << 20
 MANIFEST_VERSION = 1
-_DTYPES = {"float32": "tensor(float)", "int64": "tensor(int64)"}
+_DTYPES = {"float32": "tensor(float)", "int32": "tensor(int32)", "int64": "tensor(int64)"}
 _REINSTALL = "Reinstall tagid; in a checkout, restore the folder models/."
 
 Shape = tuple[int | str, ...]

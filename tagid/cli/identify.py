@@ -28,6 +28,7 @@ def register(app: typer.Typer) -> None:
         motion: options.MotionUrl = None,
         axis_distance: options.AxisDistance = None,
         antenna_height: options.AntennaHeight = None,
+        antenna_separation: options.AntennaSeparation = None,
         background: options.Background = "mean",
         preview: options.Preview = False,
         png: options.PngFile = None,
@@ -47,6 +48,7 @@ def register(app: typer.Typer) -> None:
                 "motion.url": motion,
                 "motion.axis_distance_m": axis_distance,
                 "motion.antenna_height_m": antenna_height,
+                "motion.antenna_separation_m": antenna_separation,
             }
             return vote_on(files, load_config(overrides), background, "identify")
         return run(
@@ -56,6 +58,7 @@ def register(app: typer.Typer) -> None:
                 "motion.url": motion,
                 "motion.axis_distance_m": axis_distance,
                 "motion.antenna_height_m": antenna_height,
+                "motion.antenna_separation_m": antenna_separation,
             },
             View(background, preview, png),
         )

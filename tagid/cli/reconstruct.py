@@ -49,6 +49,7 @@ def register(app: typer.Typer) -> None:
         motion: options.MotionUrl = None,
         axis_distance: options.AxisDistance = None,
         antenna_height: options.AntennaHeight = None,
+        antenna_separation: options.AntennaSeparation = None,
         background: options.Background = "mean",
         focus: Annotated[
             bool,
@@ -99,6 +100,7 @@ def register(app: typer.Typer) -> None:
                 "motion.url": motion,
                 "motion.axis_distance_m": axis_distance,
                 "motion.antenna_height_m": antenna_height,
+                "motion.antenna_separation_m": antenna_separation,
             }
         )
         given = imaging.settings_from(config, background, focus)

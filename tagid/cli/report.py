@@ -61,6 +61,7 @@ def register(app: typer.Typer) -> None:
         motion: options.MotionUrl = None,
         axis_distance: options.AxisDistance = None,
         antenna_height: options.AntennaHeight = None,
+        antenna_separation: options.AntennaSeparation = None,
         background: options.Background = "mean",
     ) -> Result:
         """Identify many captures: write a page, tables and a test report.
@@ -86,6 +87,7 @@ def register(app: typer.Typer) -> None:
                 "motion.url": motion,
                 "motion.axis_distance_m": axis_distance,
                 "motion.antenna_height_m": antenna_height,
+                "motion.antenna_separation_m": antenna_separation,
             }
         )
         page = PageSettings(title or PageSettings.title, page_megabytes)

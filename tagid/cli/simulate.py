@@ -71,6 +71,7 @@ def register(app: typer.Typer) -> None:
             float, typer.Option("--axis-error", help="Stated minus true distance, m.")
         ] = 0.0,
         height: Annotated[float, typer.Option("--antenna-height", help="Metres.")] = 0.0,
+        antenna_separation: options.AntennaSeparation = None,
         rotation: Annotated[float, typer.Option("--rotation", help="Rotation of the object, degrees.")] = 0.0,
         centre: options.ObjectCentre = "0,0",
         wobble: Annotated[float, typer.Option("--wobble", help="Uneven speed, 0.01 is 1 %.")] = 0.0,
@@ -118,6 +119,7 @@ def register(app: typer.Typer) -> None:
             axis_distance_m=axis_distance,
             axis_distance_error_m=axis_error,
             antenna_height_m=height,
+            antenna_separation_m=antenna_separation or 0.0,
             pulse=_pulse(pulse, seed) if pulse_of is None else _pulse_of(pulse_of),
             snr_db=None if noise is not None else snr,
             snr_reference=snr_of,

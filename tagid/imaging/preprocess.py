@@ -214,11 +214,9 @@ def _gate(
 ) -> tuple[float, float]:
     """Ranges (m) from the nearest to the farthest that the imaged square can reach, and the pulse's width."""
     radius = settings.extent_m / np.sqrt(2)
-    across = np.hypot(aperture.positions[:, 0], aperture.positions[:, 1])
-    height = aperture.positions[:, 2]
-    near = float(np.hypot(np.maximum(across - radius, 0), height).min())
-    far = float(np.hypot(across + radius, height).max())
-    axis = np.hypot(across, height)
+    least, greatest = aperture.span(radius)
+    near, far = float(least.min()), float(greatest.max())
+    axis = aperture.distances(np.zeros((1, 3)))[:, 0]
     first, last = capture.range_start_m, float(capture.ranges_m[-1])
     wavelength = band.wave_speed_m_s / band.center_hz
     kept = MARGIN_WAVELENGTHS * wavelength if settings.margin_m is None else settings.margin_m

@@ -300,8 +300,9 @@ def _strong_echoes(scans: BasebandScans, towards: tuple[float, float]) -> tuple[
     x = centre[0] + np.outer(ranges, np.cos(bearings))
     y = centre[1] + np.outer(ranges, np.sin(bearings))
     image = np.zeros(x.shape, dtype=np.complex64)
-    for row, antenna in zip(fine, positions[piece], strict=True):
-        distance = np.sqrt((x - antenna[0]) ** 2 + (y - antenna[1]) ** 2 + antenna[2] ** 2)
+    seen = zip(*(a[piece] for a in scans.aperture.antennas), strict=True)
+    for row, antennas in zip(fine, seen, strict=True):
+        distance = _ranges(x, y, antennas)
         image += row[np.clip(np.rint((distance - start) / step), 0, len(row) - 1).astype(np.intp)]
     magnitude = np.abs(image) / len(piece)
     return centre, _peaks(magnitude, ranges, bearings, _SPOT_WAVELENGTHS * lam)
@@ -409,12 +410,9 @@ def _measure(
     pieces = min(PIECES, views)
     sums = np.zeros((pieces, *x.shape), dtype=np.complex64)
     shift = ((delays[:, None, None, None] - start) / step).astype(np.float32)
-    for v, (row, antenna) in enumerate(zip(fine, scans.aperture.positions, strict=True)):
-        distance = np.sqrt(
-            (x - np.float32(antenna[0])) ** 2
-            + (y - np.float32(antenna[1])) ** 2
-            + np.float32(antenna[2] ** 2)
-        )
+    single = zip(*(a.astype(np.float32) for a in scans.aperture.antennas), strict=True)
+    for v, (row, antennas) in enumerate(zip(fine, single, strict=True)):
+        distance = _ranges(x, y, antennas)
         label = distance / np.float32(step) + shift
         sums[v * pieces // views] += row[np.clip(np.rint(label), 0, len(row) - 1).astype(np.int32)]
     shape = (len(delays), len(echoes), -1)
@@ -427,6 +425,14 @@ def _measure(
     best = np.take_along_axis(power, strongest[..., None], axis=2)[..., 0].astype(np.float64)
     pairs = _mirrors(scans.aperture.positions, echoes, lam)
     return _Measure(_brighter(best, pairs), sums.reshape(pieces, *shape), points, pairs)
+
+
+def _ranges(
+    x: NDArray[np.floating], y: NDArray[np.floating], antennas: tuple[NDArray[np.floating], ...]
+) -> NDArray[np.floating]:
+    """One-way range of points of the plane from one antenna (3,), or half the way by two of them."""
+    ways = [np.sqrt((x - a[0]) ** 2 + (y - a[1]) ** 2 + a[2] ** 2) for a in antennas]
+    return np.asarray(ways[0] if len(ways) == 1 else (ways[0] + ways[1]) / 2)
 
 
 def _brighter(power: Floats, pairs: list[tuple[int, int]]) -> Floats:

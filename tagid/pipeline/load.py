@@ -40,7 +40,7 @@ class LoadSettings:
     Attributes:
         cable_delay_ps: two-way cable delay to subtract from the ranges of raw recordings, ps.
         node: number of the radar to read, if a log holds several.
-        axis_distance_m, antenna_height_m: geometry for captures that lack it, m.
+        axis_distance_m, antenna_height_m, antenna_separation_m: geometry for captures that lack it, m.
         motion: device URL of what turned the object.
         motion_is_default: whether `motion` is only the built-in default; a capture's own URL then wins.
         as_recorded: keep the angles of a capture, even where the command line names the motion: it was
@@ -53,6 +53,7 @@ class LoadSettings:
     node: int | None = None
     axis_distance_m: LoadDefault = LoadDefault()
     antenna_height_m: LoadDefault = LoadDefault()
+    antenna_separation_m: LoadDefault = LoadDefault()
     motion: LoadDefault = LoadDefault("free")
     motion_is_default: bool = True
     as_recorded: bool = False
@@ -82,6 +83,7 @@ class LoadSettings:
             node,
             default("motion.axis_distance_m"),
             default("motion.antenna_height_m"),
+            default("motion.antenna_separation_m"),
             default("motion.url"),
             config.values["motion.url"].source == "default",
             as_recorded,
@@ -95,6 +97,8 @@ class LoadSettings:
             "motion.axis_distance_m": self.axis_distance_m,
             "motion.antenna_height_m": self.antenna_height_m,
         }
+        if self.antenna_separation_m.overrides:
+            given["motion.antenna_separation_m"] = self.antenna_separation_m
         return {
             "given": {
                 name: {"value": default.value, "from the command line": default.overrides}
@@ -145,6 +149,8 @@ def load_capture(source: Path | Capture, settings: LoadSettings | None = None, t
         capture = replace(capture, axis_distance_m=distance.value)
     if height.overrides:
         capture = replace(capture, antenna_height_m=height.value)
+    if settings.antenna_separation_m.overrides:
+        capture = replace(capture, antenna_separation_m=settings.antenna_separation_m.value)
     if settings.wave_speed_m_s is not None:
         capture = replace(capture, wave_speed_m_s=settings.wave_speed_m_s)
     if settings.reference is not None:

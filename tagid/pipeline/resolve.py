@@ -63,6 +63,7 @@ def with_angles(capture: Capture, motion: str | None = None) -> Capture:
         angles_rad=angles.angles_rad,
         angle_sigma_rad=angles.sigma_rad,
         antenna_positions_m=None,
+        receive_positions_m=None,
         motion=capture.motion.without_track(url=motion or "free", resolved=found),
     )
 

@@ -175,6 +175,7 @@ class _OneTurn:
             RANGE_STEP_M,
             axis_distance_m=self._plan.axis_distance_m,
             antenna_height_m=self._plan.antenna_height_m,
+            antenna_separation_m=self._plan.antenna_separation_m,
             radar_time_ms=np.array([scan.radar_time_ms for scan in some], dtype=np.float64),
         )
         try:

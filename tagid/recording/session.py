@@ -258,6 +258,7 @@ def journal_header(plan: RecordingPlan, taken: RadarConfig, radar: RadarInfo) ->
         "range_step_m": RANGE_STEP_M,
         "axis_distance_m": plan.axis_distance_m,
         "antenna_height_m": plan.antenna_height_m,
+        "antenna_separation_m": plan.antenna_separation_m or None,
         "uuid": str(uuid.uuid4()),
         "created_utc": datetime.now(UTC).isoformat(timespec="seconds"),
         "tool_version": __version__,

@@ -33,10 +33,11 @@ def emulated_recording(path: Path, loop: bool) -> RecordingSource:
 def emulated_scene(name: str, options: dict[str, str]) -> TurningScene:
     """A turning scene: an enrolled layout, one of a file, or a preset (`tagid.simulate.presets`).
 
-    Options: `seed`, `rpm` (6), `axis_distance` (1.0 m), `snr` (20 dB, per reflector), `cable_delay` (0,
-    two-way ps), `centre` (X,Y in metres off the axis), `rotation` (0 degrees), `wobble` (0, relative, of the
-    speed), `elevation` (0m), `body` and `reflector` (see `tagid.simulate.specification`), `file` (TOML file
-    of layouts), and `turned_by`: HOST:PORT of an emulated robot that turns the scene instead, which needs
+    Options: `seed`, `rpm` (6), `axis_distance` (1.0 m), `antenna_height` (0 m), `antenna_separation` (0 m,
+    between a transmitting and a receiving antenna), `snr` (20 dB, per reflector), `cable_delay` (0, two-way
+    ps), `centre` (X,Y in metres off the axis), `rotation` (0 degrees), `wobble` (0, relative, of the speed),
+    `elevation` (0m), `body` and `reflector` (see `tagid.simulate.specification`), `file` (TOML file of
+    layouts), and `turned_by`: HOST:PORT of an emulated robot that turns the scene instead, which needs
     rate=1.
 
     Raises UsageError for an unknown scene or option, or a value that cannot be read; the errors of
@@ -58,7 +59,7 @@ def emulated_scene(name: str, options: dict[str, str]) -> TurningScene:
     from tagid.tags.enrolling.lookup import named_layouts
 
     values = {"seed": 0.0, "rpm": 6.0, "axis_distance": 1.0, "snr": 20.0, "cable_delay": 0.0}
-    values |= {"rotation": 0.0, "wobble": 0.0}
+    values |= {"rotation": 0.0, "wobble": 0.0, "antenna_height": 0.0, "antenna_separation": 0.0}
     texts = {"turned_by": "", "centre": "0,0", "elevation": "0m", "body": "", "reflector": "", "file": ""}
     for key, text in options.items():
         if key in texts:
@@ -78,6 +79,8 @@ def emulated_scene(name: str, options: dict[str, str]) -> TurningScene:
         raise UsageError(f"scene {name}: wobble is {values['wobble']}", "Give 0 to 0.5, e.g. 0.01 for 1 %.")
     acquisition = Acquisition(
         axis_distance_m=values["axis_distance"],
+        antenna_height_m=values["antenna_height"],
+        antenna_separation_m=values["antenna_separation"],
         snr_db=values["snr"],
         placement=Placement(centre, math.radians(values["rotation"]), parse_elevation(texts["elevation"])),
         wobble=Wobble(speed=values["wobble"]),

@@ -2,15 +2,16 @@
 
 It is the format that every command writes and that other programs can open without `tagid`.
 
-Layout, version 2. Root attributes: format ("tagid.capture"), format_version, uuid, created_utc,
+Layout, version 3. Root attributes: format ("tagid.capture"), format_version, uuid, created_utc,
 tool_version, complete, radar, motion, object (JSON), range_start_m, range_step_m, axis_distance_m (absent:
-unknown), antenna_height_m, center_frequency_hz, bandwidth_hz, wave_speed_m_s (absent: vacuum),
-pulse_step_s (with /pulse). Datasets under
+unknown), antenna_height_m, antenna_separation_m (absent: one antenna), center_frequency_hz, bandwidth_hz,
+wave_speed_m_s (absent: vacuum), pulse_step_s (with /pulse). Datasets under
 /scans, a row a view: samples (views, bins) int32 or float32, samples_imag (for complex samples, whose real
 part is in samples), host_time_ns and scan_id int64, radar_time_ms, angle_rad, angle_sigma_rad float64,
-flags uint8, antenna_positions_m (views, 3) float64; what is not known is absent. /pulse (n,) float64, its
-middle sample is time zero. Texts have a fixed length, so that all metadata is checksummed, too. Every
-dataset is checksummed (Fletcher-32), shuffled and deflated.
+flags uint8, antenna_positions_m (views, 3) float64 and, where the receiving antenna is another one,
+receive_positions_m; what is not known is absent. /pulse (n,) float64, its middle sample is time zero. Texts
+have a fixed length, so that all metadata is checksummed, too. Every dataset is checksummed (Fletcher-32),
+shuffled and deflated.
 """
 
 from __future__ import annotations
@@ -54,6 +55,7 @@ _VIEW_ARRAYS = {
     "scan_id": ("scan_id", "int64"),
     "flags": ("flags", "uint8"),
     "antenna_positions_m": ("antenna_positions_m", "float64"),
+    "receive_positions_m": ("receive_positions_m", "float64"),
 }
 """Dataset under /scans -> (field of Capture, dtype)."""
 _NUMBERS = ("range_start_m", "range_step_m", "antenna_height_m", "center_frequency_hz", "bandwidth_hz")
@@ -226,6 +228,8 @@ def _fill(file: Any, capture: Capture, written: _Written) -> None:
     plain |= {name: float(getattr(capture, name)) for name in _NUMBERS}
     if capture.axis_distance_m is not None:
         plain["axis_distance_m"] = float(capture.axis_distance_m)
+    if capture.antenna_separation_m != 0:
+        plain["antenna_separation_m"] = float(capture.antenna_separation_m)
     if capture.wave_speed_m_s != SPEED_OF_LIGHT:
         plain["wave_speed_m_s"] = float(capture.wave_speed_m_s)
     if capture.pulse is not None:
@@ -367,7 +371,7 @@ def _to_capture(path: Path, raw: RawCapture) -> Capture:
             raise FileFormatError(f"{path}: {name} is not a JSON text")
         parts[name] = decode_settings(attributes[name], f"{path} ({name})")
     fields |= read_metadata(parts, str(path))
-    for name in ("axis_distance_m", "wave_speed_m_s"):
+    for name in ("axis_distance_m", "antenna_separation_m", "wave_speed_m_s"):
         if attributes.get(name) is not None:
             fields[name] = number(attributes[name], f"{path} ({name})")
     if not isinstance(attributes["complete"], bool | np.bool_):

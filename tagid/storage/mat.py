@@ -28,6 +28,7 @@ MAGIC: Final = b"MATLAB 5.0 MAT-file"
 _SCALARS: Final = (
     "axis_distance_m",
     "antenna_height_m",
+    "antenna_separation_m",
     "center_frequency_hz",
     "bandwidth_hz",
     "wave_speed_m_s",
@@ -44,6 +45,7 @@ _VECTORS: Final = MappingProxyType(
         "scan_id": ("scan_id", "int64"),
         "flags": ("flags", "uint8"),
         "antenna_positions_m": ("antenna_positions_m", "float64"),
+        "receive_positions_m": ("receive_positions_m", "float64"),
     }
 )
 """Field of Capture -> (variable, dtype)."""
@@ -65,9 +67,10 @@ def encode_mat(capture: Capture) -> bytes:
 
     Variables: samples (views, bins) int32, single or complex single; range_m (bins, 1), m; range_start_m,
     range_step_m; as columns, where known, angle_rad, angle_sigma_rad, host_time_ns (int64), radar_time_ms,
-    scan_id (int64), flags (uint8); antenna_positions_m (views, 3); axis_distance_m, antenna_height_m,
-    center_frequency_hz, bandwidth_hz, wave_speed_m_s; pulse with pulse_step_s; radar, motion, object as JSON
-    text with metadata_version; uuid, created_utc, tool_version, complete, format.
+    scan_id (int64), flags (uint8); antenna_positions_m and receive_positions_m (views, 3); axis_distance_m,
+    antenna_height_m, antenna_separation_m, center_frequency_hz, bandwidth_hz, wave_speed_m_s; pulse with
+    pulse_step_s; radar, motion, object as JSON text with metadata_version; uuid, created_utc, tool_version,
+    complete, format.
     """
     from scipy.io import savemat  # late: 100 ms that no other command should pay
 
@@ -177,7 +180,7 @@ def _vector(path: Path, name: str, values: NDArray[Any], dtype: str) -> NDArray[
     converted = values.astype(dtype)
     if not np.array_equal(converted, values):
         raise FileFormatError(f"{path}: {name} holds values that do not fit {dtype}")
-    return np.ascontiguousarray(converted if name == "antenna_positions_m" else converted.reshape(-1))
+    return np.ascontiguousarray(converted if name.endswith("positions_m") else converted.reshape(-1))
 
 
 def _text(found: dict[str, NDArray[Any]], name: str, path: Path) -> str:

@@ -16,8 +16,9 @@ from tagid.errors import FileFormatError
 from tagid.storage.assembly import decode_settings, encode_settings
 from tagid.storage.metadata import PARTS, migrate_metadata
 
-FORMAT_VERSION = 2
-"""Version of the capture file that this tagid writes. 2: typed metadata (`tagid.storage.metadata`)."""
+FORMAT_VERSION = 3
+"""Version of the capture file that this tagid writes. 2: typed metadata (`tagid.storage.metadata`).
+3: a second antenna (antenna_separation_m, /scans/receive_positions_m), which version 2 would leave out."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +49,12 @@ def _typed_metadata(raw: RawCapture) -> RawCapture:
     return RawCapture({**raw.attributes, **texts}, raw.arrays)
 
 
-STEPS: Mapping[int, Step] = MappingProxyType({1: _typed_metadata})
+def _one_antenna(raw: RawCapture) -> RawCapture:
+    """Version 2 to 3: nothing changes, since a missing second antenna means one antenna for both ways."""
+    return raw
+
+
+STEPS: Mapping[int, Step] = MappingProxyType({1: _typed_metadata, 2: _one_antenna})
 """The step from version n to n + 1, by n."""
 
 

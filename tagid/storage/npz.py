@@ -1,11 +1,11 @@
 """The generic NPZ file, through which scans of any radar come in and captures go out to numpy.
 
 Keys: samples (views, bins) real or complex; range_start_m, range_step_m; one of angles_rad (views,),
-timestamps_s (views,), antenna_positions_m (views, 3); with angles axis_distance_m, optionally
-antenna_height_m. Optional: center_frequency_hz, bandwidth_hz, wave_speed_m_s (m/s, vacuum unless given),
-pulse with pulse_step_s, object (text or
-JSON). What `tagid` exports also holds angle_sigma_rad, radar_time_ms, host_time_ns, scan_id, flags and
-tagid (JSON: provenance, settings).
+timestamps_s (views,), antenna_positions_m (views, 3), or transmit_positions_m with receive_positions_m where
+the radar has two antennas; with angles axis_distance_m, optionally antenna_height_m and antenna_separation_m
+(between two antennas side by side). Optional: center_frequency_hz, bandwidth_hz, wave_speed_m_s (m/s, vacuum
+unless given), pulse with pulse_step_s, object (text or JSON). What `tagid` exports also
+holds angle_sigma_rad, radar_time_ms, host_time_ns, scan_id, flags and tagid (JSON: provenance, settings).
 """
 
 from __future__ import annotations
@@ -32,18 +32,29 @@ from tagid.storage.metadata import PARTS, VERSION_KEY, metadata_of, read_metadat
 
 MAGIC = b"PK"
 
-_NUMBERS = ("axis_distance_m", "antenna_height_m", "center_frequency_hz", "bandwidth_hz", "wave_speed_m_s")
+_NUMBERS = (
+    "axis_distance_m",
+    "antenna_height_m",
+    "antenna_separation_m",
+    "center_frequency_hz",
+    "bandwidth_hz",
+    "wave_speed_m_s",
+)
 _VECTORS = {
     "angles_rad": np.float64,
     "angle_sigma_rad": np.float64,
     "antenna_positions_m": np.float64,
+    "receive_positions_m": np.float64,
     "radar_time_ms": np.float64,
     "host_time_ns": np.int64,
     "scan_id": np.int64,
     "flags": np.uint8,
 }
-_WHERE = ("angles_rad", "timestamps_s", "antenna_positions_m")
+_TRANSMIT = "transmit_positions_m"
+"""Another name of antenna_positions_m, for files that hold receive_positions_m."""
+_WHERE = ("angles_rad", "timestamps_s", "antenna_positions_m", _TRANSMIT)
 _OTHER = (
+    _TRANSMIT,
     "samples",
     "range_start_m",
     "range_step_m",
@@ -93,6 +104,13 @@ def read_npz(path: Path) -> Capture:
             f"{path}: the NPZ file holds angles_rad, but lacks axis_distance_m",
             "Add axis_distance_m, the metres from the radar to the rotation axis.",
         )
+    if _TRANSMIT in arrays:
+        if "antenna_positions_m" in arrays or "receive_positions_m" not in arrays:
+            raise FileFormatError(
+                f"{path}: {_TRANSMIT} belongs to receive_positions_m",
+                "Give both, or antenna_positions_m for one antenna.",
+            )
+        arrays["antenna_positions_m"] = arrays.pop(_TRANSMIT)
     samples = _samples(path, arrays["samples"])
     fields: dict[str, Any] = {
         key: number(arrays[key], f"{path} ({key})")
@@ -123,6 +141,8 @@ def encode_npz(capture: Capture) -> bytes:
         value = getattr(capture, key)
         if value is not None:
             arrays[key] = np.asarray(value)
+    if capture.receive_positions_m is not None:
+        arrays[_TRANSMIT] = arrays.pop("antenna_positions_m")
     if capture.radar_time_ms is not None:
         arrays["timestamps_s"] = capture.radar_time_ms / 1000.0
     if capture.pulse is not None:
@@ -211,7 +231,7 @@ def _samples(path: Path, values: NDArray[Any]) -> NDArray[Any]:
 
 
 def _vector(path: Path, key: str, values: NDArray[Any], dtype: Any, views: int) -> NDArray[Any]:
-    shape = (views, 3) if key == "antenna_positions_m" else (views,)
+    shape = (views, 3) if key.endswith("positions_m") else (views,)
     if values.shape != shape:
         raise FileFormatError(
             f"{path}: {key} has shape {values.shape}, but samples has {views} views: expected {shape}"

@@ -13,7 +13,6 @@ import sys
 from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import ExitStack
-from datetime import date
 from pathlib import Path
 from typing import NamedTuple
 
@@ -24,6 +23,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 from focus_rails import PATHS, draw_rail
 from focus_scenes import FAMILIES, FULL_WAVE, FULL_WAVE_OBJECTS, RADARS, draw_scene, full_wave_scene
+from imaging_report import heading
 
 from tagid.geometry import ImageGrid
 from tagid.imaging.autofocus import focus_axis_distance
@@ -169,10 +169,8 @@ def outcomes(items: list[Task], jobs: int, kept: Path | None) -> list[Outcome]:
     return [done[item] for item in items]
 
 
-TEXT = """# Focus: axis distance and path delay
-
-`python tests/benchmarks/bench_focus.py --seeds {seeds} --rails {rails} --write`, {date}, seeds from
-{first}; the criterion was chosen on other seeds, from 1000 on. Scenes are drawn by
+TEXT = """{head}
+The criterion was chosen on other seeds, from 1000 on. Scenes are drawn by
 `tests/benchmarks/focus_scenes.py` and `focus_rails.py`: the distance given is right in a third of the scenes
 and wrong by up to 0.4 wavelengths in the others; noise 10 to 30 dB under the strongest sample, 36 to 360
 views, a turn that is uneven by up to 0.6 degrees, antenna sometimes above the object's plane. The path delay
@@ -212,10 +210,11 @@ def main() -> None:
     found = outcomes(turns, given.jobs, given.resume)
     delays = outcomes(paths, given.jobs, given.resume)
     text = TEXT.format(
-        seeds=given.seeds,
-        rails=given.rails,
-        date=date.today(),
-        first=given.first,
+        head=heading(
+            "Focus: axis distance and path delay",
+            f"python tests/benchmarks/bench_focus.py --seeds {given.seeds} --rails {given.rails} --write",
+            f"{given.seeds} scenes per row from {given.first} on (full wave: half as many per object)",
+        ),
         turns=f"{summary(found)}\n\n{table(found)}",
         paths=f"{summary(delays)}\n\n{table(delays)}",
         why=reasons(found + delays),

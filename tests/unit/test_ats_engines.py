@@ -46,12 +46,12 @@ def problem(scans):
     aspect = np.exp(1j * RNG.uniform(0, 6, (24, 3)))
     confidence = RNG.uniform(0.2, 1, scans.samples.shape)
     shadow = RNG.uniform(0.3, 1, (24, GRID.pixels**2))
-    return weights, GridArrays.of(GRID, SHAPE.cells, fine.step), fine, aspect, confidence, shadow
+    return weights, GridArrays.of(GRID, SHAPE.cells), fine, aspect, confidence, shadow
 
 
 def test_the_gradient_is_that_of_the_loss_by_autograd(scans) -> None:
     weights, grid, fine, aspect, confidence, shadow = problem(scans)
-    views = view_arrays(scans, fine.step, confidence, aspect, shadow)
+    views = view_arrays(scans, GRID.points, fine, confidence, aspect, shadow)
     numbers = np.array([0, 0, 1, 1, 3.0, 2e-3, 1e-3, 5e-3, 1e-8], dtype=np.float32)
     engine = TorchEngine(weights)
     loss = engine.step(grid, views, fine, numbers)
@@ -85,7 +85,7 @@ def test_the_gradient_is_that_of_the_loss_by_autograd(scans) -> None:
 def test_the_gradient_is_that_of_the_loss_by_finite_differences(scans, monkeypatch) -> None:
     """The very step of the engine in double precision, along random directions of every parameter."""
     weights, grid, fine, aspect, confidence, shadow = problem(scans)
-    views = view_arrays(scans, fine.step, confidence, aspect, shadow)
+    views = view_arrays(scans, GRID.points, fine, confidence, aspect, shadow)
     numbers = np.array([0, 0, 1, 1, 3.0, 2e-3, 1e-3, 5e-3, 1e-8], dtype=np.float32)
     seen = []
     monkeypatch.setattr(fit_torch, "optimise", lambda s: seen.append(s) or step_module.optimise(s))
@@ -123,8 +123,10 @@ def test_the_step_sees_what_the_operator_sees(scans) -> None:
     shape = FieldShape((4, 9), features=3, width=5, hidden=2)
     weights = draw_weights(shape, GRID, 0.3, seed=2)
     fine = FineRange.of(scans, GRID.points)
-    arrays = GridArrays.of(GRID, shape.cells, fine.step)
-    views = view_arrays(scans, fine.step, np.ones(scans.samples.shape), np.ones((24, 1), dtype=complex))
+    arrays = GridArrays.of(GRID, shape.cells)
+    views = view_arrays(
+        scans, GRID.points, fine, np.ones(scans.samples.shape), np.ones((24, 1), dtype=complex)
+    )
     numbers = np.array([0, 0, 1, 1, 0.3, 1, 0, 0, 1e-8], dtype=np.float32)
     loss = TorchEngine(weights).step(arrays, views, fine, numbers)
     residual = ForwardOperator(scans, GRID).forward(weights.on(GRID).ravel()) - scans.samples
@@ -137,7 +139,7 @@ def matrix_of_nearest_bins(scans, fine):
     real, imaginary = np.split(fine.spread, 2, axis=1)
     out = []
     for antenna in scans.aperture.positions:
-        place = np.linalg.norm(points - antenna, axis=1) / fine.step - fine.offset[0]
+        place = np.linalg.norm(points - antenna, axis=1) / fine.step - fine.offset
         out.append((real + 1j * imaginary)[place.astype(int)].T)
     return torch.from_numpy(np.stack(out).astype(np.complex64))
 

@@ -154,7 +154,7 @@ def test_too_large_is_refused_before_memory_is_taken(monkeypatch):
     assert "fewer views" in caught.value.remedy
 
 
-@pytest.mark.parametrize("points", [np.zeros((0, 2)), np.zeros((4, 3)), np.zeros(4), np.full((2, 2), np.nan)])
+@pytest.mark.parametrize("points", [np.zeros((0, 2)), np.zeros((4, 4)), np.zeros(4), np.full((2, 2), np.nan)])
 def test_points_must_be_points(points):
     with pytest.raises(UsageError, match="points"):
         ForwardOperator(scans_of(turn(20)), points)

@@ -11,7 +11,7 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
-from storage_samples import BARE, COMPLEX, FLOAT, FREE, LONG, TINY, assert_equal, capture
+from storage_samples import BARE, COMPLEX, FLOAT, FREE, LONG, PAIRS, TINY, assert_equal, capture
 
 from tagid import files
 from tagid.errors import DiskFullError, FileFormatError, StorageError, TagidError
@@ -19,7 +19,7 @@ from tagid.storage.hdf5 import read_capture, write_capture
 from tagid.storage.migrations import FORMAT_VERSION, RawCapture, migrate
 
 
-@pytest.mark.parametrize("changes", [{}, FREE, BARE, COMPLEX, FLOAT, TINY, LONG, {"complete": True}])
+@pytest.mark.parametrize("changes", [{}, FREE, PAIRS, BARE, COMPLEX, FLOAT, TINY, LONG, {"complete": True}])
 def test_round_trip(tmp_path: Path, changes: dict[str, Any]) -> None:
     one = capture(**changes)
     write_capture(tmp_path / "a.tagid.h5", one)

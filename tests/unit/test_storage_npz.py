@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.io import loadmat
-from storage_samples import COMPLEX, FLOAT, FREE, TINY, assert_equal, capture
+from storage_samples import COMPLEX, FLOAT, FREE, PAIRS, TINY, assert_equal, capture
 
 from tagid.errors import FileFormatError, StorageError, UsageError
 from tagid.metadata import ObjectInfo
@@ -78,7 +78,7 @@ def test_small_is_not_bad(tmp_path: Path) -> None:
     assert read_any(npz(tmp_path / "a.npz", **one)).samples.shape == (1, 1)
 
 
-@pytest.mark.parametrize("changes", [{}, FREE, COMPLEX, FLOAT, TINY])
+@pytest.mark.parametrize("changes", [{}, FREE, PAIRS, COMPLEX, FLOAT, TINY])
 def test_export_is_taken_back_without_loss(tmp_path: Path, changes: dict[str, Any]) -> None:
     one = capture(**changes)
     export(one, tmp_path / "a.npz")
@@ -104,6 +104,13 @@ BAD: dict[str, tuple[tuple[str, ...], dict[str, Any], str]] = {
     "angles NaN": ((), {"angles_rad": np.full(4, np.nan)}, "angles_rad"),
     "angles complex": ((), {"angles_rad": np.zeros(4, complex)}, "angles_rad"),
     "positions flat": (("angles_rad",), {"antenna_positions_m": np.ones((4, 2))}, "(4, 2)"),
+    "receivers alone": (
+        ("angles_rad",),
+        {"receive_positions_m": np.ones((4, 3)), "timestamps_s": np.arange(4.0)},
+        "transmitting",
+    ),
+    "transmitters alone": (("angles_rad",), {"transmit_positions_m": np.ones((4, 3))}, "receive_positions_m"),
+    "antennas a negative distance apart": ((), {"antenna_separation_m": -0.1}, "antenna_separation_m"),
     "angles and positions": ((), {"antenna_positions_m": np.ones((4, 3))}, "not both"),
     "times infinite": ((), {"timestamps_s": np.full(4, 1e308)}, "radar_time_ms"),
     "range step of zero": ((), {"range_step_m": 0.0}, "range_step_m"),
@@ -217,7 +224,7 @@ def test_matlab_file(tmp_path: Path) -> None:
     np.testing.assert_array_equal(mat["angle_rad"][:, 0], one.angles_rad)
     assert mat["axis_distance_m"].item() == 1.25 and mat["uuid"].item() == one.uuid
     assert mat["object"].item() == '{"label": "helmet 7"}' and mat["complete"].item() == 0
-    export(capture(**{**COMPLEX, **FREE}), tmp_path / "b.mat")
+    export(capture(**{**COMPLEX, **PAIRS}), tmp_path / "b.mat")
     mat = loadmat(tmp_path / "b.mat")
     np.testing.assert_array_equal(mat["samples"], COMPLEX["samples"])
     assert mat["antenna_positions_m"].shape == (9, 3) and "angle_rad" not in mat

@@ -27,6 +27,14 @@ AntennaHeight = Annotated[
     float | None,
     typer.Option("--antenna-height", help="Antenna above the reflectors' plane, metres.", show_default=False),
 ]
+AntennaSeparation = Annotated[
+    float | None,
+    typer.Option(
+        "--antenna-separation",
+        help="Horizontal distance between transmitting and receiving antenna, metres; 0: one antenna.",
+        show_default=False,
+    ),
+]
 CableDelay = Annotated[
     float | None,
     typer.Option("--cable-delay", help="Cable and antenna delay, two-way picoseconds.", show_default=False),

@@ -39,6 +39,7 @@ def register(group: typer.Typer) -> None:
         ] = 0,
         axis_distance: options.AxisDistance = None,
         antenna_height: options.AntennaHeight = None,
+        antenna_separation: options.AntennaSeparation = None,
         cable_delay: options.CableDelay = None,
         note: Annotated[str, typer.Option("--note", help="Kept in the capture, e.g. a place.")] = "",
     ) -> Result:
@@ -59,6 +60,7 @@ def register(group: typer.Typer) -> None:
                 "radar.url": radar,
                 "motion.axis_distance_m": axis_distance,
                 "motion.antenna_height_m": antenna_height,
+                "motion.antenna_separation_m": antenna_separation,
                 "radar.cable_delay_ps": cable_delay,
                 "storage.folder": folder,
             }
@@ -72,6 +74,7 @@ def register(group: typer.Typer) -> None:
             None,
             config["motion.axis_distance_m"],
             config["motion.antenna_height_m"],
+            config["motion.antenna_separation_m"],
             config["radar.cable_delay_ps"],
             motion=config["motion.url"],
             object=ObjectInfo(note=note or None),

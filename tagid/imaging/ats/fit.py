@@ -159,13 +159,13 @@ class _Fit:
         """All steps; the mean field over the last of them, and its held-out residual."""
         settings, steps = self.settings, self.settings.steps
         fine = FineRange.of(self.all, self.grid.points, self._margin())
-        grid = GridArrays.of(self.grid, cells, fine.step)
+        grid = GridArrays.of(self.grid, cells)
         learn = {int(part * steps) for part in _LEARN_AT} if self._learns() else set()
         subsets = self._subsets(fine)
         best, worse, mean, since = np.inf, 0, engine.weights(), 0
         for step in range(steps):
             views = subsets[step % len(subsets)]
-            numbers = self._numbers(scales, step, len(views.antenna))
+            numbers = self._numbers(scales, step, len(views.index))
             self.losses.append(engine.step(grid, views, fine, numbers))
             if progress is not None:
                 progress(step + 1, steps, self.losses[-1])
@@ -209,7 +209,7 @@ class _Fit:
         now = replace(self.scans, samples=data, aperture=aperture)
         aspect = _aspect(aperture.positions, self.settings.aspect_harmonics) * self.known.gain[:, None]
         aspect = aspect * self.known.phase(self.scans.wavenumber)
-        arrays = view_arrays(now, fine.step, self.confidence, aspect, self.shadow)
+        arrays = view_arrays(now, self.grid.points, fine, self.confidence, aspect, self.shadow)
         return [arrays.select(views) for views in view_subsets(aperture, self.settings.views_per_step)]
 
     def _learns(self) -> bool:
@@ -345,7 +345,7 @@ def _foresee(scans: BasebandScans, grid: ImageGrid, settings: AtsSettings) -> No
     weighted = settings.occlusion > 0 or settings.spreading > 0 or settings.beam_width_deg > 0
     shadows = 8 * scans.aperture.views * points if weighted else 0
     require_memory(
-        points * (views * per_pair + per_point) + shadows,
+        points * (views * per_pair + per_point + 8 * scans.aperture.views) + shadows,
         f"steps of {views} views and {grid.pixels} x {grid.pixels} pixels",
         "Use fewer pixels (--pixels), or fewer views a step.",
     )

@@ -43,11 +43,8 @@ class RangeProfiles:
     @classmethod
     def of(cls, scans: BasebandScans, radius_m: float) -> RangeProfiles:
         """The profiles for the radar of some scans. Raises DataError where these miss the object's range."""
-        antenna = scans.aperture.positions
-        reach = np.linalg.norm(antenna[:, :2], axis=1)
-        height = antenna[:, 2]
-        near = float(np.hypot(np.maximum(reach - radius_m, 0), height).min())
-        far = float(np.hypot(reach + radius_m, height).max())
+        least, greatest = scans.aperture.span(radius_m)
+        near, far = float(least.min()), float(greatest.max())
         width = _effective_half_width(scans)
         ranges = scans.ranges_m
         keep = (ranges >= near - width) & (ranges <= far + width)
@@ -108,6 +105,7 @@ class MatchedField:
 
     def __init__(self, scans: BasebandScans, radius_m: float) -> None:
         self.antenna = scans.aperture.positions
+        self._antennas = scans.aperture.antennas
         self.wavenumber = scans.wavenumber
         self.radius_m = radius_m
         range_profiles = RangeProfiles.of(scans, radius_m)
@@ -137,12 +135,14 @@ class MatchedField:
     def distances(
         self, points: NDArray[np.floating], heights: NDArray[np.floating] | float = 0.0
     ) -> NDArray[np.float64]:
-        """(..., views) distance of points (..., 2) at heights (...) from every antenna position, m."""
+        """(..., views) one-way range of points (..., 2) at heights (...) in every view, m."""
         p = np.asarray(points, dtype=np.float64)
-        x = p[..., 0, None] - self.antenna[:, 0]
-        y = p[..., 1, None] - self.antenna[:, 1]
-        z = np.asarray(heights, dtype=np.float64)[..., None] - self.antenna[:, 2]
-        return np.asarray(np.sqrt(x * x + y * y + z * z))
+        up = np.asarray(heights, dtype=np.float64)[..., None]
+        ways = []
+        for antenna in self._antennas:
+            x, y, z = p[..., 0, None] - antenna[:, 0], p[..., 1, None] - antenna[:, 1], up - antenna[:, 2]
+            ways.append(np.sqrt(x * x + y * y + z * z))
+        return np.asarray(ways[0] if len(ways) == 1 else (ways[0] + ways[1]) / 2)
 
     def templates(
         self, distances: NDArray[np.float64], weight: NDArray[np.float32] | None = None

@@ -10,7 +10,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from tagid.geometry import Aperture
 from tagid.imaging.types import BasebandScans
 
 GUARD_ORDERS = 10
@@ -53,7 +52,7 @@ def fold_views(scans: BasebandScans, radius_m: float) -> BasebandScans:
     return replace(
         scans,
         samples=(fold @ scans.samples).astype(np.complex64),
-        aperture=Aperture.turntable(new, distance, scans.aperture.height),
+        aperture=scans.aperture.turned(new, distance),
         noise_std=scans.noise_std * gain,
         independent_samples=scans.independent_samples * share,
     )
