@@ -16,8 +16,11 @@ from tagid.errors import FileFormatError
 from tagid.storage.assembly import decode_settings, encode_settings
 from tagid.storage.metadata import PARTS, migrate_metadata
 
-FORMAT_VERSION = 2
-"""Version of the capture file that this tagid writes. 2: typed metadata (`tagid.storage.metadata`)."""
+FORMAT_VERSION = 3
+"""Version of the capture file that this tagid writes. 2: typed metadata (`tagid.storage.metadata`). 3: the
+angles are called `angles_rad`, as in NPZ and MATLAB files."""
+OLD_ANGLES = "scans/angle_rad"
+ANGLES = "scans/angles_rad"
 
 
 @dataclass(frozen=True)
@@ -48,7 +51,17 @@ def _typed_metadata(raw: RawCapture) -> RawCapture:
     return RawCapture({**raw.attributes, **texts}, raw.arrays)
 
 
-STEPS: Mapping[int, Step] = MappingProxyType({1: _typed_metadata})
+def named_angles(raw: RawCapture) -> RawCapture:
+    """Version 2 to 3: angles under the name that every format has for them."""
+    if OLD_ANGLES not in raw.arrays or ANGLES in raw.arrays:
+        return raw
+    return RawCapture(
+        raw.attributes,
+        {ANGLES if name == OLD_ANGLES else name: values for name, values in raw.arrays.items()},
+    )
+
+
+STEPS: Mapping[int, Step] = MappingProxyType({1: _typed_metadata, 2: named_angles})
 """The step from version n to n + 1, by n."""
 
 
