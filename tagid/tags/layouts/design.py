@@ -22,7 +22,7 @@ from tagid.tags.layouts.necklaces import necklaces, occupied
 from tagid.tags.layouts.objects import Row, TaggedObject
 
 REFLECTOR_M = 0.04
-"""Width of the paper's reflectors, octahedra of 20 mm radius: their centres cannot be closer."""
+"""Size (tip to tip) of the paper's reflectors, octahedra of 20 mm radius: their centres cannot be closer."""
 GHOST_M = 0.07
 """Reflectors closer than about a wavelength (7.6 cm at 3.95 GHz) modulate each other and cause a ghost."""
 MAX_SLOTS = 48
