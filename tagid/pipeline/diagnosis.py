@@ -186,8 +186,8 @@ def _of_the_place(
             return [
                 Cause(
                     "off_centre",
-                    f"the scans show {found.reading.layout} {np.linalg.norm(away):.0f} mm off the rotation axis, "
-                    f"at ({away[0]:.0f}, {away[1]:.0f}) mm",
+                    f"the scans show {found.reading.layout} {np.linalg.norm(away):.0f} mm off the rotation "
+                    f"axis, at ({away[0]:.0f}, {away[1]:.0f}) mm",
                     "Place the object's own axis on the rotation axis, within 10 mm.",
                 )
             ]
@@ -220,8 +220,9 @@ def recentred(capture: Capture, centre: tuple[float, float]) -> Capture:
     """The scans as they would be if the point `centre` of the turntable were its axis.
 
     Each view is moved in range by the difference of that point's distance from the axis's, and takes the
-    angle under which the antenna stands from there. The static background is subtracted before, since it would no
-    longer be static. What remains is the change of curvature, under 1 mm for an object of 0.1 m at 1 m.
+    angle under which the antenna stands from there. The static background is subtracted before, since it
+    would no longer be static. What remains is the change of curvature, under 1 mm for an object of 0.1 m at
+    1 m.
 
     Args:
         capture: of a turntable, with angles and axis distance.

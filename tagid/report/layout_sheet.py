@@ -29,7 +29,7 @@ CHECK_MM = 100.0
 def plan(layout: Layout) -> Drawing:
     """Seen from above at 1:1: axis, rows, reflectors with number, radius, angle and height, and gaps."""
     half = layout.radius_m * 1e3 + EDGE_MM
-    lines = 4 + layout.size
+    lines = 5 + layout.size
     foot = 6.0 * lines + 12
     sheet = Drawing(max(2 * half, CHECK_MM + 20), 2 * half + foot)
     cx, cy = sheet.width / 2, foot + half
@@ -70,6 +70,7 @@ def plan(layout: Layout) -> Drawing:
         end = cx + radius * float(np.cos(free)), cy + radius * float(np.sin(free))
         sheet.add(Text(end, f"R {radius:.1f}", 3.5))
     rows = [f"{layout.name}   {layout.label}   (from above, millimetres, 1:1)"]
+    rows.append(f"Circles: reflectors of size {REFLECTOR_M * 1e3:.0f} mm, measured from tip to tip.")
     if len(set(heights.tolist())) > 1:
         rows.append("A dashed outline is a reflector above the lowest row.")
     for number, ((x, y), h) in enumerate(zip(places, heights, strict=True), 1):

@@ -59,7 +59,7 @@ def scene_from_layout(positions: NDArray[np.floating], name: str = "tag", seed: 
     """
     rng = np.random.default_rng(seed)
     points = tag_points(positions, rng)
-    # The wall that carries the reflectors; octahedra of 20 mm stand off it.
+    # The wall that carries the reflectors; octahedra of 40 mm (tip to tip) have their middle 20 mm off it.
     radius = max(0.02, float(np.linalg.norm(points.positions[:, :2], axis=1).max()) - 0.02)
     shell = Cylinder(radius, amplitude=0.5)
     about = {"layout": name, "seed": seed}

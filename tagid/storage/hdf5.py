@@ -2,12 +2,12 @@
 
 It is the format that every command writes and that other programs can open without `tagid`.
 
-Layout, version 3. Root attributes: format ("tagid.capture"), format_version, uuid, created_utc,
-tool_version, complete, radar, motion, object (JSON), range_start_m, range_step_m, axis_distance_m (absent:
-unknown), antenna_height_m, antenna_separation_m (absent: one antenna), center_frequency_hz, bandwidth_hz,
-wave_speed_m_s (absent: vacuum), pulse_step_s (with /pulse). Datasets under
-/scans, a row a view: samples (views, bins) int32 or float32, samples_imag (for complex samples, whose real
-part is in samples), host_time_ns and scan_id int64, radar_time_ms, angle_rad, angle_sigma_rad float64,
+Layout, version 3 (docs/formats.md). Root attributes: format ("tagid.capture"), format_version, uuid,
+created_utc, tool_version, complete, radar, motion, object (JSON), range_start_m, range_step_m,
+axis_distance_m (absent: unknown), antenna_height_m, antenna_separation_m (absent: one antenna),
+center_frequency_hz, bandwidth_hz, wave_speed_m_s (absent: vacuum), pulse_step_s (with /pulse). Datasets
+under /scans, one row per view: samples (views, bins) int32 or float32, samples_imag (for complex samples,
+whose real part is in samples), host_time_ns and scan_id int64, radar_time_ms, angles_rad, angle_sigma_rad float64,
 flags uint8, antenna_positions_m (views, 3) float64 and, where the receiving antenna is another one,
 receive_positions_m; what is not known is absent. /pulse (n,) float64, its middle sample is time zero. Texts
 have a fixed length, so that all metadata is checksummed, too. Every dataset is checksummed (Fletcher-32),
@@ -42,7 +42,14 @@ from tagid.storage.assembly import (
     text,
 )
 from tagid.storage.metadata import PARTS, metadata_of, read_metadata
-from tagid.storage.migrations import FORMAT_VERSION, RawCapture, check_version, migrate
+from tagid.storage.migrations import (
+    FORMAT_VERSION,
+    OLD_ANGLES,
+    RawCapture,
+    check_version,
+    migrate,
+    named_angles,
+)
 
 FORMAT = "tagid.capture"
 MAGIC = b"\x89HDF\r\n\x1a\n"
@@ -50,7 +57,7 @@ MAGIC = b"\x89HDF\r\n\x1a\n"
 _VIEW_ARRAYS = {
     "host_time_ns": ("host_time_ns", "int64"),
     "radar_time_ms": ("radar_time_ms", "float64"),
-    "angle_rad": ("angles_rad", "float64"),
+    "angles_rad": ("angles_rad", "float64"),
     "angle_sigma_rad": ("angle_sigma_rad", "float64"),
     "scan_id": ("scan_id", "int64"),
     "flags": ("flags", "uint8"),
@@ -65,7 +72,7 @@ _MAX_EXPANSION = 20
 _SMALL_BYTES = 16 << 20
 """Scans hold noise and deflate 2:1 to 5:1; far more, of something large, was made to fill the memory."""
 _KNOWN = frozenset(
-    {"pulse", "scans/samples", "scans/samples_imag", *(f"scans/{name}" for name in _VIEW_ARRAYS)}
+    {"pulse", "scans/samples", "scans/samples_imag", OLD_ANGLES, *(f"scans/{name}" for name in _VIEW_ARRAYS)}
 )
 
 
@@ -220,7 +227,7 @@ def read_capture(path: Path) -> Capture:
             f"{path}: the HDF5 file is damaged or cut off ({str(error)[:120]})",
             "If a journal of the recording is left, use `tagid recover`.",
         ) from error
-    return _to_capture(path, migrate(raw, version, path))
+    return _to_capture(path, named_angles(migrate(raw, version, path)))
 
 
 def _fill(file: Any, capture: Capture, written: _Written) -> None:

@@ -17,8 +17,11 @@ from tagid.storage.assembly import decode_settings, encode_settings
 from tagid.storage.metadata import PARTS, migrate_metadata
 
 FORMAT_VERSION = 3
-"""Version of the capture file that this tagid writes. 2: typed metadata (`tagid.storage.metadata`).
-3: a second antenna (antenna_separation_m, /scans/receive_positions_m), which version 2 would leave out."""
+"""Version of the capture file that this tagid writes. 2: typed metadata (`tagid.storage.metadata`). 3: the
+angles are called `angles_rad`, as in NPZ and MATLAB files; a second antenna (antenna_separation_m,
+/scans/receive_positions_m), which version 2 would ignore."""
+OLD_ANGLES = "scans/angle_rad"
+ANGLES = "scans/angles_rad"
 
 
 @dataclass(frozen=True)
@@ -49,12 +52,17 @@ def _typed_metadata(raw: RawCapture) -> RawCapture:
     return RawCapture({**raw.attributes, **texts}, raw.arrays)
 
 
-def _one_antenna(raw: RawCapture) -> RawCapture:
-    """Version 2 to 3: nothing changes, since a missing second antenna means one antenna for both ways."""
-    return raw
+def named_angles(raw: RawCapture) -> RawCapture:
+    """Version 2 to 3: angles under the name that every format has for them; no second antenna means one."""
+    if OLD_ANGLES not in raw.arrays or ANGLES in raw.arrays:
+        return raw
+    return RawCapture(
+        raw.attributes,
+        {ANGLES if name == OLD_ANGLES else name: values for name, values in raw.arrays.items()},
+    )
 
 
-STEPS: Mapping[int, Step] = MappingProxyType({1: _typed_metadata, 2: _one_antenna})
+STEPS: Mapping[int, Step] = MappingProxyType({1: _typed_metadata, 2: named_angles})
 """The step from version n to n + 1, by n."""
 
 

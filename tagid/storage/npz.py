@@ -1,6 +1,6 @@
 """The generic NPZ file, through which scans of any radar come in and captures go out to numpy.
 
-Keys: samples (views, bins) real or complex; range_start_m, range_step_m; one of angles_rad (views,),
+Keys (docs/formats.md): samples (views, bins) real or complex; range_start_m, range_step_m; one of angles_rad (views,),
 timestamps_s (views,), antenna_positions_m (views, 3), or transmit_positions_m with receive_positions_m where
 the radar has two antennas; with angles axis_distance_m, optionally antenna_height_m and antenna_separation_m
 (between two antennas side by side). Optional: center_frequency_hz, bandwidth_hz, wave_speed_m_s (m/s, vacuum
@@ -66,6 +66,8 @@ _OTHER = (
 )
 _KEYS = frozenset((*_NUMBERS, *_VECTORS, *_OTHER))
 _TEXTS = ("uuid", "created_utc", "tool_version")
+_OLD_ANGLES = "angle_rad"
+"""Name of the angles in older HDF5 and MATLAB files, which scripts copied into NPZ files."""
 _SMALL_BYTES = 16 << 20
 _MAX_EXPANSION = 20
 """Scans hold noise and deflate 2:1 to 5:1; far more, of something large, was made to fill the memory."""
@@ -80,7 +82,9 @@ def read_npz(path: Path) -> Capture:
         StorageError: the file cannot be read.
         FileFormatError: damaged, a key is missing, of the wrong shape, dtype or size, or not finite.
     """
-    arrays = read_arrays(path, files.read_bytes(path), _KEYS)
+    arrays = read_arrays(path, files.read_bytes(path), _KEYS | {_OLD_ANGLES})
+    if _OLD_ANGLES in arrays:
+        arrays.setdefault("angles_rad", arrays[_OLD_ANGLES])
     missing = [key for key in ("samples", "range_start_m", "range_step_m") if key not in arrays]
     if missing:
         raise FileFormatError(

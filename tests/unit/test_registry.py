@@ -321,7 +321,7 @@ def test_undo_goes_back_command_by_command_and_redo_forward(tmp_path: Path) -> N
 
 
 def test_a_file_of_layouts_comes_back_unchanged(tmp_path: Path) -> None:
-    made = design(object_named("mug").with_rows(2), DesignRules(), 5).layouts
+    made = design(object_named("mug").with_rows(2), DesignRules(), 5, "mug-r3s12").layouts
     seen = np.tile([[1e-6, 2e-7], [2e-7, 3e-6]], (3, 1, 1))
     family = [*made[:4], replace(made[4], covariance=seen)]
     path = tmp_path / "family.toml"

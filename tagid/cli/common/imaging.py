@@ -127,8 +127,8 @@ def focus_words(focus: AxisFocus | None) -> list[str]:
         return []
     if focus.reliable:
         return [
-            f"axis distance {focus.axis_distance_m:.4f} m, which differs by {focus.offset_m * 1e3:+.1f} mm from the "
-            f"given one (standard error {focus.sigma_m * 1e3:.2g} mm, "
+            f"axis distance {focus.axis_distance_m:.4f} m, {focus.offset_m * 1e3:+.1f} mm from the given one "
+            f"(standard error {focus.sigma_m * 1e3:.2g} mm, "
             f"evidence {focus.evidence:.1f} of {focus.needed:.1f} needed)"
         ]
     lines = [f"the data do not tell the axis distance: {focus.reason}; the given value is used"]
