@@ -2,8 +2,8 @@
 
     python tests/benchmarks/bench_live.py [--rpm 6] [--integration 15] [--repeats 3]
 
-The emulated radar runs in a process of its own and is not counted; recording, live view and reading are pinned
-to one core. Prints one JSON line per scan.
+The emulated radar runs in a process of its own and is not counted; recording, live view and reading are
+pinned to one core. Prints one JSON line per scan.
 """
 
 from __future__ import annotations
@@ -76,7 +76,11 @@ def one(url: str, rpm: float, integration: int, folder: Path) -> dict[str, objec
         prepared = PreparedCapture(load_capture(capture))
         answer = identify(prepared, known.layouts)
         view.settle(prepared.given, answer)
-    seconds = (capture.radar_time_ms[-1] - capture.radar_time_ms[0]) * 1e-3 if capture.radar_time_ms is not None else 0
+    seconds = (
+        (capture.radar_time_ms[-1] - capture.radar_time_ms[0]) * 1e-3
+        if capture.radar_time_ms is not None
+        else 0
+    )
     return {
         "scans": capture.views,
         "scans_per_second": round(capture.views / seconds, 1),
