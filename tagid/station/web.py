@@ -6,6 +6,7 @@ import asyncio
 import csv
 import io
 import json
+import logging
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, suppress
 from importlib import resources
@@ -385,6 +386,7 @@ def _refused(status: int, code: str, message: str, remedy: str) -> Response:
 
 async def _error(request: Request, error: Exception) -> Response:
     if not isinstance(error, TagidError):
+        logging.getLogger("tagid").error("%s: %s: %s", request.url.path, type(error).__name__, error)
         return _refused(500, "failed", "the station failed to answer", "Its log says why.")
     statuses: tuple[tuple[type[TagidError], int], ...] = (
         (BusyError, 409),
