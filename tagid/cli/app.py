@@ -23,6 +23,7 @@ from tagid.cli import (
     scan,
     show,
     simulate,
+    station,
     transfer,
 )
 from tagid.cli.common.frame import serve
@@ -42,6 +43,7 @@ app = typer.Typer(
 )
 for part in (
     scan,
+    station,
     identify,
     enroll,
     layouts,

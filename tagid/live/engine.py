@@ -6,6 +6,7 @@ is still taken into the next one.
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import threading
 import time
@@ -212,7 +213,8 @@ class LiveView:
         except Exception:
             # The recording must not depend on its view.
             logging.getLogger("tagid").debug("live view", exc_info=True)
-            self._publish(note="the live view stopped; the recording continues")
+            with contextlib.suppress(Exception):
+                self._publish(note="the live view stopped; the recording continues")
 
     def _take(self) -> bool:
         """Take the new scans into the views, and publish; False where nothing is new."""

@@ -138,7 +138,7 @@ class GrowingEvidence:
                     layout.name,
                     float(np.clip(explained / signal, 0, 1)),
                     self._decision.explained_share,
-                    explained / noise if noise > 0 else 0.0,
+                    float(explained / noise) if noise > 0 else 0.0,
                     nats_needed(layout.size, self._places, self._decision.false_accept),
                 )
             )

@@ -43,6 +43,7 @@ class GrowingViews:
         self._grid, self._layouts, self._imaging = grid, layouts, imaging
         self._judged: tuple[LayoutEvidence, ...] = ()
         self._judge_at = 0.0
+        self._judged_views = 0
         self._clear()
 
     def _clear(self) -> None:
@@ -102,7 +103,14 @@ class GrowingViews:
         self._samples += [scans.samples[group].mean(axis=0).astype(np.float32) for group in groups]
         self._angles += [float(angles_rad[group].mean()) for group in groups]
         self._capture = replace(
-            scans, samples=np.stack(self._samples), angles_rad=np.array(self._angles, dtype=np.float64)
+            scans,
+            samples=np.stack(self._samples),
+            angles_rad=np.array(self._angles, dtype=np.float64),
+            angle_sigma_rad=None,
+            host_time_ns=None,
+            radar_time_ms=None,
+            scan_id=None,
+            flags=None,
         )
         newest = self._capture.select(slice(-len(groups), None))
         self._image.add(preprocess(newest, settings=self._settings("none", matched=True)))
@@ -121,6 +129,9 @@ class GrowingViews:
         now = time.monotonic()
         if self._evidence is None or self._capture is None or now < self._judge_at:
             return self._judged
+        if self._capture.views == self._judged_views:
+            return self._judged
+        self._judged_views = self._capture.views
         if self._capture.views > 2:
             every = preprocess(self._capture, settings=self._settings("mean", matched=False))
             self._judged = self._evidence.judged(every)

@@ -2,8 +2,8 @@
 
     python tests/benchmarks/bench_live.py [--rpm 6] [--integration 15] [--repeats 3]
 
-The emulated radar runs in a process of its own and is not counted; recording, live view and reading are pinned
-to one core. Prints one JSON line per scan.
+The emulated radar runs in a process of its own and is not counted; recording, live view and reading are
+pinned to one core. Prints one JSON line per scan.
 """
 
 from __future__ import annotations

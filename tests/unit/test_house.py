@@ -15,6 +15,7 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 
 LAYERS = (
     {"cli", "__main__"},
+    {"station"},
     {"batch"},
     {"report", "doctor"},
     {"live"},
