@@ -276,14 +276,19 @@ def run(name: str, mutants: list[Mutant], places: int, seed: int) -> Result:
             timeouts += code is None
             if code == 0:
                 survivors.append(replace(mutant, source=""))
-                print(f"{target.module}:{mutant.line} {mutant.kind}\n  - {mutant.was}\n  + {mutant.now}", flush=True)
+                print(
+                    f"{target.module}:{mutant.line} {mutant.kind}\n  - {mutant.was}\n  + {mutant.now}",
+                    flush=True,
+                )
         module.write_text(original, encoding="utf-8")
     killed = len(mutants) - len(survivors)
     spent = time.monotonic() - began
     print(f"{name}: {killed} of {len(mutants)} killed ({100 * killed / max(len(mutants), 1):.1f} %), "
           f"{timeouts} by the time limit; {spent:.0f} s", flush=True)  # fmt: skip
     date = datetime.now(UTC).strftime("%Y-%m-%d")
-    return Result(name, places, len(mutants), killed, timeouts, spent, seed, _commit(), date, tuple(survivors))
+    return Result(
+        name, places, len(mutants), killed, timeouts, spent, seed, _commit(), date, tuple(survivors)
+    )
 
 
 def _copy_tree(copy: Path) -> None:
@@ -299,9 +304,7 @@ def _copy_tree(copy: Path) -> None:
 
 def _libraries(copy: Path, target: Target) -> list[str]:
     """Modules of `LIBRARIES` that the tests import, found in a process of their own."""
-    code = (
-        "import sys, pytest; pytest.main(sys.argv[1:]); print('modules', *sorted(sys.modules), file=sys.stderr)"
-    )
+    code = "import sys, pytest; pytest.main(sys.argv[1:]); print('modules', *sorted(sys.modules), file=sys.stderr)"
     words = ["--collect-only", "-q", "-n", "0", "-p", "no:cacheprovider", *target.tests]
     done = subprocess.run(
         [sys.executable, "-c", code, *words],
@@ -413,11 +416,21 @@ def page(results: list[Result]) -> str:
         killed=sum(one.killed for one in results),
         timeouts=sum(one.timeouts for one in results),
     )
-    lines += [_row("all", total), "", f"{sum(one.seconds for one in results) / 60:.0f} minutes on one core.", ""]
+    lines += [
+        _row("all", total),
+        "",
+        f"{sum(one.seconds for one in results) / 60:.0f} minutes on one core.",
+        "",
+    ]
     lines += ["## Survivors", ""]
     for one in results:
         if one.survivors:
-            lines += [f"`{TARGETS[one.target].module}`:", "", "| line | was | survives as | reason |", "|---|---|---|---|"]
+            lines += [
+                f"`{TARGETS[one.target].module}`:",
+                "",
+                "| line | was | survives as | reason |",
+                "|---|---|---|---|",
+            ]
         for mutant in one.survivors:
             reason = reasons.get((mutant.was, mutant.now), "not judged yet")
             lines.append(f"| {mutant.line} | {_code(mutant.was)} | {_code(mutant.now)} | {reason} |")

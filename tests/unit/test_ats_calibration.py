@@ -79,7 +79,9 @@ def test_samples_that_repeat_the_noise_count_once() -> None:
     same = _gains(dense, np.repeat(seen, 3, axis=1), Unknowns.none(dense, 2))
     np.testing.assert_allclose(same.gain, known.gain, rtol=1e-6)
     np.testing.assert_allclose(same.gain_sigma, known.gain_sigma, rtol=1e-6)
-    blind = _gains(replace(dense, independent_samples=0.0), np.repeat(seen, 3, axis=1), Unknowns.none(dense, 2))
+    blind = _gains(
+        replace(dense, independent_samples=0.0), np.repeat(seen, 3, axis=1), Unknowns.none(dense, 2)
+    )
     assert (blind.gain_sigma < 0.75 * known.gain_sigma).all()  # unknown: taken as white
 
     columns = [rng.standard_normal((VIEWS, 8)) + 1j * rng.standard_normal((VIEWS, 8)) for _ in range(3)]
@@ -93,7 +95,7 @@ def test_samples_that_repeat_the_noise_count_once() -> None:
 
 
 def test_the_stated_error_of_a_gain_is_its_error() -> None:
-    """With gains drawn from the prior, error over sigma has unit spread; the noise is that of real filters."""
+    """With gains drawn from the prior, error over sigma has unit spread, in noise that filters correlate."""
     rng = np.random.default_rng(5)
     ratios = []
     for seed in range(20):
