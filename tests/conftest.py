@@ -5,17 +5,14 @@ from __future__ import annotations
 import json
 import os
 import signal
-import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pytest
+from command_server import CommandServer
 from hypothesis import settings
-
-from tests.warm import LIMIT_S, WarmProcess
 
 # The same examples in every run; fresh ones are for the long runs that CONTRIBUTING names.
 settings.register_profile("fixed", derandomize=True)
@@ -51,28 +48,16 @@ def home(tmp_path: Path) -> dict[str, str]:
 
 
 @pytest.fixture(scope="session")
-def warm() -> Iterator[WarmProcess]:
-    environment = {k: v for k, v in os.environ.items() if not k.startswith("TAGID_")}
-    process = WarmProcess({**environment, "OMP_NUM_THREADS": "1", "COLUMNS": "200"})
-    yield process
-    process.close()
+def commands(tmp_path_factory: pytest.TempPathFactory) -> Iterator[CommandServer]:
+    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+    with CommandServer(tmp_path_factory.mktemp("commands"), environment) as server:
+        yield server
 
 
 @pytest.fixture
-def tagid(tmp_path: Path, home: dict[str, str], warm: WarmProcess) -> Callable[..., Ran]:
+def tagid(tmp_path: Path, home: dict[str, str], commands: CommandServer) -> Callable[..., Ran]:
     def run(*words: object, **more: str) -> Ran:
-        argv = [str(word) for word in words]
-        if all(key.startswith("TAGID_") for key in more):
-            done = warm.run(argv, {**home, **more}, tmp_path)
-        else:  # some variables are read while modules are imported
-            done = subprocess.run(
-                [sys.executable, "-m", "tagid", *argv],
-                capture_output=True,
-                text=True,
-                cwd=tmp_path,
-                env={**home, **more},
-                timeout=LIMIT_S,
-            )
+        done = commands.run([str(word) for word in words], tmp_path, {**home, **more}, 120)
         assert "Traceback" not in done.stderr, done.stderr
         return Ran(done.returncode, done.stdout, done.stderr)
 

@@ -95,7 +95,7 @@ def test_samples_that_repeat_the_noise_count_once() -> None:
 
 
 def test_the_stated_error_of_a_gain_is_its_error() -> None:
-    """With gains drawn from the prior, error over sigma has unit spread; the noise is that of real filters."""
+    """With gains drawn from the prior, error over sigma has unit spread, in noise that filters correlate."""
     rng = np.random.default_rng(5)
     ratios = []
     for seed in range(20):

@@ -1,7 +1,7 @@
 """The journal's durability policy, stated in the calls that implement it.
 
-A journal's name and header are on disk before the first scan is taken; every `sync_every` records, but not more
-often than `sync_seconds`, and at the end everything that was written is.
+A journal's name and header are on disk before the first scan is taken. Everything that was written is there
+after every `sync_every` records, but not more often than every `sync_seconds`, and at the end.
 """
 
 from __future__ import annotations
@@ -113,7 +113,8 @@ def test_syncs_are_at_least_so_many_seconds_apart(
     with JournalWriter(tmp_path / "j", HEADER, sync_every=1, sync_seconds=2.0) as journal:
         syncs.take()
         seen = []
-        for now in (100.0, 101.0, 101.9, 102.0, 103.9, 104.1):
+        for at in (100.0, 101.0, 101.9, 102.0, 103.9, 104.1):
+            now = at
             append(journal, 1)
             seen.append(len(syncs.take()))
     assert seen == [1, 0, 0, 1, 0, 1]
@@ -147,12 +148,12 @@ def test_a_journal_that_cannot_be_begun_leaves_nothing(
     def broken(folder: Path) -> None:
         raise OSError(errno.EIO, "Input/output error")
 
-    before = len(os.listdir("/proc/self/fd"))
+    before = len(list(Path("/proc/self/fd").iterdir()))
     monkeypatch.setattr(files, "sync_folder", broken)
     with pytest.raises(OSError, match="Input/output"):
         JournalWriter(tmp_path / "j", HEADER)
     assert list(tmp_path.iterdir()) == []
-    assert len(os.listdir("/proc/self/fd")) == before
+    assert len(list(Path("/proc/self/fd").iterdir())) == before
 
 
 def test_records_that_still_fit_are_kept_where_the_batch_does_not(
