@@ -171,10 +171,10 @@ def test_reader_and_simulator_know_both_antennas() -> None:
 
 
 def test_files_keep_both_antennas_and_one_of_the_present_format_is_kept() -> None:
-    capture = read_any(GOLDEN / "format-3.tagid.h5")
+    capture = read_any(GOLDEN / "version-3-antennas.tagid.h5")
     assert capture.antenna_separation_m == APART_M
     assert capture.aperture().separation == pytest.approx(APART_M)
-    pairs = read_any(GOLDEN / "format-3-positions.tagid.h5")
+    pairs = read_any(GOLDEN / "version-3-positions.tagid.h5")
     assert pairs.receive_positions_m is not None
     np.testing.assert_allclose(pairs.aperture().distances(POINTS), capture.aperture().distances(POINTS))
 
