@@ -25,7 +25,9 @@ def register(app: typer.Typer) -> None:
     def show(
         terminal: Terminal,
         file: options.CaptureFile,
-        png: Annotated[Path | None, typer.Option("--png", help="Picture (default: NAME.show.png beside the file).")] = None,
+        png: Annotated[
+            Path | None, typer.Option("--png", help="Picture (default: NAME.show.png beside the file).")
+        ] = None,
         changing: Annotated[
             bool, typer.Option("--changing", help="Draw without the mean scan: only what changes.")
         ] = False,

@@ -67,7 +67,7 @@ def register(app: typer.Typer) -> None:
             if demo:
                 from tagid.cli.common.demo import emulated_radar
 
-                overrides |= stack.enter_context(emulated_radar(demo_scene))
+                overrides |= stack.enter_context(emulated_radar(demo_scene)).settings
             source = _source(overrides, max_seconds, demo)
             source.config()
             work = Station(source)

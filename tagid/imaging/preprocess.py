@@ -35,7 +35,7 @@ MIN_NOISE_BINS = 6
 """Range bins beside the target from which the noise's spectrum over the band is estimated."""
 
 MIN_EARLY_VALUES = 16
-"""Values before the object from which its noise is told to 36 %, good enough to notice that it is coloured."""
+"""Values before the object from which its noise is known to 36 %, enough to notice that it is coloured."""
 
 _CHUNK_SAMPLES = 1 << 22
 _LN2 = float(np.log(2))
@@ -256,7 +256,7 @@ def _raised(noise: _Noise, early: NDArray[np.complex64], band: BandFilter) -> _N
     if noise.variance <= 0 or values < MIN_EARLY_VALUES:
         return noise
     seen = float(np.median(early.real**2 + early.imag**2)) / _LN2
-    # The median of n exponential variables has the relative standard deviation 1 / (ln 2 sqrt n) = 1.44 / sqrt n.
+    # The median of n exponential variables has the relative standard deviation 1 / (ln 2 sqrt n).
     if seen < (1 + 4 * 1.44 / np.sqrt(values)) * noise.variance:
         return noise
     return _Noise(seen, _band_density([early], band) or noise.density * seen / noise.variance)

@@ -59,7 +59,7 @@ class GrowingImage:
             )
         rows = scans.samples - self._reference
         fine, start, step = upsample_at_carrier(replace(scans, samples=rows), slice(None))
-        geometry = RangeGeometry.of(scans.aperture.positions, self.grid.points, (start, step), fine.shape[1])
+        geometry = RangeGeometry.of(scans.aperture, self.grid.points, (start, step), fine.shape[1])
         self._total += geometry.gather(fine)
         for number, unit in enumerate(self._unit_rows):
             self._operator[:, number] += geometry.gather(np.tile(unit, (len(rows), 1)))

@@ -7,8 +7,8 @@ created_utc, tool_version, complete, radar, motion, object (JSON), range_start_m
 axis_distance_m (absent: unknown), antenna_height_m, antenna_separation_m (absent: one antenna),
 center_frequency_hz, bandwidth_hz, wave_speed_m_s (absent: vacuum), pulse_step_s (with /pulse). Datasets
 under /scans, one row per view: samples (views, bins) int32 or float32, samples_imag (for complex samples,
-whose real part is in samples), host_time_ns and scan_id int64, radar_time_ms, angles_rad, angle_sigma_rad float64,
-flags uint8, antenna_positions_m (views, 3) float64 and, where the receiving antenna is another one,
+whose real part is in samples), host_time_ns and scan_id int64, radar_time_ms, angles_rad, angle_sigma_rad
+float64, flags uint8, antenna_positions_m (views, 3) float64 and, where the receiving antenna is another one,
 receive_positions_m; what is not known is absent. /pulse (n,) float64, its middle sample is time zero. Texts
 have a fixed length, so that all metadata is checksummed, too. Every dataset is checksummed (Fletcher-32),
 shuffled and deflated.

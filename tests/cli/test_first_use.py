@@ -64,8 +64,8 @@ def test_an_own_layout_is_simulated_emulated_and_its_truth_kept(
     assert unnamed.code == 2 and name in unnamed.err
     truth = ("--truth", "truth.json")
     process = subprocess.Popen(
-        [sys.executable, "-m", "tagid", "emulate", "p440", "--bind", "127.0.0.1:0", "--scene", "mine", "--rpm",
-         "20", "--rate", "0", *map(str, (*where, *truth))],
+        [sys.executable, "-m", "tagid", "emulate", "p440", "--bind", "127.0.0.1:0", "--scene", "mine",
+         "--rpm", "20", "--rate", "0", *map(str, (*where, *truth))],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=home, cwd=tmp_path,
     )  # fmt: skip
     try:

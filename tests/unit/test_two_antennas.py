@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tagid.imaging.metrics import pick_peaks
 
 from tagid.capture import Capture
 from tagid.errors import DataError
@@ -15,7 +16,6 @@ from tagid.imaging import kernel
 from tagid.imaging.ats.fit import AtsSettings, fit
 from tagid.imaging.backprojection import backproject, upsample_at_carrier
 from tagid.imaging.kernel import RangeGeometry
-from tagid.imaging.metrics import pick_peaks
 from tagid.imaging.operator import ForwardOperator
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.imaging.region import choose_region

@@ -23,7 +23,7 @@ SCHEMA = 1
 CELLS = GRID.pixels // 2
 CELL_M = GRID.extent / CELLS
 SEPARATION_M = 0.02
-"""Two detections nearer than this are one reflector: the paper's octahedra have a size of 40 mm, tip to tip."""
+"""Two detections nearer than this are one reflector: the paper's octahedra are 40 mm tip to tip."""
 _MOST = 16
 
 
