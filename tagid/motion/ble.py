@@ -25,7 +25,7 @@ from tagid.errors import (
 from tagid.motion.bridge import Event, Op, Tripped
 from tagid.motion.bridge.client import Bridge
 from tagid.motion.bridge.find import Backends, bluetooth_errors, find
-from tagid.motion.guardian import Guardian, Watch
+from tagid.motion.guardian import Guarded, Watch
 from tagid.motion.links import WAKE_S, require
 from tagid.motion.virtual import virtual_bluetooth
 
@@ -163,7 +163,7 @@ class BridgeLink:
         self._inbox = _Inbox()
         self._armed = False
         self._relaxed = False
-        self._guard: Guardian | None = None
+        self._guard = Guarded()
         self._stack = AsyncExitStack()
         self._loop = _Loop()
         try:
@@ -235,24 +235,17 @@ class BridgeLink:
         """
         self.request(Op.ARM, round(timeout_s * 1000))
         self._armed = True
-        if self._guard is None:
-            self._guard = Guardian(Watch(self._address.target, _GUARD_S))
+        self._guard.start(Watch(self._address.target, _GUARD_S))
 
     def beat(self) -> None:
         """Ask whether another process wants the robot to stop."""
-        if self._guard is not None:
-            self._guard.beat()
+        self._guard.beat()
 
     def disarm(self) -> None:
         """The robot stands in Passive: nothing is left to stop."""
         self._armed = self._relaxed = False
-        self._release()
+        self._guard.release()
         self.request(Op.DISARM)
-
-    def _release(self) -> None:
-        guard, self._guard = self._guard, None
-        if guard is not None:
-            guard.release()
 
     def wake(self) -> None:
         """A second's low pulse on BRC, where the bridge has that wire."""
@@ -261,7 +254,7 @@ class BridgeLink:
 
     def close(self) -> None:
         """End the link; where it is still armed, the bridge then stops the robot."""
-        self._release()
+        self._guard.release()
         if self._relaxed and not self._armed:
             with contextlib.suppress(TagidError):
                 self.disarm()
@@ -290,7 +283,7 @@ class CharacteristicLink:
     ) -> None:
         require("bleak", "motion", "Bluetooth")
         self._stop = tuple(stop)
-        self._guard: Guardian | None = None
+        self._guard = Guarded()
         self._address, self._service, self._characteristic = address, service, characteristic
         self._inbox = _Inbox()
         self._stack = AsyncExitStack()
@@ -357,20 +350,16 @@ class CharacteristicLink:
 
     def arm(self, timeout_s: float) -> None:
         """Start the helper that stops the table where this process dies; the table has no dead-man itself."""
-        if self._guard is None:
-            limit = max(timeout_s, _GUARD_S)
-            self._guard = Guardian(Watch(self._address.target, limit, command=self._stop))
+        limit = max(timeout_s, _GUARD_S)
+        self._guard.start(Watch(self._address.target, limit, command=self._stop))
 
     def beat(self) -> None:
         """Tell the helper that this process is alive."""
-        if self._guard is not None:
-            self._guard.beat()
+        self._guard.beat()
 
     def disarm(self) -> None:
         """End the helper."""
-        guard, self._guard = self._guard, None
-        if guard is not None:
-            guard.release()
+        self._guard.release()
 
     def wake(self) -> None:
         """Nothing to wake."""
@@ -379,9 +368,7 @@ class CharacteristicLink:
         """End the link; a helper that was not ended by `disarm` then connects and stops the table."""
         self._closing = True
         self._shut()
-        guard, self._guard = self._guard, None
-        if guard is not None:
-            guard.release(farewell=False)
+        self._guard.release(farewell=False)
 
     def _shut(self) -> None:
         with contextlib.suppress(TagidError, OSError):

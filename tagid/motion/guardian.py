@@ -225,6 +225,29 @@ class Guardian:
             process.wait()
 
 
+class Guarded:
+    """The guardian of a link: none until the link is armed, and none after its release."""
+
+    def __init__(self) -> None:
+        self._guardian: Guardian | None = None
+
+    def start(self, watch: Watch) -> None:
+        """Start the guardian unless it runs already. Raises DeviceError if it does not start."""
+        if self._guardian is None:
+            self._guardian = Guardian(watch)
+
+    def beat(self) -> None:
+        """Tell the guardian that this process is alive; raises as `Guardian.beat`."""
+        if self._guardian is not None:
+            self._guardian.beat()
+
+    def release(self, farewell: bool = True) -> None:
+        """End the guardian; without a farewell it stops the device first."""
+        guardian, self._guardian = self._guardian, None
+        if guardian is not None:
+            guardian.release(farewell)
+
+
 def runtime_folder() -> Path | None:
     """A folder that only this user can enter, made where it is missing; None if there is none to trust."""
     if os.name != "posix":

@@ -9,7 +9,7 @@ import errno
 from typing import Final, Protocol
 
 from tagid.errors import DeviceGoneError, DeviceTimeoutError, MissingExtraError
-from tagid.motion.guardian import Guardian, Watch
+from tagid.motion.guardian import Guarded, Watch
 from tagid.ports import open_port
 
 _WRITE_TIMEOUT_S: Final = 1.0
@@ -81,7 +81,7 @@ class SerialLink:
         self.port, self.baud = port, baud
         self._halt = halt
         self._serial = open_port(port, baud, _WRITE_TIMEOUT_S, "`tagid motion find` lists the ports")
-        self._guard: Guardian | None = None
+        self._guard = Guarded()
 
     def __repr__(self) -> str:
         return self.port
@@ -112,19 +112,16 @@ class SerialLink:
 
     def arm(self, timeout_s: float) -> None:
         """Start the helper that stops the device where this process dies or hangs; no cable, no stop."""
-        if self._guard is None and self._halt:
-            self._guard = Guardian(Watch(self.port, timeout_s, self._serial.fileno(), self._halt))
+        if self._halt:
+            self._guard.start(Watch(self.port, timeout_s, self._serial.fileno(), self._halt))
 
     def beat(self) -> None:
         """Tell the helper that this process is alive."""
-        if self._guard is not None:
-            self._guard.beat()
+        self._guard.beat()
 
     def disarm(self) -> None:
         """End the helper."""
-        guard, self._guard = self._guard, None
-        if guard is not None:
-            guard.release()
+        self._guard.release()
 
     def wake(self) -> None:
         """A pulse on RTS, to which adapters for robots wire BRC; a port without RTS is left alone.
@@ -148,7 +145,5 @@ class SerialLink:
 
     def close(self) -> None:
         """Close the port; a helper that was not ended by `disarm` stops the device now."""
-        guard, self._guard = self._guard, None
-        if guard is not None:
-            guard.release(farewell=False)
+        self._guard.release(farewell=False)
         self._serial.close()

@@ -88,6 +88,15 @@ def unwrap(counter: NDArray[Any], modulus: int) -> NDArray[np.int64]:
     return unwrapped
 
 
+OPTIONAL_NUMBERS = (
+    "axis_distance_m",
+    "antenna_height_m",
+    "antenna_separation_m",
+    "center_frequency_hz",
+    "bandwidth_hz",
+    "wave_speed_m_s",
+)
+"""Numbers of a capture that a file may omit."""
 _LIMITS = {
     "range_start_m": (-1e7, 1e7),
     "range_step_m": (1e-6, 1e4),

@@ -20,21 +20,19 @@ from tagid.capture import Capture, Pulse
 from tagid.errors import DataError, FileFormatError
 from tagid.metadata import METADATA_VERSION
 from tagid.storage import hdf5
-from tagid.storage.assembly import build_capture, decode_settings, encode_settings, number, text
+from tagid.storage.assembly import (
+    OPTIONAL_NUMBERS,
+    build_capture,
+    decode_settings,
+    encode_settings,
+    number,
+    text,
+)
 from tagid.storage.metadata import PARTS, VERSION_KEY, metadata_of, read_metadata
 
 MAGIC: Final = b"MATLAB 5.0 MAT-file"
 
-_SCALARS: Final = (
-    "axis_distance_m",
-    "antenna_height_m",
-    "antenna_separation_m",
-    "center_frequency_hz",
-    "bandwidth_hz",
-    "wave_speed_m_s",
-    "range_start_m",
-    "range_step_m",
-)
+_SCALARS: Final = (*OPTIONAL_NUMBERS, "range_start_m", "range_step_m")
 _TEXTS: Final = ("uuid", "created_utc", "tool_version")
 _VECTORS: Final = MappingProxyType(
     {

@@ -27,19 +27,18 @@ from tagid import files
 from tagid.capture import Capture, Pulse
 from tagid.errors import DataError, FileFormatError, displayable
 from tagid.metadata import METADATA_VERSION
-from tagid.storage.assembly import build_capture, decode_settings, encode_settings, number, text
+from tagid.storage.assembly import (
+    OPTIONAL_NUMBERS,
+    build_capture,
+    decode_settings,
+    encode_settings,
+    number,
+    text,
+)
 from tagid.storage.metadata import PARTS, VERSION_KEY, metadata_of, read_metadata, stored_version
 
 MAGIC = b"PK"
 
-_NUMBERS = (
-    "axis_distance_m",
-    "antenna_height_m",
-    "antenna_separation_m",
-    "center_frequency_hz",
-    "bandwidth_hz",
-    "wave_speed_m_s",
-)
 _VECTORS = {
     "angles_rad": np.float64,
     "angle_sigma_rad": np.float64,
@@ -64,7 +63,7 @@ _OTHER = (
     "object",
     "tagid",
 )
-_KEYS = frozenset((*_NUMBERS, *_VECTORS, *_OTHER))
+_KEYS = frozenset((*OPTIONAL_NUMBERS, *_VECTORS, *_OTHER))
 _TEXTS = ("uuid", "created_utc", "tool_version")
 _OLD_ANGLES = "angle_rad"
 """Name of the angles in older HDF5 and MATLAB files, which scripts copied into NPZ files."""
@@ -118,7 +117,7 @@ def read_npz(path: Path) -> Capture:
     samples = _samples(path, arrays["samples"])
     fields: dict[str, Any] = {
         key: number(arrays[key], f"{path} ({key})")
-        for key in ("range_start_m", "range_step_m", *_NUMBERS)
+        for key in ("range_start_m", "range_step_m", *OPTIONAL_NUMBERS)
         if key in arrays
     }
     for key, dtype in _VECTORS.items():
@@ -141,7 +140,7 @@ def encode_npz(capture: Capture) -> bytes:
         "range_start_m": np.float64(capture.range_start_m),
         "range_step_m": np.float64(capture.range_step_m),
     }
-    for key in (*_NUMBERS, *_VECTORS):
+    for key in (*OPTIONAL_NUMBERS, *_VECTORS):
         value = getattr(capture, key)
         if value is not None:
             arrays[key] = np.asarray(value)
