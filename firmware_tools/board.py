@@ -1,6 +1,6 @@
 """A board that runs MicroPython, reached with mpremote's transport over its USB port.
 
-A half-written flash, an old MicroPython and a device that is no board are told apart by what the port says.
+A partly written flash, an old MicroPython and a device that is not a board are distinguished by their output.
 """
 
 from __future__ import annotations

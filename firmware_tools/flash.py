@@ -1,4 +1,4 @@
-"""Writes a checked image with esptool and reads it back; a half-written flash is told as that.
+"""Writes a verified image with esptool and reads it back; a partly written flash is reported as such.
 
 esptool prints and raises in its own way; here it reports progress and ends in one of our errors.
 """

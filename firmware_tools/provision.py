@@ -141,7 +141,7 @@ class Comparison:
     config: dict[str, Any] | None
     passkey: bool
     problem: str
-    strangers: list[str] = field(default_factory=list)
+    extra: list[str] = field(default_factory=list)
 
     @property
     def good(self) -> bool:
@@ -170,5 +170,5 @@ def compare(board: Board, build: Build, progress: Callable[[float, str], None]) 
     folder = (
         board.evaluate("__import__('os').listdir('tagid_bridge')") if "missing" not in files.values() else []
     )
-    strangers = [f"tagid_bridge/{name}" for name in folder if f"tagid_bridge/{name}" not in files]
-    return Comparison(python, files, config, passkey, problem, strangers)
+    extra = [f"tagid_bridge/{name}" for name in folder if f"tagid_bridge/{name}" not in files]
+    return Comparison(python, files, config, passkey, problem, extra)

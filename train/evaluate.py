@@ -126,7 +126,7 @@ class Figures:
         recall: share of reflectors found. precision: share of detections that are reflectors.
         false_images: share of images without reflectors in which one is seen; nan where there are none.
         rms_mm: root mean square distance of the hits, mm.
-        presence: share of images whose presence is told rightly at 0.5.
+        presence: share of images whose presence is classified correctly at 0.5.
     """
 
     images: int

@@ -75,7 +75,7 @@ def register(app: typer.Typer) -> None:
         )
         notes = ["write the pass-key on the board's label: it is not shown again"] if random else []
         if key is None:
-            notes.append("without a pass-key any stranger in reach can drive the robot")
+            notes.append("without a pass-key anyone within range can drive the robot")
         notes.append(f"next: tagid-firmware selftest {name}" + (f" --passkey {key}" if key else ""))
         return Result("provision", data, text, messages=tuple(notes))
 

@@ -88,7 +88,7 @@ def run_firmware(board: Board) -> None:
 
 
 def make_end(options: argparse.Namespace) -> Callable[[int], None]:
-    """What a reset does: the process ends with its exit code, or begins anew with the cause of the reset."""
+    """Effect of a reset: the process ends with its exit code, or restarts with the cause of the reset."""
 
     def end(code: int) -> None:
         if options.reboot and code in (_WATCHDOG, _RESET):

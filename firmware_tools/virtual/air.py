@@ -69,7 +69,7 @@ class Air(LocalLink):
             super().send_ll_control_pdu(sender_address, receiver_address, packet)
 
     def cut(self) -> None:
-        """Nothing passes any more; after the supervision timeout both sides are told and the air is back."""
+        """Block all packets; after the supervision timeout both sides are notified and packets pass again."""
         if self.is_cut:
             return
         self.is_cut = True

@@ -34,7 +34,7 @@ class Region:
     """What is to be imaged, and the capture as seen from there.
 
     Attributes:
-        capture: positions relative to `centre_m`, the path delay taken off the ranges.
+        capture: positions relative to `centre_m`, the path delay subtracted from the ranges.
         grid: the square about `centre_m`.
         centre_m: (x, y) in the frame of the original positions, m.
         focus: result of the delay search; None if there was none.

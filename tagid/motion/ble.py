@@ -272,7 +272,7 @@ class CharacteristicLink:
     Args:
         address: its name or address; the name may be the beginning of one.
         service, characteristic: UUIDs.
-        stop: words of a command that connects anew and stops the device, for where this process dies.
+        stop: words of a command that reconnects and stops the device if this process dies.
 
     Raises:
         DeviceError and its kinds: no adapter, no such device.

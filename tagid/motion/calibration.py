@@ -106,7 +106,7 @@ def remember_reversed(device: str, is_reversed: bool) -> Path:
 
     from tagid.files import make_folder, write_bytes
 
-    recall_reversed(device)  # a damaged file is told, not overwritten
+    recall_reversed(device)  # a damaged file is reported, not overwritten
     path = data_folder() / _DIRECTIONS
     known = tomllib.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
     make_folder(path.parent)

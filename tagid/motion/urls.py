@@ -131,7 +131,7 @@ def open_motion(url: str) -> Motion:
     `free` takes rpm (turns per minute), direction (ccw, the default, or cw), max_seconds (how long to wait
     for a period where rpm is not given) and marker=1 (a reflector off the axis breaks the object's symmetry).
     `emulator://SCENE?rpm=...` is the emulated radar's own table, which runs freely; options of the scene are
-    ignored here. All others are told in docs/motion.md.
+    ignored here. docs/motion.md describes all others.
 
     >>> open_motion("free?rpm=2&direction=cw").needed_seconds()
     39.0

@@ -28,7 +28,7 @@ RESUME_S: Final = 20.0
 
 _POLL_S: Final = 0.2
 _SAME_CLOCK_MS: Final = 1500
-"""A clock that is further from where it should be has started anew."""
+"""A clock whose deviation is larger has restarted."""
 
 
 def steady_scans(

@@ -1,6 +1,6 @@
 """A radar on a serial port: the P440's USB (CDC ACM) or its UART behind an adapter.
 
-The port is opened for us alone, and a port that vanishes is told apart from a radar that is silent, because
+The port is opened exclusively. A port that vanishes is distinguished from a silent radar, because
 the first can be opened again when the plug is back.
 """
 
@@ -94,7 +94,7 @@ class SerialLink:
         except serial.SerialTimeoutException as error:
             raise DeviceError(
                 f"{self.port.path} takes no bytes",
-                "Check cable and power, then plug it in anew.",
+                "Check cable and power, then reconnect it.",
             ) from error
         except (OSError, TypeError) as error:  # pyserial raises its errors as kinds of OSError
             raise self._gone(error) from error

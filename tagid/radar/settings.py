@@ -142,7 +142,7 @@ class RadarConfig:
         return RANGE_STEP_M
 
     def range_start_m(self, cable_delay_ps: float = 0.0) -> float:
-        """One-way range of the first sample after the two-way cable delay (ps) is taken off, m."""
+        """One-way range of the first sample after subtracting the two-way cable delay (ps), m."""
         return (self.scan_start_ps - cable_delay_ps) * 1e-12 * SPEED_OF_LIGHT / 2
 
     def to_record(self) -> np.void:

@@ -70,11 +70,11 @@ def estimate_delay(
 ) -> DelayEstimate:
     """The delay from scans of a target at rest: echo time less 2 d / c.
 
-    The scans are averaged, the empty scene is taken off, and the peak of the envelope behind a filter matched
-    to the nominal pulse is found between delay 0 and `longest_ps`.
+    The scans are averaged, the empty scene is subtracted, and the peak of the envelope behind a filter
+    matched to the nominal pulse is found between delay 0 and `longest_ps`.
 
     Args:
-        target: (views, bins) raw samples, ranges with no delay taken off.
+        target: (views, bins) raw samples, ranges without delay correction.
         distance_m: taped from the antennas to the target's reflecting point, m.
         tape_error_m: standard deviation of that, m.
         empty: (bins,) mean scan without the target on the same grid, counts; None if there is none.
@@ -179,7 +179,7 @@ def reference_on(reference: Capture, capture: Capture) -> NDArray[np.float64]:
 
 
 def without_background(capture: Capture, reference: Capture) -> Capture:
-    """The capture with the empty scene taken off, float32; raises as `reference_on`.
+    """The capture with the empty scene subtracted, float32; raises as `reference_on`.
 
     Unlike the mean over the angles it leaves what the object itself sends back evenly all around.
     """

@@ -74,8 +74,8 @@ class Monitor:
 
     Args:
         config: of the radar.
-        cable_delay_ps: taken off the ranges, two-way ps.
-        changing: show what changes: the running mean is taken off.
+        cable_delay_ps: two-way delay subtracted from the ranges, ps.
+        changing: subtract the running mean, to show only what changes.
         clock: seconds.
     """
 

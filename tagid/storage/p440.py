@@ -78,7 +78,7 @@ def p440_capture(path: Path, scans: P440Scans, source: str, cable_delay_ps: floa
         path: the file, for messages.
         scans: what was read.
         source: name of the file's format, kept in `radar.source`.
-        cable_delay_ps: two-way delay of cables and antennas that is taken off the ranges, ps.
+        cable_delay_ps: two-way delay of cables and antennas to subtract from the ranges, ps.
 
     Raises:
         FileFormatError: the grid makes no sense.

@@ -64,7 +64,7 @@ def read_recording(path: Path, cable_delay_ps: float = 0.0, node: int | None = N
 
     Args:
         path: the file.
-        cable_delay_ps: two-way delay of cables and antennas to take off the ranges, ps.
+        cable_delay_ps: two-way delay of cables and antennas to subtract from the ranges, ps.
         node: number of the radar to read, where the file holds scans of several.
 
     Raises:

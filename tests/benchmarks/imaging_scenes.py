@@ -294,7 +294,7 @@ def wobbling_problem(views: int, error_m: float, wobble: float, seed: int) -> tu
 
 
 def field_problem(layout: str, seed: int) -> Problem:
-    """A tag on its object in a room with clutter, 15 dB SNR, 360 views, the mean over angle taken off."""
+    """A tag on its object in a room with clutter, 15 dB SNR, 360 views, the mean over angle subtracted."""
     scene = scene_from_name(layout)
     acquisition = Acquisition(views=360, axis_distance_m=AXIS_DISTANCE_M, snr_db=15.0, snr_reference="summed")
     capture, truth = record_scene(scene, acquisition, seed=FIRST_SEED + seed)

@@ -49,7 +49,7 @@ class Run(Protocol):
 
 
 class Cell(NamedTuple):
-    """A scene of three points whose axis distance is told wrong by up to 3 cm and whose turn may wobble."""
+    """A scene of three points with an assumed axis distance wrong by up to 3 cm and, optionally, wobble."""
 
     views: int
     wobble: float

@@ -7,7 +7,7 @@ import pytest
 
 @pytest.fixture
 def wobbly(tagid):
-    """A turn that wobbles by 2 % and whose axis distance is told 2 cm too long."""
+    """A turn with 2 % wobble and an assumed axis distance 2 cm too long."""
     made = tagid(
         "simulate", "points-3", "--views", 36, "--wobble", 0.02, "--axis-error", 0.02, "--out", "w.tagid.h5"
     )  # fmt: skip

@@ -56,7 +56,7 @@ def test_bytes_cross_both_ways_unchanged_and_in_order(board: BoardProcess, wire:
     assert bytes(received) == from_robot
 
 
-def test_a_stranger_can_read_the_version_and_nothing_else(board: BoardProcess, wire: Wire) -> None:
+def test_an_unpaired_host_can_read_the_version_and_nothing_else(board: BoardProcess, wire: Wire) -> None:
     async def attempt(passkey: str | None) -> None:
         async with open_backend(board.hci, passkey) as pair:
             backends = Backends(*pair)

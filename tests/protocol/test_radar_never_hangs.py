@@ -1,4 +1,4 @@
-"""Recordings that end whatever arrives: fragments without whole scans, clocks that stand still, strangers."""
+"""Recordings that end whatever arrives: fragments without whole scans, stopped clocks, foreign senders."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The registry: round trips, history, damage, strangers, and two writers at once."""
+"""The registry: round trips, history, damage, foreign files, and two concurrent writers."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def test_taken_and_missing_names(tmp_path: Path) -> None:
     assert registry.version == 4
 
 
-def test_strangers_and_damage_are_told(tmp_path: Path) -> None:
+def test_foreign_and_damaged_files_are_reported(tmp_path: Path) -> None:
     noise = tmp_path / "noise.db"
     noise.write_bytes(b"not a database, " * 400)
     with pytest.raises(RegistryError, match=r"noise\.db"):

@@ -74,7 +74,7 @@ def test_every_so_many_records_are_synced_with_all_before_them(tmp_path: Path, s
         append(journal, 5, at_once=True)  # 7 since the last: one sync for all of them
         assert syncs.take() == [("file", journal.size)]
         append(journal, 2)
-        assert syncs.take() == []  # counted anew from the last sync
+        assert syncs.take() == []  # counted again from the last sync
 
 
 def test_fifty_records_are_the_most_that_a_power_cut_takes(tmp_path: Path, syncs: Syncs) -> None:

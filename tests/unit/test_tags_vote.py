@@ -103,7 +103,7 @@ def test_a_smaller_false_accept_asks_for_a_clearer_preference() -> None:
         DecisionSettings(false_accept=0.0)
 
 
-def test_strangers_are_told_by_a_further_reflector_and_by_points_that_fit_elsewhere() -> None:
+def test_unenrolled_tags_show_a_further_reflector_or_fit_better_elsewhere() -> None:
     tag = evidence()
     settings = DecisionSettings()
     assert decide(tag, settings).status == "identified"
@@ -120,7 +120,7 @@ def test_strangers_are_told_by_a_further_reflector_and_by_points_that_fit_elsewh
         decide(evidence(odds_nats=-16.0, noise_nats=600.0, nats=600.0, gain_nats=25.0), settings).status
         == "unknown"
     )
-    # More enrolled layouts are more to be taken for.
+    # More enrolled layouts can be matched by chance.
     assert least_preference(evidence(places=366000.0), 1e-3) > least_preference(tag, 1e-3) + 2
 
 
@@ -178,7 +178,7 @@ def test_thresholds_of_several_scans_are_those_of_their_sums() -> None:
 
 
 def test_the_preference_is_the_likelihood_ratio_that_its_text_writes_down() -> None:
-    """Gumbel density of the tag's own further point over the normal density of a stranger's."""
+    """Gumbel density of the tag's own additional point over the normal density of an unenrolled tag's."""
     each, gain = 30.0, 7.0
     wide, usual = 1.2 + 0.01 * 90, 6.5 + 0.01 * 90
     x = (gain - usual) / wide

@@ -35,7 +35,7 @@ class Pairing:
     # Tries of the pass-key, called from the loop.
 
     def may_try(self):
-        """Whether a try is due; the wait begins anew at every boot, because the clock stops without power."""
+        """Whether a try is due; the wait restarts at every boot, because the clock stops without power."""
         if self.failed >= len(WAITS_MS):
             return False
         return ticks_diff(ticks_ms(), self._since) >= WAITS_MS[self.failed]

@@ -136,7 +136,7 @@ class Radio:
             self._ble.gap_advertise(_ADVERTISE_US, data, resp_data=response)
         if self._pairing is not None:
             self._tend_pairing()
-        # A stranger who connects and does not pair would keep the owner out.
+        # A host that connects and does not pair would block the owner.
         if self.connected() and not self.trusted() and ticks_diff(ticks_ms(), self._since) > _PAIRING_MS:
             self._since = ticks_ms()
             self._hang_up(self._connection)

@@ -46,8 +46,8 @@ def register(group: typer.Typer) -> None:
         """Compare how a robot or table turns with what the radar sees, and remember the correction.
 
         For a robot this finds the effective wheel base; put something with strong, unsymmetric echoes on it.
-        With --direction it finds whether a table turns the way it is told; put an object with an enrolled
-        layout on it that is not its own mirror image.
+        With --direction it determines whether a table turns in the commanded direction; place an object with
+        an enrolled layout on it that is not its own mirror image.
 
         Example: tagid motion calibrate --motion roomba+serial:///dev/ttyUSB1 --axis-distance 1.0
         """

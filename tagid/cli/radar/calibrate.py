@@ -197,7 +197,7 @@ def _background(session: _Session, fresh: Capture | None, target: Capture) -> tu
 
     if fresh is not None:
         return reference_on(fresh, target), ""
-    alone = "the empty scene was not taken off: leakage or a wall may have been taken for the target"
+    alone = "the empty scene was not subtracted: leakage or a wall may have been mistaken for the target"
     if not session.config["radar.background"]:
         return None, f"{alone}; use --step empty before"
     try:

@@ -33,7 +33,7 @@ def register(group: typer.Typer) -> None:
         terminal: Terminal,
         radar: options.RadarUrl = None,
         changing: Annotated[
-            bool, typer.Option("--changing", help="Show what changes: the running mean is taken off.")
+            bool, typer.Option("--changing", help="Subtract the running mean, to show only what changes.")
         ] = False,
         seconds: Annotated[float | None, typer.Option("--seconds", help="End after so long.")] = None,
         interval_us: Annotated[

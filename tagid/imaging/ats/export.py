@@ -1,6 +1,6 @@
 """The optimisation step as an ONNX graph: what torch runs in the laboratory, onnxruntime runs in the field.
 
-Run `python -m tagid.imaging.ats.export` in a checkout with the extra `export` to write `models/` anew.
+Run `python -m tagid.imaging.ats.export` in a checkout with the extra `export` to rewrite `models/`.
 """
 
 from __future__ import annotations

@@ -132,7 +132,7 @@ class _Fit:
         views = np.arange(scans.aperture.views)
         self.unseen = _held_out(len(views), settings.held_out)
         self.scans = select_views(scans, np.setdiff1d(views, self.unseen))
-        # What was taken off with the background is known but for the mean of the scene's own echoes.
+        # The subtracted background is known except for the mean of the scene's own echoes.
         self.what = settings.calibrate + (("static",) if scans.background_removed else ())
         self.known = calibration.begin(self.scans, grid, settings.calibrate, settings.wobble_harmonics)
         self.confidence: NDArray[np.floating] = np.ones(self.scans.samples.shape, dtype=np.float32)

@@ -257,7 +257,7 @@ class Bridge:
         await self.request(Op.DISARM)
 
     async def _beat(self, every: float) -> None:
-        with contextlib.suppress(Exception):  # a lost link is told by on_lost, a trip by its event
+        with contextlib.suppress(Exception):  # a lost link is reported by on_lost, a trip by its event
             while True:
                 await asyncio.sleep(every)
                 self._seq = (self._seq + 1) & 0xFF

@@ -50,7 +50,7 @@ class ComximCore:
         return out
 
     def advance(self, now_s: float) -> bytes:
-        """Let time pass; an ended step is told as an event."""
+        """Let time pass; the end of a step is reported as an event."""
         self.table.advance(now_s)
         if self._ends_at is not None and now_s >= self._ends_at:
             self._ends_at = None

@@ -16,7 +16,7 @@ class TurningTable:
         self.speed_deg_s = 0.0
         self.still_since_s = now_s
         self.blocked = False
-        """Whether the plate cannot turn, whatever the motor is told."""
+        """Whether the plate is blocked, regardless of the motor's commands."""
         self._corners: deque[tuple[float, float, float]] = deque([(now_s, 0.0, 0.0)], maxlen=1000)
 
     def advance(self, now_s: float) -> None:

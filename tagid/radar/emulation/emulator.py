@@ -66,7 +66,7 @@ def serve_udp(
     stop_event: StopEvent,
     on_ready: Callable[[str, int], None] | None = None,
 ) -> None:
-    """Serves one emulated radar on UDP. `on_ready` is told the address when it listens.
+    """Serves one emulated radar on UDP. `on_ready` is called with the address once it listens.
 
     Raises PortInUseError if another program holds the port.
     """

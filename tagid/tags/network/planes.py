@@ -32,7 +32,7 @@ NORMALISATION = {
 def image_snr_db(scans: BasebandScans, peak: float) -> float:
     """Power of a pixel of that magnitude over that of the noise in a backprojection of the scans, dB.
 
-    60 dB, the most that is told apart, where the noise is not known.
+    60 dB, the largest distinguishable ratio, if the noise is not known.
     """
     if scans.noise_std <= 0 or peak <= 0:
         return _FULL_SNR_DB
