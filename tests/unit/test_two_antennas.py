@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tagid.imaging.metrics import pick_peaks
 
 from tagid.capture import Capture
 from tagid.errors import DataError
