@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from tagid import interrupts
 from tagid.errors import ModelError, StorageError
 from tagid.files import read_bytes, write_bytes
+from tagid.onnx_files import refers_to_files
 
 FOLDER = Path(__file__).parent / "models"
 """In a checkout, a link to the top-level folder `models/`; in a wheel the files themselves."""
@@ -178,6 +179,8 @@ def model_bytes(name: str, folder: Path = FOLDER) -> tuple[bytes, Entry]:
     found = hashlib.sha256(content).hexdigest()
     if found != entry.sha256:
         raise ModelError(f"{path} has sha256 {found}, the manifest says {entry.sha256}", _REINSTALL)
+    if refers_to_files(content):
+        raise ModelError(f"{path} keeps data in other files, which are not followed", _REINSTALL)
     return content, entry
 
 

@@ -72,6 +72,13 @@ class Spool:
         version = int(db.execute("PRAGMA user_version").fetchone()[0])
         if owner not in (0, _APPLICATION_ID):
             raise StorageError(f"{self.path} belongs to another program", "Choose another --out.")
+        strange = "SELECT name FROM sqlite_master WHERE type IN ('view', 'trigger') LIMIT 1"
+        found = db.execute(strange).fetchone()
+        if found is not None:  # tagid never makes one; reading a view may never end
+            raise StorageError(
+                f"{self.path} holds a view or trigger, {str(found[0])[:80]!r}",
+                "Remove the file, or choose another --out.",
+            )
         if fresh or version != _VERSION:
             for table in ("item", "kept"):
                 db.execute(f"DROP TABLE IF EXISTS {table}")

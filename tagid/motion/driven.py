@@ -16,6 +16,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from tagid import hostclock
 from tagid.angles.views import Angles
 from tagid.errors import DataError, DeviceError, TagidError, UsageError
 from tagid.metadata import Track
@@ -148,7 +149,7 @@ class DrivenMotion(ABC):
         """Nobody knows how far it turned since the last reading: any angle is as likely as another."""
         with self._lock:
             if self._readings:
-                self._readings.append((time.time_ns(), self._readings[-1][1], math.pi))
+                self._readings.append((hostclock.now_ns(), self._readings[-1][1], math.pi))
 
     def _safely_halt(self) -> None:
         try:

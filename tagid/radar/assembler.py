@@ -6,7 +6,6 @@ for the rest of a recording. Here a lost packet loses only its scan, which is co
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
@@ -14,6 +13,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from tagid import hostclock
 from tagid.radar.messages import SAMPLES_PER_MESSAGE
 from tagid.radar.scan_info import Fragment
 
@@ -123,7 +123,7 @@ class ScanAssembler:
         self,
         first_id: int | None = None,
         statistics: Statistics | None = None,
-        clock_ns: Callable[[], int] = time.time_ns,
+        clock_ns: Callable[[], int] = hostclock.now_ns,
         period_s: float | None = None,
     ) -> None:
         self.statistics = statistics or Statistics()

@@ -76,7 +76,7 @@ class JournalWriter:
         self.scans = 0
         self._sync_every = sync_every
         self._sync_seconds = sync_seconds
-        self._synced_at = time.monotonic()
+        self._synced_at = 0.0
         self._unsynced = 0
         self._layout: tuple[int, int] | None = None
         self._size = 0

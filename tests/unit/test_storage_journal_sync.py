@@ -9,6 +9,7 @@ from __future__ import annotations
 import errno
 import os
 import stat
+import threading
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -19,6 +20,7 @@ from tagid import files, interrupts
 from tagid.errors import DiskFullError, StorageError
 from tagid.storage import journal as journal_module
 from tagid.storage.journal import JournalScan, JournalWriter, read_journal
+from tagid.storage.journal_queue import JournalQueue
 
 HEADER = {"range_start_m": 0.0, "range_step_m": 0.01}
 SAMPLES = np.arange(4, dtype=np.int32)
@@ -182,3 +184,23 @@ def test_records_that_still_fit_are_kept_where_the_batch_does_not(
     journal_read = read_journal(tmp_path / "j")
     assert [scan.scan_id for scan in journal_read.scans] == [0, 1, 2]
     assert journal_read.bytes_dropped == 0
+
+
+def test_the_last_scan_does_not_wait_for_another_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    synced = threading.Event()
+    real = os.fsync
+
+    def sync(descriptor: int) -> None:
+        real(descriptor)
+        if started:
+            synced.set()
+
+    started = False
+    monkeypatch.setattr(os, "fsync", sync)
+    with JournalWriter(tmp_path / "j", HEADER, sync_every=1, sync_seconds=0.1) as journal:
+        append(journal, 1)
+        started = True
+        with JournalQueue(journal) as queue:
+            queue.put(JournalScan(1, 0, 0.0, 0, SAMPLES))
+            assert synced.wait(60), "the radar fell silent, and its last scans were never synced"
+            assert journal.seconds_to_sync() is None

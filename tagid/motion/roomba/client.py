@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
+from tagid import hostclock
 from tagid.errors import DeviceError, DeviceRejectedError, DeviceTimeoutError
 from tagid.motion.links import ByteLink
 from tagid.motion.roomba import messages as oi
@@ -156,7 +157,7 @@ class OpenInterface:
     def frames(self, timeout: float) -> list[tuple[int, dict[int, int]]]:
         """Stream frames that arrived, as (host time ns, values)."""
         data = self.link.read(timeout)
-        now = time.time_ns()
+        now = hostclock.now_ns()
         return [(now, values) for values in self.decoder.feed(data)]
 
     def spin(self, direction: int, speed_mm_s: int) -> None:

@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable
 from typing import Any, Final
 
+from tagid import hostclock
 from tagid.errors import DeviceRejectedError
 from tagid.motion.ble import BleAddress, BridgeLink
 from tagid.motion.ble_urls import ble_address
@@ -67,9 +68,9 @@ class IndexTable(DrivenMotion):
     def _fit_clock(self) -> None:
         """Bridge time against host time, from the shortest round trip so far."""
         assert self._link is not None
-        asked = time.time_ns()
+        asked = hostclock.now_ns()
         (uptime_us,) = struct.unpack("<Q", self._link.request(Op.TIME)[:8])
-        answered = time.time_ns()
+        answered = hostclock.now_ns()
         if answered - asked < self._round_trip_ns:
             self._round_trip_ns = answered - asked
             self._offset_ns = (asked + answered) // 2 - uptime_us * 1000

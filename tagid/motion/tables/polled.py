@@ -11,6 +11,7 @@ from abc import abstractmethod
 from collections.abc import Callable
 from typing import Any, Final
 
+from tagid import hostclock
 from tagid.errors import DeviceRejectedError, DeviceTimeoutError
 from tagid.motion.device import MotionStoppedError, PausedError
 from tagid.motion.driven import DrivenMotion, Reading
@@ -158,9 +159,9 @@ class PolledTable(DrivenMotion):
                 f"nothing turns: {self.name} reports no new angle for {_STALL_S:g} s",
                 "Look whether it is blocked or overloaded.",
             )
-        asked = time.time_ns()
+        asked = hostclock.now_ns()
         degrees = self._ask_angle()
-        answered = time.time_ns()
+        answered = hostclock.now_ns()
         if degrees is None:
             return []
         late = (answered - asked) * 1e-9 > _SLOW_S and time.monotonic() - self._told < _PATIENCE_S
