@@ -1,18 +1,19 @@
 """Mutation testing: how many broken lines of a module its tests notice.
 
     pip install cosmic-ray
-    nice -n 10 python tests/benchmarks/mutants.py --out build/mutants.json --page docs/results/mutants.md
+    nice -n 10 python tests/benchmarks/mutants.py --page docs/results/mutants.md
 
-One change is made at a time, in a copy of the tree, and the module's tests run on it; a change that fails none
-of them survives. cosmic-ray's operators make most changes (another comparison or operator, a number one up or
-down, a condition negated, `and` for `or`, another exception, a decorator removed); the others delete a
+One change is made at a time, in a copy of the tree, and the module's tests run on it; a change that fails
+none of them survives. cosmic-ray's operators make most changes (another comparison or operator, a number one
+up or down, a condition negated, `and` for `or`, another exception, a decorator removed); the others delete a
 statement. Every place that can be changed is changed once, in one of its possible ways, drawn with the seed.
-Left out are places that never run (annotations, imports for type checking) and `is` for `==`.
+Left out are places that never run (annotations, imports for type checking), `is` for `==`, and bitwise
+operators for arithmetic.
 
 A process that has imported numpy and the other libraries forks for each change, so that only tagid and its
-tests are imported anew: half a second and the tests. `--targets decision clock` takes some modules, `--sample
-80` a random part of each, `--again` only what survived the last run in --out, while tests are being written.
-Reasons why a change may survive are kept in mutants_reasons.toml; the page lists every survivor with its own.
+tests are imported anew. `--targets decision clock` takes some modules, `--sample 80` a random part of each,
+`--again` only what survived the last run, while tests are being written. mutants_reasons.toml keeps the
+reasons why a change may survive; the page lists every survivor with its own.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ import sys
 import tempfile
 import time
 import tomllib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from importlib import import_module
@@ -40,12 +41,21 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 REASONS = Path(__file__).with_name("mutants_reasons.toml")
-LIBRARIES = (
-    "numpy", "scipy", "h5py", "hypothesis", "PIL", "serial", "rich", "typer", "jinja2", "onnxruntime", "_pytest",
-)  # fmt: skip
+LIBRARIES = ("numpy", "scipy", "h5py", "hypothesis", "PIL", "serial", "rich", "typer", "jinja2", "_pytest")
 """Imported once, before the forks."""
+BITS = ("RShift", "LShift", "BitOr", "BitAnd", "BitXor")
+"""In place of arithmetic they would only fail on numbers that are not whole."""
 MEMORY_BYTES = 6 << 30
 """Address space of a changed module's tests: a loop without an end may also fill the memory."""
+
+
+ABOUT = (
+    "One change at a time is made in a module, and the tests that belong to it are run; a change that fails",
+    "none of them survives. Every place is changed once, in one of its possible ways, drawn with the seed:",
+    "another comparison or operator, a number one up or down, a condition negated, `and` for `or`, another",
+    "exception, a decorator removed, a statement deleted. The interval (Wilson) is that of the share of all",
+    "changes of the module that would be killed. Places that never run, as annotations, are not counted.",
+)
 
 
 @dataclass(frozen=True)
@@ -58,7 +68,7 @@ class Target:
 
 TARGETS = {
     "assembler": Target("tagid/radar/assembler.py", ("tests/property/test_radar_assembler.py",)),
-    "clock": Target("tagid/angles/clock.py", ("tests/unit/test_motion_clock.py",)),
+    "clock": Target("tagid/angles/clock.py", ("tests/unit/test_motion_clock_angles.py",)),
     "journal": Target(
         "tagid/storage/journal.py",
         ("tests/unit/test_storage_journal.py", "tests/unit/test_storage_journal_sync.py"),
@@ -182,7 +192,9 @@ def all_places(source: str) -> dict[tuple[int, int, str], list[Callable[[], str]
     places: dict[tuple[int, int, str], list[Callable[[], str]]] = {}
     for name in operator_names():
         kind, _, way = name.rpartition("/")[2].partition("_")
-        if kind.startswith("Variable") or (way.endswith(("_Is", "_IsNot")) and not way.startswith("Is")):
+        was, _, now = way.partition("_")
+        identity = now in ("Is", "IsNot") and not was.startswith("Is")
+        if kind.startswith("Variable") or identity or (now in BITS and was not in BITS):
             continue
         operator = get_operator(name)()
         spots = [spot for node in nodes for spot in operator.mutation_positions(node)]
@@ -223,7 +235,8 @@ def deletable(tree: ast.AST) -> Iterator[ast.stmt]:
             continue
         for node in ast.walk(function):
             call = isinstance(node, ast.Expr) and isinstance(node.value, ast.Call)
-            kept = isinstance(node, ast.Assign) and not any(isinstance(t, ast.Name) for t in node.targets)
+            names = [part for part in ast.walk(node) if isinstance(part, ast.Name)]
+            kept = isinstance(node, ast.Assign) and not any(isinstance(n.ctx, ast.Store) for n in names)
             if call or kept or isinstance(node, ast.AugAssign | ast.Raise | ast.Delete):
                 assert isinstance(node, ast.stmt)
                 yield node
@@ -270,8 +283,9 @@ def run(name: str, mutants: list[Mutant], places: int, seed: int) -> Result:
         limit = 10 + 5 * (time.monotonic() - start)
         module = copy / target.module
         original = module.read_text(encoding="utf-8")
-        for mutant in mutants:
+        for second, mutant in enumerate(mutants):
             module.write_text(mutant.source, encoding="utf-8")
+            os.utime(module, (second, second))  # cached byte code is told from newer one by this
             code = _tests(copy, target, limit)
             timeouts += code is None
             if code == 0:
@@ -285,9 +299,17 @@ def run(name: str, mutants: list[Mutant], places: int, seed: int) -> Result:
     spent = time.monotonic() - began
     print(f"{name}: {killed} of {len(mutants)} killed ({100 * killed / max(len(mutants), 1):.1f} %), "
           f"{timeouts} by the time limit; {spent:.0f} s", flush=True)  # fmt: skip
-    date = datetime.now(UTC).strftime("%Y-%m-%d")
     return Result(
-        name, places, len(mutants), killed, timeouts, spent, seed, _commit(), date, tuple(survivors)
+        target=name,
+        places=places,
+        tried=len(mutants),
+        killed=killed,
+        timeouts=timeouts,
+        seconds=spent,
+        seed=seed,
+        commit=_commit(),
+        date=datetime.now(UTC).strftime("%Y-%m-%d"),
+        survivors=tuple(survivors),
     )
 
 
@@ -304,12 +326,12 @@ def _copy_tree(copy: Path) -> None:
 
 def _libraries(copy: Path, target: Target) -> list[str]:
     """Modules of `LIBRARIES` that the tests import, found in a process of their own."""
-    code = "import sys, pytest; pytest.main(sys.argv[1:]); print('modules', *sorted(sys.modules), file=sys.stderr)"
+    code = "import sys, pytest; pytest.main(sys.argv[1:]); print('modules', *sys.modules, file=sys.stderr)"
     words = ["--collect-only", "-q", "-n", "0", "-p", "no:cacheprovider", *target.tests]
     done = subprocess.run(
         [sys.executable, "-c", code, *words],
         cwd=copy,
-        env={**os.environ, "PYTHONPATH": str(copy), "PYTHONDONTWRITEBYTECODE": "1"},
+        env={**os.environ, "PYTHONPATH": str(copy)},
         capture_output=True,
         text=True,
         check=True,
@@ -343,8 +365,7 @@ def _tests(copy: Path, target: Target, limit_s: float) -> int | None:
             os.dup2(silent, descriptor)
         resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
         os.chdir(copy)
-        sys.dont_write_bytecode = True
-        os.environ |= {"PYTHONPATH": str(copy), "PYTHONDONTWRITEBYTECODE": "1"}
+        os.environ["PYTHONPATH"] = str(copy)
         sys.path[:] = [str(copy), *(p for p in sys.path if Path(p or ".").resolve() != ROOT)]
         code = 3
         try:
@@ -384,53 +405,36 @@ def page(results: list[Result]) -> str:
     """docs/results/mutants.md."""
     import numpy as np
 
-    def all_of(values: Iterator[object]) -> str:
+    def all_of(values: Iterable[object]) -> str:
         return ", ".join(dict.fromkeys(str(value) for value in values))
 
-    reasons = {(one["was"], one["now"]): one["reason"] for one in _reasons()}
+    python = f"Python {platform.python_version()}, numpy {np.__version__}"
     lines = [
         "# Mutation tests",
         "",
-        "- Command: `python tests/benchmarks/mutants.py --out build/mutants.json --page docs/results/mutants.md`",
+        "- Command: `python tests/benchmarks/mutants.py --page docs/results/mutants.md`",
         f"- Commit: {all_of(one.commit for one in results)}",
-        f"- Machine: {platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}, "
-        f"numpy {np.__version__}",
+        f"- Machine: {platform.machine()}, {os.cpu_count()} cores, {python}",
         f"- Date: {all_of(one.date for one in results)}",
         f"- Seeds: {all_of(one.seed for one in results)}",
         "",
-        "One change at a time is made in a module, and the tests that belong to it are run; a change that fails",
-        "none of them survives. Every place is changed once, in one of its possible ways, drawn with the seed:",
-        "another comparison or operator, a number one up or down, a condition negated, `and` for `or`, another",
-        "exception, a decorator removed, a statement deleted. The interval is 95 % (Wilson) of the share of all",
-        "changes of that module that would be killed.",
+        *ABOUT,
         "",
         "| module | places | tried | killed | by the time limit | share | 95 % |",
         "|---|---|---|---|---|---|---|",
-    ]
-    for one in results:
-        lines.append(_row(f"`{TARGETS[one.target].module}`", one))
-    total = replace(
-        results[0],
-        places=sum(one.places for one in results),
-        tried=sum(one.tried for one in results),
-        killed=sum(one.killed for one in results),
-        timeouts=sum(one.timeouts for one in results),
-    )
-    lines += [
-        _row("all", total),
+        *(_row(f"`{TARGETS[one.target].module}`", one) for one in results),
+        _row("all", _sum(results)),
         "",
-        f"{sum(one.seconds for one in results) / 60:.0f} minutes on one core.",
+        f"{sum(one.seconds for one in results) / 60:.0f} minutes, one process.",
+        "",
+        "## Survivors",
         "",
     ]
-    lines += ["## Survivors", ""]
+    reasons = _reasons()
     for one in results:
         if one.survivors:
-            lines += [
-                f"`{TARGETS[one.target].module}`:",
-                "",
-                "| line | was | survives as | reason |",
-                "|---|---|---|---|",
-            ]
+            lines += [f"`{TARGETS[one.target].module}`", ""]
+            lines += ["| line | was | survives as | reason |", "|---|---|---|---|"]
         for mutant in one.survivors:
             reason = reasons.get((mutant.was, mutant.now), "not judged yet")
             lines.append(f"| {mutant.line} | {_code(mutant.was)} | {_code(mutant.now)} | {reason} |")
@@ -438,15 +442,28 @@ def page(results: list[Result]) -> str:
     return "\n".join(lines).rstrip() + "\n"
 
 
-def _reasons() -> list[dict[str, str]]:
+def _sum(results: list[Result]) -> Result:
+    return replace(
+        results[0],
+        places=sum(one.places for one in results),
+        tried=sum(one.tried for one in results),
+        killed=sum(one.killed for one in results),
+        timeouts=sum(one.timeouts for one in results),
+    )
+
+
+def _reasons() -> dict[tuple[str, str], str]:
+    """(was, now) -> why the change may survive."""
     if not REASONS.is_file():
-        return []
-    found: list[dict[str, str]] = tomllib.loads(REASONS.read_text(encoding="utf-8"))["survivor"]
-    return found
+        return {}
+    found = tomllib.loads(REASONS.read_text(encoding="utf-8"))["survivor"]
+    return {(one["was"], one["now"]): one["reason"] for one in found}
 
 
 def _row(name: str, one: Result) -> str:
-    low, high = wilson(one.killed, one.tried)
+    from identification import wilson
+
+    low, high = wilson(one.killed, max(one.tried, 1))
     share = 100 * one.killed / max(one.tried, 1)
     return (
         f"| {name} | {one.places} | {one.tried} | {one.killed} | {one.timeouts} | {share:.1f} % | "
@@ -455,17 +472,7 @@ def _row(name: str, one: Result) -> str:
 
 
 def _code(text: str) -> str:
-    return f"`` {text} ``".replace("|", "&#124;") if "|" in text else f"`` {text} ``"
-
-
-def wilson(hits: int, tries: int) -> tuple[float, float]:
-    """95 % interval of a share (Wilson, JASA 22, 1927)."""
-    if tries == 0:
-        return 0.0, 1.0
-    z2 = 1.959964**2
-    centre = (hits + z2 / 2) / (tries + z2)
-    half = (z2 * (hits * (tries - hits) / tries + z2 / 4)) ** 0.5 / (tries + z2)
-    return max(centre - half, 0.0), min(centre + half, 1.0)
+    return f"`` {text} ``"
 
 
 if __name__ == "__main__":
