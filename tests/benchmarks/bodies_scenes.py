@@ -189,12 +189,19 @@ def generator() -> ModuleType:
 
 
 def _reference(base: str, name: str) -> str:
-    """Response whose echo is that of one reflector of the tag."""
-    if base.startswith("free"):
-        return "free20_one" if base == "free30" else f"{base}_one"
-    if base in ("shell", "box", "handle34"):
-        return "free40_one" if name.endswith("40") else "free20_one"
-    return f"{base}_one-{base}" if known(f"{base}_one") else "free20_one"
+    """Response whose echo is that of one reflector of the tag, at the frequencies of the object's."""
+    if known(f"{base}_one"):
+        return f"{base}_one" if base.startswith("free") else f"{base}_one-{base}"
+    size = "40" if name.endswith("40") or (base, name) == ("shell", "shell_h120") else "20"
+    single = f"free{size}_one"
+    made = generator()
+    frequency, values = made.response(single)
+    own = made.response(name)[0]
+    if len(own) == len(frequency):
+        return single
+    step = (len(frequency) - 1) // (len(own) - 1)
+    made._cache[f"{single} at {len(own)}"] = (frequency[::step], values[::step])
+    return f"{single} at {len(own)}"
 
 
 def _ring_of(name: str, angles_deg: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
