@@ -5,9 +5,9 @@ Per frequency f and view v, with the room subtracted from data and columns alike
     Y = g(f) sum_k exp(-j kappa (R_vk - d)) (d / R_vk)^2
       + h(f) sum_{i<k} exp(-j kappa ((R_vi + R_vk + D_ik) / 2 - d)) d^2 / (R_vi R_vk) D_0 / D_ik,
 
-R_vk the distance of reflector k from the antenna and D_ik that between two reflectors. Octahedra look the same
-from all sides, so g is one amplitude for all reflectors. The second sum is the double bounce: of two octahedra
-of 40 mm, 64 mm apart, it holds 8 % of the echo, and with it full-wave tags are explained to 0.1 %.
+R_vk the distance of reflector k from the antenna and D_ik that between two reflectors. Octahedra look the
+same from all sides, so g is one amplitude for all reflectors. The second sum is the double bounce: of two
+octahedra of 40 mm, 64 mm apart, it holds 8 % of the echo; with it full-wave tags are explained to 0.1 %.
 """
 
 from __future__ import annotations
@@ -80,8 +80,10 @@ class PointReading:
 
     Attributes:
         layouts: fitted layouts, best first.
+        free: the best layout's reflectors, each free.
         others: arrangements that are not the best layout's, best first.
         tag: energy above noise.
+        noise: energy of the noise.
         unexplained: share of it that the best layout leaves.
         least: share of it that the best arrangement of any kind leaves.
         lead: what the best other arrangement leaves more, over what the layout leaves, the model's error and
@@ -89,11 +91,18 @@ class PointReading:
     """
 
     layouts: tuple[PlacedPoints, ...]
+    free: PlacedPoints
     others: tuple[PlacedPoints, ...]
     tag: float
+    noise: float
     unexplained: float
     least: float
     lead: float
+
+    @property
+    def snr_db(self) -> float:
+        """Energy above the noise over that of the noise, dB."""
+        return float(10 * np.log10(max(self.tag / max(self.noise, 1e-30), 1e-9)))
 
     def passes(self, settings: PointSettings) -> bool:
         """Whether the best layout may be named."""
@@ -123,7 +132,7 @@ def columns(
 
 @dataclass(frozen=True, eq=False)
 class _Waves:
-    """Columns (F, C, V), not centred, and their derivatives (2 K, F, C, V) with x and y of every reflector."""
+    """Columns (F, C, V), not centred, and their derivatives (2 K, F, C, V) with every reflector's x and y."""
 
     columns: NDArray[np.complex128]
     slopes: NDArray[np.complex128]
@@ -176,9 +185,7 @@ class PointFitter:
         self.spectra = spectra
         self.variance = variance
 
-    def rest(
-        self, places: NDArray[np.complex128], heights: NDArray[np.float64]
-    ) -> NDArray[np.complex128]:
+    def rest(self, places: NDArray[np.complex128], heights: NDArray[np.float64]) -> NDArray[np.complex128]:
         """(F, V) what an arrangement leaves of the data."""
         return self._solved(columns(self.spectra, places, heights))[0]
 
@@ -251,10 +258,8 @@ def _plain(places: NDArray[np.complex128]) -> NDArray[np.float64]:
     return np.stack([places.real, places.imag], axis=1).ravel()
 
 
-def displaced(
-    one: NDArray[np.complex128], other: NDArray[np.complex128]
-) -> float:
-    """RMS distance of two sets of as many places after the best turn and shift, m; infinite for unlike counts."""
+def displaced(one: NDArray[np.complex128], other: NDArray[np.complex128]) -> float:
+    """RMS distance of two sets of places after the best turn and shift, m; infinite for unlike counts."""
     if len(one) != len(other):
         return float("inf")
     a, b = one - one.mean(), other - other.mean()
@@ -306,8 +311,10 @@ def read_points(
     following = others[0].left if others else spectra.energy
     return PointReading(
         tuple(layouts),
+        rivals[0],
         tuple(others),
         tag,
+        spectra.noise_energy,
         above / tag,
         max(least - noise, 0.0) / tag,
         (following - best.left) / error,

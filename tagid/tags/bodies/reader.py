@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tagid.tags.bodies.arrangement import AXIS_M, difference_deg, gaps_deg, merged, resolution_deg
+from tagid.tags.bodies.arrangement import AXIS_M, difference_deg, gaps_deg, merged, resolution_deg, turn_to
 from tagid.tags.bodies.hypothesis import BodyModel, Candidate, Pose
 from tagid.tags.bodies.reflectors_fit import (
     COMMON,
@@ -43,8 +43,8 @@ class BodySettings:
         body: the body that nobody enrolled.
         most: largest number of reflectors in another arrangement.
         other_deg: arrangements whose angles differ by more are another arrangement.
-        split_deg: reflectors nearer than this, in an arrangement that is the layout's where each such group is
-            one, leave nearly what the layout leaves,
+        split_deg: reflectors nearer than this, in an arrangement that is the layout's where each such group
+            is one, leave nearly what the layout leaves,
         split_lead: so they contradict it only where they lead by so much more than other arrangements need.
         other_radius_m: and so are those whose apparent radius differs by more from the layout's limits.
         strong: a body that explains more than this share of the moving echo gives the centre alone.
@@ -53,6 +53,7 @@ class BodySettings:
         arrangements: kinds of arrangements that are fitted, beside those with free angles.
         finished: layouts fitted to the end.
         through_views: fewest views at which patterns of 5 terms are fitted.
+        through_m: apparent radius at which their fit begins, m.
         hopeless: where no arrangement explains this share of what the body leaves, none is fitted to the end.
         rings_m: radii tried about each nominal one under `wide_m`, relative to it, m.
         wide_m: from here on a body is a shell, and only the nominal radius is tried.
@@ -73,6 +74,7 @@ class BodySettings:
     arrangements: int = 12
     finished: int = 4
     through_views: int = 18
+    through_m: float = 0.038
     hopeless: float = 0.5
     rings_m: tuple[float, ...] = (-0.009, 0.005)
     wide_m: float = 0.076
@@ -329,7 +331,33 @@ class _Reader:
                 others.append(place)
             elif row.role not in own or place.charged < own[row.role].charged:
                 own[row.role] = place
-        return self._compared(sorted(own.values(), key=lambda p: p.charged), free, others)
+        ranked = sorted(own.values(), key=lambda p: p.charged)
+        ranked[0] = self._polished(ranked[0], free, per_term)
+        return self._compared(sorted(ranked, key=lambda p: p.charged), free, others)
+
+    def _polished(self, best: Placed, free: Sequence[Placed], per_term: float) -> Placed:
+        """The best layout, fitted again from where as many reflectors with free angles came to lie."""
+        count = int(best.batch.present[0].sum())
+        near = [p for p in free if len(p.angles) == count and p.left < best.left]
+        if not near:
+            return best
+        target = min(near, key=lambda p: p.left)
+        own = np.sort(best.angles % (2 * np.pi))
+        order = np.argsort(best.angles % (2 * np.pi))
+        rows = []
+        for turn in turn_to(target.angles, own):
+            at = best.batch.at.copy()
+            at[0, :2], at[0, 3:COMMON] = target.batch.at[0, :2], target.batch.at[0, 3:COMMON]
+            offset = float(target.radii.mean()) - float(best.batch.radii[0, :count].mean())
+            at[0, 2] = float(np.clip(offset, best.batch.low[0], best.batch.high[0]))
+            at[0, COMMON + order] = own + turn
+            rows.append(best.batch.moved(at))
+        batch, left = self.fitter.fitted(joined(rows), 6)
+        i = int(np.argmin(left))
+        if left[i] >= best.left:
+            return best
+        charged = float(left[i] + per_term * (best.batch.terms[0] - 1))
+        return Placed(batch.some(np.array([i])), float(left[i]), charged, best.layout)
 
     def _noise_after(self, terms: int) -> float:
         """Energy that noise leaves after the fit of a body and of a pattern of so many terms."""
@@ -339,14 +367,18 @@ class _Reader:
     def _finished(
         self, rows: Sequence[_Row], few: Batch, wide: Batch
     ) -> tuple[list[_Row], Batch, NDArray[np.float64]]:
-        """Arrangements fitted to the end, with few terms, and with many where the views are enough for them."""
+        """Arrangements fitted to the end: with few terms, and with many where there are views for them."""
         batch, left = self.fitter.fitted(few, 4)
         if self.spectra.views < self.settings.through_views:
             return [*rows, *rows], batch, left
-        open_ = replace(
-            wide, tilt=0 * wide.tilt + THROUGH.tilt, terms=0 * wide.terms + THROUGH.terms, at=batch.at[: len(rows)]
-        )
-        through, more = self.fitter.fitted(open_, 5)
+        at = batch.at[: len(rows)].copy()
+        # More terms hold more of the bounces, which leaves the radius nearer to the wall's than few terms do.
+        mean = (wide.radii * wide.present).sum(axis=1) / wide.present.sum(axis=1)
+        inner = np.clip(self.settings.through_m - mean, wide.low, wide.high)
+        small = mean + at[:, 2] < self.settings.wide_m
+        at[:, 2] = np.where(small, np.minimum(at[:, 2], inner), at[:, 2])
+        tilt, terms = 0 * wide.tilt + THROUGH.tilt, 0 * wide.terms + THROUGH.terms
+        through, more = self.fitter.fitted(replace(wide, at=at, tilt=tilt, terms=terms), 6)
         return [*rows, *rows, *rows], joined([batch, through]), np.append(left, more)
 
     def _explained(self, left: float) -> float:
