@@ -24,6 +24,7 @@ from tagid.tags.bodies.decide import BodyDecision, score, tag_snr_db
 from tagid.tags.bodies.reader import BodySettings, read_on_body
 from tagid.tags.bodies.spectra import Spectra
 from tagid.tags.layouts.layout import builtin_layouts
+from tagid.tags.matching.matcher import bare_score
 from tagid.tags.reading.views import fold_views
 from train.population import STATEMENT, draw
 
@@ -39,14 +40,18 @@ def one(seed: int) -> dict[str, float | int | str]:
     """The score of the object of a seed."""
     specimen = draw(seed)
     settings = PreprocessSettings(matched_filter=False, extent_m=0.5)
-    spectra = Spectra.of(fold_views(preprocess(specimen.capture, settings=settings), 0.15))
+    scans = preprocess(specimen.capture, settings=settings)
+    layouts = list(builtin_layouts().values())
+    spectra = Spectra.of(fold_views(scans, 0.15))
     body = BodySettings()
-    reading = read_on_body(spectra, list(builtin_layouts().values()), body.body, body)
+    reading = read_on_body(spectra, layouts, body.body, body)
     assert reading is not None
     evidence = score(reading, BodyDecision())
+    bare = bare_score(scans, layouts)
     return {
         "seed": seed,
         "score": evidence if np.isfinite(evidence) else "refused",
+        "bare": bare if np.isfinite(bare) else "refused",
         "views": specimen.views,
         "snr_db": tag_snr_db(reading),
     }
@@ -59,7 +64,9 @@ def strata(rows: list[dict[str, float | int | str]], views: list[int]) -> tuple[
         for weak, strong in pairwise(SNRS_DB):
             own = [r for r in rows if low <= float(r["views"]) < high and weak <= float(r["snr_db"]) < strong]
             scores = sorted((float(r["score"]) for r in own if r["score"] != "refused"), reverse=True)
-            found.append(Stratum(low, high, float(weak), float(strong), len(own), tuple(scores[:KEPT])))
+            bare = sorted((float(r["bare"]) for r in own if r["bare"] != "refused"), reverse=True)
+            kept = tuple(scores[:KEPT]), tuple(bare[:KEPT])
+            found.append(Stratum(low, high, float(weak), float(strong), len(own), *kept))
     return tuple(found)
 
 

@@ -35,7 +35,7 @@ MIN_NOISE_BINS = 6
 """Range bins beside the target from which the noise's spectrum over the band is estimated."""
 
 MIN_EARLY_VALUES = 16
-"""Values before the object from which its noise is known to 36 %, enough to notice that it is coloured."""
+"""Values before the object from which the noise is known to 36 %, enough to notice that it is coloured."""
 
 _CHUNK_SAMPLES = 1 << 22
 _LN2 = float(np.log(2))
@@ -257,7 +257,7 @@ def _raised(noise: _Noise, early: NDArray[np.complex64], band: BandFilter) -> _N
         return noise
     seen = float(np.median(early.real**2 + early.imag**2)) / _LN2
     # The median of n exponential variables has the relative standard deviation 1 / (ln 2 sqrt n).
-    if seen < (1 + 4 * 1.44 / np.sqrt(values)) * noise.variance:
+    if seen < (1 + 4 / (_LN2 * np.sqrt(values))) * noise.variance:
         return noise
     return _Noise(seen, _band_density([early], band) or noise.density * seen / noise.variance)
 
@@ -274,9 +274,8 @@ def _noise(
     off = np.concatenate(sides, axis=1)
     power = np.abs(band.transfer) ** 2
     # A filter that is flat over the band passes noise in its skirts, too.
-    flat = float(
-        power[np.abs(band.offsets) * band.rate_hz / band.decimated_bins <= band.bandwidth_hz / 2].mean()
-    )
+    inside = np.abs(band.offsets) * band.rate_hz / band.decimated_bins <= band.bandwidth_hz / 2
+    flat = float(power[inside].mean())
     white = flat * band.decimated_bins / float(power.sum())
     if off.size * band.bandwidth_hz / band.rate_hz >= MIN_NOISE_VALUES:
         variance = float(np.median(off.real**2 + off.imag**2)) / _LN2

@@ -36,8 +36,8 @@ FOREIGN_DEG = (
 )  # fmt: skip
 DRAWN_BODIES = ("can35", "can28", "can40", "cup36", "free20", "free40")
 """Bodies of drawn foreign tags, with a single reflector that was solved on each."""
-APART_DEG = 15.0
-"""A foreign tag differs by more than this from every enrolled one of its size."""
+APART_DEG, APART_M = 15.0, 0.01
+"""A foreign tag differs by more than this from every enrolled one of its size: on a body, and without one."""
 RING_M = 0.045
 LEAST_M = 0.03
 """Octahedra on a ring of 45 mm stand at least so far apart."""
@@ -158,6 +158,10 @@ def drawn(number: int) -> tuple[Scene, Recording]:
     return Scene(f"foreign tag, {name}", body, tuple(np.rad2deg(angles)), None), recording
 
 
+def _ring(angles: np.ndarray) -> np.ndarray:
+    return RING_M * np.exp(1j * np.sort(angles))
+
+
 def _solved(scene: Scene) -> bool:
     return known(scene.name) and (scene.angles_deg is None or known(f"{scene.name}_one"))
 
@@ -189,12 +193,19 @@ def generator() -> ModuleType:
 
 
 def _reference(base: str, name: str) -> str:
-    """Response whose echo is that of one reflector of the tag."""
-    if base.startswith("free"):
-        return "free20_one" if base == "free30" else f"{base}_one"
-    if base in ("shell", "box", "handle34"):
-        return "free40_one" if name.endswith("40") else "free20_one"
-    return f"{base}_one-{base}" if known(f"{base}_one") else "free20_one"
+    """Response whose echo is that of one reflector of the tag, at the frequencies of the object's."""
+    made = generator()
+    own = made.response(name)[0]
+    if known(f"{base}_one") and len(made.response(f"{base}_one")[0]) == len(own):
+        return f"{base}_one" if base.startswith("free") else f"{base}_one-{base}"
+    size = "40" if name.endswith("40") or (base, name) == ("shell", "shell_h120") else "20"
+    single = f"free{size}_one"
+    frequency, values = made.response(single)
+    if len(own) == len(frequency):
+        return single
+    step = (len(frequency) - 1) // (len(own) - 1)
+    made._cache[f"{single} at {len(own)}"] = (frequency[::step], values[::step])
+    return f"{single} at {len(own)}"
 
 
 def _ring_of(name: str, angles_deg: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:

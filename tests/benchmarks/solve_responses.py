@@ -93,6 +93,7 @@ OBJECTS = {
     "handle34": Object(_handled),
     "handle34_c90": Object(_handled, 20, ((45, 0), (45, 90))),
     "cup36": Object(_cup),
+    "cup36_one": Object(_cup, 20, ((45, 0),)),
     "cup36_c180": Object(_cup, 20, ((45, 0), (45, 180))),
     "shell": Object(_shell),
     "shell_h120": Object(_shell, 40, ((110, 0), (110, 120), (110, 240))),

@@ -17,7 +17,7 @@ import numpy as np
 
 from tagid.errors import ModelError
 
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 
 
 @dataclass(frozen=True)
@@ -58,6 +58,7 @@ class Stratum:
         snr_from_db, snr_to_db: energy of what is not of the body over that of the noise, likewise.
         objects: how many there are.
         scores: the largest of their leads, largest first; objects that a test refuses have none.
+        bare: the same of those that are named without a body (`PointReading.lead`).
     """
 
     views_from: int
@@ -66,6 +67,7 @@ class Stratum:
     snr_to_db: float
     objects: int
     scores: tuple[float, ...]
+    bare: tuple[float, ...] = ()
 
     @property
     def name(self) -> str:
@@ -75,12 +77,13 @@ class Stratum:
             return views
         return f"{views}, {self.snr_from_db:g} to {self.snr_to_db:g} dB"
 
-    def p_value(self, score: float) -> float:
+    def p_value(self, score: float, bare: bool = False) -> float:
         """(k + 1) / (n + 1), k the objects that reach the score; a bound where more than those kept do."""
-        above = sum(1 for one in self.scores if one >= score)
-        if above == len(self.scores) < self.objects:
+        scores = self.bare if bare else self.scores
+        above = sum(1 for one in scores if one >= score)
+        if above == len(scores) < self.objects:
             # Those that were not kept may reach it, too.
-            above = self.objects if self.scores and score <= self.scores[-1] else above
+            above = self.objects if scores and score <= scores[-1] else above
         return (above + 1) / (self.objects + 1)
 
 
@@ -120,6 +123,7 @@ class Calibration:
                     _number(one["snr_db"][1], np.inf),
                     int(one["objects"]),
                     tuple(sorted((float(s) for s in one["scores"]), reverse=True)),
+                    tuple(sorted((float(s) for s in one["bare"]), reverse=True)),
                 )
                 for one in data["strata"]
             )
@@ -136,6 +140,7 @@ class Calibration:
                 "snr_db": [None if np.isinf(v) else v for v in (one.snr_from_db, one.snr_to_db)],
                 "objects": one.objects,
                 "scores": [round(s, 4) for s in one.scores],
+                "bare": [round(s, 4) for s in one.bare],
             }
             for one in self.strata
         ]
@@ -147,12 +152,14 @@ class Calibration:
         }
         return json.dumps(data, indent=1) + "\n"
 
-    def bound(self, score: float, views: int, snr_db: float, false_accept: float) -> Bound:
+    def bound(
+        self, score: float, views: int, snr_db: float, false_accept: float, *, bare: bool = False
+    ) -> Bound:
         """The promise for evidence of that strength; no objects where no stratum fits."""
         for one in self.strata:
             inside = one.views_from <= views < one.views_to
             if inside and one.snr_from_db <= snr_db < one.snr_to_db:
-                p = one.p_value(score)
+                p = one.p_value(score, bare)
                 return Bound(p, false_accept, one.objects, one.name, self.population)
         return Bound(1.0, false_accept, 0, f"{views} views, {snr_db:.0f} dB", self.population)
 

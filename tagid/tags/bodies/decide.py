@@ -69,7 +69,8 @@ def decide_on_body(reading: BodyReading, settings: BodyDecision) -> Verdict:
             Code.OFF_CENTRE,
             f"the body's centre lies {abs(r.pose.centre) * 1e3:.0f} mm off the axis",
         )
-    if not s.early_m[0] <= r.early_m <= s.early_m[1]:
+    # A body that the wave passes through returns most from behind, by paths of its own.
+    if not (r.through or s.early_m[0] <= r.early_m <= s.early_m[1]):
         return Verdict(
             "unknown",
             Code.BODY,

@@ -13,13 +13,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tagid.tags.bodies.arrangement import AXIS_M, difference_deg, gaps_deg, merged, resolution_deg
+from tagid.tags.bodies.arrangement import AXIS_M, difference_deg, gaps_deg, merged, resolution_deg, turn_to
 from tagid.tags.bodies.hypothesis import BodyModel, Candidate, Pose
 from tagid.tags.bodies.reflectors_fit import (
     COMMON,
     FACING,
     OPEN,
-    TERMS,
+    THROUGH,
     Batch,
     Columns,
     Fitter,
@@ -43,12 +43,17 @@ class BodySettings:
         body: the body that nobody enrolled.
         most: largest number of reflectors in another arrangement.
         other_deg: arrangements whose angles differ by more are another arrangement.
+        split_deg: reflectors nearer than this, in an arrangement that is the layout's where each such group
+            is one, leave nearly what the layout leaves,
+        split_lead: so they contradict it only where they lead by so much more than other arrangements need.
         other_radius_m: and so are those whose apparent radius differs by more from the layout's limits.
         strong: a body that explains more than this share of the moving echo gives the centre alone.
         centre_reach_m: a weak body's centre is searched so far from the axis, m.
         centres: centres tried in full for a weak body.
         arrangements: kinds of arrangements that are fitted, beside those with free angles.
         finished: layouts fitted to the end.
+        through_views: fewest views at which patterns of 5 terms are fitted.
+        through_m: apparent radius at which their fit begins, m.
         hopeless: where no arrangement explains this share of what the body leaves, none is fitted to the end.
         rings_m: radii tried about each nominal one under `wide_m`, relative to it, m.
         wide_m: from here on a body is a shell, and only the nominal radius is tried.
@@ -60,12 +65,16 @@ class BodySettings:
     body: RoundBody = field(default_factory=RoundBody)
     most: int = 4
     other_deg: float = 12.0
+    split_deg: float = 62.0
+    split_lead: float = 0.6
     other_radius_m: float = 0.012
     strong: float = 0.94
     centre_reach_m: float = 0.010
     centres: int = 2
     arrangements: int = 12
     finished: int = 4
+    through_views: int = 18
+    through_m: float = 0.038
     hopeless: float = 0.5
     rings_m: tuple[float, ...] = (-0.009, 0.005)
     wide_m: float = 0.076
@@ -137,6 +146,7 @@ class BodyReading:
         early_m: how much earlier than a point in its place a reflector answers, one way, m. A reflector
             answers from its place to within the bounce at the wall and the error of the axis distance; the
             wall of an oval body imitates a pair, but answers from far outside its apparent radius.
+        through: the pattern has more terms than that of a reflector before an opaque wall.
         front_m: the same of the body about its centre, in the arrangement that leaves least: the radius of
             a body with a wall.
         body_energy: that the body explains there, beside the reflectors.
@@ -159,6 +169,7 @@ class BodyReading:
     radius_off_m: float
     tag_nats: float
     early_m: float
+    through: bool
     front_m: float
     body_energy: float
 
@@ -279,8 +290,7 @@ class _Reader:
         self.settings = settings
         self.poses = poses
         self.coarse = spectra.thinned(2)
-        freedom = spectra.views - 1 - (1 + FACING.terms)
-        self.noise = spectra.noise_energy * max(freedom, 1) / (spectra.views - 1)
+        self.noise = self._noise_after(FACING.terms)
         values = spectra.data.size
         floor = max(poses[0].left, 1e-30)
         self.variance = max(spectra.noise, 1e-12 * floor) + settings.priors.model_error * floor / values
@@ -299,12 +309,12 @@ class _Reader:
         rows += [row for layout in self.layouts for row in self._layout_rows(layout, searched)]
         batch, left = self.coarse_fitter.fitted(joined([row.batch for row in rows]), 3)
         rows, batch = self._kept(rows, batch, left)
-        simple = replace(batch, terms=np.minimum(batch.terms, TERMS - 1))
-        rows, batch = rows + rows, joined([batch, simple])
+        simple = replace(batch, terms=np.minimum(batch.terms, FACING.terms - 1))
         if self._explained(float(left.min())) < self.settings.hopeless:
+            rows, batch = rows + rows, joined([batch, simple])
             left = self.fitter.left(batch)
         else:
-            batch, left = self.fitter.fitted(batch, 4)
+            rows, batch, left = self._finished(rows, joined([batch, simple]), batch)
         # An amplitude more per frequency costs log V nats (Schwarz 1978): a pattern that a tag does not need
         # would let other arrangements imitate it.
         per_term = self.spectra.noise * len(self.spectra.wavenumbers) * np.log(self.spectra.views)
@@ -321,7 +331,55 @@ class _Reader:
                 others.append(place)
             elif row.role not in own or place.charged < own[row.role].charged:
                 own[row.role] = place
-        return self._compared(sorted(own.values(), key=lambda p: p.charged), free, others)
+        ranked = sorted(own.values(), key=lambda p: p.charged)
+        ranked[0] = self._polished(ranked[0], free, per_term)
+        return self._compared(sorted(ranked, key=lambda p: p.charged), free, others)
+
+    def _polished(self, best: Placed, free: Sequence[Placed], per_term: float) -> Placed:
+        """The best layout, fitted again from where as many reflectors with free angles came to lie."""
+        count = int(best.batch.present[0].sum())
+        near = [p for p in free if len(p.angles) == count and p.left < best.left]
+        if not near:
+            return best
+        target = min(near, key=lambda p: p.left)
+        own = np.sort(best.angles % (2 * np.pi))
+        order = np.argsort(best.angles % (2 * np.pi))
+        rows = []
+        for turn in turn_to(target.angles, own):
+            at = best.batch.at.copy()
+            at[0, :2], at[0, 3:COMMON] = target.batch.at[0, :2], target.batch.at[0, 3:COMMON]
+            offset = float(target.radii.mean()) - float(best.batch.radii[0, :count].mean())
+            at[0, 2] = float(np.clip(offset, best.batch.low[0], best.batch.high[0]))
+            at[0, COMMON + order] = own + turn
+            rows.append(best.batch.moved(at))
+        batch, left = self.fitter.fitted(joined(rows), 6)
+        i = int(np.argmin(left))
+        if left[i] >= best.left:
+            return best
+        charged = float(left[i] + per_term * (best.batch.terms[0] - 1))
+        return Placed(batch.some(np.array([i])), float(left[i]), charged, best.layout)
+
+    def _noise_after(self, terms: int) -> float:
+        """Energy that noise leaves after the fit of a body and of a pattern of so many terms."""
+        freedom = self.spectra.views - 1 - (1 + terms)
+        return self.spectra.noise_energy * max(freedom, 1) / (self.spectra.views - 1)
+
+    def _finished(
+        self, rows: Sequence[_Row], few: Batch, wide: Batch
+    ) -> tuple[list[_Row], Batch, NDArray[np.float64]]:
+        """Arrangements fitted to the end: with few terms, and with many where there are views for them."""
+        batch, left = self.fitter.fitted(few, 4)
+        if self.spectra.views < self.settings.through_views:
+            return [*rows, *rows], batch, left
+        at = batch.at[: len(rows)].copy()
+        # More terms hold more of the bounces, which leaves the radius nearer to the wall's than few terms do.
+        mean = (wide.radii * wide.present).sum(axis=1) / wide.present.sum(axis=1)
+        inner = np.clip(self.settings.through_m - mean, wide.low, wide.high)
+        small = mean + at[:, 2] < self.settings.wide_m
+        at[:, 2] = np.where(small, np.minimum(at[:, 2], inner), at[:, 2])
+        tilt, terms = 0 * wide.tilt + THROUGH.tilt, 0 * wide.terms + THROUGH.terms
+        through, more = self.fitter.fitted(replace(wide, at=at, tilt=tilt, terms=terms), 6)
+        return [*rows, *rows, *rows], joined([batch, through]), np.append(left, more)
 
     def _explained(self, left: float) -> float:
         """Share of what the body leaves of the coarse spectra, above noise, that an arrangement explains."""
@@ -517,23 +575,30 @@ class _Reader:
         low = float(radii.mean()) + settings.priors.radius_low_m - settings.other_radius_m / 2
         high = float(radii.mean()) + settings.priors.radius_high_m + settings.other_radius_m / 2
 
-        def away(p: Placed) -> float:
+        def away(p: Placed, least_deg: float = 0.0) -> float:
             gaps = gaps_deg(p.angles)
-            joined_up = merged(gaps, resolution_deg(float(p.radii.mean())))
+            joined_up = merged(gaps, max(resolution_deg(float(p.radii.mean())), least_deg))
             return min(difference_deg(gaps, wanted), difference_deg(joined_up, wanted))
 
-        def other(p: Placed) -> bool:
-            return away(p) > settings.other_deg or not low <= float(p.radii.mean()) <= high
+        def other(p: Placed, least_deg: float = 0.0) -> bool:
+            inside = low <= float(p.radii.mean()) <= high
+            return away(p, least_deg) > settings.other_deg or not inside
 
-        others = sorted([p for p in free + rigid if other(p)] + ranked[1:], key=lambda p: p.charged)
+        every = sorted([p for p in free + rigid if other(p)] + ranked[1:], key=lambda p: p.charged)
+        # Alike reflectors side by side have a common pattern that is symmetric, too: many terms hold it.
+        split = [p for p in every if p.layout is None and not other(p, settings.split_deg)]
+        others = [p for p in every if p not in split]
         near = sorted(
             (p for p in free if not other(p)), key=lambda p: (len(p.angles) != len(angles), p.charged)
         )
         tag = max(self.poses[0].left - best.left, 1e-30)
-        above = max(best.left - self.noise, 0.0)
+        above = max(best.left - self._noise_after(int(best.batch.terms[0])), 0.0)
         next_left = others[0].charged if others else self.poses[0].left
         error = above + settings.priors.model_error * tag + settings.noise_nats * self.spectra.noise
         own = near[0] if near else None
+        lead = (next_left - best.charged) / error
+        if split:
+            lead = min(lead, (split[0].charged - best.charged) / error + settings.split_lead)
         clearest = self._amplitudes(min((best, *others[:1]), key=lambda p: p.left))
         return BodyReading(
             body=self.body,
@@ -544,15 +609,16 @@ class _Reader:
             variance=self.spectra.noise,
             body_left=self.poses[0].left,
             layouts=tuple(ranked),
-            others=tuple(others),
+            others=tuple(every),
             free=own,
             tag=tag,
             unexplained=above / tag,
-            lead=(next_left - best.charged) / error,
+            lead=lead,
             angle_off_deg=away(own) if own else 180.0,
             radius_off_m=abs(float(own.radii.mean()) - float(best.radii.mean())) if own else 1.0,
             tag_nats=tag / max(self.spectra.noise, 1e-30),
             early_m=self._early(self._amplitudes(best).reflectors),
+            through=int(best.batch.terms[0]) > FACING.terms,
             front_m=self._early(clearest.body),
             body_energy=clearest.body_energy,
         )

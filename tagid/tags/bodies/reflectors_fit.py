@@ -8,7 +8,9 @@ Per frequency f and view v, with the room subtracted from data and columns alike
 psi_vk the angle between reflector k's outward direction and the antenna, R_vk their distance. A and g_p are
 free per frequency and solved by linear least squares inside (variable projection, Golub and Pereyra 1973), so
 what is searched is where the reflectors are: centre, radius and angles. One pattern for all, symmetric about
-the outward direction, is what makes them alike; with more than 3 terms one reflector could imitate two.
+the outward direction, is what makes them alike. Every term more makes it easier for one reflector to imitate
+two, so terms are charged for. A tag on metal needs 3; on a ceramic cup, which focuses the wave on what is
+behind it, 5.
 """
 
 from __future__ import annotations
@@ -34,7 +36,7 @@ class Pattern:
 
     Attributes:
         tilt: t, 2 for a reflector before an opaque body, 0 for one that is seen from all sides.
-        terms: M, 1 to 3.
+        terms: M, 1 to 5.
     """
 
     tilt: int
@@ -43,9 +45,8 @@ class Pattern:
 
 FACING = Pattern(2, 3)
 OPEN = Pattern(0, 3)
+THROUGH = Pattern(0, 5)
 POINTS = Pattern(0, 1)
-TERMS = 3
-"""Most terms of any pattern."""
 
 
 @dataclass(frozen=True)
@@ -135,8 +136,8 @@ class Columns:
     """Columns of the linear model at the places of a batch, and what their derivatives need.
 
     Attributes:
-        values: (H, F, 1 + 3, V) of the body and of the pattern's terms, centred over the views; those that a
-            row has not are zero.
+        values: (H, F, 1 + M, V) of the body and of the pattern's terms, M the most of any row, centred over
+            the views; those that a row has not are zero.
         body: (H, F, V) the body's echo, not centred; None for none.
         waves: (H, F, K, V) each reflector's wave with its weight, without the pattern's terms.
         cosine: (H, K, V) of the angle between outward direction and antenna.
@@ -167,19 +168,21 @@ class Columns:
         weight = facing * (spectra.distance_m / distance) ** 2 * batch.present[..., None]
         waves = np.moveaxis(spectra.waves(distance) * weight, 0, 1)
         h, f, v = len(at), len(spectra.wavenumbers), spectra.views
-        values = np.zeros((h, f, 1 + TERMS, v), dtype=np.complex128)
+        most = int(batch.terms.max())
+        values = np.zeros((h, f, 1 + most, v), dtype=np.complex128)
         echo = None
         if body is not None:
             echo = body.echo(spectra, at[:, 3] + 1j * at[:, 4], at[:, 5])
             values[:, :, 0] = echo
         values[:, :, 1] = waves.sum(axis=2)
-        if (batch.terms > 1).any():
-            turned = waves * cosine[:, None]
-            values[:, :, 2] = turned.sum(axis=2)
-            twice = np.einsum("hfkv,hkv->hfv", turned, 2 * cosine)
-            values[:, :, 3] = twice - values[:, :, 1]
-            for p in (2, 3):
-                values[:, :, p] *= (batch.terms >= p)[:, None, None]
+        if most > 1:
+            # cos(p psi) by Chebyshev's recurrence.
+            before, now = waves, waves * cosine[:, None]
+            twice = 2 * cosine[:, None]
+            for p in range(2, most + 1):
+                values[:, :, p] = now.sum(axis=2) * (batch.terms >= p)[:, None, None]
+                if p < most:
+                    before, now = now, twice * now - before
         return cls(centred(values), echo, waves, cosine, toward, distance, facing)
 
 
@@ -292,8 +295,13 @@ class Fitter:
         longer = along * (plane / cols.distance)[:, None]
         g = solved.amplitudes[:, :, 1:, None, None]
         c = cols.cosine[:, None]
-        pattern = g[:, :, 0] + g[:, :, 1] * c + g[:, :, 2] * (2 * c**2 - 1)
-        steeper = g[:, :, 1] + 4 * g[:, :, 2] * c
+        pattern, steeper = g[:, :, 0] + 0 * c, 0 * c
+        before, now = np.ones_like(c), c
+        lower, slope = np.zeros_like(c), np.ones_like(c)
+        for p in range(1, g.shape[2]):
+            pattern = pattern + g[:, :, p] * now
+            steeper = steeper + g[:, :, p] * slope
+            before, now, lower, slope = now, 2 * c * now - before, slope, 2 * now + 2 * c * slope - lower
         steeper = steeper + pattern * np.where(batch.tilt > 0, 2.0, 0.0)[:, None, None, None] / (1.02 + c)
         phase = -1j * self.spectra.wavenumbers[None, :, None, None] * pattern * cols.waves
         both = np.concatenate([phase, steeper * cols.waves], axis=2)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from math import inf
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from tagid.tags.bodies.calibration import Bound, Calibration
 from tagid.tags.bodies.decide import BodyDecision, decide_on_body, score, tag_snr_db
 from tagid.tags.bodies.hypothesis import Enrolled, Explanation, Kind, Pose, plausible
 from tagid.tags.bodies.objects import ObjectDecision, ObjectReading, decide_object, read_objects
+from tagid.tags.bodies.points import Place, PointReading, PointSettings, read_points
 from tagid.tags.bodies.reader import BodyReading, BodySettings, Placed, read_on_body
 from tagid.tags.bodies.spectra import Spectra
 from tagid.tags.layouts.layout import Layout
@@ -35,6 +37,7 @@ class ContestSettings:
     Attributes:
         body: search and priors on bodies.
         decision: tests on bodies.
+        points: fit and tests of tags without a body.
         explained: a bare reading that explains this share of the echo is not contested: no body could leave
             a third of so little.
         wall_m: a body takes part against a bare name only where its echo comes from so far before its centre
@@ -50,6 +53,7 @@ class ContestSettings:
 
     body: BodySettings = field(default_factory=BodySettings)
     decision: BodyDecision = field(default_factory=BodyDecision)
+    points: PointSettings = field(default_factory=PointSettings)
     explained: float = 0.9
     wall_m: float = 0.010
     wall_share: float = 0.05
@@ -80,7 +84,6 @@ def settle(
         enrolled: bodies and objects.
         settings: see there.
     """
-    named = bare.status in ("identified", "ambiguous")
     own = Explanation(
         Kind.BARE,
         "",
@@ -91,16 +94,141 @@ def settle(
         bare.rotation_deg,
     )
     opaque = bare.evidence.outward > settings.outward
-    if named and bare.evidence.share >= settings.explained and not opaque:
-        return replace(bare, hypotheses=(own,))
     spectra = Spectra.of(scans, wavenumbers=enrolled.wavenumbers)
+    points = None if bare.code is Code.NO_ECHO else _points(bare, spectra, layouts, settings.points)
+    done = _without_body(bare, points, layouts, settings)
+    if done is not None:
+        if points is not None and points.passes(settings.points):
+            own = replace(own, layout=done.layout, left=float(np.clip(points.unexplained, 0, 1)))
+        return _promised(replace(done, hypotheses=(own,)), points, spectra, settings)
+    contested = _against_bodies(_Bare(bare, own, points, opaque), spectra, layouts, enrolled, settings)
+    return _promised(contested, points, spectra, settings)
+
+
+def _without_body(
+    bare: Reading, points: PointReading | None, layouts: Sequence[Layout], settings: ContestSettings
+) -> Reading | None:
+    """The reading where no body need take part; None where one may."""
+    if bare.evidence.outward > settings.outward:
+        return None
+    if points is not None and points.passes(settings.points):
+        return _as_points(bare, points, layouts)
+    named = bare.status in ("identified", "ambiguous")
+    return bare if named and bare.evidence.share >= settings.explained else None
+
+
+def bare_evidence(
+    bare: Reading, scans: BasebandScans, layouts: Sequence[Layout], settings: ContestSettings
+) -> float:
+    """The evidence for a name without a body, -inf where none is given: what the calibration orders."""
+    if bare.code is Code.NO_ECHO:
+        return -inf
+    points = _points(bare, Spectra.of(scans), layouts, settings.points)
+    named = (_without_body(bare, points, layouts, settings) or bare).status == "identified"
+    return points.lead if named else -inf
+
+
+@dataclass(frozen=True, eq=False)
+class _Bare:
+    """What is known before bodies take part.
+
+    Attributes:
+        reading: without a body.
+        own: the same as a hypothesis.
+        points: fit of points with double bounce; None where nothing stands out of the noise.
+        opaque: the reflectors shine outward only.
+    """
+
+    reading: Reading
+    own: Explanation
+    points: PointReading | None
+    opaque: bool
+
+
+def _points(
+    bare: Reading, spectra: Spectra, layouts: Sequence[Layout], settings: PointSettings
+) -> PointReading:
+    """Points with double bounce near where the bare reading found something."""
+    by_name = {layout.name: layout for layout in layouts}
+    places = [Place(by_name[s.name], float(np.deg2rad(s.rotation_deg)), s.centre_m) for s in bare.scores]
+    found = np.array([complex(r.x_m, r.y_m) for r in bare.reflectors], dtype=np.complex128)
+    return read_points(spectra, places, found, settings)
+
+
+def _as_points(bare: Reading, points: PointReading, layouts: Sequence[Layout]) -> Reading:
+    """The reading of a layout that points with double bounce explain and nothing else does."""
+    best = points.layouts[0]
+    if bare.status == "identified":
+        if bare.layout == best.layout:
+            return bare
+        return replace(
+            bare,
+            status="ambiguous",
+            code=Code.AMBIGUOUS,
+            reason=f"{bare.layout} and {best.layout} explain the echo about equally",
+        )
+    layout = next(one for one in layouts if one.name == best.layout)
+    own = layout.positions[:, 0] + 1j * layout.positions[:, 1]
+    turn = complex(np.vdot(own - own.mean(), best.places - best.places.mean()))
+    centre = complex(best.places.mean() - own.mean() * turn / max(abs(turn), 1e-30))
+    each = max(points.tag / max(len(own), 1), 1e-30)
+    snr = float(10 * np.log10(each / max(points.noise, 1e-9 * each)))
+    return replace(
+        bare,
+        status="identified",
+        code=Code.NONE,
+        reason="",
+        layout=layout.name,
+        nearest=layout.name,
+        score=float(np.clip(1 - points.unexplained, 0, 1)),
+        margin=float(np.clip(points.lead / (1 + max(points.lead, 0.0)), 0, 1)),
+        rotation_deg=float(np.rad2deg(np.angle(turn)) % (360 / layout.symmetry)),
+        centre_m=(centre.real, centre.imag),
+        reflectors=tuple(
+            Reflector(float(z.real), float(z.imag), 1.0 + 0j, 0.0, snr, True) for z in points.free.places
+        ),
+        missing=0,
+        extra=0,
+    )
+
+
+def _promised(
+    reading: Reading, points: PointReading | None, spectra: Spectra, settings: ContestSettings
+) -> Reading:
+    """A name without a body with the bound that holds for it, taken back where none does."""
+    if reading.status != "identified" or reading.kind is not Kind.BARE or points is None:
+        return reading
+    bound = settings.calibration().bound(
+        points.lead, spectra.views, points.snr_db, settings.false_accept, bare=True
+    )
+    verdict = _kept(bound)
+    if verdict.status == "identified":
+        return replace(reading, bound=bound)
+    return replace(
+        reading, status=verdict.status, code=verdict.code, reason=verdict.reason, layout=None, bound=bound
+    )
+
+
+def _against_bodies(
+    known: _Bare,
+    spectra: Spectra,
+    layouts: Sequence[Layout],
+    enrolled: Enrolled,
+    settings: ContestSettings,
+) -> Reading:
+    """The bare reading against layouts on bodies, and enrolled objects."""
+    bare, own, opaque = known.reading, known.own, known.opaque
+    named = bare.status in ("identified", "ambiguous")
+    shows = known.points is None or known.points.least > settings.points.unexplained
     hints = [complex(*bare.centre_m)]
     readings: list[tuple[BodyReading, Verdict]] = []
     for body in (settings.body.body, *plausible(spectra, enrolled.bodies)):
         reading = read_on_body(spectra, layouts, body, settings.body, hints)
         if reading is not None:
             verdict = decide_on_body(reading, settings.decision)
-            if verdict.status == "identified" and not (body.name or opaque or _walled(reading, settings)):
+            if verdict.status == "identified" and not (
+                body.name or opaque or shows or _walled(reading, settings)
+            ):
                 # Where no body shows, the pattern of a bare pair cannot be told from its angle.
                 verdict = Verdict("unknown", Code.OTHER, "no body shows, and no layout fits without one")
             if verdict.status == "identified":
@@ -169,7 +297,12 @@ def _bound(reading: BodyReading, settings: ContestSettings) -> Bound:
 
 def _calibrated(reading: BodyReading, verdict: Verdict, settings: ContestSettings) -> Verdict:
     """The verdict, taken back where objects without the tag were as convincing."""
-    bound = _bound(reading, settings)
+    kept = _kept(_bound(reading, settings))
+    return verdict if kept.status == "identified" else kept
+
+
+def _kept(bound: Bound) -> Verdict:
+    """Whether a bound keeps what the setting asks for."""
     if not bound.reachable:
         return Verdict(
             "unknown",
@@ -184,7 +317,7 @@ def _calibrated(reading: BodyReading, verdict: Verdict, settings: ContestSetting
             f"a share of {bound.p_value:.2g} of the objects without an enrolled tag is as convincing, "
             f"{bound.false_accept:g} is allowed",
         )
-    return verdict
+    return Verdict("identified")
 
 
 def _walled(reading: BodyReading, settings: ContestSettings) -> bool:

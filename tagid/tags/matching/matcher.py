@@ -16,7 +16,7 @@ from tagid.errors import RegistryError
 from tagid.imaging.types import BasebandScans
 from tagid.tags.bodies.hypothesis import Enrolled
 from tagid.tags.layouts.layout import Layout
-from tagid.tags.matching.contest import ContestSettings, settle
+from tagid.tags.matching.contest import ContestSettings, bare_evidence, settle
 from tagid.tags.matching.reading import LayoutScore, Reading
 from tagid.tags.reading.decision import PLACES_PER_METRE, DecisionSettings, Evidence, decide
 from tagid.tags.reading.field import MatchedField
@@ -75,6 +75,13 @@ def read_tag(
     return scan.settled(scan.read(np.argsort(scan.criteria)))
 
 
+def bare_score(scans: BasebandScans, layouts: Sequence[Layout]) -> float:
+    """Evidence for a name without a body, as the calibration counts it; -inf where none is given."""
+    settings = ReaderSettings()
+    scan = MatchedScan(scans, layouts, settings)
+    return bare_evidence(scan.read(np.argsort(scan.criteria)), scan.scans, layouts, settings.contest)
+
+
 class MatchedScan:
     """One recording with the best place of every layout in it.
 
@@ -82,6 +89,7 @@ class MatchedScan:
         scans, layouts, settings, enrolled: see `read_tag`.
 
     Attributes:
+        scans: the recording, at most a turn of folded views.
         criteria: (layouts,) J of `LayoutScore`, lower is better; of several recordings they add up.
 
     Raises:
@@ -102,8 +110,8 @@ class MatchedScan:
         self._settings = settings
         self._layouts = layouts
         self._enrolled = enrolled or Enrolled()
-        self._scans = fold_views(scans, self._radius + 0.02)
-        self._field = MatchedField(self._scans, self._radius + 0.02)
+        self.scans = fold_views(scans, self._radius + 0.02)
+        self._field = MatchedField(self.scans, self._radius + 0.02)
         self._fits = search(self._field, layouts, settings.search)
         if not settings.direction_known:
             turned = search(self._field, [layout.mirrored() for layout in layouts], settings.search)
@@ -115,7 +123,7 @@ class MatchedScan:
 
     def settled(self, bare: Reading) -> Reading:
         """The reading without a body, or the one on a body where that explains the scans better."""
-        return settle(bare, self._scans, self._layouts, self._enrolled, self._settings.contest)
+        return settle(bare, self.scans, self._layouts, self._enrolled, self._settings.contest)
 
     def read(self, order: NDArray[np.intp]) -> Reading:
         """What this recording says without a body if the layouts rank in this order."""

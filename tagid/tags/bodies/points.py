@@ -1,0 +1,337 @@
+"""Reflectors without a body: points, and the wave that goes from one reflector by another back to the radar.
+
+Per frequency f and view v, with the room subtracted from data and columns alike,
+
+    Y = g(f) sum_k exp(-j kappa (R_vk - d)) (d / R_vk)^2
+      + h(f) sum_{i<k} exp(-j kappa ((R_vi + R_vk + D_ik) / 2 - d)) d^2 / (R_vi R_vk) D_0 / D_ik,
+
+R_vk the distance of reflector k from the antenna and D_ik that between two reflectors. Octahedra look the
+same from all sides, so g is one amplitude for all reflectors. The second sum is the double bounce: of two
+octahedra of 40 mm, 64 mm apart, it holds 8 % of the echo; with it full-wave tags are explained to 0.1 %.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tagid.tags.bodies.spectra import Spectra, centred
+from tagid.tags.layouts.layout import Layout
+
+REACH_M = 0.14
+"""Reflectors are looked for up to this distance from the axis."""
+GRID_M = 0.008
+MOST = 5
+"""Most reflectors of another arrangement."""
+APART_M = 0.02
+"""Reflectors nearer than this are one."""
+_SPACING_M = 0.06
+_LOAD = 1e-9
+
+
+@dataclass(frozen=True)
+class PointSettings:
+    """Tests and priors of a tag without a body.
+
+    Attributes:
+        model_error: share of the echo that the model leaves without noise: up to 0.1 % of full-wave tags,
+            1 % where reflectors differ by 0.5 dB and stand 0.5 mm off their places.
+        displaced_m: an arrangement is another one where its reflectors lie further from the layout's, RMS.
+        unexplained: largest share of the echo that a layout may leave.
+        lead: smallest lead, see `PointReading.lead`.
+        centre_m: largest distance of the tag's centre from the axis.
+        noise_nats: lead in noise variances that counts as much as the model's own error.
+        layouts: layouts fitted, the best of the reading without double bounce.
+    """
+
+    model_error: float = 0.01
+    displaced_m: float = 0.004
+    unexplained: float = 0.05
+    lead: float = 0.5
+    centre_m: float = 0.013
+    noise_nats: float = 25.0
+    layouts: int = 3
+
+
+@dataclass(frozen=True, eq=False)
+class PlacedPoints:
+    """An arrangement after its fit.
+
+    Attributes:
+        places: (K,) complex128 x + jy, m.
+        heights: (K,) above the object's plane, m.
+        left: energy left.
+        layout: its name; None for places that no layout has.
+    """
+
+    places: NDArray[np.complex128]
+    heights: NDArray[np.float64]
+    left: float
+    layout: str | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class PointReading:
+    """What the scans say of a tag without a body.
+
+    Attributes:
+        layouts: fitted layouts, best first.
+        free: the best layout's reflectors, each free.
+        others: arrangements that are not the best layout's, best first.
+        tag: energy above noise.
+        noise: energy of the noise.
+        unexplained: share of it that the best layout leaves.
+        least: share of it that the best arrangement of any kind leaves.
+        lead: what the best other arrangement leaves more, over what the layout leaves, the model's error and
+            the noise.
+    """
+
+    layouts: tuple[PlacedPoints, ...]
+    free: PlacedPoints
+    others: tuple[PlacedPoints, ...]
+    tag: float
+    noise: float
+    unexplained: float
+    least: float
+    lead: float
+
+    @property
+    def snr_db(self) -> float:
+        """Energy above the noise over that of the noise, dB."""
+        return float(10 * np.log10(max(self.tag / max(self.noise, 1e-30), 1e-9)))
+
+    def passes(self, settings: PointSettings) -> bool:
+        """Whether the best layout may be named."""
+        centre = abs(complex(self.layouts[0].places.mean()))
+        return (
+            self.unexplained <= settings.unexplained
+            and self.lead >= settings.lead
+            and centre <= settings.centre_m + REACH_M
+        )
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a layout may lie: turn, rad, and centre, m."""
+
+    layout: Layout
+    turn_rad: float
+    centre_m: tuple[float, float]
+
+
+def columns(
+    spectra: Spectra, places: NDArray[np.complex128], heights: NDArray[np.float64]
+) -> NDArray[np.complex128]:
+    """(F, 1 or 2, V) of the model, centred: the points, and the double bounce where there are two or more."""
+    return centred(_waves(spectra, places, heights).columns)
+
+
+@dataclass(frozen=True, eq=False)
+class _Waves:
+    """Columns (F, C, V), not centred, and their derivatives (2 K, F, C, V) with every reflector's x and y."""
+
+    columns: NDArray[np.complex128]
+    slopes: NDArray[np.complex128]
+
+
+def _waves(
+    spectra: Spectra, places: NDArray[np.complex128], heights: NDArray[np.float64], slopes: bool = False
+) -> _Waves:
+    across = spectra.antenna[None] - places[:, None]
+    flat = np.abs(across)
+    distance = np.hypot(flat, spectra.height_m[None] - heights[:, None])
+    single = spectra.waves(distance) * (spectra.distance_m / distance) ** 2
+    count = len(places)
+    pairs = list(combinations(range(count), 2))
+    f, v = len(spectra.wavenumbers), spectra.views
+    out = np.zeros((f, 2 if pairs else 1, v), dtype=np.complex128)
+    out[:, 0] = single.sum(axis=1)
+    change = np.zeros((2 * count if slopes else 0, *out.shape), dtype=np.complex128)
+    turn = -1j * spectra.wavenumbers[:, None]
+    # dR / dx and dR / dy, (K, V).
+    toward = (-across.real / distance, -across.imag / distance)
+    if slopes:
+        for k in range(count):
+            for axis in (0, 1):
+                change[2 * k + axis, :, 0] = turn * single[:, k] * toward[axis][k]
+    for i, k in pairs:
+        gap = places[i] - places[k]
+        apart = float(np.hypot(abs(gap), heights[i] - heights[k]))
+        apart = max(apart, 1e-3)
+        path = (distance[i] + distance[k] + apart) / 2
+        spread = spectra.distance_m**2 / (distance[i] * distance[k]) * _SPACING_M / apart
+        wave = spectra.waves(path) * spread
+        out[:, 1] += wave
+        if slopes:
+            for axis, along in ((0, gap.real / apart), (1, gap.imag / apart)):
+                change[2 * i + axis, :, 1] += turn * wave * (toward[axis][i] + along) / 2
+                change[2 * k + axis, :, 1] += turn * wave * (toward[axis][k] - along) / 2
+    return _Waves(out, change)
+
+
+class PointFitter:
+    """Fits arrangements of points to spectra.
+
+    Args:
+        spectra: the scans.
+        variance: of one value's error: noise, and the model's own error.
+    """
+
+    def __init__(self, spectra: Spectra, variance: float) -> None:
+        self.spectra = spectra
+        self.variance = variance
+
+    def rest(self, places: NDArray[np.complex128], heights: NDArray[np.float64]) -> NDArray[np.complex128]:
+        """(F, V) what an arrangement leaves of the data."""
+        return self._solved(columns(self.spectra, places, heights))[0]
+
+    def rigid(self, at: Place, rounds: int = 8) -> PlacedPoints:
+        """A layout near a place, free in turn and centre."""
+        positions = at.layout.placed(at.turn_rad, np.asarray(at.centre_m))
+        places = np.asarray(positions[:, 0] + 1j * positions[:, 1])
+
+        def moves(now: NDArray[np.complex128]) -> NDArray[np.float64]:
+            turn = 1j * (now - now.mean())
+            unit = np.ones(len(now), dtype=np.complex128)
+            return np.stack([_plain(unit), _plain(1j * unit), _plain(turn)])
+
+        heights = np.asarray(at.layout.heights, dtype=np.float64)
+        return self._fitted(places, heights, moves, rounds, at.layout.name)
+
+    def free(
+        self, places: NDArray[np.complex128], heights: NDArray[np.float64], rounds: int = 8
+    ) -> PlacedPoints:
+        """Points near given places, each free."""
+        eye = np.eye(2 * len(places))
+        return self._fitted(places, heights, lambda now: eye, rounds, None)
+
+    def _solved(
+        self, cols: NDArray[np.complex128]
+    ) -> tuple[NDArray[np.complex128], NDArray[np.complex128], NDArray[np.complex128]]:
+        """What columns leave of the data (F, V), their amplitudes (F, C), an orthonormal basis (F, V, C)."""
+        tall = np.swapaxes(cols, 1, 2)
+        q, r = np.linalg.qr(tall)
+        inner = (q.conj().swapaxes(1, 2) @ self.spectra.data[..., None])[..., 0]
+        load = _LOAD * np.abs(r).max(axis=(1, 2), keepdims=True) + 1e-300
+        amplitudes = np.linalg.solve(r + load * np.eye(r.shape[-1]), inner[..., None])[..., 0]
+        return self.spectra.data - (q @ inner[..., None])[..., 0], amplitudes, q
+
+    def _fitted(self, places, heights, moves, rounds, name):  # type: ignore[no-untyped-def]
+        """Levenberg-Marquardt with the amplitudes eliminated (Kaufman 1975)."""
+        waves = _waves(self.spectra, places, heights, slopes=True)
+        rest, amplitudes, q = self._solved(centred(waves.columns))
+        left, damping = float(np.sum(np.abs(rest) ** 2)), 1e-3
+        for _ in range(rounds):
+            steps = moves(places)
+            slope = centred(np.einsum("pfcv,fc->pfv", waves.slopes, amplitudes))
+            slope = np.tensordot(steps, slope, axes=1)
+            slope = slope - (q @ (q.conj().swapaxes(1, 2) @ slope[..., None]))[..., 0]
+            flat = slope.reshape(len(steps), -1)
+            normal = np.real(flat.conj() @ flat.T)
+            gradient = np.real(flat.conj() @ rest.ravel())
+            gain = 0.0
+            for _ in range(4):
+                load = damping * np.diag(normal) + 1e-12 * np.trace(normal) + 1e-300
+                move = np.linalg.solve(normal + np.diag(load), gradient) @ steps
+                trial = places + move[0::2] + 1j * move[1::2]
+                if np.abs(trial).max() < REACH_M + 0.02 and np.abs(move).max() < 0.02:
+                    after = _waves(self.spectra, trial, heights, slopes=True)
+                    found = self._solved(centred(after.columns))
+                    trial_left = float(np.sum(np.abs(found[0]) ** 2))
+                    if trial_left < left:
+                        gain, left, places, waves = left - trial_left, trial_left, trial, after
+                        rest, amplitudes, q = found
+                        damping /= 5
+                        break
+                damping *= 8
+            if gain < 1e-4 * left:
+                break
+        return PlacedPoints(places, heights, left, name)
+
+
+def _plain(places: NDArray[np.complex128]) -> NDArray[np.float64]:
+    """(2 K,) x and y, one after the other."""
+    return np.stack([places.real, places.imag], axis=1).ravel()
+
+
+def displaced(one: NDArray[np.complex128], other: NDArray[np.complex128]) -> float:
+    """RMS distance of two sets of places after the best turn and shift, m; infinite for unlike counts."""
+    if len(one) != len(other):
+        return float("inf")
+    a, b = one - one.mean(), other - other.mean()
+    # Reflectors of the second set nearest to those of the first: both come from fits that began there.
+    order = [int(np.argmin(np.abs(b - z))) for z in a]
+    if len(set(order)) < len(order):
+        return float("inf")
+    b = b[order]
+    turn = np.exp(1j * np.angle(np.vdot(b, a)))
+    return float(np.sqrt(np.mean(np.abs(a - turn * b) ** 2)))
+
+
+def read_points(
+    spectra: Spectra,
+    places: Sequence[Place],
+    found: NDArray[np.complex128],
+    settings: PointSettings,
+) -> PointReading:
+    """The best layout without a body, against every other arrangement of points near what is seen.
+
+    Args:
+        spectra: the scans.
+        places: where each layout may lie, the best first.
+        found: (N,) x + jy of reflectors that were found without a layout, the strongest first, m.
+        settings: see there.
+    """
+    noise = spectra.noise_energy * max(spectra.views - 3, 1) / max(spectra.views - 1, 1)
+    tag = max(spectra.energy - spectra.noise_energy, 1e-30)
+    variance = max(spectra.noise, 1e-12 * tag / spectra.data.size)
+    variance += settings.model_error * tag / spectra.data.size
+    fitter = PointFitter(spectra, variance)
+    layouts = sorted((fitter.rigid(place) for place in places[: settings.layouts]), key=lambda p: p.left)
+    best = layouts[0]
+    rivals = [fitter.free(best.places, best.heights)]
+    if len(layouts) > 1:
+        rivals.append(fitter.free(layouts[1].places, layouts[1].heights))
+    seen: list[complex] = []
+    for place in found:
+        if abs(place) < REACH_M and all(abs(place - other) > APART_M for other in seen):
+            seen.append(complex(place))
+    for count in range(1, min(len(seen), MOST) + 1):
+        rivals.append(fitter.free(np.array(seen[:count]), np.zeros(count), 6))
+    rivals += [_joined(fitter, rivals[0]), _joined(fitter, min(rivals, key=lambda p: p.left))]
+    others = [p for p in rivals if displaced(best.places, p.places) > settings.displaced_m] + layouts[1:]
+    others.sort(key=lambda p: p.left)
+    above = max(best.left - noise, 0.0)
+    error = above + settings.model_error * tag + settings.noise_nats * spectra.noise
+    least = min(p.left for p in (best, *rivals))
+    following = others[0].left if others else spectra.energy
+    return PointReading(
+        tuple(layouts),
+        rivals[0],
+        tuple(others),
+        tag,
+        spectra.noise_energy,
+        above / tag,
+        max(least - noise, 0.0) / tag,
+        (following - best.left) / error,
+    )
+
+
+def _joined(fitter: PointFitter, base: PlacedPoints) -> PlacedPoints:
+    """An arrangement with one reflector more, where most of what it leaves comes from."""
+    spectra = fitter.spectra
+    rest = fitter.rest(base.places, base.heights)
+    line = np.arange(-REACH_M, REACH_M + GRID_M / 2, GRID_M)
+    grid = (line[:, None] + 1j * line[None]).ravel()
+    grid = grid[np.abs(grid) <= REACH_M]
+    grid = grid[np.abs(grid[:, None] - base.places[None]).min(axis=1) > APART_M]
+    thin = spectra.thinned(2)
+    waves = centred(thin.waves(np.abs(spectra.antenna[None] - grid[:, None])))
+    power = np.abs(np.einsum("fgv,fv->fg", waves.conj(), rest[::2])) ** 2
+    size = np.maximum(np.sum(np.abs(waves) ** 2, axis=2), 1e-9)
+    place = grid[int(np.argmax((power / size).sum(axis=0)))]
+    return fitter.free(np.append(base.places, place), np.append(base.heights, 0.0), 6)
