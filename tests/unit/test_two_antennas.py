@@ -27,6 +27,7 @@ from tagid.storage.importers import read_any
 from tagid.tags.reading.field import MatchedField
 from tagid.tags.reading.views import fold_views
 from tests.unit.imaging_scenes import STEP_M, analytic_echo, record, turn
+from train.metrics import pick_peaks
 
 GOLDEN = Path(__file__).parents[1] / "data" / "captures"
 APART_M = 0.2
