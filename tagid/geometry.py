@@ -187,3 +187,47 @@ class ImageGrid:
         """(pixels * pixels, 2) pixel centres (x, y), m, in row-major (y, x) order."""
         x, y = np.meshgrid(self.axis, self.axis)
         return np.stack([x.ravel(), y.ravel()], axis=1)
+
+
+@dataclass(frozen=True)
+class VolumeGrid:
+    """Voxels: squares as of an `ImageGrid`, stacked between two heights.
+
+    Attributes:
+        square: pixels of a level.
+        bottom, top: heights of the lower face of the lowest level and of the upper face of the highest, m.
+        levels: number of levels; their centres are at bottom + (i + 0.5) (top - bottom) / levels.
+    """
+
+    square: ImageGrid
+    bottom: float
+    top: float
+    levels: int
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite([self.bottom, self.top]).all() and self.bottom < self.top):
+            raise UsageError(
+                f"the volume reaches from {self.bottom} m to {self.top} m", "Give LOW,HIGH in metres."
+            )
+        if not 1 <= self.levels <= 4096:
+            raise UsageError(f"the volume has {self.levels} levels", "Give 1 to 4096.")
+
+    @property
+    def rise(self) -> float:
+        """Height of a voxel, m."""
+        return (self.top - self.bottom) / self.levels
+
+    @property
+    def heights(self) -> NDArray[np.float64]:
+        """(levels,) centres along z, m."""
+        return np.asarray(self.bottom + (np.arange(self.levels) + 0.5) * self.rise, dtype=np.float64)
+
+    @property
+    def voxels(self) -> int:
+        """Number of voxels."""
+        return self.levels * self.square.pixels**2
+
+    def points(self, levels: slice = slice(None)) -> NDArray[np.float64]:
+        """(n, 3) voxel centres (x, y, z) of some levels, m, in row-major (z, y, x) order."""
+        plane, heights = self.square.points, self.heights[levels]
+        return np.column_stack([np.tile(plane, (len(heights), 1)), np.repeat(heights, len(plane))])

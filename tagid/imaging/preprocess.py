@@ -57,6 +57,7 @@ class PreprocessSettings:
         margin_m: range kept beyond that on both sides, m, which leaves room for the search of the axis
             distance; None: `MARGIN_WAVELENGTHS` of the carrier's.
         oversampling: sampling rate after decimation / bandwidth of the pulse, at least 1.3.
+        heights_m: lowest and highest point that will be imaged, m.
     """
 
     background: Background = "mean"
@@ -65,6 +66,7 @@ class PreprocessSettings:
     extent_m: float = 0.5
     margin_m: float | None = None
     oversampling: float = 1.5
+    heights_m: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
         if self.background not in ("mean", "median", "none"):
@@ -214,7 +216,7 @@ def _gate(
 ) -> tuple[float, float]:
     """Ranges (m) from the nearest to the farthest that the imaged square can reach, and the pulse's width."""
     radius = settings.extent_m / np.sqrt(2)
-    least, greatest = aperture.span(radius)
+    least, greatest = aperture.span(radius, settings.heights_m)
     near, far = float(least.min()), float(greatest.max())
     axis = aperture.distances(np.zeros((1, 3)))[:, 0]
     first, last = capture.range_start_m, float(capture.ranges_m[-1])

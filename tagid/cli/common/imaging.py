@@ -156,6 +156,17 @@ def held_out_words(settings: dict[str, Any]) -> list[str]:
     return lines
 
 
+def outside_words(settings: dict[str, Any]) -> list[str]:
+    """Whether echoes from outside the image were found."""
+    found = settings.get("outside")
+    if not found:
+        return []
+    return [
+        f"{100 * found['share']:.0f} % of the scans' energy comes from outside the image and was subtracted; "
+        "a larger --extent shows it"
+    ]
+
+
 def pulse_words(pulse: PulseEstimate | None) -> list[str]:
     """What the estimate of the pulse came to, where one was asked for."""
     if pulse is None:
@@ -204,6 +215,7 @@ def learned_words(result: Reconstruction) -> list[str]:
     """The same for a person, a line each."""
     return [
         *held_out_words(result.image.settings),
+        *outside_words(result.image.settings),
         *result.image.settings.get("warnings", ()),
         *focus_words(result.focus),
         *region_words(result.region),
