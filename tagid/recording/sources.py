@@ -40,8 +40,7 @@ def emulated_scene(name: str, options: dict[str, str]) -> TurningScene:
     `elevation` (0m), `body` and `reflector` (see `tagid.simulate.specification`), `file` (TOML file of
     layouts), `budget` (1: SNR and range law from the radar equation, `tagid.simulate.budget`, for physical
     reflectors, octahedron:40mm unless given; `snr` is then not used), and `turned_by`: HOST:PORT of an
-    emulated robot that turns the scene instead, which needs
-    rate=1.
+    emulated robot that turns the scene instead, which needs rate=1.
 
     Raises UsageError for an unknown scene or option, or a value that cannot be read; the errors of
     `named_layouts`.
@@ -62,7 +61,7 @@ def emulated_scene(name: str, options: dict[str, str]) -> TurningScene:
     from tagid.tags.enrolling.lookup import named_layouts
 
     values = {"seed": 0.0, "rpm": 6.0, "axis_distance": 1.0, "snr": 20.0, "cable_delay": 0.0}
-    values |= {"rotation": 0.0, "wobble": 0.0, "antenna_height": 0.0, "antenna_separation": 0.0, "budget": 0.0}
+    values |= dict.fromkeys(("rotation", "wobble", "antenna_height", "antenna_separation", "budget"), 0.0)
     texts = {"turned_by": "", "centre": "0,0", "elevation": "0m", "body": "", "reflector": "", "file": ""}
     for key, text in options.items():
         if key in texts:
