@@ -18,6 +18,7 @@ from tagid.cli import (
     enroll,
     history,
     identify,
+    plan,
     reconstruct,
     report,
     scan,
@@ -42,6 +43,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 for part in (
+    plan,
     scan,
     station,
     identify,

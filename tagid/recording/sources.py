@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -37,8 +38,9 @@ def emulated_scene(name: str, options: dict[str, str]) -> TurningScene:
     between a transmitting and a receiving antenna), `snr` (20 dB, per reflector), `cable_delay` (0, two-way
     ps), `centre` (X,Y in metres off the axis), `rotation` (0 degrees), `wobble` (0, relative, of the speed),
     `elevation` (0m), `body` and `reflector` (see `tagid.simulate.specification`), `file` (TOML file of
-    layouts), and `turned_by`: HOST:PORT of an emulated robot that turns the scene instead, which needs
-    rate=1.
+    layouts), `budget` (1: SNR and range law from the radar equation, `tagid.simulate.budget`, for physical
+    reflectors, octahedron:40mm unless given; `snr` is then not used), and `turned_by`: HOST:PORT of an
+    emulated robot that turns the scene instead, which needs rate=1.
 
     Raises UsageError for an unknown scene or option, or a value that cannot be read; the errors of
     `named_layouts`.
@@ -59,7 +61,7 @@ def emulated_scene(name: str, options: dict[str, str]) -> TurningScene:
     from tagid.tags.enrolling.lookup import named_layouts
 
     values = {"seed": 0.0, "rpm": 6.0, "axis_distance": 1.0, "snr": 20.0, "cable_delay": 0.0}
-    values |= {"rotation": 0.0, "wobble": 0.0, "antenna_height": 0.0, "antenna_separation": 0.0}
+    values |= dict.fromkeys(("rotation", "wobble", "antenna_height", "antenna_separation", "budget"), 0.0)
     texts = {"turned_by": "", "centre": "0,0", "elevation": "0m", "body": "", "reflector": "", "file": ""}
     for key, text in options.items():
         if key in texts:
@@ -85,6 +87,10 @@ def emulated_scene(name: str, options: dict[str, str]) -> TurningScene:
         placement=Placement(centre, math.radians(values["rotation"]), parse_elevation(texts["elevation"])),
         wobble=Wobble(speed=values["wobble"]),
     )
+    if values["budget"]:
+        texts["reflector"] = texts["reflector"] or "octahedron:40mm"
+        noise = _budget_noise(texts["reflector"], values["axis_distance"])
+        acquisition = replace(acquisition, noise_std=noise, range_law=True)
     layouts = None
     if not is_plain(name):
         file = Path(texts["file"]) if texts["file"] else None
@@ -97,6 +103,17 @@ def emulated_scene(name: str, options: dict[str, str]) -> TurningScene:
         scene = scene_from_name(name, seed, layouts)
     delay_s = values["cable_delay"] * 1e-12
     return TurningScene(scene, values["rpm"], seed, acquisition, delay_s, true_angle=turner)
+
+
+def _budget_noise(reflector: str, axis_distance_m: float) -> float:
+    """Standard deviation of a sample at index 11, where a reflector peaks at 1 (on the axis, 4 GHz)."""
+    from tagid.simulate.budget import LinkBudget
+    from tagid.simulate.scatterers import Octahedron, unit_of
+    from tagid.simulate.snr import noise_std_for
+    from tagid.simulate.specification import parse_reflector
+
+    unit_m = unit_of(Octahedron(parse_reflector(reflector).size_m))
+    return noise_std_for(LinkBudget().snr_db(unit_m, axis_distance_m), 1.0)
 
 
 def _number(scene: str, key: str, text: str) -> float:

@@ -61,7 +61,8 @@ class TurningScene:
         seed: random seed of wobble and noise; scan `index` has the same noise whenever it is requested.
         acquisition: axis distance, height, pulse, placement, wobble, noise, beam, range law, direction. Its
             window, period, turns and recording are not used: the radar's configuration and rpm replace them.
-            Its snr_db (20 by default) holds at integration index 11 and refers to what `snr` defines.
+            Its snr_db (20 by default) holds at integration index 11 and refers to what `snr` defines; a
+            positive noise_std, at the same index, replaces it.
         cable_delay_s: two-way delay that the radar sees on top of the path through the air, s.
         true_angle: turns the scene instead of rpm: the angle in rad at a moment of time.monotonic().
 
@@ -90,7 +91,7 @@ class TurningScene:
         around = replace(acq, window=RangeWindow.around(acq.axis_distance_m))
         levels = echo_levels(scene, around, antenna, self._table)
         snr_db = 20.0 if acq.snr_db is None else acq.snr_db
-        self._noise = noise_std_for(snr_db, levels.of(acq.snr_reference))
+        self._noise = acq.noise_std or noise_std_for(snr_db, levels.of(acq.snr_reference))
         self.snr = Snr.of(levels, self._noise)
         self._true_angle = true_angle
         self._monotonic: Callable[[float], float] | None = None

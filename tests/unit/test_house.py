@@ -18,7 +18,7 @@ LAYERS = (
     {"station"},
     {"batch"},
     {"report", "doctor"},
-    {"live"},
+    {"live", "planning"},
     {"pipeline", "recording"},
     {"simulate"},
     {"tags"},

@@ -70,6 +70,10 @@ def register(app: typer.Typer) -> None:
         reflector: options.Reflector = None,
         elevation: options.Elevation = "0m",
         centre: options.ObjectCentre = "0,0",
+        budget: Annotated[
+            bool,
+            typer.Option("--budget", help="SNR from the radar equation of `tagid plan`; replaces --snr."),
+        ] = False,
         snr: Annotated[
             float, typer.Option("--snr", help="Strongest reflector's peak over noise of one sample, dB.")
         ] = 20.0,
@@ -124,7 +128,7 @@ def register(app: typer.Typer) -> None:
             wanted = {"seed": seed, "rpm": rpm, "axis_distance": axis_distance, "snr": snr}
             wanted |= {"cable_delay": cable_delay, "rotation": rotation, "wobble": wobble}
             given = {key: str(value) for key, value in wanted.items()}
-            given |= {"centre": centre, "elevation": elevation}
+            given |= {"centre": centre, "elevation": elevation, "budget": "1" if budget else "0"}
             chosen = {"body": body, "reflector": reflector, "turned_by": turned_by}
             chosen["file"] = None if file is None else str(file)
             given |= {key: text for key, text in chosen.items() if text}
