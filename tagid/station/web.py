@@ -42,6 +42,7 @@ _PAGE_FILES = {
     "/": ("index.html", "text/html; charset=utf-8"),
     "/station.css": ("station.css", "text/css; charset=utf-8"),
     "/station.js": ("station.js", "text/javascript; charset=utf-8"),
+    "/station.svg": ("station.svg", "image/svg+xml"),
 }
 """The page: path of a request -> file of the package. No path is ever made of a request."""
 
