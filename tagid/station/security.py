@@ -31,7 +31,7 @@ _CODE_SECONDS = 600.0
 _CODE_TRIES = 5
 _MOST_TOKENS = 32
 _LOOPBACK = ("127.0.0.1", "localhost", "[::1]")
-_OPEN_PATHS = ("/", "/station.css", "/station.js", "/api/v1/pair", "/api/v1/openapi.json")
+_OPEN_PATHS = ("/", "/station.css", "/station.js", "/station.svg", "/api/v1/pair", "/api/v1/openapi.json")
 """Paths that need no token: they show nothing of the station."""
 _API = "/api/"
 POLICY = (

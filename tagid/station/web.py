@@ -36,10 +36,13 @@ _STATUS_S = 1.0
 _SEND_S = 10.0
 """A client that takes a frame no sooner is disconnected."""
 _MESSAGES_PER_SECOND = 20
+PAIR_PAUSE_S = 1.0
+"""Wait after a wrong pairing code, s."""
 _PAGE_FILES = {
     "/": ("index.html", "text/html; charset=utf-8"),
     "/station.css": ("station.css", "text/css; charset=utf-8"),
     "/station.js": ("station.js", "text/javascript; charset=utf-8"),
+    "/station.svg": ("station.svg", "image/svg+xml"),
 }
 """The page: path of a request -> file of the package. No path is ever made of a request."""
 
@@ -178,7 +181,7 @@ class _Handlers:
             raise UsageError("no pairing is needed on this address")
         token = self._pairing.pair(code) if isinstance(code, str) and len(code) <= 40 else None
         if token is None:
-            await asyncio.sleep(1.0)
+            await asyncio.sleep(PAIR_PAUSE_S)
             return _refused(403, "wrong_code", "this is not the pairing code", "Enter the code shown last.")
         response = JSONResponse({"token": token})
         response.set_cookie(COOKIE, token, httponly=True, samesite="strict", path="/")
@@ -267,7 +270,9 @@ class _Handlers:
             while client.unsent:
                 kind = next(iter(client.unsent))
                 text = client.unsent.pop(kind)
-                await asyncio.wait_for(socket.send_text(text), _SEND_S)
+                # Not wait_for: before Python 3.12 it swallows a cancellation when the send is just done.
+                async with asyncio.timeout(_SEND_S):
+                    await socket.send_text(text)
 
     async def _receive(self, socket: WebSocket, client: Client) -> None:
         loop = asyncio.get_running_loop()
@@ -310,7 +315,8 @@ class _BadMessageError(Exception):
 
 async def _hello(socket: WebSocket) -> str | None:
     """The key that a connection shows in its first message. Raises _BadMessageError, TimeoutError."""
-    message = _message(await asyncio.wait_for(socket.receive(), _SEND_S))
+    async with asyncio.timeout(_SEND_S):
+        message = _message(await socket.receive())
     key = message.get("key")
     if message.get("type") != "hello" or not (key is None or isinstance(key, str)):
         raise _BadMessageError
@@ -333,7 +339,8 @@ def _message(received: Any) -> dict[str, Any]:
 async def _close(socket: WebSocket, code: int) -> None:
     if socket.application_state is WebSocketState.CONNECTED:
         with suppress(Exception):
-            await asyncio.wait_for(socket.close(code), 1.0)
+            async with asyncio.timeout(1.0):
+                await socket.close(code)
 
 
 async def _body(request: Request) -> dict[str, Any]:

@@ -166,10 +166,13 @@ function showHealth(health) {
   const rows = [...health.findings].sort((a, b) => order[a.level] - order[b.level]).map((one) => {
     const row = element("li", undefined, one.level);
     row.append(element("b", `${one.topic}: ${one.level}`, one.level), element("p", one.text));
-    if (one.remedy) row.append(element("p", one.remedy));
+    if (one.remedy) row.append(element("p", one.remedy, "remedy"));
     return row;
   });
-  $("health").replaceChildren(...rows);
+  const fine = rows.filter((row) => row.className === "ok");
+  $("health").replaceChildren(...rows.filter((row) => row.className !== "ok"));
+  $("health-fine").replaceChildren(...fine);
+  setText("health-count", `${fine.length} of ${rows.length} checks are in order`);
 }
 
 async function loadHistory() {
