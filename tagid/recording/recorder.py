@@ -123,6 +123,8 @@ class _OneTurn:
                 self._scans.append(scan)
                 self._watch.scan(scan)
                 self._motion.check()
+                if self._watch.stop():
+                    break
                 if len(self._scans) % max(1, check_every // 5) == 0:
                     self._keep_readings()
                 if len(self._scans) % check_every == 0 and self._complete(scan):

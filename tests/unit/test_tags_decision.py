@@ -113,7 +113,7 @@ def test_every_reason_of_the_decision_has_its_threshold() -> None:
     assert answer(outward=-0.5)[0] == "identified"
     assert "through the object" in answer(outward=-0.51)[1]
     assert "too weak" in answer(odds_nats=0.01)[1]
-    assert "other places" in answer(odds_nats=-0.01)[1]
+    assert "points elsewhere explain the echo better" in answer(odds_nats=-0.01)[1]
     asked = least_preference(evidence(), s.false_accept)
     off = asked - preference(evidence())
     assert answer(odds_nats=16.0 + off + 0.01)[0] == "identified"
@@ -148,7 +148,7 @@ def test_the_preference_is_the_likelihood_ratio_that_its_text_writes_down() -> N
     assert answer(odds_nats=-9.9, noise_nats=600.0, nats=600.0)[1].startswith("the echo is too weak") or (
         answer(odds_nats=-9.9, noise_nats=600.0, nats=600.0)[0] == "identified"
     )
-    assert "other places" in answer(odds_nats=-10.1, noise_nats=600.0, nats=600.0)[1]
+    assert "points elsewhere explain the echo better" in answer(odds_nats=-10.1, noise_nats=600.0, nats=600.0)[1]
 
 
 def test_what_is_asked_grows_as_written() -> None:
