@@ -40,9 +40,9 @@ GROUPS = {
         "EchoPoint", "ImageGrid", "ForwardOperator",
     ),
     "Identification": (
-        "identify", "Identification", "Reading", "Code", "Evidence", "LayoutScore", "Reflector", "Kind", "Bound", "Explanation",
+        "identify", "Identification", "Cause", "Reading", "Code", "Evidence", "LayoutScore", "Reflector", "Kind", "Bound", "Explanation",
         "BodyReading", "SecondLook", "Opinion", "Detection", "Layout", "builtin_layouts", "Signature", "Registry",
-        "RegistryChange", "RegistryContents",
+        "RegistryChange", "RegistryContents", "Restored",
     ),
     "Simulation": (
         "scene_from_name", "Scene", "Body", "Returns", "Points", "Tag", "StaticReturns", "Acquisition", "RangeWindow",
@@ -50,12 +50,12 @@ GROUPS = {
     ),
     "Recording": (
         "open_radar", "P440", "RadarConfig", "RadarStatus", "Scan", "Statistics", "Link", "Motion", "Angles", "RecordingPlan",
-        "record", "Watch",
+        "record", "Watch", "Session",
     ),
     "Version": ("__version__",),
 }  # fmt: skip
 """Order of the page; public names in none of these groups come last."""
-OPAQUE = {"BodyReading", "Explanation"}
+OPAQUE = {"BodyReading", "Explanation", "Session"}
 """Public types whose attributes are not public."""
 _SECTION = re.compile(r"^(Args|Attributes|Returns|Raises|Yields):$")
 _TITLES = {"Args": "Arguments"}

@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from tagid.metadata import SimulatedTruth as SimulatedTruth
     from tagid.metadata import Track as Track
     from tagid.motion.device import Motion as Motion
+    from tagid.pipeline.answer import Cause as Cause
     from tagid.pipeline.answer import Identification as Identification
     from tagid.pipeline.identify import identify as identify
     from tagid.pipeline.load import LoadDefault as LoadDefault
@@ -61,6 +62,7 @@ if TYPE_CHECKING:
     from tagid.recording.radars import open_radar as open_radar
     from tagid.recording.recorder import Watch as Watch
     from tagid.recording.recorder import record as record
+    from tagid.recording.session import Session as Session
     from tagid.simulate.acquisition import Acquisition as Acquisition
     from tagid.simulate.acquisition import Placement as Placement
     from tagid.simulate.acquisition import RangeWindow as RangeWindow
@@ -89,6 +91,7 @@ if TYPE_CHECKING:
     from tagid.tags.enrolling.registry import Registry as Registry
     from tagid.tags.enrolling.registry import RegistryChange as RegistryChange
     from tagid.tags.enrolling.registry import RegistryContents as RegistryContents
+    from tagid.tags.enrolling.registry import Restored as Restored
     from tagid.tags.layouts.layout import Layout as Layout
     from tagid.tags.layouts.layout import builtin_layouts as builtin_layouts
     from tagid.tags.matching.reading import LayoutScore as LayoutScore
@@ -154,6 +157,7 @@ _HOMES = {
     "SimulatedTruth": "tagid.metadata",
     "Track": "tagid.metadata",
     "Motion": "tagid.motion.device",
+    "Cause": "tagid.pipeline.answer",
     "LoadDefault": "tagid.pipeline.load",
     "LoadSettings": "tagid.pipeline.load",
     "Scan": "tagid.radar.assembler",
@@ -163,6 +167,7 @@ _HOMES = {
     "RadarConfig": "tagid.radar.settings",
     "RadarStatus": "tagid.radar.status",
     "Watch": "tagid.recording.recorder",
+    "Session": "tagid.recording.session",
     "Placement": "tagid.simulate.acquisition",
     "RangeWindow": "tagid.simulate.acquisition",
     "Recording": "tagid.simulate.acquisition",
@@ -185,6 +190,7 @@ _HOMES = {
     "Signature": "tagid.tags.bodies.signature",
     "RegistryChange": "tagid.tags.enrolling.registry",
     "RegistryContents": "tagid.tags.enrolling.registry",
+    "Restored": "tagid.tags.enrolling.registry",
     "LayoutScore": "tagid.tags.matching.reading",
     "Reading": "tagid.tags.matching.reading",
     "Detection": "tagid.tags.network.detector",
