@@ -1,4 +1,4 @@
-"""Faults of single items: each costs itself, and the others keep their answers. See test_report_cluster, too."""
+"""Faults of single items: each costs itself, and the others keep their answers (test_report_cluster, too)."""
 
 from __future__ import annotations
 
