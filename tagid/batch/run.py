@@ -147,12 +147,12 @@ class _Run:
             return self._write(done, interrupted)
 
     def _tasks(self) -> Tasks:
-        yield from enumerate(list(self._sources))
         watch = self._plan.watch
-        if watch is None:
-            return
+        # Made before the first input is read: one that changes while it is read comes again.
+        arrivals = iter(()) if watch is None else watch.arrivals(self._sources)
+        yield from enumerate(list(self._sources))
         places = {source.location: position for position, source in enumerate(self._sources)}
-        for source in watch.arrivals(self._sources):
+        for source in arrivals:
             if source is None:
                 yield None
                 continue

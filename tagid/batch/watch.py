@@ -35,9 +35,14 @@ class FolderWatch:
     def arrivals(self, seen: Iterable[Source]) -> Iterator[Source | None]:
         """Inputs as they become complete; None if there is none at the moment.
 
+        The files of `seen` come again if they change after this call: call it before reading them.
+
         Raises StorageError if the folder cannot be listed at the start; later it may disappear and return.
         """
-        taken = {source.location: _state(Path(source.location)) for source in seen}
+        return self._changes({source.location: _state(Path(source.location)) for source in seen})
+
+    def _changes(self, taken: dict[str, _State | None]) -> Iterator[Source | None]:
+        """As `arrivals`; `taken` are the files that were given, as they were then."""
         before: dict[str, _State] = {}
         looked = -self.interval_s
         last = time.monotonic()

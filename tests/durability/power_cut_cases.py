@@ -113,8 +113,8 @@ def _record_radar() -> None:
 
 
 def _scan() -> None:
-    out = ["--save-dir", "captures", "--method", "bp", "--scans", "160"]
-    code = _command("scan", "--radar", "emulator://helmet-120?rate=1", "--axis-distance", "1", *out)
+    out = ["--save-dir", "captures", "--method", "bp", "--scans", "400", "--motion", "free?rpm=30"]
+    code = _command("scan", "--radar", "emulator://helmet-120?rate=1&rpm=30", "--axis-distance", "1", *out)
     assert code in (0, 3), code
     _tell(_DONE)
 

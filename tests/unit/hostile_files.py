@@ -57,8 +57,8 @@ def _zeros(file: Any, name: str) -> None:
     if name in file:
         del file[name]
     rows = ZEROS_BYTES // 4000
-    file.create_dataset(name, (rows, 1000), "i4", chunks=(20_000, 1000), compression="gzip", fillvalue=0)
-    file[name][:20_000] = 0  # one chunk is stored, so that the size of the file is not nothing
+    file.create_dataset(name, (rows, 1000), "i4", chunks=(1000, 1000), compression="gzip", fillvalue=0)
+    file[name][:1000] = 0  # one chunk is stored, so that the size of the file is not nothing
 
 
 def unknown_dataset(path: Path) -> None:
