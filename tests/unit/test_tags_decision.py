@@ -166,9 +166,13 @@ def test_the_likelihoods_are_flat_where_they_know_nothing() -> None:
     """A further point weaker than any noise makes counts as one at -2 widths; one stronger than a whole
     reflector is no less likely to be one."""
     weak, weaker = evidence(gain_nats=-10.0), evidence(gain_nats=-20.0)
+    at_the_clip = evidence(gain_nats=7.4 - 2 * 2.1)
     spread = np.sqrt(2 * 30.0)
     short = [0.5 * ((e.gain_nats - 33.0) / spread) ** 2 for e in (weak, weaker)]
     assert preference(weaker) - preference(weak) == pytest.approx(short[1] - short[0])
+    at = 0.5 * ((at_the_clip.gain_nats - 33.0) / spread) ** 2
+    assert preference(weak) - preference(at_the_clip) == pytest.approx(short[0] - at)
+    assert preference(evidence(gain_nats=7.4 - 1.9 * 2.1)) != pytest.approx(preference(at_the_clip), abs=0.1)
     strong, stronger = evidence(gain_nats=33.0), evidence(gain_nats=53.0)
     wide = 1.2 + 0.01 * 90
     assert preference(stronger) - preference(strong) == pytest.approx(-20.0 / wide, abs=1e-4)
@@ -183,6 +187,12 @@ def test_preferences_of_several_scans_add_up() -> None:
     short = (7.4 - 33.0) / np.sqrt(2 * 30.0)
     assert preference(one) == pytest.approx(16.0 + own + ratio + 0.5 * short**2)
     assert preference(four) == pytest.approx(64.0 + own + ratio + 0.5 * (2 * short) ** 2)
+    # Energies need not be whole numbers.
+    off = evidence(noise_nats=97.0, gain_nats=33.0 + 4.0)
+    each, wide = 97.0 / 3, 1.2 + 0.97
+    x = (37.0 - 6.5 - 0.97) / wide
+    other = -np.log(np.sqrt(2 * each) * np.sqrt(2 * np.pi))
+    assert preference(off) == pytest.approx(16.0 - x - np.exp(-x) - np.log(wide) - other)
     # The model's own error is taken from 100 nats of each scan on.
     known = evidence(scans=4, nats=390.0, noise_nats=400.0, gain_nats=30.0, odds_nats=0.0)
     assert odds(known) == 0.0
@@ -229,3 +239,10 @@ def test_the_nats_that_noise_reaches_by_chance() -> None:
         needed = nats_needed(size, places, wanted)
         assert chance(needed, size, places) == pytest.approx(wanted, rel=1e-6)
         assert chance(needed - 1e-6, size, places) > wanted
+
+
+def test_how_weak_a_reflector_may_be_depends_on_how_well_it_was_measured() -> None:
+    settings = DecisionSettings()
+    assert settings.missing_below(1e18) == pytest.approx(0.65)
+    assert settings.missing_below(50.0) == pytest.approx(0.65 - 1.5 / 10)
+    assert settings.missing_below(1.0) == 0.4
