@@ -80,6 +80,7 @@ TARGETS = {
     "decision": Target("tagid/tags/reading/decision.py", ("tests/unit/test_tags_decision.py",)),
     "operator": Target("tagid/imaging/operator.py", ("tests/unit/test_imaging_operator.py",)),
     "job": Target("tagid/batch/job.py", ("tests/unit/test_batch_fingerprint.py",)),
+    "spool": Target("tagid/batch/spool.py", ("tests/unit/test_batch_spool.py",)),
 }
 
 

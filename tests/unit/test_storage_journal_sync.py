@@ -204,3 +204,47 @@ def test_the_last_scan_does_not_wait_for_another_one(tmp_path: Path, monkeypatch
             queue.put(JournalScan(1, 0, 0.0, 0, SAMPLES))
             assert synced.wait(60), "the radar fell silent, and its last scans were never synced"
             assert journal.seconds_to_sync() is None
+
+
+def test_readings_of_the_motion_count_as_records(tmp_path: Path, syncs: Syncs) -> None:
+    readings = {"host_time_ns": [1], "angle_rad": [0.5], "sigma_rad": [0.1], "info": {"kind": "turntable"}}
+    with JournalWriter(tmp_path / "j", HEADER, sync_every=3) as journal:
+        syncs.take()
+        append(journal, 2)
+        journal.append_motion(readings)
+        assert syncs.take() == [("file", journal.size)]
+        journal.append_motion({**readings, "host_time_ns": [2], "info": {}})
+    read = read_journal(tmp_path / "j")
+    assert read.motion == {
+        "host_time_ns": [1, 2],
+        "angle_rad": [0.5, 0.5],
+        "sigma_rad": [0.1, 0.1],
+        "info": {},
+    }
+    assert len(read.scans) == 2
+
+
+def test_the_time_until_the_next_sync_is_told(
+    tmp_path: Path, syncs: Syncs, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now = 50.0
+    monkeypatch.setattr(journal_module, "time", SimpleNamespace(monotonic=lambda: now))
+    with JournalWriter(tmp_path / "j", HEADER, sync_every=1, sync_seconds=2.0) as journal:
+        assert journal.seconds_to_sync() is None  # nothing waits
+        append(journal, 1)
+        assert journal.seconds_to_sync() is None  # synced at once, the first
+        now = 50.5
+        append(journal, 1)
+        assert journal.seconds_to_sync() == pytest.approx(1.5)
+        now = 53.0
+        assert journal.seconds_to_sync() == 0.0
+        syncs.take()
+        journal.sync()
+        assert syncs.take() == [("file", journal.size)]
+        assert journal.seconds_to_sync() is None
+        append(journal, 1)
+        assert journal.seconds_to_sync() == pytest.approx(2.0)  # from the sync that was asked for
+    assert journal.seconds_to_sync() is None  # closed
+    with JournalWriter(tmp_path / "k", HEADER, sync_every=0) as journal:
+        append(journal, 1)
+        assert journal.seconds_to_sync() is None  # left to the operating system

@@ -224,9 +224,7 @@ def _evidence(case: _Case, settings: ReaderSettings) -> tuple[Evidence, NDArray[
     other = rivals(case.disc, best, noise, settings.search)
     own = other.sizes
     each = max(best.explained / level / size, 1.0)
-    missing = max(
-        decision.missing_least, decision.missing_share - decision.missing_deviations / np.sqrt(2 * each)
-    )
+    missing = decision.missing_below(each)
     lead = best.charged - (runner_up.charged if runner_up else 0.0)
     fewer = (best.layout.size - runner_up.layout.size) if runner_up else size
     evidence = Evidence(

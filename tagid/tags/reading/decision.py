@@ -82,6 +82,13 @@ class DecisionSettings:
                 "Give 1e-9 to 0.5; the default is 0.001.",
             )
 
+    def missing_below(self, nats: float) -> float:
+        """Amplitude, over the strongest reflector's, below which a reflector of so many nats is missing.
+
+        The relative standard deviation of an amplitude that was measured with n nats is 1 / sqrt(2 n).
+        """
+        return max(self.missing_least, self.missing_share - self.missing_deviations / sqrt(2 * nats))
+
 
 @dataclass(frozen=True)
 class Evidence:
