@@ -195,12 +195,17 @@ def _as_points(bare: Reading, points: PointReading, layouts: Sequence[Layout]) -
 def _promised(
     reading: Reading, points: PointReading | None, spectra: Spectra, settings: ContestSettings
 ) -> Reading:
-    """A name without a body with the bound that holds for it, taken back where none does."""
+    """A name without a body with the bound that holds for it, taken back where that is too large.
+
+    Without a calibration of such names none is promised, and the name rests on its own decision.
+    """
     if reading.status != "identified" or reading.kind is not Kind.BARE or points is None:
         return reading
     bound = settings.calibration().bound(
         points.lead, spectra.views, points.snr_db, settings.false_accept, bare=True
     )
+    if bound.objects == 0:
+        return reading
     verdict = _kept(bound)
     if verdict.status == "identified":
         return replace(reading, bound=bound)
