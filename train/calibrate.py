@@ -20,9 +20,10 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
+from tagid.tags.bodies.body_reading import BodySettings
 from tagid.tags.bodies.calibration import Calibration, Stratum
 from tagid.tags.bodies.decide import BodyDecision, score, tag_snr_db
-from tagid.tags.bodies.reader import BodySettings, read_on_body
+from tagid.tags.bodies.reader import read_on_body
 from tagid.tags.bodies.spectra import Spectra
 from tagid.tags.layouts.layout import builtin_layouts
 from tagid.tags.matching.matcher import bare_score

@@ -16,10 +16,11 @@ from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.imaging.types import BasebandScans
 from tagid.simulate.noise import NoiseShape, draw_noise
 from tagid.tags.bodies.arrangement import difference_deg, gaps_deg, merged, resolution_deg
+from tagid.tags.bodies.body_reading import BodySettings
 from tagid.tags.bodies.calibration import Calibration, Stratum
 from tagid.tags.bodies.decide import BodyDecision
 from tagid.tags.bodies.hypothesis import Kind
-from tagid.tags.bodies.reader import BodySettings, read_on_body
+from tagid.tags.bodies.reader import read_on_body
 from tagid.tags.bodies.reflectors_fit import COMMON, FACING, Batch, Columns, Fitter, Priors, solve
 from tagid.tags.bodies.revolution import RoundBody
 from tagid.tags.bodies.ring import PairSearch, Ring

@@ -211,7 +211,8 @@ class PointFitter:
         inner = (q.conj().swapaxes(1, 2) @ self.spectra.data[..., None])[..., 0]
         load = _LOAD * np.abs(r).max(axis=(1, 2), keepdims=True) + 1e-300
         amplitudes = np.linalg.solve(r + load * np.eye(r.shape[-1]), inner[..., None])[..., 0]
-        return self.spectra.data - (q @ inner[..., None])[..., 0], amplitudes, q
+        rest = self.spectra.data - (q @ inner[..., None])[..., 0]
+        return rest, np.asarray(amplitudes, dtype=np.complex128), np.asarray(q, dtype=np.complex128)
 
     def _fitted(
         self,
