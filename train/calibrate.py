@@ -11,6 +11,7 @@ import argparse
 import json
 import multiprocessing
 import os
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
@@ -19,9 +20,10 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
+from tagid.tags.bodies.body_reading import BodySettings
 from tagid.tags.bodies.calibration import Calibration, Stratum
 from tagid.tags.bodies.decide import BodyDecision, score, tag_snr_db
-from tagid.tags.bodies.reader import BodySettings, read_on_body
+from tagid.tags.bodies.reader import read_on_body
 from tagid.tags.bodies.spectra import Spectra
 from tagid.tags.layouts.layout import builtin_layouts
 from tagid.tags.matching.matcher import bare_score
@@ -36,8 +38,8 @@ KEPT = 60
 """Scores kept of each stratum: p-values up to 60 / n are exact."""
 
 
-def one(seed: int) -> dict[str, float | int | str]:
-    """The score of the object of a seed."""
+def one(seed: int, bare: bool = False) -> dict[str, float | int | str]:
+    """The score of the object of a seed on a round body, and without one where that is asked for."""
     specimen = draw(seed)
     settings = PreprocessSettings(matched_filter=False, extent_m=0.5)
     scans = preprocess(specimen.capture, settings=settings)
@@ -47,14 +49,16 @@ def one(seed: int) -> dict[str, float | int | str]:
     reading = read_on_body(spectra, layouts, body.body, body)
     assert reading is not None
     evidence = score(reading, BodyDecision())
-    bare = bare_score(scans, layouts)
-    return {
+    row: dict[str, float | int | str] = {
         "seed": seed,
         "score": evidence if np.isfinite(evidence) else "refused",
-        "bare": bare if np.isfinite(bare) else "refused",
         "views": specimen.views,
         "snr_db": tag_snr_db(reading),
     }
+    if bare:
+        alone = bare_score(scans, layouts)
+        row["bare"] = alone if np.isfinite(alone) else "refused"
+    return row
 
 
 def strata(rows: list[dict[str, float | int | str]], views: list[int]) -> tuple[Stratum, ...]:
@@ -64,8 +68,9 @@ def strata(rows: list[dict[str, float | int | str]], views: list[int]) -> tuple[
         for weak, strong in pairwise(SNRS_DB):
             own = [r for r in rows if low <= float(r["views"]) < high and weak <= float(r["snr_db"]) < strong]
             scores = sorted((float(r["score"]) for r in own if r["score"] != "refused"), reverse=True)
-            bare = sorted((float(r["bare"]) for r in own if r["bare"] != "refused"), reverse=True)
-            kept = tuple(scores[:KEPT]), tuple(bare[:KEPT])
+            told = [r["bare"] for r in own if "bare" in r]
+            bare = sorted((float(b) for b in told if b != "refused"), reverse=True)
+            kept = tuple(scores[:KEPT]), tuple(bare[:KEPT]), len(told)
             found.append(Stratum(low, high, float(weak), float(strong), len(own), *kept))
     return tuple(found)
 
@@ -77,6 +82,7 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=200_000)
     parser.add_argument("--count", type=int, default=0)
     parser.add_argument("--fewest", action="store_true", help="only the stratum of the fewest views")
+    parser.add_argument("--bare", action="store_true", help="score names without a body, too: twice the time")
     parser.add_argument(
         "--views", type=int, nargs="*", default=VIEWS, help="limits of the strata; each needs 999 objects"
     )
@@ -92,7 +98,7 @@ def main() -> None:
             multiprocessing.get_context("fork").Pool(arguments.jobs) as pool,
             arguments.scores.open("a") as file,
         ):
-            for row in pool.imap_unordered(one, chosen, chunksize=4):
+            for row in pool.imap_unordered(partial(one, bare=arguments.bare), chosen, chunksize=4):
                 file.write(json.dumps(row) + "\n")
                 file.flush()
     if arguments.write:

@@ -158,8 +158,10 @@ def drawn(number: int) -> tuple[Scene, Recording]:
     return Scene(f"foreign tag, {name}", body, tuple(np.rad2deg(angles)), None), recording
 
 
-def _ring(angles: np.ndarray) -> np.ndarray:
-    return RING_M * np.exp(1j * np.sort(angles))
+def _distances(angles: np.ndarray) -> np.ndarray:
+    """Distances between any two reflectors on the ring, ascending, m; one reflector has none."""
+    places = RING_M * np.exp(1j * angles)
+    return np.sort(np.append(np.abs(places[:, None] - places)[np.triu_indices(len(places), 1)], 0.0))
 
 
 def _solved(scene: Scene) -> bool:

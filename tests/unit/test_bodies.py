@@ -16,9 +16,11 @@ from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.imaging.types import BasebandScans
 from tagid.simulate.noise import NoiseShape, draw_noise
 from tagid.tags.bodies.arrangement import difference_deg, gaps_deg, merged, resolution_deg
+from tagid.tags.bodies.body_reading import BodySettings
 from tagid.tags.bodies.calibration import Calibration, Stratum
+from tagid.tags.bodies.decide import BodyDecision
 from tagid.tags.bodies.hypothesis import Kind
-from tagid.tags.bodies.reader import BodySettings, read_on_body
+from tagid.tags.bodies.reader import read_on_body
 from tagid.tags.bodies.reflectors_fit import COMMON, FACING, Batch, Columns, Fitter, Priors, solve
 from tagid.tags.bodies.revolution import RoundBody
 from tagid.tags.bodies.ring import PairSearch, Ring
@@ -255,8 +257,9 @@ def test_more_signal_and_more_views_never_take_a_name_away() -> None:
             reading = read_on_body(noisy, LAYOUTS, RoundBody(), BodySettings())
             assert reading is not None and reading.layouts[0].layout == "container-90"
             leads.append(reading.lead)
-        assert leads[1] > 0.3
-        assert all(b > 0.9 * a for a, b in pairwise(leads[1:]))
+        # More signal buys other arrangements more terms of their pattern, which takes a little of the lead.
+        assert min(leads[1:]) > 6 * BodyDecision().lead
+        assert all(b > 0.8 * a for a, b in pairwise(leads[1:]))
 
 
 def test_calibration_promises_no_more_than_it_counted() -> None:

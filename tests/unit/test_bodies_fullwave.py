@@ -1,7 +1,7 @@
 """Reading solved waves: a tag on a can is named, the can alone and with a foreign tag is not.
 
-The responses of tests/data/responses were solved by the method of moments; nothing of the reader's model is in
-them.
+The responses of tests/data/responses were solved by the method of moments; nothing of the reader's model is
+in them.
 """
 
 from __future__ import annotations

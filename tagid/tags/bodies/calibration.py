@@ -58,7 +58,8 @@ class Stratum:
         snr_from_db, snr_to_db: energy of what is not of the body over that of the noise, likewise.
         objects: how many there are.
         scores: the largest of their leads, largest first; objects that a test refuses have none.
-        bare: the same of those that are named without a body (`PointReading.lead`).
+        bare: the same of those that are named without a body (`PointReading.lead`),
+        bare_objects: of so many; 0 where names without a body were not calibrated.
     """
 
     views_from: int
@@ -68,6 +69,7 @@ class Stratum:
     objects: int
     scores: tuple[float, ...]
     bare: tuple[float, ...] = ()
+    bare_objects: int = 0
 
     @property
     def name(self) -> str:
@@ -79,12 +81,12 @@ class Stratum:
 
     def p_value(self, score: float, bare: bool = False) -> float:
         """(k + 1) / (n + 1), k the objects that reach the score; a bound where more than those kept do."""
-        scores = self.bare if bare else self.scores
+        scores, objects = (self.bare, self.bare_objects) if bare else (self.scores, self.objects)
         above = sum(1 for one in scores if one >= score)
-        if above == len(scores) < self.objects:
+        if above == len(scores) < objects:
             # Those that were not kept may reach it, too.
-            above = self.objects if scores and score <= scores[-1] else above
-        return (above + 1) / (self.objects + 1)
+            above = objects if scores and score <= scores[-1] else above
+        return (above + 1) / (objects + 1)
 
 
 @dataclass(frozen=True)
@@ -124,6 +126,7 @@ class Calibration:
                     int(one["objects"]),
                     tuple(sorted((float(s) for s in one["scores"]), reverse=True)),
                     tuple(sorted((float(s) for s in one["bare"]), reverse=True)),
+                    int(one["bare_objects"]),
                 )
                 for one in data["strata"]
             )
@@ -141,6 +144,7 @@ class Calibration:
                 "objects": one.objects,
                 "scores": [round(s, 4) for s in one.scores],
                 "bare": [round(s, 4) for s in one.bare],
+                "bare_objects": one.bare_objects,
             }
             for one in self.strata
         ]
@@ -160,7 +164,8 @@ class Calibration:
             inside = one.views_from <= views < one.views_to
             if inside and one.snr_from_db <= snr_db < one.snr_to_db:
                 p = one.p_value(score, bare)
-                return Bound(p, false_accept, one.objects, one.name, self.population)
+                objects = one.bare_objects if bare else one.objects
+                return Bound(p, false_accept, objects, one.name, self.population)
         return Bound(1.0, false_accept, 0, f"{views} views, {snr_db:.0f} dB", self.population)
 
 

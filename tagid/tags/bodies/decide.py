@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from math import inf, log10
 
-from tagid.tags.bodies.reader import BodyReading
+from tagid.tags.bodies.body_reading import BodyReading
 from tagid.tags.verdicts.verdict import Code, Verdict
 
 

@@ -12,7 +12,7 @@ octahedra of 40 mm, 64 mm apart, it holds 8 % of the echo; with it full-wave tag
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -43,7 +43,6 @@ class PointSettings:
         displaced_m: an arrangement is another one where its reflectors lie further from the layout's, RMS.
         unexplained: largest share of the echo that a layout may leave.
         lead: smallest lead, see `PointReading.lead`.
-        centre_m: largest distance of the tag's centre from the axis.
         noise_nats: lead in noise variances that counts as much as the model's own error.
         layouts: layouts fitted, the best of the reading without double bounce.
     """
@@ -52,7 +51,6 @@ class PointSettings:
     displaced_m: float = 0.004
     unexplained: float = 0.05
     lead: float = 0.5
-    centre_m: float = 0.013
     noise_nats: float = 25.0
     layouts: int = 3
 
@@ -106,12 +104,7 @@ class PointReading:
 
     def passes(self, settings: PointSettings) -> bool:
         """Whether the best layout may be named."""
-        centre = abs(complex(self.layouts[0].places.mean()))
-        return (
-            self.unexplained <= settings.unexplained
-            and self.lead >= settings.lead
-            and centre <= settings.centre_m + REACH_M
-        )
+        return self.unexplained <= settings.unexplained and self.lead >= settings.lead
 
 
 @dataclass(frozen=True)
@@ -218,9 +211,17 @@ class PointFitter:
         inner = (q.conj().swapaxes(1, 2) @ self.spectra.data[..., None])[..., 0]
         load = _LOAD * np.abs(r).max(axis=(1, 2), keepdims=True) + 1e-300
         amplitudes = np.linalg.solve(r + load * np.eye(r.shape[-1]), inner[..., None])[..., 0]
-        return self.spectra.data - (q @ inner[..., None])[..., 0], amplitudes, q
+        rest = self.spectra.data - (q @ inner[..., None])[..., 0]
+        return rest, np.asarray(amplitudes, dtype=np.complex128), np.asarray(q, dtype=np.complex128)
 
-    def _fitted(self, places, heights, moves, rounds, name):  # type: ignore[no-untyped-def]
+    def _fitted(
+        self,
+        places: NDArray[np.complex128],
+        heights: NDArray[np.float64],
+        moves: Callable[[NDArray[np.complex128]], NDArray[np.float64]],
+        rounds: int,
+        name: str | None,
+    ) -> PlacedPoints:
         """Levenberg-Marquardt with the amplitudes eliminated (Kaufman 1975)."""
         waves = _waves(self.spectra, places, heights, slopes=True)
         rest, amplitudes, q = self._solved(centred(waves.columns))

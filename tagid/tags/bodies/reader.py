@@ -8,12 +8,13 @@ arrangement that is not the layout.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tagid.tags.bodies.arrangement import AXIS_M, difference_deg, gaps_deg, merged, resolution_deg, turn_to
+from tagid.tags.bodies.body_reading import BodyReading, BodySettings, Placed
 from tagid.tags.bodies.hypothesis import BodyModel, Candidate, Pose
 from tagid.tags.bodies.reflectors_fit import (
     COMMON,
@@ -24,154 +25,12 @@ from tagid.tags.bodies.reflectors_fit import (
     Columns,
     Fitter,
     Pattern,
-    Priors,
     joined,
     solve,
 )
-from tagid.tags.bodies.revolution import RoundBody
 from tagid.tags.bodies.ring import PairSearch, Ring
 from tagid.tags.bodies.spectra import Spectra, centred
 from tagid.tags.layouts.layout import Layout
-
-
-@dataclass(frozen=True)
-class BodySettings:
-    """Extent of the search and the priors of tags on bodies.
-
-    Attributes:
-        priors: see `Priors`.
-        body: the body that nobody enrolled.
-        most: largest number of reflectors in another arrangement.
-        other_deg: arrangements whose angles differ by more are another arrangement.
-        split_deg: reflectors nearer than this, in an arrangement that is the layout's where each such group
-            is one, leave nearly what the layout leaves,
-        split_lead: so they contradict it only where they lead by so much more than other arrangements need.
-        other_radius_m: and so are those whose apparent radius differs by more from the layout's limits.
-        strong: a body that explains more than this share of the moving echo gives the centre alone.
-        centre_reach_m: a weak body's centre is searched so far from the axis, m.
-        centres: centres tried in full for a weak body.
-        arrangements: kinds of arrangements that are fitted, beside those with free angles.
-        finished: layouts fitted to the end.
-        through_views: fewest views at which patterns of 5 terms are fitted.
-        through_m: apparent radius at which their fit begins, m.
-        hopeless: where no arrangement explains this share of what the body leaves, none is fitted to the end.
-        rings_m: radii tried about each nominal one under `wide_m`, relative to it, m.
-        wide_m: from here on a body is a shell, and only the nominal radius is tried.
-        ring_step_m: spacing of the angles on a ring, m of arc.
-        noise_nats: lead in noise variances that counts as much as the model's own error.
-    """
-
-    priors: Priors = field(default_factory=Priors)
-    body: RoundBody = field(default_factory=RoundBody)
-    most: int = 4
-    other_deg: float = 12.0
-    split_deg: float = 62.0
-    split_lead: float = 0.6
-    other_radius_m: float = 0.012
-    strong: float = 0.94
-    centre_reach_m: float = 0.010
-    centres: int = 2
-    arrangements: int = 12
-    finished: int = 4
-    through_views: int = 18
-    through_m: float = 0.038
-    hopeless: float = 0.5
-    rings_m: tuple[float, ...] = (-0.009, 0.005)
-    wide_m: float = 0.076
-    ring_step_m: float = 5.5e-3
-    noise_nats: float = 25.0
-
-
-@dataclass(frozen=True, eq=False)
-class Placed:
-    """One arrangement after its fit.
-
-    Attributes:
-        batch: one row.
-        left: energy left.
-        charged: the same with the charge for the pattern's terms.
-        layout: its name; None for an arrangement that no layout has.
-        angles: (K,) of the reflectors present, rad.
-        radius_m: mean apparent radius, m.
-    """
-
-    batch: Batch
-    left: float
-    charged: float
-    layout: str | None
-
-    @property
-    def angles(self) -> NDArray[np.float64]:
-        """(K,) directions of the reflectors from their centre, rad."""
-        return np.asarray(self.batch.angles[0][self.batch.present[0] > 0])
-
-    @property
-    def radii(self) -> NDArray[np.float64]:
-        """(K,) apparent distances from their centre, m."""
-        return np.asarray(self.batch.radii[0][self.batch.present[0] > 0] + self.batch.at[0, 2])
-
-    @property
-    def centre(self) -> complex:
-        """Of the ring, x + jy, m."""
-        return complex(self.batch.centres[0])
-
-    @property
-    def positions(self) -> NDArray[np.float64]:
-        """(K, 2) apparent places, m."""
-        place = self.centre + self.radii * np.exp(1j * self.angles)
-        return np.stack([place.real, place.imag], axis=1)
-
-
-@dataclass(frozen=True, eq=False)
-class BodyReading:
-    """What the scans say of a tag on one body.
-
-    Attributes:
-        body: the model used.
-        pose: of the body in the best layout's fit.
-        views: of the recording.
-        energy: of the moving echo.
-        noise: expected energy of the noise after the fit.
-        variance: of one value from noise alone.
-        body_left: energy that the body alone leaves.
-        layouts: every layout that can lie on this body, best first.
-        others: arrangements that are not the best layout's, best first.
-        free: the best layout's arrangement with all angles free; None where none of the free ones is near.
-        tag: energy that the best layout's reflectors explain.
-        unexplained: share of the tag's echo that they leave, noise subtracted.
-        lead: what the best other arrangement leaves more, over what the layout leaves, the model's error and
-            the noise: the strength of the evidence.
-        angle_off_deg, radius_off_m: between the free arrangement and the layout.
-        tag_nats: the tag's energy over the variance of the noise.
-        early_m: how much earlier than a point in its place a reflector answers, one way, m. A reflector
-            answers from its place to within the bounce at the wall and the error of the axis distance; the
-            wall of an oval body imitates a pair, but answers from far outside its apparent radius.
-        through: the pattern has more terms than that of a reflector before an opaque wall.
-        front_m: the same of the body about its centre, in the arrangement that leaves least: the radius of
-            a body with a wall.
-        body_energy: that the body explains there, beside the reflectors.
-    """
-
-    body: BodyModel
-    pose: Pose
-    views: int
-    energy: float
-    noise: float
-    variance: float
-    body_left: float
-    layouts: tuple[Placed, ...]
-    others: tuple[Placed, ...]
-    free: Placed | None
-    tag: float
-    unexplained: float
-    lead: float
-    angle_off_deg: float
-    radius_off_m: float
-    tag_nats: float
-    early_m: float
-    through: bool
-    front_m: float
-    body_energy: float
 
 
 @dataclass(frozen=True)
@@ -241,9 +100,53 @@ def read_on_body(
     usable = [layout for layout in layouts if len(_off_axis(layout)[0]) >= 2]
     if not usable:
         return None
-    poses = body.poses(spectra)
-    reader = _Reader(spectra, usable, body, settings, poses)
+    reader = _Reader(spectra, usable, body, settings, body.poses(spectra))
     return reader.read(rings, hints)
+
+
+def read_below(
+    centre: complex,
+    spectra: Spectra,
+    layouts: Sequence[Layout],
+    body: BodyModel,
+    settings: BodySettings,
+) -> BodyReading | None:
+    """The same on a body whose turn is sought together with a layout on it: for tags louder than the body.
+
+    Args:
+        centre: of the body, x + jy, m, from its round part.
+        spectra, layouts, body, settings: as of `read_on_body`.
+    """
+    usable = [layout for layout in layouts if len(_off_axis(layout)[0]) >= 2]
+    rings = _rings(layouts, settings)
+    if not usable or not rings:
+        return None
+    thin = spectra.thinned(4)
+    turns = np.arange(0, 2 * np.pi, settings.turn_step_rad)
+    echoes = body.echo(thin, np.full(len(turns), centre), turns)
+    least = np.full(len(turns), np.inf)
+    for radius in rings:
+        for i, echo in enumerate(echoes):
+            ring = Ring.of(thin, echo, centre, radius, FACING, 48)
+            for layout in usable:
+                radii, angles, _ = _off_axis(layout)
+                offset = radius - float(radii.mean())
+                if settings.priors.radius_low_m <= offset <= settings.priors.radius_high_m:
+                    value = ring.explained(_turned(angles, len(ring.angles))).max()
+                    least[i] = min(least[i], ring.energy - float(value))
+    found = []
+    for i in _peaks(-least, 3):
+        echo = body.echo(spectra, np.array([centre]), turns[i : i + 1])
+        left = solve(spectra.data, centred(echo)[:, :, None]).left
+        found.append(Candidate(Pose((centre.real, centre.imag), float(turns[i])), float(left[0])))
+    readings = [_Reader(spectra, usable, body, settings, [one]).read(rings, ()) for one in found]
+    return min(readings, key=lambda one: one.layouts[0].left) if readings else None
+
+
+def _turned(angles: NDArray[np.float64], count: int) -> NDArray[np.intp]:
+    """(count, K) indices of angles on a ring of `count`, in every turn of the ring's step."""
+    index = np.rint(angles[None] / (2 * np.pi / count) + np.arange(count)[:, None])
+    return np.asarray(index.astype(np.intp) % count)
 
 
 def _off_axis(
@@ -545,8 +448,7 @@ class _Reader:
                 continue
             count = len(ring.angles)
             step = 2 * np.pi / count
-            index = np.rint(angles[None] / step + np.arange(count)[:, None]).astype(np.intp) % count
-            value = ring.explained(index)
+            value = ring.explained(_turned(angles, count))
             for i in _peaks(value, 2):
                 turned = tuple(float(a) for a in angles + i * step)
                 starts.append(_Start(ring.energy - float(value[i]), some[0].centre, ring.radius_m, turned))

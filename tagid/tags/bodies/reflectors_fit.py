@@ -296,12 +296,13 @@ class Fitter:
         g = solved.amplitudes[:, :, 1:, None, None]
         c = cols.cosine[:, None]
         pattern, steeper = g[:, :, 0] + 0 * c, 0 * c
-        before, now = np.ones_like(c), c
-        lower, slope = np.zeros_like(c), np.ones_like(c)
+        # cos(p psi) and its derivative with cos(psi), by Chebyshev's recurrence.
+        before, value = np.ones_like(c), c
+        lower, rise = np.zeros_like(c), np.ones_like(c)
         for p in range(1, g.shape[2]):
-            pattern = pattern + g[:, :, p] * now
-            steeper = steeper + g[:, :, p] * slope
-            before, now, lower, slope = now, 2 * c * now - before, slope, 2 * now + 2 * c * slope - lower
+            pattern = pattern + g[:, :, p] * value
+            steeper = steeper + g[:, :, p] * rise
+            before, value, lower, rise = value, 2 * c * value - before, rise, 2 * value + 2 * c * rise - lower
         steeper = steeper + pattern * np.where(batch.tilt > 0, 2.0, 0.0)[:, None, None, None] / (1.02 + c)
         phase = -1j * self.spectra.wavenumbers[None, :, None, None] * pattern * cols.waves
         both = np.concatenate([phase, steeper * cols.waves], axis=2)

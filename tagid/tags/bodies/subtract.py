@@ -12,7 +12,7 @@ import numpy as np
 
 from tagid.capture import Capture
 from tagid.constants import SPEED_OF_LIGHT
-from tagid.tags.bodies.reader import BodyReading
+from tagid.tags.bodies.body_reading import BodyReading
 from tagid.tags.bodies.reflectors_fit import Columns, solve
 from tagid.tags.bodies.spectra import Spectra
 

@@ -14,12 +14,13 @@ import numpy as np
 
 from tagid.imaging.types import BasebandScans
 from tagid.tags.bodies.arrangement import difference_deg, gaps_deg
+from tagid.tags.bodies.body_reading import BodyReading, BodySettings, Placed
 from tagid.tags.bodies.calibration import Bound, Calibration
 from tagid.tags.bodies.decide import BodyDecision, decide_on_body, score, tag_snr_db
 from tagid.tags.bodies.hypothesis import Enrolled, Explanation, Kind, Pose, plausible
 from tagid.tags.bodies.objects import ObjectDecision, ObjectReading, decide_object, read_objects
 from tagid.tags.bodies.points import Place, PointReading, PointSettings, read_points
-from tagid.tags.bodies.reader import BodyReading, BodySettings, Placed, read_on_body
+from tagid.tags.bodies.reader import read_below, read_on_body
 from tagid.tags.bodies.spectra import Spectra
 from tagid.tags.layouts.layout import Layout
 from tagid.tags.matching.reading import Reading
@@ -195,12 +196,17 @@ def _as_points(bare: Reading, points: PointReading, layouts: Sequence[Layout]) -
 def _promised(
     reading: Reading, points: PointReading | None, spectra: Spectra, settings: ContestSettings
 ) -> Reading:
-    """A name without a body with the bound that holds for it, taken back where none does."""
+    """A name without a body with the bound that holds for it, taken back where that is too large.
+
+    Without a calibration of such names none is promised, and the name rests on its own decision.
+    """
     if reading.status != "identified" or reading.kind is not Kind.BARE or points is None:
         return reading
     bound = settings.calibration().bound(
         points.lead, spectra.views, points.snr_db, settings.false_accept, bare=True
     )
+    if bound.objects == 0:
+        return reading
     verdict = _kept(bound)
     if verdict.status == "identified":
         return replace(reading, bound=bound)
@@ -224,6 +230,8 @@ def _against_bodies(
     readings: list[tuple[BodyReading, Verdict]] = []
     for body in (settings.body.body, *plausible(spectra, enrolled.bodies)):
         reading = read_on_body(spectra, layouts, body, settings.body, hints)
+        if reading is not None and body.name and readings:
+            reading = _clearer(reading, readings[0][0], spectra, layouts, settings)
         if reading is not None:
             verdict = decide_on_body(reading, settings.decision)
             if verdict.status == "identified" and not (
@@ -288,6 +296,29 @@ def _against_bodies(
             body=first,
         )
     return replace(bare, body=first)
+
+
+def _clearer(
+    reading: BodyReading,
+    first: BodyReading,
+    spectra: Spectra,
+    layouts: Sequence[Layout],
+    settings: ContestSettings,
+) -> BodyReading:
+    """The reading on an enrolled body, or one with the pose found below a loud tag where that leaves less.
+
+    Args:
+        reading: on the body where it stands without a tag.
+        first: on a round body.
+        spectra, layouts, settings: of the contest.
+    """
+    if reading.unexplained <= settings.decision.unexplained:
+        return reading
+    below = read_below(first.pose.centre, spectra, layouts, reading.body, settings.body)
+    if below is None or _least(below) >= _least(reading):
+        return reading
+    # Without a tag the body stands where it leaves least on its own.
+    return replace(below, body_left=min(reading.body_left, below.body_left))
 
 
 def _bound(reading: BodyReading, settings: ContestSettings) -> Bound:

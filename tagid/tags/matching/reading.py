@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from tagid.tags.bodies.body_reading import BodyReading
 from tagid.tags.bodies.calibration import Bound
 from tagid.tags.bodies.hypothesis import Explanation, Kind
-from tagid.tags.bodies.reader import BodyReading
 from tagid.tags.reading.decision import Evidence
 from tagid.tags.reading.reflectors import Reflector
 from tagid.tags.verdicts.verdict import ADVICE, Code

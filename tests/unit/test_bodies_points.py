@@ -1,0 +1,99 @@
+"""Tags without a body: points, the double bounce between them, and arrangements that are not the layout."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tagid.tags.bodies.points import (
+    Place,
+    PointFitter,
+    PointSettings,
+    _waves,
+    columns,
+    displaced,
+    read_points,
+)
+from tagid.tags.bodies.spectra import Spectra
+from tagid.tags.layouts.layout import builtin_layouts
+
+LAYOUTS = builtin_layouts()
+SETTINGS = PointSettings()
+
+
+def empty(views: int = 36) -> Spectra:
+    kappa = 2 * 83.0 + np.linspace(-33, 33, 9)
+    antenna = 1.05 * np.exp(-2j * np.pi * np.arange(views) / views)
+    return Spectra(np.zeros((9, views), complex), kappa, antenna, np.full(views, 0.03), 1.05, 1e-9)
+
+
+def seen(places: np.ndarray, bounce: float = 0.4, noise: float = 0.02, seed: int = 0) -> Spectra:
+    """Points and their double bounce, each with a phase of its own at every frequency."""
+    rng = np.random.default_rng(seed)
+    spectra = empty()
+    cols = columns(spectra, places, np.zeros(len(places)))
+    phase = np.exp(2j * np.pi * rng.uniform(size=(9, 2)))
+    data = (cols * (phase * [1.0, bounce])[:, : cols.shape[1], None]).sum(axis=1)
+    data = data + noise * (rng.standard_normal(data.shape) + 1j * rng.standard_normal(data.shape)) / np.sqrt(
+        2
+    )
+    return replace(spectra, data=data - data.mean(axis=1, keepdims=True), noise=noise**2)
+
+
+def at(name: str, turn: float, centre: complex) -> np.ndarray:
+    place = LAYOUTS[name].placed(turn, np.array([centre.real, centre.imag]))
+    return np.asarray(place[:, 0] + 1j * place[:, 1])
+
+
+def starts(turn: float, centre: complex) -> list[Place]:
+    return [Place(LAYOUTS[n], turn, (centre.real, centre.imag)) for n in ("container-90", "container-180")]
+
+
+def test_the_slopes_are_those_of_the_waves() -> None:
+    spectra, places = empty(), at("helmet-120", 0.3, 0.003j)
+    heights = np.array([0.0, 0.01, 0.0])
+    exact = _waves(spectra, places, heights, slopes=True)
+    step = 1e-7
+    for i in range(6):
+        ahead = places.copy()
+        ahead[i // 2] += step * (1j if i % 2 else 1)
+        numeric = (_waves(spectra, ahead, heights).columns - exact.columns) / step
+        # The slope of the phase alone; that of the spreading is a hundredth of it.
+        assert np.linalg.norm(numeric - exact.slopes[i]) < 0.1 * np.linalg.norm(numeric)
+
+
+@pytest.mark.parametrize("bounce", [0.0, 0.4])
+def test_a_pair_is_read_with_its_double_bounce(bounce: float) -> None:
+    places = at("container-90", 0.7, 0.004 - 0.005j)
+    reading = read_points(seen(places, bounce), starts(0.65, 0.003 - 0.004j), places, SETTINGS)
+    assert reading.layouts[0].layout == "container-90" and reading.passes(SETTINGS)
+    assert np.abs(reading.layouts[0].places - places).max() < 5e-4
+    assert reading.unexplained < 0.01 and reading.lead > 5 * SETTINGS.lead
+
+
+def test_points_alone_would_not_explain_it() -> None:
+    places = at("container-90", 0.7, 0.004 - 0.005j)
+    spectra = seen(places)
+    single = columns(spectra, places, np.zeros(2))[:, :1]
+    left = PointFitter(spectra, 1.0)._solved(single)[0]
+    assert np.sum(np.abs(left) ** 2) > 0.05 * spectra.energy
+
+
+@pytest.mark.parametrize("angles_deg", [(0, 70), (0, 110), (0, 90, 180), (0, 90, 225), (0,), (0, 120, 240)])
+def test_other_arrangements_are_not_the_layout(angles_deg: tuple[float, ...]) -> None:
+    places = 0.003 + 0.045 * np.exp(1j * np.deg2rad(angles_deg))
+    reading = read_points(seen(places), starts(0.0, 0.003 + 0j), places, SETTINGS)
+    assert not reading.passes(SETTINGS)
+    # What is there explains the echo, so that no body need be assumed.
+    assert reading.least < 0.01
+
+
+def test_displacement_is_what_turn_and_shift_leave() -> None:
+    places = at("helmet-120", 0.0, 0j)
+    moved = places * np.exp(0.1j) + (0.004 - 0.002j)
+    assert displaced(places, moved) < 1e-9
+    moved[0] += 0.006
+    assert 0.002 < displaced(places, moved) < 0.006
+    assert displaced(places, places[:2]) == float("inf")
