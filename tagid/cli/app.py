@@ -25,6 +25,7 @@ from tagid.cli import (
     simulate,
     station,
     transfer,
+    volume,
 )
 from tagid.cli.common.frame import serve
 from tagid.cli.emulate import app as emulate
@@ -53,6 +54,7 @@ for part in (
     reconstruct,
     show,
     transfer,
+    volume,
     simulate,
     emulate,
     radar,
