@@ -26,6 +26,7 @@ from tagid.cli import (
     simulate,
     station,
     transfer,
+    volume,
 )
 from tagid.cli.common.frame import serve
 from tagid.cli.emulate import app as emulate
@@ -55,6 +56,7 @@ for part in (
     reconstruct,
     show,
     transfer,
+    volume,
     simulate,
     emulate,
     radar,

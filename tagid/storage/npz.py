@@ -1,12 +1,12 @@
 """The generic NPZ file, through which scans of any radar come in and captures go out to numpy.
 
-Keys (docs/formats.md): samples (views, bins) real or complex; range_start_m, range_step_m; one of
-angles_rad (views,), timestamps_s (views,), antenna_positions_m (views, 3), or transmit_positions_m with
+Keys (docs/formats.md): samples (views, bins) real or complex; range_start_m, range_step_m; one of angles_rad
+(views,), timestamps_s (views,), antenna_positions_m (views, 3), or transmit_positions_m with
 receive_positions_m where the radar has two antennas; with angles axis_distance_m, optionally
-antenna_height_m and antenna_separation_m (between two antennas side by side). Optional:
-center_frequency_hz, bandwidth_hz, wave_speed_m_s (m/s, vacuum unless given), pulse with pulse_step_s,
-object (text or JSON). What `tagid` exports also holds angle_sigma_rad, radar_time_ms, host_time_ns,
-scan_id, flags and tagid (JSON: provenance, settings).
+antenna_height_m and antenna_separation_m (between two antennas side by side). Optional: center_frequency_hz,
+bandwidth_hz, wave_speed_m_s (m/s, vacuum unless given), pulse with pulse_step_s, object (text or JSON). What
+`tagid` exports also holds angle_sigma_rad, radar_time_ms, host_time_ns, scan_id, flags and tagid (JSON:
+provenance, settings).
 """
 
 from __future__ import annotations
