@@ -11,6 +11,7 @@ from typing import Annotated
 import typer
 
 from tagid import __version__
+<<<<<<< HEAD
 from tagid.cli import (
     bodies,
     config,
@@ -28,14 +29,66 @@ from tagid.cli import (
     transfer,
     volume,
 )
+=======
+>>>>>>> h/field
 from tagid.cli.common.frame import serve
-from tagid.cli.emulate import app as emulate
-from tagid.cli.layouts import app as layouts
-from tagid.cli.motion import app as motion
-from tagid.cli.radar import app as radar
+from tagid.cli.common.lazy import Entry, lazy_group
+
+COMMANDS = {
+    "plan": Entry(
+        "tagid.cli.plan",
+        "Plan a recording: SNR, clipping, time, centring, and how surely the tag will be named.",
+    ),
+    "scan": Entry("tagid.cli.scan", "Record one turn of the object, image it and name it."),
+    "station": Entry(
+        "tagid.cli.station",
+        "Serve a page with a Scan button, the live image, the answer, health and history.",
+    ),
+    "identify": Entry("tagid.cli.identify", "Name the object in one or more recorded scans."),
+    "enroll": Entry(
+        "tagid.cli.enroll",
+        "Enrol a layout from numbers, a file or captures of the real object, or an untagged body.",
+    ),
+    "history": Entry(
+        "tagid.cli.history", "List the identifications made on this computer, newest first, or export them."
+    ),
+    "report": Entry("tagid.cli.report", "Identify many captures: write a page, tables and a test report."),
+    "reconstruct": Entry("tagid.cli.reconstruct", "Make an image of a recorded scan."),
+    "show": Entry(
+        "tagid.cli.show",
+        "Draw range profile, scans over time and spectrum of a recording, and print its statistics.",
+    ),
+    "import": Entry("tagid.cli.transfer", "Convert another tool's recording to a capture file."),
+    "export": Entry(
+        "tagid.cli.transfer",
+        "Write a capture as NPZ, MATLAB (.mat), P440 recording (.out, .prd), MRM-RET log (.csv) or .h5.",
+    ),
+    "recover": Entry(
+        "tagid.cli.transfer", "Make a capture file from the journal of an interrupted recording."
+    ),
+    "simulate": Entry(
+        "tagid.cli.simulate",
+        "Simulate the capture of a turning scene, or of an object whose response is in a file.",
+    ),
+    "doctor": Entry("tagid.cli.doctor", "Check ports, the radar's answer, disk, layouts and versions."),
+    "config": Entry("tagid.cli.config", "Show or change the stored settings."),
+    "layouts": Entry(
+        "tagid.cli.layouts.app",
+        "List, design, draw, exchange and check the layouts; without a command, list those enrolled.",
+    ),
+    "bodies": Entry(
+        "tagid.cli.bodies",
+        "List, draw and check enrolled bodies and objects; without a command they are listed.",
+    ),
+    "emulate": Entry("tagid.cli.emulate.app", "Emulate a device on a real wire."),
+    "radar": Entry("tagid.cli.radar.app", "Find, ask, set and record the radar itself."),
+    "motion": Entry("tagid.cli.motion.app", "Find, query, turn, stop and calibrate robots and turntables."),
+}
+"""Every command, in the order of the help, with the first sentence of its own help."""
 
 app = typer.Typer(
     name="tagid",
+    cls=lazy_group(COMMANDS),
     help="Read the identity of a tagged object from radar scans taken while it turns.",
     epilog="Try it without a radar: tagid scan --demo",
     no_args_is_help=True,
@@ -43,6 +96,7 @@ app = typer.Typer(
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
+<<<<<<< HEAD
 for part in (
     plan,
     scan,
@@ -65,6 +119,8 @@ for part in (
     config,
 ):
     part.register(app)
+=======
+>>>>>>> h/field
 
 
 def _print_version(value: bool) -> None:

@@ -80,7 +80,7 @@ def plan(layout: Layout) -> Drawing:
         )
     for line, text in enumerate(rows):
         sheet.add(Text((8, foot - 6.0 * (line + 1)), text, 3.8, "start"))
-    _check_bar(sheet, (8.0, 7.0))
+    check_bar(sheet, (8.0, 7.0))
     sheet.marks.sort(key=lambda mark: isinstance(mark, Text))  # no line goes over a figure
     return sheet
 
@@ -143,7 +143,7 @@ def strip(layout: Layout, surface_radius_m: float | None = None) -> Drawing:
             "start",
         )
     )
-    _check_bar(sheet, (left, 7.0))
+    check_bar(sheet, (left, 7.0))
     return sheet
 
 
@@ -264,7 +264,8 @@ def _sides(layout: Layout) -> list[tuple[int, int]]:
     return [(int(i), int(j)) for i, j in (pairs if layout.size > 2 else pairs[:1])]
 
 
-def _check_bar(sheet: Drawing, at: tuple[float, float]) -> None:
+def check_bar(sheet: Drawing, at: tuple[float, float]) -> None:
+    """The bar of 100 mm by which a print is measured, its left end at a point, mm."""
     x, y = at
     sheet.add(Line((x, y), (x + CHECK_MM, y), 0.4), Line((x, y - 2), (x, y + 2)))
     sheet.add(Line((x + CHECK_MM, y - 2), (x + CHECK_MM, y + 2)))

@@ -10,10 +10,10 @@ from typing import Annotated, Any
 import typer
 
 from tagid.cli.common.frame import Terminal, group_command
-from tagid.cli.layouts import check, design, files, show
+from tagid.cli.layouts import check, design, files, reflector, show
 from tagid.result import Result
 
-PARTS = (design, show, files, check)
+PARTS = (design, reflector, show, files, check)
 """Modules with a `register(group)`, in the order of the help text."""
 
 
