@@ -89,6 +89,7 @@ class LiveView:
         self._last_scan_at: float | None = None
         self._answer_at: float | None = None
         self._no_image = False
+        self._over = False
         grid = settings.imaging
         self._grid = ImageGrid(grid.extent_m, min(grid.pixels, MAX_PIXELS))
         self._scans: list[Scan] = []
@@ -136,6 +137,7 @@ class LiveView:
 
     def ended(self) -> None:
         """The last scan was taken; the capture file is being written."""
+        self._over = True
         self._publish(phase=Phase.READING)
         self._wake.set()
 
@@ -280,7 +282,8 @@ class LiveView:
         turned = float(np.abs(angles).max())
         per_scan = turned / max(len(angles) - 1, 1)
         busy = self._reader is not None and self._reader.is_alive()
-        if busy or not self._settings.layouts or turned < 2 * np.pi - 0.5 * per_scan:
+        # After the last scan the stored capture is about to be read.
+        if busy or self._over or not self._settings.layouts or turned < 2 * np.pi - 0.5 * per_scan:
             return
         if self._read_turn is not None and abs(per_scan / self._read_turn - 1) * 2 * np.pi < TOLERANCE_RAD:
             return

@@ -112,8 +112,8 @@ class Station:
                 "Start it on the page, or over a WebSocket connection that stays open and sends its key.",
             )
         self._count = run.number
-        self._scan = run
         run.start()
+        self._scan = run
         return run.number
 
     def stop(self) -> None:

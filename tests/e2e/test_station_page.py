@@ -16,6 +16,7 @@ pytest.importorskip("starlette")
 from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 from station_harness import ENDLESS, FAST, Asks, healthy, source
+from station_harness import wait as until
 
 from tagid.station import web
 from tagid.station.server import Server
@@ -33,6 +34,27 @@ def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     one = start(tmp_path_factory.mktemp("profile"))
     yield one
     one.quit()
+
+
+@pytest.fixture(scope="module")
+def station_alone(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
+    """A station for the tests that need one scan."""
+    place = tmp_path_factory.mktemp("shown")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("TAGID_DATA", str(place / "data"))
+        patch.setenv("TAGID_CONFIG", str(place / "c.toml"))
+        with Server(Station(source(place), healthy), "127.0.0.1", 0) as one:
+            yield one
+
+
+@pytest.fixture
+def station_with_history(station_alone: Server) -> Server:
+    """The same after a scan."""
+    asks = Asks(station_alone.url, {"tagid-station": "1"})
+    if asks.get("/api/v1/scan").status == 404:
+        asks.post("/api/v1/scan")
+        until(lambda: not asks.get("/api/v1/scan").json()["running"])
+    return station_alone
 
 
 @pytest.fixture
@@ -57,10 +79,9 @@ def text(page: Any, identity: str) -> str:
     return page.find_element(By.ID, identity).text
 
 
-def test_the_main_road_by_keyboard_alone(browser: Any, serve: Callable[..., Server]) -> None:
+def test_the_main_road_by_keyboard_alone(browser: Any, station_alone: Server) -> None:
     size(browser, 1180, 820)
-    one = serve()
-    browser.get(one.url)
+    browser.get(station_alone.url)
     wait(browser, lambda: browser.find_element(By.ID, "scan").is_enabled())
     for _ in range(10):
         browser.switch_to.active_element.send_keys(Keys.TAB)
@@ -117,21 +138,6 @@ def test_accessibility_and_fit(
         " [v.id, v.nodes.map((n) => n.html.slice(0, 90))])));"
     )
     assert found == []
-
-
-@pytest.fixture(scope="module")
-def station_with_history(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
-    """A station after one scan."""
-    place = tmp_path_factory.mktemp("shown")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("TAGID_DATA", str(place / "data"))
-        patch.setenv("TAGID_CONFIG", str(place / "c.toml"))
-        station = Station(source(place), healthy)
-        with Server(station, "127.0.0.1", 0) as one:
-            station.start(None)
-            assert station.scan is not None
-            station.scan.join(120)
-            yield one
 
 
 def test_two_browsers_a_reload_and_a_restart_of_the_station(
