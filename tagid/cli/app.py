@@ -11,26 +11,6 @@ from typing import Annotated
 import typer
 
 from tagid import __version__
-<<<<<<< HEAD
-from tagid.cli import (
-    bodies,
-    config,
-    doctor,
-    enroll,
-    history,
-    identify,
-    plan,
-    reconstruct,
-    report,
-    scan,
-    show,
-    simulate,
-    station,
-    transfer,
-    volume,
-)
-=======
->>>>>>> h/field
 from tagid.cli.common.frame import serve
 from tagid.cli.common.lazy import Entry, lazy_group
 
@@ -54,6 +34,10 @@ COMMANDS = {
     ),
     "report": Entry("tagid.cli.report", "Identify many captures: write a page, tables and a test report."),
     "reconstruct": Entry("tagid.cli.reconstruct", "Make an image of a recorded scan."),
+    "join": Entry(
+        "tagid.cli.volume",
+        "Join captures of one object from several antenna heights into one of antenna positions.",
+    ),
     "show": Entry(
         "tagid.cli.show",
         "Draw range profile, scans over time and spectrum of a recording, and print its statistics.",
@@ -96,31 +80,6 @@ app = typer.Typer(
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-<<<<<<< HEAD
-for part in (
-    plan,
-    scan,
-    station,
-    identify,
-    enroll,
-    layouts,
-    bodies,
-    history,
-    report,
-    reconstruct,
-    show,
-    transfer,
-    volume,
-    simulate,
-    emulate,
-    radar,
-    motion,
-    doctor,
-    config,
-):
-    part.register(app)
-=======
->>>>>>> h/field
 
 
 def _print_version(value: bool) -> None:
