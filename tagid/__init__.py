@@ -83,10 +83,10 @@ if TYPE_CHECKING:
     from tagid.simulate.snr import Snr as Snr
     from tagid.storage.exporters import export as export
     from tagid.storage.importers import read_any as read_any
+    from tagid.tags.bodies.body_reading import BodyReading as BodyReading
     from tagid.tags.bodies.calibration import Bound as Bound
     from tagid.tags.bodies.hypothesis import Explanation as Explanation
     from tagid.tags.bodies.hypothesis import Kind as Kind
-    from tagid.tags.bodies.reader import BodyReading as BodyReading
     from tagid.tags.bodies.signature import Signature as Signature
     from tagid.tags.enrolling.registry import Registry as Registry
     from tagid.tags.enrolling.registry import RegistryChange as RegistryChange
@@ -186,7 +186,7 @@ _HOMES = {
     "Bound": "tagid.tags.bodies.calibration",
     "Explanation": "tagid.tags.bodies.hypothesis",
     "Kind": "tagid.tags.bodies.hypothesis",
-    "BodyReading": "tagid.tags.bodies.reader",
+    "BodyReading": "tagid.tags.bodies.body_reading",
     "Signature": "tagid.tags.bodies.signature",
     "RegistryChange": "tagid.tags.enrolling.registry",
     "RegistryContents": "tagid.tags.enrolling.registry",
