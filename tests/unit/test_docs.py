@@ -7,6 +7,7 @@ import importlib.util
 import re
 import subprocess
 import sys
+from functools import cache
 from html.parser import HTMLParser
 from pathlib import Path
 from types import ModuleType
@@ -192,6 +193,7 @@ def test_the_site_builds_strictly_and_loads_nothing_from_elsewhere(tmp_path: Pat
     assert away == set()
 
 
+@cache
 def definitions() -> set[str]:
     """Names of every module, class, function and value of the package."""
     found: set[str] = set()
