@@ -1,6 +1,7 @@
 """Append-only record of a recording, written before any other processing.
 
-After a kill or a power cut, everything but the record being written can be read back.
+After a kill, everything but the record being written can be read back; after a power cut, everything that was
+synced.
 
 Layout, little-endian: magic `TAGIDJNL`, version u32; then records of marker `REC\\x1e`, kind u32, payload
 length u32, CRC-32 u32 (over kind, length and payload), payload. Kinds: 1 header (JSON), 2 scan, 3 end (JSON),

@@ -21,6 +21,12 @@ _TITLE = """# Robustness
 
 Long runs of attackers against the program, each with what it counted. Every command writes its own section
 when it is given `--page`. The parsers under coverage-guided fuzzing have [a page of their own](fuzzing.md).
+
+- Command: that of each section, such as `python tests/property/attack_signals.py --tries 500`
+- Commit: that of each section; a plus marks changes that were not committed
+- Machine: that of each section
+- Date: that of each section
+- Seeds: those of each section
 """
 
 
