@@ -75,7 +75,7 @@ TARGETS = {
     ),
     "journal-records": Target(
         "tagid/storage/journal_records.py",
-        ("tests/unit/test_storage_journal.py", "tests/unit/test_storage_journal_records.py"),
+        ("tests/unit/test_storage_journal_records.py",),
     ),
     "decision": Target("tagid/tags/reading/decision.py", ("tests/unit/test_tags_decision.py",)),
     "operator": Target("tagid/imaging/operator.py", ("tests/unit/test_imaging_operator.py",)),

@@ -28,7 +28,7 @@ def test_calibration_is_reported_with_standard_errors(tagid, wobbly) -> None:
     assert [w["harmonic"] for w in found["wobble"]] == [1, 2, 3, 4]
     assert all(0 < w["sigma_deg"] < 0.6 for w in found["wobble"])
     assert len(found["gain"]["scans"]) == len(found["gain"]["sigma"])
-    text = tagid("reconstruct", wobbly, *words)
+    text = tagid("reconstruct", wobbly, *words, "--ats", "steps=30")
     assert "axis distance 1.00" in text.out
     assert "wobble, harmonic 1" in text.out
     assert "±" in text.out

@@ -11,7 +11,7 @@ from imaging_scenes import helix, record, turn
 from tagid.errors import UsageError
 from tagid.geometry import ImageGrid
 from tagid.imaging import memory
-from tagid.imaging.operator import PHASE_STEP, ForwardOperator, interpolation_gain
+from tagid.imaging.operator import PHASE_STEP, ForwardOperator, fine_range, interpolation_gain
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
 
 GRID = ImageGrid(0.4, 24)
@@ -63,9 +63,42 @@ def test_the_matrix_is_the_operator(operator):
     assert np.abs(two.ravel() - y).max() < 1e-5 * np.abs(y).max()
 
 
+def test_adjoint_and_call_are_those_of_the_forward_map(operator):
+    rng = np.random.default_rng(5)
+    x = complex_noise(rng, operator.points)
+    y = complex_noise(rng, (operator.views, operator.bins))
+    left, right = np.vdot(y, operator(x)), np.vdot(operator.adjoint(y), x)
+    assert left == pytest.approx(right, rel=1e-4)
+
+
+def test_the_fine_range_holds_all_points_in_steps_of_the_stated_phase(aperture):
+    """One step more on either side, so that each point lies between two samples, and none is wasted."""
+    scans = scans_of(aperture)
+    start, step, bins = fine_range(scans, POINTS)
+    assert step == pytest.approx(0.2 / (2 * scans.wavenumber))
+    xyz = np.column_stack([POINTS, np.zeros(len(POINTS))])
+    away = np.linalg.norm(scans.aperture.positions[:, None] - xyz, axis=2)
+    reach = np.hypot(*POINTS.T).max()
+    assert start <= away.min() - step * 0.99
+    assert start + step * (bins - 1) >= away.max() + step * 0.99
+    assert step * bins <= 2 * reach + np.ptp(np.linalg.norm(scans.aperture.positions, axis=1)) + 4 * step
+    coarse = replace(scans, range_step_m=step / 3)
+    assert fine_range(coarse, POINTS)[1] == step / 3
+
+
+def test_what_the_bins_cannot_see_has_no_norm():
+    scans = scans_of(turn(20))
+    assert ForwardOperator(replace(scans, range_start_m=90.0), GRID).norm_squared() == 0.0
+    few = [ForwardOperator(scans, GRID).norm_squared(iterations=n) for n in (1, 12, 13)]
+    assert 0 < few[0] < few[1] <= few[2]
+    assert ForwardOperator(scans, GRID).norm_squared() == few[1]
+    assert ForwardOperator(scans, GRID).norm_squared(seed=1) != few[1]
+
+
 def test_norm_bounds_the_operator(operator):
     norm = operator.norm_squared(iterations=60)
-    largest = np.linalg.svd(operator.matrix.toarray(), compute_uv=False)[0] ** 2
+    dense = operator.matrix.toarray()
+    largest = np.linalg.eigvalsh(dense.conj().T @ dense)[-1]
     assert norm == pytest.approx(largest, rel=0.02)
     assert operator.norm_squared() == operator.norm_squared()
 
