@@ -205,7 +205,8 @@ class AtsResult:
         image: complex reflectivity on the grid asked for.
         losses: loss of every step.
         calibration: what was learned beside the scene.
-        held_out: energy of the residual on views that the fit did not see, over their energy; nan without.
+        held_out: energy of the residual on views that the fit did not see, over their energy, one complex
+            factor fitted; nan without.
         seconds: of the whole fit, set-up included.
         field: the fitted field, to be evaluated at any resolution; None for blank data.
     """
