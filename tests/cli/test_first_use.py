@@ -8,6 +8,7 @@ from __future__ import annotations
 import io
 import json
 import re
+import sqlite3
 import subprocess
 import sys
 from collections.abc import Callable
@@ -178,3 +179,41 @@ def test_watch_makes_its_folder(here: Callable[..., Done], tmp_path: Path) -> No
     (tmp_path / "file").write_text("")
     taken = here("report", "--watch", "file", "--idle-stop", 0.2, "--out", "r2")
     assert taken.code == 2 and "is not a folder" in taken.err
+
+
+@pytest.mark.parametrize("group", ["", "layouts"])
+def test_the_list_of_commands_is_what_the_commands_say(group: str) -> None:
+    """They are imported when called; their first sentences are kept apart so that help need not."""
+    import typer.main
+
+    from tagid.cli.app import COMMANDS
+    from tagid.cli.layouts.app import COMMANDS as LAYOUTS
+
+    root = typer.main.get_group(app)
+    parent, table = (root, COMMANDS) if not group else (root.get_command(None, group), LAYOUTS)
+    assert parent.list_commands(None) == list(table)
+    for name, entry in table.items():
+        command = parent.get_command(None, name)
+        text = (command.short_help or command.help or "").split("\n\n")[0].replace("\n", " ")
+        assert entry.help == text, name
+
+
+def test_layouts_are_listed_as_the_registry_holds_them(here: Callable[..., Done], tmp_path: Path) -> None:
+    from tagid.tags.enrolling import listing, registry
+
+    assert (
+        registry.APPLICATION_ID,
+        len(registry._MIGRATIONS),
+    ) == (listing._APPLICATION_ID, listing._SCHEMA_VERSION)
+    assert here("enroll", "mine", *POINTS).code == 0
+    listed = here("layouts", "--output", "json").json["data"]
+    kept = registry.Registry(tmp_path / "home" / "registry.sqlite")
+    assert listed["layouts"] == [layout.to_dict() for layout in kept.layouts()]
+    assert listed["registry_version"] == kept.version
+    with sqlite3.connect(kept.path) as connection:
+        connection.execute(
+            "UPDATE layout SET definition = replace(definition, '0.09', '9') WHERE name = 'mine'"
+        )
+    connection.close()
+    damaged = here("layouts")
+    assert damaged.code == 1 and "damaged definition of 'mine'" in damaged.err

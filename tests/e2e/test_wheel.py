@@ -63,6 +63,7 @@ def empty_environment(tmp_path_factory: pytest.TempPathFactory) -> Path:
     built = run(*pip, "wheel", "--quiet", "--no-deps", "--no-build-isolation", "--wheel-dir", folder, source)
     assert built.returncode == 0, built.stderr
     (wheel,) = folder.glob("tagid-*.whl")
+    assert "-cp311-abi3-" in wheel.name  # one wheel for every Python from 3.11 on
     assert run(sys.executable, "-m", "venv", "--without-pip", here).returncode == 0
     (packages,) = here.glob("lib/*/site-packages")
     for name in required("tagid"):
