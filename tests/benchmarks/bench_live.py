@@ -24,6 +24,7 @@ def main() -> None:
     words.add_argument("--integration", type=int, default=15)
     words.add_argument("--repeats", type=int, default=3)
     words.add_argument("--scene", default="helmet-120")
+    words.add_argument("--unknown-speed", action="store_true", help="the period is found in the scans")
     asked = words.parse_args()
     home = tempfile.mkdtemp()
     os.environ |= {"TAGID_CONFIG": f"{home}/c.toml", "TAGID_DATA": f"{home}/data"}
@@ -33,15 +34,16 @@ def main() -> None:
     try:
         assert emulator.stdout is not None
         url = json.loads(emulator.stdout.readline())["data"]["url"]
+        motion = "free" if asked.unknown_speed else f"free?rpm={asked.rpm:g}"
         os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
         for _ in range(asked.repeats):
-            print(json.dumps(one(url, asked.rpm, asked.integration, Path(home))), flush=True)
+            print(json.dumps(one(url, motion, asked.integration, Path(home))), flush=True)
     finally:
         emulator.terminate()
         emulator.wait()
 
 
-def one(url: str, rpm: float, integration: int, folder: Path) -> dict[str, object]:
+def one(url: str, motion_url: str, integration: int, folder: Path) -> dict[str, object]:
     """One scan with a live view, and its figures."""
     from tagid.live.engine import LiveSettings, LiveView
     from tagid.live.state import LiveState
@@ -58,8 +60,8 @@ def one(url: str, rpm: float, integration: int, folder: Path) -> dict[str, objec
 
     known = Registry(folder / "registry.sqlite").contents()
     config = plan_window(1.0, 0.5, 0.0, RadarConfig(base_integration_index=integration))
-    motion = open_motion(f"free?rpm={rpm:g}")
-    plan = RecordingPlan(config, 1.0, motion=f"free?rpm={rpm:g}", renumber=True)
+    motion = open_motion(motion_url)
+    plan = RecordingPlan(config, 1.0, motion=motion_url, renumber=True)
     frames: list[tuple[float, int]] = []
 
     def tell(state: LiveState) -> None:
@@ -86,7 +88,8 @@ def one(url: str, rpm: float, integration: int, folder: Path) -> dict[str, objec
         "scans_per_second": round(capture.views / seconds, 1),
         "lost": capture.radar.scans_lost,
         "dropped": capture.radar.scans_dropped,
-        "frames_per_second": round((len(during) - 1) / (during[-1] - during[0]), 2),
+        "frames_with_image": len(during),
+        "frames_per_second": round((len(during) - 1) / (during[-1] - during[0]), 2) if during[1:] else None,
         "cpu_share": round(spent / seconds, 2),
         "answer": view.state.answer.reading.layout if view.state.answer else None,
         "answer_after_last_scan_s": round(view.state.answer_after_s or 0.0, 2),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
@@ -14,13 +15,15 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from rich.console import Console, RenderableType
+    from rich.live import Live
 
     from tagid.capture import Capture
     from tagid.live.engine import LiveSettings, LiveView
     from tagid.recording.recorder import Watch
 
-_REFRESHES = 10
-"""Frames asked of the terminal per second; 5 are wanted over a slow line."""
+_FRAME_S = 0.1
+"""Shortest time between two frames, s; 5 frames per second are wanted."""
+_JOIN_S = 5.0
 
 
 @dataclass
@@ -75,17 +78,40 @@ def live_scan(terminal: Terminal, settings: LiveSettings, title: str) -> Iterato
     with ExitStack() as stack:
         shown = LiveScan(stack.enter_context(LiveView(settings)))
         if console.is_terminal and not terminal.quiet:
-            stack.enter_context(
-                Live(
-                    console=console,
-                    screen=True,
-                    refresh_per_second=_REFRESHES,
-                    get_renderable=lambda: _drawn(shown, title, console),
-                    redirect_stdout=False,
-                    redirect_stderr=False,
-                )
+            live = Live(
+                console=console,
+                screen=True,
+                auto_refresh=False,
+                get_renderable=lambda: _drawn(shown, title, console),
+                redirect_stdout=False,
+                redirect_stderr=False,
             )
+            stack.enter_context(_Screen(shown.view, stack.enter_context(live)))
         yield shown
+
+
+class _Screen:
+    """Draws each new state, on a thread of its own: a terminal that takes no more holds up nothing else."""
+
+    def __init__(self, view: LiveView, live: Live) -> None:
+        self._view, self._live = view, live
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._work, name="live-screen", daemon=True)
+
+    def __enter__(self) -> _Screen:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._ended.set()
+        self._thread.join(_JOIN_S)
+
+    def _work(self) -> None:
+        drawn = -1
+        while not self._ended.wait(_FRAME_S):
+            if (frame := self._view.state.frame) != drawn:
+                drawn = frame
+                self._live.refresh()
 
 
 def _drawn(shown: LiveScan, title: str, console: Console) -> RenderableType:
