@@ -104,7 +104,7 @@ def settle(
         points = _points(bare, spectra, layouts, settings.points)
     done = _without_body(bare, points, layouts, settings)
     if done is not None:
-        if points is not None and points.passes(settings.points) and bare.status != "ambiguous":
+        if points is not None and _pointed(bare, points, settings):
             own = replace(own, layout=done.layout, left=float(np.clip(points.unexplained, 0, 1)))
         return _promised(replace(done, hypotheses=(own,)), points, spectra, settings)
     contested = _against_bodies(_Bare(bare, own, points, opaque), spectra, layouts, enrolled, settings)
@@ -117,10 +117,16 @@ def _without_body(
     """The reading where no body need take part; None where one may."""
     if bare.evidence.outward > settings.outward:
         return None
-    if points is not None and points.passes(settings.points) and bare.status != "ambiguous":
+    if points is not None and _pointed(bare, points, settings):
         return _as_points(bare, points, layouts)
     named = bare.status in ("identified", "ambiguous")
     return bare if named and bare.evidence.share >= settings.explained else None
+
+
+def _pointed(bare: Reading, points: PointReading, settings: ContestSettings) -> bool:
+    """Whether points name a layout that nothing in the bare reading speaks against."""
+    doubted = bare.status == "ambiguous" or bare.code is Code.HIDDEN
+    return points.passes(settings.points) and not doubted
 
 
 def bare_evidence(
@@ -230,7 +236,9 @@ def _against_bodies(
     """The bare reading against layouts on bodies, and enrolled objects."""
     bare, own, opaque = known.reading, known.own, known.opaque
     named = bare.status in ("identified", "ambiguous")
-    shows = known.points is None or known.points.least > settings.points.unexplained
+    # Points cannot explain the echo, and the reflectors are not merely seen from one side only.
+    unlike = known.points is not None and known.points.least > settings.points.unexplained
+    shows = unlike and bare.code is not Code.HIDDEN
     hints = [complex(*bare.centre_m)]
     readings: list[tuple[BodyReading, Verdict]] = []
     for body in (settings.body.body, *plausible(spectra, enrolled.bodies)):
