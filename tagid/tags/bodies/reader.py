@@ -275,14 +275,17 @@ class _Reader:
         if self.spectra.views < self.settings.through_views:
             return [*rows, *rows], batch, left
         at = batch.at[: len(rows)].copy()
-        # More terms hold more of the bounces, which leaves the radius nearer to the wall's than few terms do.
         mean = (wide.radii * wide.present).sum(axis=1) / wide.present.sum(axis=1)
+        small = np.flatnonzero(mean + at[:, 2] < self.settings.wide_m)
+        if len(small) == 0:
+            return [*rows, *rows], batch, left
+        # More terms hold more of the bounces, which leaves the radius nearer to the wall's than few terms do.
         inner = np.clip(self.settings.through_m - mean, wide.low, wide.high)
-        small = mean + at[:, 2] < self.settings.wide_m
-        at[:, 2] = np.where(small, np.minimum(at[:, 2], inner), at[:, 2])
+        at[:, 2] = np.minimum(at[:, 2], inner)
         tilt, terms = 0 * wide.tilt + THROUGH.tilt, 0 * wide.terms + THROUGH.terms
-        through, more = self.fitter.fitted(replace(wide, at=at, tilt=tilt, terms=terms), 6)
-        return [*rows, *rows, *rows], joined([batch, through]), np.append(left, more)
+        begun = replace(wide, at=at, tilt=tilt, terms=terms).some(small)
+        through, more = self.fitter.fitted(begun, 6)
+        return [*rows, *rows, *(rows[i] for i in small)], joined([batch, through]), np.append(left, more)
 
     def _explained(self, left: float) -> float:
         """Share of what the body leaves of the coarse spectra, above noise, that an arrangement explains."""

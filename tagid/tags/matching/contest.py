@@ -75,6 +75,8 @@ def settle(
     layouts: Sequence[Layout],
     enrolled: Enrolled,
     settings: ContestSettings,
+    *,
+    direction_known: bool = True,
 ) -> Reading:
     """The bare reading, or what the hypothesis that won instead of it says.
 
@@ -84,6 +86,7 @@ def settle(
         layouts: the enrolled ones.
         enrolled: bodies and objects.
         settings: see there.
+        direction_known: whether layouts are known from their mirror images; points are fitted only then.
     """
     own = Explanation(
         Kind.BARE,
@@ -96,10 +99,12 @@ def settle(
     )
     opaque = bare.evidence.outward > settings.outward
     spectra = Spectra.of(scans, wavenumbers=enrolled.wavenumbers)
-    points = None if bare.code is Code.NO_ECHO else _points(bare, spectra, layouts, settings.points)
+    points = None
+    if bare.code is not Code.NO_ECHO and direction_known:
+        points = _points(bare, spectra, layouts, settings.points)
     done = _without_body(bare, points, layouts, settings)
     if done is not None:
-        if points is not None and points.passes(settings.points):
+        if points is not None and _pointed(bare, points, settings):
             own = replace(own, layout=done.layout, left=float(np.clip(points.unexplained, 0, 1)))
         return _promised(replace(done, hypotheses=(own,)), points, spectra, settings)
     contested = _against_bodies(_Bare(bare, own, points, opaque), spectra, layouts, enrolled, settings)
@@ -112,10 +117,16 @@ def _without_body(
     """The reading where no body need take part; None where one may."""
     if bare.evidence.outward > settings.outward:
         return None
-    if points is not None and points.passes(settings.points):
+    if points is not None and _pointed(bare, points, settings):
         return _as_points(bare, points, layouts)
     named = bare.status in ("identified", "ambiguous")
     return bare if named and bare.evidence.share >= settings.explained else None
+
+
+def _pointed(bare: Reading, points: PointReading, settings: ContestSettings) -> bool:
+    """Whether points name a layout that nothing in the bare reading speaks against."""
+    doubted = bare.status == "ambiguous" or bare.code is Code.HIDDEN
+    return points.passes(settings.points) and not doubted
 
 
 def bare_evidence(
@@ -225,7 +236,9 @@ def _against_bodies(
     """The bare reading against layouts on bodies, and enrolled objects."""
     bare, own, opaque = known.reading, known.own, known.opaque
     named = bare.status in ("identified", "ambiguous")
-    shows = known.points is None or known.points.least > settings.points.unexplained
+    # Points cannot explain the echo, and the reflectors are not merely seen from one side only.
+    unlike = known.points is not None and known.points.least > settings.points.unexplained
+    shows = unlike and bare.code is not Code.HIDDEN
     hints = [complex(*bare.centre_m)]
     readings: list[tuple[BodyReading, Verdict]] = []
     for body in (settings.body.body, *plausible(spectra, enrolled.bodies)):

@@ -123,7 +123,14 @@ class MatchedScan:
 
     def settled(self, bare: Reading) -> Reading:
         """The reading without a body, or the one on a body where that explains the scans better."""
-        return settle(bare, self.scans, self._layouts, self._enrolled, self._settings.contest)
+        return settle(
+            bare,
+            self.scans,
+            self._layouts,
+            self._enrolled,
+            self._settings.contest,
+            direction_known=self._settings.direction_known,
+        )
 
     def read(self, order: NDArray[np.intp]) -> Reading:
         """What this recording says without a body if the layouts rank in this order."""
