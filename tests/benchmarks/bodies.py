@@ -159,7 +159,8 @@ def answered(tasks: Sequence[Task], run: Run) -> list[Answer]:
         except ValueError:
             # A run that was stopped may leave half a line.
             continue
-        known[found.pop("key")] = Answer(**found)
+        key = found.pop("key")
+        known[key] = Answer(**found)
     missing = [task for task in tasks if task.key not in known]
     with path.open("a") as file:
         for key, answer in _read_all(missing, run):
