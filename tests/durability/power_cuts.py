@@ -94,7 +94,7 @@ def main() -> int:
                 print(f"  {name}: {count} x {fault}")
             shown = []
             for kind in ("files", "folders"):
-                without = try_all(name, unsynced(recording, kind), place, Density(1, 3), given.seed)
+                without = try_all(name, unsynced(recording, kind), place, Density(0, 10), given.seed)
                 shown.append(f"{sum(without.values()) - without['']} of {sum(without.values())}")
             rows.append((name, len(recording.operations), total, lost, *shown))
             print(*rows[-1], sep=" | ", flush=True)
