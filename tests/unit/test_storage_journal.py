@@ -206,6 +206,15 @@ def test_samples_must_keep_their_shape(tmp_path: Path) -> None:
     assert len(read_journal(tmp_path / "j").scans) == 1
 
 
+@pytest.mark.parametrize("bad", [scan(0).astype(np.int64), scan(0).reshape(2, 16)])
+def test_the_first_scan_must_be_one_row_of_a_known_type(tmp_path: Path, bad: np.ndarray) -> None:
+    with JournalWriter(tmp_path / "j", HEADER) as journal:
+        with pytest.raises(DataError, match="expected"):
+            journal.append(0, 0, 0.0, bad)
+        journal.append(0, 0, 0.0, scan(1))  # what was refused has not set the shape
+    assert len(read_journal(tmp_path / "j").scans) == 1
+
+
 def test_existing_file_is_never_overwritten(tmp_path: Path) -> None:
     (tmp_path / "j").write_bytes(b"dear")
     with pytest.raises(StorageError, match="already exists"):
