@@ -22,7 +22,9 @@ def register(app: typer.Typer) -> None:
         terminal: Terminal,
         file: options.CaptureFile,
         method: options.Method = None,
-        engine: Annotated[str, typer.Option("--engine", help="What runs ats: onnx, torch or auto.")] = "auto",
+        engine: Annotated[
+            str, typer.Option("--engine", help="What runs ats: native, onnx, torch or auto.")
+        ] = "auto",
         device: Annotated[str, typer.Option("--device", help="cpu, or cuda with torch.")] = "cpu",
         calibrate: Annotated[
             str | None,

@@ -30,6 +30,7 @@ POINTS = np.array([[0.1, 0.05, 0.08], [-0.08, 0.02, -0.11], [0.02, -0.12, 0.0]])
 TEXT = """{head}
 Three points, {heights} antenna heights from -0.25 to 0.25 m at 1 m, {views} views each, {bins} samples per
 scan: {pairs:.3g} pairs of view and voxel into 128 x 128 x {levels} voxels of 0.4 m, on {cores} cores.
+The time by the clock holds for the load of that moment; processor time over cores is that of an idle machine.
 
 | | |
 |---|---|

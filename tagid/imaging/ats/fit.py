@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.capture import Capture
-from tagid.errors import DataError, MissingExtraError
+from tagid.errors import DataError, MissingExtraError, UsageError
 from tagid.geometry import ImageGrid
 from tagid.imaging.ats import calibration
 from tagid.imaging.ats.illumination import illumination, lit_forward
@@ -35,6 +35,7 @@ from tagid.imaging.ats.problem import (
     view_subsets,
 )
 from tagid.imaging.ats.settings import AtsResult, AtsSettings, Calibration, Progress
+from tagid.imaging.kernel import is_compiled
 from tagid.imaging.memory import require_memory
 from tagid.imaging.operator import ForwardOperator
 from tagid.imaging.preprocess import PreprocessSettings, preprocess, select_views
@@ -165,7 +166,7 @@ class _Fit:
         best, worse, mean, since = np.inf, 0, engine.weights(), 0
         for step in range(steps):
             views = subsets[step % len(subsets)]
-            numbers = self._numbers(scales, step, len(views.index))
+            numbers = self._numbers(scales, step, views.aperture.views)
             self.losses.append(engine.step(grid, views, fine, numbers))
             if progress is not None:
                 progress(step + 1, steps, self.losses[-1])
@@ -322,8 +323,19 @@ def make_engine(start: FieldWeights, settings: AtsSettings) -> Engine:
     if name == "auto":
         from tagid.imaging.ats.runtime import HIDDEN, LEVELS
 
+        if settings.device == "cpu" and is_compiled() and not _weighted(settings):
+            name = "native"
         shipped = (settings.levels, settings.hidden, settings.device) == (LEVELS, HIDDEN, "cpu")
-        name = "onnx" if shipped and importlib.util.find_spec("onnxruntime") else "torch"
+        if name == "auto":
+            name = "onnx" if shipped and importlib.util.find_spec("onnxruntime") else "torch"
+    if name == "native":
+        from tagid.imaging.ats.fit_native import NativeEngine
+
+        if _weighted(settings):
+            raise UsageError(
+                "the native engine gives every view the same light", "Use --engine onnx, torch or auto."
+            )
+        return NativeEngine(start)
     if importlib.util.find_spec("torch" if name == "torch" else "onnxruntime") is None:
         raise MissingExtraError(
             f"ATS with --engine {name} needs {'torch' if name == 'torch' else 'onnxruntime'}, "
@@ -339,14 +351,18 @@ def make_engine(start: FieldWeights, settings: AtsSettings) -> Engine:
     return TorchEngine(start, settings.device, settings.threads)
 
 
+def _weighted(settings: AtsSettings) -> bool:
+    """Whether a view sees some points more strongly than others."""
+    return settings.occlusion > 0 or settings.spreading > 0 or settings.beam_width_deg > 0
+
+
 def _foresee(scans: BasebandScans, grid: ImageGrid, settings: AtsSettings) -> None:
     """Refuse sizes that will not fit before anything is allocated."""
     points = grid.pixels**2
     views = 2 * max(map(len, view_subsets(scans.aperture, settings.views_per_step)))
     per_pair = 8 + 4 * 6
     per_point = 4 * (6 * settings.width + 4 * settings.levels * settings.features)
-    weighted = settings.occlusion > 0 or settings.spreading > 0 or settings.beam_width_deg > 0
-    shadows = 8 * scans.aperture.views * points if weighted else 0
+    shadows = 8 * scans.aperture.views * points if _weighted(settings) else 0
     require_memory(
         points * (views * per_pair + per_point + 8 * scans.aperture.views) + shadows,
         f"steps of {views} views and {grid.pixels} x {grid.pixels} pixels",

@@ -7,11 +7,13 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tagid.geometry import Aperture, ImageGrid
+from tagid.imaging.kernel import RangeGeometry
 from tagid.imaging.operator import reach_of
 from tagid.imaging.types import BasebandScans
 
@@ -232,17 +234,32 @@ class GridArrays:
 class ViewArrays:
     """What a step reads of some views: see `Step` for the members of the same names."""
 
-    index: NDArray[np.int32]
+    aperture: Aperture
+    points: NDArray[np.float64]
+    fine: FineRange
     real: Array
     imaginary: Array
     samples: Array
     confidence: Array
     transmission: Array
 
+    @cached_property
+    def index(self) -> NDArray[np.int32]:
+        """(views, points) nearest fine bin of every point."""
+        return fine_index(self.aperture, self.points, self.fine)
+
+    @cached_property
+    def geometry(self) -> RangeGeometry:
+        """Where the points lie between the fine bins."""
+        first = (float(self.fine.offset) + 0.5) * self.fine.step
+        return RangeGeometry.of(self.aperture, self.points, (first, self.fine.step), len(self.fine.spread))
+
     def select(self, views: NDArray[np.integer] | slice) -> ViewArrays:
         """The same of some views only."""
         return ViewArrays(
-            np.ascontiguousarray(self.index[views]),
+            self.aperture.select(views),
+            self.points,
+            self.fine,
             np.ascontiguousarray(self.real[views]),
             np.ascontiguousarray(self.imaginary[views]),
             np.ascontiguousarray(self.samples[:, views]),
@@ -264,6 +281,12 @@ class FineRange:
     step: float
     offset: np.float32
     spread: Array
+
+    @cached_property
+    def complex_spread(self) -> NDArray[np.complex64]:
+        """(fine bins, B) `spread` as complex values."""
+        real, imaginary = np.split(self.spread, 2, axis=1)
+        return np.asarray(real + 1j * imaginary, dtype=np.complex64)
 
     @classmethod
     def of(cls, scans: BasebandScans, points: NDArray[np.float64], margin_m: float = 0.0) -> FineRange:
@@ -338,7 +361,9 @@ def view_arrays(
     """
     samples = np.stack([scans.samples.real, scans.samples.imag]).astype(np.float32)
     return ViewArrays(
-        fine_index(scans.aperture, points, fine),
+        scans.aperture,
+        points,
+        fine,
         np.concatenate([aspect.real, -aspect.imag], axis=1).astype(np.float32),
         np.concatenate([aspect.imag, aspect.real], axis=1).astype(np.float32),
         samples,

@@ -22,7 +22,7 @@ Progress = Callable[[int, int, float], None]
 """Called after every step with (steps done, steps at most, loss)."""
 
 PRESETS = ("field",)
-ENGINES = ("auto", "onnx", "torch")
+ENGINES = ("auto", "native", "onnx", "torch")
 CALIBRATIONS = ("axis", "wobble", "gain", "static")
 
 
@@ -32,7 +32,8 @@ class AtsSettings:
 
     Attributes:
         preset: "field", this project's method.
-        engine: "onnx", "torch", or "auto": onnx where it can do what is asked, torch else.
+        engine: "native" (numpy and the compiled kernel), "onnx", "torch", or "auto": the first of them that
+            is there and can do what is asked; native knows no shadows and no beam.
         device: "cpu", or "cuda" (torch only).
         steps: optimisation steps at most.
         learning_rate: Adam's rate for the encoding; the network gets `network_rate` of it.
