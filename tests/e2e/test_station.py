@@ -161,6 +161,7 @@ def station_alone(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("TAGID_DATA", str(place / "data"))
         patch.setenv("TAGID_CONFIG", str(place / "c.toml"))
+        patch.setattr(server, "PING_S", 120.0)
         with Server(Station(source(place), healthy), "127.0.0.1", 0) as one:
             wait(lambda: asks(one).get("/").status == 200)
             yield one
