@@ -113,6 +113,8 @@ class _OneTurn:
     def run(self) -> None:
         check_every = max(1, round(0.5 / self._session.config.scan_period_s))
         try:
+            if self._watch.stop():
+                raise CaptureInterrupted("stopped before the first scan")
             self._motion.start()
             limit = HostLimit(self._plan.max_seconds)
 

@@ -36,15 +36,22 @@ class StationHttp(H11Protocol):
             transport.abort()
             return
         super().connection_made(transport)
-        self.loop.call_later(HEADER_S, self._expire)
+        self.loop.call_later(HEADER_S, self._expire, None)
 
     def connection_lost(self, exc: Exception | None) -> None:
         """End; a connection that was refused never began."""
         if self.transport is not None:
             super().connection_lost(exc)
 
-    def _expire(self) -> None:
-        if self in self.connections and (self.cycle is None or self.cycle.more_body):
+    def on_response_complete(self) -> None:
+        """Wait for the next request as long as for the first."""
+        super().on_response_complete()
+        self.loop.call_later(HEADER_S, self._expire, self.cycle)
+
+    def _expire(self, cycle: Any) -> None:
+        """Close where no whole request came after the one of a cycle."""
+        arriving = self.cycle is not None and self.cycle.more_body
+        if self in self.connections and (self.cycle is cycle or arriving):
             self.transport.abort()
 
 

@@ -68,6 +68,7 @@ class Station:
         self.operators = Operators()
         self._check = check
         self._radar = threading.Lock()
+        self._starting = threading.Lock()
         self._scan: ScanRun | None = None
         self._count = 0
         self._health = Health()
@@ -96,6 +97,10 @@ class Station:
             NotOperatorError: another browser operates, or the motion would move and the key has no lock.
             ConfigError, UsageError, StorageError: see `Source.setup`.
         """
+        with self._starting:
+            return self._start(key, note)
+
+    def _start(self, key: str | None, note: str) -> int:
         if self._scan is not None and self._scan.running:
             raise BusyError("a scan is running", "Wait for its end, or stop it.")
         if key is not None:

@@ -25,14 +25,14 @@ from tagid.station.setup import ScanSetup, Source
 
 FAST = "emulator://helmet-120?rpm=20&seed=2"
 """As fast as the scans are taken: a turn within a second."""
-SLOW = "emulator://helmet-120?rpm=20&seed=2&rate=1"
-"""In real time: 3.9 s for a turn and its overlap."""
-ENDLESS = "emulator://helmet-120?rpm=2&seed=2&rate=1"
+ENDLESS = "emulator://helmet-120?rpm=0.5&seed=2&rate=1"
+"""In real time, two minutes and a half for a turn and its overlap: it is stopped long before."""
 WAIT_S = 60.0
 
 
-def source(folder: Path, radar: str = FAST, motion: str = "free?rpm=20") -> Source:
+def source(folder: Path, radar: str = FAST) -> Source:
     """Scans of an emulated helmet into a folder."""
+    motion = "free?rpm=20" if radar == FAST else "free?rpm=0.5"
     config = plan_window(1.0, 0.5, 0.0, RadarConfig(base_integration_index=15))
     imaging = ImagingSettings(method="bp", pixels=64)
 

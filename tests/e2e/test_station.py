@@ -44,12 +44,13 @@ def serve(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[
     monkeypatch.setenv("TAGID_DATA", str(tmp_path / "data"))
     monkeypatch.setenv("TAGID_CONFIG", str(tmp_path / "c.toml"))
     monkeypatch.setattr(web, "PAIR_PAUSE_S", 0.0)
+    monkeypatch.setattr(server, "PING_S", 120.0)  # the clients here answer a ping when they next read
     (tmp_path / "out").mkdir()
     open_ones: list[Server] = []
     before = set(threading.enumerate())
 
-    def start(radar: str = FAST, announce: Callable[[str], None] | None = None, **more: str) -> Server:
-        station = Station(source(tmp_path / "out", radar, **more), healthy)
+    def start(radar: str = FAST, announce: Callable[[str], None] | None = None) -> Server:
+        station = Station(source(tmp_path / "out", radar), healthy)
         one = Server(station, "127.0.0.1", 0, announce)
         one.__enter__()
         open_ones.append(one)
@@ -160,6 +161,7 @@ def station_alone(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("TAGID_DATA", str(place / "data"))
         patch.setenv("TAGID_CONFIG", str(place / "c.toml"))
+        patch.setattr(server, "PING_S", 120.0)
         with Server(Station(source(place), healthy), "127.0.0.1", 0) as one:
             wait(lambda: asks(one).get("/").status == 200)
             yield one
@@ -248,12 +250,13 @@ class Table(FreeTurntable):
     breaks_after: int | None = None
 
     def __init__(self) -> None:
-        super().__init__(rpm=2.0)
+        super().__init__(rpm=0.5)
         self.turning = threading.Event()
         self.stopped = threading.Event()
-        self.checks = 0
+        self.checks = self.starts = 0
 
     def start(self) -> None:
+        self.starts += 1
         self.stopped.clear()
         self.turning.set()
 
@@ -313,6 +316,36 @@ def test_only_the_operator_moves_the_table_and_losing_the_operator_stops_it(
     second.close()
 
 
+def test_of_two_that_press_at_once_one_scans(serve) -> None:
+    one = serve(ENDLESS)
+    answers: list[int] = []
+    threads = [
+        threading.Thread(target=lambda: answers.append(asks(one, **OWN).post("/api/v1/scan").status))
+        for _ in range(4)
+    ]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert sorted(answers) == [202, 409, 409, 409]
+    asks(one, **OWN).post("/api/v1/scan/stop")
+    assert ended(one)["number"] == 1
+
+
+def test_a_table_does_not_start_when_its_scan_was_stopped_before(serve, table: Table) -> None:
+    one = serve(ENDLESS)
+    first, _ = joined(one.port)
+    with one._station._radar:  # a health check is talking to the radar
+        first.say(type="scan")
+        wait(lambda: asks(one).get("/api/v1/scan").status == 200)
+        first.say(type="stop")
+        first.until("status")
+    scan = first.until("frame", lambda m: not m["scan"]["running"])["scan"]
+    assert scan["phase"] == "failed" and "before the first scan" in scan["note"]
+    assert table.starts == 0
+    first.close()
+
+
 def test_anybody_stops_a_scan_and_a_table_that_stops_half_way_is_told(serve, table: Table) -> None:
     one = serve(ENDLESS)
     first, _ = joined(one.port)
@@ -330,7 +363,7 @@ def test_anybody_stops_a_scan_and_a_table_that_stops_half_way_is_told(serve, tab
 def test_a_client_that_never_reads_is_cut_off_and_holds_up_nobody(
     serve, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(server, "PING_S", 0.5)
+    monkeypatch.setattr(server, "PING_S", 3.0)
     one = serve(ENDLESS)
     deaf = Raw(one.port, receive_bytes=4096)
     deaf.say(type="hello")
@@ -366,10 +399,20 @@ def test_many_connections_leave_room_for_the_page(serve) -> None:
 def test_a_connection_without_a_request_is_closed(serve, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(server, "HEADER_S", 0.2)
     one = serve()
+    for before in (b"", f"GET / HTTP/1.1\r\nhost: 127.0.0.1:{one.port}\r\n\r\n".encode()):
+        slow_request(one, before)
+
+
+def slow_request(one: Server, before: bytes) -> None:
+    """A request that never ends, perhaps after one that did."""
     with socket.create_connection(("127.0.0.1", one.port), timeout=60) as wire:
+        if before:
+            wire.sendall(before)
+            assert wire.recv(65536).startswith(b"HTTP/1.1 200")
         wire.sendall(b"GET / HTTP/1.1\r\nho")
         with suppress(ConnectionResetError):
-            assert wire.recv(100) == b""
+            while wire.recv(65536):
+                pass  # the rest of the page
 
 
 def test_a_full_disk_is_told_and_the_next_scan_works(serve, tmp_path: Path) -> None:
@@ -387,7 +430,7 @@ def test_a_full_disk_is_told_and_the_next_scan_works(serve, tmp_path: Path) -> N
     assert journal.stat().st_size > 10_000
     assert client.post("/api/v1/scan").status == 202
     assert client.post("/api/v1/scan/stop").status == 202
-    assert "disk" not in ended(one)["note"]
+    assert "tagid recover" not in ended(one)["note"]
 
 
 def test_the_command_serves_until_it_is_stopped(home: dict[str, str], tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ from selenium.webdriver.common.keys import Keys
 from station_harness import ENDLESS, FAST, Asks, healthy, source
 from station_harness import wait as until
 
-from tagid.station import web
+from tagid.station import server, web
 from tagid.station.server import Server
 from tagid.station.station import Station
 
@@ -43,6 +43,7 @@ def station_alone(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("TAGID_DATA", str(place / "data"))
         patch.setenv("TAGID_CONFIG", str(place / "c.toml"))
+        patch.setattr(server, "PING_S", 120.0)
         with Server(Station(source(place), healthy), "127.0.0.1", 0) as one:
             yield one
 
@@ -62,6 +63,7 @@ def serve(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[
     monkeypatch.setenv("TAGID_DATA", str(tmp_path / "data"))
     monkeypatch.setenv("TAGID_CONFIG", str(tmp_path / "c.toml"))
     monkeypatch.setattr(web, "PAIR_PAUSE_S", 0.0)
+    monkeypatch.setattr(server, "PING_S", 120.0)  # on a busy machine a browser answers late
     open_ones: list[Server] = []
 
     def begin(radar: str = FAST, announce: Callable[[str], None] | None = None, port: int = 0) -> Server:
