@@ -153,7 +153,7 @@ class BridgeLink:
         on_event: called on the loop's thread for index pulses and lost bytes.
 
     Raises:
-        DeviceError and its subclasses: no adapter, no bridge found, pairing refused. UsageError: ambiguous name.
+        DeviceError and its subclasses: no adapter, no bridge, pairing refused. UsageError: ambiguous name.
     """
 
     def __init__(self, address: BleAddress, on_event: Callable[[Event], None] = lambda event: None) -> None:
