@@ -1,4 +1,4 @@
-"""`tagid-firmware verify`: is on the board what was built."""
+"""`tagid-firmware verify`: compare the board with the build."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def register(app: typer.Typer) -> None:
     ) -> Result:
         """Compare the board with a build by hash; show versions, configuration and ports.
 
-        It stops the bridge's program for the moment and restarts it.
+        It stops the bridge's program temporarily and restarts it.
 
         Example: tagid-firmware verify --build build/bridge
         """

@@ -1,7 +1,7 @@
 """The Bluetooth part of a motion URL: name, pass-key, controller.
 
-The pass-key may stand in the configuration (motion.passkey) or the environment, where nobody reads it over a
-shoulder.
+The pass-key may be given in the configuration (motion.passkey) or the environment, where it does not appear
+on the command line.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ def ble_address(options: Options, default: str = "") -> BleAddress:
     """Take the Bluetooth options of a URL: passkey, hci, wait. Raises UsageError, ConfigError."""
     target = options.target or default
     if not target:
-        raise options.wrong("names no device")
+        raise options.wrong("has no device name")
     config = load_config()
     passkey = options.text("passkey") or config["motion.passkey"]
     if passkey is not None and config.values["motion.passkey"].source == "file":

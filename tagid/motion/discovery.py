@@ -1,6 +1,6 @@
-"""Which robots and tables are there: serial ports with a likely adapter, and Bluetooth devices.
+"""Finds robots and tables: serial ports with a likely adapter, and Bluetooth devices.
 
-Nothing is sent to a port: an unknown device must not be woken, let alone moved, by being looked for.
+Nothing is sent to a port: a search must not wake or move an unknown device.
 """
 
 from __future__ import annotations
@@ -24,20 +24,20 @@ _ADAPTERS: Final = {
     (0x1027, 0x0003): "P410 radar, not a robot",
 }
 _NOT_A_ROBOT: Final = frozenset({(0x303A, 0x1001), (0x1027, 0x0005), (0x1027, 0x0003)})
-_ON_BOARD: Final = "serial port of this computer: a robot's cable, where one is wired to it"
+_ON_BOARD: Final = "serial port of this computer: a robot's cable, if one is connected"
 REVOPOINT: Final = "REVO_DUAL_AXIS_TABLE"
 """Advertised name of the dual-axis table."""
 
 
 @dataclass(frozen=True)
 class Found:
-    """Something that may turn an object.
+    """A device that may rotate an object.
 
     Attributes:
-        url: what to give as --motion; "" where it is no device to turn with.
-        what: what it seems to be.
+        url: value for --motion; "" if it is not a motion device.
+        what: probable type.
         where: port or address.
-        signal_dbm: strength over Bluetooth; None on a cable.
+        signal_dbm: Bluetooth signal strength; None on a cable.
     """
 
     url: str
@@ -88,5 +88,5 @@ async def _listen(seconds: float, hci: str | None) -> list[Found]:
 
 
 def bluetooth_devices(seconds: float, hci: str | None = None) -> list[Found]:
-    """Bridges and tables that advertise within some seconds, strongest first. Raises DeviceError."""
+    """Bridges and tables that advertise within a few seconds, strongest first. Raises DeviceError."""
     return asyncio.run(_listen(seconds, hci))

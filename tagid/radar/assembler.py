@@ -18,17 +18,17 @@ from tagid.radar.messages import SAMPLES_PER_MESSAGE
 from tagid.radar.scan_info import Fragment
 
 WINDOW: Final = 8
-"""Scans that may always be overtaken by later ones before an unfinished scan is given up."""
+"""Number of later scans that may always arrive before an incomplete scan is declared lost."""
 
 HOLD_MS: Final = 100
-"""Time that later scans wait for an unfinished one, ms of the radar's clock: twice the 50 ms that a network
-may delay a packet. At a thousand scans a second that is a hundred scans; at seven the window is longer."""
+"""How long later scans wait for an incomplete one, ms of radar time: twice the 50 ms by which a network may
+delay a packet. At 1000 scans/s this is 100 scans; at 7 scans/s the minimum of `REORDER_WINDOW` applies."""
 
 MAX_PENDING: Final = 512
-"""Largest number of unfinished scans kept; limits the memory that hostile fragments can use to 17 MB."""
+"""Maximum number of incomplete scans kept; limits the memory used by forged fragments to 17 MB."""
 
 MAX_READY: Final = 512
-"""Largest number of complete scans held back."""
+"""Maximum number of complete scans held back."""
 
 _SLACK_SCANS: Final = 64
 
@@ -63,12 +63,12 @@ class Statistics:
 
     Attributes:
         received: packets from the radar, including malformed ones.
-        foreign: packets from another sender, dropped.
+        foreign: packets from other senders, dropped.
         malformed: packets that are not a message, or fragments that contradict themselves, their scan or the
             clock, dropped.
-        unexpected: well-formed messages that were not awaited (late confirms), dropped.
+        unexpected: well-formed messages that no request was waiting for (late confirms), dropped.
         duplicate: fragments that had already arrived, dropped.
-        late: fragments of scans already given up, or of an earlier run, dropped.
+        late: fragments of scans already declared lost, or of an earlier run, dropped.
         complete_scans: scans returned.
         lost_scans: scans with a missing fragment.
         retries: requests repeated because no answer arrived.
@@ -109,10 +109,10 @@ def unwrap(value: int, reference: int, bits: int) -> int:
 
 
 class ScanAssembler:
-    """Fragments in, complete scans out.
+    """Reassembles fragments into complete scans.
 
     Args:
-        first_id: id of the run's first scan, which is that of the CONTROL request; None takes the first seen.
+        first_id: id of the first scan, equal to that of the CONTROL request; None uses the first one seen.
         statistics: counters to update.
         clock_ns: host clock, ns since the epoch.
         period_s: shortest time between scans, s. If given, an id ahead of the radar's clock counts as
@@ -145,11 +145,11 @@ class ScanAssembler:
 
     @property
     def next_id(self) -> int | None:
-        """Unwrapped id of the scan that is waited for; None before the first fragment."""
+        """Unwrapped id of the next scan expected; None before the first fragment."""
         return self._next
 
     def add(self, fragment: Fragment) -> list[Scan]:
-        """Takes one fragment; returns the scans that are complete and in turn now (often none)."""
+        """Process one fragment; return the scans that are now complete and next in order (often none)."""
         if self._next is None:
             self._next = fragment.id
         scan_id = unwrap(fragment.id, self._next, 16)
@@ -179,7 +179,7 @@ class ScanAssembler:
         return self._in_turn(held=True)
 
     def flush(self) -> list[Scan]:
-        """The complete scans still held back, in order; unfinished ones before them are lost."""
+        """The complete scans still held back, in order; incomplete scans before them are counted as lost."""
         return self._in_turn(held=False)
 
     def give_up_until(self, end_id: int) -> None:
@@ -188,7 +188,7 @@ class ScanAssembler:
             self._lose_until(end_id)
 
     def _plausible(self, scan_id: int, timestamp_ms: int) -> bool:
-        """Whether the radar can have reached this id at this time; always true for late packets."""
+        """Whether the radar can have reached this id by now; always true for late packets."""
         if self._period_ms is None:
             return True
         if self._start is None:
@@ -220,7 +220,7 @@ class ScanAssembler:
         self._newest_ready = max(self._newest_ready, scan_id)
 
     def _in_turn(self, held: bool) -> list[Scan]:
-        """The next scans in order; with `held`, only those that need not wait for an unfinished one."""
+        """The next scans in order; with `held`, only those that need not wait for an incomplete one."""
         out: list[Scan] = []
         while self._ready and self._next is not None:
             scan = self._ready.pop(self._next, None)
@@ -236,7 +236,7 @@ class ScanAssembler:
         return out
 
     def _given_up(self) -> int | None:
-        """Id up to which missing scans are given up now; None while they may still arrive."""
+        """Id below which missing scans are declared lost now; None while they may still arrive."""
         first = min(self._ready)
         if len(self._ready) >= MAX_READY:
             return first

@@ -23,7 +23,7 @@ USB_PRODUCTS: Final = {0x0005: "P440", 0x0003: "P410"}
 
 LIMIT_S: Final = 3.0
 _ASKING_S: Final = 2.1
-"""Leaves time for the program's own start within the limit."""
+"""Shorter than the limit of three seconds, to leave time for the program to start."""
 _ANSWER_S: Final = 0.65
 _ATTEMPTS: Final = 3
 _MOST_ADDRESSES: Final = 64
@@ -52,7 +52,7 @@ class FoundRadar:
     remedy: str = ""
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain JSON values."""
+        """As plain JSON values."""
         return asdict(self)
 
 

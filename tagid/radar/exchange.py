@@ -1,7 +1,7 @@
-"""One request and its confirm: retries, packets that are dropped while waiting, and the end of the wait.
+"""One request and its confirm: retries, packets dropped while waiting, and the timeout.
 
-The client above works with commands and scans; this module handles packets that are lost, late, damaged or
-from an earlier run.
+The client works with commands and scans; this module handles packets that are lost, late, damaged or from
+an earlier run.
 """
 
 from __future__ import annotations
@@ -40,14 +40,14 @@ class Exchange:
     Args:
         link: carries the packets.
         timeout: wait for one answer, s.
-        attempts: how often a request is sent before the radar counts as silent.
+        attempts: number of times a request is sent before the radar is considered silent.
 
     Attributes:
-        statistics: counters of everything.
+        statistics: counters of the connection.
         next_id: id of the next request, u16.
-        scanning: whether a run of ours is under way, so that its fragments are kept while asking.
-        started: whether READY_INFO is a surprise.
-        early: fragments of the run that came while a confirm was waited for.
+        scanning: whether our run is in progress, so its fragments are kept during requests.
+        started: whether READY_INFO is unexpected, i.e. means a reboot.
+        early: fragments of the run that arrived while waiting for a confirm.
     """
 
     def __init__(self, link: Link, timeout: float, attempts: int) -> None:
@@ -62,11 +62,11 @@ class Exchange:
 
     @property
     def patience_s(self) -> float:
-        """Wait for an answer that queues behind fragments on a slow line, s."""
+        """Timeout for an answer that queues behind fragments on a slow line, s."""
         return self.timeout + _BACKLOG * self.link.packet_time_s
 
     def request(self, request: MessageType, **fields: Any) -> Message:
-        """The confirm of a request that does not start a run."""
+        """Send a request that does not start a run; return its confirm."""
         confirm = self.exchange(request, fields, self.patience_s)
         assert isinstance(confirm, Message)
         return confirm
@@ -74,16 +74,16 @@ class Exchange:
     def exchange(
         self, request: MessageType, fields: dict[str, Any], patience: float, attempts: int | None = None
     ) -> Message | Fragment:
-        """Sends a request until its confirm comes (requests are idempotent, so repeats carry the same id).
+        """Send a request until its confirm arrives (requests are idempotent; repeats carry the same id).
 
-        For the start of a run, the run's first fragment is returned as well as kept for the assembler.
+        If the request starts a run, the run's first fragment is returned and also kept for the assembler.
         """
         message_id, self.next_id = self.next_id, (self.next_id + 1) & 0xFFFF
         try:
             packet = encode(request, message_id, **fields)
         except ValueError as error:
             raise UsageError(
-                f"the radar cannot be sent this: {error}", "Give a value within the limits."
+                f"the request cannot be encoded: {error}", "Give a value within the limits."
             ) from error
         bytes_before, heard = self._bytes_in_vain(), 0
         starts = request is _T.CONTROL_REQUEST and fields.get("scan_count", 0) > 0
@@ -123,7 +123,7 @@ class Exchange:
         )
 
     def _bytes_in_vain(self) -> int:
-        """Number of malformed packets so far, and of bytes outside frames on a serial line."""
+        """Number of malformed packets so far, plus bytes outside frames on a serial line."""
         return self.statistics.malformed + self.link.skipped_bytes
 
     def drain(self) -> None:
@@ -160,7 +160,7 @@ class Exchange:
         return None
 
     def _refused(self, message: Message, request: MessageType, message_id: int) -> None:
-        """Raises if a message ends the wait for a confirm; late confirms of other requests are dropped."""
+        """Raise if a message ends the wait for a confirm; drop late confirms of other requests."""
         if message.type is _T.INVALID_MESSAGE_CONFIRM and message["bad_id"] == message_id:
             raise DeviceRejectedError(
                 f"the radar does not accept {request.name}: {status_text(message['status'])}",

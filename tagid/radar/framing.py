@@ -159,7 +159,7 @@ class StreamDecoder:
         return size in _SIZES.get(data[at + 4] << 8 | data[at + 5], ())
 
     def _verdict(self, at: int, size: int, quiet: bool) -> bool | None:
-        """Whether the frame at `at` counts; None if that cannot be said before more bytes arrive."""
+        """Whether the frame at `at` is valid; None if more bytes are needed to decide."""
         data = self._buffer
         end = at + _PREFIX + size + self._tail
         if len(data) < end:
@@ -170,14 +170,14 @@ class StreamDecoder:
         inner = self._inner_head(at + 1, end)
         if inner is False:
             return True
-        # A head inside, or the start of one: what follows decides.
+        # A complete or partial header inside: the following bytes decide.
         behind = self._head_at(end)
         if inner is None:
             return True if quiet or behind else None
         return True if quiet and behind is None else behind
 
     def _inner_head(self, start: int, end: int) -> bool | None:
-        """Whether a known message's frame starts in `start`..`end`; None if its head may still come."""
+        """Whether a known message's frame starts in `start`..`end`; None if its header may still arrive."""
         data = self._buffer
         at = data.find(SYNC, start, end + 1)
         while 0 <= at < end:

@@ -34,7 +34,7 @@ class Link(Protocol):
     """Whether a checksum keeps damaged packets out: UDP and UART have one, USB frames have none."""
 
     packet_time_s: float
-    """Time that the longest packet takes on the wire, s; 0 if that is nothing beside all else."""
+    """Duration of the longest packet on the link, s; 0 if negligible."""
 
     @property
     def exhausted(self) -> bool:
@@ -42,7 +42,7 @@ class Link(Protocol):
         ...
 
     def send(self, packet: bytes) -> None:
-        """Sends one packet. Raises DeviceError if the link is down."""
+        """Send one packet. Raises DeviceError if the link is down."""
         ...
 
     def receive(self, timeout: float) -> bytes | None:
@@ -50,16 +50,16 @@ class Link(Protocol):
         ...
 
     def reopen(self) -> None:
-        """Makes the link usable again after the device was gone. Raises DeviceGoneError while it is."""
+        """Make the link usable again after the device disconnected. Raises DeviceGoneError if it still is."""
         ...
 
     def close(self) -> None:
-        """Frees the link; harmless when closed already."""
+        """Release the link; has no effect if it is closed already."""
         ...
 
 
 def bind_udp(host: str, port: int) -> socket.socket:
-    """A UDP socket bound to an address; port 0 takes any free one.
+    """A UDP socket bound to an address; port 0 selects any free one.
 
     Raises PortInUseError if another program holds the port, DeviceError for an address of another machine.
     """
@@ -97,16 +97,16 @@ def resolve(host: str, port: int) -> tuple[str, int]:
 
 
 class UdpLink:
-    """UDP to one radar; packets of any other address or port are counted in `foreign` and dropped.
+    """UDP to one radar; packets from any other address or port are counted in `foreign` and dropped.
 
     Args:
         host: name or IPv4 address of the radar.
         port: the radar's UDP port.
-        local_port: port to receive on; 0 takes any free one.
+        local_port: port to receive on; 0 selects any free one.
 
     Raises:
         DeviceError: unknown host, or no network.
-        PortInUseError: `local_port` is taken.
+        PortInUseError: `local_port` is in use.
     """
 
     exhausted = False
@@ -128,7 +128,7 @@ class UdpLink:
         return int(self._socket.getsockname()[1])
 
     def send(self, packet: bytes) -> None:
-        """Sends one datagram. Raises DeviceError if the network is down."""
+        """Send one datagram. Raises DeviceError if the network is down."""
         try:
             self._socket.sendto(packet, self.address)
         except OSError as error:
@@ -138,7 +138,7 @@ class UdpLink:
             ) from error
 
     def receive(self, timeout: float) -> bytes | None:
-        """The next datagram of the radar, or None after `timeout` seconds."""
+        """The next datagram from the radar, or None after `timeout` seconds."""
         deadline = time.monotonic() + timeout
         while True:
             # A flood of foreign packets must not extend the wait beyond the deadline.
@@ -158,7 +158,7 @@ class UdpLink:
                 return None
 
     def reopen(self) -> None:
-        """Nothing to do: the port outlives the radar."""
+        """Nothing to do: a UDP socket survives a restart of the radar."""
 
     def close(self) -> None:
         """Close the port."""

@@ -298,7 +298,7 @@ def test_names_that_are_absent_or_ambiguous(board: BoardProcess) -> None:
             impostor = twin[1].device  # type: ignore[attr-defined]
             service = bytes.fromhex("11079ecadc240ee5a9e093f3a3b50100406e")
             await impostor.start_advertising(advertising_data=service + b"\x08\x09robot-7")
-            with pytest.raises(UsageError, match="2 bridges are called 'robot-7'"):
+            with pytest.raises(UsageError, match="2 bridges have the name 'robot-7'"):
                 await find("robot-7", 1.0, backends)
             assert (await find("ROBOT-7", 1.0, Backends(*twin))).address == board.address
             assert (await find(board.address, 20.0, backends)).address == board.address

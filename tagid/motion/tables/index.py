@@ -1,6 +1,6 @@
-"""A free-running table with a magnet, and a hall sensor on the bridge: one stamped pulse a turn.
+"""A free-running table with a magnet, and a Hall sensor on the bridge: one timestamped pulse per turn.
 
-`index+ble://NAME`: a pulse cannot be deceived by symmetry, and two of them are an exact turn.
+`index+ble://NAME`: a pulse is independent of the object's symmetry, and two pulses are exactly one turn.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ _LOOK_S: Final = 0.05
 _CLOCK_EVERY_S: Final = 1.0
 _LONGEST_TURN_S: Final = 300.0
 _TICK_TURNS: Final = 1 / 64
-"""Readings per turn that are filled in between two pulses, so that an angle is there for every scan."""
+"""Readings per turn interpolated between two pulses, so that every scan has an angle."""
 
 
 class IndexTable(DrivenMotion):
-    """A table that runs by itself and tells each full turn.
+    """A free-running table that reports each full turn.
 
     Args:
-        address: of the bridge.
+        address: address of the bridge.
         direction: +1 counter-clockwise from above, -1 clockwise.
         nominal_s: seconds per turn, for the progress line.
     """
@@ -40,7 +40,7 @@ class IndexTable(DrivenMotion):
     moves = False
 
     def __init__(self, address: BleAddress, direction: int, nominal_s: float, turns: float | None) -> None:
-        # Two pulses are a full turn, exactly; the scans around them continue at its speed.
+        # Two pulses are exactly one turn; the angle outside them continues at the same speed.
         super().__init__(f"the index sensor at {address.target}", direction, nominal_s, 0.001, turns or 1.0)
         self._open_link: Callable[[], BridgeLink] = lambda: BridgeLink(address, self._event)
         self._link: BridgeLink | None = None
@@ -66,7 +66,7 @@ class IndexTable(DrivenMotion):
         self._fit_clock()
 
     def _fit_clock(self) -> None:
-        """Bridge time against host time, from the shortest round trip so far."""
+        """Bridge time versus host time, from the shortest round trip so far."""
         assert self._link is not None
         asked = hostclock.now_ns()
         (uptime_us,) = struct.unpack("<Q", self._link.request(Op.TIME)[:8])
@@ -90,7 +90,7 @@ class IndexTable(DrivenMotion):
         if not pulses:
             if time.monotonic() - self._heard > _LONGEST_TURN_S:
                 raise DeviceRejectedError(
-                    f"{self.name} gave no pulse for {_LONGEST_TURN_S:.0f} s",
+                    f"{self.name} sent no pulse for {_LONGEST_TURN_S:.0f} s",
                     "Check that the table turns and the magnet passes the sensor within millimetres.",
                 )
             return []
@@ -113,14 +113,14 @@ class IndexTable(DrivenMotion):
         ]
 
     def _halt(self) -> None:
-        """Nothing moves on command."""
+        """Does nothing: the table is not commanded."""
 
     def halt_now(self) -> None:
         """Not possible. Raises DeviceRejectedError."""
         raise DeviceRejectedError(f"{self.name} cannot stop its table", "Switch the table off.")
 
     def describe(self) -> dict[str, Any]:
-        """What the bridge says of itself."""
+        """Information and status of the bridge."""
         try:
             self._link = self._open_link()
             info = self._link.bridge.info

@@ -1,6 +1,6 @@
-"""How much a local UDP receiver has not read yet, so that an emulator without a clock does not overrun it.
+"""The fill level of a local UDP receiver's queue, so that an emulator without a clock does not overrun it.
 
-UDP itself has no back-pressure; on loopback, Linux shows the receiver's queue in /proc/net/udp.
+UDP has no back-pressure; on loopback, Linux shows the receiver's queue in /proc/net/udp.
 """
 
 from __future__ import annotations
