@@ -285,7 +285,7 @@ class _Reader:
         tilt, terms = 0 * wide.tilt + THROUGH.tilt, 0 * wide.terms + THROUGH.terms
         begun = replace(wide, at=at, tilt=tilt, terms=terms).some(small)
         through, more = self.fitter.fitted(begun, 6)
-        return [*rows, *rows, *(rows[i] for i in small)], joined([batch, through]), np.append(left, more)
+        return [*rows, *rows, *(rows[int(i)] for i in small)], joined([batch, through]), np.append(left, more)
 
     def _explained(self, left: float) -> float:
         """Share of what the body leaves of the coarse spectra, above noise, that an arrangement explains."""
