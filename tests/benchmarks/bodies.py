@@ -232,6 +232,8 @@ def fullwave(run: Run, number: int) -> list[str]:
     wrong = sum(a.outcome == "wrong" for a in own)
     lines = ["Named rightly, blind (95 % interval):", "", *table(own, "correct")]
     lines += [f"Named wrongly: {cell(wrong, len(own))}. Refusals: {reasons(own)}.", ""]
+    if len(own) < len(grid) * len(tagged()):
+        lines += [f"{len(own)} of {len(grid) * len(tagged())} scenes were read in the time allowed.", ""]
     for answer in own:
         if answer.outcome != "correct" and run.development:
             lines += [f"    {answer.scene} | {answer.column} | {answer.outcome} | {answer.reason}"]
@@ -249,6 +251,8 @@ def foreign(run: Run, number: int) -> list[str]:
     fixed = answered([Task("unnamed", (i, *g)) for i in range(len(unnamed())) for g in grid], run)
     first = DRAWN_FROM[run.development]
     random = answered([Task("drawn", (first + i,)) for i in range(number)], run)
+    if not fixed and not random:
+        return ["No scene was read in the time allowed."]
     lines = [named([*fixed, *random]), "", *table(fixed, "refused"), *table(random, "refused")]
     lines += [f"Drawn scenes: numbers {first} to {first + len(random) - 1}.", ""] if random else []
     lines += [f"    {a.group} | {a.scene} | {a.kind}" for a in (*fixed, *random) if a.outcome == "wrong"]

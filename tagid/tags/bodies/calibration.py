@@ -97,11 +97,13 @@ class Calibration:
         population: what it is, in words.
         strata: they do not overlap.
         seeds: [first, last) of the population's seeds.
+        terms: most terms of the reflectors' pattern with which layouts were read.
     """
 
     population: str
     strata: tuple[Stratum, ...]
     seeds: tuple[tuple[int, int], ...]
+    terms: int = 5
 
     @classmethod
     @cache
@@ -131,7 +133,7 @@ class Calibration:
                 for one in data["strata"]
             )
             seeds = tuple((int(a), int(b)) for a, b in data["seeds"])
-            return cls(str(data["population"]), strata, seeds)
+            return cls(str(data["population"]), strata, seeds, int(data["terms"]))
         except (ValueError, KeyError, TypeError, IndexError) as error:
             raise ModelError(f"the reader's calibration is damaged: {error}", "Reinstall tagid.") from None
 
@@ -152,6 +154,7 @@ class Calibration:
             "format_version": FORMAT_VERSION,
             "population": self.population,
             "seeds": [list(pair) for pair in self.seeds],
+            "terms": self.terms,
             "strata": rows,
         }
         return json.dumps(data, indent=1) + "\n"

@@ -236,7 +236,18 @@ class _Reader:
                 own[row.role] = place
         ranked = sorted(own.values(), key=lambda p: p.charged)
         ranked[0] = self._polished(ranked[0], free, per_term)
+        free.append(self._freed(ranked[0], per_term))
         return self._compared(sorted(ranked, key=lambda p: p.charged), free, others)
+
+    def _freed(self, best: Placed, per_term: float) -> Placed:
+        """The best layout's reflectors with all angles free, from where the layout lies."""
+        count = int(best.batch.present[0].sum())
+        unit = np.eye(best.batch.at.shape[1])
+        moves = [unit[2]]
+        moves += list(unit[[0, 1, 3, 4, 5]]) if self.body.turns else [unit[0] + unit[3], unit[1] + unit[4]]
+        moves += list(unit[COMMON : COMMON + count])
+        batch, left = self.fitter.fitted(replace(best.batch, moves=np.array(moves)[None]), 5)
+        return Placed(batch, float(left[0]), float(left[0] + per_term * (best.batch.terms[0] - 1)), None)
 
     def _polished(self, best: Placed, free: Sequence[Placed], per_term: float) -> Placed:
         """The best layout, fitted again from where as many reflectors with free angles came to lie."""
@@ -285,7 +296,7 @@ class _Reader:
         tilt, terms = 0 * wide.tilt + THROUGH.tilt, 0 * wide.terms + THROUGH.terms
         begun = replace(wide, at=at, tilt=tilt, terms=terms).some(small)
         through, more = self.fitter.fitted(begun, 6)
-        return [*rows, *rows, *(rows[i] for i in small)], joined([batch, through]), np.append(left, more)
+        return [*rows, *rows, *(rows[int(i)] for i in small)], joined([batch, through]), np.append(left, more)
 
     def _explained(self, left: float) -> float:
         """Share of what the body leaves of the coarse spectra, above noise, that an arrangement explains."""

@@ -295,7 +295,8 @@ class Fitter:
         longer = along * (plane / cols.distance)[:, None]
         g = solved.amplitudes[:, :, 1:, None, None]
         c = cols.cosine[:, None]
-        pattern, steeper = g[:, :, 0] + 0 * c, 0 * c
+        pattern = g[:, :, 0] + 0 * c
+        steeper = np.zeros_like(pattern)
         # cos(p psi) and its derivative with cos(psi), by Chebyshev's recurrence.
         before, value = np.ones_like(c), c
         lower, rise = np.zeros_like(c), np.ones_like(c)

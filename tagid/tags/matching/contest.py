@@ -27,6 +27,9 @@ from tagid.tags.matching.reading import Reading
 from tagid.tags.reading.reflectors import Reflector
 from tagid.tags.verdicts.verdict import Code, Verdict
 
+LOOSEST = 1e-3
+"""False-accept probability down to which the tests of the decision are taken for enough where nothing was
+calibrated; a smaller one is asked for by those who need a bound."""
 EXPLAINED_OBJECTS = 3
 """Enrolled objects reported among the hypotheses, the best ones."""
 
@@ -48,6 +51,8 @@ class ContestSettings:
             full-wave tags reach 0.3, tags on full-wave cans have 0.64 or more.
         false_accept: probability of naming an object of the calibration's population.
         calibrated: by which; None for the package's own.
+        unbounded: whether a tag whose reflectors need more pattern terms than the calibration's is named,
+            without a bound, where false_accept is not under `LOOSEST`.
         better: a hypothesis that leaves so many times less contradicts one that names another layout.
         objects: tests on enrolled objects.
     """
@@ -63,6 +68,7 @@ class ContestSettings:
     objects: ObjectDecision = field(default_factory=ObjectDecision)
     false_accept: float = 1e-3
     calibrated: Calibration | None = None
+    unbounded: bool = True
 
     def calibration(self) -> Calibration:
         """The calibration in force. Raises ModelError where the package's file is damaged."""
@@ -334,14 +340,27 @@ def _clearer(
     return replace(below, body_left=min(reading.body_left, below.body_left))
 
 
-def _bound(reading: BodyReading, settings: ContestSettings) -> Bound:
+def _bound(reading: BodyReading, settings: ContestSettings) -> Bound | None:
+    """What is promised for a name on a body; None where such readings were not calibrated."""
+    if int(reading.layouts[0].batch.terms[0]) > settings.calibration().terms:
+        return None
     evidence, views = score(reading, settings.decision), reading.views
     return settings.calibration().bound(evidence, views, tag_snr_db(reading), settings.false_accept)
 
 
 def _calibrated(reading: BodyReading, verdict: Verdict, settings: ContestSettings) -> Verdict:
     """The verdict, taken back where objects without the tag were as convincing."""
-    kept = _kept(_bound(reading, settings))
+    bound = _bound(reading, settings)
+    if bound is None:
+        if settings.unbounded and settings.false_accept >= LOOSEST * (1 - 1e-9):
+            return verdict
+        return Verdict(
+            "unknown",
+            Code.UNCALIBRATED,
+            f"no calibration objects were read on a body that the wave passes through: a false-accept "
+            f"probability of {settings.false_accept:g} is not borne out",
+        )
+    kept = _kept(bound)
     return verdict if kept.status == "identified" else kept
 
 
@@ -442,7 +461,7 @@ def _explanations(readings: Sequence[tuple[BodyReading, Verdict]]) -> list[Expla
     return found
 
 
-def _on_body(bare: Reading, reading: BodyReading, layouts: Sequence[Layout], bound: Bound) -> Reading:
+def _on_body(bare: Reading, reading: BodyReading, layouts: Sequence[Layout], bound: Bound | None) -> Reading:
     """The reading that a layout on a body won."""
     best = reading.layouts[0]
     layout = next(one for one in layouts if one.name == best.layout)
