@@ -413,7 +413,8 @@ def page(results: list[Result]) -> str:
     lines = [
         "# Mutation tests",
         "",
-        "- Command: `python tests/benchmarks/mutants.py --page docs/results/mutants.md`",
+        "- Command: `python tests/benchmarks/mutants.py --page docs/results/mutants.md`; `--sample` where",
+        "  fewer changes were tried than there are places",
         f"- Commit: {all_of(one.commit for one in results)}",
         f"- Machine: {platform.machine()}, {os.cpu_count()} cores, {python}",
         f"- Date: {all_of(one.date for one in results)}",
