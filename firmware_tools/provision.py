@@ -101,7 +101,7 @@ def provision(
     if changed:
         board.remove("main.py")
     # Computers that paired with an old pass-key must pair again with the new one. Their bonds are removed
-    # before it is written, so that no power cut leaves a board with both; old attempts still count.
+    # first, so that no power cut leaves a board with both; the counted attempts are those of the old one.
     if old is None or old.get("passkey") != config["passkey"]:
         board.remove(BONDS)
         board.remove(TRIES)

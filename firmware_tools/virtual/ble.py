@@ -181,7 +181,7 @@ class VirtualBle:
 
     def gap_advertise(self, interval_us: int, data: bytes, *, resp_data: bytes) -> None:
         self._call(self._air.set_scan_response, self._device.random_address, resp_data)
-        # Faster than the firmware requests, to shorten tests; a board is limited by its power budget.
+        # Faster than the firmware requests, to shorten tests; on a board the rate depends on the power.
         start = self._device.start_advertising(
             advertising_data=data,
             scan_response_data=resp_data,
@@ -278,7 +278,7 @@ class VirtualBle:
         self._event(_DISCONNECT, (connection.handle, 1, address))
 
     def _encrypted(self, connection: Connection) -> None:
-        """Bumble calls every encrypted link authenticated; only one with a pass-key or its stored key is."""
+        """Bumble calls every encrypted link authenticated; only one with a pass-key, or its key, is."""
         session = self._device.smp_manager.sessions.get(connection.handle)
         if session is not None and not session.completed:
             self._now(connection, session.pairing_method != smp.PairingMethod.JUST_WORKS)

@@ -1,7 +1,7 @@
-"""The delay of cables and antennas, from the echo of a target at a taped distance, and the empty scene.
+"""The delay of cables and antennas, from the echo of a target at a measured distance, and the empty scene.
 
-Imaging takes ranges for true to a centimetre, while ten nanoseconds of cable are a metre and a half; so the
-delay is measured with the very pulse and the very peak that imaging means, and comes with its uncertainty.
+Imaging requires ranges correct to a centimetre, while ten nanoseconds of cable are 1.5 m; so the delay is
+measured with the same pulse and peak definition as imaging, and reported with its uncertainty.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ from tagid.signal import from_positive, positive_spectrum, vertex
 from tagid.waveform import nominal_pulse, pulse_at
 
 LONGEST_DELAY_PS = 25_000.0
-"""Longer delays are not looked for: 10 to 13 ns are met, a metre more of cable to each antenna adds 10."""
+"""Longest delay searched: 10 to 13 ns are typical; one metre more cable per antenna adds 10 ns."""
 
 EDGE_PS = 3_000.0
-"""Window kept beyond the times that are searched, so that no echo stands on the edge."""
+"""Margin of the window beyond the searched times, so that no echo lies at its edge."""
 
 _MOST_SCANS = 5000
 _FINER = 16
 _BLOCKS = 8
 _LEAST_SNR_DB = 10.0
 _APART_PS = 1_200.0
-"""A pulse is 0.7 to 1.14 ns wide (measured); two maxima further apart than that are two echoes."""
+"""A pulse is 0.7 to 1.14 ns wide (measured); two maxima further apart than this are two echoes."""
 _SIMILAR = 0.5
 
 
@@ -44,12 +44,12 @@ class DelayEstimate:
 
     Attributes:
         delay_ps: the delay, ps; goes into `radar.cable_delay_ps`.
-        sigma_ps: its standard deviation, ps: the parts below, added in squares.
+        sigma_ps: its standard deviation, ps: root sum of squares of the parts below.
         echo_ps: two-way time of the echo's peak on the radar's clock, ps.
         snr_db: power of the echo over the noise in the mean of all scans, dB.
-        tape_ps: what the tape's error makes of it, ps.
+        tape_ps: contribution of the error of the measured distance, ps.
         noise_ps: scatter between parts of the recording, ps.
-        shape_ps: what the matched filter moves the echo's peak by: the pulse is not the nominal one.
+        shape_ps: shift of the peak by the matched filter, because the pulse is not the nominal one.
     """
 
     delay_ps: float
@@ -68,25 +68,25 @@ def estimate_delay(
     empty: NDArray[np.float64] | None = None,
     longest_ps: float = LONGEST_DELAY_PS,
 ) -> DelayEstimate:
-    """The delay from scans of a target at rest: echo time less 2 d / c.
+    """The delay from scans of a static target: echo time less 2 d / c.
 
     The scans are averaged, the empty scene is subtracted, and the peak of the envelope behind a filter
     matched to the nominal pulse is found between delay 0 and `longest_ps`.
 
     Args:
         target: (views, bins) raw samples, ranges without delay correction.
-        distance_m: taped from the antennas to the target's reflecting point, m.
-        tape_error_m: standard deviation of that, m.
+        distance_m: measured from the antennas to the target's reflecting point, m.
+        tape_error_m: standard deviation of the distance, m.
         empty: (bins,) mean scan without the target on the same grid, counts; None if there is none.
-        longest_ps: longest delay looked for, ps.
+        longest_ps: longest delay searched, ps.
 
     Raises:
-        UsageError: the distance or its error make no sense.
-        DataError: too few scans, no echo stands out, two do, or the echo is clipped.
+        UsageError: the distance or its error are out of range.
+        DataError: too few scans, no distinct echo, two of them, or a clipped echo.
     """
     if not (0.1 <= distance_m <= 100 and 0 <= tape_error_m <= 1):
         raise UsageError(
-            f"the target is taped at {distance_m} m, give or take {tape_error_m} m",
+            f"the target distance is {distance_m} m, its error {tape_error_m} m",
             "Give 0.1 to 100 m, and an error of at most 1 m.",
         )
     scans = usable(target)
@@ -100,7 +100,7 @@ def estimate_delay(
     if high - low < 4 * _FINER:
         raise DataError(
             f"the scans do not reach the target's echo at {air_ps / 1e3:.1f} ns or later",
-            "Record a later window: `tagid radar calibrate` chooses one itself.",
+            "Record a later window: `tagid radar calibrate` chooses one automatically.",
         )
     background = np.zeros(target.bins) if empty is None else empty
     raw, matched = _envelopes(scans.mean(axis=0) - background, step_ps * 1e-12)
@@ -117,7 +117,7 @@ def estimate_delay(
     noise_ps = float(np.std(parts, ddof=1)) / math.sqrt(_BLOCKS) * to_ps
     shape_ps = abs(_peak(raw, *around) - peak) * to_ps
     tape_ps = 2e12 * tape_error_m / SPEED_OF_LIGHT
-    # The radar reports its window in whole ps and starts it on a grid of 1.9 ps.
+    # The radar reports its window in whole ps; the window starts on a grid of 1.9 ps.
     grid_ps = BIN_PS / math.sqrt(12)
     echo_ps = start_ps + peak * to_ps
     sigma = math.sqrt(tape_ps**2 + noise_ps**2 + shape_ps**2 + grid_ps**2)
@@ -130,12 +130,12 @@ def usable(capture: Capture) -> NDArray[np.float64]:
     if capture.flags is not None and len(samples) > 1:
         samples = samples[(capture.flags & ViewFlag.FIRST) == 0]
     if np.iscomplexobj(samples):
-        raise DataError("complex samples cannot be calibrated with", "Use what the radar sends.")
+        raise DataError("complex samples cannot be used for calibration", "Use the radar's raw scans.")
     return np.asarray(samples, dtype=np.float64)
 
 
 def make_reference(empty: Capture) -> Capture:
-    """The empty scene as it is kept: the recording, with its noise and mean power in `radar.reference`.
+    """The empty scene as stored: the recording, with its noise and mean power in `radar.reference`.
 
     Raises DataError for fewer than 16 scans.
     """
@@ -150,10 +150,10 @@ def make_reference(empty: Capture) -> Capture:
 def reference_on(reference: Capture, capture: Capture) -> NDArray[np.float64]:
     """(bins,) mean scan of the empty scene on the ranges of a capture, counts.
 
-    The two windows may differ by any part of a sample: the mean is brought to a 16 times finer step by the
-    Fourier transform and interpolated linearly there. Integration scales it by 2^PII.
+    The two windows may differ by a fraction of a sample: the mean is resampled to a 16 times finer step by
+    Fourier transform and interpolated linearly. It is scaled by 2^PII for the integration.
 
-    Raises DataError if the reference does not cover the capture or was taken with other settings.
+    Raises DataError if the reference does not cover the capture or was recorded with other settings.
     """
     here, there = capture.radar.config or RadarSettings(), reference.radar.config or RadarSettings()
     for name in ("transmit_gain", "antenna_mode", "code_channel"):
@@ -169,7 +169,7 @@ def reference_on(reference: Capture, capture: Capture) -> NDArray[np.float64]:
     if at[0] < -0.5 or at[-1] > reference.bins - 0.5:
         raise DataError(
             "the background reference does not cover the window of these scans",
-            "Take it again with `tagid radar calibrate --step empty`.",
+            "Record it again with `tagid radar calibrate --step empty`.",
         )
     mean = usable(reference).mean(axis=0)
     fine = np.fft.irfft(np.fft.rfft(np.concatenate([mean, mean[::-1]])), 2 * len(mean) * _FINER) * _FINER
@@ -179,9 +179,9 @@ def reference_on(reference: Capture, capture: Capture) -> NDArray[np.float64]:
 
 
 def without_background(capture: Capture, reference: Capture) -> Capture:
-    """The capture with the empty scene subtracted, float32; raises as `reference_on`.
+    """The capture with the empty scene subtracted, float32; raises the errors of `reference_on`.
 
-    Unlike the mean over the angles it leaves what the object itself sends back evenly all around.
+    Unlike subtracting the mean over the angles, this keeps the rotationally symmetric echo of the object.
     """
     if np.iscomplexobj(capture.samples):
         raise DataError("complex samples have no background reference", "Use --background mean.")
@@ -191,7 +191,7 @@ def without_background(capture: Capture, reference: Capture) -> Capture:
 
 
 def calibration_window(distances_m: Sequence[float], longest_ps: float, base: RadarConfig) -> RadarConfig:
-    """The settings whose window holds the echoes from all these distances, whatever the delay is."""
+    """The settings whose window contains the echoes from all these distances, for any delay."""
     times = [2e12 * distance / SPEED_OF_LIGHT for distance in distances_m]
     start = max(round(min(times) - EDGE_PS), 0)
     stop = round(max(times) + longest_ps + EDGE_PS)
@@ -201,17 +201,17 @@ def calibration_window(distances_m: Sequence[float], longest_ps: float, base: Ra
 def take_scans(radar: P440, count: int, progress: Callable[[int], None] = lambda done: None) -> Capture:
     """A capture of `count` scans with the radar's settings, without a delay correction, in memory.
 
-    Raises UsageError for more than 5000 scans, DataError if none arrives, DeviceError and its kinds.
+    Raises UsageError for more than 5000 scans, DataError if none arrives, DeviceError and its subclasses.
     """
     if not 2 * _BLOCKS <= count <= _MOST_SCANS:
-        raise UsageError(f"{count} scans are asked for", f"Give {2 * _BLOCKS} to {_MOST_SCANS}.")
+        raise UsageError(f"{count} scans are requested", f"Give {2 * _BLOCKS} to {_MOST_SCANS}.")
     config, status = radar.config, radar.status()
     scans = []
     for scan in radar.scans(count):
         scans.append(scan)
         progress(len(scans))
     if not scans:
-        raise DataError("no complete scan arrived", "Look at the radar with `tagid radar monitor`.")
+        raise DataError("no complete scan arrived", "Check the radar with `tagid radar monitor`.")
     return Capture(
         np.stack([scan.samples for scan in scans]),
         config.range_start_m(),
@@ -225,7 +225,7 @@ def take_scans(radar: P440, count: int, progress: Callable[[int], None] = lambda
 
 
 def _envelopes(scan: NDArray[np.float64], step_s: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(bins * 16,) plain envelope, and envelope after a filter matched to the nominal pulse."""
+    """(bins * 16,) envelope, and envelope after a filter matched to the nominal pulse."""
     bins = len(scan)
     length = 1 << (2 * bins - 1).bit_length()
     half = length // 2
@@ -250,7 +250,7 @@ class _Found:
     """The strongest echo of an envelope.
 
     Attributes:
-        low, high: first and last index that were searched.
+        low, high: first and last index of the search interval.
         peak: index of the peak, between samples.
         start_ps, step_ps: two-way time of the first bin and step of the bins, `_FINER` indices each, ps.
     """
@@ -269,13 +269,13 @@ class _Found:
 def _check_echo(
     target: Capture, scans: NDArray[np.float64], matched: NDArray[np.float64], found: _Found
 ) -> float:
-    """SNR of the echo, dB; DataError if there is none, if it is not the only one, or if it is clipped."""
+    """SNR of the echo, dB; DataError if there is none, more than one, or a clipped one."""
     low, high, peak, step_ps = found.low, found.high, found.peak, found.step_ps
     near = round(_APART_PS / step_ps * _FINER)
     away = np.ones(len(matched), dtype=bool)
     away[max(0, round(peak) - 2 * near) : round(peak) + 2 * near + 1] = False
     height = float(matched[round(peak)])
-    # Of white noise of variance s^2 the filter leaves 4 s^2 sum |p|^2, as negative frequencies are folded.
+    # For white noise of variance s^2 the filter output is 4 s^2 sum |p|^2 (negative frequencies are folded).
     offset = np.arange(-200, 201) * step_ps * 1e-12
     energy = float((np.abs(pulse_at(nominal_pulse(), offset)) ** 2).sum())
     floor = 4 * energy * (float(scans.var(axis=0, ddof=1).mean()) + 1 / 12) / len(scans)
@@ -285,7 +285,7 @@ def _check_echo(
     if snr_db < _LEAST_SNR_DB or not low < peak < high:
         raise DataError(
             f"no echo of a target stands out ({snr_db:.1f} dB over the rest)",
-            "Use a larger reflector, point both antennas at it, and check the taped distance.",
+            "Use a larger reflector, point both antennas at it, and check the measured distance.",
         )
     rivals = matched.copy()
     rivals[max(0, round(peak) - near) : round(peak) + near + 1] = 0
@@ -302,7 +302,7 @@ def _check_echo(
     if clip is not None and np.abs(gate).max() >= clip:
         raise DataError(
             "the target's echo is clipped, its peak cannot be found",
-            "Lower the gain (`tagid config set radar.gain`), or use a smaller or further reflector.",
+            "Lower the gain (`tagid config set radar.gain`), or use a smaller or more distant reflector.",
         )
     return snr_db
 

@@ -1,6 +1,6 @@
-"""What a recording looks like along range, along slow time and along frequency: plain arrays, not yet drawn.
+"""Curves of a recording over range, slow time and frequency, as plain arrays.
 
-The drawing and the summary of a recording take the same numbers from here.
+Plots and summary of a recording use the same numbers.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ from tagid.capture import Capture
 from tagid.constants import SPEED_OF_LIGHT
 from tagid.signal import analytic
 
-# Views transformed at once, which bounds the memory of a long recording.
+# Views transformed at once; limits the memory for a long recording.
 _CHUNK = 256
 
 TIME_LABEL = "time (s)"
 
 
 def slow_time(capture: Capture) -> tuple[NDArray[np.float64], str]:
-    """(views,) slow time of every view and what it is: seconds since the first, or the view's number.
+    """(views,) slow time of every view and its meaning: seconds since the first, or the view's number.
 
     Seconds come from the radar's clock, else from the host's; a clock that runs backwards is not used.
     """
@@ -42,9 +42,9 @@ class RecordingCurves:
         range_m: (bins,) one-way range, m.
         mean_envelope: (bins,) mean over the views of the envelope, counts.
         max_envelope: (bins,) largest envelope of any view, counts.
-        changing_envelope: (bins,) mean envelope of what is left without the mean scan, counts.
-        envelope: (views, bins) float32, counts; without the mean scan where that was asked for.
-        frequency_hz: (n,) frequencies from 0 to half the sampling rate, to all of it for complex samples.
+        changing_envelope: (bins,) mean envelope of the scans less the mean scan, counts.
+        envelope: (views, bins) float32, counts; less the mean scan if requested.
+        frequency_hz: (n,) frequencies from 0 to half the sampling rate (the full rate for complex samples).
         spectrum: (n,) root mean square over the views of the spectrum's magnitude, arbitrary unit.
     """
 
@@ -60,7 +60,7 @@ class RecordingCurves:
     def of(cls, capture: Capture, *, changing_only: bool = False) -> RecordingCurves:
         """The curves of a capture; the sampling rate is c / (2 range_step), as range is one way.
 
-        `changing_only` takes the mean scan (leakage, room) off `envelope`, which leaves what moves or turns.
+        `changing_only` subtracts the mean scan (leakage, room) from `envelope`; only moving echoes remain.
         """
         signal = analytic(capture.samples)
         envelope = np.abs(signal)

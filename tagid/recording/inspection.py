@@ -1,6 +1,6 @@
-"""Statistics of a recording: is it strong enough, unclipped and complete, and does the object turn?
+"""Statistics of a recording: SNR, clipping, completeness, and rotation of the object.
 
-`tagid show` prints them, and bug reports quote them, so every figure says how it was obtained.
+`tagid show` prints them and bug reports quote them, so each figure's definition is documented here.
 """
 
 from __future__ import annotations
@@ -20,20 +20,20 @@ from tagid.recording.curves import TIME_LABEL, slow_time
 from tagid.signal import analytic, vertex
 
 MOST_BYTES = 64 << 20
-"""Samples that are inspected or drawn at a time, bytes; of longer recordings every n-th view is taken."""
+"""Samples inspected or plotted at a time, bytes; of longer recordings every n-th view is used."""
 _BLOCK_BINS = 16
 _GATE_BINS = 64
 
 
 @dataclass(frozen=True, eq=False)
 class StrongReturn:
-    """The strongest return and how still it stands.
+    """The strongest return and its stability.
 
     Attributes:
         bin: range bin of its peak in the mean envelope.
         range_m: one-way range of that bin, m.
-        bins: (views,) float64 bin at which each view shows it, fractions of a bin included.
-        coherence: 0..1, power of the mean scan over the scans' mean power around the return; 1 is at rest.
+        bins: (views,) float64 fractional bin of its peak in each view.
+        coherence: 0..1, power of the mean scan over the scans' mean power around the return; 1 is static.
     """
 
     bin: int
@@ -49,23 +49,23 @@ class StrongReturn:
 
 @dataclass(frozen=True, eq=False)
 class RecordingSummary:
-    """What is worth knowing of a recording before using it.
+    """Summary of a recording.
 
     Attributes:
         views, bins: size of the recording.
         range_from_m, range_to_m: one-way range of the first and last bin, m.
-        noise: standard deviation of the noise of one sample, counts; None if one view alone is there.
+        noise: standard deviation of the noise of one sample, counts; None for a single view.
         snr_db: power of the strongest return over the noise's in one view, dB; None if there is no return.
-        changing_snr_db: the same for what is left without the mean scan: what moves or turns.
-        changing_range_m: one-way range at which most changes, m; None with `changing_snr_db`.
+        changing_snr_db: the same for the scans less the mean scan: moving or rotating echoes.
+        changing_range_m: one-way range with the largest change, m; None with `changing_snr_db`.
         clipped_fraction: saturated samples over all samples; None if the limit is not known.
-        lost_scans: scans missing between the first and the last; None where scans are not numbered.
-        scan_rate_hz: scans a second; None if there is no clock.
+        lost_scans: scans missing between the first and the last; None if scans are not numbered.
+        scan_rate_hz: scans per second; None if there is no clock.
         duration_s: from the first view to the last, s; None if there is no clock.
-        period_s, period_sigma_s: seconds a turn and their standard deviation; None if none was found.
-        period_note: why there is no period, or what is doubtful about it; empty otherwise.
+        period_s, period_sigma_s: seconds per turn and their standard deviation; None if none was found.
+        period_note: why there is no period, or why it is uncertain; empty otherwise.
         strongest: the strongest return; None if all samples are zero.
-        every: noise, SNR, period and strongest return are from every so-manieth view; 1 is all of them.
+        every: noise, SNR, period and strongest return use every n-th view; 1 is all of them.
     """
 
     views: int
@@ -88,7 +88,7 @@ class RecordingSummary:
 
     @property
     def changes(self) -> bool:
-        """Whether something moves or turns, as far as the noise lets it be seen."""
+        """Whether an echo moves or rotates, as far as the noise permits detection."""
         return self.changing_snr_db is not None
 
 
@@ -97,8 +97,8 @@ class Turning:
     """A period of rotation, or why there is none.
 
     Attributes:
-        period_s, sigma_s: seconds a turn and their standard deviation; None if none was found.
-        note: why there is none, or what is doubtful about it; empty otherwise.
+        period_s, sigma_s: seconds per turn and their standard deviation; None if none was found.
+        note: why there is none, or why it is uncertain; empty otherwise.
     """
 
     period_s: float | None = None
@@ -110,7 +110,7 @@ NO_CHANGE = Turning(note="nothing changes from scan to scan beyond the noise")
 
 
 def inspect(capture: Capture) -> RecordingSummary:
-    """The summary of a capture; a figure that its data cannot give is None, never a guess."""
+    """The summary of a capture; a figure that cannot be computed from its data is None."""
     some, every = thinned(capture)
     signal = analytic(some.samples)
     noise_power = noise_power_of(signal)
@@ -119,7 +119,7 @@ def inspect(capture: Capture) -> RecordingSummary:
     rate, duration = scan_rate(capture)
     turning = turning_period(some) if changing_snr is not None else NO_CHANGE
     ranges = capture.ranges_m
-    # Of a real sample's analytic noise power, half is the sample's own.
+    # Half of a real sample's analytic noise power is the sample's own.
     own = 1.0 if np.iscomplexobj(capture.samples) else 0.5
     return RecordingSummary(
         views=capture.views,
@@ -145,9 +145,9 @@ def inspect(capture: Capture) -> RecordingSummary:
 def noise_power_of(signal: NDArray[np.complex64]) -> float | None:
     """Noise power of one analytic sample, (views, bins) -> counts^2; None for a single view.
 
-    Second differences over slow time cancel what rests and what drifts evenly, and multiply the power of
-    white noise by 6 (first differences, with two views: by 2). What turns survives them where it is strong;
-    so the power is taken in blocks of 16 bins, and the lower quartile of the blocks is given.
+    Second differences over slow time cancel static and linearly drifting echoes, and multiply the power of
+    white noise by 6 (first differences, with two views: by 2). Strong rotating echoes remain, so the power is
+    estimated in blocks of 16 bins, and the lower quartile of the blocks is returned.
     """
     views, bins = signal.shape
     if views < 2:
@@ -157,19 +157,19 @@ def noise_power_of(signal: NDArray[np.complex64]) -> float | None:
     starts = np.arange(0, max(bins - _BLOCK_BINS + 1, 1), _BLOCK_BINS)
     widths = np.diff(np.append(starts, bins))
     blocks = np.add.reduceat(power, starts) / widths
-    # At the edges of the window the analytic signal has less noise.
+    # The analytic signal has less noise at the edges of the window.
     return float(np.percentile(blocks[1:-1] if len(blocks) > 4 else blocks, 25))
 
 
 def signal_to_noise_db(
     signal: NDArray[np.complex64], noise_power: float | None
 ) -> tuple[float | None, int | None]:
-    """(dB, bin) of the largest mean power of a range bin, less the noise's, over the noise power of one view.
+    """(dB, bin) of the range bin with the most mean power, less the noise power, over that of one view.
 
     For real samples this is A^2 / (2 sigma^2), A the envelope's peak and sigma the noise of a sample.
-    (None, None) without noise to compare with or where nothing exceeds it by six standard errors of the mean
-    noise power: the lower quartile is 2 to 3 % low, so of some hundred bins noise alone brings one over five
-    in about one recording of 150.
+    (None, None) without a noise estimate, or if no bin exceeds it by six standard errors of the mean noise
+    power: the lower quartile is 2 to 3 % low, so among some hundred bins noise alone exceeds five in about
+    one recording of 150.
     """
     if not noise_power:
         return None, None
@@ -180,10 +180,10 @@ def signal_to_noise_db(
 
 
 def clipped_fraction(capture: Capture) -> float | None:
-    """Fraction of samples at saturation: 127 * 2^PII counts where the integration index PII is recorded.
+    """Fraction of samples at saturation: 127 * 2^PII counts if the integration index PII is recorded.
 
-    Without it, whole-number samples count as clipped at their exact extremes, where more than one sample has
-    that value (a lone maximum is no clipping). None for complex samples, and for floating-point samples
+    Otherwise integer samples count as clipped at their extreme values if more than one sample has that
+    value (a single maximum is not clipping). None for complex samples, and for floating-point samples
     without an index.
     """
     samples = capture.samples
@@ -202,10 +202,10 @@ def clipped_fraction(capture: Capture) -> float | None:
 
 
 def lost_scans(capture: Capture) -> int | None:
-    """Lost scans: gaps of the scan numbers, or what the recorder or importer counted where that is more.
+    """Lost scans: gaps in the scan numbers, or the count of the recorder or importer if that is larger.
 
-    The recorder's count includes scans lost before the first and after the last; of one part of a long
-    recording it is that of the whole, so there the gaps decide.
+    The recorder's count includes scans lost before the first and after the last one. For one part of a long
+    recording it is the count of the whole recording, so only the gaps are used.
     """
     gaps = None
     if capture.scan_id is not None and capture.views > 1:
@@ -220,18 +220,18 @@ def lost_scans(capture: Capture) -> int | None:
 
 
 def thinned(capture: Capture, most_bytes: int = MOST_BYTES) -> tuple[Capture, int]:
-    """(capture of every n-th view, n) whose samples take at most `most_bytes`; n is 1 where all fit.
+    """(capture of every n-th view, n) whose samples take at most `most_bytes`; n is 1 if all fit.
 
-    What draws or inspects a recording needs several times its samples in memory.
+    Plotting or inspecting a recording needs several times the memory of its samples.
     """
     every = max(1, -(-capture.samples.nbytes // most_bytes))
     return (capture, 1) if every == 1 else (capture.select(slice(None, None, every)), every)
 
 
 def scan_rate(capture: Capture) -> tuple[float | None, float | None]:
-    """(scans a second, seconds from first to last) by the radar's clock, else the host's; None without one.
+    """(scans per second, seconds from first to last) by the radar's clock, else the host's; None without one.
 
-    Scan numbers are used where known, so that lost scans do not slow the rate.
+    Scan numbers are used if known, so that lost scans do not lower the rate.
     """
     position, label = slow_time(capture)
     if label != TIME_LABEL:
@@ -246,8 +246,8 @@ def scan_rate(capture: Capture) -> tuple[float | None, float | None]:
 def turning_period(capture: Capture) -> Turning:
     """The period after which the scans repeat.
 
-    Where the recording tells a speed (motion settings, or its angles), a period near that is looked for;
-    otherwise the shortest repetition is given, which for a symmetric object is a part of a turn.
+    If the recording contains a speed (motion settings, or its angles), a period near it is searched;
+    otherwise the shortest repetition is returned, which is a fraction of a turn for a symmetric object.
     """
     times, label = slow_time(capture)
     if label != TIME_LABEL:
@@ -261,7 +261,7 @@ def turning_period(capture: Capture) -> Turning:
         return Turning(note=error.message)
     notes = []
     if nominal is None:
-        notes.append("shortest repetition; an object alike after 1/n turn takes n times as long")
+        notes.append("shortest repetition; an n-fold symmetric object takes n times as long")
     if found.harmonic_ambiguous:
         others = ", ".join(f"{rival:.2f} s" for rival in found.rivals_s)
         notes.append(f"the scans also repeat after {others}" if others else "a multiple is possible")
@@ -269,9 +269,9 @@ def turning_period(capture: Capture) -> Turning:
 
 
 def nominal_period_s(capture: Capture, duration_s: float) -> float | None:
-    """Seconds a turn by the motion settings, else by the angles; None where nobody told the speed.
+    """Seconds per turn from the motion settings, else from the angles; None if no speed is known.
 
-    A period or angles that were themselves found in these scans (`source` is "data") are no second witness.
+    A period or angles estimated from these scans (`source` is "data") are not independent and are not used.
     """
     resolved = capture.motion.resolved or ResolvedMotion()
     for stated in (resolved.nominal_rpm, capture.motion.nominal_rpm):
@@ -288,16 +288,16 @@ def nominal_period_s(capture: Capture, duration_s: float) -> float | None:
 
 
 def _sensible(value: float | None) -> float | None:
-    """A speed or a period that a turntable can have; None for anything else that a file may hold."""
+    """A plausible speed or period of a turntable; None for anything else in a file."""
     return value if value is not None and 1e-3 < value < 1e6 else None
 
 
 def strongest_return(signal: NDArray[np.complex64], capture: Capture) -> StrongReturn | None:
-    """Where the strongest return stands, in the mean and in each view; None if all is zero.
+    """Position of the strongest return, in the mean and in each view; None if all samples are zero.
 
-    A view's own maximum jumps between returns of like strength and between cycles of the carrier. So the mean
-    scan around the strongest return serves as template, every view is correlated with it, and the peak of the
-    correlation's magnitude, refined by a parabola, gives the shift.
+    The maximum of a single view jumps between returns of similar strength and between carrier cycles. So the
+    mean scan around the strongest return is the template, every view is correlated with it, and the peak of
+    the correlation's magnitude, refined by a parabola, gives the shift.
     """
     bins = signal.shape[1]
     envelope = np.abs(signal).mean(axis=0, dtype=np.float64)
@@ -320,7 +320,7 @@ def strongest_return(signal: NDArray[np.complex64], capture: Capture) -> StrongR
 
 
 def _between(curve: NDArray[np.floating], best: int) -> float:
-    """Fraction of a sample, -0.5..0.5, by which the vertex lies beside the curve's maximum."""
+    """Offset of the vertex from the curve's maximum, -0.5..0.5 samples."""
     if not 0 < best < len(curve) - 1:
         return 0.0
     return float(vertex(*curve[best - 1 : best + 2].astype(np.float64)))

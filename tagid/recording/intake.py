@@ -23,15 +23,15 @@ from tagid.storage.journal import JournalScan, JournalWriter
 from tagid.storage.journal_queue import JournalQueue, drop_note
 
 _MOST_GAPS: Final = 1000
-"""Gaps described individually; all are counted."""
+"""Maximum number of gaps described individually; all are counted."""
 
 _HOST_SLACK_S: Final = 1.0
-"""How much later than the radar's clock the host's clock ends a recording, s: transport takes time."""
+"""Delay after the radar's clock at which the host's clock ends a recording, s: transport takes time."""
 _GUARD_EVERY_S: Final = 0.5
 
 
 class HostLimit:
-    """A time limit on the host's clock, for a radar whose own clock or scans stand still.
+    """A time limit on the host's clock, for a radar whose own clock or scans have stopped.
 
     Args:
         seconds: the limit, s; None never passes.
@@ -50,7 +50,7 @@ class Intake:
 
     Args:
         radar: connected and configured.
-        queue: leads to the journal.
+        queue: queue of the journal.
         resume_s: longest wait for a lost radar, s.
         on_gap: called for each gap when scans arrive again.
 
@@ -99,8 +99,8 @@ class Intake:
     ) -> Iterator[Scan]:
         """The scans of a run, each put into the journal's queue before it is yielded; dropped scans are not.
 
-        `until` is asked about ten times per second, also while no scan comes; True ends the run. Raises what
-        `steady_scans` and `JournalQueue.put` raise.
+        `until` is called about ten times per second, also while no scan arrives; True ends the run. Raises
+        the errors of `steady_scans` and `JournalQueue.put`.
         """
         clip = self._radar.config.clip_counts
         last_id: int | None = None
@@ -142,7 +142,7 @@ class Intake:
         )
 
     def _check_journal(self) -> None:
-        """Raises StorageError if the journal's file vanished, was replaced or became shorter."""
+        """Raises StorageError if the journal's file was removed, replaced or truncated."""
         if self._journal is None or time.monotonic() < self._guard_at:
             return
         self._guard_at = time.monotonic() + _GUARD_EVERY_S
@@ -168,13 +168,13 @@ class Intake:
 
 
 def notes(radar: RadarInfo) -> list[str]:
-    """Remarks on a recording for the user, one sentence each."""
+    """Notes on a recording for the user, one sentence each."""
     found = []
     if lost := radar.scans_lost:
         found.append(f"{lost} scan{'' if lost == 1 else 's'} lost between radar and computer")
     malformed = int((radar.statistics or {}).get("malformed", 0))
     if malformed:
-        found.append(f"{malformed} packet{'' if malformed == 1 else 's'} were damaged or no P440 messages")
+        found.append(f"{malformed} packet{'' if malformed == 1 else 's'} were damaged or not P440 messages")
     if radar.scans_dropped:
         found.append(drop_note(radar.scans_dropped))
     if radar.gap_count:

@@ -1,4 +1,4 @@
-"""Long recordings: scans go to the journal and are not kept; capture files are written from it at the end.
+"""Long recordings: scans are stored only in the journal; capture files are written from it at the end.
 
 Memory does not grow with the length of the recording.
 """
@@ -22,13 +22,13 @@ from tagid.storage.journal_capture import PART_BYTES, WrittenCaptures, write_cap
 
 @dataclass(frozen=True)
 class RecordingLimits:
-    """When a long recording ends.
+    """Limits of a long recording.
 
     Attributes:
-        scans: after so many; None never.
-        seconds: after so long on the radar's clock, or a second later on the host's, s; None never.
+        scans: number of scans; None for no limit.
+        seconds: duration on the radar's clock, or one second more on the host's, s; None for no limit.
         interval_us: time between scans, us; 0 as fast as the settings allow.
-        part_bytes: samples in one capture file, bytes; a longer recording becomes several.
+        part_bytes: samples per capture file, bytes; a longer recording is split.
     """
 
     scans: int | None = None
@@ -42,7 +42,7 @@ class RecordingState:
     """Progress of a recording.
 
     Attributes:
-        scans: in the journal.
+        scans: scans in the journal.
         seconds: since the first scan, on the radar's clock, s.
         lost: lost or incomplete scans.
         journal_bytes: size of the journal.
@@ -59,10 +59,10 @@ class RecordingWatch:
     """Callbacks of a recording.
 
     Attributes:
-        progress: told about twice a second of scans.
-        gap: told when scans arrive again after the radar was gone.
-        stop: asked about ten times per second, also while no scan comes; True ends the recording, which is
-            complete where it had no limit.
+        progress: called about twice per second of scans.
+        gap: called when scans arrive again after the radar was lost.
+        stop: called about ten times per second, also while no scan arrives; True ends the recording, which is
+            complete if it had no limit.
         named: called with the path of the first capture file once its journal is created.
     """
 
@@ -81,7 +81,7 @@ def part_path(first: Path, part: int) -> Path:
         return first
     path = first.with_name(f"{first.name.removesuffix(CAPTURE_SUFFIX)}.part{part}{CAPTURE_SUFFIX}")
     if path.exists():
-        raise StorageError(f"{path} exists already", "Move it away; captures are never overwritten.")
+        raise StorageError(f"{path} already exists", "Move it; captures are never overwritten.")
     return path
 
 
@@ -90,19 +90,19 @@ def record_long(
 ) -> WrittenCaptures:
     """Record until a limit or a stop request, in constant memory, and write the capture file or files.
 
-    The journal is next to them while recording, and is removed after all of them were read back and compared.
+    The journal is next to them during recording, and is removed once all of them were read back and compared.
     If the radar fails, the received scans are written as incomplete, and the error says where. A stop signal
     takes effect while scans arrive; later ones are delayed until the files are written.
 
     Args:
-        radar: not connected yet.
+        radar: not yet connected.
         plan: settings and geometry; its scans, seconds and motion are not used.
         limits: limits of the recording.
         path: path of the first capture file.
         watch: callbacks.
 
     Raises:
-        DeviceError and its kinds: the radar failed. DiskFullError, StorageError: files; the journal is kept.
+        DeviceError or a subclass: the radar failed. DiskFullError, StorageError: files; the journal is kept.
         DataError: no scan arrived.
     """
     watch = watch or RecordingWatch()

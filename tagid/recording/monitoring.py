@@ -1,6 +1,6 @@
-"""What a radar delivers right now: the last scans, and the figures that tell whether all is well.
+"""Live state of a radar: the last scans, and figures that show whether it works correctly.
 
-The scans come on one thread and the terminal draws on another, so that neither waits for the other.
+Scans are received on one thread and drawn on another, so that neither waits for the other.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from tagid.recording.inspection import noise_power_of, signal_to_noise_db
 from tagid.signal import analytic
 
 ROWS: Final = 200
-"""Rows of the waterfall that are kept; no terminal shows more."""
+"""Number of rows kept for the waterfall; more than any terminal displays."""
 
 _ROWS_PER_SECOND: Final = 20.0
 _JUDGED: Final = 32
@@ -34,20 +34,20 @@ _FADE: Final = 0.05
 
 @dataclass(frozen=True, eq=False)
 class Snapshot:
-    """One moment of the monitor.
+    """A snapshot of the monitor.
 
     Attributes:
         rows: (n, bins) float32 envelope, counts, the newest first; n is at most `ROWS`.
         range_m: one-way range of the first and the last bin, m.
         scans, lost: complete scans and lost ones since the start.
-        scan_rate_hz: of the last scans, by the radar's clock; None before two of them.
-        snr_db: strongest return over the noise in one scan; None if none stands out.
+        scan_rate_hz: rate of the last scans, by the radar's clock; None before the second scan.
+        snr_db: strongest return over the noise in one scan; None if there is none.
         peak_m: its range, m.
-        clipped_fraction: of the samples of the two seconds up to the last scan.
-        temperature_c: board temperature; None until the radar said it.
-        silent_s: since the last scan, s.
-        seconds: since the start, s.
-        note: what happened last; empty otherwise.
+        clipped_fraction: fraction of clipped samples in the two seconds up to the last scan.
+        temperature_c: board temperature; None until the radar has reported it.
+        silent_s: time since the last scan, s.
+        seconds: time since the start, s.
+        note: the last event; empty if none.
     """
 
     rows: NDArray[np.float32]
@@ -65,18 +65,18 @@ class Snapshot:
 
     @property
     def lost_fraction(self) -> float:
-        """Lost scans over all that were to come."""
+        """Fraction of the expected scans that were lost."""
         return self.lost / max(self.scans + self.lost, 1)
 
 
 class Monitor:
-    """Takes scans, gives snapshots; safe to use from two threads, in bounded memory.
+    """Receives scans and returns snapshots; safe to use from two threads, in bounded memory.
 
     Args:
-        config: of the radar.
+        config: settings of the radar.
         cable_delay_ps: two-way delay subtracted from the ranges, ps.
-        changing: subtract the running mean, to show only what changes.
-        clock: seconds.
+        changing: subtract the running mean, to show only changes.
+        clock: returns the time, s.
     """
 
     def __init__(
@@ -106,7 +106,7 @@ class Monitor:
         self.note = ""
 
     def add(self, scan: Scan, statistics: Statistics) -> None:
-        """Take one scan."""
+        """Process one scan."""
         now = self._clock()
         clip = self._config.clip_counts
         clipped = int(np.count_nonzero((scan.samples >= clip) | (scan.samples <= -clip)))
@@ -136,7 +136,7 @@ class Monitor:
             self._snr = self._judged()
 
     def snapshot(self) -> Snapshot:
-        """What there is to see now."""
+        """A snapshot of the current state."""
         now = self._clock()
         with self._lock:
             rows = np.array(self._rows) if self._rows else np.zeros((0, self._config.samples), np.float32)

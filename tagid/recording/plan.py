@@ -30,10 +30,10 @@ class RecordingPlan:
         cable_delay_ps: two-way delay to subtract from the ranges, ps.
         scans: number of scans; None to record until the motion reports a full turn.
         max_seconds: longest recording, s.
-        motion: URL of what turns the object, kept with the capture.
-        object: what is known of the object.
-        resume_s: how long a radar that went away is waited for, s.
-        renumber: take the next free name where the wanted one is taken.
+        motion: URL of the motion device, stored with the capture.
+        object: metadata of the object.
+        resume_s: how long to wait for a radar that was lost, s.
+        renumber: use the next free name if the requested one exists.
     """
 
     config: RadarConfig | None
@@ -60,7 +60,7 @@ def plan_window(
     if axis_distance_m <= extent_m / 2:
         raise ConfigError(
             f"the axis distance is {axis_distance_m} m, but the image reaches {extent_m / 2} m from the axis",
-            "Move the radar away or reduce the extent.",
+            "Increase the distance or reduce the extent.",
         )
 
     def picoseconds(range_m: float) -> int:
@@ -74,17 +74,17 @@ def plan_window(
 
 
 def journal_beside(path: Path) -> Path:
-    """The journal of a capture file to be written.
+    """The journal path for a capture file to be written.
 
-    Raises StorageError if the capture exists already.
+    Raises StorageError if the capture already exists.
     """
     if path.exists():
-        raise StorageError(f"{path} exists already", "Choose another name; captures are never overwritten.")
+        raise StorageError(f"{path} already exists", "Choose another name; captures are never overwritten.")
     return path.with_name(path.name.removesuffix(CAPTURE_SUFFIX) + JOURNAL_SUFFIX)
 
 
 def capture_beside(journal_path: Path) -> Path:
-    """The capture file that a journal's scans become."""
+    """The capture file for a journal."""
     return journal_path.with_name(journal_path.name.removesuffix(JOURNAL_SUFFIX) + CAPTURE_SUFFIX)
 
 

@@ -1,6 +1,6 @@
-"""Opens the radar that a URL names: a P440 on a wire, a recording or a simulated scene.
+"""Opens the radar of a URL: a P440 on a link, a recording or a simulated scene.
 
-The caller gets the same client for each. Emulated radars need simulation and storage, so this stands above
+The caller gets the same client for each. Emulated radars need simulation and storage, so this module is above
 the radar package.
 """
 
@@ -23,15 +23,15 @@ _FAULT_OPTIONS: Final = ("lose", "lose_requests", "duplicate", "reorder", "delay
 
 
 def open_radar(url: str, timeout: float = 1.0) -> P440:
-    """The client of the radar that a URL names, not connected yet (enter it as a context manager).
+    """The client of a radar URL, not yet connected (enter it as a context manager).
 
-    Options that every emulated radar takes: `rate` (emulated seconds per second; 0, the default, never waits)
+    Options of every emulated radar: `rate` (emulated seconds per second; 0, the default, never waits)
     and the fault probabilities `lose`, `lose_requests`, `duplicate`, `reorder`, `delay`, with `delay_s`;
     `replay://` also takes `loop=1`. All others, and `seed`, go to the scene.
 
     Raises:
         UsageError: unknown scheme, bad address, bad option.
-        DeviceError: unknown host, no network; no such port, taken or forbidden.
+        DeviceError: unknown host, no network; port missing, in use or not permitted.
     """
     parsed = parse_radar_url(url)
     if parsed.scheme in ("udp", "serial"):
@@ -57,7 +57,7 @@ def open_radar(url: str, timeout: float = 1.0) -> P440:
 
 
 def emulated_object(url: str) -> ObjectInfo | None:
-    """What an emulator:// URL shows, with its true pose; None for every other radar. Raises UsageError."""
+    """The scene of an emulator:// URL, with its true pose; None for other radars. Raises UsageError."""
     parsed = parse_radar_url(url)
     if parsed.scheme != "emulator":
         return None

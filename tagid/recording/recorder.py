@@ -26,7 +26,7 @@ from tagid.storage.journal import read_journal
 from tagid.storage.journal_capture import journal_to_capture
 
 _JUDGED_SCANS = 2000
-"""Maximum number of scans examined while recording; more are thinned to keep the radar's queue short."""
+"""Maximum number of scans examined during recording; more are decimated to keep the radar's queue short."""
 
 Progress = Callable[[int, float], None]
 """Called with (scans, seconds)."""
@@ -37,16 +37,16 @@ class Watch:
     """Callbacks of a recording.
 
     Attributes:
-        progress: told after every half second of scans.
-        gap: told when scans arrive again after the radar was gone.
+        progress: called after every half second of scans.
+        gap: called when scans arrive again after the radar was lost.
         named: called with the capture's path once its journal is created.
-        resolve: gives a capture its angles, from the motion's URL; asked when the motion believes that a turn
-            is complete (imaging knows whether the shortest repetition is a turn, the motion does not), and
-            at the end. It raises DataError where it cannot.
+        resolve: gives a capture its angles, from the motion's URL; called when the motion considers a turn
+            complete (imaging can tell whether the shortest repetition is a turn, the motion cannot), and
+            at the end. It raises DataError if that is not possible.
         began: called once the radar is configured, before the motion starts.
         scan: called with each scan after it was put into the journal's queue; it must return at once.
-        ended: called after the last scan and when the motion was stopped, before the capture file is written.
-        stop: asked about ten times per second; True ends the recording early, as a stop signal does.
+        ended: called after the last scan and the end of the motion, before the capture file is written.
+        stop: called about ten times per second; True ends the recording early, as a stop signal does.
     """
 
     progress: Progress | None = None
@@ -77,7 +77,7 @@ def record(
         watch: callbacks.
 
     Raises:
-        DeviceError and its kinds: the radar or the table failed. DiskFullError, StorageError: files.
+        DeviceError and its subclasses: the radar or the table failed. DiskFullError, StorageError: files.
         CaptureInterrupted: stopped by the user. DataError: no scan arrived.
     """
     watch = watch or Watch()

@@ -1,4 +1,4 @@
-"""Shared by all recordings: radar -> queue -> journal, which is kept until its files are verified.
+"""Common part of all recordings: radar -> queue -> journal, kept until its files are verified.
 
 If a recording ends early, the received scans stay on disk and the error says where.
 """
@@ -29,7 +29,7 @@ from tagid.storage.metadata import VERSION_KEY
 _Result = TypeVar("_Result")
 
 SYNC_S = 0.5
-"""Time between two syncs of the disk, s: a power cut loses no scan that was written so long before."""
+"""Time between two syncs of the disk, s: a power cut loses only scans written within this time."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Session:
         plan: the recording plan.
         config: the radar's settings in force.
         intake: source of the scans.
-        queue: takes motion readings.
+        queue: accepts motion readings.
         journal: the journal being written.
     """
 
@@ -56,7 +56,7 @@ class Recorded:
     """Summary of a journal after the last scan.
 
     Attributes:
-        journal: its path. path: of the capture file that it becomes.
+        journal: its path. path: path of its capture file.
         scans: number of scans.
         counters: counters of the recording.
         ended_by: error that ended the recording early; None if it is complete.
@@ -74,9 +74,9 @@ class Written(Generic[_Result]):
     """The capture files made of a journal.
 
     Attributes:
-        result: what the recording returns to its caller.
+        result: return value of the recording.
         views: number of scans read back from the journal.
-        paths: of the files.
+        paths: paths of the files.
     """
 
     result: _Result
@@ -89,7 +89,7 @@ class Told(Protocol):
 
     @property
     def gap(self) -> Callable[[ScanGap], None]:
-        """Called when scans arrive again after the radar was gone."""
+        """Called when scans arrive again after the radar was lost."""
         ...
 
     @property
@@ -104,7 +104,7 @@ class Steps(Generic[_Result]):
 
     Attributes:
         receive: takes the scans; returns whether the recording is complete.
-        write: makes the capture files of the journal.
+        write: writes the capture files of the journal.
     """
 
     receive: Callable[[Session], bool]
@@ -118,14 +118,14 @@ def run_recording(radar: P440, plan: RecordingPlan, path: Path, steps: Steps[_Re
     opened or closed or a file is written; later ones are delayed until the files are written.
 
     Args:
-        radar: not connected yet.
+        radar: not yet connected.
         plan: what to record.
-        path: of the first capture file; the next free name is taken where the plan says so.
+        path: path of the first capture file; the next free name is used if the plan says so.
         steps: how scans are taken and files written.
         told: callbacks.
 
     Raises:
-        DeviceError and its kinds: the radar failed; what arrived is in the files, and the error says where.
+        DeviceError or a subclass: the radar failed; the received scans are in the files that the error names.
         DiskFullError, StorageError: files; the journal is kept. CaptureInterrupted: stopped by the user.
         DataError: no scan arrived.
     """
@@ -187,7 +187,7 @@ def _fill(
 
 
 def _keep(recorded: Recorded, write: Callable[[Recorded], Written[_Result]]) -> _Result:
-    """Make the capture files of the journal, which is removed only when they were read back and compared."""
+    """Write the capture files of the journal, which is removed only once they are verified."""
     ended_by, journal = recorded.ended_by, recorded.journal
     if not recorded.scans:
         journal.unlink(missing_ok=True)
@@ -209,10 +209,10 @@ def _keep(recorded: Recorded, write: Callable[[Recorded], Written[_Result]]) -> 
 def start_journal(path: Path, header: dict[str, Any], renumber: bool = False) -> JournalWriter:
     """The journal of a capture that is to be written at `path`; creating it reserves the name.
 
-    With `renumber` the next free name is taken instead of a taken one. Creation is exclusive, so two
+    With `renumber` the next free name is used if the name exists. Creation is exclusive, so two
     recordings that start at once in one folder get two names.
 
-    Raises StorageError where the name is taken, or the journal cannot be created.
+    Raises StorageError if the name exists, or the journal cannot be created.
     """
     stem = path.name.removesuffix(CAPTURE_SUFFIX)
     for number in range(1, 1000 if renumber else 2):
@@ -236,7 +236,7 @@ def start_journal(path: Path, header: dict[str, Any], renumber: bool = False) ->
         # Another recording of this name ended between the two checks.
         journal.__exit__(None, None, None)
         journal_path.unlink(missing_ok=True)
-    raise StorageError(f"{path} and the names after it are taken", "Choose another folder.")
+    raise StorageError(f"{path} and the names after it already exist", "Choose another folder.")
 
 
 def journal_header(plan: RecordingPlan, taken: RadarConfig, radar: RadarInfo) -> dict[str, Any]:
@@ -284,7 +284,7 @@ def recover_remedy(journal: Path) -> str:
 
 
 def where_kept(path: Path) -> str:
-    """Where the scans of a capture are after a stop signal that came outside the recording itself."""
+    """Where the scans of a capture are after a stop signal outside the recording itself."""
     journal = path.with_name(path.name.removesuffix(CAPTURE_SUFFIX) + JOURNAL_SUFFIX)
     if path.exists():
         return f"The recording is complete in {path}."
@@ -297,5 +297,5 @@ def with_remedy(error: TagidError, remedy: str) -> TagidError:
 
 
 def with_recovery(error: TagidError, journal: Path) -> TagidError:
-    """The same error with how to recover the journal, where there is one."""
+    """The same error with how to recover the journal, if there is one."""
     return with_remedy(error, recover_remedy(journal)) if journal.exists() else error

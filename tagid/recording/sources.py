@@ -1,4 +1,4 @@
-"""What an emulated radar sees: scenes and recordings by name."""
+"""Scenes and recordings for emulated radars, by name."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def emulated_recording(path: Path, loop: bool) -> RecordingSource:
 
 
 def emulated_scene(name: str, options: dict[str, str]) -> TurningScene:
-    """A turning scene: an enrolled layout, one of a file, or a preset (`tagid.simulate.presets`).
+    """A rotating scene: an enrolled layout, one of a file, or a preset (`tagid.simulate.presets`).
 
     Options: `seed`, `rpm` (6), `axis_distance` (1.0 m), `antenna_height` (0 m), `antenna_separation` (0 m,
     between a transmitting and a receiving antenna), `snr` (20 dB, per reflector), `cable_delay` (0, two-way

@@ -106,17 +106,17 @@ _LIMITS = {
     "center_frequency_hz": (1.0, 1e13),
     "bandwidth_hz": (1.0, 1e13),
 }
-"""What a radar can have, (least, most): far beyond any that is known, from terahertz to orbit."""
+"""Limits for plausible values, (least, most): far beyond any known radar."""
 _LONGEST_MS = 1e15
 
 
 def _check_plausible(path: Path, fields: dict[str, Any]) -> None:
-    """Raises FileFormatError for numbers that no radar can have; they would overflow in what follows."""
+    """Raises FileFormatError for implausible numbers, which would overflow in later calculations."""
     for name, (least, most) in _LIMITS.items():
         value = fields.get(name)
         if value is not None and not least <= value <= most:
             raise FileFormatError(
-                f"{path}: {name} is {value:g}, which no radar can have",
+                f"{path}: {name} is {value:g}, which is not plausible",
                 f"Expected {least:g} to {most:g} (SI units): check the file's units.",
             )
     arrays = {"antenna_positions_m": 1e7, "receive_positions_m": 1e7}

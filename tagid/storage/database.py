@@ -136,7 +136,7 @@ class Database:
         return version == self.schema.version and owner == self.schema.application_id
 
     def _check_objects(self, connection: sqlite3.Connection) -> None:
-        """Refuses views and triggers, which tagid never makes: reading a view may never end."""
+        """Rejects views and triggers, which tagid never creates: reading a view may never end."""
         query = "SELECT name FROM sqlite_master WHERE type IN ('view', 'trigger') LIMIT 1"
         found = connection.execute(query).fetchone()
         if found is not None:

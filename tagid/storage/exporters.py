@@ -1,4 +1,4 @@
-"""Captures out to other programs: the suffix chooses the format; a file is written whole or not at all."""
+"""Exports captures for other programs: the suffix selects the format; files are written atomically."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tagid.storage.npz import encode_npz
 from tagid.storage.recordings import encode_recording
 
 SUFFIXES = (".npz", ".mat", ".out", ".prd", ".csv", ".h5")
-"""Formats that `export` writes, by suffix."""
+"""Export formats, by suffix."""
 
 
 def export(capture: Capture, path: Path) -> None:

@@ -1,6 +1,6 @@
-"""The capture file: one recording with all that is known of it, in HDF5.
+"""The capture file: one recording with all its metadata, in HDF5.
 
-It is the format that every command writes and that other programs can open without `tagid`.
+All commands write this format; other programs can open it without `tagid`.
 
 Layout, version 3 (docs/formats.md). Root attributes: format ("tagid.capture"), format_version, uuid,
 created_utc, tool_version, complete, radar, motion, object (JSON), range_start_m, range_step_m,
@@ -8,8 +8,8 @@ axis_distance_m (absent: unknown), antenna_height_m, antenna_separation_m (absen
 center_frequency_hz, bandwidth_hz, wave_speed_m_s (absent: vacuum), pulse_step_s (with /pulse). Datasets
 under /scans, one row per view: samples (views, bins) int32 or float32, samples_imag (for complex samples,
 whose real part is in samples), host_time_ns and scan_id int64, radar_time_ms, angles_rad, angle_sigma_rad
-float64, flags uint8, antenna_positions_m (views, 3) float64 and, where the receiving antenna is another one,
-receive_positions_m; what is not known is absent. /pulse (n,) float64, its middle sample is time zero. Texts
+float64, flags uint8, antenna_positions_m (views, 3) float64 and, if the receiving antenna is separate,
+receive_positions_m; unknown values are absent. /pulse (n,) float64, its middle sample is time zero. Texts
 have a fixed length, so that all metadata is checksummed, too. Every dataset is checksummed (Fletcher-32),
 shuffled and deflated.
 """
@@ -70,14 +70,14 @@ _TEXTS = ("uuid", "created_utc", "tool_version")
 _BLOCK_BYTES = 1 << 20
 _MAX_EXPANSION = 20
 _SMALL_BYTES = 16 << 20
-"""Scans hold noise and deflate 2:1 to 5:1; far more, of something large, was made to fill the memory."""
+"""Scans contain noise and compress 2:1 to 5:1; a much higher ratio in a large file indicates an attack."""
 _KNOWN = frozenset(
     {"pulse", "scans/samples", "scans/samples_imag", OLD_ANGLES, *(f"scans/{name}" for name in _VIEW_ARRAYS)}
 )
 
 
 def write_capture(path: Path, capture: Capture) -> None:
-    """Write a capture file; its final name holds the whole file or what it held before.
+    """Write a capture file atomically.
 
     The file is read back and compared with `capture` before it gets its final name.
 
@@ -93,11 +93,11 @@ def write_capture(path: Path, capture: Capture) -> None:
 
 @contextmanager
 def growing_capture(path: Path) -> Iterator[Callable[[Capture], None]]:
-    """A capture file that is written part after part: call what it yields with the scans that follow.
+    """Write a capture file in parts: call the yielded function with each following part.
 
-    Everything but the arrays of scans comes from the first part. The file is read back in bounded memory and
-    compared with what was written before it gets its final name. Raises as `write_capture` does, DataError
-    where a part differs from the first in bins, dtype or the arrays it has.
+    Everything but the scan arrays comes from the first part. The file is read back in bounded memory and
+    compared with the data before it gets its final name. Raises the errors of `write_capture`, and DataError
+    if a part differs from the first in bins, dtype or the arrays present.
     """
     written = _Written()
 
@@ -134,14 +134,14 @@ class _Sum:
 
 @dataclass
 class _Written:
-    """What was handed to HDF5: root attributes by name, and sums of the datasets by path."""
+    """The data passed to HDF5: root attributes by name, and checksums of the datasets by path."""
 
     attributes: dict[str, Any] = dataclasses.field(default_factory=dict)
     datasets: dict[str, _Sum] = dataclasses.field(default_factory=dict)
 
 
 def _read_back(temporary: Path, path: Path, written: _Written) -> None:
-    """Compare the file on disk with what was written. Raises StorageError, which names `path`."""
+    """Compare the file on disk with the data. Raises StorageError, which names `path`."""
     try:
         files.forget_cached(temporary)
         # HDF5's own driver: no Python code runs in its callbacks. The file is locked by `files.replacing`.
@@ -151,7 +151,7 @@ def _read_back(temporary: Path, path: Path, written: _Written) -> None:
         different = [str(error)[:120]]
     if different:
         raise StorageError(
-            f"{path}: the file differs from what was written when it is read back: {', '.join(different)}",
+            f"{path}: the file read back differs from the data written: {', '.join(different)}",
             "The disk or the memory may be faulty: write to another disk.",
         )
 
@@ -181,7 +181,7 @@ def _differences(file: Any, path: Path, written: _Written) -> list[str]:
 
 
 def _sum_of(dataset: Any) -> _Sum:
-    """The sum of a dataset, read in blocks of whole chunks."""
+    """The checksum of a dataset, read in blocks of whole chunks."""
     total = _Sum(dataset.dtype)
     row_bytes = max(1, dataset.nbytes // len(dataset))
     rows = dataset.chunks[0] * max(1, _BLOCK_BYTES // (row_bytes * dataset.chunks[0]))
@@ -207,8 +207,8 @@ def _extend(scans: Any, capture: Capture, written: _Written) -> None:
 def read_capture(path: Path) -> Capture:
     """Read a capture file of this or an older version.
 
-    What the file claims to hold is checked against its size before memory is taken; links to other files are
-    refused.
+    Declared sizes are checked against the file size before memory is allocated; links to other files are
+    rejected.
 
     Raises:
         StorageError: the file cannot be read.
@@ -224,8 +224,8 @@ def read_capture(path: Path) -> Capture:
     # h5py raises any of these on damaged files, depending on where the damage is.
     except (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError, MemoryError) as error:
         raise FileFormatError(
-            f"{path}: the HDF5 file is damaged or cut off ({str(error)[:120]})",
-            "If a journal of the recording is left, use `tagid recover`.",
+            f"{path}: the HDF5 file is damaged or truncated ({str(error)[:120]})",
+            "If a journal of the recording exists, use `tagid recover`.",
         ) from error
     return _to_capture(path, named_angles(migrate(raw, version, path)))
 
@@ -270,7 +270,7 @@ def _scan_arrays(capture: Capture) -> dict[str, NDArray[Any]]:
 
 
 def _put_text(file: Any, name: str, content: str) -> None:
-    """A text of fixed length: HDF5 keeps those of variable length apart and without a checksum."""
+    """A text of fixed length: HDF5 stores texts of variable length separately and without a checksum."""
     data = content.encode()
     file.attrs.create(name, data, dtype=h5py.string_dtype("utf-8", max(1, len(data))))
 
@@ -309,7 +309,7 @@ def _version(file: Any, path: Path) -> int:
 def _attribute(file: Any, name: str) -> Any:
     """A root attribute; None if it is missing or is not one number or text of fixed length.
 
-    Texts of variable length are never read: HDF5 2.0 loops for ever on a damaged heap of them.
+    Texts of variable length are never read: HDF5 2.0 loops forever on a damaged heap.
     """
     if name not in file.attrs:
         return None
@@ -320,7 +320,7 @@ def _attribute(file: Any, name: str) -> Any:
 
 
 def _read_arrays(file: Any, path: Path) -> dict[str, NDArray[Any]]:
-    """All numeric datasets of the root and of /scans, by path; links that leave the file are refused."""
+    """All numeric datasets of the root and of /scans, by path; links to other files are rejected."""
     arrays: dict[str, NDArray[Any]] = {}
     budget = files.MAX_FILE_BYTES * 2
     for prefix in ("", "scans/"):
@@ -358,7 +358,7 @@ def _check_dataset(dataset: Any, path: Path) -> None:
     if dataset.nbytes > min(files.MAX_FILE_BYTES, believed):
         raise FileFormatError(
             f"{where} claims shape {dataset.shape} ({dataset.nbytes} bytes), but {stored} bytes are stored",
-            "The file is damaged or was made to fill the memory.",
+            "The file is damaged or was crafted to exhaust memory.",
         )
 
 
@@ -369,7 +369,7 @@ def _to_capture(path: Path, raw: RawCapture) -> Capture:
     if "scans/samples" not in arrays:
         missing.append("/scans/samples")
     if missing:
-        raise FileFormatError(f"{path}: lacks {', '.join(missing)}", "The file is damaged or cut off.")
+        raise FileFormatError(f"{path}: lacks {', '.join(missing)}", "The file is damaged or truncated.")
     fields: dict[str, Any] = {name: number(attributes[name], f"{path} ({name})") for name in _NUMBERS}
     fields |= {name: text(attributes[name], f"{path} ({name})") for name in _TEXTS}
     parts = {}

@@ -1,6 +1,6 @@
-"""Any file that holds scans, read into a capture; the content decides the format, not the name.
+"""Reads any supported file into a capture; the content, not the name, determines the format.
 
-Every reading command uses this module, so each of them takes every format.
+Every reading command uses this module, so each supports every format.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ def read_any(path: Path, cable_delay_ps: float = 0.0, node: int | None = None) -
     Args:
         path: the file.
         cable_delay_ps: two-way cable delay to subtract from the ranges of recordings and logs, ps; the other
-            formats hold ranges from which it is subtracted already.
-        node: number of the radar to read, where a recording or log holds scans of several.
+            formats hold ranges from which it has already been subtracted.
+        node: number of the radar to read, if a recording or log holds scans of several.
 
     Raises:
         StorageError: missing, a folder, no permission.
@@ -58,13 +58,13 @@ def read_any(path: Path, cable_delay_ps: float = 0.0, node: int | None = None) -
 
 
 def remarks(capture: Capture) -> tuple[str, ...]:
-    """Remarks on how a file was read, one sentence each; empty for a file that is in order."""
+    """Notes on how a file was read, one sentence each; empty for a file without anomalies."""
     radar = capture.radar
     found = []
     left_over = radar.bytes_left_over or radar.journal_bytes_dropped
     if left_over:
         found.append(
-            f"{left_over} bytes are left over: the file is cut off or damaged; its whole scans are kept"
+            f"{left_over} bytes are left over: the file is truncated or damaged; its complete scans are kept"
         )
     if lost := radar.scans_lost:
         found.append(f"{lost} scan{' is' if lost == 1 else 's are'} missing or incomplete")
@@ -72,5 +72,5 @@ def remarks(capture: Capture) -> tuple[str, ...]:
         found.append(f"{radar.packets_ignored} messages or lines are not scans of this radar; ignored")
     if radar.config_stale:
         asked, actual = (list(window or ()) for window in (radar.window_requested_ps, radar.window_actual_ps))
-        found.append(f"the Config line is stale: it asks for {asked} ps, the scans hold {actual} ps")
+        found.append(f"the Config line is stale: it requests {asked} ps, the scans hold {actual} ps")
     return tuple(found)

@@ -335,7 +335,7 @@ def open_journal(path: Path) -> Iterator[JournalStream]:
         kind, payload = next(records, (0, b""))
         if kind != _HEADER:
             raise FileFormatError(
-                f"{path}: the header of the journal is cut off or damaged", "Nothing can be recovered."
+                f"{path}: the header of the journal is truncated or damaged", "Nothing can be recovered."
             )
         header = decode_settings(payload, f"{path} (header)")
         dropped = size - PREAMBLE.size - record_bytes(payload)
@@ -343,7 +343,7 @@ def open_journal(path: Path) -> Iterator[JournalStream]:
 
 
 def read_journal(path: Path) -> Journal:
-    """Read every intact record; a cut or damaged part is skipped and counted.
+    """Read every intact record; a truncated or damaged part is skipped and counted.
 
     Memory stays within a small multiple of the file's size, whatever record lengths the file claims.
 

@@ -98,7 +98,7 @@ class JournalQueue:
                 self._changed.notify_all()
                 idle = False
                 while not (self._waiting or self._readings or self._ending or idle):
-                    # Scans that come slowly, or no more, are not to wait for the next one to be synced.
+                    # If scans arrive slowly or stop, sync without waiting for the next one.
                     idle = not self._changed.wait(self._writer.seconds_to_sync())
                 if self._ending and not self._waiting and not self._readings:
                     return

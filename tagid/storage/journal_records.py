@@ -31,8 +31,8 @@ def record_bytes(payload: bytes) -> int:
 def intact_records(stream: BinaryIO, size: int) -> Iterator[tuple[int, bytes]]:
     """(kind, payload) of every record whose CRC holds, in file order.
 
-    A cut or damaged part is skipped up to the next marker. Memory is limited to one payload and a buffer of
-    1 MiB, time to a small multiple of the size, whatever lengths the records claim.
+    A truncated or damaged part is skipped up to the next marker. Memory is limited to one payload and a
+    buffer of 1 MiB, time to a small multiple of the size, whatever lengths the records claim.
 
     Args:
         stream: the journal, seekable.
@@ -40,7 +40,7 @@ def intact_records(stream: BinaryIO, size: int) -> Iterator[tuple[int, bytes]]:
     """
     window = _Window(stream, size)
     position = PREAMBLE.size
-    # A crafted file could make every marker claim a long payload: the work on failures is bounded as well.
+    # A crafted file could make every marker claim a long payload: the work on failures is limited as well.
     patience = size + MAX_PAYLOAD
     while patience > 0:
         head = window.take(position, _RECORD.size)

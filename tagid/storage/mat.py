@@ -1,6 +1,6 @@
-"""MATLAB 5 files: captures out to MATLAB and Octave, and back.
+"""MATLAB 5 files: exports captures to MATLAB and Octave, and reads them back.
 
-Only what `encode_mat` writes is read; other MATLAB files come in as NPZ, where their variables can be named.
+Only files from `encode_mat` are read; import others as NPZ, in which the variables can be named.
 """
 
 from __future__ import annotations
@@ -67,13 +67,13 @@ def encode_mat(capture: Capture) -> bytes:
     """The bytes of a MATLAB 5 file.
 
     Variables: samples (views, bins) int32, single or complex single; range_m (bins, 1), m; range_start_m,
-    range_step_m; as columns, where known, angles_rad, angle_sigma_rad, host_time_ns (int64), radar_time_ms,
+    range_step_m; as columns, if known, angles_rad, angle_sigma_rad, host_time_ns (int64), radar_time_ms,
     scan_id (int64), flags (uint8); antenna_positions_m and receive_positions_m (views, 3); axis_distance_m,
     antenna_height_m, antenna_separation_m, center_frequency_hz, bandwidth_hz, wave_speed_m_s; pulse with
     pulse_step_s; radar, motion, object as JSON text with metadata_version; uuid, created_utc, tool_version,
     complete, format.
     """
-    from scipy.io import savemat  # late: 100 ms that no other command should pay
+    from scipy.io import savemat  # imported late: it takes 100 ms
 
     variables: dict[str, NDArray[Any] | str | float] = {
         "format": hdf5.FORMAT,
@@ -149,14 +149,14 @@ def read_mat(path: Path) -> Capture:
 
 
 def _load(path: Path, data: bytes) -> dict[str, NDArray[Any]]:
-    """The variables that tagid knows; what they claim is checked before memory is taken for it."""
+    """The variables used by tagid; declared sizes are checked before memory is allocated."""
     from scipy.io import loadmat, whosmat
     from scipy.io.matlab import MatReadError
 
     limit = max(_SMALL_BYTES, _MAX_EXPANSION * len(data))
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # scipy warns of variables that it reads only in part
+            warnings.simplefilter("ignore")  # scipy warns about variables that it reads only partly
             claimed = 0
             for name, shape, kind in whosmat(cast(Any, io.BytesIO(data))):
                 size = _ITEM_BYTES
@@ -168,7 +168,7 @@ def _load(path: Path, data: bytes) -> dict[str, NDArray[Any]]:
             if not 0 <= claimed <= limit:
                 raise FileFormatError(f"{path}: the variables claim {claimed} bytes, which is not plausible")
             found = loadmat(cast(Any, io.BytesIO(data)), variable_names=sorted(_NAMES))
-    # scipy raises any of these on damaged files, depending on where the damage is.
+    # scipy raises any of these on damaged files, depending on the location of the damage.
     except (
         MatReadError, OSError, EOFError, ValueError, TypeError, LookupError, MemoryError, OverflowError,
         NotImplementedError, AttributeError, RuntimeError, zlib.error,

@@ -1,4 +1,4 @@
-"""Metadata of a capture in files: three JSON objects with a version, and the step from version to version.
+"""Metadata of a capture in files: three JSON objects with a version, and the migration between versions.
 
 Every format (HDF5, journal, NPZ, MATLAB) reads and writes them here.
 """
@@ -15,14 +15,14 @@ from tagid.metadata import METADATA_VERSION, MotionInfo, ObjectInfo, RadarInfo, 
 
 PARTS = ("radar", "motion", "object")
 VERSION_KEY = "metadata_version"
-"""Where a format has no version of its own, the version stands beside the parts; absent means 1."""
+"""If a format has no version of its own, this key is stored next to the parts; absent means 1."""
 
 Objects = Mapping[str, Mapping[str, Any]]
 """The JSON objects by part."""
 
 
 def metadata_of(capture: Capture) -> dict[str, dict[str, Any]]:
-    """The JSON objects of a capture, at the present version."""
+    """The JSON objects of a capture, at the current version."""
     return {name: getattr(capture, name).to_json() for name in PARTS}
 
 
@@ -32,11 +32,11 @@ def read_metadata(objects: Mapping[str, Any], where: str, version: int = METADAT
     Args:
         objects: JSON objects by part; a missing part is empty.
         where: the file, for messages.
-        version: of the objects.
+        version: version of the objects.
 
     Raises:
-        FileFormatError: a part is not an object, a known key holds something else than it should, or the
-            version is newer than this tagid reads.
+        FileFormatError: a part is not an object, a known key has a value of the wrong type, or the
+            version is newer than this tagid supports.
     """
     parts: dict[str, Mapping[str, Any]] = {}
     for name in PARTS:
@@ -56,7 +56,7 @@ def read_metadata(objects: Mapping[str, Any], where: str, version: int = METADAT
 
 
 def stored_version(values: Mapping[str, Any], where: str) -> int:
-    """The version that stands beside the parts; 1 where none does. Raises FileFormatError."""
+    """The version stored next to the parts; 1 if absent. Raises FileFormatError."""
     version = values.get(VERSION_KEY, 1)
     if not isinstance(version, int) or isinstance(version, bool):
         raise FileFormatError(f"{where}: {VERSION_KEY} is {str(version)[:60]}, expected a whole number")
@@ -64,7 +64,7 @@ def stored_version(values: Mapping[str, Any], where: str) -> int:
 
 
 def migrate_metadata(parts: Objects, version: int, where: str) -> Objects:
-    """The JSON objects at the present version. Raises FileFormatError for a version that is not known."""
+    """The JSON objects at the current version. Raises FileFormatError for an unknown version."""
     if not 1 <= version <= METADATA_VERSION:
         raise FileFormatError(
             f"{where}: metadata of version {version}, this tagid reads up to version {METADATA_VERSION}",
@@ -76,10 +76,10 @@ def migrate_metadata(parts: Objects, version: int, where: str) -> Objects:
 
 
 def _typed(parts: Objects) -> Objects:
-    """Version 1 to 2: settings that stood beside `config` and facts beside `resolved` go where they belong.
+    """Version 1 to 2: move settings next to `config` and facts next to `resolved` to their own keys.
 
-    Version 1 had no types. What does not fit a field of version 2 is dropped and not refused, because no
-    version of tagid has ever used it.
+    Version 1 had no types. Values that do not fit a field of version 2 are dropped, not rejected, because no
+    version of tagid has used them.
     """
     radar, motion = dict(parts["radar"]), dict(parts["motion"])
     loose = {name: radar.pop(name) for name in _SETTINGS & set(radar)}
@@ -106,7 +106,7 @@ Part = type[RadarInfo] | type[MotionInfo] | type[ObjectInfo] | type[RadarSetting
 
 
 def _fitting(kind: Part, values: Mapping[str, Any]) -> dict[str, Any]:
-    """The entries of an object that the typed value takes, key by key."""
+    """The entries of an object that the typed value accepts, key by key."""
     nested: Mapping[str, Part] = {
         "config": RadarSettings, "config_asked": RadarSettings, "resolved": ResolvedMotion
     }  # fmt: skip
@@ -123,4 +123,4 @@ def _fitting(kind: Part, values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 STEPS: Mapping[int, Callable[[Objects], Objects]] = MappingProxyType({1: _typed})
-"""The step from version n to n + 1, by n."""
+"""The migration from version n to n + 1, by n."""

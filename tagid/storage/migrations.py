@@ -1,6 +1,6 @@
-"""Small pure steps that bring what an older capture file holds to the present layout.
+"""Small pure functions that migrate older capture files to the current layout.
 
-A step knows two neighbouring versions and nothing else, so old files stay readable and the reader knows
+Each depends only on two consecutive versions, so old files stay readable and the reader supports only
 one layout.
 """
 
@@ -26,7 +26,7 @@ ANGLES = "scans/angles_rad"
 
 @dataclass(frozen=True)
 class RawCapture:
-    """A capture file's content before it is interpreted.
+    """Content of a capture file before it is interpreted.
 
     Attributes:
         attributes: root attributes by name, as plain values.
@@ -41,7 +41,7 @@ Step = Callable[[RawCapture], RawCapture]
 
 
 def _typed_metadata(raw: RawCapture) -> RawCapture:
-    """Version 1 to 2: typed metadata. What cannot be read is left for the reader to refuse."""
+    """Version 1 to 2: typed metadata. Invalid values are left for the reader to reject."""
     found: dict[str, Mapping[str, Any]] = {}
     for name in PARTS:
         try:
@@ -53,7 +53,7 @@ def _typed_metadata(raw: RawCapture) -> RawCapture:
 
 
 def named_angles(raw: RawCapture) -> RawCapture:
-    """Version 2 to 3: angles under the name that every format has for them; no second antenna means one."""
+    """Version 2 to 3: angles under the name used by all formats; no second antenna means one antenna."""
     if OLD_ANGLES not in raw.arrays or ANGLES in raw.arrays:
         return raw
     return RawCapture(
@@ -63,7 +63,7 @@ def named_angles(raw: RawCapture) -> RawCapture:
 
 
 STEPS: Mapping[int, Step] = MappingProxyType({1: _typed_metadata, 2: named_angles})
-"""The step from version n to n + 1, by n."""
+"""The migration from version n to n + 1, by n."""
 
 
 def migrate(
@@ -81,7 +81,7 @@ def migrate(
     check_version(version, path, current)
     for number in range(version, current):
         if number not in steps:
-            raise FileFormatError(f"{path}: format version {number} is no longer read", "Use an older tagid.")
+            raise FileFormatError(f"{path}: format version {number} is not supported", "Use an older tagid.")
         raw = steps[number](raw)
     return raw
 

@@ -1,6 +1,6 @@
-"""The log of the vendor's MRM-RET program (CSV), read into captures line by line.
+"""Reads the log of the vendor's MRM-RET program (CSV) into captures, line by line.
 
-Its Config lines can be stale, so the grid is taken from the scan lines, which are right (P440 MRM API, log
+Its Config lines can be stale, so the grid is taken from the scan lines, which are correct (P440 MRM API, log
 format).
 """
 
@@ -40,12 +40,12 @@ _FIRST_SAMPLE = 16
 _RAW = 1
 _WINDOW = ("scan_start_ps", "scan_stop_ps")
 _GRID_PS = 2
-"""A requested window end this near to the actual one is the same: the radar's grid is 1.9 ps."""
+"""A requested window end this close to the actual one is considered equal: the radar's grid is 1.9 ps."""
 _LONGEST_LINE = 1 << 17
-"""Bytes; a scan of 8400 samples of 12 characters and a blank each fits."""
+"""Maximum line length, bytes; a scan of 8400 samples of 12 characters and a space each fits."""
 _MOST_CONFIGS = 64
 _NUMBERS = re.compile(rb"-?\d{1,10}+(?:[ \t]*+,[ \t]*+-?\d{1,10}+)*+")
-"""Whole numbers and commas; possessive, as a scan of 8400 samples would fill the stack of alternatives."""
+"""Integers and commas; possessive, because a scan of 8400 samples would overflow the backtracking stack."""
 
 
 def is_mrm_ret(data: bytes) -> bool:
@@ -61,15 +61,15 @@ def read_mrm_ret(path: Path, cable_delay_ps: float = 0.0, node: int | None = Non
     """Read an MRM-RET CSV log.
 
     A scan line with too few samples (the last one, when the program was stopped) is counted as lost. Where a
-    scan was logged raw and filtered, the raw one is taken. `radar` is as for `read_recording`; `config` is
-    the Config line that fits the scans, with their window in place of its own. Where no line fits,
-    `config_stale` is true and `window_requested_ps` is what the last one asked for. `detection_lists` holds
-    the vendor's detections as texts "message id: index magnitude, ..."; they name no radar.
+    scan was logged raw and filtered, the raw one is used. `radar` is as for `read_recording`; `config` is
+    the Config line that fits the scans, with the window of the scans. If no line fits,
+    `config_stale` is true and `window_requested_ps` is the window of the last one. `detection_lists` holds
+    the vendor's detections as texts "message id: index magnitude, ..."; they do not identify the radar.
 
     Args:
         path: the file.
         cable_delay_ps: two-way delay of cables and antennas to subtract from the ranges, ps.
-        node: number of the radar to read, where the log holds scans of several.
+        node: number of the radar to read, if the log holds scans of several.
 
     Raises:
         StorageError: the file cannot be read.
@@ -117,7 +117,7 @@ def read_mrm_ret(path: Path, cable_delay_ps: float = 0.0, node: int | None = Non
 
 
 def _lines(stream: BinaryIO) -> Iterator[tuple[bytes, bytes, int]]:
-    """(kind, line, bytes in the file) of every line that is no heading; an endless one is cut."""
+    """(kind, line, bytes in the file) of every line except headings; an overlong line is truncated."""
     stream.seek(0)
     while raw := stream.readline(_LONGEST_LINE):
         length = len(raw)
@@ -133,14 +133,14 @@ def _lines(stream: BinaryIO) -> Iterator[tuple[bytes, bytes, int]]:
 
 @dataclass
 class _Survey:
-    """What stands in the log, found without keeping a sample.
+    """Contents of the log, determined without storing a sample.
 
     Attributes:
         scans_of: radar -> its complete scan lines.
         has_raw: radars that have an unfiltered scan.
         configs: (number of scan lines before it, settings) of the Config lines.
-        unreadable: scan lines whose head makes no sense.
-        left_over: bytes of a last line that is cut off.
+        unreadable: scan lines with an invalid header.
+        left_over: bytes of an incomplete last line.
     """
 
     scans_of: dict[int, int] = field(default_factory=dict)
@@ -177,7 +177,7 @@ class _Survey:
 
 @dataclass
 class _Reading:
-    """The scans of one radar, in the order of the log and on the grid of its first."""
+    """The scans of one radar, in the order of the log and on the grid of the first one."""
 
     samples: bytearray = field(default_factory=bytearray)
     message_id: list[int] = field(default_factory=list)
@@ -240,7 +240,7 @@ class _Head:
 
     @classmethod
     def parse(cls, line: bytes) -> _Head | None:
-        """The head, or None if it cannot be read.
+        """The header of a scan line, or None if it cannot be read.
 
         The vendor's C example logs neither the reserved columns nor the mode: 11 columns before the samples.
         """
@@ -263,7 +263,7 @@ class _Head:
         return full if full and full.is_plausible() else None
 
     def is_plausible(self) -> bool:
-        """Whether the numbers are ones that a radar sends."""
+        """Whether a radar can send these numbers."""
         window = (self.info["scan_start_ps"], self.info["scan_stop_ps"])
         return (
             1 <= self.total <= MAX_SAMPLES_PER_SCAN
@@ -275,16 +275,16 @@ class _Head:
         )
 
     def is_whole(self, line: bytes) -> bool:
-        """Whether as many samples follow as the head says."""
+        """Whether the number of samples matches the header."""
         return line.count(b",") - line.endswith((b",", b", ")) >= self._first_sample - 1 + self.total
 
     def samples(self, line: bytes) -> np.ndarray[Any, np.dtype[np.int32]] | None:
-        """(total,) int32 counts; None if the line is cut off or holds something else."""
+        """(total,) int32 counts; None if the line is incomplete or contains other text."""
         columns = line.split(b",", self._first_sample)
         if len(columns) <= self._first_sample:
             return None
         body = columns[-1].strip(b" \t,")
-        # Checked first: what numpy makes of text that is no number depends on its version.
+        # Checked first: numpy's conversion of text that is not a number depends on its version.
         if not _NUMBERS.fullmatch(body):
             return None
         values = np.fromstring(body, np.int64, sep=",")[: self.total]
@@ -295,7 +295,7 @@ class _Head:
 
 
 def _integer(column: bytes) -> int:
-    """A decimal number of at most 12 characters, where int() takes `1_000` too. Raises ValueError."""
+    """A decimal number of at most 12 characters; int() would also accept `1_000`. Raises ValueError."""
     text = column.strip()
     if len(text) > 12 or not text.removeprefix(b"-").isdigit():
         raise ValueError(column[:20])
@@ -303,7 +303,7 @@ def _integer(column: bytes) -> int:
 
 
 def _nanoseconds(column: bytes) -> int:
-    """Epoch seconds with three decimals as ns; exact, where a float would not be. Raises ValueError."""
+    """Epoch seconds with three decimals as ns; exact, unlike a float. Raises ValueError."""
     seconds = float(column[:64])
     if not abs(seconds) < 9e9:
         raise ValueError(column[:20])
@@ -328,7 +328,7 @@ def _config(line: bytes) -> dict[str, Any] | None:
 
 @dataclass(frozen=True)
 class _Window:
-    """The scan window that the configuration asks for and that of the scans, ps; None if not known."""
+    """The scan window of the configuration and that of the scans, ps; None if not known."""
 
     requested_ps: tuple[int, ...] | None = None
     actual_ps: tuple[int, ...] | None = None
@@ -336,10 +336,10 @@ class _Window:
 
 
 def _fitting_config(survey: _Survey, node: int, reading: _Reading) -> tuple[dict[str, Any], _Window]:
-    """The settings of the Config line that belongs to the scans, and what is to be noted about it.
+    """The settings of the Config line for the scans, with notes on it.
 
-    Of a radar's lines the last before its scans whose window is theirs is taken; else the last before them,
-    which is stale in its window at least.
+    Of a radar's Config lines before its scans, the last one whose window matches is used; otherwise the last
+    one, whose window at least is stale.
     """
     actual = {name: reading.info[name] for name in _WINDOW}
     one_radar = len(survey.scans_of) == 1

@@ -1,6 +1,6 @@
-"""Captures out to the vendor's log format, for the tools that read nothing else.
+"""Exports captures in the vendor's log format, for tools that read no other format.
 
-What was read from such a log comes back: the samples, the times, the settings and the detection lists.
+Data read from such a log is preserved: samples, times, settings and detection lists.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def mrm_ret_lines(capture: Capture) -> Iterator[bytes]:
     """The lines of an MRM-RET log, one scan at a time.
 
     Raises:
-        UsageError: the samples are not int32 counts, which is all that the format holds.
+        UsageError: the samples are not int32 counts, the only type that the format supports.
         DataError: too many bins, no times, or settings that do not fit the format.
     """
     if capture.samples.dtype != np.int32:
@@ -90,7 +90,7 @@ def _checked(values: list[Any]) -> list[int]:
 
 
 def _epoch_ms(capture: Capture, clock: np.ndarray[Any, np.dtype[np.int64]]) -> Any:
-    """(views,) arrival in ms since the epoch; by the radar's clock from the capture's date where unknown."""
+    """(views,) arrival in ms since the epoch; if unknown, from the capture's date and the radar's clock."""
     if capture.host_time_ns is not None:
         return np.maximum(capture.host_time_ns // 1_000_000, 0)
     try:
@@ -101,7 +101,7 @@ def _epoch_ms(capture: Capture, clock: np.ndarray[Any, np.dtype[np.int64]]) -> A
 
 
 def _detections(capture: Capture) -> dict[int, list[list[int]]]:
-    """The detection lists that came with the scans, by message id: flat [index, magnitude, ...]."""
+    """The detection lists stored with the scans, by message id: flat [index, magnitude, ...]."""
     found: dict[int, list[list[int]]] = {}
     for text in capture.radar.detection_lists:
         message_id, _, body = text.partition(": ")

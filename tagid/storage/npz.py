@@ -1,12 +1,12 @@
-"""The generic NPZ file, through which scans of any radar come in and captures go out to numpy.
+"""The generic NPZ file: imports scans of any radar and exports captures to numpy.
 
 Keys (docs/formats.md): samples (views, bins) real or complex; range_start_m, range_step_m; one of angles_rad
 (views,), timestamps_s (views,), antenna_positions_m (views, 3), or transmit_positions_m with
-receive_positions_m where the radar has two antennas; with angles axis_distance_m, optionally
+receive_positions_m if the radar has two antennas; with angles axis_distance_m, optionally
 antenna_height_m and antenna_separation_m (between two antennas side by side). Optional: center_frequency_hz,
-bandwidth_hz, wave_speed_m_s (m/s, vacuum unless given), pulse with pulse_step_s, object (text or JSON). What
-`tagid` exports also holds angle_sigma_rad, radar_time_ms, host_time_ns, scan_id, flags and tagid (JSON:
-provenance, settings).
+bandwidth_hz, wave_speed_m_s (m/s, vacuum unless given), pulse with pulse_step_s, object (text or JSON). Files
+that `tagid` exports also contain angle_sigma_rad, radar_time_ms, host_time_ns, scan_id, flags and tagid
+(JSON: provenance, settings).
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ _VECTORS = {
     "flags": np.uint8,
 }
 _TRANSMIT = "transmit_positions_m"
-"""Another name of antenna_positions_m, for files that hold receive_positions_m."""
+"""Another name of antenna_positions_m, for files that contain receive_positions_m."""
 _WHERE = ("angles_rad", "timestamps_s", "antenna_positions_m", _TRANSMIT)
 _OTHER = (
     _TRANSMIT,
@@ -70,13 +70,13 @@ _OLD_ANGLES = "angle_rad"
 """Name of the angles in older HDF5 and MATLAB files, which scripts copied into NPZ files."""
 _SMALL_BYTES = 16 << 20
 _MAX_EXPANSION = 20
-"""Scans hold noise and deflate 2:1 to 5:1; far more, of something large, was made to fill the memory."""
+"""Scans contain noise and compress 2:1 to 5:1; a much higher ratio in a large file indicates an attack."""
 
 
 def read_npz(path: Path) -> Capture:
     """Read a generic NPZ file; nothing in it is unpickled.
 
-    float64 samples become float32, integers int32 where they fit and float32 otherwise, complex128 complex64.
+    float64 samples become float32, integers int32 if they fit and float32 otherwise, complex128 complex64.
 
     Raises:
         StorageError: the file cannot be read.
@@ -100,7 +100,7 @@ def read_npz(path: Path) -> Capture:
     )
     if not ours and not any(key in arrays for key in _WHERE):
         raise FileFormatError(
-            f"{path}: the NPZ file does not say where the antenna stood",
+            f"{path}: the NPZ file does not contain the antenna positions",
             "Add one of angles_rad (views,), timestamps_s (views,) or antenna_positions_m (views, 3).",
         )
     if not ours and "angles_rad" in arrays and "axis_distance_m" not in arrays:
@@ -111,7 +111,7 @@ def read_npz(path: Path) -> Capture:
     if _TRANSMIT in arrays:
         if "antenna_positions_m" in arrays or "receive_positions_m" not in arrays:
             raise FileFormatError(
-                f"{path}: {_TRANSMIT} belongs to receive_positions_m",
+                f"{path}: {_TRANSMIT} requires receive_positions_m",
                 "Give both, or antenna_positions_m for one antenna.",
             )
         arrays["antenna_positions_m"] = arrays.pop(_TRANSMIT)
@@ -126,7 +126,7 @@ def read_npz(path: Path) -> Capture:
             fields[key] = _vector(path, key, arrays[key], dtype, len(samples))
     if "timestamps_s" in arrays and "radar_time_ms" not in arrays:
         seconds = _vector(path, "timestamps_s", arrays["timestamps_s"], np.float64, len(samples))
-        with np.errstate(over="ignore"):  # what becomes infinite is refused by the capture
+        with np.errstate(over="ignore"):  # infinite values are rejected by the capture
             fields["radar_time_ms"] = seconds * 1000.0
     if "pulse" in arrays:
         fields["pulse"] = _pulse(path, arrays)
@@ -135,7 +135,7 @@ def read_npz(path: Path) -> Capture:
 
 
 def encode_npz(capture: Capture) -> bytes:
-    """The bytes of a generic NPZ file that `read_npz` takes back without loss."""
+    """The bytes of a generic NPZ file that `read_npz` restores without loss."""
     arrays: dict[str, Any] = {
         "samples": capture.samples,
         "range_start_m": np.float64(capture.range_start_m),
@@ -163,7 +163,7 @@ def read_arrays(path: Path, data: bytes, keys: frozenset[str]) -> dict[str, NDAr
     """The arrays of an NPZ file under known keys, each checked before memory is allocated for it.
 
     Args:
-        path: of the file, for messages.
+        path: the file, for messages.
         data: its content.
         keys: others are ignored.
 
@@ -173,7 +173,7 @@ def read_arrays(path: Path, data: bytes, keys: frozenset[str]) -> dict[str, NDAr
     budget = files.MAX_FILE_BYTES
     try:
         with warnings.catch_warnings(), zipfile.ZipFile(io.BytesIO(data)) as archive:
-            warnings.simplefilter("ignore")  # numpy warns of headers that it parses with effort
+            warnings.simplefilter("ignore")  # numpy warns about headers that are expensive to parse
             for member in archive.infolist():
                 key = member.filename.removesuffix(".npy")
                 if key not in keys or key in arrays:
@@ -188,20 +188,20 @@ def read_arrays(path: Path, data: bytes, keys: frozenset[str]) -> dict[str, NDAr
                     _check_header(f"{path}: {key}", stream, member.file_size)
                 with archive.open(member) as stream:
                     arrays[key] = np.lib.format.read_array(stream, allow_pickle=False)
-    # zipfile and numpy raise any of these on damaged files, depending on where the damage is.
+    # zipfile and numpy raise any of these on damaged files, depending on the location of the damage.
     except (
         zipfile.BadZipFile, zlib.error, OSError, EOFError, ValueError, RuntimeError, TypeError, SyntaxError,
         LookupError, MemoryError, OverflowError, tokenize.TokenError, lzma.LZMAError,
     ) as error:  # fmt: skip
         raise FileFormatError(
-            f"{path}: the NPZ file is damaged or cut off ({str(error)[:120]})",
+            f"{path}: the NPZ file is damaged or truncated ({str(error)[:120]})",
             "Write it again with numpy.savez.",
         ) from error
     return arrays
 
 
 def _check_header(where: str, stream: Any, size: int) -> None:
-    """Refuse objects, and shapes that the member cannot hold."""
+    """Reject objects, and shapes that the member cannot hold."""
     version = np.lib.format.read_magic(stream)
     if version == (1, 0):
         shape, _, dtype = np.lib.format.read_array_header_1_0(stream)
@@ -217,7 +217,7 @@ def _check_header(where: str, stream: Any, size: int) -> None:
     for length in shape:
         claimed *= int(length)
     if claimed < 0 or claimed > size or any(length < 0 for length in shape):
-        raise FileFormatError(f"{where} claims shape {shape}, but only {size} bytes are there")
+        raise FileFormatError(f"{where} claims shape {shape}, but only {size} bytes are stored")
 
 
 def _samples(path: Path, values: NDArray[Any]) -> NDArray[Any]:
@@ -229,7 +229,7 @@ def _samples(path: Path, values: NDArray[Any]) -> NDArray[Any]:
         limits = np.iinfo(np.int32)
         fits = int(values.min()) >= limits.min and int(values.max()) <= limits.max
         return np.ascontiguousarray(values, dtype=np.int32 if fits else np.float32)
-    # What is too large for single precision becomes infinite, which the capture refuses.
+    # Values too large for single precision become infinite and are rejected by the capture.
     with np.errstate(over="ignore", invalid="ignore"):
         return np.ascontiguousarray(values, dtype=np.complex64 if values.dtype.kind == "c" else np.float32)
 
@@ -274,7 +274,7 @@ def _provenance(path: Path, arrays: dict[str, NDArray[Any]], ours: dict[str, Any
 
 
 def _object(content: str) -> dict[str, Any]:
-    """A JSON object as it is; any other text is the object's label."""
+    """A JSON object unchanged; any other text is the object's label."""
     try:
         value = json.loads(content)
         json.dumps(value, ensure_ascii=False).encode()

@@ -1,6 +1,6 @@
-"""From scans as a P440 numbers and times them to a Capture, whichever file they were found in.
+"""Converts scans with a P440's numbers and timestamps to a Capture, for all file formats.
 
-The binary recordings and the vendor's log share the grid, the wrapping counters and the way lost scans show.
+Binary recordings and the vendor's log share the grid, the wrapping counters and the signs of lost scans.
 """
 
 from __future__ import annotations
@@ -19,22 +19,22 @@ from tagid.metadata import RadarInfo, RadarSettings
 from tagid.storage.assembly import build_capture, unwrap
 
 MAX_NODES = 64
-"""Radars told apart in one file."""
+"""Maximum number of radars distinguished in one file."""
 
 _RESTART = -64
-"""A step of the scan number below this is a new run in the same file, else packets are out of order."""
+"""A decrease of the scan number below this is a new run in the same file; smaller ones are reordering."""
 
 
 @dataclass(frozen=True, eq=False)
 class P440Scans:
-    """Complete scans in the order of the file, one grid.
+    """Complete scans in file order, on one grid.
 
     Attributes:
         samples: (views, bins) int32 counts.
         message_id: (views,) scan number as sent, u16, wraps.
         timestamp_ms: (views,) radar clock as sent, u32 ms, wraps.
         host_time_ns: (views,) ns since the epoch, or None.
-        lost_id: (lost,) numbers of scans that were seen only in part.
+        lost_id: (lost,) numbers of scans that are incomplete.
         info: the other fields of the first scan, by the names of `SCAN_INFO_DTYPE`.
         config: the configuration block; may be stale or empty.
     """
@@ -49,12 +49,12 @@ class P440Scans:
 
 
 def choose_node(path: Path, scans_of: dict[int, int], node: int | None) -> int:
-    """The radar whose scans are read from a file.
+    """The radar whose scans to read from a file.
 
     Args:
         path: the file, for messages.
-        scans_of: number of each radar in the file (at most `MAX_NODES` of them) -> how much of it there is.
-        node: the one that was asked for; None takes the only one.
+        scans_of: number of each radar in the file (at most `MAX_NODES`) -> amount of its data.
+        node: the requested one; None selects the only one.
 
     Raises UsageError if there are several and none was chosen, or the chosen one is not among them.
     """
@@ -72,16 +72,16 @@ def choose_node(path: Path, scans_of: dict[int, int], node: int | None) -> int:
 
 
 def p440_capture(path: Path, scans: P440Scans, source: str, cable_delay_ps: float) -> Capture:
-    """The capture of some scans: views sorted by scan number within each run, lost scans counted and marked.
+    """The capture of scans: views sorted by scan number within each run, lost scans counted and marked.
 
     Args:
         path: the file, for messages.
-        scans: what was read.
-        source: name of the file's format, kept in `radar.source`.
+        scans: the scans read from the file.
+        source: name of the file's format, stored in `radar.source`.
         cable_delay_ps: two-way delay of cables and antennas to subtract from the ranges, ps.
 
     Raises:
-        FileFormatError: the grid makes no sense.
+        FileFormatError: the grid is invalid.
     """
     start_ps, step_bins = scans.info["scan_start_ps"], scans.info["step_bins"]
     if step_bins < 1:
@@ -111,7 +111,7 @@ def p440_capture(path: Path, scans: P440Scans, source: str, cable_delay_ps: floa
 
 
 def _reorder(samples: NDArray[np.int32], order: NDArray[np.intp]) -> NDArray[np.int32]:
-    """samples[order] without a second copy of a recording that may fill half of the memory: in place."""
+    """samples[order] in place: a second copy of a recording could exceed the memory."""
     if np.array_equal(order, np.arange(len(order))):
         return samples
     done = np.zeros(len(order), dtype=bool)
@@ -138,7 +138,7 @@ def _sort(
     number, run = number[order], run[order]
     steps = np.diff(number)[np.diff(run) == 0]
     missing = int(np.maximum(steps - 1, 0).sum())
-    # Scans seen in part before the first or after the last complete one leave no gap between complete ones.
+    # Incomplete scans before the first or after the last complete one leave no gap between complete ones.
     inside = (lost_id - number.min()) % (1 << 16) <= number.max() - number.min()
     return number, order, missing + int(len(lost_id) - np.count_nonzero(inside))
 
@@ -148,7 +148,7 @@ def _flags(samples: NDArray[np.int32], scan_id: NDArray[np.int64], clip: int | N
     flags[0] |= np.uint8(ViewFlag.FIRST)
     flags[1:][np.diff(scan_id) != 1] |= np.uint8(ViewFlag.AFTER_LOSS)
     if clip is not None:
-        # Not abs(): the most negative int32 has none.
+        # Not abs(): it overflows for the most negative int32.
         clipped = (samples.max(axis=1) >= clip) | (samples.min(axis=1) <= -clip)
         flags[clipped] |= np.uint8(ViewFlag.CLIPPED)
     return flags

@@ -1,6 +1,6 @@
-"""The `.prd`/`.out` recordings of other P440 tools, read into captures and written back byte for byte.
+"""Reads the `.prd`/`.out` recordings of other P440 tools into captures and writes them back byte for byte.
 
-Such a file is the 32-byte CONFIG block and then the 1452-byte SCAN_INFO messages as they came, nothing else;
+Such a file is the 32-byte CONFIG block followed by the 1452-byte SCAN_INFO messages as received;
 it may end in the middle of a message (P440 MRM API; public recordings).
 """
 
@@ -56,16 +56,16 @@ def is_recording(data: bytes) -> bool:
 
 
 def read_recording(path: Path, cable_delay_ps: float = 0.0, node: int | None = None) -> Capture:
-    """Read a `.prd`/`.out` recording, in parts: the memory taken is that of the samples and little more.
+    """Read a `.prd`/`.out` recording, in parts: it needs little more memory than the samples.
 
-    Fragments are regrouped by (id, timestamp), so a lost one costs its scan and nothing else; `radar` holds
-    `config` and `scan_info` (the fields that make the file again), `scans_lost`, `packets_ignored` (what is
-    no fragment of a scan on the recording's grid) and `bytes_left_over` (a message cut off at the end).
+    Fragments are regrouped by (id, timestamp), so a lost one costs only its scan; `radar` contains
+    `config` and `scan_info` (the fields needed to write the file again), `scans_lost`, `packets_ignored`
+    (not a fragment of a scan on the recording's grid) and `bytes_left_over` (a truncated last message).
 
     Args:
         path: the file.
         cable_delay_ps: two-way delay of cables and antennas to subtract from the ranges, ps.
-        node: number of the radar to read, where the file holds scans of several.
+        node: number of the radar to read, if the file holds scans of several.
 
     Raises:
         StorageError: the file cannot be read.
@@ -78,7 +78,7 @@ def read_recording(path: Path, cable_delay_ps: float = 0.0, node: int | None = N
             limits = f"expected {_SHORTEST} to {files.MAX_FILE_BYTES}"
             raise FileFormatError(
                 f"{path}: has {size} bytes, {limits} for a P440 recording",
-                f"One has {CONFIG_DTYPE.itemsize} bytes, then {SCAN_INFO_DTYPE.itemsize} a message.",
+                f"One has {CONFIG_DTYPE.itemsize} bytes, then {SCAN_INFO_DTYPE.itemsize} per message.",
             )
         config = _plain(np.frombuffer(stream.read(CONFIG_DTYPE.itemsize), CONFIG_DTYPE, 1)[0], _CONFIG_NAMES)
         heads = _read_heads(stream, count)
@@ -94,7 +94,7 @@ def read_recording(path: Path, cable_delay_ps: float = 0.0, node: int | None = N
         complete, partial = _regroup(heads, np.flatnonzero(valid))
         if not complete:
             raise FileFormatError(
-                f"{path}: holds no complete scan", "The recording is cut off or most of it is lost."
+                f"{path}: holds no complete scan", "The recording is truncated or mostly lost."
             )
         rows = np.array(complete)
         stream.seek(CONFIG_DTYPE.itemsize)
@@ -115,7 +115,7 @@ def read_recording(path: Path, cable_delay_ps: float = 0.0, node: int | None = N
 
 
 def _read_heads(stream: BinaryIO, count: int) -> NDArray[np.void]:
-    """(count,) headers of the messages that follow; what a shrinking file lacks is zero."""
+    """(count,) headers of the following messages; data missing from a shrinking file is zero."""
     heads = np.zeros(count, dtype=_HEAD_DTYPE)
     for first in range(0, count, _PACKETS_AT_ONCE):
         packets = _read_packets(stream, min(_PACKETS_AT_ONCE, count - first))
@@ -129,7 +129,7 @@ def _read_packets(stream: BinaryIO, count: int) -> NDArray[np.void]:
 
 
 def _read_samples(stream: BinaryIO, heads: NDArray[np.void], rows: NDArray[np.int64]) -> NDArray[np.int32]:
-    """(views, bins) counts of the scans whose messages stand in `rows` (views, messages)."""
+    """(views, bins) counts of the scans whose messages are at `rows` (views, messages)."""
     total = int(heads["total_samples"][rows[0, 0]])
     samples: NDArray[np.int32] = np.zeros((len(rows), total), dtype=np.int32)
     scan_of = np.full(len(heads), -1, dtype=np.int64)
@@ -148,10 +148,10 @@ def _read_samples(stream: BinaryIO, heads: NDArray[np.void], rows: NDArray[np.in
 
 
 def write_recording(path: Path, capture: Capture) -> None:
-    """Write a `.prd`/`.out` recording, whole or not at all; what was read from one comes back byte for byte.
+    """Write a `.prd`/`.out` recording atomically; one read from such a file is restored byte for byte.
 
     Raises:
-        UsageError: the samples are not int32 counts, which is all that the format holds.
+        UsageError: the samples are not int32 counts, the only type that the format supports.
         DataError: too many bins, or settings that do not fit the format.
         DiskFullError, StorageError: the file cannot be written.
     """
@@ -190,7 +190,7 @@ def encode_recording(capture: Capture) -> bytes:
 
 
 def _valid(packets: NDArray[np.void]) -> NDArray[np.bool_]:
-    """Which packets are fragments whose numbers agree with each other."""
+    """Which packets are fragments with consistent fields."""
     total = packets["total_samples"].astype(np.int64)
     here = packets["message_samples"].astype(np.int64)
     index = packets["message_index"].astype(np.int64)
@@ -207,7 +207,7 @@ def _valid(packets: NDArray[np.void]) -> NDArray[np.bool_]:
 
 
 def _regroup(heads: NDArray[np.void], rows: NDArray[np.intp]) -> tuple[list[list[int]], list[int]]:
-    """Rows of the fragments of each complete scan, in order of its first one, and the ids of the others."""
+    """Rows of the fragments of each complete scan, in order of the first one, and the ids of the others."""
     groups: dict[tuple[int, int], dict[int, int]] = {}
     columns = (heads[name][rows].tolist() for name in ("id", "timestamp_ms", "message_index"))
     for row, scan, timestamp, index in zip(rows.tolist(), *columns, strict=True):
@@ -218,7 +218,7 @@ def _regroup(heads: NDArray[np.void], rows: NDArray[np.intp]) -> tuple[list[list
 
 
 def wire_settings(capture: Capture) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Header and configuration fields: those of the recording, or what follows from the capture's grid."""
+    """Header and configuration fields: those of the recording, or values derived from the capture's grid."""
     radar = capture.radar
     info, config = dict(radar.scan_info or {}), (radar.config or RadarSettings()).to_json()
     delay = radar.cable_delay_ps or 0.0
@@ -259,7 +259,7 @@ def clock_ms(capture: Capture) -> NDArray[np.int64]:
     if capture.host_time_ns is not None:
         return capture.host_time_ns // 1_000_000
     raise DataError(
-        "the capture holds no times, a P440 recording needs one a scan", "Export to .npz instead."
+        "the capture has no times, a P440 recording needs one per scan", "Export to .npz instead."
     )
 
 

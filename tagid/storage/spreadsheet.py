@@ -1,7 +1,7 @@
 """Cells of the CSV files that tagid writes, safe to open in a spreadsheet.
 
-A spreadsheet runs a cell that begins with =, +, - or @ as a formula, and file names and labels are not
-trusted (OWASP, "CSV Injection").
+A spreadsheet runs a cell that begins with =, +, - or @ as a formula, and file names and labels are untrusted
+(OWASP, "CSV Injection").
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ FORMULA_STARTS: Final = ("=", "+", "-", "@")
 
 
 def cell(value: Any) -> Any:
-    """A value for `csv.writer`: texts lose control characters, and an apostrophe precedes a formula's start.
+    """A value for `csv.writer`: control characters are removed, and an apostrophe precedes a formula's start.
 
-    Truth values become true and false; numbers and None stay.
+    Booleans become true and false; numbers and None are unchanged.
 
     >>> cell("=1+1"), cell(-1.5), cell(True)
     ("'=1+1", -1.5, 'true')

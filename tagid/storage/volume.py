@@ -1,4 +1,4 @@
-"""Volume files for other programs: NPZ, VTK image data (.vti) and a cloud of the bright voxels (.ply).
+"""Volume files for other programs: NPZ, VTK image data (.vti) and a point cloud of bright voxels (.ply).
 
 VTK: "VTK XML file formats", appended raw data with a 64-bit length. PLY: Turk, "The PLY polygon file format"
 (1994), binary little-endian.
@@ -18,8 +18,8 @@ from tagid.errors import UsageError
 from tagid.files import write_bytes
 
 CLOUD_DB = 20.0
-"""Voxels up to this far below the brightest are points of the cloud, if no neighbour along an axis is
-brighter."""
+"""Dynamic range of the point cloud: voxels down to this level below the brightest are points, if no
+neighbour along an axis is brighter."""
 
 
 class Square(Protocol):
@@ -75,17 +75,17 @@ class GriddedVolume(Protocol):
 
 
 def write_volume(path: Path, volume: GriddedVolume) -> None:
-    """Write a volume in the format that the name's ending says, atomically.
+    """Write a volume atomically, in the format given by the suffix.
 
     .npz: `volume` complex64 (z, y, x), `x_m`, `y_m`, `z_m`, `settings` (JSON). .vti: point data `magnitude`
     and `phase`. .ply: points with `magnitude`.
 
     Raises:
-        UsageError: another ending. StorageError, DiskFullError.
+        UsageError: another suffix. StorageError, DiskFullError.
     """
     writers = {".npz": _npz, ".vti": _vti, ".ply": _ply}
     if path.suffix not in writers:
-        raise UsageError(f"{path} is no name of a volume", f"End it in {', '.join(writers)}.")
+        raise UsageError(f"{path} has no suffix of a volume file", f"Use one of {', '.join(writers)}.")
     write_bytes(path, writers[path.suffix](volume))
 
 

@@ -132,7 +132,7 @@ def test_files_are_read_back(tmp_path: Path) -> None:
     with Image.open(tmp_path / "v.png") as picture, Image.open(tmp_path / "v.webp") as film:
         assert picture.size[0] > picture.size[1]
         assert film.n_frames == 48
-    with pytest.raises(UsageError, match="no name of a volume"):
+    with pytest.raises(UsageError, match="no suffix of a volume"):
         write_volume(tmp_path / "v.stl", made)
 
 

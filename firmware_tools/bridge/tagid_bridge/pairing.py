@@ -35,7 +35,7 @@ class Pairing:
     # Pass-key attempts, called from the loop.
 
     def may_try(self):
-        """Whether an attempt is allowed; the wait restarts at every boot: the clock stops without power."""
+        """Whether an attempt is allowed; the wait restarts at boot, as the clock stops without power."""
         if self.failed >= len(WAITS_MS):
             return False
         return ticks_diff(ticks_ms(), self._since) >= WAITS_MS[self.failed]

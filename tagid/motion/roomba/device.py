@@ -237,7 +237,7 @@ class Roomba(DrivenMotion):
         return found
 
     def _watch(self, values: dict[int, int]) -> None:
-        """Raise the error that must stop the motion; a cause before its consequence, a return to Passive."""
+        """Raise the error that must stop the motion; a cause precedes its consequence (return to Passive)."""
         bits = values[Packet.BUMPS_AND_DROPS]
         capacity = values.get(Packet.CAPACITY, 0)
         cliffs = any(values[packet] for packet in range(Packet.CLIFF_LEFT, Packet.CLIFF_RIGHT + 1))
