@@ -1,6 +1,6 @@
 """The `tagid` program: its commands, and the last handler for invalid command lines.
 
-It imports no numerics, so that `tagid --help` answers at once.
+It imports no numerics, so that `tagid --help` is fast.
 """
 
 from __future__ import annotations
@@ -18,26 +18,26 @@ from tagid.cli.common.lazy import Entry, lazy_group
 COMMANDS = {
     "plan": Entry(
         "tagid.cli.plan",
-        "Plan a recording: SNR, clipping, time, centring, and how surely the tag will be named.",
+        "Plan a recording: SNR, clipping, time, centring, and the probability that the tag is named.",
     ),
-    "scan": Entry("tagid.cli.scan", "Record one turn of the object, image it and name it."),
+    "scan": Entry("tagid.cli.scan", "Record one revolution of the object, image it and name it."),
     "station": Entry(
         "tagid.cli.station",
-        "Serve a page with a Scan button, the live image, the answer, health and history.",
+        "Serve a web page with a Scan button, live image, answer, health and history.",
     ),
-    "identify": Entry("tagid.cli.identify", "Name the object in one or more recorded scans."),
+    "identify": Entry("tagid.cli.identify", "Name the object in one or more captures."),
     "enroll": Entry(
         "tagid.cli.enroll",
-        "Enrol a layout from numbers, a file or captures of the real object, or an untagged body.",
+        "Enrol a layout from coordinates, a file or captures of the real object, or an untagged body.",
     ),
     "history": Entry(
         "tagid.cli.history", "List the identifications made on this computer, newest first, or export them."
     ),
     "report": Entry("tagid.cli.report", "Identify many captures: write a page, tables and a test report."),
-    "reconstruct": Entry("tagid.cli.reconstruct", "Make an image of a recorded scan."),
+    "reconstruct": Entry("tagid.cli.reconstruct", "Reconstruct an image from a capture."),
     "join": Entry(
         "tagid.cli.volume",
-        "Join captures of one object from several antenna heights into one of antenna positions.",
+        "Join captures of one object from several antenna heights into one capture with antenna positions.",
     ),
     "show": Entry(
         "tagid.cli.show",
@@ -49,32 +49,36 @@ COMMANDS = {
         "Write a capture as NPZ, MATLAB (.mat), P440 recording (.out, .prd), MRM-RET log (.csv) or .h5.",
     ),
     "recover": Entry(
-        "tagid.cli.transfer", "Make a capture file from the journal of an interrupted recording."
+        "tagid.cli.transfer", "Create a capture file from the journal of an interrupted recording."
     ),
     "simulate": Entry(
         "tagid.cli.simulate",
-        "Simulate the capture of a turning scene, or of an object whose response is in a file.",
+        "Simulate a capture of a rotating scene, or of an object with a response file.",
     ),
-    "doctor": Entry("tagid.cli.doctor", "Check ports, the radar's answer, disk, layouts and versions."),
+    "doctor": Entry("tagid.cli.doctor", "Check ports, radar, disk, layouts and versions."),
     "config": Entry("tagid.cli.config", "Show or change the stored settings."),
     "layouts": Entry(
         "tagid.cli.layouts.app",
-        "List, design, draw, exchange and check the layouts; without a command, list those enrolled.",
+        "List, design, draw, exchange and check layouts; without a command, list the enrolled ones.",
     ),
     "bodies": Entry(
         "tagid.cli.bodies",
-        "List, draw and check enrolled bodies and objects; without a command they are listed.",
+        "List, draw and check enrolled bodies and objects; without a command, list them.",
     ),
-    "emulate": Entry("tagid.cli.emulate.app", "Emulate a device on a real wire."),
-    "radar": Entry("tagid.cli.radar.app", "Find, ask, set and record the radar itself."),
-    "motion": Entry("tagid.cli.motion.app", "Find, query, turn, stop and calibrate robots and turntables."),
+    "emulate": Entry(
+        "tagid.cli.emulate.app", "Emulate a device on a real network, serial or Bluetooth interface."
+    ),
+    "radar": Entry(
+        "tagid.cli.radar.app", "Find, query, configure, monitor and calibrate the radar, and record scans."
+    ),
+    "motion": Entry("tagid.cli.motion.app", "Find, query, rotate, stop and calibrate robots and turntables."),
 }
-"""Every command, in the order of the help, with the first sentence of its own help."""
+"""Every command, in the order of the help, with the first sentence of its help text."""
 
 app = typer.Typer(
     name="tagid",
     cls=lazy_group(COMMANDS),
-    help="Read the identity of a tagged object from radar scans taken while it turns.",
+    help="Read the identity of a tagged object from radar scans taken while it rotates.",
     epilog="Try it without a radar: tagid scan --demo",
     no_args_is_help=True,
     pretty_exceptions_enable=False,

@@ -25,10 +25,10 @@ def register(app: typer.Typer) -> None:
     def bodies(
         terminal: Terminal,
         remove: Annotated[
-            str | None, typer.Option("--remove", help="Remove this body; its history stays.")
+            str | None, typer.Option("--remove", help="Remove this body; its history is kept.")
         ] = None,
     ) -> Result:
-        """List, draw and check enrolled bodies and objects; without a command they are listed.
+        """List, draw and check enrolled bodies and objects; without a command, list them.
 
         Example: tagid bodies
         """
@@ -40,7 +40,7 @@ def register(app: typer.Typer) -> None:
         registry = open_registry()
         if remove:
             version = registry.remove_signature("body", remove, "tagid bodies --remove")
-            line = Text(f"{remove} removed; its history stays (registry version {version})")
+            line = Text(f"{remove} removed; its history is kept (registry version {version})")
             return Result("bodies", {"removed": remove, "registry_version": version}, line)
         contents = registry.contents()
         table = Table(box=None)
@@ -93,8 +93,8 @@ def register(app: typer.Typer) -> None:
             f"{one.kind} {one.name}  {one.label}",
             f"  measured on {one.captures} captures, {one.distance_m:.2f} m from the axis, "
             f"{one.frequencies_hz[0] / 1e9:.1f} to {one.frequencies_hz[-1] / 1e9:.1f} GHz",
-            f"  radius {one.radius_m * 1e3:.0f} mm, {one.order} harmonics; its echo turns with "
-            f"{_db(facts['turning_share'])} dB of the whole",
+            f"  radius {one.radius_m * 1e3:.0f} mm, {one.order} harmonics; angle-dependent echo "
+            f"{_db(facts['turning_share'])} dB relative to the total",
             f"  a tag on it must return more than {_db(facts['least_tag'])} dB of the body's echo",
         ]
         lines += [f"written  {png}"] if png else []
@@ -137,14 +137,14 @@ def register(app: typer.Typer) -> None:
         bad = [pair for pair in pairs if pair.alike and pair.kind == "object"]
         same = [pair for pair in pairs if pair.alike and pair.kind == "body"]
         notes = tuple(
-            f"the bodies {p.first} and {p.second} look alike: a tag on one may be read as on the other"
+            f"the bodies {p.first} and {p.second} are similar: a tag on one may be read as on the other"
             for p in same
         )
         human = Group(table, *lines)
         if not bad:
             return Result("bodies check", data, human, messages=notes)
         error = LayoutConflictError(
-            f"{len(bad)} pair(s) of enrolled objects cannot be told apart: "
+            f"{len(bad)} pair(s) of enrolled objects cannot be distinguished: "
             + ", ".join(f"{p.first} and {p.second}" for p in bad),
             "Remove one of each pair with `tagid layouts --remove NAME`, or change its tag.",
         )
@@ -153,7 +153,7 @@ def register(app: typer.Typer) -> None:
 
 
 def _facts(one: Signature) -> dict[str, Any]:
-    """What is known of a signature, for scripts."""
+    """Properties of a signature, for scripts."""
     from tagid.tags.bodies.likeness import least_tag, turning_share
 
     return {
@@ -174,7 +174,7 @@ def _facts(one: Signature) -> dict[str, Any]:
 
 
 def _db(ratio: float) -> str:
-    """A ratio of energies in dB; under -60 dB there is nothing to tell."""
+    """A ratio of energies in dB; below -60 dB it is not shown."""
     from math import log10
 
     return f"{10 * log10(ratio):.0f}" if ratio > 1e-6 else "under -60"

@@ -20,7 +20,7 @@ def register(app: typer.Typer) -> None:
         terminal: Terminal,
         action: Annotated[str, typer.Argument(help="list, set, unset or path.")] = "list",
         name: Annotated[str | None, typer.Argument(help="A setting, e.g. radar.url.")] = None,
-        value: Annotated[str | None, typer.Argument(help="Its new value.")] = None,
+        value: Annotated[str | None, typer.Argument(help="The new value.")] = None,
     ) -> Result:
         """Show or change the stored settings.
 
@@ -44,7 +44,7 @@ def register(app: typer.Typer) -> None:
         if action != "list":
             raise UsageError(f"unknown action {action!r}", "Use list, set, unset or path.")
         table = Table(box=None)
-        # Names are to be copied, so they are never cut; long values continue on the next line.
+        # Names are copied by the user, so they are never truncated; long values continue on the next line.
         table.add_column("setting", no_wrap=True)
         table.add_column("value", overflow="fold")
         table.add_column("from", no_wrap=True)

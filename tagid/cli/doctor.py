@@ -18,7 +18,7 @@ def register(app: typer.Typer) -> None:
 
     @command(app, "doctor")
     def doctor(terminal: Terminal, radar: options.RadarUrl = None) -> Result:
-        """Check ports, the radar's answer, disk, layouts and versions.
+        """Check ports, radar, disk, layouts and versions.
 
         Example: tagid doctor --radar udp://192.168.1.100
         """

@@ -1,4 +1,4 @@
-"""`tagid enroll`: add an identity, or a body that tags are put on."""
+"""`tagid enroll`: add an identity, or a body on which tags are mounted."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Given:
-    """What the command line says about an entry beside its positions.
+    """Command-line options of an entry other than its positions.
 
     Attributes:
         name: of the entry.
-        label: for people; None keeps that of a file.
+        label: description; None keeps that of a file.
         wish: see `enrolling.Wish`.
     """
 
@@ -45,11 +45,11 @@ def register(app: typer.Typer) -> None:
         terminal: Terminal,
         name: Annotated[
             str | None,
-            typer.Argument(help="Name of the new entry; a file brings its own.", show_default=False),
+            typer.Argument(help="Name of the new entry; a file contains its own.", show_default=False),
         ] = None,
         more: Annotated[
             list[Path] | None,
-            typer.Argument(help="Captures of the real object, as with --capture.", show_default=False),
+            typer.Argument(help="Captures of the real object, same as --capture.", show_default=False),
         ] = None,
         points: Annotated[
             list[str] | None,
@@ -66,7 +66,7 @@ def register(app: typer.Typer) -> None:
             list[Path] | None,
             typer.Option(
                 "--capture",
-                help="A capture of the real object; give three or more, the object turned and moved between "
+                help="A capture of the real object; give three or more, and turn and move the object between "
                 "them.",
                 show_default=False,
             ),
@@ -89,24 +89,24 @@ def register(app: typer.Typer) -> None:
             str | None, typer.Option("--kind", help="helmet, container or other.", show_default=False)
         ] = None,
         label: Annotated[
-            str | None, typer.Option("--label", help="Shown to people with the name.", show_default=False)
+            str | None, typer.Option("--label", help="Description shown with the name.", show_default=False)
         ] = None,
         notes: Annotated[
-            str | None, typer.Option("--notes", help="Kept with the layout.", show_default=False)
+            str | None, typer.Option("--notes", help="Text stored with the layout.", show_default=False)
         ] = None,
         motion: options.MotionUrl = None,
         axis_distance: options.AxisDistance = None,
         force: Annotated[
             bool,
-            typer.Option("--force", help="Replace an entry of that name; accept one that can be confused."),
+            typer.Option("--force", help="Replace an entry of that name; accept one that could be confused."),
         ] = False,
         yes: enrolling.Yes = False,
         dry_run: enrolling.DryRun = False,
     ) -> Result:
-        """Enrol a layout from numbers, a file or captures of the real object, or an untagged body.
+        """Enrol a layout from coordinates, a file or captures of the real object, or an untagged body.
 
-        From three captures the object's signature is stored too; where its body hides the reflectors, the
-        signature alone. The nearest enrolled layouts and the expected rate of confusion are shown first; at a
+        With three captures the object's signature is also stored; if the body hides the reflectors, only the
+        signature. The nearest enrolled layouts and the expected confusion rate are shown first; at a
         terminal you are asked before anything is stored.
 
         Example: tagid enroll helmet-7 --kind helmet --point 0.11,0 --point -0.05,0.09 --point 0,-0.08
@@ -119,14 +119,16 @@ def register(app: typer.Typer) -> None:
         ways = [bool(points), file is not None, bool(captures)]
         if sum(ways) != 1:
             raise UsageError(
-                "give the reflectors in one way", "Use --point X,Y (repeated), --file, or captures."
+                "give the reflectors in exactly one way", "Use --point X,Y (repeated), --file, or captures."
             )
         if file is None and not name:
             raise UsageError("the new entry needs a name", "Give it first: tagid enroll NAME ...")
         if captures and Path(str(name)).is_file():
-            raise UsageError(f"{name} is a file where a name should be", "Name first: tagid enroll NAME ...")
+            raise UsageError(
+                f"{name} is a file, but a name is expected", "Give the name first: tagid enroll NAME ..."
+            )
         if sigma is not None and not points:
-            raise UsageError("--sigma without --point", "Files and captures bring their own accuracy.")
+            raise UsageError("--sigma without --point", "Files and captures contain their accuracy.")
         if body and not captures:
             raise UsageError("--body without captures", "Give three captures of the untagged body.")
         config = load_config({"motion.url": motion, "motion.axis_distance_m": axis_distance})
@@ -136,7 +138,7 @@ def register(app: typer.Typer) -> None:
             from tagid.cli.common.imaging import settings_from
 
             if kind is not None or notes is not None:
-                raise UsageError("--kind and --notes are of layouts", "Omit them with --body.")
+                raise UsageError("--kind and --notes apply to layouts only", "Omit them with --body.")
             settings = settings_from(config)
             joint = signature(given.name, "body", prepared(captures, config), settings, terminal)
             return _enrol_signature(terminal, given, joint, f"{len(captures)} captures", ())
@@ -162,7 +164,7 @@ def register(app: typer.Typer) -> None:
 def _enrol_layout(
     terminal: Terminal, layout: Layout, measured: Measured | None, source: str, wish: enrolling.Wish
 ) -> Result:
-    """Show what enrolling a layout would mean, ask, and store it with its signature."""
+    """Show the outcome of enrolling a layout, ask for confirmation, and store it with its signature."""
     from tagid.cli.common.imaging import open_registry
     from tagid.tags.enrolling.enrolment import enrol
     from tagid.tags.enrolling.enrolment import outlook as look
@@ -194,7 +196,7 @@ def _enrol_layout(
 def _enrol_signature(
     terminal: Terminal, given: Given, joint: Joint, source: str, remarks: tuple[str, ...]
 ) -> Result:
-    """Show what a signature is worth, ask, and store it: of a body, or of an object without positions."""
+    """Show the quality of a signature (body, or object without positions), ask, and store it."""
     from rich.console import Group
     from rich.text import Text
 
@@ -217,12 +219,15 @@ def _enrol_signature(
     pairs = sorted((compare(one, other) for other in others), key=lambda pair: pair.left)
     alike = [pair.second for pair in pairs if pair.alike]
     lines = joint_words(joint)
-    lines += [f"  apart from {p.second}: {p.left:.1%} of the turning echo" for p in pairs[: enrolling.SHOWN]]
+    lines += [
+        f"  difference from {p.second}: {p.left:.1%} of the angle-dependent echo"
+        for p in pairs[: enrolling.SHOWN]
+    ]
     notes = list(remarks)
     if one.kind == "body":
         lines.append(f"  a tag on it must return more than {10 * _log10(least_tag(one)):.0f} dB of its echo")
         if alike:
-            notes.append(f"it looks like {', '.join(alike)}: a tag on one may be read as on the other")
+            notes.append(f"it is similar to {', '.join(alike)}: a tag on one may be read as on the other")
     shown = Group(*(Text(line) for line in lines))
     data: dict[str, Any] = {
         "layout": None,
@@ -233,8 +238,8 @@ def _enrol_signature(
     }
     if one.kind == "object" and alike and not given.wish.force:
         error = LayoutConflictError(
-            f"object {one.name} could be confused with {alike[0]}: {pairs[0].left:.1%} of its turning echo "
-            "tells them apart",
+            f"object {one.name} could be confused with {alike[0]}: {pairs[0].left:.1%} of its "
+            "angle-dependent echo distinguishes them",
             "Change its tag, remove the other, or override with --force; nothing was stored.",
         )
         entry = {"code": error.code, "message": error.message, "remedy": error.remedy}
@@ -256,7 +261,7 @@ def _log10(value: float) -> float:
 
 
 def _shown(found: Outlook, measured: Measured | None):  # type: ignore[no-untyped-def]
-    """What a person sees before the question."""
+    """Text shown before the confirmation."""
     from rich.console import Group
     from rich.text import Text
 
@@ -303,7 +308,9 @@ def _result(
     entries = tuple({"code": e.code, "message": e.message, "remedy": e.remedy} for e in errors)
     messages = list(measured.remarks) if measured else []
     if estimate is not None and len(estimate.rotations_deg) < 3:
-        messages.append("three or more captures, the object moved between them, show the accuracy")
+        messages.append(
+            "use three or more captures, with the object moved between them, to determine the accuracy"
+        )
     data = {
         "layout": layout.to_dict(),
         "signature": joint_data(measured.joint) if measured else None,

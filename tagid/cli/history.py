@@ -42,13 +42,19 @@ def register(app: typer.Typer) -> None:
         uuid: Annotated[str | None, typer.Option("--uuid", help="UUID of a capture.")] = None,
         part: Annotated[str | None, typer.Option("--file", help="Part of the file name.")] = None,
         made_by: Annotated[
-            str | None, typer.Option("--command", help="Made by scan, identify or report.")
+            str | None, typer.Option("--command", help="Command: scan, identify or report.")
         ] = None,
-        since: Annotated[str | None, typer.Option("--since", help="From this date or time on, UTC.")] = None,
-        until: Annotated[str | None, typer.Option("--until", help="Before this date or time, UTC.")] = None,
+        since: Annotated[
+            str | None, typer.Option("--since", help="Only entries at or after this date or time, UTC.")
+        ] = None,
+        until: Annotated[
+            str | None, typer.Option("--until", help="Only entries before this date or time, UTC.")
+        ] = None,
         limit: Annotated[
             int | None,
-            typer.Option("--limit", help="Newest entries to show; default 20 on a terminal, else all."),
+            typer.Option(
+                "--limit", help="Number of newest entries to show; default: 20 on a terminal, otherwise all."
+            ),
         ] = None,
     ) -> Result:
         """List the identifications made on this computer, newest first, or export them.

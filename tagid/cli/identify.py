@@ -34,16 +34,16 @@ def register(app: typer.Typer) -> None:
         png: options.PngFile = None,
         vote: Annotated[
             bool,
-            typer.Option("--vote", help="All files are of one object: give one answer from all of them."),
+            typer.Option("--vote", help="All files show the same object: give one joint answer."),
         ] = False,
     ) -> Result:
-        """Name the object in one or more recorded scans.
+        """Name the object in one or more captures.
 
         Example: tagid identify helmet.tagid.h5
         """
         if vote:
             if preview or png:
-                raise UsageError("--vote draws no image", "Leave --preview and --png out.")
+                raise UsageError("--vote does not draw an image", "Omit --preview and --png.")
             overrides = {
                 "motion.url": motion,
                 "motion.axis_distance_m": axis_distance,
@@ -80,7 +80,7 @@ class View:
 
 
 def run(terminal: Terminal, files: list[Path], overrides: dict[str, object], view: View) -> Result:
-    """Identify each file; a file that fails is one failed item and stops nothing."""
+    """Identify each file; a file that fails becomes a failed item; the others continue."""
     from rich.console import Group, RenderableType
 
     from tagid.cli.common import imaging
@@ -138,7 +138,7 @@ def run(terminal: Terminal, files: list[Path], overrides: dict[str, object], vie
 
 
 def vote_on(files: list[Path], config: Config, background: str, command_name: str) -> Result:
-    """One answer from files that are recordings of one object. Raises what reading any of them raises."""
+    """One joint answer from recordings of one object. Raises the errors of reading them."""
     from tagid.cli.common import imaging
     from tagid.cli.common.voting import joint_item, joint_text
     from tagid.pipeline.identify import identify_together

@@ -1,4 +1,4 @@
-"""`tagid plan`: what a recording will be worth, before anything is glued or turned."""
+"""`tagid plan`: predict the quality of a recording before building a tag."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def register(app: typer.Typer) -> None:
     def plan(
         terminal: Terminal,
         reflector: Annotated[
-            str, typer.Option("--reflector", help="Its reflectors, size from tip to tip.")
+            str, typer.Option("--reflector", help="Reflectors of the tag, size from tip to tip.")
         ] = "octahedron:40mm",
         body: options.Body = None,
         distance: Annotated[
@@ -54,12 +54,12 @@ def register(app: typer.Typer) -> None:
             float | None,
             typer.Option(
                 "--want",
-                help="Rate of naming to reach, e.g. 0.99: finds what reaches it.",
+                help="Required identification rate, e.g. 0.99: find settings that reach it.",
                 show_default=False,
             ),
         ] = None,
     ) -> Result:
-        """Plan a recording: SNR, clipping, time, centring, and how surely the tag will be named.
+        """Plan a recording: SNR, clipping, time, centring, and the probability that the tag is named.
 
         Every number of the link budget is listed with its source.
 
@@ -77,7 +77,7 @@ def register(app: typer.Typer) -> None:
 
 
 class Asked:
-    """What the command line says of a setup; None where the configuration decides."""
+    """Command-line options of a setup; None for values from the configuration."""
 
     def __init__(
         self,
@@ -96,7 +96,7 @@ class Asked:
 
 
 def setup_from(asked: Asked) -> Setup:
-    """A setup of the command line and the configuration. Raises UsageError, ConfigError."""
+    """The setup from the command line and the configuration. Raises UsageError, ConfigError."""
     from tagid.config import data_folder
     from tagid.planning.plan import Setup
     from tagid.simulate.budget import LinkBudget
@@ -204,14 +204,14 @@ def _rows(found: Plan) -> list[tuple[str, str]]:
     clip = "" if found.margin_db > 0 else ": CLIPS, lower the gain or the integration"
     rows += [
         ("clipping margin", f"{found.margin_db:.1f} dB{clip}"),
-        ("time", f"{found.turn_s:.1f} s per turn, {found.recording_s:.1f} s recorded"),
+        ("time", f"{found.turn_s:.1f} s per revolution, {found.recording_s:.1f} s recorded"),
         ("centring", f"within {found.centre_m * 1e3:.0f} mm of the rotation axis"),
     ]
     if found.moved_m is not None:
         rows.append(
             (
                 "",
-                f"from {found.moved_m * 1e3:.1f} mm on, the moving body exceeds a reflector",
+                f"beyond {found.moved_m * 1e3:.1f} mm the echo of the moving body exceeds a reflector's",
             )
         )
     rates = found.rates
@@ -224,11 +224,9 @@ def _rows(found: Plan) -> list[tuple[str, str]]:
 
 def _reached(wanted: Wanted, table: Any) -> RenderableType:
     one = wanted.plan
-    table.add_row("reflector", "none of up to 60 mm" if one is None else f"{one.setup.reflector} or larger")
+    table.add_row("reflector", "none up to 60 mm" if one is None else f"{one.setup.reflector} or larger")
     one = wanted.distance
-    table.add_row(
-        "distance", "none from 0.6 m on" if one is None else f"{one.setup.distance_m:g} m or nearer"
-    )
+    table.add_row("distance", "none beyond 0.6 m" if one is None else f"{one.setup.distance_m:g} m or closer")
     one = wanted.integration
     told = (
         "none"

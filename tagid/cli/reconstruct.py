@@ -1,4 +1,4 @@
-"""`tagid reconstruct`: an image of a recorded scan."""
+"""`tagid reconstruct`: an image from a capture."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ def register(app: typer.Typer) -> None:
         file: options.CaptureFile,
         method: options.Method = None,
         engine: Annotated[
-            str, typer.Option("--engine", help="What runs ats: native, onnx, torch or auto.")
+            str, typer.Option("--engine", help="Engine of ats: native, onnx, torch or auto.")
         ] = "auto",
         device: Annotated[str, typer.Option("--device", help="cpu, or cuda with torch.")] = "cpu",
         calibrate: Annotated[
             str | None,
             typer.Option(
                 "--calibrate",
-                help="What ats estimates together with the scene: any of axis,wobble,gain,static.",
+                help="Parameters that ats estimates with the scene: any of axis,wobble,gain,static.",
                 show_default=False,
             ),
         ] = None,
@@ -55,7 +55,7 @@ def register(app: typer.Typer) -> None:
         background: options.Background = "mean",
         focus: Annotated[
             bool,
-            typer.Option(help="Search the axis distance within half a wavelength, or the path delay."),
+            typer.Option(help="Estimate the axis distance within half a wavelength, or the path delay."),
         ] = True,
         preset: options.Preset = "field",
         pulse: options.Pulse = None,
@@ -63,11 +63,11 @@ def register(app: typer.Typer) -> None:
         side: options.Side = None,
         wave_speed: options.WaveSpeed = None,
         held_out: Annotated[
-            bool, typer.Option(help="Compute how well the image predicts views that it was not made from.")
+            bool, typer.Option(help="Compute how well the image predicts held-out views.")
         ] = True,
         delay_search: options.DelaySearch = None,
         beam: Annotated[
-            bool, typer.Option(help="Show sparse images at the data's resolution, not as bare pixels.")
+            bool, typer.Option(help="Show sparse images at the resolution of the data, not as single pixels.")
         ] = True,
         subtract_body: Annotated[
             bool,
@@ -76,7 +76,7 @@ def register(app: typer.Typer) -> None:
         seed: options.Seed = 0,
         volume: Annotated[
             bool,
-            typer.Option("--volume", help="Make a volume of captures from several antenna heights (`join`)."),
+            typer.Option("--volume", help="Reconstruct a volume from several antenna heights (see `join`)."),
         ] = False,
         heights: Annotated[
             str | None,
@@ -88,19 +88,22 @@ def register(app: typer.Typer) -> None:
             ),
         ] = None,
         levels: Annotated[
-            int | None, typer.Option("--levels", help="Levels of the volume.", show_default=False)
+            int | None,
+            typer.Option("--levels", help="Number of height levels of the volume.", show_default=False),
         ] = None,
         vti: Annotated[
             Path | None, typer.Option("--vti", help="Write the volume as VTK image data.", show_default=False)
         ] = None,
         ply: Annotated[
-            Path | None, typer.Option("--ply", help="Write its bright points as PLY.", show_default=False)
+            Path | None,
+            typer.Option("--ply", help="Write the bright points of the volume as PLY.", show_default=False),
         ] = None,
         webp: Annotated[
-            Path | None, typer.Option("--webp", help="Write the volume turning.", show_default=False)
+            Path | None,
+            typer.Option("--webp", help="Write an animation of the rotating volume.", show_default=False),
         ] = None,
     ) -> Result:
-        """Make an image of a recorded scan.
+        """Reconstruct an image from a capture.
 
         Example: tagid reconstruct helmet.tagid.h5 --method sparse --png helmet.png
         """
@@ -118,10 +121,10 @@ def register(app: typer.Typer) -> None:
 
         if not volume and (heights or levels or vti or ply or webp):
             raise UsageError(
-                "--heights, --levels, --vti, --ply and --webp belong to a volume", "Add --volume."
+                "--heights, --levels, --vti, --ply and --webp apply to volumes only", "Add --volume."
             )
         if (calibrate or ats) and preset != "field":
-            raise UsageError("--calibrate and --ats are for --preset field", "Omit them.")
+            raise UsageError("--calibrate and --ats require --preset field", "Omit them.")
         config = load_config(
             {
                 "imaging.method": method,
@@ -143,7 +146,7 @@ def register(app: typer.Typer) -> None:
             return make_volume(terminal, load_capture(file, loading), config, background, shape, outputs)
         given = imaging.settings_from(config, background, focus)
         if (calibrate or ats) and given.method not in ("ats", "auto"):
-            raise UsageError(f"--calibrate and --ats do nothing for {given.method}", "Use --method ats.")
+            raise UsageError(f"--calibrate and --ats have no effect with {given.method}", "Use --method ats.")
         words = [*(ats or ()), *([f"calibrate={'+'.join(parse_calibrate(calibrate))}"] if calibrate else ())]
         settings = replace(
             given,

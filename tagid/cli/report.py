@@ -39,11 +39,11 @@ def register(app: typer.Typer) -> None:
             Path | None, typer.Option("--expect", help="CSV with file,expected_layout to compare with.")
         ] = None,
         resume: Annotated[
-            bool, typer.Option("--resume", help="Continue an earlier run; keep its answers.")
+            bool, typer.Option("--resume", help="Continue an earlier run and reuse its results.")
         ] = False,
         fail_fast: Annotated[bool, typer.Option("--fail-fast", help="Stop at the first failure.")] = False,
         watch: Annotated[
-            Path | None, typer.Option("--watch", help="Keep identifying new captures in this folder.")
+            Path | None, typer.Option("--watch", help="Identify new captures in this folder as they arrive.")
         ] = None,
         idle_stop: Annotated[
             float | None, typer.Option("--idle-stop", help="With --watch: stop after this many idle seconds.")
@@ -54,7 +54,7 @@ def register(app: typer.Typer) -> None:
         ] = None,
         pictures: Annotated[bool, typer.Option("--pictures/--no-pictures", help="Draw each object.")] = True,
         page_megabytes: Annotated[
-            float, typer.Option("--page-megabytes", help="Limit for all pictures of the page, MB.")
+            float, typer.Option("--page-megabytes", help="Size limit for all pictures of the page, MB.")
         ] = 32.0,
         title: Annotated[str, typer.Option("--title", help="Title of the page.")] = "",
         method: options.Method = None,
@@ -76,7 +76,7 @@ def register(app: typer.Typer) -> None:
         from tagid.report.page import PageSettings
 
         if not inputs and watch is None:
-            raise UsageError("nothing to identify", "Name folders, files or URLs, or give --watch FOLDER.")
+            raise UsageError("nothing to identify", "Name folders, files or URLs, or use --watch FOLDER.")
         if idle_stop is not None and (watch is None or not idle_stop > 0):
             raise UsageError(
                 f"--idle-stop {idle_stop:g} needs --watch and more than 0 seconds", "See `tagid report -h`."
@@ -122,7 +122,7 @@ def _job(config: Config, background: str, pictures: bool) -> Job:
     from tagid.pipeline.load import LoadSettings
 
     settings = imaging.settings_from(config, background)
-    # The slower methods take as long per picture as ten identifications: use them only on request.
+    # One picture by a slower method takes as long as ten identifications: use them only on request.
     method = "bp" if settings.method == "auto" else settings.method
     enrolled = imaging.open_registry().contents()
     return Job(
@@ -220,7 +220,7 @@ def _result(terminal: Terminal, plan: Plan, finished: Finished, notes: tuple[str
     if finished.interrupted:
         stop = CaptureInterrupted(
             f"stopped by the user after {summary['items']} of {summary['inputs']} items",
-            f"The report in {plan.out} holds them; add --resume to continue.",
+            f"The report in {plan.out} contains them; add --resume to continue.",
         )
         errors.append({"code": stop.code, "message": stop.message, "remedy": stop.remedy})
         code, status = EXIT_INTERRUPTED, "partial"

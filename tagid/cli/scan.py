@@ -1,4 +1,4 @@
-"""`tagid scan`: record one turn with the radar, image it, name the object."""
+"""`tagid scan`: record one revolution with the radar, image it, name the object."""
 
 from __future__ import annotations
 
@@ -34,12 +34,12 @@ MAX_REPEAT = 100
 
 @dataclass(frozen=True)
 class View:
-    """What is shown of a scan.
+    """Display options of a scan.
 
     Attributes:
-        preview: draw the image in the terminal, too.
-        subtract_body: image without the body's echo.
-        live: show image and evidence while the object turns.
+        preview: also draw the image in the terminal.
+        subtract_body: subtract the body's echo from the image.
+        live: show image and evidence during the scan.
     """
 
     preview: bool
@@ -49,15 +49,15 @@ class View:
 
 @dataclass(frozen=True, eq=False)
 class _Turn:
-    """A recorded turn and what was read in it.
+    """A recorded revolution and its reading.
 
     Attributes:
         capture, path: the recording and its file.
-        answer: who it is; of status "failed" where `error` says why.
-        prepared: as it was read; None where that failed.
-        error: why it could not be read.
+        answer: the identification; status "failed" if `error` is set.
+        prepared: the prepared capture; None if reading failed.
+        error: the error that prevented reading.
         live: figures of the live view; None without one.
-        remarks: what is wrong with the recording, a sentence each.
+        remarks: problems of the recording, one sentence each.
     """
 
     capture: Capture
@@ -81,35 +81,37 @@ def register(app: typer.Typer) -> None:
         antenna_height: options.AntennaHeight = None,
         antenna_separation: options.AntennaSeparation = None,
         cable_delay: options.CableDelay = None,
-        scans: Annotated[int | None, typer.Option("--scans", help="Stop after so many scans.")] = None,
-        max_seconds: Annotated[float, typer.Option("--max-seconds", help="Stop after so long.")] = 180.0,
+        scans: Annotated[int | None, typer.Option("--scans", help="Stop after this number of scans.")] = None,
+        max_seconds: Annotated[
+            float, typer.Option("--max-seconds", help="Stop after this time, seconds.")
+        ] = 180.0,
         save_dir: Annotated[Path | None, typer.Option("--save-dir", help="Folder for the files.")] = None,
         method: options.Method = None,
         demo: Annotated[bool, typer.Option("--demo", help="Use an emulated radar and helmet.")] = False,
-        demo_scene: Annotated[str, typer.Option("--demo-scene", help="What the demo turns.")] = "helmet-120",
+        demo_scene: Annotated[str, typer.Option("--demo-scene", help="Scene of the demo.")] = "helmet-120",
         preview: options.Preview = False,
         live: Annotated[
-            bool, typer.Option("--live", help="Show image and evidence while the object turns.")
+            bool, typer.Option("--live", help="Show image and evidence during the scan.")
         ] = False,
-        note: Annotated[str, typer.Option("--note", help="Kept in the capture, e.g. a name.")] = "",
+        note: Annotated[str, typer.Option("--note", help="Text stored in the capture, e.g. a name.")] = "",
         subtract_body: Annotated[
             bool,
             typer.Option(
-                "--subtract-body/--keep-body", help="Picture without the body's echo where a body was found."
+                "--subtract-body/--keep-body", help="Draw the picture without the echo of a detected body."
             ),
         ] = True,
         repeat: Annotated[
-            int, typer.Option("--repeat", help="Record so many turns and answer from all of them.")
+            int, typer.Option("--repeat", help="Number of revolutions to record for one joint answer.")
         ] = 1,
         truth: Annotated[
             Path | None,
             typer.Option(
-                "--truth", help="What emulate --truth wrote; kept in the capture.", show_default=False
+                "--truth", help="File of emulate --truth, stored in the capture.", show_default=False
             ),
         ] = None,
         yes: Yes = False,
     ) -> Result:
-        """Record one turn of the object, image it and name it.
+        """Record one revolution of the object, image it and name it.
 
         Example: tagid scan --radar udp://192.168.1.100 --axis-distance 1.0
         Example: tagid scan --live --motion 'free?rpm=2'
@@ -152,7 +154,7 @@ def _scans(
     view: View,
     repeat: int,
 ) -> Result:
-    """One turn, or several and one answer from all of them; what was recorded before a failure is kept."""
+    """One revolution, or several with a joint answer; captures recorded before a failure are kept."""
     from tagid.cli.identify import vote_on
 
     turns = [_scan(terminal, config, limits, about, view) for _ in range(repeat)]
@@ -185,7 +187,7 @@ def _scan(
     if not url:
         raise ConfigError(
             "no radar is configured",
-            "Give --radar udp://192.168.1.100, or keep it with `tagid config set radar.url udp://...`; "
+            "Give --radar udp://192.168.1.100, or store it with `tagid config set radar.url udp://...`; "
             "`tagid scan --demo` shows a scan without a radar.",
         )
     folder = Path(config["storage.folder"] or ".")
@@ -223,9 +225,9 @@ def _scan(
     except KeyboardInterrupt as stop:
         raise interrupts.stopped_by_user(stop, _kept(path)) from stop
     except TagidError as error:
-        # The recording is safe; only what was to be read from it failed.
+        # The recording is stored; only the reading failed.
         answer = imaging.failed(capture.uuid, error)
-        remedy = f"{error.remedy} The capture is kept in {path}; `tagid show` looks into it.".strip()
+        remedy = f"{error.remedy} The capture is stored in {path}; inspect it with `tagid show`.".strip()
         result_errors = ({"code": error.code, "message": error.message, "remedy": remedy},)
         code = error.exit_code
     else:
@@ -260,7 +262,7 @@ def _record_and_read(
     folder: Path,
     view: View,
 ) -> _Turn:
-    """Record one turn and name the object, under a progress line or the live view."""
+    """Record one revolution and name the object, under a progress line or the live view."""
     from tagid.cli.common import imaging
     from tagid.cli.common.live import LiveScan, live_scan
     from tagid.live.engine import LiveSettings
@@ -312,4 +314,4 @@ def _record_and_read(
 
 
 def _kept(path: Path) -> str:
-    return f"The capture is kept in {path}; `tagid identify {path}` reads it."
+    return f"The capture is stored in {path}; read it with `tagid identify {path}`."

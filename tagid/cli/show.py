@@ -1,4 +1,4 @@
-"""`tagid show`: what a recording holds."""
+"""`tagid show`: picture and statistics of a recording."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ def register(app: typer.Typer) -> None:
         terminal: Terminal,
         file: options.CaptureFile,
         png: Annotated[
-            Path | None, typer.Option("--png", help="Picture (default: NAME.show.png beside the file).")
+            Path | None, typer.Option("--png", help="Picture (default: NAME.show.png next to the file).")
         ] = None,
         changing: Annotated[
-            bool, typer.Option("--changing", help="Draw without the mean scan: only what changes.")
+            bool, typer.Option("--changing", help="Subtract the mean scan, to show only changes.")
         ] = False,
         cable_delay: options.CableDelay = None,
         node: options.Node = None,
@@ -40,7 +40,7 @@ def register(app: typer.Typer) -> None:
         """Draw range profile, scans over time and spectrum of a recording, and print its statistics.
 
         With --reflector, the measured SNR is compared with that of `tagid plan`, and the likely cause of a
-        gap is named.
+        difference is reported.
 
         Example: tagid show helmet.tagid.h5
         Example: tagid show helmet.tagid.h5 --reflector octahedron:40mm
@@ -57,7 +57,7 @@ def register(app: typer.Typer) -> None:
         config = load_config({"radar.cable_delay_ps": cable_delay})
         capture = load_capture(file, LoadSettings.of(config, node=node), turn=False)
         summary = inspect(capture)
-        # The image of `scan` is NAME.png beside the capture, and stays.
+        # NAME.png next to the capture is the image of `scan` and must be kept.
         target = png or file.with_name(file.name.removesuffix(CAPTURE_SUFFIX) + ".show.png")
         draw_recording(
             thinned(capture)[0], target, file.name, changing_only=changing, turning=_turns(summary, capture)
@@ -111,7 +111,7 @@ def register(app: typer.Typer) -> None:
 def _against_plan(
     capture: Capture, summary: RecordingSummary, reflector: str | None, body: str | None
 ) -> Gap | None:
-    """Measured against planned SNR; None where no reflector is stated, or nothing turns."""
+    """Measured against planned SNR; None if no reflector is stated or nothing rotates."""
     if reflector is None or summary.noise is None or capture.axis_distance_m is None or not summary.changes:
         return None
     from tagid.cli.plan import Asked, setup_from
@@ -132,7 +132,7 @@ def _against_plan(
 
 
 def _turns(summary: RecordingSummary, capture: Capture) -> bool:
-    """Whether the views are those of something that turns: it changes, or the recording has its angles."""
+    """Whether the object rotates: the scans change, or the recording has angles."""
     return summary.changes or capture.angles_rad is not None
 
 

@@ -1,4 +1,4 @@
-"""`tagid simulate`: captures of simulated scenes and of objects whose response is known."""
+"""`tagid simulate`: captures of simulated scenes and of objects with a response file."""
 
 from __future__ import annotations
 
@@ -43,15 +43,15 @@ def register(app: typer.Typer) -> None:
         snr_reference: response_options.SnrReference = None,
         snr_reference_body: response_options.SnrReferenceBody = None,
         pulse_of: Annotated[
-            Path | None, typer.Option("--pulse-of", help="Capture that holds the pulse to transmit.")
+            Path | None, typer.Option("--pulse-of", help="Capture with the pulse to transmit.")
         ] = None,
-        views: Annotated[int, typer.Option("--views", help="Views per turn.")] = 360,
+        views: Annotated[int, typer.Option("--views", help="Views per revolution.")] = 360,
         turns: Annotated[float, typer.Option("--turns", help="Turns recorded.")] = 1.0,
         snr: Annotated[
-            float | None, typer.Option("--snr", help="Peak echo over noise of one sample, dB.")
+            float | None, typer.Option("--snr", help="Ratio of peak echo to noise of one sample, dB.")
         ] = 20.0,
         snr_of: Annotated[
-            str, typer.Option("--snr-of", help="What --snr sets: strongest reflector, or summed echo.")
+            str, typer.Option("--snr-of", help="Echo to which --snr refers: strongest reflector, or sum.")
         ] = "reflector",
         noise: Annotated[
             float | None, typer.Option("--noise", help="Noise standard deviation; replaces --snr.")
@@ -61,10 +61,10 @@ def register(app: typer.Typer) -> None:
         ] = 0.0,
         interference: Annotated[
             float | None,
-            typer.Option("--interference", help="Narrow-band tone, dB over the noise.", show_default=False),
+            typer.Option("--interference", help="Narrow-band tone, dB above the noise.", show_default=False),
         ] = None,
         pulse: Annotated[
-            str, typer.Option("--pulse", help="nominal, or random (the capture does not state it).")
+            str, typer.Option("--pulse", help="nominal, or random (not stated in the capture).")
         ] = "nominal",
         axis_distance: Annotated[float, typer.Option("--axis-distance", help="Radar to axis, metres.")] = 1.0,
         axis_error: Annotated[
@@ -74,13 +74,13 @@ def register(app: typer.Typer) -> None:
         antenna_separation: options.AntennaSeparation = None,
         rotation: Annotated[float, typer.Option("--rotation", help="Rotation of the object, degrees.")] = 0.0,
         centre: options.ObjectCentre = "0,0",
-        wobble: Annotated[float, typer.Option("--wobble", help="Uneven speed, 0.01 is 1 %.")] = 0.0,
+        wobble: Annotated[float, typer.Option("--wobble", help="Variation of the speed; 0.01 is 1 %.")] = 0.0,
         beam_deg: Annotated[float | None, typer.Option("--beam", help="-3 dB beam width, degrees.")] = None,
         range_law: Annotated[bool, typer.Option("--range-law", help="1/R^4 in power.")] = False,
         seed: options.Seed = 0,
-        force: Annotated[bool, typer.Option("--force", help="Replace a file that exists.")] = False,
+        force: Annotated[bool, typer.Option("--force", help="Overwrite an existing file.")] = False,
     ) -> Result:
-        """Simulate the capture of a turning scene, or of an object whose response is in a file.
+        """Simulate a capture of a rotating scene, or of an object with a response file.
 
         Example: tagid simulate container-90 --body can:35mm,handle --centre 0.004,0 --out can.tagid.h5
         """
@@ -112,7 +112,7 @@ def register(app: typer.Typer) -> None:
         if (scene is None) == (files is None):
             raise UsageError("give either a scene or --response FILE", "tagid simulate --help has examples.")
         if files is not None and range_law:
-            raise UsageError("--range-law is part of every response", "Omit --range-law.")
+            raise UsageError("--range-law cannot be combined with --response", "Omit --range-law.")
         acquisition = Acquisition(
             views=views,
             turns=turns,
@@ -131,7 +131,9 @@ def register(app: typer.Typer) -> None:
             range_law=range_law,
         )
         if files is not None and (body or reflector or unlike):
-            raise UsageError("--body and --reflector belong to a scene", "A response file holds the object.")
+            raise UsageError(
+                "--body and --reflector require a scene", "A response file contains the complete object."
+            )
         if files is None:
             shown = _scene(scene or "", _Carrier(body, reflector, unlike), seed, file)
         else:
@@ -165,7 +167,7 @@ class _Carrier:
 
 
 def _scene(name: str, on: _Carrier, seed: int, file: Path | None) -> Scene:
-    """The preset, or its tag on a physical body where one of the options asks for that."""
+    """The preset, or its tag on a physical body if one of the options requests it."""
     from tagid.config import data_folder
     from tagid.simulate import parse_body, parse_reflector, scene_from_name, scene_on_body
     from tagid.simulate.presets import is_plain
@@ -188,15 +190,15 @@ def _pulse(name: str, seed: int) -> Pulse | None:
 
     if name not in PULSES:
         raise UsageError(f"--pulse is {name!r}", f"Use {' or '.join(PULSES)}.")
-    # A stream of its own, so that the pulse is the same whatever else is drawn from the seed.
+    # A separate random stream, so that the pulse depends only on the seed.
     return random_pulse(np.random.default_rng([seed, 1])) if name == "random" else None
 
 
 def _pulse_of(path: Path) -> Pulse:
-    """The pulse that a capture holds. Raises the reader's errors, and DataError if it holds none."""
+    """The pulse stored in a capture. Raises the reader's errors, and DataError if it has none."""
     from tagid.storage.importers import read_any
 
     pulse = read_any(path).pulse
     if pulse is None:
-        raise DataError(f"{path} holds no pulse", "Give a capture with `pulse` and `pulse_step_s`.")
+        raise DataError(f"{path} contains no pulse", "Give a capture with `pulse` and `pulse_step_s`.")
     return pulse

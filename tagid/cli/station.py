@@ -1,4 +1,4 @@
-"""`tagid station`: a page to work at, for a browser beside the turntable."""
+"""`tagid station`: a web page to operate scans from a browser."""
 
 from __future__ import annotations
 
@@ -38,9 +38,9 @@ def register(app: typer.Typer) -> None:
         save_dir: Annotated[Path | None, typer.Option("--save-dir", help="Folder for the files.")] = None,
         max_seconds: Annotated[float, typer.Option("--max-seconds", help="Longest recording.")] = 180.0,
         demo: Annotated[bool, typer.Option("--demo", help="Use an emulated radar and helmet.")] = False,
-        demo_scene: Annotated[str, typer.Option("--demo-scene", help="What the demo turns.")] = "helmet-120",
+        demo_scene: Annotated[str, typer.Option("--demo-scene", help="Scene of the demo.")] = "helmet-120",
     ) -> Result:
-        """Serve a page with a Scan button, the live image, the answer, health and history.
+        """Serve a web page with a Scan button, live image, answer, health and history.
 
         Example: tagid station --demo
         """
@@ -126,7 +126,7 @@ def _address(bind: str) -> tuple[str, int]:
 
 
 def _announce(terminal: Terminal, url: str) -> None:
-    """Tell where the page is, at once: whoever started the station must learn that while it runs."""
+    """Print the address immediately, because the user needs it while the station runs."""
     if terminal.output is Output.json:
         sys.stdout.write(json.dumps(Result("station", {"url": url}).envelope()) + "\n")
     else:

@@ -101,7 +101,7 @@ def register(app: typer.Typer) -> None:
         out: _Out = None,
         force: _Force = False,
     ) -> Result:
-        """Make a capture file from the journal of an interrupted recording.
+        """Create a capture file from the journal of an interrupted recording.
 
         Example: tagid recover scan-20260102-101112.tagid.journal
         """
@@ -117,7 +117,7 @@ def register(app: typer.Typer) -> None:
         state = "complete" if written.complete else "cut short"
         lines = [f"{written.views} scans recovered, the recording was {state}", *map(str, written.paths)]
         dropped = written.bytes_dropped
-        messages = (f"{dropped} bytes of the journal were dropped because they hold no whole scan",)
+        messages = (f"{dropped} bytes of the journal were dropped because they contain no complete scan",)
         data = {
             "path": str(written.paths[0]),
             "paths": [str(path) for path in written.paths],
@@ -129,7 +129,7 @@ def register(app: typer.Typer) -> None:
 
 
 def _add_measured_angles(journal: Path, target: Path) -> None:
-    """Rewrite the capture with its angles, if the motion device measured them."""
+    """Rewrite the capture with its angles, if measured by the motion device."""
     from tagid.pipeline.resolve import with_measured_angles
     from tagid.storage.hdf5 import write_capture
     from tagid.storage.journal_capture import read_journal_capture

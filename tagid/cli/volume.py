@@ -1,4 +1,4 @@
-"""`tagid join`, and what `tagid reconstruct --volume` does."""
+"""`tagid join`, and the implementation of `tagid reconstruct --volume`."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ def register(app: typer.Typer) -> None:
         motion: options.MotionUrl = None,
         axis_distance: options.AxisDistance = None,
         antenna_separation: options.AntennaSeparation = None,
-        force: Annotated[bool, typer.Option("--force", help="Replace a file that exists.")] = False,
+        force: Annotated[bool, typer.Option("--force", help="Overwrite an existing file.")] = False,
     ) -> Result:
-        """Join captures of one object from several antenna heights into one of antenna positions.
+        """Join captures of one object from several antenna heights into one capture with antenna positions.
 
         Every capture must state the same object angle for the same pose, and its own antenna height.
 
@@ -69,7 +69,7 @@ def register(app: typer.Typer) -> None:
 
 @dataclass(frozen=True)
 class Outputs:
-    """Files to write; None: not wanted."""
+    """Files to write; None: not requested."""
 
     npz: Path | None
     vti: Path | None
@@ -78,7 +78,7 @@ class Outputs:
     webp: Path | None
 
     def checked(self) -> dict[str, Path]:
-        """The files by kind. Raises UsageError where a name's ending is not that of its kind."""
+        """The files by kind. Raises UsageError if a name does not have the suffix of its kind."""
         found: dict[str, Path] = {}
         for kind, path in vars(self).items():
             if path is None:
@@ -103,7 +103,7 @@ def make_volume(
         capture: loaded.
         config: with the method, the extent and the pixels.
         background: as `--background`.
-        shape: lowest and highest height, levels, and whether the held-out residual is wanted.
+        shape: lowest and highest height, levels, and whether to compute the held-out residual.
         outputs: files to write.
     """
     from rich.console import Group

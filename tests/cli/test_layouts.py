@@ -123,7 +123,7 @@ def test_a_capture_of_another_object_is_named_and_nothing_stored(
     turns = [(b - a) % 180 for a, b in zip(data["rotations_deg"], data["rotations_deg"][1:], strict=False)]
     assert turns == pytest.approx([70, 140], abs=2)
     nameless = tagid("enroll", "0.h5", "1.h5", "3.h5", "--force")
-    assert nameless.code == 2 and "where a name should be" in nameless.err
+    assert nameless.code == 2 and "but a name is expected" in nameless.err
     twin = tagid("enroll", "two", "--capture", "0.h5", "--capture", "0.h5", "--force")
     assert twin.code == 2 and "twice" in twin.err
 

@@ -92,7 +92,7 @@ def test_devices_that_are_not_there_or_take_no_commands(tagid: Callable[..., Any
     absent = tagid("motion", command, "roomba+serial:///dev/ttyNOWHERE", *yes, "--output", "json")
     assert absent.code == 4 and "no serial port" in absent.json["errors"][0]["message"]
     free = tagid("motion", command, "free?rpm=2", *yes, "--output", "json")
-    assert free.code == 2 and "takes no commands" in free.json["errors"][0]["message"]
+    assert free.code == 2 and "not a commanded device" in free.json["errors"][0]["message"]
 
 
 def test_find_without_bluetooth_and_bad_numbers(tagid: Callable[..., Any]) -> None:
@@ -101,7 +101,7 @@ def test_find_without_bluetooth_and_bad_numbers(tagid: Callable[..., Any]) -> No
     for words in (("find", "--seconds", "0"), ("spin", "--turns", "0"), ("calibrate", "--turns", "1")):
         assert tagid("motion", *words).code == 2
     for words in (("--direction",), ("--layout", "helmet-120")):
-        assert "belong together" in tagid("motion", "calibrate", *words).err
+        assert "must be given together" in tagid("motion", "calibrate", *words).err
 
 
 def test_the_passkey_is_kept_private(tagid: Callable[..., Any], home: dict[str, str]) -> None:

@@ -67,7 +67,7 @@ def test_the_pulse_is_estimated_where_asked_and_told(tagid, wobbly, tmp_path) ->
     assert 0 < told["residual"] < 1
     assert "pulse" in done.json["data"]["seconds"]
     text = tagid("reconstruct", wobbly, "--method", "bp", "--pulse", "estimate")
-    assert "of unseen views unexplained" in text.out
+    assert "of held-out views unexplained" in text.out
     plain = tagid("reconstruct", wobbly, "--method", "bp", "--output", "json")
     assert plain.json["data"]["settings"]["pulse"] == {"kind": "nominal"}
     assert tagid("reconstruct", wobbly, "--pulse", "guess").code == 2

@@ -59,7 +59,7 @@ def test_horizontal_polarisation_is_another_response(tagid: Callable[..., Any], 
         (["simulate", "--response", TAGGED, "--polarisation", "X", "--out", "x.npz"], 2, "no polarisation"),
         (["simulate", "--response", TAGGED, "--axis-distance", 0.3, "--out", "x.npz"], 2, "nearer than"),
         (["simulate", "--response", TAGGED, "--antenna-height", 0.2, "--out", "x.npz"], 2, "above the plane"),
-        (["simulate", "--response", TAGGED, "--range-law", "--out", "x.npz"], 2, "part of every response"),
+        (["simulate", "--response", TAGGED, "--range-law", "--out", "x.npz"], 2, "cannot be combined"),
         (["simulate", "--response", "none.npz", "--out", "x.npz"], 1, "no such file"),
         (["simulate", "--response", __file__, "--out", "x.npz"], 1, "damaged"),
         (

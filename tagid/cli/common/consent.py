@@ -1,4 +1,4 @@
-"""The confirmation that every command asks for before it moves something.
+"""Confirmation before a command moves a device.
 
 Scripts confirm with --yes; without it and without a terminal nothing moves.
 """
@@ -13,22 +13,23 @@ import typer
 from tagid.errors import CaptureInterrupted, UsageError
 
 Yes = Annotated[
-    bool, typer.Option("--yes", "-y", help="Let the robot or table move without asking.", show_default=False)
+    bool,
+    typer.Option("--yes", "-y", help="Move the robot or table without confirmation.", show_default=False),
 ]
 
 
 def warning_of(motion: object) -> str:
-    """What does not stop a device by itself; "" where something always does."""
+    """Events that do not stop a device automatically; "" if every event does."""
     return str(getattr(motion, "warning", ""))
 
 
 def agree(what: str, yes: bool, warning: str = "") -> None:
-    """Return where it may move.
+    """Return if the device may move.
 
     Args:
-        what: what will move and how, for the prompt.
+        what: the device and its movement, for the prompt.
         yes: whether --yes was given.
-        warning: what does not stop it by itself; shown before the question, and also where --yes was given.
+        warning: events that do not stop it automatically; shown even with --yes.
 
     Raises:
         UsageError: no terminal to ask on. CaptureInterrupted: the user declined.
@@ -40,7 +41,7 @@ def agree(what: str, yes: bool, warning: str = "") -> None:
     if not sys.stdin.isatty():
         raise UsageError(
             f"{what}, and there is no terminal to confirm it on",
-            "Make sure that its surroundings are free, then add --yes.",
+            "Make sure that the area around it is clear, then add --yes.",
         )
     try:
         agreed = typer.confirm(f"{what}. Is the area clear?", default=False, err=True)
@@ -51,10 +52,14 @@ def agree(what: str, yes: bool, warning: str = "") -> None:
 
 
 def agree_to(motion_url: str, yes: bool) -> None:
-    """Ask before moving the device of a URL, if it moves on command. Raises as `agree`, and UsageError."""
+    """Ask for confirmation before moving a commanded device. Raises as `agree`, and UsageError."""
     from tagid.motion.urls import open_motion
 
     motion = open_motion(motion_url)
     if motion.moves and motion.nominal_s is not None:
         way = "clockwise" if motion.direction < 0 else "counter-clockwise"
-        agree(f"{motion_url} will turn {way}, {motion.nominal_s:.0f} s per turn", yes, warning_of(motion))
+        agree(
+            f"{motion_url} will rotate {way}, {motion.nominal_s:.0f} s per revolution",
+            yes,
+            warning_of(motion),
+        )

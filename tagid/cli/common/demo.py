@@ -16,16 +16,16 @@ from tagid.metadata import ObjectInfo
 DEMO_RPM = 6.0
 DEMO_AXIS_DISTANCE_M = 1.0
 DEMO_CENTRE = "0.005,-0.003"
-"""Nobody puts an object exactly on the axis: it stands 6 mm off, body and all."""
+"""Objects are never exactly on the axis: object and body are 6 mm off."""
 
 
 @dataclass(frozen=True)
 class Emulated:
-    """An emulated radar that runs.
+    """A running emulated radar.
 
     Attributes:
-        settings: for connecting to it, by the names of the configuration.
-        object: what it shows, with its true pose.
+        settings: connection settings, by their configuration names.
+        object: the emulated object, with its true pose.
     """
 
     settings: dict[str, Any]
@@ -34,7 +34,7 @@ class Emulated:
 
 @contextmanager
 def emulated_radar(scene: str) -> Iterator[Emulated]:
-    """Run an emulator while the block runs; yields how to connect to it, and what it shows.
+    """Run an emulator while the block runs; yields the connection settings and the emulated object.
 
     Raises DeviceError with the emulator's message if it does not start.
     """

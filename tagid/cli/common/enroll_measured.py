@@ -1,7 +1,7 @@
-"""Enrolling from captures: positions of the reflectors where they are seen, and a signature of the object.
+"""Enrolling from captures: reflector positions if they are visible, and a signature of the object.
 
-On a metal can or a cup with a handle the body's echo covers the reflectors; the object is then enrolled by
-its signature alone.
+On a metal can or a cup with a handle the body's echo masks the reflectors; the object is then enrolled by
+its signature only.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Prepared:
-    """A capture ready to be measured.
+    """A capture prepared for measurement.
 
     Attributes:
         name: its file, for messages.
-        capture: with angles, one turn.
+        capture: with angles, one revolution.
     """
 
     name: str
@@ -38,10 +38,10 @@ class Prepared:
 
 @dataclass(frozen=True)
 class Measured:
-    """What captures of an object gave.
+    """The result of measuring captures of an object.
 
     Attributes:
-        estimate: its layout; None if the reflectors' positions are not seen.
+        estimate: its layout; None if the reflectors are not visible.
         joint: its signature; None if there is none.
         remarks: why one of the two is missing.
     """
@@ -57,7 +57,7 @@ def prepared(captures: Sequence[Path], config: Config) -> list[Prepared]:
 
     again = "Give captures of the object repositioned between them."
     if len({path.resolve() for path in captures}) < len(captures):
-        raise UsageError("one capture is given twice", again)
+        raise UsageError("the same capture is given twice", again)
     known: dict[str, Path] = {}
     found = []
     loading = LoadSettings.of(config)
@@ -65,7 +65,7 @@ def prepared(captures: Sequence[Path], config: Config) -> list[Prepared]:
         capture = load_capture(path, loading)
         twin = known.setdefault(capture.uuid, path)
         if twin != path:
-            raise UsageError(f"{path} and {twin} are one capture", again)
+            raise UsageError(f"{path} and {twin} are the same capture", again)
         found.append(Prepared(str(path), capture))
     return found
 
@@ -75,7 +75,7 @@ def measure(name: str, captures: Sequence[Path], config: Config, terminal: Termi
 
     Raises:
         UsageError: a capture is given twice.
-        DataError: neither positions nor a signature could be had; both reasons are in the message.
+        DataError: neither positions nor a signature could be determined; both reasons are in the message.
     """
     from tagid.cli.common.imaging import settings_from
     from tagid.pipeline.identify import sight_reflectors
@@ -104,7 +104,7 @@ def measure(name: str, captures: Sequence[Path], config: Config, terminal: Termi
     except DataError as error:
         if positions is not None:
             raise DataError(
-                f"{positions.message}; and by its signature: {error.message}", error.remedy
+                f"{positions.message}; enrolment by signature: {error.message}", error.remedy
             ) from None
         return Measured(estimate, None, (f"positions only, no signature: {error.message}",))
     if estimate is not None:
@@ -167,13 +167,13 @@ def joint_data(joint: Joint | None) -> dict[str, Any] | None:
 
 
 def joint_words(joint: Joint) -> list[str]:
-    """The same for people, a line per capture."""
+    """The same as text, one line per capture."""
     one = joint.signature
     lines = [f"signature: radius {one.radius_m * 1e3:.0f} mm, {one.order} harmonics"]
     for residual, placed in zip(joint.residuals, joint.placed, strict=True):
         x, y = (value * 1e3 for value in placed.pose.centre_m)
         lines.append(
             f"  {Path(residual.name).name}: residual {residual.left / residual.expected:.2f} times noise, "
-            f"centre ({x:.1f}, {y:.1f}) mm, turned {degrees(placed.pose.turn_rad) % 360:.0f} deg"
+            f"centre ({x:.1f}, {y:.1f}) mm, rotated {degrees(placed.pose.turn_rad) % 360:.0f} deg"
         )
     return lines

@@ -1,6 +1,6 @@
-"""What `enroll` and `layouts import` show and ask before they store anything.
+"""Outcome and confirmation shown by `enroll` and `layouts import` before anything is stored.
 
-Scripts get the same data as JSON and are not asked.
+Scripts receive the same data as JSON and are not asked.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from tagid.tags.enrolling.registry import Registry
     from tagid.tags.layouts.layout import Layout
 
-Yes = Annotated[bool, typer.Option("--yes", "-y", help="Store without asking.", show_default=False)]
+Yes = Annotated[bool, typer.Option("--yes", "-y", help="Store without confirmation.", show_default=False)]
 DryRun = Annotated[
     bool, typer.Option("--dry-run", help="Show the outcome but store nothing.", show_default=False)
 ]
@@ -42,7 +42,7 @@ def about(outlook: Outlook) -> str:
     """The expected confusion as text."""
     place = outlook.place
     sigma = outlook.layout.sigma_m
-    own = f", its positions known to {sigma * 1e3:.1f} mm" if sigma > 0 else ""
+    own = f", its positions known to within {sigma * 1e3:.1f} mm" if sigma > 0 else ""
     return (
         f"expected confusion with all of them: {rate_in_words(outlook.confusion_rate)} of readings at "
         f"{place.views} views and {place.snr_db} dB (each coordinate off by {place.sigma_m * 1e3:.1f} mm, as "
@@ -190,7 +190,7 @@ def store_family(
     wish: Wish,
     signatures: Sequence[Signature] = (),
 ) -> Stored:
-    """Show what enrolling layouts together would mean, ask, and store them, and signatures, all or none.
+    """Show the outcome of enrolling layouts and signatures, ask for confirmation, and store all or none.
 
     Raises CaptureInterrupted if the user declines, RegistryError.
     """
@@ -224,5 +224,5 @@ def store_family(
 
 
 def rate_in_words(rate: float) -> str:
-    """A rate as text; rates below 1e-12 are not given as a figure."""
+    """A rate as text; rates below 1e-12 are given as a bound."""
     return "under 1e-12" if rate < 1e-12 else f"{rate:.1e}"

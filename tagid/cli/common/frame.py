@@ -1,6 +1,6 @@
-"""What all commands share: common options, error handling, output.
+"""Functions shared by all commands: common options, error handling, output.
 
-A command's own file then holds only its options and one call into the library.
+The module of a command contains only its options and one call into the library.
 """
 
 from __future__ import annotations
@@ -77,11 +77,13 @@ class Terminal:
 
 
 _COMMON = {
-    "quiet": Annotated[bool, typer.Option("--quiet", "-q", help="No progress bar, no remarks.")],
-    "verbose": Annotated[int, typer.Option("--verbose", "-v", count=True, help="Log more; twice: debug.")],
+    "quiet": Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress bar and no remarks.")],
+    "verbose": Annotated[
+        int, typer.Option("--verbose", "-v", count=True, help="Log more; -vv: debug messages.")
+    ],
 }
 _DEFAULTS: dict[str, Any] = {"quiet": False, "verbose": 0}
-_OUTPUT_HELP = "Readable text or one JSON document."
+_OUTPUT_HELP = "Text, or one JSON document."
 
 
 def command(
@@ -176,9 +178,9 @@ def execute(name: str, terminal: Terminal, work: Callable[[], Result]) -> Result
         logging.getLogger("tagid").debug("unexpected error", exc_info=True)
         fault = TagidError(
             f"unexpected {type(error).__name__}: {error}",
-            "This is a bug in tagid: run again with -vv and report the output.",
+            "This is a bug in tagid. Run again with -vv and report the output.",
         )
-        # A library that is interrupted while being imported may raise anything.
+        # A library may raise any exception if its import is interrupted.
         stopped = interrupts.delivered()
         result = Result.from_error(name, CaptureInterrupted("stopped by the user") if stopped else fault)
     if result.exit_code == EXIT_INTERRUPTED:
@@ -187,7 +189,7 @@ def execute(name: str, terminal: Terminal, work: Callable[[], Result]) -> Result
 
 
 def _write(result: Result, output: str, quiet: bool = False) -> Result:
-    """Render a result; the same result, or one that says that its output could not be written."""
+    """Render a result; returns it, or one that reports that its output could not be written."""
     try:
         render(result, output, quiet)
         return result
@@ -195,7 +197,7 @@ def _write(result: Result, output: str, quiet: bool = False) -> Result:
         problem = ""
     except OSError as error:
         problem = f"error: the output cannot be written: {error.strerror or error}\n"
-    # What is still buffered would fail once more when the interpreter ends.
+    # Flushing the remaining buffer would fail again when the interpreter exits.
     for stream in (sys.stdout, sys.stderr):
         _drop_if_broken(stream)
     with contextlib.suppress(OSError, ValueError):
@@ -205,7 +207,7 @@ def _write(result: Result, output: str, quiet: bool = False) -> Result:
 
 
 def _drop_if_broken(stream: typing.TextIO) -> None:
-    """Lead a stream that takes no more to the null device."""
+    """Redirect a stream that cannot be written to the null device."""
     try:
         stream.flush()
     except OSError:
@@ -249,8 +251,8 @@ def _set_up_logging(terminal: Terminal) -> None:
 
 
 class _Harmless(logging.Formatter):
-    """A log line with control characters escaped, as it names files and what devices sent."""
+    """A log line with control characters escaped, because it contains file names and device data."""
 
     def format(self, record: logging.LogRecord) -> str:
-        """The line; its line feeds stay."""
+        """The line; its line feeds are kept."""
         return visible(super().format(record))

@@ -1,6 +1,6 @@
-"""What `scan`, `identify` and `reconstruct` do alike: load, prepare, draw and word an answer.
+"""Steps shared by `scan`, `identify` and `reconstruct`: load, prepare, draw, and report an answer.
 
-Kept apart from the commands so that the same capture gives the same words whoever asks.
+Separate from the commands, so that all of them report a capture alike.
 """
 
 from __future__ import annotations
@@ -38,26 +38,26 @@ def open_registry() -> Registry:
 def begin_history(
     command: str, settings: dict[str, Any]
 ) -> tuple[tuple[History, int] | None, tuple[str, ...]]:
-    """The history of identifications beside the registry with a new run in it; None and a remark where it
-    cannot be kept, which is no reason to withhold an answer."""
+    """The history of identifications next to the registry, with a new run; None and a remark if it
+    cannot be written, which must not suppress the answer."""
     from tagid.storage.history import FILE_NAME, History
 
     try:
         history = History(data_folder() / FILE_NAME)
         return (history, history.begin(command, settings)), ()
     except TagidError as error:
-        return None, (f"not kept in the history: {error.message}",)
+        return None, (f"not stored in the history: {error.message}",)
 
 
 def remember(command: str, items: list[dict[str, Any]], settings: dict[str, Any]) -> tuple[str, ...]:
-    """Keep answers in the history; returns remarks where that failed."""
+    """Store answers in the history; returns remarks on failure."""
     history, remarks = begin_history(command, settings)
     if history is None:
         return remarks
     try:
         history[0].add(history[1], items)
     except TagidError as error:
-        return (f"not kept in the history: {error.message}",)
+        return (f"not stored in the history: {error.message}",)
     return ()
 
 
@@ -96,11 +96,11 @@ def parse_place(text: str | None, option: str = "--centre") -> tuple[float, floa
 
 
 def region_words(region: Region | None) -> list[str]:
-    """What was found about free antenna positions, a line each."""
+    """Findings for free antenna positions, one line each."""
     if region is None:
         return []
     x, y = region.centre_m
-    lines = [f"{region.grid.extent:g} m about ({x:g}, {y:g}) m, {region.grid.pixels} pixels a side"]
+    lines = [f"{region.grid.extent:g} m about ({x:g}, {y:g}) m, {region.grid.pixels} pixels per side"]
     focus = region.focus
     if focus is not None and focus.reliable:
         lines.append(
@@ -108,51 +108,55 @@ def region_words(region: Region | None) -> list[str]:
             f"(standard error {focus.sigma_m * 1e3:.2g} mm)"
         )
     elif focus is not None:
-        lines.append(f"the data do not tell the path delay: {focus.reason}; the ranges are used as given")
+        lines.append(
+            f"the data do not determine the path delay: {focus.reason}; the ranges are used as given"
+        )
         if focus.best_m is not None:
             lines.append(
-                f"best guess of the path delay {focus.best_m * 1e3:+.1f} mm, "
+                f"best estimate of the path delay {focus.best_m * 1e3:+.1f} mm, "
                 f"evidence {focus.evidence:.1f} of {focus.needed:.1f} needed"
             )
     if region.mirrored:
         lines.append(
-            "the path is straight: echoes of one side also appear on the other (--side X,Y chooses one)"
+            "the path is straight: echoes from each side also appear on the other (--side X,Y selects one)"
         )
     return lines
 
 
 def focus_words(focus: AxisFocus | None) -> list[str]:
-    """What the search for the axis distance found, and its evidence where it was not taken."""
+    """The result of the axis-distance search, with its evidence if it was not used."""
     if focus is None or focus.axis_distance_m is None:
         return []
     if focus.reliable:
         return [
-            f"axis distance {focus.axis_distance_m:.4f} m, {focus.offset_m * 1e3:+.1f} mm from the given one "
+            f"axis distance {focus.axis_distance_m:.4f} m, {focus.offset_m * 1e3:+.1f} mm from the given "
             f"(standard error {focus.sigma_m * 1e3:.2g} mm, "
             f"evidence {focus.evidence:.1f} of {focus.needed:.1f} needed)"
         ]
-    lines = [f"the data do not tell the axis distance: {focus.reason}; the given value is used"]
+    lines = [f"the data do not determine the axis distance: {focus.reason}; the given value is used"]
     if focus.best_m is not None:
         lines.append(
-            f"best guess of the axis distance {focus.best_m:.4f} m, evidence {focus.evidence:.1f} of "
+            f"best estimate of the axis distance {focus.best_m:.4f} m, evidence {focus.evidence:.1f} of "
             f"{focus.needed:.1f} needed"
         )
     return lines
 
 
 def held_out_words(settings: dict[str, Any]) -> list[str]:
-    """How well the image predicts views that it was not made from: the first figure of any image."""
+    """How well the image predicts held-out views: the main quality figure of every image."""
     found = settings.get("held_out")
     if not found:
         return []
-    noise = "" if found["noise"] is None else f", of which noise {100 * found['noise']:.1f} %"
+    noise = "" if found["noise"] is None else f", including noise {100 * found['noise']:.1f} %"
     same = found["residual"] == found["backprojection"]
     other = "" if same else f"; backprojection {100 * found['backprojection']:.1f} %"
     lines = [
-        f"held-out residual {100 * found['residual']:.1f} % of {found['views']} unseen views{noise}{other}"
+        f"held-out residual {100 * found['residual']:.1f} % of {found['views']} held-out views{noise}{other}"
     ]
     if found["worse_than_backprojection"]:
-        lines.append("backprojection predicts unseen views better: trust --method bp more than this image")
+        lines.append(
+            "backprojection predicts held-out views better: --method bp is more reliable than this image"
+        )
     return lines
 
 
@@ -163,31 +167,31 @@ def outside_words(settings: dict[str, Any]) -> list[str]:
         return []
     return [
         f"{100 * found['share']:.0f} % of the scans' energy comes from outside the image and was subtracted; "
-        "a larger --extent shows it"
+        "use a larger --extent to show it"
     ]
 
 
 def pulse_words(pulse: PulseEstimate | None) -> list[str]:
-    """What the estimate of the pulse came to, where one was asked for."""
+    """The result of the pulse estimate, if one was requested."""
     if pulse is None:
         return []
     if math.isnan(pulse.residual):
-        return ["too few views to estimate the pulse; the assumed one is kept"]
-    unseen = f"leaves {100 * pulse.residual:.1f} % of unseen views unexplained"
+        return ["too few views to estimate the pulse; the assumed pulse is used"]
+    unseen = f"leaves {100 * pulse.residual:.1f} % of held-out views unexplained"
     if pulse.taken:
         return [f"pulse estimated: {unseen}, the assumed one {100 * pulse.assumed_residual:.1f} %"]
     return [f"assumed pulse kept: an estimate {unseen}, it {100 * pulse.assumed_residual:.1f} %"]
 
 
 def calibration_words(settings: dict[str, Any]) -> list[str]:
-    """What ats learned of the recording beside the scene, a line each, with standard errors."""
+    """Parameters that ats estimated besides the scene, one line each, with standard errors."""
     found: dict[str, Any] = settings.get("calibration") or {}
     lines: list[str] = []
     if "axis" in found:
         axis = found["axis"]
         lines.append(
             f"axis distance {axis['distance_m']:.4f} ± {axis['sigma_m']:.4f} m, "
-            f"{axis['offset_m'] * 1e3:+.1f} mm from the one given or focused"
+            f"{axis['offset_m'] * 1e3:+.1f} mm from the given or focused value"
         )
     for w in found.get("wobble", ()):
         lines.append(
@@ -205,14 +209,14 @@ def calibration_words(settings: dict[str, Any]) -> list[str]:
 
 
 def learned(result: Reconstruction) -> dict[str, Any]:
-    """What was found of the recording beside the image, for the JSON document."""
+    """Findings about the recording, for the JSON document."""
     settings = result.image.settings
     names = ("axis_distance_m", "focus", "held_out", "pulse", "calibration", "warnings")
     return {name: settings[name] for name in names if name in settings}
 
 
 def learned_words(result: Reconstruction) -> list[str]:
-    """The same for a person, a line each."""
+    """The same as text, one line each."""
     return [
         *held_out_words(result.image.settings),
         *outside_words(result.image.settings),
@@ -235,7 +239,7 @@ def image_with_progress(terminal: Terminal, prepared: PreparedCapture) -> Recons
 
 
 def draw(result: Reconstruction, answer: Identification | None, png: Path) -> None:
-    """Write the picture of an image, with the reflectors that were read in it."""
+    """Write the picture of an image, with the detected reflectors."""
     from tagid.report.picture import Marker, draw_image
 
     markers = []
@@ -252,7 +256,7 @@ def draw(result: Reconstruction, answer: Identification | None, png: Path) -> No
 
 
 def in_terminal(result: Reconstruction) -> RenderableType:
-    """The image as text, in colour where the terminal has it and NO_COLOR does not forbid."""
+    """The image as text, in colour if the terminal supports it and NO_COLOR is not set."""
     from rich.console import Console
 
     from tagid.report.preview import colour_wanted, preview
@@ -286,22 +290,22 @@ def headline(answer: Identification) -> str:
 
 
 def bound_words(bound: Bound) -> str:
-    """What the false-accept setting rests on, in one line."""
+    """The basis of the false-accept bound, in one line."""
     return (
-        f"false accept {bound.p_value:.2g} at most, on {bound.objects} calibration objects "
+        f"false accept at most {bound.p_value:.2g}, from {bound.objects} calibration objects "
         f"({bound.stratum}): {bound.population}"
     )
 
 
 def nearest_words(answer: Identification) -> str:
-    """The nearest layout, and how much of the echo it explains where that was compared."""
+    """The nearest layout, and the share of the echo that it explains, if compared."""
     nearest = answer.to_dict()["nearest"]
     share = "" if nearest["share"] is None else f", which explains {nearest['share']:.0%} of the echo"
     return f"{nearest['layout']}{share}"
 
 
 def describe(answer: Identification, name: str) -> RenderableType:
-    """The answer for a person: one bold line, then what stands behind it."""
+    """The answer as text: one bold line, then the details."""
     from rich.console import Group
     from rich.text import Text
 
@@ -331,7 +335,7 @@ def describe(answer: Identification, name: str) -> RenderableType:
             x, y = (value * 1e3 for value in reading.centre_m)
             lines.append(
                 Text(
-                    f"  turned {degrees(reading.rotation_deg)} deg, centre ({x:.1f}, {y:.1f}) mm, "
+                    f"  rotated {degrees(reading.rotation_deg)} deg, centre ({x:.1f}, {y:.1f}) mm, "
                     f"margin {reading.margin:.2f}, {len(reading.reflectors)} reflectors"
                 )
             )
@@ -356,7 +360,7 @@ def failed(capture_uuid: str | None, error: TagidError) -> Identification:
 
 
 def exit_code_of(answers: list[Identification]) -> int:
-    """0 all identified, 3 some unknown/ambiguous/no tag, 1 the only one failed, 5 some of many failed."""
+    """0 all identified, 3 some unknown/ambiguous/no tag, 1 the only item failed, 5 some items failed."""
     if any(answer.status == "failed" for answer in answers):
         return EXIT_FAILED if len(answers) == 1 else EXIT_BATCH
     return EXIT_OK if all(answer.status == "identified" for answer in answers) else EXIT_UNCERTAIN

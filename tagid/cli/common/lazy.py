@@ -17,11 +17,11 @@ import typer.main
 
 @dataclass(frozen=True)
 class Entry:
-    """A command that is imported late.
+    """A command that is imported on demand.
 
     Attributes:
         module: has a `register(app)`.
-        help: one line, the first sentence of the command's own help.
+        help: one line, the first sentence of the command's help text.
     """
 
     module: str

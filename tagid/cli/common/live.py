@@ -1,4 +1,4 @@
-"""The live view of a scan in the terminal: the recording's callbacks on one side, the screen on the other."""
+"""The live view of a scan in the terminal: connects the recording's callbacks with the screen."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from tagid.recording.recorder import Watch
 
 _FRAME_S = 0.1
-"""Shortest time between two frames, s; 5 frames per second are wanted."""
+"""Shortest time between two frames, s; the target is 5 frames per second."""
 _JOIN_S = 5.0
 
 
@@ -31,7 +31,7 @@ class LiveScan:
     """A scan with a live view.
 
     Attributes:
-        view: takes the scans.
+        view: processes the scans.
         frames: frames drawn.
         first_s, last_s: when the first and the last one were drawn, s.
     """
@@ -51,7 +51,7 @@ class LiveScan:
         )
 
     def facts(self) -> dict[str, Any]:
-        """What the live view came to, as plain JSON values."""
+        """Figures of the live view, as JSON values."""
         spent = self.last_s - self.first_s
         return {
             "frames": self.frames,
@@ -91,7 +91,7 @@ def live_scan(terminal: Terminal, settings: LiveSettings, title: str) -> Iterato
 
 
 class _Screen:
-    """Draws each new state, on a thread of its own: a terminal that takes no more holds up nothing else."""
+    """Draws each new state in a separate thread, so that a blocked terminal blocks nothing else."""
 
     def __init__(self, view: LiveView, live: Live) -> None:
         self._view, self._live = view, live

@@ -1,4 +1,4 @@
-"""Options that several commands take, each defined once with its help."""
+"""Options shared by several commands, each defined once with its help text."""
 
 from __future__ import annotations
 
@@ -18,7 +18,8 @@ RadarUrl = Annotated[
     typer.Option("--radar", help="The radar: udp://HOST, serial:///dev/ttyACM0, replay://FILE."),
 ]
 MotionUrl = Annotated[
-    str | None, typer.Option("--motion", help="What turns the object: free, free?rpm=2.", show_default=False)
+    str | None,
+    typer.Option("--motion", help="Device that rotates the object, e.g. free?rpm=2.", show_default=False),
 ]
 AxisDistance = Annotated[
     float | None, typer.Option("--axis-distance", help="Radar to rotation axis, metres.", show_default=False)
@@ -41,7 +42,7 @@ CableDelay = Annotated[
 ]
 Node = Annotated[
     int | None,
-    typer.Option("--node", help="The radar to read, of several in one log.", show_default=False),
+    typer.Option("--node", help="Node id of the radar to read from a log of several.", show_default=False),
 ]
 Method = Annotated[
     str | None,
@@ -58,12 +59,14 @@ Pulse = Annotated[
         show_default=False,
     ),
 ]
-Preset = Annotated[str, typer.Option("--preset", help="What ats is: field, or paper (as published, slow).")]
+Preset = Annotated[
+    str, typer.Option("--preset", help="Variant of ats: field, or paper (as published, slow).")
+]
 Centre = Annotated[
     str | None,
     typer.Option(
         "--centre",
-        help="Middle of the image as X,Y in metres, for captures with antenna positions.",
+        help="Centre of the image as X,Y in metres, for captures with antenna positions.",
         show_default=False,
     ),
 ]
@@ -71,7 +74,7 @@ DelaySearch = Annotated[
     float | None,
     typer.Option(
         "--delay-search",
-        help="Half width of the search for the path delay (m), for captures with antenna positions. "
+        help="Half-width of the path-delay search (m), for captures with antenna positions. "
         "Default: 13 wavelengths, 1 m for a P440.",
         show_default=False,
     ),
@@ -80,7 +83,7 @@ Side = Annotated[
     str | None,
     typer.Option(
         "--side",
-        help="A point X,Y in metres on the side of a straight path that is to be imaged.",
+        help="A point X,Y in metres on the side of a straight path to be imaged.",
         show_default=False,
     ),
 ]
@@ -89,14 +92,14 @@ WaveSpeed = Annotated[
     typer.Option(
         "--wave-speed",
         help="Speed of the wave in the medium (m/s): 345 for sound in air, 1.06e8 at a permittivity of 8. "
-        "Default: the file's, or that in vacuum.",
+        "Default: value in the file, or vacuum.",
         show_default=False,
     ),
 ]
 Extent = Annotated[
-    float | None, typer.Option("--extent", help="Side of the image, metres.", show_default=False)
+    float | None, typer.Option("--extent", help="Width and height of the image, metres.", show_default=False)
 ]
-Pixels = Annotated[int | None, typer.Option("--pixels", help="Pixels a side.", show_default=False)]
+Pixels = Annotated[int | None, typer.Option("--pixels", help="Pixels per side.", show_default=False)]
 Background = Annotated[
     str, typer.Option("--background", help="Static background to remove: mean, median, reference, none.")
 ]
@@ -108,21 +111,27 @@ Body = Annotated[
     str | None,
     typer.Option(
         "--body",
-        help="What carries the tag: can:35mm, cup:40mm,handle, helmet, box:120mm or none.",
+        help="Body that carries the tag: can:35mm, cup:40mm,handle, helmet, box:120mm or none.",
         show_default=False,
     ),
 ]
 Reflector = Annotated[
-    str | None, typer.Option("--reflector", help="Its reflectors: octahedron:20mm.", show_default=False)
+    str | None,
+    typer.Option("--reflector", help="Reflectors of the tag: octahedron:20mm.", show_default=False),
 ]
 Elevation = Annotated[
-    str, typer.Option("--elevation", help="Tag above the stated plane, e.g. 50mm; not in the capture.")
+    str,
+    typer.Option(
+        "--elevation", help="Height of the tag above the stated plane, e.g. 50mm; not stored in the capture."
+    ),
 ]
-ObjectCentre = Annotated[str, typer.Option("--centre", help="Object off the axis, X,Y in metres.")]
+ObjectCentre = Annotated[
+    str, typer.Option("--centre", help="Offset of the object from the axis, X,Y in metres.")
+]
 Seed = Annotated[int, typer.Option("--seed", help="Random seed.")]
 LayoutFile = Annotated[
     Path | None,
     typer.Option(
-        "--file", help="Layouts besides the enrolled ones, e.g. of layouts design --out.", show_default=False
+        "--file", help="File with further layouts, e.g. from layouts design --out.", show_default=False
     ),
 ]

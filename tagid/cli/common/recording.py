@@ -1,4 +1,4 @@
-"""Shared by the commands that record a turn: from the configuration to a recording plan."""
+"""Shared by the commands that record: from the configuration to a recording plan."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Limits:
-    """Limits of a recording, besides the end of the turn.
+    """Limits of a recording, besides the end of the revolution.
 
     Attributes:
-        scans: number of scans; None to record a full turn.
+        scans: number of scans; None to record a full revolution.
         max_seconds: longest duration, s.
     """
 
@@ -28,7 +28,7 @@ class Limits:
 
 
 def plan_of(config: Config, url: str, limits: Limits, about: ObjectInfo) -> RecordingPlan:
-    """What to record. Raises ConfigError."""
+    """The recording plan. Raises ConfigError."""
     from tagid.motion.urls import public_url
     from tagid.recording.plan import RecordingPlan
 

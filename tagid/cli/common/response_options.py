@@ -1,4 +1,4 @@
-"""The options with which `tagid simulate` and `tagid emulate p440` take an object from a response file."""
+"""Options of `tagid simulate` and `tagid emulate p440` for an object from a response file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What an emulated radar shows, for the capture of it: from the emulator's file, its URL, or the demo."""
+"""The truth of an emulated scene, for its capture: from the emulator's file, its URL, or the demo."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _MAX_BYTES = 64 * 1024
 
 
 def read_truth(path: Path) -> ObjectInfo:
-    """The object that `tagid emulate p440 --truth FILE` described. Raises StorageError, FileFormatError."""
+    """The object in a file of `tagid emulate p440 --truth FILE`. Raises StorageError, FileFormatError."""
     from tagid.files import read_bytes
     from tagid.metadata import ObjectInfo
 
@@ -28,12 +28,12 @@ def read_truth(path: Path) -> ObjectInfo:
     except (ValueError, RecursionError, DataError) as error:
         raise FileFormatError(
             f"{path}: is not a truth file ({str(error)[:120]})",
-            "Give the file that `tagid emulate p440 --truth FILE` wrote.",
+            "Give a file written by `tagid emulate p440 --truth FILE`.",
         ) from None
 
 
 def truth_of(url: str, file: Path | None) -> ObjectInfo | None:
-    """The object that an emulated radar shows, from its file or its emulator:// URL; None for a real one."""
+    """The object of an emulated radar, from its file or its emulator:// URL; None for a real radar."""
     from tagid.recording.radars import emulated_object
 
     if file is not None:
@@ -42,7 +42,7 @@ def truth_of(url: str, file: Path | None) -> ObjectInfo | None:
 
 
 def with_truth(about: ObjectInfo, found: ObjectInfo | None) -> ObjectInfo:
-    """The operator's own remarks, and what is known of the emulated object."""
+    """The operator's remarks, and the truth of the emulated object."""
     if found is None:
         return about
     own = {each.name: getattr(about, each.name) for each in fields(about) if each.name != "extra"}

@@ -1,4 +1,4 @@
-"""Device URLs as they are printed: each alone on its line, to be copied, with the command that takes it."""
+"""Printed device URLs: each on its own line, for copying, with the next command."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ if TYPE_CHECKING:
 
 
 def to_copy(urls: Sequence[str], command: str) -> Text:
-    """The URLs, one to a line, and the next command with the first of them in the place of {}.
+    """The URLs, one per line, and the next command with the first of them in place of {}.
 
-    Lines are not wrapped, so that a URL is copied whole.
+    Lines are not wrapped, so that a URL can be copied completely.
     """
     from rich.text import Text
 
@@ -22,7 +22,7 @@ def to_copy(urls: Sequence[str], command: str) -> Text:
 
 
 def next_command(url: str, command: str) -> str:
-    """A command with a URL in the place of {}, quoted for a shell where that is needed.
+    """A command with a URL in place of {}, quoted for a shell if necessary.
 
     >>> next_command("roomba+serial:///dev/ttyUSB1?step=2", "tagid motion info {}")
     "tagid motion info 'roomba+serial:///dev/ttyUSB1?step=2'"

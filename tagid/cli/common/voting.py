@@ -1,4 +1,4 @@
-"""Output of a joint answer from several recordings, with each recording's own answer."""
+"""Output of a joint answer from several recordings, with the answer of each recording."""
 
 from __future__ import annotations
 

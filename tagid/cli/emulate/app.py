@@ -1,4 +1,4 @@
-"""`tagid emulate`: devices that are not there, on real wires."""
+"""`tagid emulate`: emulated devices on real interfaces."""
 
 from __future__ import annotations
 
@@ -24,25 +24,31 @@ if TYPE_CHECKING:
 
 def register(app: typer.Typer) -> None:
     """Add the commands."""
-    group = typer.Typer(help="Emulate a device on a real wire.", no_args_is_help=True)
+    group = typer.Typer(
+        help="Emulate a device on a real network, serial or Bluetooth interface.", no_args_is_help=True
+    )
     app.add_typer(group, name="emulate")
 
     @group.callback()
     def _group() -> None:
-        """Emulate a device on a real wire."""
+        """Emulate a device on a real network, serial or Bluetooth interface."""
 
     emulate_motion.register(group)
 
     @command(group, "emulate p440")
     def p440(
         terminal: Terminal,
-        bind: Annotated[str, typer.Option("--bind", help="HOST:PORT to listen on; 0 any free port.")] = (
-            "127.0.0.1:21210"
+        bind: Annotated[
+            str, typer.Option("--bind", help="HOST:PORT to listen on; port 0: any free port.")
+        ] = ("127.0.0.1:21210"),
+        serial: Annotated[bool, typer.Option("--serial", help="Use a serial port instead of UDP.")] = False,
+        framing: Annotated[
+            str, typer.Option("--framing", help="Framing on the serial port: usb or uart.")
+        ] = "usb",
+        baud: Annotated[int, typer.Option("--baud", help="Baud rate of the uart; 0: unlimited.")] = 115200,
+        link: Annotated[Path | None, typer.Option("--link", help="Symbolic link to create for the port.")] = (
+            None
         ),
-        serial: Annotated[bool, typer.Option("--serial", help="A serial port instead of UDP.")] = False,
-        framing: Annotated[str, typer.Option("--framing", help="On the serial port: usb or uart.")] = "usb",
-        baud: Annotated[int, typer.Option("--baud", help="Of the uart; 0 as fast as taken.")] = 115200,
-        link: Annotated[Path | None, typer.Option("--link", help="A name for the port that stays.")] = (None),
         scene: Annotated[
             str, typer.Option("--scene", help="An enrolled layout, points-3, can, empty ...")
         ] = "helmet-120",
@@ -54,16 +60,16 @@ def register(app: typer.Typer) -> None:
         rotation: Annotated[
             float, typer.Option("--rotation", help="Rotation of the object at the start, degrees.")
         ] = 0.0,
-        wobble: Annotated[float, typer.Option("--wobble", help="Uneven speed, 0.01 is 1 %.")] = 0.0,
+        wobble: Annotated[float, typer.Option("--wobble", help="Variation of the speed; 0.01 is 1 %.")] = 0.0,
         truth: Annotated[
             Path | None,
-            typer.Option("--truth", help="File for the true pose, which scan --truth puts into its capture."),
+            typer.Option("--truth", help="File for the true pose, to be read by scan --truth."),
         ] = None,
         replay: Annotated[str | None, typer.Option("--replay", help="Replay a recording instead.")] = None,
-        rpm: Annotated[float, typer.Option("--rpm", help="Turns a minute of the emulated table.")] = 2.0,
+        rpm: Annotated[float, typer.Option("--rpm", help="Speed of the emulated table, rpm.")] = 2.0,
         turned_by: Annotated[
             str | None,
-            typer.Option("--turned-by", help="HOST:PORT of an emulated robot that turns it."),
+            typer.Option("--turned-by", help="HOST:PORT of an emulated robot that rotates the object."),
         ] = None,
         axis_distance: Annotated[float, typer.Option("--axis-distance", help="Radar to axis, metres.")] = 1.0,
         body: options.Body = None,
@@ -75,24 +81,35 @@ def register(app: typer.Typer) -> None:
             typer.Option("--budget", help="SNR from the radar equation of `tagid plan`; replaces --snr."),
         ] = False,
         snr: Annotated[
-            float, typer.Option("--snr", help="Strongest reflector's peak over noise of one sample, dB.")
+            float,
+            typer.Option(
+                "--snr", help="Ratio of the strongest reflector's peak to the noise of one sample, dB."
+            ),
         ] = 20.0,
         cable_delay: Annotated[
-            float, typer.Option("--cable-delay", help="Of the emulated cables, ps.")
+            float, typer.Option("--cable-delay", help="Delay of the emulated cables, ps.")
         ] = 0.0,
-        rate: Annotated[float, typer.Option("--rate", help="Speed of time; 0 as fast as taken.")] = 1.0,
-        loop: Annotated[bool, typer.Option("--loop", help="Replay for ever.")] = False,
+        rate: Annotated[float, typer.Option("--rate", help="Time factor; 0: as fast as possible.")] = 1.0,
+        loop: Annotated[bool, typer.Option("--loop", help="Repeat the recording endlessly.")] = False,
         lose: Annotated[float, typer.Option("--lose", help="Share of packets lost.")] = 0.0,
         duplicate: Annotated[float, typer.Option("--duplicate", help="Share of packets sent twice.")] = 0.0,
-        reorder: Annotated[float, typer.Option("--reorder", help="Share of packets held back.")] = 0.0,
-        delay: Annotated[float, typer.Option("--delay", help="Share of packets that come late.")] = 0.0,
-        delay_ms: Annotated[float, typer.Option("--delay-ms", help="How late, milliseconds.")] = 20.0,
-        status_bytes: Annotated[int, typer.Option("--status-bytes", help="64, or 32 as old firmware.")] = 64,
-        sleep_bytes: Annotated[int, typer.Option("--sleep-bytes", help="Sleep confirm: 12 or 8.")] = 12,
-        server: Annotated[bool, typer.Option("--server", help="Also answer as the vendor's server.")] = False,
+        reorder: Annotated[float, typer.Option("--reorder", help="Share of packets reordered.")] = 0.0,
+        delay: Annotated[float, typer.Option("--delay", help="Share of packets delayed.")] = 0.0,
+        delay_ms: Annotated[
+            float, typer.Option("--delay-ms", help="Delay of those packets, milliseconds.")
+        ] = 20.0,
+        status_bytes: Annotated[
+            int, typer.Option("--status-bytes", help="Status size: 64, or 32 as in old firmware.")
+        ] = 64,
+        sleep_bytes: Annotated[
+            int, typer.Option("--sleep-bytes", help="Size of the sleep confirmation: 12 or 8.")
+        ] = 12,
+        server: Annotated[
+            bool, typer.Option("--server", help="Also act as the vendor's server program.")
+        ] = False,
         seed: options.Seed = 0,
     ) -> Result:
-        """Be a P440 on UDP, or on a serial port whose path is printed, until stopped.
+        """Emulate a P440 on UDP, or on a serial port whose path is printed, until stopped.
 
         Example: tagid emulate p440 --bind 127.0.0.1:21210 --scene helmet-120 --rpm 2
         """
@@ -185,7 +202,7 @@ def _pty(framing: str, baud: int, link: Path | None) -> PtyWire:
 
 
 def _write_truth(path: Path, about: ObjectInfo | None) -> None:
-    """Write what is emulated, with its true pose, as JSON. Raises UsageError where it is a recording."""
+    """Write the emulated scene, with its true pose, as JSON. Raises UsageError for a recording."""
     from tagid.files import write_bytes
 
     if about is None:

@@ -1,6 +1,6 @@
-"""`tagid emulate roomba | comxim | revopoint`: robots and tables that are not there, on real wires.
+"""`tagid emulate roomba | comxim | revopoint`: emulated robots and tables on real interfaces.
 
-They print one line with their port when they listen, and run until stopped.
+They print one line with their port when ready, and run until stopped.
 """
 
 from __future__ import annotations
@@ -37,23 +37,32 @@ def register(group: typer.Typer) -> None:
         link: Annotated[
             Path | None, typer.Option("--link", help="Symbolic link to create for the port.")
         ] = None,
-        name: Annotated[str, typer.Option("--name", help="Of the bridge.")] = "tagid-bridge",
-        passkey: Annotated[str | None, typer.Option("--passkey", help="Six digits; open without.")] = None,
-        baud: Annotated[int, typer.Option("--baud", help="Rate of its port.")] = 115200,
+        name: Annotated[str, typer.Option("--name", help="Name of the bridge.")] = "tagid-bridge",
+        passkey: Annotated[
+            str | None, typer.Option("--passkey", help="Pass-key, six digits; omit for an open bridge.")
+        ] = None,
+        baud: Annotated[int, typer.Option("--baud", help="Baud rate of the port.")] = 115200,
         wheel_base: Annotated[float, typer.Option("--wheel-base", help="True wheel base, mm.")] = 243.0,
-        slip: Annotated[float, typer.Option("--slip", help="Share of the way that does not turn it.")] = 0.01,
+        slip: Annotated[
+            float,
+            typer.Option("--slip", help="Slip: share of the wheel travel that does not rotate the robot."),
+        ] = 0.01,
         slip_noise: Annotated[
             float, typer.Option("--slip-noise", help="Standard deviation of the slip's variation.")
         ] = 0.002,
         encoder_noise: Annotated[float, typer.Option("--encoder-noise", help="Counts.")] = 0.5,
-        first_count: Annotated[int, typer.Option("--first-count", help="Encoders begin here.")] = 32_000,
-        mode_offset: Annotated[int, typer.Option("--mode-offset", help="Added to packet 35.")] = 0,
-        charge: Annotated[int, typer.Option("--charge", help="Battery, per cent.")] = 90,
-        on_charger: Annotated[bool, typer.Option("--on-charger", help="It stands on its base.")] = False,
-        asleep: Annotated[bool, typer.Option("--asleep", help="It sleeps; BRC wakes it.")] = False,
+        first_count: Annotated[int, typer.Option("--first-count", help="Initial encoder count.")] = 32_000,
+        mode_offset: Annotated[int, typer.Option("--mode-offset", help="Value added to packet 35.")] = 0,
+        charge: Annotated[int, typer.Option("--charge", help="Battery charge, per cent.")] = 90,
+        on_charger: Annotated[
+            bool, typer.Option("--on-charger", help="The robot is on its charging base.")
+        ] = False,
+        asleep: Annotated[bool, typer.Option("--asleep", help="The robot sleeps; BRC wakes it.")] = False,
         event: Annotated[
             str | None,
-            typer.Option("--event", help="bump, wheel-drop, cliff or charger @SECONDS of turning."),
+            typer.Option(
+                "--event", help="bump, wheel-drop, cliff or charger @SECONDS after it starts to rotate."
+            ),
         ] = None,
         truth: _Truth = 0,
         seed: options.Seed = 0,
@@ -97,9 +106,12 @@ def register(group: typer.Typer) -> None:
             Path | None, typer.Option("--link", help="Symbolic link to create for the port.")
         ] = None,
         rate_error: Annotated[
-            float, typer.Option("--rate-error", help="How much slower it turns than it reports, relative.")
+            float,
+            typer.Option(
+                "--rate-error", help="Relative difference by which it rotates slower than it reports."
+            ),
         ] = 0.03,
-        fail: Annotated[int | None, typer.Option("--fail", help="Error code of CT+RUN.")] = None,
+        fail: Annotated[int | None, typer.Option("--fail", help="Error code returned by CT+RUN.")] = None,
         truth: _Truth = 0,
     ) -> Result:
         """Emulate a Comxim turntable on a pseudo-terminal until stopped.
@@ -120,7 +132,10 @@ def register(group: typer.Typer) -> None:
     def revopoint(
         terminal: Terminal,
         rate_error: Annotated[
-            float, typer.Option("--rate-error", help="How much slower it turns than it reports, relative.")
+            float,
+            typer.Option(
+                "--rate-error", help="Relative difference by which it rotates slower than it reports."
+            ),
         ] = 0.02,
         truth: _Truth = 0,
     ) -> Result:
@@ -145,7 +160,7 @@ def register(group: typer.Typer) -> None:
 
 
 def serve(terminal: Terminal, name: str, facts: dict[str, Any]) -> None:
-    """Say what listens, and wait for a stop signal."""
+    """Print where the emulator listens, and wait for a stop signal."""
     stop = threading.Event()
     with interrupts.asked_to_stop(stop.set):
         announce(terminal, name, facts, "tagid motion info {}")
@@ -153,12 +168,12 @@ def serve(terminal: Terminal, name: str, facts: dict[str, Any]) -> None:
 
 
 def announce(terminal: Terminal, name: str, facts: dict[str, Any], command: str) -> None:
-    """Say at once where an emulator listens: whoever starts it must learn that while it runs.
+    """Print immediately where an emulator listens, because the user needs it while it runs.
 
-    As JSON it is one line; for a person the URL stands alone on its line on stdout, the rest on stderr.
+    As JSON it is one line; as text the URL is on a line of its own on stdout, the rest on stderr.
 
     Args:
-        terminal: how to say it.
+        terminal: the output.
         name: of the command.
         facts: `url` and more.
         command: the next command, with {} for the URL.
@@ -168,7 +183,7 @@ def announce(terminal: Terminal, name: str, facts: dict[str, Any], command: str)
         sys.stdout.flush()
         return
     if not terminal.quiet:
-        typer.echo(f"{name.partition(' ')[2]} emulator, stop it with Ctrl-C; it listens at", err=True)
+        typer.echo(f"{name.partition(' ')[2]} emulator (stop it with Ctrl-C) listens at", err=True)
     sys.stdout.write(f"{facts['url']}\n")
     sys.stdout.flush()
     if not terminal.quiet:

@@ -1,6 +1,6 @@
 """The bridge's unmodified firmware in front of an emulated robot, on a virtual Bluetooth controller.
 
-It belongs to `tagid emulate`, because it needs the firmware's own tools.
+It is part of `tagid emulate`, because it needs the firmware tools.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ BRC_PIN = 6
 
 @contextmanager
 def bridge_before(host: RoombaHost, name: str, passkey: str | None) -> Iterator[str]:
-    """A bridge whose UART and BRC pin lead to the robot; yields where a host finds its controller.
+    """A bridge connected to the robot's UART and BRC pin; yields the address of its controller.
 
     Raises MissingExtraError, UsageError.
     """

@@ -25,24 +25,24 @@ COMMANDS = {
     ),
     "reflector": Entry(
         "tagid.cli.layouts.reflector",
-        "Make a reflector: a solid for a 3-D printer and foil, or a net to cut and fold at 1:1.",
+        "Create files for a reflector: a solid for a 3-D printer and foil, or a net to cut and fold at 1:1.",
     ),
     "show": Entry("tagid.cli.layouts.show", "Draw a layout."),
     "export": Entry("tagid.cli.layouts.files", "Write enrolled layouts, bodies and objects to a TOML file."),
     "import": Entry(
         "tagid.cli.layouts.files",
-        "Enrol the layouts, bodies and objects of files: all of them, or none if one is in conflict.",
+        "Enrol the layouts, bodies and objects of files: all of them, or none if one conflicts.",
     ),
     "undo": Entry(
         "tagid.cli.layouts.files",
         "Undo the last command that changed the registry, or all changes since a version.",
     ),
-    "redo": Entry("tagid.cli.layouts.files", "Take the last undo back."),
+    "redo": Entry("tagid.cli.layouts.files", "Redo the last undone change."),
     "check": Entry(
         "tagid.cli.layouts.check", "Check the registry: distance and confusion rate of every pair."
     ),
 }
-"""Every command of the group, in the order of the help, with the first sentence of its own help."""
+"""Every command of the group, in the order of the help, with the first sentence of its help text."""
 
 
 def register(app: typer.Typer) -> None:
@@ -53,10 +53,10 @@ def register(app: typer.Typer) -> None:
     @group_command(group, "layouts")
     def layouts(
         terminal: Terminal,
-        history: Annotated[bool, typer.Option("--history", help="Every change ever made.")] = False,
+        history: Annotated[bool, typer.Option("--history", help="List all changes.")] = False,
         remove: Annotated[str | None, typer.Option("--remove", help="Remove this layout or object.")] = None,
     ) -> Result:
-        """List, design, draw, exchange and check the layouts; without a command, list those enrolled.
+        """List, design, draw, exchange and check layouts; without a command, list the enrolled ones.
 
         Example: tagid layouts --history
         """
@@ -111,11 +111,11 @@ def _list() -> Result:
     if found is None:
         from tagid.cli.common.imaging import open_registry
 
-        # The registry is made where there is none, and says what is wrong where something is.
+        # Opening creates a missing registry and reports a damaged one.
         open_registry().layouts()
         found = list_layouts(path)
         if found is None:
-            raise RegistryError(f"{path} cannot be listed", "`tagid doctor` says more.")
+            raise RegistryError(f"{path} cannot be listed", "`tagid doctor` shows details.")
     version, layouts = found
     table = Table("layout", "kind", "reflectors", "radius mm", "symmetry", "label", box=None)
     for one in layouts:

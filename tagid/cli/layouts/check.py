@@ -1,4 +1,4 @@
-"""`tagid layouts check`: which of the enrolled layouts can be confused with another."""
+"""`tagid layouts check`: find enrolled layouts that could be confused with each other."""
 
 from __future__ import annotations
 
@@ -41,7 +41,8 @@ def register(app: typer.Typer) -> None:
         version, enrolled = registry.snapshot()
         lost = [change for change in registry.history() if change.entry is None]
         remarks = [
-            f"version {c.version} ({c.action} {c.name}) cannot be read and not be gone back to" for c in lost
+            f"version {c.version} ({c.action} {c.name}) cannot be read, so it cannot be restored"
+            for c in lost
         ]
         known = direction_known()
         pairs, nested = [], []
@@ -92,7 +93,7 @@ def register(app: typer.Typer) -> None:
         if nested:
             remarks.append(
                 f"{len(nested)} layout(s) are a part of a larger one. This is allowed: the reader counts "
-                "reflectors. But where the larger one loses a reflector, the smaller one may be named; avoid "
+                "reflectors. But if the larger one loses a reflector, the smaller one may be named; avoid "
                 "such pairs on objects that could be mixed up."
             )
         if not pairs and not nested:

@@ -1,4 +1,4 @@
-"""`tagid layouts design` and `capacity`: families of layouts for an object, and their largest size."""
+"""`tagid layouts design` and `capacity`: layout families for an object, and their largest size."""
 
 from __future__ import annotations
 
@@ -65,9 +65,9 @@ def register(app: typer.Typer) -> None:
             typer.Option("--prefix", help="Prefix of the names, e.g. mug-r3s12.", show_default=False),
         ] = None,
         out: Annotated[
-            Path | None, typer.Option("--out", help="Write them as TOML.", show_default=False)
+            Path | None, typer.Option("--out", help="Write the layouts as TOML.", show_default=False)
         ] = None,
-        enroll: Annotated[bool, typer.Option("--enroll", help="Enrol them all, or none.")] = False,
+        enroll: Annotated[bool, typer.Option("--enroll", help="Enrol all layouts, or none.")] = False,
         yes: enrolling.Yes = False,
     ) -> Result:
         """Design the layouts that a radar distinguishes best at any orientation of the object.
@@ -121,7 +121,7 @@ def register(app: typer.Typer) -> None:
 
 @dataclass(frozen=True)
 class _Asked:
-    """What a design was asked for: the whole object, rows of it, rules, number, and the layouts beside it."""
+    """A design request: the whole object, its rows, rules, number, and the layouts to be avoided."""
 
     target: TaggedObject
     rows: int
@@ -130,14 +130,14 @@ class _Asked:
     beside: tuple[Layout, ...]
 
     def remedy(self) -> str:
-        """Options that were tried and work; "" where none was found."""
+        """Alternative options that work; "" if none was found."""
         from tagid.tags.enrolling.advice import alternatives
 
         found = alternatives(self.target, self.rows, self.rules, self.count, self.beside)
         return f"These work: {', or '.join(found)}." if found else ""
 
     def spacing_works(self, spacing_m: float) -> bool:
-        """Whether as many layouts, fit to be enrolled, have their reflectors that far apart."""
+        """Whether the requested number of enrollable layouts exists at this reflector spacing."""
         from tagid.tags.enrolling.advice import works
 
         rules = replace(self.rules, spacing_m=spacing_m)
@@ -203,12 +203,14 @@ def _designed(
     remedy = "" if refused is None else asked.remedy()
     if refused is not None:
         messages.append(
-            f"this set cannot be enrolled: {refused.message}. {remedy or 'Ask for fewer.'}".replace("..", ".")
+            f"this set cannot be enrolled: {refused.message}. {remedy or 'Request fewer layouts.'}".replace(
+                "..", "."
+            )
         )
     if family.ghost_m < GHOST_M:
         avoids = asked.spacing_works(GHOST_M)
         messages.append(
-            f"reflectors {family.ghost_m * 1e3:.0f} mm apart can cause a ghost (under a wavelength, "
+            f"reflectors {family.ghost_m * 1e3:.0f} mm apart can cause a ghost (closer than a wavelength, "
             f"{GHOST_M * 1e3:.0f} mm); "
             + (
                 f"--spacing {GHOST_M:g} avoids it"
@@ -250,9 +252,7 @@ def _designed(
         )
     )
     if out is not None:
-        enrol = (
-            "they cannot be enrolled as they are" if refused else f"enrol them: tagid layouts import {out}"
-        )
+        enrol = "they cannot be enrolled" if refused else f"enrol them: tagid layouts import {out}"
         lines.append(Text(f"written to {out}; {enrol}"))
     data = {
         "layouts": [layout.to_dict() for layout in family.layouts],

@@ -28,7 +28,7 @@ def register(app: typer.Typer) -> None:
         terminal: Terminal,
         file: Annotated[Path, typer.Argument(help="TOML file to write.")],
         names: Annotated[
-            list[str] | None, typer.Argument(help="Layouts, bodies or objects; without names, all.")
+            list[str] | None, typer.Argument(help="Layouts, bodies or objects; default: all.")
         ] = None,
         force: Annotated[bool, typer.Option("--force", help="Overwrite an existing file.")] = False,
     ) -> Result:
@@ -49,7 +49,7 @@ def register(app: typer.Typer) -> None:
         layouts = [one for one in contents.layouts if not names or one.name in names]
         for name in names or []:
             if name not in {layout.name for layout in layouts} | {one.name for one in signatures}:
-                registry.get(name)  # raises, with the names that there are
+                registry.get(name)  # raises an error that lists the existing names
         write_layouts(layouts, file, signatures)
         data = {
             "path": str(file),
@@ -71,7 +71,7 @@ def register(app: typer.Typer) -> None:
         yes: enrolling.Yes = False,
         dry_run: enrolling.DryRun = False,
     ) -> Result:
-        """Enrol the layouts, bodies and objects of files: all of them, or none if one is in conflict.
+        """Enrol the layouts, bodies and objects of files: all of them, or none if one conflicts.
 
         The nearest other layout to each and the expected confusion rate are shown first; on a terminal,
         nothing is stored before you confirm.
@@ -93,7 +93,7 @@ def register(app: typer.Typer) -> None:
                 if to_bytes(twin) != to_bytes(one):
                     raise FileFormatError(
                         f"{file}: the {one.kind} {one.name} differs from that of another file",
-                        "Leave one of the files out.",
+                        "Omit one of the files.",
                     )
             for layout in entries.layouts:
                 known = found.setdefault(layout.name, layout)
@@ -133,12 +133,12 @@ def register(app: typer.Typer) -> None:
         terminal: Terminal,
         to: Annotated[
             int | None,
-            typer.Option("--to", help="The version to restore; without, the last change is undone."),
+            typer.Option("--to", help="The version to restore; default: undo the last change."),
         ] = None,
     ) -> Result:
         """Undo the last command that changed the registry, or all changes since a version.
 
-        Repeat it to undo the commands before; `tagid layouts redo` takes an undo back.
+        Repeat it to undo earlier commands; `tagid layouts redo` reverts an undo.
 
         Example: tagid layouts undo
         Example: tagid layouts undo --to 4
@@ -147,7 +147,7 @@ def register(app: typer.Typer) -> None:
 
     @command(app, "layouts redo")
     def redo(terminal: Terminal) -> Result:
-        """Take the last undo back.
+        """Redo the last undone change.
 
         Example: tagid layouts redo
         """
@@ -170,7 +170,7 @@ def _restored(name: str, verb: str, step: Callable[[Registry], Restored]) -> Res
     ]
     lines = [
         f"{verb}: {done.undone}" if verb == "undone" else "redone",
-        f"  {'; '.join(parts) or 'nothing differs'}",
+        f"  {'; '.join(parts) or 'no difference'}",
         f"{_count(contents.layouts, contents.signatures)} enrolled now, registry version {done.version}",
     ]
     data = {
@@ -186,7 +186,7 @@ def _restored(name: str, verb: str, step: Callable[[Registry], Restored]) -> Res
 
 
 def _count(layouts: Sequence[Layout], signatures: Sequence[Signature]) -> str:
-    """How many entries, in words."""
+    """The number of entries as text."""
     parts = [f"{len(layouts)} layouts"]
     for kind, plural in (("body", "bodies"), ("object", "objects")):
         number = sum(one.kind == kind for one in signatures)
@@ -209,7 +209,7 @@ def _check_signatures(new: dict[tuple[str, str], Signature], contents: RegistryC
 
 
 def _entries_of(file: Path) -> Entries:
-    """Entries of a file or of another registry, which is only read."""
+    """Entries of a file or of another registry (opened read-only)."""
     from tagid.files import read_bytes
     from tagid.tags.enrolling.layout_file import MAX_BYTES, Entries, read_entries
     from tagid.tags.enrolling.registry import Registry

@@ -1,4 +1,4 @@
-"""`tagid layouts reflector`: a reflector to print or to cut and fold, and its radar cross-section."""
+"""`tagid layouts reflector`: a printable or foldable reflector, and its radar cross-section."""
 
 from __future__ import annotations
 
@@ -35,12 +35,12 @@ def register(app: typer.Typer) -> None:
         ] = None,
         rcs: Annotated[
             list[Path] | None,
-            typer.Option("--rcs", help="Solve its radar cross-section: .csv table, .png plot; repeatable."),
+            typer.Option("--rcs", help="Compute its radar cross-section: .csv table, .png plot; repeatable."),
         ] = None,
         paper: Annotated[str, typer.Option("--paper", help="Paper of a PDF: a4, a3, letter.")] = "a4",
         force: Annotated[bool, typer.Option("--force", help="Overwrite existing files.")] = False,
     ) -> Result:
-        """Make a reflector: a solid for a 3-D printer and foil, or a net to cut and fold at 1:1.
+        """Create files for a reflector: a solid for a 3-D printer and foil, or a net to cut and fold at 1:1.
 
         Example: tagid layouts reflector --size 40 --out r.stl --out r.pdf --rcs r.csv --rcs r.png
         """

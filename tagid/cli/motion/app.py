@@ -1,6 +1,6 @@
 """`tagid motion`: the commands for robots and turntables.
 
-One thin file per command; a new one is added to `PARTS` and nowhere else.
+One file per command; a new command is added to `PARTS` only.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ PARTS = (find, info, spin, stop, calibrate)
 def register(app: typer.Typer) -> None:
     """Add the group."""
     group = typer.Typer(
-        help="Find, query, turn, stop and calibrate robots and turntables.", no_args_is_help=True
+        help="Find, query, rotate, stop and calibrate robots and turntables.", no_args_is_help=True
     )
     app.add_typer(group, name="motion")
 
     @group.callback()
     def _group() -> None:
-        """Find, query, turn, stop and calibrate robots and turntables."""
+        """Find, query, rotate, stop and calibrate robots and turntables."""
 
     for part in PARTS:
         part.register(group)

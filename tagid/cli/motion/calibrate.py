@@ -1,4 +1,4 @@
-"""`tagid motion calibrate`: a robot's wheel base, or a table's direction, as the radar sees them."""
+"""`tagid motion calibrate`: a robot's wheel base, or a table's direction, measured with the radar."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ def register(group: typer.Typer) -> None:
     def calibrate(
         terminal: Terminal,
         capture: Annotated[
-            Path | None, typer.Argument(help="A scan with this device; without it one is recorded.")
+            Path | None, typer.Argument(help="An earlier scan with this device; default: record one.")
         ] = None,
         radar: options.RadarUrl = None,
         motion: options.MotionUrl = None,
         axis_distance: options.AxisDistance = None,
-        turns: Annotated[float, typer.Option("--turns", help="Turns to record, 1.5 to 10.")] = 2.3,
+        turns: Annotated[float, typer.Option("--turns", help="Revolutions to record, 1.5 to 10.")] = 2.3,
         save_dir: Annotated[Path | None, typer.Option("--save-dir", help="Folder for the capture.")] = None,
         direction: Annotated[
-            bool, typer.Option("--direction", help="Find a table's direction instead; needs --layout.")
+            bool, typer.Option("--direction", help="Determine a table's direction instead; needs --layout.")
         ] = False,
         layout: Annotated[
             str | None,
@@ -43,11 +43,11 @@ def register(group: typer.Typer) -> None:
         ] = None,
         yes: Yes = False,
     ) -> Result:
-        """Compare how a robot or table turns with what the radar sees, and remember the correction.
+        """Compare the rotation of a robot or table with the radar scans, and store the correction.
 
-        For a robot this finds the effective wheel base; put something with strong, unsymmetric echoes on it.
-        With --direction it determines whether a table turns in the commanded direction; place an object with
-        an enrolled layout on it that is not its own mirror image.
+        For a robot this determines the effective wheel base; use an object with strong, asymmetric echoes.
+        With --direction it determines whether a table rotates in the commanded direction; use an object with
+        an enrolled layout that is not its own mirror image.
 
         Example: tagid motion calibrate --motion roomba+serial:///dev/ttyUSB1 --axis-distance 1.0
         """
@@ -59,7 +59,7 @@ def register(group: typer.Typer) -> None:
         if not 1.5 <= turns <= 10:
             raise UsageError(f"--turns is {turns}", "Give 1.5 to 10.")
         if direction != (layout is not None):
-            raise UsageError("--direction and --layout belong together", "Give both, or none of them.")
+            raise UsageError("--direction and --layout must be given together", "Give both or neither.")
         if capture is not None:
             recorded = read_any(capture)
         else:
@@ -77,7 +77,7 @@ def register(group: typer.Typer) -> None:
             return _direction(recorded, layout)
         resolved = recorded.motion.resolved
         if resolved is None or resolved.kind != "roomba":
-            raise DataError("this scan was not turned by a robot", "Scan with --motion roomba+... first.")
+            raise DataError("this scan was not recorded with a robot", "Scan with --motion roomba+... first.")
         robot, found = wheel_base_from(resolved)
         path = remember(robot, found)
         data = {"robot": robot, "wheel_base_mm": found.wheel_base_mm, "sigma": found.sigma, "path": str(path)}
@@ -86,7 +86,7 @@ def register(group: typer.Typer) -> None:
 
 
 def _direction(capture: Capture, name: str) -> Result:
-    """Whether the capture's table turned as it was told; remembered for tables that take commands."""
+    """Whether the capture's table rotated in the stated direction; stored for commanded tables."""
     from rich.text import Text
 
     from tagid.cli.common import imaging
@@ -97,7 +97,7 @@ def _direction(capture: Capture, name: str) -> Result:
 
     layouts = {one.name: one for one in imaging.open_registry().layouts()}
     if name not in layouts:
-        raise UsageError(f"no layout is called {name!r}", f"Enrolled: {', '.join(sorted(layouts))}.")
+        raise UsageError(f"there is no layout named {name!r}", f"Enrolled: {', '.join(sorted(layouts))}.")
     capture = prepare(capture)
     resolved = capture.motion.resolved or ResolvedMotion()
     told = "clockwise" if resolved.direction == -1 else "counter-clockwise"
@@ -106,12 +106,12 @@ def _direction(capture: Capture, name: str) -> Result:
     is_reversed = other != bool(resolved.reversed)
     if device is not None:
         path = remember_reversed(device, is_reversed)
-        lesson = f"remembered as reversed={int(is_reversed)} in {path}"
+        lesson = f"stored as reversed={int(is_reversed)} in {path}"
     else:
         clockwise = (told == "clockwise") != other
         lesson = f"its --motion URL needs direction={'cw' if clockwise else 'ccw'}"
     way = "the other" if other else "that"
-    text = f"{device or 'the table'} was taken to turn {told} and turned {way} way; "
+    text = f"{device or 'the table'} was stated to rotate {told} and rotated {way} way; "
     data = {"device": device, "told": told, "other_way": other, "reversed": is_reversed}
     return Result(
         "motion calibrate", {**data, "path": None if path is None else str(path)}, Text(text + lesson)

@@ -1,4 +1,4 @@
-"""What the commands of `tagid motion` share: the device that is meant, and a table of what is known of it."""
+"""Shared by the commands of `tagid motion`: the selected device, and a table of its properties."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Url = Annotated[
 
 
 def driven(url: str | None) -> tuple[DrivenMotion, Config]:
-    """The device of a URL or of the configuration. Raises UsageError if it takes no commands."""
+    """The device of a URL or of the configuration. Raises UsageError if it is not a commanded device."""
     from tagid.motion.driven import DrivenMotion
     from tagid.motion.urls import EXAMPLES, open_motion
 
@@ -29,7 +29,7 @@ def driven(url: str | None) -> tuple[DrivenMotion, Config]:
     device = open_motion(config["motion.url"])
     if not isinstance(device, DrivenMotion):
         raise UsageError(
-            f"{config['motion.url']} takes no commands",
+            f"{config['motion.url']} is not a commanded device",
             f"Give one of {', '.join(name for name in EXAMPLES if '+' in name)}.",
         )
     return device, config

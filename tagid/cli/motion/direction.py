@@ -1,7 +1,7 @@
-"""Which way a table truly turns, seen by the radar: an object that is not its own mirror image tells.
+"""True direction of a table, from scans of an object that is not its own mirror image.
 
-A single antenna cannot tell a table that turns the other way from the object's mirror image; a layout whose
-positions are known can.
+A single antenna cannot distinguish a reversed table from the object's mirror image; a layout with known
+positions resolves this.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ if TYPE_CHECKING:
     from tagid.tags.layouts.layout import Layout
 
 _LEAST_DIFFERENCE_M: Final = 5e-3
-"""RMS distance of a layout from its mirror image that a reading can tell apart, a few position errors."""
+"""Smallest resolvable RMS distance between a layout and its mirror image: a few position errors."""
 
 
 def chirality_m(layout: Layout) -> float:
-    """RMS distance of a layout from its mirror image after the best turn, shift and pairing, m."""
+    """RMS distance of a layout from its mirror image after the best rotation, shift and pairing, m."""
     from tagid.tags.reading.rivals import rigid_distance
 
     mirror = layout.mirrored().positions
@@ -31,10 +31,10 @@ def chirality_m(layout: Layout) -> float:
 
 
 def turned_the_other_way(capture: Capture, layout: Layout) -> bool:
-    """Whether the object turned against the angles of its capture: then it reads as its mirror image.
+    """Whether the object rotated against its capture's angles, so that it reads as its mirror image.
 
     Args:
-        capture: prepared, with angles by the direction that was commanded.
+        capture: prepared, with angles in the commanded direction.
         layout: the object on the table.
 
     Raises:
@@ -45,8 +45,8 @@ def turned_the_other_way(capture: Capture, layout: Layout) -> bool:
 
     if layout.size > 7 or chirality_m(layout) < _LEAST_DIFFERENCE_M:
         raise UsageError(
-            f"layout {layout.name} looks like its own mirror image (or has more than 7 reflectors)",
-            "Put an object on the table whose reflectors form no symmetric pattern.",
+            f"layout {layout.name} is its own mirror image (or has more than 7 reflectors)",
+            "Use an object whose reflectors do not form a symmetric pattern.",
         )
     mirror = replace(layout.mirrored(), name=f"{layout.name}-mirrored")
     answer = identify(capture, [layout, mirror], ImagingSettings(direction_known=True))
@@ -54,6 +54,6 @@ def turned_the_other_way(capture: Capture, layout: Layout) -> bool:
     if read not in (layout.name, mirror.name):
         raise DataError(
             f"neither layout {layout.name} nor its mirror image was read ({answer.status})",
-            "Check --layout and the axis distance, and record a full turn with a clear view of the object.",
+            "Check --layout and the axis distance, and record a full revolution with a clear view of the object.",
         )
     return read == mirror.name

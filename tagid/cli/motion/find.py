@@ -18,11 +18,11 @@ def register(group: typer.Typer) -> None:
     @command(group, "motion find")
     def find(
         terminal: Terminal,
-        seconds: Annotated[float, typer.Option("--seconds", help="How long to listen.")] = 4.0,
-        bluetooth: Annotated[bool, typer.Option("--ble/--no-ble", help="Listen for Bluetooth.")] = True,
+        seconds: Annotated[float, typer.Option("--seconds", help="Listening time, s.")] = 4.0,
+        bluetooth: Annotated[bool, typer.Option("--ble/--no-ble", help="Scan for Bluetooth devices.")] = True,
         hci: Annotated[str | None, typer.Option("--hci", help="Another Bluetooth controller.")] = None,
     ) -> Result:
-        """Look for robots and tables; nothing is sent to any of them.
+        """Find robots and tables, without sending anything to them.
 
         Example: tagid motion find
         """
@@ -42,13 +42,13 @@ def register(group: typer.Typer) -> None:
             except TagidError as error:
                 errors = ({"code": error.code, "message": error.message, "remedy": error.remedy},)
         if not found and not errors:
-            message = "no robot and no table was found"
+            message = "no robot or table was found"
             errors = (
                 {
                     "code": "device",
                     "message": message,
-                    "remedy": "Plug its cable in, or power the bridge; a table that runs freely needs no "
-                    "finding: --motion free.",
+                    "remedy": "Connect its cable, or power the bridge; a free-running table does not "
+                    "need to be found: use --motion free.",
                 },
             )
         table = Table("where", "what", "signal", box=None)

@@ -1,4 +1,4 @@
-"""`tagid motion spin`: turn without a radar, as a check."""
+"""`tagid motion spin`: rotate without a radar, as a check."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ def register(group: typer.Typer) -> None:
     def spin(
         terminal: Terminal,
         url: Url = None,
-        turns: Annotated[float, typer.Option("--turns", help="Number of turns, 0.01 to 20.")] = 1.0,
+        turns: Annotated[float, typer.Option("--turns", help="Number of revolutions, 0.01 to 20.")] = 1.0,
         yes: Yes = False,
     ) -> Result:
-        """Turn by a number of turns and stop.
+        """Rotate by a number of revolutions and stop.
 
         Example: tagid motion spin roomba+serial:///dev/ttyUSB1 --turns 0.5
         """
@@ -37,7 +37,7 @@ def register(group: typer.Typer) -> None:
         device.turns = turns
         way = "clockwise" if device.direction < 0 else "counter-clockwise"
         agree(
-            f"{device.name} will turn {way} by {turns:g} turns, {device.nominal_s:.0f} s per turn",
+            f"{device.name} will rotate {way} by {turns:g} revolutions, {device.nominal_s:.0f} s each",
             yes,
             device.warning,
         )

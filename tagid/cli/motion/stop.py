@@ -1,4 +1,4 @@
-"""`tagid motion stop`: stop a robot or table, whoever set it in motion."""
+"""`tagid motion stop`: stop a robot or table, regardless of what started it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def register(group: typer.Typer) -> None:
 
     @command(group, "motion stop")
     def stop(terminal: Terminal, url: Url = None) -> Result:
-        """Stop a robot or table, also while another process drives it; a robot is left in Passive.
+        """Stop a robot or table, even while another process drives it; a robot is left in Passive mode.
 
         Example: tagid motion stop roomba+ble://tagid-bridge
         """

@@ -1,6 +1,6 @@
 """`tagid radar`: the group of commands for the radar itself.
 
-One thin file a command; a new one is added to `PARTS` and nowhere else.
+One file per command; a new command is added to `PARTS` only.
 """
 
 from __future__ import annotations
@@ -15,12 +15,15 @@ PARTS = (find, info, config, monitor, record, calibrate, reboot)
 
 def register(app: typer.Typer) -> None:
     """Add the group."""
-    group = typer.Typer(help="Find, ask, set and record the radar itself.", no_args_is_help=True)
+    group = typer.Typer(
+        help="Find, query, configure, monitor and calibrate the radar, and record scans.",
+        no_args_is_help=True,
+    )
     app.add_typer(group, name="radar")
 
     @group.callback()
     def _group() -> None:
-        """Find, ask, set and record the radar itself."""
+        """Find, query, configure, monitor and calibrate the radar, and record scans."""
 
     for part in PARTS:
         part.register(group)

@@ -34,26 +34,26 @@ def register(group: typer.Typer) -> None:
         terminal: Terminal,
         distance: Annotated[
             float | None,
-            typer.Option("--distance", help="Taped from the antennas to the target, metres."),
+            typer.Option("--distance", help="Measured distance from the antennas to the target, metres."),
         ] = None,
         tape_error: Annotated[
-            float, typer.Option("--tape-error", help="Standard deviation of the tape, metres.")
+            float, typer.Option("--tape-error", help="Standard deviation of this distance, metres.")
         ] = 0.005,
         step: Annotated[
             str | None,
             typer.Option("--step", help="empty, target, or both with a pause to place the target."),
         ] = None,
-        scans: Annotated[int, typer.Option("--scans", help="Scans of each step.")] = 200,
+        scans: Annotated[int, typer.Option("--scans", help="Scans per step.")] = 200,
         longest_delay: Annotated[
-            float, typer.Option("--longest-delay", help="Longest delay looked for, ns.")
+            float, typer.Option("--longest-delay", help="Upper limit of the delay search, ns.")
         ] = 25.0,
-        dry_run: Annotated[bool, typer.Option("--dry-run", help="Measure, but keep nothing.")] = False,
+        dry_run: Annotated[bool, typer.Option("--dry-run", help="Measure, but store nothing.")] = False,
         radar: options.RadarUrl = None,
         axis_distance: options.AxisDistance = None,
     ) -> Result:
-        """Find the cable and antenna delay with a target at a taped distance; keep the empty scene.
+        """Measure the cable and antenna delay with a target at a known distance; store the empty scene.
 
-        First the empty scene is recorded, then the target; both are kept in the configuration.
+        First the empty scene is recorded, then the target; both results are stored in the configuration.
 
         Example: tagid radar calibrate --distance 2.00
         """
@@ -68,7 +68,7 @@ def register(group: typer.Typer) -> None:
             try:
                 session.set_window(device)
                 if chosen == "both":
-                    _ask("Take the target out of the beam")
+                    _ask("Remove the target from the beam")
                 empty = None if chosen == "target" else session.take(device, "empty scene")
                 if chosen == "both":
                     _ask(f"Put the target at {distance:g} m from the antennas")
@@ -79,7 +79,7 @@ def register(group: typer.Typer) -> None:
 
 
 class _Session:
-    """What the steps of one calibration share."""
+    """Data shared by the steps of one calibration."""
 
     def __init__(
         self, terminal: Terminal, config: Config, scans: int, longest_ps: float, distance_m: float | None
@@ -88,7 +88,7 @@ class _Session:
         self.longest_ps, self.distance_m = longest_ps, distance_m
 
     def set_window(self, device: P440) -> None:
-        """One window for both steps, which also holds what a scan will look at, and a scan's settings."""
+        """One window for both steps, which also covers the window of a scan, with the settings of a scan."""
         from tagid.recording.calibration import calibration_window
 
         distances = [] if self.distance_m is None else [self.distance_m]
@@ -96,7 +96,7 @@ class _Session:
         if axis is not None:
             distances += [max(axis - reach, 0.0), axis + reach]
         if not distances:
-            return  # nothing says what will be looked at: the radar's own window
+            return  # the window of a scan is unknown: keep the radar's window
         base = replace(
             device.config,
             base_integration_index=self.config["radar.integration"],
@@ -120,7 +120,7 @@ def _steps(step: str | None, distance: float | None) -> str:
         if distance is None and asks:
             raise UsageError(
                 "the target's distance is missing",
-                "Give --distance METRES, or --step empty to keep the empty scene alone.",
+                "Give --distance METRES, or --step empty to store only the empty scene.",
             )
     if step not in ("empty", "target", "both"):
         raise UsageError(f"--step is {step!r}", "Give empty, target or both.")
@@ -134,11 +134,13 @@ def _steps(step: str | None, distance: float | None) -> str:
 def _ask(what: str) -> None:
     typer.echo(f"{what}, then press Enter.", err=True)
     if not sys.stdin.readline():
-        raise UsageError("nobody pressed Enter", "Use --step empty and --step target where nobody can.")
+        raise UsageError(
+            "no confirmation was received", "Without a terminal, use --step empty and then --step target."
+        )
 
 
 def _put_back(device: P440, before: RadarConfig) -> None:
-    """The radar's own settings, unless it is gone."""
+    """The radar's settings, unless it is disconnected."""
     from tagid.errors import DeviceError
 
     try:
@@ -191,7 +193,7 @@ def _keep(
 
 
 def _background(session: _Session, fresh: Capture | None, target: Capture) -> tuple[Any, str]:
-    """(mean empty scene on the target's grid or None, what to say of it)."""
+    """(mean empty scene on the target's grid or None, remark)."""
     from tagid.recording.calibration import reference_on
     from tagid.storage.importers import read_any
 
@@ -199,7 +201,7 @@ def _background(session: _Session, fresh: Capture | None, target: Capture) -> tu
         return reference_on(fresh, target), ""
     alone = "the empty scene was not subtracted: leakage or a wall may have been mistaken for the target"
     if not session.config["radar.background"]:
-        return None, f"{alone}; use --step empty before"
+        return None, f"{alone}; run --step empty first"
     try:
         return reference_on(read_any(Path(session.config["radar.background"])), target), ""
     except (DataError, StorageError) as error:

@@ -1,4 +1,4 @@
-"""`tagid radar config`: the radar's settings, and only those that are asked for changed."""
+"""`tagid radar config`: show the radar's settings and change individual ones."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from tagid.radar.settings import RadarConfig
 
 _LONGEST_M = 3e5
-"""Further no 32-bit picosecond reaches."""
+"""The range limit of a signed 32-bit number of picoseconds."""
 
 
 def register(group: typer.Typer) -> None:
@@ -30,28 +30,31 @@ def register(group: typer.Typer) -> None:
         terminal: Terminal,
         radar: options.RadarUrl = None,
         start: Annotated[
-            float | None, typer.Option("--start", help="Window from, metres from the antennas.")
+            float | None, typer.Option("--start", help="Start of the window, metres from the antennas.")
         ] = None,
         stop: Annotated[
-            float | None, typer.Option("--stop", help="Window to, metres from the antennas.")
+            float | None, typer.Option("--stop", help="End of the window, metres from the antennas.")
         ] = None,
         start_ps: Annotated[
-            int | None, typer.Option("--start-ps", help="The same as two-way picoseconds, cables included.")
+            int | None, typer.Option("--start-ps", help="The same in two-way picoseconds, including cables.")
         ] = None,
         stop_ps: Annotated[int | None, typer.Option("--stop-ps", help="The same.")] = None,
         integration: Annotated[
-            int | None, typer.Option("--integration", "--pii", help="6 to 15: 2^n pulses a sample.")
+            int | None,
+            typer.Option("--integration", "--pii", help="Integration index, 6 to 15: 2^n pulses per sample."),
         ] = None,
         gain: Annotated[int | None, typer.Option("--gain", help="Transmit gain, 0 to 63.")] = None,
         antenna_mode: Annotated[
             int | None, typer.Option("--antenna-mode", help="0 A/A, 1 B/B, 2 TxA-RxB, 3 TxB-RxA.")
         ] = None,
         code_channel: Annotated[int | None, typer.Option("--code-channel", help="0 to 10.")] = None,
-        node_id: Annotated[int | None, typer.Option("--node-id", help="The radar's number.")] = None,
-        save: Annotated[bool, typer.Option("--save", help="Keep the settings in the radar's flash.")] = False,
+        node_id: Annotated[int | None, typer.Option("--node-id", help="Node id of the radar.")] = None,
+        save: Annotated[
+            bool, typer.Option("--save", help="Store the settings in the radar's flash.")
+        ] = False,
         cable_delay: options.CableDelay = None,
     ) -> Result:
-        """Show the radar's settings; change those that are given, and see what it took.
+        """Show the radar's settings; change those given, and show the resulting values.
 
         Example: tagid radar config --start 0.5 --stop 2.5 --pii 11
         """
@@ -72,7 +75,7 @@ def register(group: typer.Typer) -> None:
             before = device.config
             taken = before
             if asked or save:
-                # What is read back may carry the flag of an earlier save; flash is written when asked only.
+                # The settings read back may contain the flag of an earlier save; write flash only on request.
                 taken = device.set_config(replace(before, **asked, persist=int(save)))
         return _result(before, asked, taken, delay)
 
@@ -82,7 +85,7 @@ def _edge(name: str, metres: float | None, picoseconds: int | None, delay_ps: fl
     if metres is None:
         return picoseconds
     if picoseconds is not None:
-        raise UsageError(f"--{name} and --{name}-ps say the same thing", "Give one of them.")
+        raise UsageError(f"--{name} and --{name}-ps set the same value", "Give one of them.")
     if not (math.isfinite(metres) and abs(metres) <= _LONGEST_M):
         raise ConfigError(f"--{name} is {metres} m", "Give metres from the antennas.")
     from tagid.constants import SPEED_OF_LIGHT
@@ -99,10 +102,10 @@ def _result(before: RadarConfig, asked: dict[str, int], taken: RadarConfig, dela
     notes = []
     if grid:
         notes.append(
-            "the window moved to the radar's grid: 1.9 ps, and samples in multiples of 96; what was asked "
-            f"for is {'inside' if _holds(asked, taken) else 'NOT inside'}"
+            "the window was aligned to the radar's grid (1.9 ps, samples in multiples of 96); the requested "
+            f"window is {'inside' if _holds(asked, taken) else 'NOT inside'}"
         )
-    notes += [f"the radar took {n} {got[n]} instead of {v}" for n, v in other.items() if n not in grid]
+    notes += [f"the radar set {n} to {got[n]} instead of {v}" for n, v in other.items() if n not in grid]
     end = taken.range_start_m(delay_ps) + taken.samples * taken.range_step_m
     data: dict[str, Any] = {
         "before": asdict(before),
@@ -119,7 +122,7 @@ def _result(before: RadarConfig, asked: dict[str, int], taken: RadarConfig, dela
 
 
 def _holds(asked: dict[str, int], taken: RadarConfig) -> bool:
-    """Whether the window that was taken covers the one asked for, but for the grid's 2 ps."""
+    """Whether the actual window covers the requested one, to within the grid of 2 ps."""
     start = asked.get("scan_start_ps", taken.scan_start_ps)
     stop = asked.get("scan_stop_ps", taken.scan_stop_ps)
     return taken.scan_start_ps <= start and stop <= taken.scan_stop_ps + 4

@@ -1,4 +1,4 @@
-"""What the commands of `tagid radar` share: the radar that is meant, opened as the configuration says."""
+"""Shared by the commands of `tagid radar`: the selected radar, opened as configured."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def radar_url(config: Config) -> str:
         raise ConfigError(
             "no radar is configured",
             "Give --radar udp://192.168.1.100 or serial:///dev/ttyACM0; `tagid radar find` looks for radars, "
-            "and `tagid config set radar.url URL` keeps one.",
+            "and `tagid config set radar.url URL` stores one.",
         )
     return str(config["radar.url"])
 

@@ -1,4 +1,4 @@
-"""`tagid radar find`: which radars are there, on serial ports and in the network."""
+"""`tagid radar find`: find radars on serial ports and in the network."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ def register(group: typer.Typer) -> None:
         terminal: Terminal,
         address: Annotated[
             list[str] | None,
-            typer.Option("--address", help="Ask HOST[:PORT] instead of radar.addresses; repeatable."),
+            typer.Option("--address", help="Query HOST[:PORT] instead of radar.addresses; repeatable."),
         ] = None,
         ask: Annotated[
             list[str] | None,
-            typer.Option("--ask", help="Ask this radar URL, too, e.g. a UART adapter's; repeatable."),
+            typer.Option("--ask", help="Also query this radar URL, e.g. of a UART adapter; repeatable."),
         ] = None,
     ) -> Result:
-        """Look for radars on serial ports and at the configured addresses; takes up to 3 seconds.
+        """Find radars on serial ports and at the configured addresses; takes up to 3 seconds.
 
         Example: tagid radar find
         """
@@ -51,7 +51,7 @@ def register(group: typer.Typer) -> None:
             if radar.problem
         )
         if not found.radars:
-            message = f"no radar answered at {', '.join(found.asked) or 'any address'}, none is on a USB port"
+            message = f"no radar replied at {', '.join(found.asked) or 'any address'} or on a USB port"
             errors = ({"code": "device", "message": message, "remedy": WHERE_TO_LOOK},)
         status = "success" if not errors else "partial" if code == EXIT_OK else "error"
         answering = [radar.url for radar in found.radars if radar.status]

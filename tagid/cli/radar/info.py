@@ -1,4 +1,4 @@
-"""`tagid radar info`: what a radar says of itself."""
+"""`tagid radar info`: versions, state and settings of a radar."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def register(group: typer.Typer) -> None:
 
     @command(group, "radar info")
     def info(terminal: Terminal, radar: options.RadarUrl = None) -> Result:
-        """Show versions, serial number, temperature, self test and settings of the radar.
+        """Show versions, serial number, temperature, self-test and settings of the radar.
 
         Example: tagid radar info --radar udp://192.168.1.100
         """

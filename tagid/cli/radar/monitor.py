@@ -1,4 +1,4 @@
-"""`tagid radar monitor`: what the radar sees, live in the terminal."""
+"""`tagid radar monitor`: live display of the scans in the terminal."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from tagid.recording.monitoring import Monitor
 
 _REFRESHES = 24
-"""Asked of the terminal a second; drawing takes its time, and 10 are wanted over a slow line."""
+"""Target frame rate per second; drawing takes time, and 10 are required over a slow connection."""
 _TEMPERATURE_EVERY_S = 2.0
 
 
@@ -35,13 +35,15 @@ def register(group: typer.Typer) -> None:
         changing: Annotated[
             bool, typer.Option("--changing", help="Subtract the running mean, to show only what changes.")
         ] = False,
-        seconds: Annotated[float | None, typer.Option("--seconds", help="End after so long.")] = None,
+        seconds: Annotated[
+            float | None, typer.Option("--seconds", help="Stop after this time, seconds.")
+        ] = None,
         interval_us: Annotated[
             int, typer.Option("--interval-us", help="Time between scans (us); 0 for the shortest possible.")
         ] = 0,
         cable_delay: options.CableDelay = None,
     ) -> Result:
-        """Show range over time, SNR, clipping, loss and temperature, with the radar's own settings.
+        """Show range over time, SNR, clipping, loss and temperature, with the radar's current settings.
 
         Example: tagid radar monitor --radar udp://192.168.1.100
         """
@@ -128,7 +130,7 @@ def _receive(device: P440, view: Monitor, seconds: float | None, interval_us: in
     from tagid.radar.resume import steady_scans
 
     def note(gap: ScanGap) -> None:
-        view.note = f"the radar was gone for {gap.seconds:.1f} s: {gap.reason}"
+        view.note = f"the radar was disconnected for {gap.seconds:.1f} s: {gap.reason}"
 
     began = time.monotonic()
     ask_at = began + _TEMPERATURE_EVERY_S

@@ -1,4 +1,4 @@
-"""`tagid radar reboot`: restart a radar and wait until it answers again."""
+"""`tagid radar reboot`: restart a radar and wait until it responds."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ def register(group: typer.Typer) -> None:
     def reboot(
         terminal: Terminal,
         radar: options.RadarUrl = None,
-        wait: Annotated[float, typer.Option("--wait", help="Longest wait for its return, s.")] = 20.0,
+        wait: Annotated[float, typer.Option("--wait", help="Longest time to wait for a response, s.")] = 20.0,
     ) -> Result:
-        """Restart the radar and wait until it answers again (7 s on Ethernet, 11 s otherwise).
+        """Restart the radar and wait until it responds (7 s on Ethernet, 11 s otherwise).
 
         Example: tagid radar reboot --radar udp://192.168.1.100
         """
@@ -41,4 +41,4 @@ def register(group: typer.Typer) -> None:
         took = time.monotonic() - started
         url = radar_url(config)
         data = {"url": url, "seconds": round(took, 3), "config": asdict(taken)}
-        return Result("radar reboot", data, Text(f"{url} is back after {took:.1f} s"))
+        return Result("radar reboot", data, Text(f"{url} responds again after {took:.1f} s"))

@@ -1,4 +1,4 @@
-"""`tagid radar record`: scans to disk and nothing else, for as long as it takes."""
+"""`tagid radar record`: record scans to disk without processing, for any duration."""
 
 from __future__ import annotations
 
@@ -32,18 +32,20 @@ def register(group: typer.Typer) -> None:
             Path | None, typer.Option("--out", "-o", help="Capture to write.", show_default=False)
         ] = None,
         save_dir: Annotated[Path | None, typer.Option("--save-dir", help="Folder for the capture.")] = None,
-        scans: Annotated[int | None, typer.Option("--scans", help="Stop after so many scans.")] = None,
-        seconds: Annotated[float | None, typer.Option("--seconds", help="Stop after so long.")] = None,
+        scans: Annotated[int | None, typer.Option("--scans", help="Stop after this number of scans.")] = None,
+        seconds: Annotated[
+            float | None, typer.Option("--seconds", help="Stop after this time, seconds.")
+        ] = None,
         interval_us: Annotated[
-            int, typer.Option("--interval-us", help="Microseconds between scans; 0 as fast as it goes.")
+            int, typer.Option("--interval-us", help="Microseconds between scans; 0: as fast as possible.")
         ] = 0,
         axis_distance: options.AxisDistance = None,
         antenna_height: options.AntennaHeight = None,
         antenna_separation: options.AntennaSeparation = None,
         cable_delay: options.CableDelay = None,
-        note: Annotated[str, typer.Option("--note", help="Kept in the capture, e.g. a place.")] = "",
+        note: Annotated[str, typer.Option("--note", help="Text stored in the capture, e.g. a place.")] = "",
     ) -> Result:
-        """Record scans with the radar's own settings, without imaging, until a limit or Ctrl-C.
+        """Record scans with the radar's current settings, without imaging, until a limit or Ctrl-C.
 
         Example: tagid radar record --seconds 3600 --save-dir /data/today
         """
