@@ -1,4 +1,4 @@
-"""Simulated scenes and recordings with a known truth, to test every stage against.
+"""Simulated scenes and recordings with known ground truth, for tests of every processing stage.
 
 The same scenes feed the capture simulator and the radar emulator.
 """

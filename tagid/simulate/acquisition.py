@@ -1,7 +1,7 @@
-"""How a scene is recorded: geometry, rotation, noise, imperfections, and what the file states about them.
+"""How a scene is recorded: geometry, rotation, noise, imperfections, and the metadata stated in the file.
 
-Each imperfection of a field recording is one field here, zero by default, so that a test can switch on
-exactly the one it is about.
+Each imperfection of a field recording is one field here, zero by default, so that a test can enable them
+individually.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ MAX_SAMPLES = 50_000_000
 
 @dataclass(frozen=True)
 class RangeWindow:
-    """Range bins: bin b lies at start_m + b * step_m one way, without the cable delay."""
+    """Range bins: bin b is at one-way range start_m + b * step_m, without the cable delay."""
 
     start_m: float
     bins: int = 192
@@ -30,7 +30,7 @@ class RangeWindow:
 
     @classmethod
     def around(cls, axis_distance_m: float, bins: int = 192) -> RangeWindow:
-        """The window of so many bins with the rotation axis in its middle."""
+        """The window of a given number of bins, centred on the rotation axis."""
         return cls(axis_distance_m - RANGE_STEP_M * (bins // 2), bins)
 
     @property
@@ -41,13 +41,13 @@ class RangeWindow:
 
 @dataclass(frozen=True)
 class Placement:
-    """How the object stands on the table: turned by rotation_rad, then shifted by centre_m (x, y).
+    """Placement of the object on the table: rotated by rotation_rad, then shifted by centre_m (x, y).
 
     Attributes:
         centre_m: (x, y) of the object's origin from the rotation axis, m.
-        rotation_rad: about its origin, rad.
-        height_m: how far the tag's plane stands above the plane that the capture's antenna height refers to;
-            the capture does not state it.
+        rotation_rad: rotation about its origin, rad.
+        height_m: height of the tag's plane above the plane to which the capture's antenna height refers;
+            not stated in the capture.
     """
 
     centre_m: tuple[float, float] = (0.0, 0.0)
@@ -57,11 +57,11 @@ class Placement:
     def __post_init__(self) -> None:
         if not np.isfinite((*self.centre_m, self.rotation_rad, self.height_m)).all():
             raise UsageError(
-                "the object's place is not finite", "Give numbers for centre, rotation and height."
+                "the object's placement is not finite", "Give numbers for centre, rotation and height."
             )
 
     def apply(self, points: NDArray[np.floating]) -> NDArray[np.float64]:
-        """Where points (n, 2) of the object, m, stand on the table."""
+        """Positions on the table of points (n, 2) of the object, m."""
         c, s = np.cos(self.rotation_rad), np.sin(self.rotation_rad)
         return np.asarray(points @ np.array([[c, s], [-s, c]]) + np.asarray(self.centre_m), dtype=np.float64)
 
@@ -102,7 +102,7 @@ class Recording:
 
 @dataclass(frozen=True, eq=False)
 class Acquisition:
-    """One recording of a turning scene.
+    """One recording of a rotating scene.
 
     Attributes:
         views: scans per turn.
@@ -110,18 +110,18 @@ class Acquisition:
         period_s: seconds per turn.
         direction: +1 counter-clockwise from above, -1 clockwise.
         axis_distance_m, antenna_height_m: antenna position, m; the height refers to the plane at z = 0.
-        antenna_separation_m: between a transmitting and a receiving antenna side by side, m, that position in
-            their middle; 0: one antenna. Paths are exact; a body scatters as it does straight back to the
-            middle.
+        antenna_separation_m: distance of a transmitting and a receiving antenna side by side, m, with the
+            antenna position midway; 0: one antenna. Path lengths are exact; bodies scatter as they do
+            monostatically towards the midpoint.
         window: range bins; None for 192 bins with the axis in the middle.
-        pulse: as received from a point; None for the nominal one.
-        tell_pulse: whether the capture carries the pulse.
+        pulse: received from a point reflector; None for the nominal one.
+        tell_pulse: whether the capture contains the pulse.
         snr_db: SNR of the recording, defined in `snr`; None for no noise.
         snr_reference: what snr_db refers to, "reflector" or "summed".
-        noise_std: standard deviation of one sample, where a unit reflector on the axis peaks at 1; replaces
+        noise_std: standard deviation of one sample, if a unit reflector on the axis peaks at 1; replaces
             snr_db.
-        noise: white, coloured, with interference.
-        placement, wobble: see there.
+        noise: colour and interference.
+        placement, wobble: see the classes.
         axis_distance_error_m: stated minus true axis distance, m.
         angle_error_rad: standard deviation of the error of the stated angles, rad.
         beam_width_rad: full -3 dB width of the Gaussian one-way power pattern, rad; None for isotropic.

@@ -1,9 +1,9 @@
-"""What carries a tag: cans and cups, helmet shells, cartons, each a physical model with an echo of its own.
+"""Bodies that carry a tag: cans and cups, helmet shells, cartons; physical models with their own echo.
 
-All have their axis at `centre_m` of the object's frame and turn and shift with the object. Amplitudes are
-scattering lengths in metres divided by `unit_m` (see `scatterers`). What the bodies leave out: horizontal
-polarisation, reflection between body and reflector more than once, and the field of shells and cartons on a
-reflector other than that of a round wall of the same distance.
+All have their axis at `centre_m` of the object's frame and rotate and shift with the object. Amplitudes are
+scattering lengths in metres divided by `unit_m` (see `scatterers`). Not modelled: horizontal polarisation,
+multiple reflection between body and reflector, and the effect of shells and cartons on a reflector other than
+that of a round wall at the same distance.
 """
 
 from __future__ import annotations
@@ -37,10 +37,10 @@ class Carrier(Protocol):
         ...
 
     def around(self, position_m: Floats) -> tuple[Layer, ...]:
-        """The round body that a scatterer at (x, y), m, has beside it; empty for none.
+        """The round body beside a scatterer at (x, y), m; empty for none.
 
         Raises:
-            DataError: the place lies in a wall or in metal.
+            DataError: the position is inside a wall or metal.
         """
         ...
 
@@ -55,13 +55,13 @@ def _direction(antennas: Floats, centre_m: tuple[float, float]) -> tuple[Floats,
 def _along_sight(
     antennas: Floats, centre_m: tuple[float, float], unit: Floats, depth_m: Floats
 ) -> NDArray[np.float64]:
-    """(views, T, 3) points at height zero, depth_m (views, T) behind the axis as the antenna sees it."""
+    """(views, T, 3) points at height zero, depth_m (views, T) behind the axis as seen from the antenna."""
     xy = np.asarray(centre_m) - depth_m[..., None] * unit[:, None]
     return np.concatenate([xy, np.zeros((*depth_m.shape, 1))], axis=2)
 
 
 def height_factor(distance_m: Floats, antenna_z_m: Floats, low_m: float, high_m: float) -> Complex:
-    """What an upright wall from low_m to high_m returns, against one that is in phase over its whole height.
+    """Echo of an upright wall from low_m to high_m, relative to one in phase over its whole height.
 
     (1 / h) integral exp(-jk [(z - z_a)^2 - z_a^2] / R) dz at 4 GHz, phase reference at height zero: the
     curvature of the wave, and the wall's vertical beam when the antenna stands above or below it.
@@ -82,17 +82,17 @@ def height_factor(distance_m: Floats, antenna_z_m: Floats, low_m: float, high_m:
 
 @dataclass(frozen=True)
 class RoundBody:
-    """A can, a cup, a bottle: concentric layers of a finite height, by the exact series of the cylinder.
+    """A can, cup or bottle: concentric layers of finite height, by the exact series of the cylinder.
 
-    b = j h S / pi. A can of 35 mm radius and 100 mm height comes within 1.2 dB of its method-of-moments
+    b = j h S / pi. A can of 35 mm radius and 100 mm height is within 1.2 dB of its method-of-moments
     solution, -16.5 / -14.1 / -13.1 dBsm at 3.1 / 4.0 / 4.9 GHz (shared/fullwave/README.md). Real walls are
-    not quite round: an oval one moves its echo by oval_m cos 2 phi.
+    not exactly round: the echo of an oval one shifts by oval_m cos 2 phi.
 
     Attributes:
         layers: from the innermost outwards.
-        height_m: of the wall, its middle at the tag's height, m.
+        height_m: height of the wall, centred at the tag's height, m.
         centre_m: (x, y) of its axis, m.
-        oval_m: amplitude of the deviation from round, m; oval_rad: direction of its longer axis, rad.
+        oval_m: amplitude of the deviation from a circle, m; oval_rad: direction of its longer axis, rad.
         unit_m: scattering length that is rendered as amplitude 1, m.
     """
 
@@ -125,15 +125,15 @@ class RoundBody:
         return Returns(points, factor[:, None] * amplitude[None])
 
     def around(self, position_m: Floats) -> tuple[Layer, ...]:
-        """The body itself; DataError if the place lies in its wall or metal."""
+        """The body itself; DataError if the position is inside its wall or metal."""
         radius = float(np.hypot(*(np.asarray(position_m) - self.centre_m)))
         core = self.layers[0]
         inside = radius < self.layers[-1].radius_m
         if inside and (core.metal or radius > core.radius_m):
             raise DataError(
-                f"a reflector {radius * 1e3:.0f} mm from the axis lies inside the wall of a body of "
+                f"a reflector {radius * 1e3:.0f} mm from the axis is inside the wall of a body of "
                 f"{self.layers[-1].radius_m * 1e3:.0f} mm radius",
-                "Choose a smaller body, or a layout whose reflectors stand outside it.",
+                "Choose a smaller body, or a layout whose reflectors are outside it.",
             )
         return self.layers
 
@@ -151,7 +151,7 @@ def _round_taps(layers: tuple[Layer, ...]) -> tuple[Floats, Complex]:
 
 
 def sheet(frequency_hz: Floats, thickness_m: float, permittivity: float) -> tuple[Complex, Complex]:
-    """Reflection and transmission of a dielectric sheet at normal incidence, referred to its middle.
+    """Reflection and transmission of a dielectric sheet at normal incidence, referred to its centre.
 
     Source: Balanis, Advanced Engineering Electromagnetics, 1989, section 5.5.
     """
@@ -167,7 +167,7 @@ def sheet(frequency_hz: Floats, thickness_m: float, permittivity: float) -> tupl
 
 @dataclass(frozen=True)
 class Shell:
-    """A helmet: half an ellipsoid of plastic, open below, with a straight skirt under the tag's height.
+    """A helmet: half a plastic ellipsoid, open below, with a straight skirt below the tag's height.
 
     Physical optics of its front and back walls: across the line of sight by stationary phase, up the wall by
     integration,
@@ -175,12 +175,12 @@ class Shell:
         b = -(jk / 2 pi) Gamma integral sqrt(pi rho s / (jk)) exp(2jk D s) dz   (front; back with -j and -D)
 
     with s(z) = sqrt(1 - z^2 / c^2) above the tag's height and 1 on the skirt, D the half width of the ellipse
-    towards the antenna and rho its radius of curvature there; the back wall is seen twice through the front.
+    towards the antenna and rho its radius of curvature there; the back wall is seen through the front wall.
 
     Attributes:
         x_m, y_m: half axes of the rim, m; up_m: height of the dome above the tag, m.
         skirt_m: height of the skirt, m.
-        thickness_m, permittivity: of the plastic.
+        thickness_m, permittivity: thickness, m, and relative permittivity of the plastic.
         centre_m: (x, y) of its axis, m.
         unit_m: scattering length that is rendered as amplitude 1, m.
     """
@@ -229,13 +229,13 @@ class Shell:
         return Returns(points, factor[:, None] * taps.at(azimuth))
 
     def around(self, position_m: Floats) -> tuple[Layer, ...]:
-        """A round wall through the shell's own in that direction."""
+        """A round wall through the shell's wall in that direction."""
         x, y = np.asarray(position_m) - self.centre_m
         r, half = float(np.hypot(x, y)), self.thickness_m / 2
         wall = min(self.x_m, self.y_m) if r < half else r / float(np.hypot(x / self.x_m, y / self.y_m))
         if abs(r - wall) < half:
             raise DataError(
-                f"a reflector {r * 1e3:.0f} mm from the axis lies in the helmet's wall",
+                f"a reflector {r * 1e3:.0f} mm from the axis is in the helmet's wall",
                 "Choose another size of the helmet.",
             )
         inner, outer = round(wall - half, 7), round(wall + half, 7)
@@ -246,7 +246,7 @@ class Shell:
 def _shell_taps(
     x_m: float, y_m: float, up_m: float, skirt_m: float, thickness_m: float, permittivity: float
 ) -> AspectTaps:
-    """Taps over a whole turn."""
+    """Taps over a full turn."""
     shell = Shell(x_m, y_m, up_m, skirt_m, thickness_m, permittivity)
     widest = max(x_m, y_m)
     return AspectTaps.fit(shell.scattering_length, (-widest - 0.1, widest + 0.15), symmetric=False)
@@ -257,13 +257,13 @@ class Carton:
     """A cardboard box around or behind the tag: four upright sheets, by physical optics, near field included.
 
     b = -(jk / 2 pi) Gamma h integral cos(theta) exp(-2jk (R' - R)) dw over Gauss points with their own
-    distances. A face flashes where it is seen head-on and shows its two edges elsewhere; the wave passes the
-    sheets, so that all four are seen from every side.
+    distances. A face gives a flash at normal incidence and its two edges otherwise; the wave passes the
+    sheets, so that all four contribute from every side.
 
     Attributes:
         side_m, height_m: m.
-        thickness_m, permittivity: of the board (corrugated board: mostly air).
-        rotation_rad: of the box about its axis, rad.
+        thickness_m, permittivity: thickness, m, and permittivity of the board (corrugated: mostly air).
+        rotation_rad: rotation of the box about its axis, rad.
         centre_m: (x, y) of its axis, m.
         unit_m: scattering length that is rendered as amplitude 1, m.
     """
@@ -282,7 +282,7 @@ class Carton:
 
     def returns(self, antennas: Floats) -> Returns:
         """A pair of points for every Gauss node of every face; their difference gives the factor jk."""
-        half = 1e-3  # of the pair, m: sin(2 k d) errs by 1 % at 6 GHz
+        half = 1e-3  # half the pair's distance, m: sin(2 k d) is off by 1 % at 6 GHz
         # The phase 2 k w sin(theta) across a face needs one node per half radian at most.
         count = int(np.ceil(2 * wavenumber(np.array(6.2e9)) * self.side_m / np.pi)) + 10
         nodes, weights = np.polynomial.legendre.leggauss(count)
@@ -306,5 +306,5 @@ class Carton:
         return Returns(np.concatenate(points, axis=1), np.concatenate(amplitudes, axis=1).astype(complex))
 
     def around(self, position_m: Floats) -> tuple[Layer, ...]:
-        """Nothing round: thin board changes the field beside it by a tenth."""
+        """No round body: thin board changes the field next to it by only a tenth."""
         return ()

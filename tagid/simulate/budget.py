@@ -1,16 +1,16 @@
-"""The radar equation of a P440 and its antennas: SNR and counts of a reflector, each number with its source.
+"""The radar equation of a P440 and its antennas: SNR and counts of a reflector, with sources.
 
-Per pulse, an antenna of effective radiated energy E and a receiving antenna of gain G get from a reflector of
-scattering length b (RCS 4 pi |b|^2) at range R
+Per pulse, the energy received from a reflector of scattering length b (RCS 4 pi |b|^2) at range R, for an
+effective radiated energy E and a receiving antenna of gain G, is
 
     E_r = E G lambda^2 |b|^2 / ((4 pi)^2 R^4)        (radar equation: Skolnik, Introduction to Radar Systems)
 
-so an echo of envelope peak A, E_r = A^2 T / 2 with T the integral of the squared envelope, stands over noise
-of the power k T0 F B in a sample by
+so an echo of envelope peak A, E_r = A^2 T / 2 with T the integral of the squared envelope, has, over noise
+of power k T0 F B in a sample, the SNR
 
     (A / sigma)^2 = 2 E_r N / (k T0 F B T L)
 
-after N = 2^PII pulses were summed, whose noise adds up in power and whose echoes add up in amplitude.
+after summing N = 2^PII pulses: noise adds in power and echoes add in amplitude.
 """
 
 from __future__ import annotations
@@ -43,9 +43,9 @@ class Term:
     """One number of a budget.
 
     Attributes:
-        name: what it is.
+        name: name of the quantity.
         value, unit: its value.
-        source: where it comes from.
+        source: origin of the value.
     """
 
     name: str
@@ -85,7 +85,7 @@ class LinkBudget:
         step_db: change of the radiated power per step of the gain, dB.
         receive_gain_dbi: of the receiving antenna.
         noise_figure_db: of the receiver.
-        loss_db: everything else.
+        loss_db: all other losses.
     """
 
     transmit_gain: int = MOST_GAIN
@@ -104,7 +104,7 @@ class LinkBudget:
 
     @property
     def pulse_rate_hz(self) -> float:
-        """Pulses per second: the scan period has 2^PII x 105.31 ns per block of samples."""
+        """Pulses per second: the scan period contains 2^PII x 105.31 ns per block of samples."""
         return 1 / BLOCK_TIME_S
 
     @property
@@ -119,7 +119,7 @@ class LinkBudget:
 
         Args:
             length_m: effective scattering length |b| of the pulse's peak, see `effective_length_m`, m.
-            range_m: from the antennas to the reflector, m.
+            range_m: distance from the antennas to the reflector, m.
         """
         if not (length_m > 0 and range_m > 0):
             raise UsageError(f"a length of {length_m} m at {range_m} m", "Give positive metres.")
@@ -132,10 +132,10 @@ class LinkBudget:
         return float(10 * np.log10(ratio) - self.loss_db)
 
     def clipping_margin_db(self, snr_db: float, noise_counts: float) -> float:
-        """How far the peak of an echo stays below saturation, dB.
+        """Margin of an echo's peak below saturation, dB.
 
         Args:
-            snr_db: of the strongest echo, at this integration.
+            snr_db: SNR of the strongest echo, at this integration.
             noise_counts: standard deviation of the noise of a sample at this integration, counts.
         """
         clip = CLIP_COUNTS_PER_INTEGRATION * 2.0**self.integration
@@ -147,7 +147,7 @@ class LinkBudget:
         return (
             Term(
                 "radiated power density", self.density_dbm_mhz, "dBm/MHz",
-                "limit for handheld UWB devices, 47 CFR 15.519 (c); the P440 is built to reach it",
+                "limit for handheld UWB devices, 47 CFR 15.519 (c); the P440 is designed for it",
             ),
             Term(
                 "equivalent bandwidth", band.equivalent_hz / 1e6, "MHz",
@@ -164,23 +164,23 @@ class LinkBudget:
             Term("radiated energy per pulse", self.pulse_energy_j * 1e12, "pJ", "density x bandwidth / rate"),
             Term(
                 "receiving antenna", self.receive_gain_dbi, "dBi",
-                "assumed: usual for planar elliptical dipoles as those of the kit",
+                "assumed: typical of planar elliptical dipoles like those of the kit",
             ),
-            Term("noise figure", self.noise_figure_db, "dB", "assumed: usual for receivers of this band"),
+            Term("noise figure", self.noise_figure_db, "dB", "assumed: typical of receivers in this band"),
             Term(
                 "integration", float(10 * np.log10(1 << self.integration)), "dB",
                 f"2^{self.integration} pulses summed (radar.integration)",
             ),
             Term(
                 "losses", self.loss_db, "dB",
-                "fitted: with it a trihedral of 0.3 m at 10 m has the 33 dB of the corner reflector in a "
+                "fitted: a trihedral of 0.3 m at 10 m then has the 33 dB of the corner reflector in a "
                 "public P440 recording, whose size is not published; uncertain by 6 dB",
             ),
         )  # fmt: skip
 
 
 def effective_length_m(scatterer: Scatterer) -> float:
-    """|b| of the peak of a scatterer's echo to the nominal pulse: its response filters the pulse.
+    """|b| of the peak of a scatterer's echo to the nominal pulse, which is filtered by its response.
 
     max_t |integral S(f) b(f) exp(2 pi j f t) df| / integral S(f) df, S the pulse's positive spectrum.
     """
@@ -188,7 +188,7 @@ def effective_length_m(scatterer: Scatterer) -> float:
     frequency: NDArray[np.float64] = np.arange(1.0e9, 7.0e9, 10e6)
     spectrum = np.exp(-((2 * np.pi * tau * (frequency - CENTER_FREQUENCY_HZ)) ** 2) / 2)
     echo = spectrum * scatterer.scattering_length(frequency)
-    # The envelope does not depend on where the frequency axis starts; 64-fold padding samples it finely.
+    # The envelope does not depend on the origin of the frequency axis; 64-fold padding samples it finely.
     envelope = np.abs(np.fft.ifft(echo, 64 * len(frequency))) * 64 * len(frequency)
     return float(envelope.max() / spectrum.sum())
 

@@ -1,6 +1,6 @@
-"""A simulated recording as an ordinary capture, together with the truth.
+"""A simulated recording as an ordinary capture, together with its ground truth.
 
-What the capture states (angles, axis distance, height) may be wrong on purpose; the truth never is.
+The values stated in the capture (angles, axis distance, height) may deliberately differ from the truth.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ class Truth:
 
     Attributes:
         angles_rad: (views,) object angle, rad.
-        times_s: (views,) since the start, s.
+        times_s: (views,) time since the start, s.
         axis_distance_m: mean distance, m.
         positions_m: (n, 2) reflectors as placed, at angle zero, m.
         amplitudes: (n,) complex128 relative strengths of the reflectors.
-        noise_std: of one sample, in the capture's units, without interference.
-        levels: peaks that the SNR refers to, in the capture's units.
+        noise_std: standard deviation of one sample, in the capture's units, without interference.
+        levels: peaks to which the SNR refers, in the capture's units.
         snr: both SNRs.
         clean: (views, bins) samples without noise, quantisation and clipping, float64 or complex128.
     """
@@ -49,7 +49,7 @@ class Truth:
 def _recorded(
     clean: NDArray[np.complex128], noise_std: float, acquisition: Acquisition, rng: np.random.Generator
 ) -> tuple[NDArray[np.float32] | NDArray[np.int32] | NDArray[np.complex64], NDArray[np.uint8]]:
-    """Samples in the wanted type and (views,) flags; complex noise has std noise_std in all."""
+    """Samples in the requested type and (views,) flags; complex noise has a total std of noise_std."""
     flags = np.zeros(len(clean), dtype=np.uint8)
     recording, ranges = acquisition.recording, acquisition.range_window.ranges_m
     noise = draw_noise(acquisition.noise, ranges, len(clean), rng)
@@ -69,7 +69,7 @@ def _recorded(
 
 
 def _noise_std(acquisition: Acquisition, levels: EchoLevels) -> float:
-    """Standard deviation of one sample, where a unit reflector on the axis peaks at 1."""
+    """Standard deviation of one sample, relative to the peak of a unit reflector on the axis."""
     if acquisition.noise_std is not None:
         return acquisition.noise_std
     if acquisition.snr_db is None:
@@ -78,10 +78,10 @@ def _noise_std(acquisition: Acquisition, levels: EchoLevels) -> float:
 
 
 def object_settings(scene: Scene, acquisition: Acquisition, snr: Snr) -> ObjectInfo:
-    """The capture's object field: what the scene is, and the truth about how it was recorded.
+    """The capture's object field: the scene, and the true acquisition parameters.
 
-    This is the one place that writes it. No reading command uses these values; they are for those who check
-    an answer.
+    Only this function writes the field. No reading command uses these values; they are for the evaluation of
+    results.
     """
     place = acquisition.placement
     truth = SimulatedTruth(
@@ -102,20 +102,20 @@ def object_settings(scene: Scene, acquisition: Acquisition, snr: Snr) -> ObjectI
 def simulate_capture(
     scene: Scene, acquisition: Acquisition | None = None, seed: int = 0
 ) -> tuple[Capture, Truth]:
-    """Record a turning scene.
+    """Record a rotating scene.
 
     y[v, b] = sum_k a_k(v) s(2 (R_b - d_k(v)) / c) + noise, with the pulse s at RF (paper, eq. 1) and d_k the
     distance from the antenna, whose position in the object's frame is that of `Aperture.turntable`, or the
     mean of the distances from two antennas.
 
     Args:
-        scene: what reflects.
-        acquisition: how it is recorded; the default is one noise-free turn of 360 views.
+        scene: the scene.
+        acquisition: acquisition parameters; the default is one noise-free turn of 360 views.
         seed: random seed of wobble, angle errors and noise.
 
     Returns:
-        the capture (its angles, axis distance and whole-millisecond radar clock as a file would state them),
-        and the truth.
+        the capture (with angles, axis distance and a radar clock in whole milliseconds as a file would state
+        them), and the truth.
     """
     acq = Acquisition() if acquisition is None else acquisition
     rng = np.random.default_rng(seed)
@@ -175,7 +175,7 @@ def simulate_capture(
 
 
 def placed_positions(scene: Scene, acquisition: Acquisition) -> NDArray[np.float64]:
-    """(n, 2) reflectors after placement: turned by its rotation, then shifted by its centre."""
+    """(n, 2) reflectors after placement: rotated, then shifted by the placement's centre."""
     if scene.tag is None:
         return np.zeros((0, 2))
     return acquisition.placement.apply(scene.tag.positions[:, :2])

@@ -1,12 +1,12 @@
 """Cylinders by the exact series and plates by physical optics, for scenes without a tag.
 
-Point models cannot show what an imaging method does to a can or a box. These bodies have the right amplitude,
-phase and frequency dependence, in one unit, so cans and boxes can share a scene. Bodies that carry a tag are
-in `bodies`.
+Point models do not show the effect of an imaging method on a can or a box. These bodies have the correct
+amplitude, phase and frequency dependence in one unit, so cans and boxes can share a scene. Bodies that carry
+a tag are in `bodies`.
 
 Amplitudes are scattering lengths b in metres, E_scattered = b exp(-jkR) / R for a unit incident field; the
-radar cross-section is 4 pi |b|^2. Bodies give points (`scattering.Body`): a response that depends on
-frequency is a few points along the line of sight, whose delayed pulses add up to it.
+radar cross-section is 4 pi |b|^2. Bodies provide points (`scattering.Body`): a frequency-dependent response
+is a few points along the line of sight whose delayed pulses sum to it.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from tagid.simulate.scattering import Floats, Returns
 from tagid.simulate.taps import BAND_HZ, fit_taps, tap_offsets
 
 _DIFFERENCE_M = 1e-3
-"""Half distance of the point pair that carries the factor jk of physical optics; sin(2 k d) is off by 1 % at
+"""Half distance of the point pair that gives the factor jk of physical optics; sin(2 k d) is off by 1 % at
 6 GHz."""
 
 
@@ -45,7 +45,7 @@ def cylinder_series(ka: Floats, polarisation: str = "TM") -> NDArray[np.complex1
         raise DataError("ka of a cylinder is not positive")
     if polarisation not in ("TM", "TE"):
         raise DataError(f"polarisation is {polarisation!r}, expected TM or TE")
-    # The terms fall faster than exponentially once n exceeds ka.
+    # The terms fall faster than exponentially for n > ka.
     most = int(np.ceil(ka.max() + 6 * ka.max() ** (1 / 3) + 8))
     total = np.zeros(ka.shape, dtype=np.complex128)
     for n in range(most + 1):
@@ -96,7 +96,7 @@ class ConductingCylinder:
 def _taps(cylinder: ConductingCylinder) -> tuple[Floats, NDArray[np.complex128]]:
     """Offsets behind the axis (n,), m, and amplitudes (n,)."""
     a = cylinder.radius_m
-    # From in front of the specular point to behind the wave that creeps round the back.
+    # From in front of the specular point to behind the creeping wave around the back.
     offset = tap_offsets(-a - 0.1, np.pi / 2 * a + 0.2)
     return offset, fit_taps(cylinder.scattering_length, offset)
 
@@ -107,14 +107,14 @@ class Plate:
 
     b = -(jk / 2 pi) Gamma integral cos(theta) exp(-2jk (R' - R)) dS, over Gauss points with their own
     distances; at normal incidence and far away |b| = width height / lambda. Edge diffraction and
-    reflection between plates are left out.
+    reflection between plates are not modelled.
 
     Attributes:
         width_m, height_m: m; the height is centred on z = 0.
         centre_m: (x, y), m.
         normal_rad: direction of the normal seen from above, rad.
         reflectivity: Gamma against a conductor's 1: 1 for metal, less for a thin dielectric sheet.
-        both_sides: visible from behind too (a sheet that lets the wave through), or only from the front.
+        both_sides: also visible from behind (a transmitting sheet), or only from the front.
     """
 
     width_m: float
@@ -159,7 +159,7 @@ def _gauss(length: float, count: int) -> tuple[Floats, Floats]:
 def metal_box(
     side_m: float, height_m: float, centre_m: tuple[float, float] = (0.0, 0.0), rotation_rad: float = 0.0
 ) -> tuple[Plate, ...]:
-    """A closed square box: four conducting plates with outward normals, of which only the lit ones return."""
+    """A closed square box: four conducting plates with outward normals; only the illuminated ones scatter."""
     return _walls(side_m, height_m, centre_m, rotation_rad, 1.0, False)
 
 

@@ -1,4 +1,4 @@
-"""Round bodies in a plane wave, exactly: what they scatter, and the field at a point beside or inside them.
+"""Exact scattering of round bodies in a plane wave, and the field at a point beside or inside them.
 
 An infinite round cylinder with an upright axis, of metal or of concentric layers, in a plane wave whose
 electric field is parallel to the axis (TM). With the antenna in the direction phi = 0, the phase reference on
@@ -64,9 +64,9 @@ def _index(layer: Layer) -> complex:
 
 
 def ring_m(layers: tuple[Layer, ...]) -> float:
-    """How far behind the axis the response of a round body has died out, one-way m.
+    """Depth behind the axis at which the response of a round body has decayed, one-way m.
 
-    Round the back of metal comes a single creeping wave; dielectric walls guide waves round several times.
+    Around the back of metal runs a single creeping wave; dielectric walls guide waves around several times.
     """
     return 0.2 if all(layer.metal for layer in layers) else 0.6
 
@@ -77,7 +77,7 @@ class Multipoles:
 
     Attributes:
         wavenumber: (F,) in free space, rad/m.
-        layers: of the body, from the innermost outwards.
+        layers: layers of the body, from the innermost outwards.
         reflected: (F, N + 1) complex128 coefficients R_n, n = 0..N; R_-n = R_n.
         transmitted: (F, N + 1) complex128 coefficients C_n of the core; zero for metal.
     """
@@ -95,13 +95,13 @@ class Multipoles:
         from the axis outwards; the Wronskian of J_n and Y_n inverts each step.
 
         Raises:
-            DataError: no layer, radii that do not grow, or metal outside the innermost layer.
+            DataError: no layer, radii that do not increase, or metal outside the innermost layer.
         """
         from scipy.special import h2vp, hankel2, jv, jvp, yv, yvp
 
         radii = [layer.radius_m for layer in layers]
         if not layers or radii != sorted(set(radii)) or any(layer.metal for layer in layers[1:]):
-            raise DataError("layers of a round body need growing radii, and metal only as the innermost")
+            raise DataError("layers of a round body need increasing radii, and metal only as the innermost")
         k = np.asarray(wavenumber, dtype=np.float64)[:, None]
         n = np.arange(orders(float(k.max()) * radii[-1]) + 1)[None]
         core = layers[0]
@@ -110,7 +110,7 @@ class Multipoles:
         if not core.metal:
             q = k * _index(core)
             field, slope = jv(n, q * core.radius_m), q * jvp(n, q * core.radius_m)
-            # Only the ratio counts; in high orders both are very small numbers.
+            # Only the ratio matters; at high orders both are very small.
             scale = np.maximum(np.maximum(np.abs(field), np.abs(slope / q)), 1e-250)
             field, slope = field / scale, slope / scale
         for inner, layer in pairwise(layers):
@@ -137,8 +137,8 @@ class Multipoles:
         """Field at points outside the body or in its core, relative to the incident field on the axis.
 
         By reciprocity a small scatterer at such a point returns its free-space echo times this field squared:
-        there and back directly, once by way of the body, and by way of the body both times. Only reflection
-        between scatterer and body more than once is left out.
+        directly both ways, once via the body, and via the body both ways. Only multiple reflection between
+        scatterer and body is neglected.
 
         Args:
             radius_m: distance of the points from the axis, m.
@@ -148,7 +148,7 @@ class Multipoles:
             (F, P) complex128.
 
         Raises:
-            DataError: the points lie in metal or in a wall.
+            DataError: the points are inside metal or a wall.
         """
         from scipy.special import hankel2, jv
 
@@ -176,5 +176,5 @@ def _solved(layers: tuple[Layer, ...], wavenumber: bytes) -> Multipoles:
 
 
 def solve(wavenumber: Floats, layers: tuple[Layer, ...]) -> Multipoles:
-    """`Multipoles.of`, which remembers the last bodies: a body and what stands beside it share a solution."""
+    """`Multipoles.of` with a cache of the last bodies: a body and its scatterers share a solution."""
     return _solved(layers, np.ascontiguousarray(wavenumber, dtype=np.float64).tobytes())

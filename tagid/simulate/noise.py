@@ -1,6 +1,6 @@
 """Receiver noise: white or coloured, and narrow-band interference.
 
-All of it is scaled to the standard deviation of one sample, which is what an SNR refers to.
+All noise is scaled to the standard deviation of one sample, to which an SNR refers.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from tagid.errors import UsageError
 
 _COLOUR_CENTRE_HZ = 3.95e9
 _COLOUR_WIDTH_HZ = 0.85e9
-"""Middle and half width of the P440's band, 3.1 to 4.8 GHz: a receiver filter shapes noise like a pulse."""
+"""Centre and half width of the P440's band, 3.1 to 4.8 GHz: a receiver filter shapes noise like a pulse."""
 
 
 @dataclass(frozen=True)
@@ -24,8 +24,8 @@ class Interference:
 
     Attributes:
         level_db: RMS of the tone over the standard deviation of the noise, dB.
-        frequency_hz: of the tone, Hz.
-        duty: share of the scans that it hits.
+        frequency_hz: frequency of the tone, Hz.
+        duty: fraction of the scans that contain it.
     """
 
     level_db: float
@@ -38,16 +38,16 @@ class Interference:
         if not (1e8 <= self.frequency_hz <= 1e10 and 0 <= self.duty <= 1):
             raise UsageError(
                 f"interference at {self.frequency_hz} Hz in {self.duty} of the scans",
-                "Give 0.1 to 10 GHz and a share of 0 to 1.",
+                "Give 0.1 to 10 GHz and a fraction of 0 to 1.",
             )
 
 
 @dataclass(frozen=True)
 class NoiseShape:
-    """What kind of noise a recording has; its strength is the acquisition's.
+    """The type of noise of a recording; its level is set in the acquisition.
 
     Attributes:
-        colour: share of the noise power that has passed a filter of the radar's band; 0 is white noise.
+        colour: fraction of the noise power that has passed a filter of the radar's band; 0 is white noise.
         interference: a tone on top of the noise; None for none.
     """
 
@@ -62,13 +62,13 @@ class NoiseShape:
 def draw_noise(
     shape: NoiseShape, ranges_m: NDArray[np.float64], views: int, rng: np.random.Generator
 ) -> NDArray[np.float64]:
-    """Noise of unit standard deviation per sample, the tone added on top.
+    """Noise of unit standard deviation per sample, plus the tone.
 
     Args:
-        shape: what kind.
+        shape: type of noise.
         ranges_m: (bins,) one-way range of the samples, m; equidistant.
         views: number of scans.
-        rng: random numbers; white noise takes them in the order of the samples.
+        rng: random generator; white noise draws in the order of the samples.
 
     Returns:
         (views, bins) float64.
@@ -77,11 +77,11 @@ def draw_noise(
     noise = rng.standard_normal((views, bins))
     delay = 2 * ranges_m / SPEED_OF_LIGHT
     if shape.colour > 0 and bins > 1:
-        # Twice the length, so that the two ends of a scan stay independent.
+        # Twice the length, so that the two ends of a scan are independent.
         filtered = np.fft.rfft(rng.standard_normal((views, 2 * bins)), axis=1)
         frequency = np.fft.rfftfreq(2 * bins, delay[1] - delay[0])
         gain = np.exp(-0.5 * ((frequency - _COLOUR_CENTRE_HZ) / (_COLOUR_WIDTH_HZ / 2)) ** 2)
-        # Every bin but the first and last of a real spectrum stands for two.
+        # Every bin but the first and last of a real spectrum represents two.
         power = (2 * np.sum(gain**2) - gain[0] ** 2 - gain[-1] ** 2) / (2 * bins)
         coloured = np.fft.irfft(filtered * gain / np.sqrt(power), axis=1, n=2 * bins)[:, :bins]
         noise = np.sqrt(1 - shape.colour) * noise + np.sqrt(shape.colour) * coloured

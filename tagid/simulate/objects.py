@@ -1,7 +1,7 @@
-"""Tagged objects put together from a body, its parts and reflectors, in one unit of amplitude.
+"""Tagged objects composed of a body, its parts and reflectors, in one unit of amplitude.
 
-Amplitude 1 is the stated reflector alone in free space at 4 GHz, so that a room of a few reflectors' strength
-suits any of them, and a 35 mm can comes out 26 dB above a 20 mm octahedron as the waves say
+Amplitude 1 is the selected reflector alone in free space at 4 GHz, so that a room scaled to a few reflectors
+suits any of them, and a 35 mm can is 26 dB stronger than a 20 mm octahedron, as solved
 (shared/fullwave/README.md: -14.1 against -40.5 dBsm).
 """
 
@@ -28,18 +28,18 @@ WATER = 76.0 - 17.0j
 34, 1989, p. 371: static value 80.2, high-frequency value 5.6, relaxation time 9.36 ps)."""
 PLASTIC = 2.8
 HANDLE_REACH_M = 0.028
-"""From the wall to the middle of a handle's grip; fingers need 25 mm."""
+"""Distance from the wall to the middle of a handle's grip; fingers need 25 mm."""
 HELMET_SHAPE = (0.078 / 0.101, 0.090 / 0.101)
-"""Shorter half axis and height of a helmet against its longer half axis."""
+"""Shorter half axis and height of a helmet relative to its longer half axis."""
 
 
 @dataclass(frozen=True)
 class Variation:
-    """How one object differs from the next of its kind.
+    """Differences between objects of one kind.
 
     Attributes:
         parts_rad: direction of its handle or seam.
-        ring_m: (x, y) of the tag's middle from the body's axis, m: nobody glues reflectors on exactly.
+        ring_m: (x, y) of the tag's middle from the body's axis, m: reflectors are never glued on exactly.
         strength_db: standard deviation of the reflectors' strengths, dB.
     """
 
@@ -72,11 +72,11 @@ def carrier(spec: BodySpec, unit_m: float, variation: Variation) -> Carrier | No
 
 
 def parts(spec: BodySpec, body: Carrier, unit_m: float, variation: Variation) -> tuple[Mounted, ...]:
-    """The body's handle and seam, with the body's part in their echoes.
+    """The body's handle and seam, with the effect of the body on their echoes.
 
     A handle's upright grip scatters; its two horizontal ends do not in vertical polarisation. That of a can
-    is a strip 10 mm wide and 60 mm high, as in the solved one (shared/fullwave/README.md); that of a cup is a
-    rod of porcelain. A seam is a bead of 1 mm radius along the wall.
+    is a strip 10 mm wide and 60 mm high, as in the full-wave solution (shared/fullwave/README.md); that of a
+    cup is a rod of porcelain. A seam is a bead of 1 mm radius along the wall.
     """
     made = []
     out = spec.size_m if spec.kind != "helmet" else spec.size_m * HELMET_SHAPE[0]
@@ -110,14 +110,14 @@ def tagged_object(
     """A body with its parts and reflectors, tag first.
 
     Args:
-        positions: (n, 2) or (n, 3) reflectors in the tag's frame, m; none makes an untagged object.
-        body: what carries them.
-        reflector: what they are.
-        rng: of the reflectors' strengths.
-        variation: how the object differs from the drawing.
+        positions: (n, 2) or (n, 3) reflectors in the tag's frame, m; an empty array makes an untagged object.
+        body: the body that carries them.
+        reflector: type of reflector.
+        rng: random generator of the reflectors' strengths.
+        variation: deviations of the object from the nominal one.
 
     Raises:
-        DataError: a reflector lies inside the body's wall or metal.
+        DataError: a reflector is inside the body's wall or metal.
     """
     change = variation or Variation()
     scatterer = Octahedron(reflector.size_m)
@@ -153,7 +153,7 @@ def object_scene(
     `layout` and `seed` are noted in the scene's description if given.
 
     Raises:
-        DataError: a reflector lies inside the body's wall or metal.
+        DataError: a reflector is inside the body's wall or metal.
     """
     bodies = tagged_object(positions, body, reflector, rng, variation)
     described: dict[str, Any] = {"layout": layout} if layout else {}

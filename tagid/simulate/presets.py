@@ -1,7 +1,7 @@
-"""Scenes by name, for the command line, the emulator and the tests.
+"""Named scenes for the command line, the emulator and the tests.
 
-Each is drawn from a seed, so that "helmet-120?seed=1" means the same reflectors, shell and room everywhere.
-Shells and handles belong to the object: they are placed off the axis with its reflectors.
+Each is generated from a seed, so that "helmet-120?seed=1" is the same reflectors, shell and room everywhere.
+Shells and handles belong to the object: they move with its reflectors if it is placed off the axis.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def room_clutter(rng: np.random.Generator, returns: int = 8) -> StaticReturns:
 
 
 def tag_points(positions: NDArray[np.floating], rng: np.random.Generator) -> Points:
-    """A tag's reflectors: amplitudes within 10 % of one another, facing away from the axis.
+    """A tag's reflectors: amplitudes within 10 % of each other, facing away from the axis.
 
     A reflector less than 1 cm from the axis has no outer side and is isotropic.
     """
@@ -54,12 +54,12 @@ def scene_from_layout(positions: NDArray[np.floating], name: str = "tag", seed: 
 
     Args:
         positions: (n, 2) reflectors in the object's plane, or (n, 3) with their heights, m.
-        name: of the scene.
+        name: name of the scene.
         seed: random seed of amplitudes and room.
     """
     rng = np.random.default_rng(seed)
     points = tag_points(positions, rng)
-    # The wall that carries the reflectors; octahedra of 40 mm (tip to tip) have their middle 20 mm off it.
+    # The wall that carries the reflectors; the centre of a 40 mm octahedron (tip to tip) is 20 mm off it.
     radius = max(0.02, float(np.linalg.norm(points.positions[:, :2], axis=1).max()) - 0.02)
     shell = Cylinder(radius, amplitude=0.5)
     about = {"layout": name, "seed": seed}
@@ -67,7 +67,7 @@ def scene_from_layout(positions: NDArray[np.floating], name: str = "tag", seed: 
 
 
 def random_points(count: int, rng: np.random.Generator, radius_m: float = 0.2) -> Points:
-    """Points of amplitude 0.6..1 in a disc, at least 4 cm apart where there is room."""
+    """Points of amplitude 0.6..1 in a disc, at least 4 cm apart if there is room."""
     chosen: list[NDArray[np.float64]] = []
     spacing = 0.04
     while len(chosen) < count:
@@ -98,7 +98,7 @@ def scene_on_body(
         layouts: as for `scene_from_name`.
 
     Raises:
-        UsageError: the scene is unknown or holds no tag, or its reflectors do not fit on the body.
+        UsageError: the scene is unknown or has no tag, or its reflectors do not fit on the body.
     """
     rng = np.random.default_rng(seed)
     plain = scene_from_name(name, seed, layouts)
@@ -121,7 +121,7 @@ def scene_on_body(
 
 
 def preset_names(layouts: Mapping[str, Layout] | None = None) -> list[str]:
-    """Every name that `scene_from_name` takes; N in "points-N" is any number."""
+    """Every name accepted by `scene_from_name`; N in "points-N" is any number."""
     return [*sorted(_layouts(layouts)), *_PLAIN, "points-N"]
 
 
@@ -152,7 +152,7 @@ def scene_from_name(name: str, seed: int = 0, layouts: Mapping[str, Layout] | No
     if match := re.fullmatch(r"points-(\d{1,3})", name):
         count = int(match[1])
         if not 1 <= count <= MAX_POINTS:
-            raise UsageError(f"scene {name!r} asks for {count} points", f"Use 1 to {MAX_POINTS} points.")
+            raise UsageError(f"scene {name!r} requests {count} points", f"Use 1 to {MAX_POINTS} points.")
         return Scene(name, (random_points(count, rng),), description=about)
     if name == "can":
         can = Cylinder(CAN_RADIUS_M, 1.0, (0.05, 0.0), 0.12)
@@ -161,14 +161,14 @@ def scene_from_name(name: str, seed: int = 0, layouts: Mapping[str, Layout] | No
         box = Box(BOX_SIDE_M, BOX_SIDE_M, rotation_rad=float(rng.uniform(0, 2 * np.pi)))
         return Scene(name, (box,), room=room_clutter(rng), description=about)
     if name == "corner":
-        # A reflector on the axis, ten times a tag's: what a calibration looks at, in the room of "empty".
+        # A reflector on the axis, ten times a tag's: a calibration target in the room of "empty".
         corner = Points(np.zeros((1, 2)), np.array([10.0]))
-        # Its SNR refers to a unit reflector, as that of "empty" does, so that the room is the same in both.
+        # Its SNR refers to a unit reflector, like that of "empty", so that the room is the same in both.
         return Scene(name, (corner,), room=room_clutter(rng), reference_amplitude=1.0, description=about)
     if name == "empty":
         return Scene(name, room=room_clutter(rng), reference_amplitude=1.0, description=about)
     if name == "untagged":
-        # A handle and a scratch: far weaker than a reflector, but they turn with the object.
+        # A handle and a scratch: much weaker than a reflector, but they rotate with the object.
         weak = Points(random_points(2, rng, 0.1).positions, rng.uniform(0.03, 0.1, 2))
         parts = (weak, Cylinder(0.09, amplitude=0.5))
         return Scene(name, parts, room=room_clutter(rng), reference_amplitude=1.0, description=about)

@@ -1,4 +1,4 @@
-"""Received pulses that differ from the nominal one, drawn at random around those of real radars."""
+"""Random received pulses that differ from the nominal one, modelled on those of real radars."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ PULSE_STEP_S = 1e-11
 class PulseShapes:
     """Ranges of a pulse made of a main lobe, a ring and a late echo.
 
-    They cover what least-squares fits of four Gabor atoms to seven pulses recorded with P440 radars gave
-    (residual 4 to 10 % of the amplitude): main lobe at 3.98 to 4.28 GHz of 0.33 to 0.69 ns, a ring within
-    1.1 ns, an echo of 0.18 to 0.34 at 1.6 to 2.3 ns.
+    They cover least-squares fits of four Gabor atoms to seven pulses recorded with P440 radars (residual 4 to
+    10 % of the amplitude): main lobe at 3.98 to 4.28 GHz of 0.33 to 0.69 ns, a ring within 1.1 ns, an echo of
+    0.18 to 0.34 at 1.6 to 2.3 ns.
 
     Attributes:
-        main_hz, main_sigma_s: of the main lobe.
-        ring_amplitude, ring_delay_s, ring_hz, ring_sigma_s: of the ring, amplitude relative to the main lobe.
-        late_amplitude, late_delay_s, late_hz, late_sigma_s: of the late echo.
+        main_hz, main_sigma_s: frequency and width of the main lobe.
+        ring_amplitude, ring_delay_s, ring_hz, ring_sigma_s: the ring, amplitude relative to the main lobe.
+        late_amplitude, late_delay_s, late_hz, late_sigma_s: the late echo.
     """
 
     main_hz: Range = (3.9e9, 4.3e9)
@@ -47,7 +47,7 @@ def random_pulse(rng: np.random.Generator, shapes: PulseShapes | None = None) ->
         (d.ring_amplitude, d.ring_delay_s, d.ring_hz, d.ring_sigma_s),
         (d.late_amplitude, d.late_delay_s, d.late_hz, d.late_sigma_s),
     )
-    # Fixed values take nothing from the generator.
+    # Fixed values draw nothing from the generator.
     atoms = [[low if low == high else float(rng.uniform(low, high)) for low, high in atom] for atom in ranges]
     samples = np.zeros(len(t))
     for a, delay, frequency, sigma in atoms:

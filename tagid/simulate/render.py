@@ -1,6 +1,6 @@
-"""From reflecting points to RF samples: the sum of delayed pulses, computed only where a pulse is not zero.
+"""From reflecting points to RF samples: the sum of delayed pulses, computed only where a pulse is non-zero.
 
-The capture simulator and the emulator's source both render here, so they agree sample for sample.
+The capture simulator and the emulator's source both use this renderer, so they agree sample for sample.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from tagid.simulate.scene import Scene
 from tagid.waveform import analytic_pulse, nominal_pulse
 
 TABLE_STEP_S = 2e-12
-"""Step of the pulse table; linear interpolation at 5 GHz then errs by less than 0.1 %."""
+"""Step of the pulse table; linear interpolation at 5 GHz is then accurate to 0.1 %."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,7 +27,7 @@ class PulseTable:
 
     Attributes:
         samples: (n + 1,) complex128; the last one is zero.
-        step: s.
+        step: time step, s.
         zero: index of time zero.
     """
 
@@ -92,7 +92,7 @@ def antennas(
 
 
 def _pair(antenna: NDArray[np.float64], separation_m: float) -> tuple[NDArray[np.float64], ...]:
-    """Transmitter and receiver (views, 3) to both sides of the antenna positions, as `Aperture.turntable`."""
+    """Transmitter and receiver (views, 3) on both sides of the antenna positions, as `Aperture.turntable`."""
     if separation_m == 0:
         return (antenna,)
     x, y = antenna[:, 0], antenna[:, 1]

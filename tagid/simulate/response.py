@@ -1,7 +1,7 @@
-"""What an object sends back to the radar: over frequency, aspect, polarisation and distance.
+"""The response of an object to the radar over frequency, aspect, polarisation and distance.
 
-One value holds the solution of a solver and the measurement of an anechoic chamber alike, so that scenes, the
-emulator and the benchmarks do not ask which of the two they are given. docs/responses.md has the file format.
+One type holds solver results and anechoic chamber measurements alike, so that scenes, emulator and benchmarks
+need not distinguish them. docs/responses.md describes the file format.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from tagid.errors import DataError, UsageError
 Floats = NDArray[np.float64]
 
 MAX_VALUES = 16_000_000
-"""Most complex values of one response: 128 MB."""
+"""Maximum number of complex values of one response: 128 MB."""
 
 POLARISATIONS = ("V", "H")
-"""Co-polar: both antennas upright, or both lying across the line of sight in the horizontal plane."""
+"""Co-polar: both antennas upright, or both horizontal across the line of sight."""
 
 _MOST_NODES = 5
 _NEAREST = 0.6
@@ -32,9 +32,9 @@ class Ring:
     """A circle of antenna positions around the object's origin.
 
     Attributes:
-        distance_m: from the object's vertical axis to the antenna, measured horizontally, m.
+        distance_m: horizontal distance from the object's vertical axis to the antenna, m.
         polarisation: "V" or "H".
-        height_m: of the antenna above the object's plane z = 0, m.
+        height_m: height of the antenna above the object's plane z = 0, m.
     """
 
     distance_m: float
@@ -54,7 +54,7 @@ class Ring:
 
     @property
     def range_m(self) -> float:
-        """From the object's origin to the antenna, m."""
+        """Distance from the object's origin to the antenna, m."""
         return float(np.hypot(self.distance_m, self.height_m))
 
 
@@ -65,19 +65,19 @@ class Response:
     The scattered field at the antenna, along the polarisation of the incident field, is
     E_s / E_0 = b exp(-2jkR) / R^2 with R from the object's origin to the antenna, for an antenna whose
     field at distance R in free space is exp(-jkR) / R; time convention exp(+j omega t). The scattering
-    length b (m) is what is stored. It is smooth in frequency and distance; the radar cross-section is 4 pi
+    length b (m) is stored. It is smooth in frequency and distance; the radar cross-section is 4 pi
     |b|^2, and far away b does not depend on the distance. A conducting sphere has b near -radius / 2 *
     exp(2jk radius).
 
     Attributes:
-        name: of the object.
+        name: name of the object.
         frequency_hz: (f,) evenly spaced, ascending, Hz.
-        rings: where it is known. For each polarisation the rings are all combinations of some distances and
-            some heights, at most 5 of each.
+        rings: antenna positions of the samples. For each polarisation the rings are all combinations of some
+            distances and some heights, at most 5 of each.
         scattering_length_m: (f, rings, aspects) complex64, m. Aspect i is an antenna in the direction
             2 pi i / aspects in the object's frame, counter-clockwise from above.
-        reflectors_m: (n, 2) true places of its reflectors in the object's frame, m, where they are known.
-        provenance: texts: how it was made, by what, with which error.
+        reflectors_m: (n, 2) true positions of its reflectors in the object's frame, m, if known.
+        provenance: texts: method, tool and error.
 
     Raises DataError if the parts do not fit or are not finite.
     """
@@ -115,7 +115,7 @@ class Response:
 
     @property
     def polarisations(self) -> tuple[str, ...]:
-        """The polarisations that some ring has, V before H."""
+        """The polarisations of the rings, V before H."""
         return tuple(p for p in POLARISATIONS if any(ring.polarisation == p for ring in self.rings))
 
     @property
@@ -130,11 +130,11 @@ class Response:
 
     @property
     def unambiguous_m(self) -> float:
-        """Depth in range after which the response repeats, because its frequencies are samples, m."""
+        """Depth in range after which the response repeats, because its frequencies are discrete, m."""
         return float(SPEED_OF_LIGHT / 2 / (self.frequency_hz[1] - self.frequency_hz[0]))
 
     def rcs_dbsm(self) -> Floats:
-        """(f, rings, aspects) radar cross-section, dB over a square metre."""
+        """(f, rings, aspects) radar cross-section, dB relative to one square metre."""
         power = 4 * np.pi * np.abs(self.scattering_length_m.astype(np.complex128)) ** 2
         return np.asarray(10 * np.log10(np.maximum(power, 1e-30)))
 
@@ -149,7 +149,7 @@ class Response:
             raise DataError(
                 f"the {polarisation} rings are not every combination of {len(distances)} distances and "
                 f"{len(heights)} heights once",
-                "Leave out the rings that have no counterpart.",
+                "Omit the rings that have no counterpart.",
             )
         if max(len(heights), len(distances)) > _MOST_NODES:
             raise DataError(f"more than {_MOST_NODES} distances or heights of polarisation {polarisation}")
@@ -166,16 +166,15 @@ class Response:
 
         Over the aspect the samples are interpolated by their Fourier series. Between and beyond rings b is a
         polynomial in 1 / distance (the near field is an expansion in it) and in the antenna's height, through
-        all rings of the polarisation; with one distance the near field is taken as that of this distance.
+        all rings of the polarisation; with one distance the near field of that distance is used.
 
         Args:
             antennas: (views, 3) in the object's frame, m.
             polarisation: "V" or "H".
 
         Raises:
-            UsageError: the response lacks the polarisation, an antenna is much nearer than the nearest
-            ring, or
-                its height is outside the heights of the rings.
+            UsageError: the response lacks the polarisation, an antenna is much closer than the nearest
+                ring, or its height is outside the heights of the rings.
         """
         if polarisation not in self.polarisations:
             raise UsageError(
@@ -206,7 +205,7 @@ class Response:
         return total
 
     def without(self, other: Response) -> Response:
-        """What this object has in addition to `other`, for example a tagged can without the can.
+        """Difference to the response `other`, for example a tagged can without the can.
 
         Raises UsageError if frequencies, rings or aspects differ.
         """
@@ -239,7 +238,7 @@ def _lagrange(nodes: Floats, at: Floats) -> Floats:
 def _fourier(count: int, angle: Floats) -> NDArray[np.complex128]:
     """(angles, count) exp(j m angle) in the order of `numpy.fft.fftfreq`.
 
-    The highest harmonic of an even count stands for +m and -m, so it is a cosine.
+    The highest harmonic of an even count represents +m and -m, so it is a cosine.
     """
     order = np.fft.fftfreq(count, 1 / count)
     basis = np.exp(1j * np.outer(angle, order))

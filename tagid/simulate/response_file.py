@@ -1,7 +1,7 @@
 """The response file: one NPZ per object, described in docs/responses.md.
 
-Reading takes nothing on trust: sizes are checked before memory is taken, nothing is unpickled, and whatever
-does not fit ends in one error that names the file.
+Input is not trusted: sizes are checked before memory is allocated, nothing is unpickled, and any invalid
+content raises one error that names the file.
 """
 
 from __future__ import annotations
@@ -39,15 +39,14 @@ def read_response(path: Path) -> Response:
     Raises:
         StorageError: the file cannot be read.
         FileFormatError: damaged, too large, of another format or version, a key is missing, of the wrong
-        shape
-            or dtype, or not finite.
+            shape or dtype, or not finite.
     """
     arrays = read_arrays(path, read_bytes(path, MAX_BYTES), frozenset((*_OWN, *_OPTIONAL, *_PLAIN)))
     if "format" not in arrays and all(key in arrays for key in _PLAIN):
         return _from_plain(path, arrays)
     if "format" not in arrays:
         raise FileFormatError(
-            f"{path}: is no response file: it holds neither `format` nor {', '.join(_PLAIN)}",
+            f"{path}: is not a response file: it has neither `format` nor {', '.join(_PLAIN)}",
             "docs/responses.md describes the file.",
         )
     named = _text(path, arrays, "format")
@@ -85,7 +84,7 @@ def read_response(path: Path) -> Response:
 
 
 def write_response(path: Path, response: Response) -> None:
-    """Write a response file, whole or not at all; `read_response` takes it back without loss.
+    """Write a response file atomically; `read_response` restores it without loss.
 
     Raises StorageError, DiskFullError.
     """
@@ -191,6 +190,6 @@ def _complex(path: Path, key: str, values: NDArray[Any]) -> NDArray[np.complex12
         raise FileFormatError(f"{path}: {key} has dtype {values.dtype}, expected numbers")
     if values.size > MAX_VALUES:
         raise FileFormatError(f"{path}: {key} holds {values.size} values, more than {MAX_VALUES}")
-    # What single precision cannot hold becomes infinite, which the response refuses.
+    # Values too large for single precision become infinite and are rejected by the response.
     with np.errstate(over="ignore", invalid="ignore"):
         return values.astype(np.complex64).astype(np.complex128)

@@ -1,4 +1,4 @@
-"""An object named by its response file on the command line, as a scene or on an emulated turntable."""
+"""An object given by its response file on the command line, as a scene or on an emulated turntable."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from tagid.simulate.source import TurningScene
 
 @dataclass(frozen=True)
 class ResponseFiles:
-    """An object given by its response file, and what the SNR of its recordings refers to.
+    """An object given by its response file, with the reference for the SNR of its recordings.
 
     Attributes:
-        response: of the object.
+        response: response of the object.
         polarisation: "V" or "H".
-        reference: response whose strongest echo is the SNR's signal; the object's own where it is None.
+        reference: response whose strongest echo is the SNR's signal; None means the object's own.
         reference_body: response that is subtracted from the reference: tagged object minus its body.
     """
 
@@ -38,7 +38,7 @@ class ResponseFiles:
             raise UsageError("a reference body is given without a reference", "Add --snr-reference FILE.")
 
     def scene(self, acquisition: Acquisition, seed: int = 0) -> Scene:
-        """The object in a room drawn from the seed, as strong as the object where that exceeds its reference.
+        """The object in a room drawn from the seed, scaled by the object if that exceeds its reference.
 
         Raises the reader's errors, and UsageError if the response does not cover the acquisition.
         """

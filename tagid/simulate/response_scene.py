@@ -1,7 +1,7 @@
-"""Scenes made of a response: the object moves, turns and is recorded as any other body.
+"""Scenes made from a response: the object moves, rotates and is recorded like any other body.
 
-Its echo is rendered from points along the line of sight to the object's origin, whose delayed pulses add up
-to the response. So noise, room, wobble, placement and the emulator work unchanged.
+Its echo is rendered from points along the line of sight to the object's origin, whose delayed pulses sum to
+the response. So noise, room, wobble, placement and the emulator work unchanged.
 """
 
 from __future__ import annotations
@@ -22,27 +22,27 @@ from tagid.simulate.scene import Scene, StaticReturns
 TAPER_HZ = 0.2e9
 """Width of the raised cosine at either end of the response's frequencies.
 
-The pulse still has a few per cent of its amplitude there; without a taper its echo would ring over the whole
-window. At the band's edges of 3.1 and 4.8 GHz the taper of a response over 2.8 to 5.2 GHz is 1.
+The pulse still has a few per cent of its amplitude there; without a taper its echo would extend over the
+whole window. At the band's edges of 3.1 and 4.8 GHz the taper of a response over 2.8 to 5.2 GHz is 1.
 """
 
 _BEFORE = 1 / 3
-"""Share of the unambiguous depth in front of the object's origin; what rings comes later, behind it."""
+"""Fraction of the unambiguous depth in front of the object's origin; late echoes are behind it."""
 
 _TAP_M = 0.03
-"""Spacing of the points. Their sum repeats every c / (2 * 0.03 m) = 5 GHz: repetitions of 2.8 to 5.2 GHz lie
-where the pulse has nothing."""
+"""Spacing of the points. Their sum repeats every c / (2 * 0.03 m) = 5 GHz: the repetitions of 2.8 to 5.2 GHz
+are outside the pulse's spectrum."""
 
 
 @dataclass(frozen=True, eq=False)
 class ResponseBody:
     """A response as a reflecting body (`scattering.Body`).
 
-    Spreading is part of it: the echo falls as (axis_distance_m / R)^2 with the distance R from the antenna to
+    Spreading is included: the echo falls as (axis_distance_m / R)^2 with the distance R from the antenna to
     the object's origin, so that `Acquisition.range_law` must not be added.
 
     Attributes:
-        response: of the object.
+        response: response of the object.
         polarisation: "V" or "H".
         axis_distance_m: distance at which an echo has the amplitude gain * b.
         gain: amplitude of a scattering length of 1 m, 1/m.
@@ -74,7 +74,7 @@ class ResponseBody:
         away = np.linalg.norm(antennas, axis=1)
         along = -antennas / away[:, None]
         points = antennas[:, None] + along[:, None] * (away[:, None] + offset)[..., None]
-        # Points that would lie behind the antenna belong to no echo.
+        # Points behind the antenna belong to no echo.
         ahead = away[:, None] + offset > 0
         spread = (self.axis_distance_m / away) ** 2
         return Returns(points, np.asarray(self.gain * spread[:, None] * (b @ kernel) * ahead))
@@ -89,9 +89,9 @@ def _taper(frequency_hz: Floats) -> Floats:
 
 
 def peak_echo(body: ResponseBody, acquisition: Acquisition) -> float:
-    """Largest envelope of the echo over a turn of 72 views, with the object's origin on the axis.
+    """Largest envelope of the echo over one turn of 72 views, with the object's origin on the axis.
 
-    The same pulse, distance and antenna height as in the acquisition; no wobble, no placement.
+    Pulse, distance and antenna height are those of the acquisition; no wobble, no placement.
     """
     distance = acquisition.axis_distance_m
     antennas = Aperture.turntable(
@@ -117,12 +117,12 @@ def response_scene(
     of the acquisition refers to that echo, and the room's amplitudes are in its unit.
 
     Args:
-        response: of the object.
-        acquisition: how it will be recorded: the scale depends on distance, antenna height and pulse.
+        response: response of the object.
+        acquisition: the acquisition: the scale depends on distance, antenna height and pulse.
         polarisation: "V" or "H".
-        reference: what the SNR refers to, for example one reflector alone or `tagged.without(untagged)`; the
-            response itself where it is not given.
-        room: echoes that stand still.
+        reference: object to which the SNR refers, for example one reflector alone or
+            `tagged.without(untagged)`; None means the response itself.
+        room: static echoes.
 
     Raises:
         UsageError: the response cannot be seen from there, or with that polarisation.

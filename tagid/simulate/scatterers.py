@@ -1,4 +1,4 @@
-"""Small scatterers on an object: octahedral reflectors, and upright rods that stand for handles and seams.
+"""Small scatterers on an object: octahedral reflectors, and upright rods that model handles and seams.
 
 Amplitudes are scattering lengths b in metres, E_scattered = b exp(-jkR) / R for a unit incident field; the
 radar cross-section is 4 pi |b|^2.
@@ -32,11 +32,11 @@ _PHASE_RAD = np.array(
 )
 """b / D of an octahedron of three crossing metal plates, tip to tip D, against k D, vertical polarisation and
 vertical axis. From method-of-moments solutions of D = 20 and 40 mm (shared/fullwave: free20_one, free40_one,
-2.8 to 5.2 GHz at 1 m): as metal has no scale of its own, both lie on one curve."""
+2.8 to 5.2 GHz at 1 m): metal scatterers scale with the wavelength, so both lie on one curve."""
 
 
 class Scatterer(Protocol):
-    """Something small with the same echo in every azimuth; implementations are frozen and hashable."""
+    """A small scatterer with the same echo at every azimuth; implementations are frozen and hashable."""
 
     def scattering_length(self, frequency_hz: Floats) -> Complex:
         """b (m) at frequencies of any shape, phase reference at its centre."""
@@ -50,7 +50,7 @@ class Octahedron:
     """An octahedral reflector: three crossing diamond-shaped metal plates.
 
     Solved RCS at 3.1 / 4.0 / 4.9 GHz (shared/fullwave/README.md): 20 mm -45.1 / -40.5 / -36.8 dBsm, 40 mm
-    -26.9 / -25.1 / -25.9 dBsm, alike in all azimuths to 0.2 dB. Below the table b follows Rayleigh's law,
+    -26.9 / -25.1 / -25.9 dBsm, equal at all azimuths to 0.2 dB. Below the table b follows Rayleigh's law,
     b ~ k^2 D^3; above it b / D stays at its last value.
 
     Attributes:
@@ -69,7 +69,7 @@ class Octahedron:
         small = np.minimum(size / _SIZE_IN_WAVES[0], 1.0)
         per_size = np.exp(np.interp(np.log(size), np.log(_SIZE_IN_WAVES), np.log(_LENGTH_PER_SIZE)))
         phase = np.interp(size, _SIZE_IN_WAVES, _PHASE_RAD)
-        # Radiation turns the phase of a small dipole by an angle that falls with (k D)^3.
+        # Radiation rotates the phase of a small dipole by an angle that decreases as (k D)^3.
         return np.asarray(self.size_m * per_size * small**2 * np.exp(1j * phase * small**3))
 
 
@@ -81,7 +81,7 @@ class Rod:
     wire of radius w / 4 (Balanis, Antenna Theory, 3rd ed., 2005, table 9.3).
 
     Attributes:
-        layers: of its cross-section.
+        layers: layers of its cross-section.
         height_m: length, m.
     """
 
@@ -101,9 +101,9 @@ class Rod:
 
 @lru_cache(maxsize=512)
 def _taps_beside(scatterer: Scatterer, layers: tuple[Layer, ...], radius_m: float) -> AspectTaps:
-    """Echo of a scatterer at a distance from a round body's axis, against the antenna's direction.
+    """Echo of a scatterer at a distance from a round body's axis, over the antenna's direction.
 
-    b E^2 exp(-2jkr cos psi): the body's part in the field E there and back, relative to the straight path.
+    b E^2 exp(-2jkr cos psi): E is the two-way effect of the body on the field, relative to the direct path.
     """
 
     def response(frequency_hz: Floats, angle_rad: Floats) -> Complex:
@@ -115,23 +115,23 @@ def _taps_beside(scatterer: Scatterer, layers: tuple[Layer, ...], radius_m: floa
         straight = np.exp(-2j * np.outer(k, radius_m * np.cos(angle_rad)))
         return np.asarray(length * field**2 * straight)
 
-    # By way of the body the path is longer by up to twice the distance.
+    # Via the body the path is longer by up to twice the distance.
     reach = (-0.1, 0.1 + 2 * radius_m + ring_m(layers)) if layers else (-0.1, 0.1)
     return AspectTaps.fit(response, reach, symmetric=True)
 
 
 @dataclass(frozen=True, eq=False)
 class Mounted:
-    """Alike small scatterers on an object, with what its body does to the wave on the way there and back.
+    """Identical small scatterers on an object, with the effect of its body on the wave in both directions.
 
-    Beside a round body the echo holds the double bounce between scatterer and wall, which turns the phase
+    Beside a round body the echo includes the double bounce between scatterer and wall, whose phase changes
     with the aspect, and the body's shadow. Source: reciprocity, see `Multipoles.field`.
 
     Attributes:
-        scatterer: what stands at each place.
+        scatterer: the scatterer at each position.
         positions: (n, 3) m, in the object's frame.
-        amplitudes: (n,) complex128 relative strengths; 1 is the scatterer as it is.
-        bodies: one entry per place: layers of the round body beside it, empty for none.
+        amplitudes: (n,) complex128 relative strengths; 1 is the unscaled scatterer.
+        bodies: one entry per position: layers of the round body beside it, empty for none.
         axis_m: (x, y) of the round body's axis, m.
         unit_m: scattering length that is rendered as amplitude 1, m.
     """
@@ -153,7 +153,7 @@ class Mounted:
             raise DataError(f"the unit of amplitude is {self.unit_m} m")
 
     def single(self, index: int) -> Mounted:
-        """Only one of the scatterers, with its body's part in its echo."""
+        """Only one of the scatterers, including the effect of its body."""
         one = slice(index, index + 1)
         return Mounted(
             self.scatterer,

@@ -1,7 +1,8 @@
 """Simple reflecting bodies: points, cylinders and boxes whose amplitudes are given as numbers.
 
-Every body answers one question: which points reflect with which amplitude, given antenna positions. So scenes
-mix bodies freely, and the renderer knows only points. Physical bodies are in `bodies` and `electromagnetic`.
+Every body implements one function: which points reflect with which amplitude, given antenna positions. So
+scenes mix bodies freely, and the renderer uses only points. Physical bodies are in `bodies` and
+`electromagnetic`.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Returns:
-    """Reflecting points seen from each view.
+    """Reflecting points for each view.
 
     Attributes:
         points: (views, k, 3) float64, m, in the frame of the body.
@@ -45,17 +46,17 @@ def _wrapped(angle: Floats) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class Points:
-    """Point reflectors, isotropic or each with a brightest side.
+    """Point reflectors, isotropic or with a facing direction.
+    With a facing, the amplitude decreases with the angle psi between facing and antenna, both seen from
+    above, as floor + (1 - floor) 2^-(2 psi / width)^2: halfway at half the width, floor on the far side.
+        as floor + (1 - floor) 2^-(2 psi / width)^2: halfway at half the width, floor on the far side.
 
-    With a facing, the amplitude falls with the angle psi between facing and antenna, both seen from above, as
-    floor + (1 - floor) 2^-(2 psi / width)^2: halfway down at half the width, floor on the far side.
-
-    Attributes:
-        positions: (n, 2) or (n, 3), m.
-        amplitudes: (n,) real or complex.
-        facing_rad: (n,) direction of the brightest side, rad; None or NaN for isotropic.
-        aspect_width_rad: full width of the bright side, rad.
-        aspect_floor: 0..1, relative amplitude on the far side.
+        Attributes:
+            positions: (n, 2) or (n, 3), m.
+            amplitudes: (n,) real or complex.
+            facing_rad: (n,) direction of the brightest side, rad; None or NaN for isotropic.
+            aspect_width_rad: full width of the bright side, rad.
+            aspect_floor: 0..1, relative amplitude on the far side.
     """
 
     positions: NDArray[np.floating]
@@ -81,7 +82,7 @@ class Points:
         object.__setattr__(self, "amplitudes", a)
 
     def single(self, index: int) -> Points:
-        """One of the points, of whatever class the points are."""
+        """One of the points, in the same class as the points."""
         one = copy(self)
         part = slice(index, index + 1)
         object.__setattr__(one, "positions", self.positions[part])
@@ -114,7 +115,7 @@ class DoubleBounce:
 
     Attributes:
         positions: (2, 3), m.
-        amplitude: of both orders together.
+        amplitude: sum of both orders.
     """
 
     positions: NDArray[np.float64]
@@ -139,11 +140,11 @@ class DoubleBounce:
 class Cylinder:
     """An upright cylinder as a single specular return of constant amplitude from its nearest surface point.
 
-    Creeping waves and back walls are left out; `bodies.RoundBody` has them.
+    Creeping waves and back walls are not modelled; see `bodies.RoundBody`.
 
     Attributes:
         radius_m: m.
-        amplitude: of the specular return.
+        amplitude: amplitude of the specular return.
         centre_m: (x, y) of its axis, m.
         height_m: full height, m; from above, the rim returns.
     """
@@ -169,18 +170,18 @@ class Cylinder:
 
 @dataclass(frozen=True)
 class Box:
-    """An upright metal box: a flash from a face seen head-on, and weak returns from its four edges.
+    """An upright metal box: a flash from a face at normal incidence, and weak returns from its four edges.
 
     A face returns from its point nearest the antenna. The amplitude falls as a Gaussian of the angle between
     the face's normal and the line of sight from that point, which is zero while the foot of the perpendicular
-    lies on the face. A vertical edge is visible where one of its two faces is.
+    lies on the face. A vertical edge is visible if one of its two faces is.
 
     Attributes:
-        width_m, depth_m: sides along x and y before it is turned, m.
-        face_amplitude, edge_amplitude: of a flash and of one edge.
+        width_m, depth_m: sides along x and y before rotation, m.
+        face_amplitude, edge_amplitude: amplitudes of a flash and of one edge.
         flash_width_rad: standard deviation of the flash, rad.
         centre_m: (x, y), m.
-        rotation_rad: turn about its centre, rad.
+        rotation_rad: rotation about its centre, rad.
     """
 
     width_m: float
@@ -211,7 +212,7 @@ class Box:
         off_normal = np.arccos(np.clip(cosine, -1, 1))
         face = self.face_amplitude * np.exp(-0.5 * (off_normal / self.flash_width_rad) ** 2) * seen
         corners = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * half
-        # Edge i lies between faces i and i + 1.
+        # Edge i is between faces i and i + 1.
         edge = self.edge_amplitude * (seen | np.roll(seen, -1, axis=1))
         xy = np.concatenate([foot, np.broadcast_to(corners, (len(a), 4, 2))], axis=1) @ to_world.T
         xy = xy + np.asarray(self.centre_m)

@@ -1,7 +1,7 @@
-"""What stands in front of the radar: an object that turns, and a room that stands still.
+"""The scene in front of the radar: a rotating object and a static room.
 
-Everything that belongs to the object (reflectors, body, handle, rim, seam, contents) is placed with it, so an
-object off the rotation axis takes its body along.
+Everything that belongs to the object (reflectors, body, handle, rim, seam, contents) is placed together with
+it, also off the rotation axis.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from tagid.simulate.scattering import Body, Points, Returns
 
 @dataclass(frozen=True, eq=False)
 class StaticReturns:
-    """Echoes that do not change as the object turns: walls, the table's foot, antenna leakage.
+    """Echoes that do not change as the object rotates: walls, the table's foot, antenna leakage.
 
     Attributes:
         ranges_m: (n,) one-way range, m.
@@ -37,7 +37,7 @@ class StaticReturns:
 
 @runtime_checkable
 class Tag(Protocol):
-    """The reflectors of an object: a body that knows each of them."""
+    """The reflectors of an object: a body that gives access to each of them."""
 
     @property
     def positions(self) -> NDArray[np.float64]:
@@ -63,11 +63,11 @@ class Scene:
     """A frozen scene.
 
     Attributes:
-        name: for people and for the capture's object field.
-        object: bodies that turn with the object and are placed with its offset and rotation. The first one
+        name: for display and for the capture's object field.
+        object: bodies that rotate with the object and share its placement. The first one
             that is a `Tag` holds the reflectors.
-        room: echoes that stand still, or None.
-        reference_amplitude: peak that an SNR refers to in a scene without reflectors (an untagged object, an
+        room: static echoes, or None.
+        reference_amplitude: peak to which an SNR refers in a scene without reflectors (an untagged object, an
             empty table); None refers to the object's own peak.
         description: plain JSON values that go into the capture's object field.
     """
@@ -91,7 +91,7 @@ class Scene:
 
     @property
     def tag(self) -> Tag | None:
-        """The object's reflectors, where the scene has any."""
+        """The object's reflectors, if the scene has any."""
         return next((body for body in self.object if isinstance(body, Tag)), None)
 
     @property

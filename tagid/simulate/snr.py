@@ -1,13 +1,13 @@
-"""The signal-to-noise ratio of a recording: the one definition that simulator, emulator and benchmarks share.
+"""The signal-to-noise ratio of a recording: the common definition of simulator, emulator and benchmarks.
 
 SNR = 20 log10(peak / sigma). `sigma` is the standard deviation of the noise in one sample of one scan. `peak`
 is the largest value over all scans and samples of the noise-free envelope (magnitude of the analytic signal):
 
-- per reflector ("reflector"): of the strongest single reflector's echo, mounted as it is on its body;
+- per reflector ("reflector"): of the strongest single reflector's echo, as mounted on its body;
 - summed ("summed"): of the echoes of all reflectors together, which may add up or cancel.
 
 The body's own echo, the room and interference never count. In a scene without reflectors both peaks are
-that of the reference stated with the scene, or of the whole object where it states none.
+those of the reference given with the scene, or of the whole object if none is given.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ REFERENCES = ("reflector", "summed")
 
 @dataclass(frozen=True)
 class EchoLevels:
-    """Peaks that the SNR refers to, where a unit reflector on the axis peaks at 1.
+    """Peaks to which the SNR refers, relative to the peak of a unit reflector on the axis.
 
     Attributes:
-        reflector: of the strongest single reflector.
-        summed: of all reflectors together.
+        reflector: peak of the strongest single reflector.
+        summed: peak of all reflectors together.
     """
 
     reflector: float
@@ -61,18 +61,18 @@ class Snr:
         return cls(ratio_db(levels.reflector, noise_std), ratio_db(levels.summed, noise_std))
 
     def __str__(self) -> str:
-        """Both numbers, as every command and table prints them."""
+        """Both values, as every command and table prints them."""
         shown = ["-" if x is None else f"{x:.1f} dB" for x in (self.reflector_db, self.summed_db)]
         return f"SNR {shown[0]} per reflector, {shown[1]} summed"
 
 
 def ratio_db(peak: float, noise_std: float) -> float | None:
-    """20 log10(peak / sigma), dB; None where either is zero."""
+    """20 log10(peak / sigma), dB; None if either is zero."""
     return float(20 * np.log10(peak / noise_std)) if peak > 0 and noise_std > 0 else None
 
 
 def noise_std_for(snr_db: float, peak: float) -> float:
-    """Standard deviation of one sample that gives a peak an SNR."""
+    """Standard deviation of one sample for a given peak and SNR."""
     return float(peak / 10 ** (snr_db / 20))
 
 

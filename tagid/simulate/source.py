@@ -1,7 +1,7 @@
-"""A turning scene as the radar emulator asks for it: one scan at a time, at the time of the scan.
+"""A rotating scene as source of the radar emulator: one scan at a time, at the time of the scan.
 
-It renders with the capture simulator's functions, so a scan over the wire and a simulated capture of the same
-moment hold the same echo.
+It renders with the capture simulator's functions, so a scan over the wire and a simulated capture at the same
+time contain the same echo.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ NOISE_COUNTS = 120.0
 """Noise std of one sample at integration index 11, counts (recordings: 90 to 160)."""
 NOISE_INDEX = 11
 _LEVEL_VIEWS = 72
-"""Views of a turn over which the peaks that the SNR refers to are taken."""
+"""Views per turn over which the peaks for the SNR are computed."""
 
 
 class ScanConfig(Protocol):
-    """What a source needs from the radar's configuration."""
+    """The part of the radar's configuration that a source needs."""
 
     @property
     def samples(self) -> int:
@@ -50,21 +50,21 @@ class ScanConfig(Protocol):
 
 
 class TurningScene:
-    """A scene on a turntable that turns evenly (except for its wobble) from time zero on.
+    """A scene on a turntable with constant speed (except for its wobble) from time zero.
 
     Echoes grow with the number of pulses integrated, 2^index, and noise with its square root; samples
     saturate at 127 * 2^index (P440 MRM API; measured on recordings).
 
     Args:
-        scene: what turns.
-        rpm: turns per minute; 0 stands still.
+        scene: the scene.
+        rpm: turns per minute; 0 is stationary.
         seed: random seed of wobble and noise; scan `index` has the same noise whenever it is requested.
         acquisition: axis distance, height, pulse, placement, wobble, noise, beam, range law, direction. Its
             window, period, turns and recording are not used: the radar's configuration and rpm replace them.
             Its snr_db (20 by default) holds at integration index 11 and refers to what `snr` defines; a
             positive noise_std, at the same index, replaces it.
-        cable_delay_s: two-way delay that the radar sees on top of the path through the air, s.
-        true_angle: turns the scene instead of rpm: the angle in rad at a moment of time.monotonic().
+        cable_delay_s: two-way delay in addition to the path through the air, s.
+        true_angle: replaces rpm: function from time.monotonic() to the angle, rad.
 
     Attributes:
         snr: both SNRs at integration index 11.
@@ -98,11 +98,11 @@ class TurningScene:
         self._room: tuple[RangeWindow, NDArray[np.complex128]] | None = None
 
     def about(self) -> ObjectInfo:
-        """The object and the truth of a recording, as `simulate_capture` states them; SNR at index 11."""
+        """The object and the truth of a recording, as in `simulate_capture`; SNR at index 11."""
         return object_settings(self.scene, self._acquisition, self.snr)
 
     def follow(self, monotonic: Callable[[float], float]) -> None:
-        """Take from the emulator which moment of time.monotonic() a time since the start is."""
+        """Set the function from the time since the start to time.monotonic()."""
         self._monotonic = monotonic
 
     def _turns(self, time_s: float) -> float:
@@ -111,7 +111,7 @@ class TurningScene:
             return time_s * self.rpm / 60
         if self._monotonic is None:
             raise UsageError(
-                "a scene that another device turns needs an emulated radar in real time", "Give rate=1."
+                "a scene rotated by another device needs an emulated radar in real time", "Give rate=1."
             )
         # The angle includes the direction of rotation.
         angle = self._true_angle(self._monotonic(time_s))
@@ -148,7 +148,7 @@ class TurningScene:
 
         Args:
             index: number of the scan, which seeds its noise.
-            time_s: since the table started to turn, s.
+            time_s: time since the table started, s.
             config: the radar's configuration.
 
         Returns:

@@ -1,6 +1,6 @@
 """Bodies and reflectors from text: `can:35mm,handle`, `octahedron:20mm`.
 
-Grammar: NAME[:SIZE][,PART]...[,KEY=LENGTH]... Every length carries its unit, because 35 could be millimetres
+Grammar: NAME[:SIZE][,PART]...[,KEY=LENGTH]... Every length requires a unit, because 35 could be millimetres
 or metres.
 """
 
@@ -19,12 +19,12 @@ MAX_ELEVATION_M = 0.5
 
 @dataclass(frozen=True)
 class Shape:
-    """What a body takes.
+    """Options of a body.
 
     Attributes:
-        size: what its size means.
-        default_m, least_m, most_m: of the size, m.
-        parts: words that add something to it.
+        size: meaning of its size.
+        default_m, least_m, most_m: default and range of the size, m.
+        parts: optional parts.
         lengths: KEY=LENGTH options and their ranges, m.
     """
 
@@ -48,7 +48,7 @@ REFLECTORS = {"octahedron": (0.005, 0.060)}
 
 @dataclass(frozen=True)
 class BodySpec:
-    """A body as it was asked for; `build` of `objects` makes it.
+    """A requested body; `build` of `objects` creates it.
 
     Attributes:
         kind: a key of `SHAPES`, or "none".
@@ -63,11 +63,11 @@ class BodySpec:
     lengths: tuple[tuple[str, float], ...] = ()
 
     def length(self, name: str, otherwise: float) -> float:
-        """A length that was given, or the default."""
+        """A given length, or the default."""
         return dict(self.lengths).get(name, otherwise)
 
     def __str__(self) -> str:
-        """The text that `parse_body` takes back."""
+        """The text that `parse_body` accepts."""
         if self.kind == "none":
             return "none"
         more = [*self.parts, *(f"{key}={_text(value)}" for key, value in self.lengths)]
@@ -76,7 +76,7 @@ class BodySpec:
 
 @dataclass(frozen=True)
 class ReflectorSpec:
-    """Reflectors as they were asked for: a key of `REFLECTORS` and the size tip to tip, m."""
+    """Requested reflectors: a key of `REFLECTORS` and the size tip to tip, m."""
 
     kind: str = "octahedron"
     size_m: float = 0.020
@@ -93,18 +93,18 @@ def parse_length(option: str, text: str) -> float:
     """Metres from a number with a unit: 35mm, 3.5cm, 0.035m.
 
     Raises:
-        UsageError: there is no number, no unit, or something else.
+        UsageError: number or unit missing, or other text.
     """
     match = _LENGTH.fullmatch(text.strip())
     if not match:
         raise UsageError(
-            f"{option}: {text[:40]!r} is no length", "Give a number with its unit, mm, cm or m, e.g. 35mm."
+            f"{option}: {text[:40]!r} is not a length", "Give a number with its unit, mm, cm or m, e.g. 35mm."
         )
     return float(match[1] + match[2]) * _UNITS[match[3]]
 
 
 def parse_elevation(text: str) -> float:
-    """Height of the tag over the plane that the capture states, m, from `--elevation`. Raises UsageError."""
+    """Height of the tag above the plane stated in the capture, m, from `--elevation`. Raises UsageError."""
     value = parse_length("--elevation", text)
     if abs(value) > MAX_ELEVATION_M:
         raise UsageError(f"--elevation is {value:g} m", f"Give at most {MAX_ELEVATION_M:g} m up or down.")
@@ -123,7 +123,7 @@ def parse_body(text: str) -> BodySpec:
         return BodySpec()
     if kind not in SHAPES:
         raise UsageError(
-            f"--body: there is no body {kind[:40]!r}",
+            f"--body: body {kind[:40]!r} is unknown",
             f"Use {', '.join(SHAPES)} or none, e.g. --body can:35mm,handle.",
         )
     shape = SHAPES[kind]
@@ -150,7 +150,7 @@ def parse_reflector(text: str) -> ReflectorSpec:
     kind, colon, size_text = text.strip().partition(":")
     if kind not in REFLECTORS:
         raise UsageError(
-            f"--reflector: there is no reflector {kind[:40]!r}", "Use octahedron, e.g. octahedron:20mm."
+            f"--reflector: reflector {kind[:40]!r} is unknown", "Use octahedron, e.g. octahedron:20mm."
         )
     size = parse_length(f"--reflector {kind}", size_text) if colon else ReflectorSpec.size_m
     _check(f"the size of an {kind}", size, *REFLECTORS[kind])

@@ -1,6 +1,6 @@
-"""Responses that depend on frequency, as a few points along the line of sight whose delayed pulses add up.
+"""Frequency-dependent responses as a few points along the line of sight whose delayed pulses sum to them.
 
-The renderer knows only reflecting points. A body or a small scatterer whose response b(f) is known over the
+The renderer supports only reflecting points. A body or small scatterer with a known response b(f) over the
 pulse's band becomes a row of points (taps) with complex amplitudes, by least squares.
 """
 
@@ -18,7 +18,7 @@ Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 BAND_HZ = (1.8e9, 6.2e9)
-"""Frequencies over which the taps hold: the P440's pulse is 40 dB down at 2.2 and 5.7 GHz."""
+"""Frequencies over which the taps are fitted: the P440's pulse is 40 dB down at 2.2 and 5.7 GHz."""
 
 CENTRE_HZ = 4.0e9
 """Frequency at which strengths are stated and narrow-band factors are evaluated: the middle of the P440's
@@ -28,7 +28,7 @@ _STEP_M = 0.016
 """Spacing of the taps: just under half of c / (2 x 4.4 GHz), the resolution of the band."""
 
 _RIDGE = 1e-6
-"""Taps stand closer than the band resolves; the ridge keeps their amplitudes finite."""
+"""The taps are closer than the resolution of the band; the ridge keeps their amplitudes finite."""
 
 
 def wavenumber(frequency_hz: Floats) -> Floats:
@@ -42,7 +42,7 @@ def tap_offsets(low_m: float, high_m: float) -> Floats:
 
 
 def fit_taps(response: Callable[[Floats], Complex], offset_m: Floats) -> Complex:
-    """Amplitudes whose sum a_i exp(-2jk offset_i) is nearest to a response over the band.
+    """Amplitudes whose sum a_i exp(-2jk offset_i) best fits a response over the band.
 
     Args:
         response: from frequencies (F,) in Hz to (F,) or (F, A) complex, phase reference at offset zero.
@@ -77,8 +77,8 @@ class AspectTaps:
     ) -> AspectTaps:
         """Tabulate a response(frequency (F,), angle (A,)) -> (F, A) at every degree.
 
-        At one degree linear interpolation is off by less than 0.2 % for a phase that turns 8 rad per rad,
-        as it does for a scatterer 45 mm off the phase reference.
+        At one degree linear interpolation is off by less than 0.2 % for a phase that changes by 8 rad per
+        rad, as it does for a scatterer 45 mm off the phase reference.
         """
         span = np.pi if symmetric else 2 * np.pi
         angle = np.linspace(0, span, 181 if symmetric else 361)

@@ -246,7 +246,7 @@ def arrays_of(path: Path) -> dict[str, np.ndarray]:
     ("change", "says"),
     [
         (lambda a: a.pop("aspect_rad"), "lacks aspect_rad"),
-        (lambda a: a.pop("format"), "no response file"),
+        (lambda a: a.pop("format"), "not a response file"),
         (lambda a: a.update(format=np.array("tagid.capture")), "format is 'tagid.capture'"),
         (lambda a: a.update(format_version=np.int64(2)), "newer"),
         (lambda a: a.update(format_version=np.array([1, 2])), "format_version"),

@@ -1,4 +1,4 @@
-"""A full-wave solver for thin metal and thin dielectric sheets, and the objects that it is used on."""
+"""A full-wave solver for thin metal and thin dielectric sheets, and meshes of the objects of interest."""
 
 from tagid.simulate.fullwave.efie import Efie
 from tagid.simulate.fullwave.mesh import Mesh

@@ -17,7 +17,7 @@ Mautz, IEEE Trans. Antennas Propag. 23, 531, 1975). Hence A_mn - 4 pi / (k^2 (ep
 Limits. A mesh edge should be at most 1/7 of the wavelength: 8 mm at 5 GHz, about 100 unknowns per square
 wavelength. Closed metal surfaces fail near their interior resonances (the field inside is not excited, but
 the matrix is nearly singular); open cans, boxes and crossing plates have no such frequencies. The sheet
-model leaves out the current across the sheet, and holds while k t sqrt(eps) is below about 0.5.
+model neglects the current across the sheet, and holds while k t sqrt(eps) is below about 0.5.
 """
 
 from __future__ import annotations
@@ -39,15 +39,15 @@ Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 
 _BLOCK = 96
-"""Triangles for which the far interactions are computed at once."""
+"""Number of triangles for which the far interactions are computed at once."""
 
 _REACH = 2.0
-"""Triangles interact as a near pair where their centres are closer than this times the sum of their radii."""
+"""Triangles are a near pair if their centres are closer than this times the sum of their radii."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Near:
-    """Pairs of triangles p <= q near one another, and what of their interaction does not depend on k.
+    """Pairs of triangles p <= q near each other, with the part of their interaction independent of k.
 
     Attributes:
         p, q: (n,) triangles.
@@ -67,7 +67,7 @@ class _FarBlock:
     Attributes:
         begin, end: the block's triangles.
         distance: (3 (all - begin), 3 (end - begin)) between their points, m.
-        row, col: (n,) near pairs to leave out, as triangles after `begin`; row is in the block.
+        row, col: (n,) near pairs to omit, as triangles after `begin`; row is in the block.
     """
 
     begin: int
@@ -78,7 +78,7 @@ class _FarBlock:
 
 
 class Efie:
-    """The integral equation of one mesh at any frequency; what does not depend on it is computed once.
+    """The integral equation of one mesh at any frequency; parts independent of frequency are computed once.
 
     Args:
         mesh: the surface.
@@ -150,7 +150,7 @@ class Efie:
                 a, b = outer[part], inner[part]
                 r = np.einsum("qi,tic->tqc", bary, mesh.corners[a])
                 potential, moment = static_potentials(r, mesh.corners[b])
-                # The self pair is the same in both orders, so each of them counts half.
+                # The self pair is identical in both orders, so each counts half.
                 w = weight * (mesh.areas_m2[a] * np.where(a == b, 0.5, 1.0))[:, None]
                 c = scale[a][:, :, None] * scale[b][:, None, :]
                 out = r[:, :, None] - mesh.corners[a][:, None]
@@ -217,7 +217,7 @@ class Efie:
                 np.matmul(np.matmul(arm[p][..., x].transpose(0, 2, 1), kernel), arm[q][..., x])
                 for x in range(3)
             )
-            # The transpose is added in the end; the self pair is its own transpose.
+            # The transpose is added at the end; the self pair is its own transpose.
             local = local * c * np.where(p == q, 0.5, 1.0)[:, None, None]
             total = total + self._functions_of(local, p, q)
         return (total + total.T).tocsr()
@@ -276,7 +276,7 @@ class Efie:
         return np.asarray(lu_solve(factors, excitation, check_finite=False))
 
     def monostatic(self, k: float, antennas: Floats, polarisation: Floats) -> Complexes:
-        """S (antennas,) in 1/m: what comes back to each antenna, along its own polarisation."""
+        """S (antennas,) in 1/m: the scattered field at each antenna, along its own polarisation."""
         v = self.excitation(k, antennas, polarisation)
         return np.asarray(-(v * self.currents(k, v)).sum(axis=0))
 

@@ -25,14 +25,14 @@ _MERGE_M = 1e-7
 class Mesh:
     """A surface of triangles.
 
-    Triangles are connected where they share an edge, that is, two vertices; a shared vertex alone carries no
+    Triangles are connected if they share an edge, that is, two vertices; a shared vertex alone carries no
     current. An edge may belong to more than two triangles (plates that cross or meet).
 
     Attributes:
         vertices: (n, 3) float64, m.
         triangles: (t, 3) int64, indices of the vertices.
         sheet_m: (t,) complex128, (relative permittivity - 1) * thickness of a dielectric sheet, m; a negative
-            imaginary part is loss (time convention exp(+j omega t)). 0 stands for metal.
+            imaginary part is loss (time convention exp(+j omega t)). 0 is metal.
 
     Raises DataError: wrong shapes, indices out of range, values that are not finite, a triangle without area.
     """
@@ -63,7 +63,7 @@ class Mesh:
         cls, vertices: NDArray[np.floating], triangles: NDArray[np.integer], sheet_m: complex = 0.0
     ) -> Mesh:
         """A mesh of one material, with coinciding vertices merged and collapsed triangles removed."""
-        # The offset keeps round figures, which shapes are full of, away from the rounding boundary.
+        # The offset keeps round numbers, frequent in these shapes, away from the rounding boundary.
         key = np.round(np.asarray(vertices, np.float64) / _MERGE_M + 0.137).astype(np.int64)
         _, first, index = np.unique(key, axis=0, return_index=True, return_inverse=True)
         t = index.reshape(-1)[np.asarray(triangles)]
@@ -73,7 +73,7 @@ class Mesh:
 
     @classmethod
     def join(cls, *meshes: Mesh) -> Mesh:
-        """All meshes as one; they are connected where edges coincide."""
+        """All meshes as one; they are connected if edges coincide."""
         start = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
         vertices = np.concatenate([mesh.vertices for mesh in meshes])
         triangles = np.concatenate([m.triangles + s for m, s in zip(meshes, start[:-1], strict=True)])
@@ -83,7 +83,7 @@ class Mesh:
         return cls(joined.vertices, joined.triangles, np.concatenate([m.sheet_m for m in meshes]))
 
     def moved(self, shift_m: tuple[float, float, float] = (0.0, 0.0, 0.0), turn_rad: float = 0.0) -> Mesh:
-        """The mesh turned about the z axis, counter-clockwise from above, then shifted."""
+        """The mesh rotated about the z axis, counter-clockwise from above, then shifted."""
         c, s = np.cos(turn_rad), np.sin(turn_rad)
         turn = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
         return Mesh(self.vertices @ turn + np.asarray(shift_m), self.triangles, self.sheet_m)
@@ -101,16 +101,16 @@ class Mesh:
 
     @cached_property
     def longest_edge_m(self) -> float:
-        """The longest edge, m: what the wavelength is compared with."""
+        """The longest edge, m, which limits the shortest wavelength."""
         p = self.corners
         return float(np.linalg.norm(p - np.roll(p, 1, axis=1), axis=2).max())
 
 
 @dataclass(frozen=True, eq=False)
 class HalfFunction:
-    """The two halves of RWG functions, and how functions are made of them.
+    """The two halves of RWG functions, and how functions are composed of them.
 
-    The half (t, i) lives on triangle t and flows out through its edge i, which lies opposite to corner i:
+    The half (t, i) is defined on triangle t with outflow through edge i, opposite corner i:
     h_ti(r) = c_ti (r - v_ti), div h_ti = 2 c_ti, with c_ti = edge length / (2 area). Its normal component
     is 1 along that edge and 0 along the other two (Rao, Wilton, Glisson, IEEE Trans. Antennas Propag. 30,
     409, 1982).

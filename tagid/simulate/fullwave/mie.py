@@ -1,4 +1,4 @@
-"""The conducting sphere, exactly: what the solver is checked against."""
+"""The exact scattering of a conducting sphere, the reference for the solver."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Meshes of the objects that are solved: reflectors, cans, cups, handles, helmets, boxes, and test bodies.
+"""Meshes of the solved objects: reflectors, cans, cups, handles, helmets, boxes, and test bodies.
 
-Lengths are metres. The z axis is the object's upright axis, and z = 0 the plane of its tag. `edge_m` is the
-length of a mesh edge that is aimed at; 8 mm is 1/7.5 of the wavelength at 5 GHz.
+Lengths are in metres. The z axis is the object's upright axis, and z = 0 the plane of its tag. `edge_m` is
+the target length of a mesh edge; 8 mm is 1/7.5 of the wavelength at 5 GHz.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ def sheet(permittivity: complex, thickness_m: float) -> complex:
 
 
 def _cut(a: Floats, b: Floats, c: Floats, pieces: int) -> Mesh:
-    """Triangle a b c, cut into pieces^2 triangles of its own shape."""
+    """Triangle a b c, divided into pieces^2 similar triangles."""
     i, j = (x.ravel() for x in np.meshgrid(np.arange(pieces + 1), np.arange(pieces + 1), indexing="ij"))
     vertices = a + np.outer(i / pieces, b - a) + np.outer(j / pieces, c - a)
 
@@ -45,15 +45,15 @@ def _cut(a: Floats, b: Floats, c: Floats, pieces: int) -> Mesh:
 def octahedron(tip_m: float, pieces: int = 4, grading: float = 2.5) -> Mesh:
     """An octahedral reflector: three square plates that cross at right angles, their corners at +-tip_m / 2.
 
-    The plates are cut along the axes, so that the lines where two of them cross are edges of four triangles.
+    The plates are divided along the axes, so that their intersections are edges of four triangles.
     The current is singular at the rim; with edges of equal length the cross-section converges as 1 / pieces
     only: 3 pieces give 0.9 dB less than 10 (20 mm, 3 to 5 GHz). On a mesh that narrows towards the rim, 4
     pieces are within 0.1 dB of 8 (20 and 40 mm).
 
     Args:
-        tip_m: from tip to tip.
+        tip_m: size from tip to tip.
         pieces: mesh edges from the centre to a tip.
-        grading: 1 for edges of equal length; the layer at share s of the way to the rim is moved to
+        grading: 1 for edges of equal length; the layer at fraction s of the distance to the rim is moved to
             1 - (1 - s)^grading.
     """
     axes = np.eye(3)
@@ -70,10 +70,10 @@ def octahedron(tip_m: float, pieces: int = 4, grading: float = 2.5) -> Mesh:
 
 
 def closed_octahedron(tip_m: float, pieces: int = 5) -> Mesh:
-    """A regular octahedron with metal faces, its corners at +-tip_m / 2: printed, and covered with foil.
+    """A regular octahedron with metal faces, its corners at +-tip_m / 2: printed and covered with foil.
 
     Args:
-        tip_m: from tip to tip; its edges are tip_m / sqrt(2).
+        tip_m: size from tip to tip; its edges are tip_m / sqrt(2).
         pieces: mesh edges along an edge.
     """
     axes = np.eye(3) * tip_m / 2
@@ -88,10 +88,10 @@ def closed_octahedron(tip_m: float, pieces: int = 5) -> Mesh:
 
 
 def tag(tip_m: float, places_m: NDArray[np.floating], pieces: int = 4, grading: float = 2.5) -> Mesh:
-    """Octahedral reflectors at places (n, 2) in the plane z = 0.
+    """Octahedral reflectors at positions (n, 2) in the plane z = 0.
 
-    Each stands with two of its upright edges, not with a tip, towards the axis, so that it fits closer to a
-    wall; one on the axis itself is not turned.
+    Each has two of its upright edges, not a tip, towards the axis, so that it fits closer to a wall; one on
+    the axis itself is not rotated.
     """
     reflector = octahedron(tip_m, pieces, grading)
     return Mesh.join(
@@ -139,7 +139,7 @@ def plate(width_m: float, height_m: float, edge_m: float, sheet_m: complex = 0.0
 def _stitched(inner: int, outer: int, inner_phase: float, outer_phase: float) -> NDArray[np.int64]:
     """Triangles between two closed rings of points; index 0..inner-1, then inner..inner+outer-1.
 
-    Both rings are walked at once; the next point is always the one that comes first in angle.
+    Both rings are traversed together; the next point is the one with the smaller angle.
     """
     step_a, step_b = 2 * np.pi / inner, 2 * np.pi / outer
     # The outer point that is nearest in angle to the inner point 0.
@@ -158,16 +158,16 @@ def _stitched(inner: int, outer: int, inner_phase: float, outer_phase: float) ->
 
 
 def revolved(profile: Floats, edge_m: float, across: tuple[float, float] = (1.0, 1.0)) -> Mesh:
-    """A surface of revolution about z, or an oval one where `across` scales x and y.
+    """A surface of revolution about z, or an oval one if `across` scales x and y.
 
     Args:
         profile: (n, 2) polyline of (radius, z); a radius of zero closes the surface.
-        edge_m: mesh edge aimed at.
+        edge_m: target edge length.
         across: factors of x and y.
     """
     points = [profile[0]]
     for a, b in pairwise(profile):
-        # Rows of nearly equilateral triangles stand 0.87 of an edge apart; 0.95 keeps them a little slimmer.
+        # Rows of nearly equilateral triangles are 0.87 of an edge apart; 0.95 makes them slightly slimmer.
         steps = max(1, int(np.ceil(np.linalg.norm(b - a) / (0.95 * edge_m) - 1e-9)))
         points += [a + (b - a) * k / steps for k in range(1, steps + 1)]
     widest = max(across)
@@ -198,7 +198,7 @@ def _of(mesh: Mesh, sheet_m: complex) -> Mesh:
 
 
 def can(radius_m: float, height_m: float, edge_m: float = 0.008, sheet_m: complex = 0.0) -> Mesh:
-    """A can or a cup: closed at the bottom, open at the top, its middle at z = 0."""
+    """A can or a cup: closed at the bottom, open at the top, centred at z = 0."""
     half = height_m / 2
     profile = np.array([[0.0, -half], [radius_m, -half], [radius_m, half]])
     return _of(revolved(profile, edge_m), sheet_m)
@@ -222,9 +222,9 @@ def handle(
 
     Args:
         start_m: distance of its ends from the axis; a gap of 2 mm to the wall keeps the meshes apart.
-        reach_m: from its ends outwards.
+        reach_m: extent from its ends outwards.
         height_m, width_m: of the handle and of its strip.
-        edge_m: mesh edge aimed at.
+        edge_m: target edge length.
         sheet_m: see `Mesh`.
     """
     across = np.array([0.0, width_m, 0.0])
@@ -243,7 +243,7 @@ def helmet(
     elevation = np.linspace(0, np.pi / 2, rows + 1)
     dome = np.stack([mean * np.cos(elevation), az * np.sin(elevation)], axis=1)
     dome[-1, 0] = 0.0
-    # The steps of the dome are as long as an edge already: they must not be divided once more.
+    # The steps of the dome already have the length of an edge and must not be divided again.
     profile = np.concatenate([[[mean, -skirt_m]], dome]) if skirt_m > 0 else dome
     return _of(revolved(profile, edge_m * 1.06, (ax / mean, ay / mean)), sheet_m)
 

@@ -30,7 +30,7 @@ RULE_7 = (
 def static_potentials(points: Floats, corners: Floats) -> tuple[Floats, Floats]:
     """int dS' / R and int r' dS' / R over triangles, R = |r - r'|.
 
-    The surface integral is turned into one along the edges (Wilton, Rao, Glisson, Schaubert, Al-Bundak,
+    The surface integral is converted to one along the edges (Wilton, Rao, Glisson, Schaubert, Al-Bundak,
     Butler, IEEE Trans. Antennas Propag. 32, 276, 1984, equations 5 and 6). It holds everywhere, also on the
     triangle itself.
 
@@ -56,7 +56,7 @@ def static_potentials(points: Floats, corners: Floats) -> tuple[Floats, Floats]:
         offset = np.einsum("nqc,nc->nq", a[:, None] - foot, outward)
         square = offset**2 + height**2
         r_begin, r_end = np.sqrt(begin**2 + square), np.sqrt(end**2 + square)
-        # Of two equal forms of the logarithm, the one whose sums do not cancel.
+        # Of two equivalent forms of the logarithm, use the one without cancellation.
         ahead = begin + end > 0
         top = np.where(ahead, r_end + end, r_begin - begin)
         bottom = np.where(ahead, r_begin + begin, r_end - end)

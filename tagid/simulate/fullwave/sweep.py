@@ -1,7 +1,7 @@
-"""From a mesh to a response: the integral equation solved for every frequency and ring of antennas.
+"""From a mesh to a response: solves the integral equation for every frequency and ring of antennas.
 
-Cost of one frequency on one core: 2 s for 1400 unknowns (a can of 70 x 100 mm in edges of 8 mm), growing with
-the square of the unknowns until the factorisation, which grows with the cube, is half of it at about 5000.
+Time for one frequency on one core: 2 s for 1400 unknowns (a can of 70 x 100 mm with edges of 8 mm). It grows
+with the square of the unknowns; the factorisation, which grows with the cube, is half of it at about 5000.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from tagid.simulate.response import Response, Ring
 Floats = NDArray[np.float64]
 
 COARSEST = 3.5
-"""Fewest lengths of the longest mesh edge in a wavelength: the longest is about 1.7 times the usual edge."""
+"""Minimum wavelength in units of the longest mesh edge: the longest is about 1.7 times the usual edge."""
 
 
 def _rings() -> tuple[Ring, ...]:
@@ -31,13 +31,12 @@ def _rings() -> tuple[Ring, ...]:
 
 @dataclass(frozen=True)
 class Sweep:
-    """What is solved.
+    """Parameters of a solution.
 
     Attributes:
         start_hz, stop_hz: first and last frequency, Hz.
-        frequencies: how many, evenly spaced. Their spacing limits the depth in range to c / (2 spacing):
-        1.5 m
-            for 100 MHz.
+        frequencies: their number, evenly spaced. The spacing limits the depth in range to c / (2 spacing):
+            1.5 m for 100 MHz.
         aspects: antennas on each ring. The response of an object of radius r has harmonics up to about
             2 k r + 6, so that 72 suffice up to 0.13 m at 5.2 GHz.
         rings: distances, polarisations and heights.
@@ -58,7 +57,7 @@ class Sweep:
 def ring_antennas(ring: Ring, aspects: int) -> tuple[Floats, Floats]:
     """Positions and polarisations (aspects, 3) of the antennas on a ring.
 
-    V is the upright direction as seen along the line of sight (tilted where the ring is higher than the
+    V is the upright direction as seen along the line of sight (tilted if the ring is above the
     plane), H lies in the horizontal plane.
     """
     angle = 2 * np.pi * np.arange(aspects) / aspects
@@ -81,10 +80,10 @@ def solve_response(
     """Solve an object.
 
     Args:
-        name: of the object.
+        name: name of the object.
         mesh: its surfaces.
-        sweep: what is solved; the default suits a tag at about 1 m from the P440.
-        reflectors_m: (n, 2) true places of the reflectors, to be kept with the response.
+        sweep: frequencies and antennas; the default suits a tag at about 1 m from the P440.
+        reflectors_m: (n, 2) true positions of the reflectors, stored with the response.
         progress: called with (frequencies done, frequencies in all).
 
     Returns:
@@ -98,7 +97,7 @@ def solve_response(
         raise DataError(
             f"mesh edges of {name} are up to {1e3 * mesh.longest_edge_m:.1f} mm long, at a wavelength of "
             f"{1e3 * shortest:.1f} mm",
-            f"The longest edge must fit {COARSEST:g} times into the wavelength.",
+            f"The wavelength must be at least {COARSEST:g} times the longest edge.",
         )
     equation = Efie(mesh)
     antennas = [ring_antennas(ring, sweep.aspects) for ring in sweep.rings]
