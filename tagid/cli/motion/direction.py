@@ -54,6 +54,6 @@ def turned_the_other_way(capture: Capture, layout: Layout) -> bool:
     if read not in (layout.name, mirror.name):
         raise DataError(
             f"neither layout {layout.name} nor its mirror image was read ({answer.status})",
-            "Check --layout and the axis distance, and record a full revolution with the object in clear view.",
+            "Check --layout and the axis distance, and record a full revolution with a clear view of it.",
         )
     return read == mirror.name
