@@ -1,1 +1,1 @@
-"""The Bluetooth bridge between a computer and a robot's serial port: its firmware and the tools around it."""
+"""The Bluetooth bridge between a computer and a robot's serial port: its firmware and its tools."""

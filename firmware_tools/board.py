@@ -1,6 +1,6 @@
-"""A board that runs MicroPython, reached with mpremote's transport over its USB port.
+"""A board that runs MicroPython, accessed with mpremote's transport over its USB port.
 
-A half-written flash, an old MicroPython and a device that is no board are told apart by what the port says.
+An incomplete flash, an old MicroPython and a device that is not a board are distinguished by their output.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ _BAUD: Final = 115200
 _READ_S: Final = 1.0
 _LISTEN_S: Final = 1.0
 _OLDEST: Final = (1, 22)
-"""First MicroPython on ESP-IDF 5, whose watchdog can be made patient after it was started."""
+"""First MicroPython on ESP-IDF 5, whose watchdog timeout can be extended after it was started."""
 _ROM: Final = re.compile(rb"invalid header|flash read err|ets_main\.c|No bootable app|csum err|rst:0x")
 _LISTS: Final = "`tagid-firmware verify` without --port lists the ports"
 
 
 @dataclass(frozen=True)
 class Python:
-    """What the board's MicroPython says of itself."""
+    """Version information of the board's MicroPython."""
 
     version: str
     machine: str
@@ -46,7 +46,7 @@ class Board:
         self.port = port
 
     def python(self) -> Python:
-        """Version and kind. Raises DeviceRejectedError where it is too old for the bridge."""
+        """Version and kind. Raises DeviceRejectedError if it is too old for the bridge."""
         version, machine, mpy, free = self.evaluate(
             "(lambda s,g:('.'.join(str(i) for i in s.implementation[1][:3]),"
             "getattr(s.implementation,'_machine',s.platform),getattr(s.implementation,'_mpy',0),g.mem_free()))"
@@ -63,12 +63,12 @@ class Board:
         return found
 
     def evaluate(self, expression: str) -> Any:
-        """The value of an expression on the board. Raises DeviceError."""
+        """Evaluate an expression on the board. Raises DeviceError."""
         with self._errors("asking"):
             return self._transport.eval(expression)
 
     def run(self, code: str) -> None:
-        """Runs statements on the board. Raises DeviceError."""
+        """Run statements on the board. Raises DeviceError."""
         with self._errors("running a command"):
             self._transport.exec(code)
 
@@ -78,23 +78,23 @@ class Board:
         return bool(self._transport.eval("there"))
 
     def hash_of(self, path: str) -> str | None:
-        """SHA-256 of a file on the board, hex; None where there is none."""
+        """SHA-256 of a file on the board, hex; None if there is none."""
         with self._errors(f"reading {path}"):
             if not self._exists(path):
                 return None
             return bytes(self._transport.fs_hashfile(path, "sha256")).hex()
 
     def read(self, path: str) -> bytes | None:
-        """A small file of the board; None where there is none."""
+        """Content of a small file on the board; None if there is none."""
         with self._errors(f"reading {path}"):
             if not self._exists(path):
                 return None
             return bytes(self._transport.fs_readfile(path))
 
     def write(self, path: str, data: bytes, progress: Callable[[int], None] = lambda done: None) -> None:
-        """Writes a file whole: beside its name, checked by its hash, then renamed.
+        """Write a file atomically: to a temporary name, checked by its hash, then renamed.
 
-        Raises DeviceError where it cannot be written or reads back differently.
+        Raises DeviceError if it cannot be written or reads back differently.
         """
         folder = path.rpartition("/")[0]
         with self._errors(f"writing {path}"):
@@ -105,18 +105,18 @@ class Board:
             if bytes(self._transport.fs_hashfile(beside, "sha256")) != hashlib.sha256(data).digest():
                 raise DeviceError(
                     f"{path} reads back from {self.port} differently than written",
-                    "Run this again; if it stays, the flash of the board is worn: take another board.",
+                    "Run this again; if this persists, the board's flash is worn: use another board.",
                 )
             # FAT does not rename over a file.
             self.remove(path)
             self._transport.exec(f"os.rename({beside!r},{path!r})")
 
     def remove(self, path: str) -> None:
-        """Removes a file, where there is one."""
+        """Remove a file if it exists."""
         self.run(f"import os\ntry:\n os.remove({path!r})\nexcept OSError:\n pass")
 
     def restart(self) -> None:
-        """Resets the board, so that it starts what was written."""
+        """Reset the board, so that it starts the new files."""
         with contextlib.suppress(Exception):
             self._transport.exec_raw_no_follow("import machine\nmachine.reset()")
             time.sleep(0.1)
@@ -132,23 +132,23 @@ class Board:
             text = str(error).strip().rpartition("\n")[2] or "no answer"
             raise DeviceError(
                 f"the board on {self.port} failed while {doing}: {text}",
-                "Run this again; what was on the board before still is.",
+                "Run this again; the previous files on the board are unchanged.",
             ) from error
         except OSError as error:
             raise DeviceGoneError(
-                f"the board on {self.port} is gone while {doing}: {error}",
-                "Plug it in and run this again; what was on the board before still is.",
+                f"the board on {self.port} disappeared while {doing}: {error}",
+                "Plug it in and run this again; the previous files on the board are unchanged.",
             ) from error
 
 
 @contextmanager
 def open_board(port: str, timeout: float = 10.0) -> Iterator[Board]:
-    """A board on a port, its program stopped and its prompt entered.
+    """A board on a port, with its program stopped and its prompt active.
 
     Raises:
         MissingExtraError: mpremote is not installed.
         PortInUseError, DeviceGoneError, DeviceError: the port.
-        DeviceError: no MicroPython there; the message tells an empty or half-written flash.
+        DeviceError: no MicroPython found; the message identifies an empty or incomplete flash.
     """
     try:
         from mpremote.transport import TransportError
@@ -161,7 +161,7 @@ def open_board(port: str, timeout: float = 10.0) -> Iterator[Board]:
     try:
         with contextlib.redirect_stdout(said):
             transport = SerialTransport(port, _BAUD, timeout=_READ_S)
-            # On a pty mpremote would wait for ever for a board that never falls silent.
+            # On a pty mpremote would wait forever for a board that never stops sending.
             transport.is_pty = False
             heard = _listen(transport)
             if _ROM.search(heard):
@@ -183,7 +183,7 @@ def open_board(port: str, timeout: float = 10.0) -> Iterator[Board]:
 
 
 def _listen(transport: Any) -> bytes:
-    """What the board says by itself: a chip without a program repeats its complaint for ever."""
+    """Output of the board without a request: a chip without a program repeats its error message forever."""
     data = b""
     end = time.monotonic() + _LISTEN_S
     quiet = time.monotonic() + _LISTEN_S / 4
@@ -198,7 +198,7 @@ def _listen(transport: Any) -> bytes:
 def _no_prompt(port: str, heard: bytes) -> DeviceError:
     if _ROM.search(heard):
         return DeviceError(
-            f"the flash of the board on {port} is empty or half written: its loader finds no program",
+            f"the flash of the board on {port} is empty or incomplete: its loader finds no program",
             "Write the image again: `tagid-firmware flash IMAGE`.",
         )
     return DeviceError(

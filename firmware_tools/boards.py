@@ -1,6 +1,6 @@
-"""The serial ports on which a board may be, and what each chip is called, wired and flashed like.
+"""Serial ports that may have a board, and the names, default pins and flash offsets of each chip.
 
-A wrong choice of port is answered with the list of what is there.
+An ambiguous port selection is answered with a list of the ports.
 """
 
 from __future__ import annotations
@@ -19,20 +19,20 @@ _ADAPTERS: Final = {
     (0x0403, 0x6001): "FT232",
     (0x0403, 0x6015): "FT-X",
 }
-"""USB numbers of the serial adapters that ESP32 boards carry; 303A is Espressif's own number."""
+"""USB numbers of the serial adapters on ESP32 boards; 303A is Espressif's own number."""
 
 
 @dataclass(frozen=True)
 class Chip:
-    """What differs between the chips.
+    """Properties that differ between the chips.
 
     Attributes:
-        name: as esptool says it.
+        name: name as in esptool.
         image_id: chip number in the header of an image (ESP-IDF `esp_chip_id_t`).
         offset: where a complete image starts in flash.
         pins: default wiring, keys of the configuration file.
-        outputs: GPIO numbers that may drive; not those of the flash memory and of UART0, the prompt.
-        inputs: GPIO numbers that may listen.
+        outputs: GPIO numbers usable as outputs, without those of the flash memory and of UART0 (the prompt).
+        inputs: GPIO numbers usable as inputs.
         uarts: UARTs besides UART0.
     """
 
@@ -45,7 +45,7 @@ class Chip:
     uarts: frozenset[int]
 
     def problem_of(self, config: Mapping[str, Any]) -> str:
-        """What of a configuration this chip cannot do, naming the key; "" where it can do all of it."""
+        """The first key of a configuration that this chip does not support, with the reason; "" if none."""
         if config["uart_id"] not in self.uarts:
             free = ", ".join(map(str, sorted(self.uarts)))
             return (
@@ -55,7 +55,7 @@ class Chip:
             ("uart_tx", self.outputs, "an output"),
             ("brc_pin", self.outputs, "an output"),
             ("uart_rx", self.inputs, "an input"),
-            # The index sensor is an open collector and needs the pin's own pull-up, which inputs only lack.
+            # The index sensor is an open collector and needs the pin's pull-up, which input-only pins lack.
             ("index_pin", self.outputs, "an input with a pull-up"),
         ):
             if config[key] is not None and config[key] not in able:
@@ -69,7 +69,7 @@ class Chip:
 _ESP32: Final = frozenset({0, 2, 4, 5, *range(12, 20), 21, 22, 23, 25, 26, 27, 32, 33})
 _C3: Final = frozenset(range(11))
 
-# Free on the common modules, no strapping pins, none of UART0: MicroPython keeps its prompt there, and
+# Free on common modules: no strapping pins, and none of UART0, on which MicroPython keeps its prompt and
 # a 3 in the stream of a robot (its mode Full) would be a Ctrl-C.
 CHIPS: Final = {
     "esp32": Chip(
@@ -95,7 +95,7 @@ CHIPS: Final = {
 
 @dataclass(frozen=True)
 class Port:
-    """A serial port: its device file, and what its adapter is called."""
+    """A serial port: its device file and the name of its adapter."""
 
     path: str
     adapter: str
@@ -130,9 +130,9 @@ def choose_port(given: str | None) -> str:
         return likely[0].path
     if likely:
         names = ", ".join(f"{port.path} ({port.adapter})" for port in likely)
-        raise UsageError(f"{len(likely)} boards are plugged in: {names}", "Choose one with --port.")
+        raise UsageError(f"{len(likely)} boards are connected: {names}", "Choose one with --port.")
     others = ", ".join(port.path for port in found) or "none"
     raise DeviceGoneError(
-        f"no board is plugged in (USB serial ports: {others})",
-        "Plug the ESP32 in with a USB cable that carries data, or give its port with --port.",
+        f"no board is connected (USB serial ports: {others})",
+        "Connect the ESP32 with a USB data cable, or give its port with --port.",
     )

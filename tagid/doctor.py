@@ -45,6 +45,7 @@ def examine(config: Config) -> list[Finding]:
         _disk(Path(config["storage.folder"] or ".")),
         _registry(),
         _ports(),
+        *_system(),
         _axis(config),
         _radar(config),
     ]
@@ -111,6 +112,43 @@ def _ports() -> Finding:
         remedy = "Add yourself to the group dialout (sudo usermod -aG dialout $USER) and log in again."
         return Finding("serial ports", "warning", f"no permission for {', '.join(locked)}", remedy)
     return Finding("serial ports", "ok", ", ".join(ports))
+
+
+def _system() -> list[Finding]:
+    """The udev rule and the systemd unit that come with the package, and how to install them; Linux only."""
+    if platform.system() != "Linux":
+        return []
+    folder = Path(__file__).resolve().parent / "system"
+    rule, unit = folder / "70-tagid.rules", folder / "tagid-station.service"
+    places = [Path(root) / "udev" / "rules.d" / rule.name for root in ("/etc", "/run", "/usr/lib", "/lib")]
+    found = next((place for place in places if place.exists()), None)
+    if found is not None and found.read_bytes() == rule.read_bytes():
+        access = Finding("device access", "ok", f"udev rule {found}")
+    elif found is not None:
+        access = Finding("device access", "warning", f"{found} is of another version", _install_rule(rule))
+    else:
+        access = Finding(
+            "device access", "ok", "no udev rule, needed if ports are forbidden", _install_rule(rule)
+        )
+    home = Path(os.environ.get("XDG_CONFIG_HOME") or Path.home() / ".config") / "systemd" / "user"
+    if (home / unit.name).exists():
+        service = Finding("service", "ok", f"{home / unit.name}")
+    else:
+        remedy = (
+            f"To start the station at login: mkdir -p {home} && cp {unit} {home}/ && "
+            "systemctl --user enable --now tagid-station"
+        )
+        service = Finding(
+            "service", "ok", "no systemd unit, needed if the station is to start by itself", remedy
+        )
+    return [access, service]
+
+
+def _install_rule(rule: Path) -> str:
+    return (
+        f"To install it: sudo cp {rule} /etc/udev/rules.d/ && sudo udevadm control --reload && "
+        "sudo udevadm trigger"
+    )
 
 
 def _axis(config: Config) -> Finding:

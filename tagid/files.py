@@ -294,6 +294,21 @@ def forget_cached(path: Path) -> None:
             os.close(descriptor)
 
 
+def make_folder(folder: Path) -> None:
+    """Create a folder and those above it that are missing, durably: each name is synced.
+
+    Raises OSError, as `Path.mkdir` does.
+    """
+    missing = []
+    place = folder
+    while not place.is_dir() and place != place.parent:
+        missing.append(place)
+        place = place.parent
+    for each in reversed(missing):
+        each.mkdir(exist_ok=True)
+        sync_folder(each.parent)
+
+
 def sync_folder(folder: Path) -> None:
     """Make the names in a folder durable, if the file system supports it."""
     try:

@@ -39,7 +39,7 @@ class JsonValue:
     def from_json(cls, values: Mapping[str, Any]) -> Self:
         """The value of a JSON object; unknown keys go to `extra`.
 
-        Raises DataError where a known key holds something of another type.
+        Raises DataError if a known key holds something of another type.
         """
         known: dict[str, Any] = {}
         extra: dict[str, Any] = {}
@@ -68,7 +68,7 @@ class JsonValue:
 
 @dataclass(frozen=True)
 class RadarSettings(JsonValue):
-    """The configuration block of a P440 as a recording holds it; a field is None where it is not known.
+    """The configuration block of a P440 as a recording holds it; a field is None if it is not known.
 
     Not limited to what a P440 accepts: `tagid.radar.settings.RadarConfig` is the validated counterpart.
 
@@ -96,7 +96,7 @@ class RadarSettings(JsonValue):
 
     @property
     def clip_counts(self) -> int | None:
-        """Amplitude at which a sample saturates, counts: 127 * 2^index (measured); None where not known."""
+        """Amplitude at which a sample saturates, counts: 127 * 2^index (measured); None if not known."""
         index = self.base_integration_index
         if index is None or not 0 <= index <= _LARGEST_INTEGRATION_INDEX:
             return None
@@ -109,9 +109,9 @@ class ScanGap(JsonValue):
 
     Attributes:
         after_scan: number of the last scan before it.
-        seconds: its length, on the radar's clock where that went on, else on the host's.
+        seconds: its length, on the radar's clock where that continued, else on the host's.
         reason: what happened.
-        restarted: whether the radar's clock began anew.
+        restarted: whether the radar's clock restarted.
     """
 
     after_scan: int
@@ -158,19 +158,21 @@ class RadarInfo(JsonValue):
 
     Attributes:
         source: format of the imported file; None for a recording of tagid's own.
-        kind: "simulated" where no radar was there.
-        serial, package: what the radar says of itself.
+        kind: "simulated" if there was no radar.
+        serial, package: serial number and hardware package as the radar reports them.
         node_id: number of the radar in an imported file.
-        config: settings in force; config_asked: those requested, where they differ in origin.
+        config: settings in force.
+        config_asked: requested settings, if they differ in origin.
         cable_delay_ps: two-way delay subtracted from the ranges, ps.
         scan_info: other fields of the first scan, by the names of the P440's message.
         statistics: counters of the client by name.
-        scans_lost: scans that did not arrive whole. scans_dropped: those that the disk was too slow for.
+        scans_lost: number of scans that did not arrive completely.
+        scans_dropped: number of scans dropped because the disk was too slow.
         gap_count, gaps: times without scans; at most the first hundred are listed.
         journal_bytes_dropped, bytes_left_over: bytes that belong to no intact record.
         packets_ignored: messages or lines that are not scans of this radar.
-        config_stale: whether the file's configuration does not fit its scans; window_requested_ps and
-            window_actual_ps are then the two windows, ps.
+        config_stale: whether the file's configuration does not match its scans.
+        window_requested_ps, window_actual_ps: window of the configuration and of the scans in that case, ps.
         detection_lists: the vendor's detections, one text per scan.
         reference: statistics, where this is a recording of the empty scene.
         background_reference: the recording of the empty scene that was subtracted.
@@ -213,7 +215,7 @@ class RadarInfo(JsonValue):
 
     @property
     def clip_counts(self) -> int | None:
-        """Amplitude at which a sample saturates, counts; None where the integration is not known."""
+        """Amplitude at which a sample saturates, counts; None if the integration is not known."""
         return None if self.config is None else self.config.clip_counts
 
 
@@ -225,9 +227,11 @@ class ResolvedMotion(JsonValue):
         kind: what turned the object, e.g. "free" or "roomba".
         source: "data", "nominal", "measured" or "simulated".
         direction: +1 counter-clockwise from above, -1 clockwise.
-        turns: turns recorded. period_s, period_sigma_s: seconds per turn and their standard deviation.
+        turns: number of turns recorded.
+        period_s, period_sigma_s: time per turn and its standard deviation, s.
         quality: 0..1, how well the scans repeat after a period.
         nominal_rpm: the stated speed, turns per minute.
+        measured_rpm: the speed that the scans show, where it contradicts the stated one.
         harmonic_ambiguous: whether a multiple of the period explains the scans as well.
         reason: why the data were not used.
         shortest_repetition_s, repetitions_a_turn, unexplained: see `tagid.pipeline.turn`.
@@ -237,7 +241,8 @@ class ResolvedMotion(JsonValue):
         clock_drift_ppm, radar_arrival_residual_ms, motion_arrival_residual_ms, clock_sigma_ms,
             scans_outside_motion: alignment of the device's clock with the radar's.
         robot, wheel_base_mm, calibrated: of a Roomba.
-        table: of a commanded table, its device. reversed: whether its directions are swapped.
+        table: device of a commanded table.
+        reversed: whether its directions are swapped.
         extra: what else the device reports.
     """
 
@@ -249,6 +254,7 @@ class ResolvedMotion(JsonValue):
     period_sigma_s: float | None = None
     quality: float | None = None
     nominal_rpm: float | None = None
+    measured_rpm: float | None = None
     harmonic_ambiguous: bool | None = None
     reason: str | None = None
     shortest_repetition_s: float | None = None
@@ -348,7 +354,7 @@ class MotionInfo(JsonValue):
         url: device URL, without secrets.
         kind: "simulated" where nothing turned.
         nominal_rpm: stated speed of an imported recording, turns per minute.
-        resolved: how the angles were found; None where they were not, or came with the file.
+        resolved: how the angles were found; None if they were not, or came with the file.
         not_resolved: why they could not be found.
         track: the device's own readings, until angles are made of them.
         averaged_into_views: number of views that scans were averaged into.
@@ -401,13 +407,16 @@ class ObjectInfo(JsonValue):
     """What is known of the object of a capture.
 
     Attributes:
-        label: name of an imported object. note: the operator's remark.
-        scene: name of a simulated scene. layout: layout that a simulated object carries.
+        label: name of an imported object.
+        note: the operator's remark.
+        scene: name of a simulated scene.
+        layout: layout that a simulated object carries.
         body, reflector: of a simulated object, as the command line names them.
         seed: of a simulated scene.
         reflectors_m: true (x, y) of the reflectors of a solved object, m.
         snr_reference: what the SNR of a solved object refers to.
-        demo: whether an emulated radar recorded it. truth: of a simulation.
+        demo: whether an emulated radar recorded it.
+        truth: true values of a simulation.
         extra: other keys of the file.
     """
 

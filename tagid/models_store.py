@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from tagid import interrupts
 from tagid.errors import ModelError, StorageError
 from tagid.files import read_bytes, write_bytes
+from tagid.onnx_files import refers_to_files
 
 FOLDER = Path(__file__).parent / "models"
 """In a checkout, a link to the top-level folder `models/`; in a wheel the files themselves."""
@@ -30,7 +31,7 @@ OPSET = 20
 MAX_BYTES = 1 << 28
 _MAX_MANIFEST_BYTES = 1 << 20
 MANIFEST_VERSION = 1
-_DTYPES = {"float32": "tensor(float)", "int64": "tensor(int64)"}
+_DTYPES = {"float32": "tensor(float)", "int32": "tensor(int32)", "int64": "tensor(int64)"}
 _REINSTALL = "Reinstall tagid; in a checkout, restore the folder models/."
 
 Shape = tuple[int | str, ...]
@@ -178,6 +179,8 @@ def model_bytes(name: str, folder: Path = FOLDER) -> tuple[bytes, Entry]:
     found = hashlib.sha256(content).hexdigest()
     if found != entry.sha256:
         raise ModelError(f"{path} has sha256 {found}, the manifest says {entry.sha256}", _REINSTALL)
+    if refers_to_files(content):
+        raise ModelError(f"{path} keeps data in other files, which are not followed", _REINSTALL)
     return content, entry
 
 
@@ -185,7 +188,7 @@ def load_onnxruntime() -> Any:
     """The package onnxruntime with its telemetry off; every session is made with what this returns.
 
     From its import on, onnxruntime 1.31 otherwise writes a device id and a database into the user's cache
-    folder, and sends events over the network. Raises ImportError where it is not installed.
+    folder, and sends events over the network. Raises ImportError if it is not installed.
     """
     os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
     import onnxruntime

@@ -84,7 +84,7 @@ def _plain(value: Any) -> Any:
 def render(result: Result, output: str, quiet: bool = False) -> None:
     """Write a result: one JSON document on stdout, or text or CSV there with errors and remarks on stderr.
 
-    Raises OSError where stdout or stderr takes no more, e.g. on a full disk.
+    Raises OSError if stdout or stderr takes no more, e.g. on a full disk.
     """
     if output == "json":
         json.dump(result.envelope(), sys.stdout, indent=2, allow_nan=False)

@@ -1,6 +1,6 @@
 """The analytic signal of real RF samples, and peaks between samples.
 
-Every user takes them from here, so that all agree on scale, padding and the treatment of the mean.
+Defined once, so that scale, padding and the treatment of the mean are the same everywhere.
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ def from_positive(
 
 
 def analytic(samples: NDArray[np.generic]) -> NDArray[np.complex64]:
-    """The analytic signal along the last axis, (views, bins); complex samples are taken as analytic already.
+    """The analytic signal along the last axis, (views, bins); complex samples are assumed to be analytic.
 
-    The transform is padded to twice the length: without padding, an echo in the first bins appears at the far
-    end of the window, too. Each row's mean is subtracted before and added after, so that an offset has no
+    The transform is padded to twice the length: without padding, an echo in the first bins also appears at
+    the far end of the window. Each row's mean is subtracted before and added after, so that an offset has no
     edges. Within a few bins of an edge the noise of the imaginary part is down to half its power.
     """
     if np.iscomplexobj(samples):
@@ -53,10 +53,30 @@ def analytic(samples: NDArray[np.generic]) -> NDArray[np.complex64]:
 
 
 def vertex(before: float, at: float, after: float) -> float:
-    """Place of the vertex of the parabola through three samples, in samples from the middle one.
+    """Vertex of the parabola through three samples, in samples from the middle one.
 
-    The middle sample is the largest or smallest of the three, so the vertex is within half a sample; 0
-    where the three are on a line.
+    If the middle sample is the largest or smallest of the three, the vertex is within half a sample of it. 0
+    if the three are on a line.
     """
     bend = before - 2 * at + after
     return 0.5 * (before - after) / bend if bend else 0.0
+
+
+def fitted_peak(at: NDArray[np.float64], values: NDArray[np.float64], best: int, half: int) -> float:
+    """Position of the maximum of noisy samples: vertex of the least-squares parabola around the best one.
+
+    Args:
+        at: (n,) positions, ascending.
+        values: (n,) samples, n > 2 `half`.
+        best: index of the largest sample.
+        half: number of samples used on each side; fewer on one side and more on the other near an end.
+
+    Returns:
+        The vertex, within the samples used; `at[best]` if the parabola has no maximum.
+    """
+    middle = int(np.clip(best, half, len(at) - 1 - half))
+    part = slice(middle - half, middle + half + 1)
+    bend, slope, _ = np.polyfit(at[part] - at[middle], values[part], 2)
+    if bend >= 0:
+        return float(at[best])
+    return float(np.clip(at[middle] - slope / (2 * bend), at[part][0], at[part][-1]))

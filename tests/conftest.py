@@ -5,14 +5,13 @@ from __future__ import annotations
 import json
 import os
 import signal
-import subprocess
-import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pytest
+from command_server import CommandServer
 from hypothesis import settings
 
 # The same examples in every run; fresh ones are for the long runs that CONTRIBUTING names.
@@ -48,17 +47,17 @@ def home(tmp_path: Path) -> dict[str, str]:
     }
 
 
+@pytest.fixture(scope="session")
+def commands(tmp_path_factory: pytest.TempPathFactory) -> Iterator[CommandServer]:
+    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+    with CommandServer(tmp_path_factory.mktemp("commands"), environment) as server:
+        yield server
+
+
 @pytest.fixture
-def tagid(tmp_path: Path, home: dict[str, str]) -> Callable[..., Ran]:
+def tagid(tmp_path: Path, home: dict[str, str], commands: CommandServer) -> Callable[..., Ran]:
     def run(*words: object, **more: str) -> Ran:
-        done = subprocess.run(
-            [sys.executable, "-m", "tagid", *map(str, words)],
-            capture_output=True,
-            text=True,
-            cwd=tmp_path,
-            env={**home, **more},
-            timeout=120,
-        )
+        done = commands.run([str(word) for word in words], tmp_path, {**home, **more}, 120)
         assert "Traceback" not in done.stderr, done.stderr
         return Ran(done.returncode, done.stdout, done.stderr)
 

@@ -138,7 +138,7 @@ def all_steps(
     epochs: Epochs = EPOCHS,
     seed: Seed = 0,
 ) -> None:
-    """Dataset, fit and export in one go: the shipped model anew. Example: python -m train all"""
+    """Dataset, fit and export in one run, which rebuilds the shipped model. Example: python -m train all"""
     dataset(work, scenes, jobs, ats_every)
     fit(work, scenes, ats_every, epochs, seed)
     export(work, scenes, ats_every, epochs, seed)

@@ -31,7 +31,7 @@ enrolled and labels what else is seen; names of enrolled layouts are read in the
 - Data: simulated scenes only, drawn as `train/distributions.py` declares: {scenes} scenes imaged by
   backprojection, every {ats_every}th by ATS too; commit {commit},
   seed {seed}. No real tagged object has been recorded yet.
-- Network: {parameters} parameters, ONNX, {size} kB; made anew by `python -m train all`.
+- Network: {parameters} parameters, ONNX, {size} kB; rebuilt by `python -m train all`.
 - Thresholds (probability to ask for a false detection in that share of images without reflectors,
   calibrated on the validation scenes): {thresholds}.
 
@@ -55,7 +55,7 @@ def measure(
 ) -> tuple[DetectorNetwork, Contract, dict[str, Figures]]:
     """The trained network, its contract from the validation scenes, its figures on the test scenes.
 
-    Raises StorageError where the dataset or the checkpoint is missing.
+    Raises StorageError if the dataset or the checkpoint is missing.
     """
     split = plans(scenes, ats_every)
     network = load_network(work / "checkpoint.pt")

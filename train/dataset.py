@@ -169,7 +169,7 @@ def build(
 def load(folder: Path, plan: Plan) -> Samples:
     """All samples of a plan, in order.
 
-    Raises StorageError where a shard is missing or damaged.
+    Raises StorageError if a shard is missing or damaged.
     """
 
     def shards() -> Iterator[dict[str, NDArray[np.generic]]]:

@@ -13,12 +13,12 @@ import torch
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from tagid.imaging.metrics import pick_peaks
 from tagid.imaging.types import Image
 from tagid.tags.network.detector import Contract, Detection, decode, sigmoid
 from tagid.tags.network.planes import GRID, NetworkInput
 from train.dataset import Samples
 from train.images import METHODS
+from train.metrics import pick_peaks
 from train.network import DetectorNetwork
 from train.targets import make_batch
 
@@ -126,7 +126,7 @@ class Figures:
         recall: share of reflectors found. precision: share of detections that are reflectors.
         false_images: share of images without reflectors in which one is seen; nan where there are none.
         rms_mm: root mean square distance of the hits, mm.
-        presence: share of images whose presence is told rightly at 0.5.
+        presence: share of images whose presence is classified correctly at 0.5.
     """
 
     images: int

@@ -1,4 +1,4 @@
-"""Trains the network: deterministic from a seed, and after a kill it goes on where the last epoch ended.
+"""Trains the network: deterministic from a seed, and after a kill it continues where the last epoch ended.
 
 The state of an epoch is written whole or not at all, with the random generator's, so that a run that was cut
 gives the same weights as one that was not.
@@ -75,7 +75,7 @@ def fit(
         progress: called with (step, steps, loss).
         report: called after every epoch.
 
-    Raises StorageError where the checkpoint is damaged or of other settings.
+    Raises StorageError if the checkpoint is damaged or of other settings.
     """
     s = settings or FitSettings()
     torch.set_num_threads(s.threads)

@@ -1,1 +1,1 @@
-"""What goes onto the board: `main.py` and the folder `tagid_bridge`; this file stays on the host."""
+"""Files for the board: `main.py` and the folder `tagid_bridge`; this file stays on the host."""

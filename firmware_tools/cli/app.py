@@ -1,4 +1,4 @@
-"""The program `tagid-firmware`: from a bare ESP32 to a bridge that answers, and a radar that is set up."""
+"""The program `tagid-firmware`: builds and installs the bridge on an ESP32, and configures a P440."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from tagid.cli.common.frame import serve
 
 app = typer.Typer(
     name="tagid-firmware",
-    help="Build, flash, provision and try the Bluetooth bridge; set up a P440.",
+    help="Build, flash, provision and test the Bluetooth bridge; configure a P440.",
     epilog="In this order: build, flash, provision, verify, selftest.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,

@@ -25,14 +25,14 @@ def register(app: typer.Typer) -> None:
             str | None,
             typer.Option("--sha256", help="Its hash; without it IMAGE.sha256 is read.", show_default=False),
         ] = None,
-        baud: Annotated[int, typer.Option("--baud", help="Speed of writing.")] = 460800,
+        baud: Annotated[int, typer.Option("--baud", help="Baud rate for writing.")] = 460800,
         before: Annotated[
             str, typer.Option("--before", help="default-reset, usb-reset, or no-reset (BOOT held by hand).")
         ] = "default-reset",
         stub: Annotated[bool, typer.Option("--stub/--no-stub", help="Load esptool's faster helper.")] = True,
         erase: Annotated[bool, typer.Option("--erase", help="Erase everything first.")] = False,
     ) -> Result:
-        """Write an official MicroPython image, checked by its hash before and by reading back after.
+        """Write an official MicroPython image; its hash is checked before, and its content read back after.
 
         Example: tagid-firmware flash ESP32_GENERIC_C3-v1.27.0.bin --sha256 HASH
         """
@@ -53,7 +53,7 @@ def register(app: typer.Typer) -> None:
             **asdict(done),
         }
         text = (
-            f"MicroPython {checked.version or '(version not told)'} is on the {done.chip} {done.mac}: "
+            f"MicroPython {checked.version or '(version unknown)'} is on the {done.chip} {done.mac}: "
             f"{done.size} bytes at {done.offset:#x}, read back and equal"
         )
         return Result("flash", data, text, messages=("next: tagid-firmware provision --name NAME",))

@@ -1,4 +1,4 @@
-"""`tagid-firmware p440`: check and store a P440's settings. It never writes the radar's firmware."""
+"""`tagid-firmware p440`: check and store a P440's settings; never writes the radar's firmware."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ def register(app: typer.Typer) -> None:
             Whole, typer.Option("--code-channel", help="Code channel, 0 to 10.", show_default=False)
         ] = None,
     ) -> Result:
-        """Print a P440's versions and compare its settings with tagid's; with --store, keep tagid's in it.
+        """Print a P440's versions and compare its settings with tagid's; with --store, write tagid's to it.
 
-        Integration, gain and antennas come from `tagid config`; what is not given stays as the radar has it.
+        Integration, gain and antennas come from `tagid config`; other settings stay as they are unless given.
 
         Example: tagid-firmware p440 --radar udp://192.168.1.100 --store
         """
@@ -83,7 +83,7 @@ def register(app: typer.Typer) -> None:
         notes = found.warnings()
         if differs and not store:
             notes.append(
-                f"the radar differs from tagid's settings in {', '.join(differs)}; --store keeps tagid's"
+                f"the radar differs from tagid's settings in {', '.join(differs)}; --store writes tagid's"
             )
         bad = refused or status.built_in_test
         return Result(
@@ -97,7 +97,7 @@ def register(app: typer.Typer) -> None:
                 {
                     "code": "device_rejected",
                     "message": f"the radar took {getattr(after, key)} for {key}, not {getattr(wanted, key)}",
-                    "remedy": "Choose a value that the radar offers.",
+                    "remedy": "Choose a value that the radar supports.",
                 }
                 for key in refused
             ),

@@ -1,4 +1,4 @@
-"""`tagid-firmware provision`: put firmware and configuration on a board."""
+"""`tagid-firmware provision`: install firmware and configuration on a board."""
 
 from __future__ import annotations
 
@@ -12,9 +12,7 @@ from firmware_tools.cli import shared
 from tagid.cli.common.frame import Terminal, command
 from tagid.result import Result
 
-Pin = Annotated[
-    int | None, typer.Option(help="Pin number, where it is not the chip's usual.", show_default=False)
-]
+Pin = Annotated[int | None, typer.Option(help="Pin number, if not the chip's default.", show_default=False)]
 
 
 def register(app: typer.Typer) -> None:
@@ -23,14 +21,14 @@ def register(app: typer.Typer) -> None:
     @command(app, "provision")
     def provision(
         terminal: Terminal,
-        name: Annotated[str, typer.Option("--name", help="Name that it advertises, up to 20 letters.")],
+        name: Annotated[str, typer.Option("--name", help="Advertised name, up to 20 characters.")],
         chip: Annotated[str, typer.Option("--chip", help="esp32 or esp32c3: sets the pins.")] = "esp32c3",
         passkey: Annotated[
             str | None,
-            typer.Option("--passkey", help="Six digits; without it random ones.", show_default=False),
+            typer.Option("--passkey", help="Six digits; random if omitted.", show_default=False),
         ] = None,
         baud: Annotated[
-            int | None, typer.Option("--baud", help="Of the robot's line; 115200.", show_default=False)
+            int | None, typer.Option("--baud", help="Robot's baud rate; default 115200.", show_default=False)
         ] = None,
         config: Annotated[
             Path | None,
@@ -41,7 +39,7 @@ def register(app: typer.Typer) -> None:
         port: shared.PortOption = None,
         build: shared.BuildFolder = None,
     ) -> Result:
-        """Write the firmware and its configuration; files that are there already are kept.
+        """Write the firmware and its configuration; identical files are kept.
 
         Example: tagid-firmware provision --name robot-7 --chip esp32c3
         """
@@ -75,13 +73,13 @@ def register(app: typer.Typer) -> None:
         )
         notes = ["write the pass-key on the board's label: it is not shown again"] if random else []
         if key is None:
-            notes.append("without a pass-key any stranger in reach can drive the robot")
+            notes.append("without a pass-key anyone within range can drive the robot")
         notes.append(f"next: tagid-firmware selftest {name}" + (f" --passkey {key}" if key else ""))
         return Result("provision", data, text, messages=tuple(notes))
 
 
 def _open_on_purpose(path: Path | None) -> bool:
-    """Whether the file itself says `"passkey": null`."""
+    """Whether the file itself contains `"passkey": null`."""
     import json
 
     return path is not None and "passkey" in json.loads(path.read_text(encoding="utf-8"))

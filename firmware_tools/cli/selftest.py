@@ -1,4 +1,4 @@
-"""`tagid-firmware selftest`: try a bridge over Bluetooth."""
+"""`tagid-firmware selftest`: test a bridge over Bluetooth."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ def register(app: typer.Typer) -> None:
         terminal: Terminal,
         name: Annotated[str, typer.Argument(help="Name or address of the bridge.")],
         passkey: Annotated[
-            str | None, typer.Option("--passkey", help="Its six digits.", show_default=False)
+            str | None, typer.Option("--passkey", help="Its six-digit pass-key.", show_default=False)
         ] = None,
-        loopback: Annotated[bool, typer.Option("--loopback", help="TX and RX are joined.")] = False,
+        loopback: Annotated[bool, typer.Option("--loopback", help="TX and RX are connected.")] = False,
         brc: Annotated[bool, typer.Option("--brc/--no-brc", help="Pulse BRC, which wakes the robot.")] = True,
         listen: Annotated[
-            float, typer.Option("--listen", min=0.1, max=60, help="Seconds to look for it.")
+            float, typer.Option("--listen", min=0.1, max=60, help="Duration of the search, s.")
         ] = 5.0,
         hci: Annotated[
             str | None,
@@ -36,7 +36,7 @@ def register(app: typer.Typer) -> None:
             ),
         ] = None,
     ) -> Result:
-        """Find the bridge, then try link, echo, serial line, BRC and the robot's answer. No wheel moves.
+        """Find the bridge, then test link, echo, serial line, BRC and the robot's answer. No wheel moves.
 
         Example: tagid-firmware selftest robot-7 --passkey 482913
         """

@@ -1,4 +1,4 @@
-"""Options that several commands of `tagid-firmware` take."""
+"""Options shared by several commands of `tagid-firmware`."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ if TYPE_CHECKING:
 
 PortOption = Annotated[
     str | None,
-    typer.Option("--port", help="The board's serial port; the only board plugged in.", show_default=False),
+    typer.Option("--port", help="The board's serial port; default: the only board.", show_default=False),
 ]
 BuildFolder = Annotated[
     Path | None,
     typer.Option(
-        "--build", help="Folder of a build; without it the firmware is built now.", show_default=False
+        "--build", help="Folder of a build; if omitted, the firmware is built now.", show_default=False
     ),
 ]
 
 
 def load_build(folder: Path | None, terminal: Terminal) -> Build:
-    """The build of a folder, or a fresh one."""
+    """The build in a folder, or a new one."""
     from firmware_tools.build import compile_firmware, read_build
 
     if folder is not None:

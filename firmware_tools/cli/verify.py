@@ -1,4 +1,4 @@
-"""`tagid-firmware verify`: is on the board what was built."""
+"""`tagid-firmware verify`: compare the board with the build."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def register(app: typer.Typer) -> None:
     ) -> Result:
         """Compare the board with a build by hash; show versions, configuration and ports.
 
-        It stops the bridge's program for the moment and restarts it.
+        It stops the bridge's program temporarily and restarts it.
 
         Example: tagid-firmware verify --build build/bridge
         """
@@ -43,7 +43,7 @@ def register(app: typer.Typer) -> None:
         for name, verdict in found.files.items():
             table.add_row(name, verdict, style=None if verdict == "same" else "red")
         table.add_row("configuration", found.problem or f"valid, name {(found.config or {}).get('name')}")
-        table.add_row("pass-key", "set" if found.passkey else "none: any stranger can drive the robot")
+        table.add_row("pass-key", "set" if found.passkey else "none: anyone within range can drive the robot")
         data = {
             "port": chosen,
             "ports": [asdict(item) for item in ports()],
@@ -58,7 +58,7 @@ def register(app: typer.Typer) -> None:
             {"code": "firmware", "message": text, "remedy": "Run `tagid-firmware provision` again."}
             for text in wrong
         )
-        notes = tuple(f"{name} on the board is not of this build" for name in found.strangers)
+        notes = tuple(f"{name} on the board is not part of this build" for name in found.extra)
         status = "success" if found.good else "error"
         code = EXIT_OK if found.good else EXIT_FAILED
         return Result("verify", data, table, status, code, notes, errors)  # type: ignore[arg-type]

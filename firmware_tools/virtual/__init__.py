@@ -1,1 +1,1 @@
-"""The bridge without a board: its unmodified firmware between a pty and a virtual Bluetooth controller."""
+"""The bridge without a board: its unmodified firmware with a pty and a virtual Bluetooth controller."""

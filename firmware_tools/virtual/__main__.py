@@ -1,6 +1,6 @@
 """One board as a process: `python -m firmware_tools.virtual --config bridge.json --uart /dev/pts/7`.
 
-Prints one JSON line when a host may connect, then one for every change of a pin; reads commands on stdin.
+Prints one JSON line when a host may connect, then one per pin change; reads commands on stdin.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _WATCHDOG, _RESET = 70, 71
 """Exit codes of a board whose watchdog fired, and of one that called machine.reset()."""
 _REPORTS = sys.stdout
 COMMANDS = (
-    "cut: the link vanishes; drop: it closes; index: a pulse; stall MS: the firmware hangs; "
+    "cut: the link is lost; drop: it closes; index: a pulse; stall MS: the firmware hangs; "
     "break: an interrupt of the radio fails; quit"
 )
 
@@ -57,28 +57,28 @@ def arguments(words: list[str]) -> argparse.Namespace:
         "--config", type=Path, help="configuration file; without one the bridge is not provisioned"
     )
     parser.add_argument(
-        "--uart", default="loop", help="tty of the robot, or 'loop': TX wired to RX (default)"
+        "--uart", default="loop", help="tty of the robot, or 'loop': TX connected to RX (default)"
     )
-    parser.add_argument("--hci", default="tcp-server:127.0.0.1:0", help="where a host finds its controller")
+    parser.add_argument("--hci", default="tcp-server:127.0.0.1:0", help="address of the host's controller")
     parser.add_argument("--address", default="F0:F1:F2:F3:F4:01", help="the bridge's Bluetooth address")
-    parser.add_argument("--folder", type=Path, help="the board's file system, kept; default: a temporary one")
+    parser.add_argument("--folder", type=Path, help="the board's file system; default: a temporary one")
     parser.add_argument(
-        "--interval-ms", type=float, default=0.0, help="connection interval, bounds the throughput"
+        "--interval-ms", type=float, default=0.0, help="connection interval, limits the throughput"
     )
     parser.add_argument(
-        "--supervision-ms", type=float, default=2000.0, help="link loss is noticed after this"
+        "--supervision-ms", type=float, default=2000.0, help="time after which a lost link is detected"
     )
     parser.add_argument(
-        "--reset-cause", choices=sorted(_CAUSES), default="pwron", help="what machine.reset_cause() answers"
+        "--reset-cause", choices=sorted(_CAUSES), default="pwron", help="value of machine.reset_cause()"
     )
     parser.add_argument(
-        "--reboot", action="store_true", help="boot again after a reset, as a board does; otherwise end"
+        "--reboot", action="store_true", help="restart after a reset like a board; otherwise exit"
     )
     return parser.parse_args(words)
 
 
 def run_firmware(board: Board) -> None:
-    """The unmodified main.py, in this thread."""
+    """Run the unmodified main.py in this thread."""
     try:
         source = (_FIRMWARE / "main.py").read_text()
         exec(compile(source, "main.py", "exec"), {"__name__": "__main__"})
@@ -88,7 +88,7 @@ def run_firmware(board: Board) -> None:
 
 
 def make_end(options: argparse.Namespace) -> Callable[[int], None]:
-    """What a reset does: the process ends with its exit code, or begins anew with the cause of the reset."""
+    """Effect of a reset: the process ends with its exit code, or restarts with the cause of the reset."""
 
     def end(code: int) -> None:
         if options.reboot and code in (_WATCHDOG, _RESET):
@@ -105,7 +105,7 @@ def make_end(options: argparse.Namespace) -> Callable[[int], None]:
 
 
 async def serve(options: argparse.Namespace) -> None:
-    """Sets up the air, starts the firmware and follows commands."""
+    """Set up the virtual link, start the firmware and process commands."""
     loop = asyncio.get_running_loop()
     air = Air(options.interval_ms / 1000, options.supervision_ms / 1000)
     controller = make_controller("bridge", air)
@@ -154,8 +154,8 @@ def main() -> None:
     if options.config is not None:
         shutil.copyfile(options.config, folder / "bridge.json")
     os.chdir(folder)
-    sys.stdout = sys.stderr  # what the firmware prints is for its console
-    # A refused write without response has nobody to be told; bumble would print its traceback.
+    sys.stdout = sys.stderr  # the firmware's output belongs on its console
+    # A rejected write without response has no recipient for the error; bumble would print its traceback.
     logging.getLogger("bumble.gatt_server").setLevel(logging.CRITICAL)
     try:
         asyncio.run(serve(options))

@@ -1,7 +1,7 @@
-"""The air between two virtual controllers: the bridge's, and one for whichever host connects over TCP.
+"""The radio link between two virtual controllers: the bridge's, and one for each host that connects over TCP.
 
-Unlike the real thing it can be cut at a chosen moment; like the real thing each side then finds out only when
-its supervision timeout has passed.
+Unlike a real link it can be cut at a chosen time; like on a real link, each side detects that only after
+its supervision timeout.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ from bumble.link import LocalLink
 from bumble.transport.common import StreamPacketSink, StreamPacketSource
 
 _DATA_LENGTH = 251
-"""Bytes of an LE data packet with the length extension, which ESP32 and today's computers have."""
+"""Bytes of an LE data packet with the length extension, as on ESP32 and current computers."""
 
 
 class Air(LocalLink):
     """A link that can be cut.
 
     Args:
-        interval_s: time between connection events, s; bounds what the bridge can notify.
-        supervision_s: silence after which a side takes the link for lost, s.
+        interval_s: time between connection events, s; limits the bridge's notification rate.
+        supervision_s: silence after which a side considers the link lost, s.
     """
 
     def __init__(self, interval_s: float, supervision_s: float) -> None:
@@ -38,11 +38,11 @@ class Air(LocalLink):
         self._responses: dict[str, bytes] = {}
 
     def set_scan_response(self, address: hci.Address, data: bytes) -> None:
-        """Virtual controllers answer scans with the advertisement alone; this joins the response to it."""
+        """Virtual controllers answer scans with the advertisement alone; this adds the scan response."""
         self._responses[str(address)] = data
 
     def send_advertising_pdu(self, sender_controller: Controller, packet: ll.AdvertisingPdu) -> None:
-        """Passes an advertisement on, with the scan response of its sender."""
+        """Forward an advertisement with the scan response of its sender."""
         if self.is_cut:
             return
         if isinstance(packet, (ll.AdvInd, ll.AdvExtInd)):
@@ -57,19 +57,19 @@ class Air(LocalLink):
         transport: PhysicalTransport,
         data: bytes,
     ) -> None:
-        """Passes data on."""
+        """Forward data."""
         if not self.is_cut:
             super().send_acl_data(sender_controller, destination_address, transport, data)
 
     def send_ll_control_pdu(
         self, sender_address: hci.Address, receiver_address: hci.Address, packet: ll.ControlPdu
     ) -> None:
-        """Passes link control on."""
+        """Forward link control."""
         if not self.is_cut and self.find_le_controller(receiver_address) is not None:
             super().send_ll_control_pdu(sender_address, receiver_address, packet)
 
     def cut(self) -> None:
-        """Nothing passes any more; after the supervision timeout both sides are told and the air is back."""
+        """Block all packets; after the supervision timeout both sides are notified and packets pass again."""
         if self.is_cut:
             return
         self.is_cut = True
@@ -82,13 +82,13 @@ class Air(LocalLink):
 
 
 def lose_links(controller: Controller) -> None:
-    """Tells a controller that its connections are gone by supervision timeout."""
+    """Report the loss of all connections of a controller, with the cause supervision timeout."""
     for connection in list(controller.le_connections.values()):
         controller.on_le_disconnected(connection, hci.HCI_ErrorCode.CONNECTION_TIMEOUT_ERROR)
 
 
 def make_controller(name: str, air: Air, **ends: Any) -> Controller:
-    """A controller on the air with today's packet length."""
+    """A controller on the virtual link with the usual packet length."""
     controller = Controller(name, link=air, **ends)
     controller.le_acl_data_packet_length = _DATA_LENGTH
     controller.supported_max_tx_octets = controller.supported_max_rx_octets = _DATA_LENGTH
@@ -96,7 +96,7 @@ def make_controller(name: str, air: Air, **ends: Any) -> Controller:
 
 
 class HciServer:
-    """Gives every host that connects over TCP a controller of its own; at its end the controller is gone."""
+    """Gives every host that connects over TCP its own controller, removed when the host disconnects."""
 
     def __init__(self, air: Air, bridge: Controller) -> None:
         self._air = air
@@ -110,13 +110,13 @@ class HciServer:
         return link
 
     async def start(self, host: str, port: int) -> int:
-        """Listens; returns the port."""
+        """Start listening; return the port."""
         server = await asyncio.get_running_loop().create_server(self._link, host, port)
         self._server = server
         return int(server.sockets[0].getsockname()[1])
 
     async def close(self) -> None:
-        """Stops listening and hangs up on the hosts."""
+        """Stop listening and disconnect the hosts."""
         if self._server is not None:
             self._server.close()
             for link in list(self._links):
@@ -135,7 +135,7 @@ class _HostLink(asyncio.Protocol):
         self._transport: asyncio.Transport | None = None
 
     def hang_up(self) -> None:
-        """Ends the connection."""
+        """Close the connection."""
         if self._transport is not None:
             self._transport.abort()
 
@@ -149,7 +149,7 @@ class _HostLink(asyncio.Protocol):
         self._source.data_received(data)
 
     def connection_lost(self, error: Exception | None) -> None:
-        """The host's process is gone, perhaps killed: the bridge notices by silence only."""
+        """The host's process has ended, perhaps killed: the bridge detects it only by silence."""
         if self._controller is None:
             return
         with contextlib.suppress(KeyError):

@@ -1,6 +1,6 @@
 """A backend for bleak over bumble, so that a stock BleakClient reaches a virtual controller.
 
-bleak takes it through its public `backend=` argument; nothing in bleak is changed.
+bleak accepts it through its public `backend=` argument; bleak itself is not modified.
 """
 
 from __future__ import annotations
@@ -8,7 +8,7 @@ from __future__ import annotations
 import asyncio
 import secrets
 import uuid
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from typing import Any, ClassVar
 
@@ -46,7 +46,7 @@ def _text(value: UUID) -> str:
 
 
 class _Keyboard(pairing.PairingDelegate):
-    """Types the pass-key that its user knows; without one it has no keyboard at all."""
+    """Answers with the user's pass-key; without one it has no keyboard."""
 
     def __init__(self, passkey: str | None) -> None:
         capability = self.NO_OUTPUT_NO_INPUT if passkey is None else self.KEYBOARD_INPUT_ONLY
@@ -58,7 +58,7 @@ class _Keyboard(pairing.PairingDelegate):
 
 
 class BumbleScanner(BaseBleakScanner):
-    """Reports advertisements of the air."""
+    """Reports advertisements on the virtual link."""
 
     device: ClassVar[Device]
 
@@ -118,7 +118,7 @@ class BumbleClient(BaseBleakClient):
             self._disconnected_callback()
 
     async def _wait_until_heard(self) -> None:
-        """Connecting to an address that is not there would never end."""
+        """Connecting to an address that does not exist would never end."""
         heard = asyncio.Event()
 
         def listen(advertisement: Any) -> None:
@@ -172,7 +172,7 @@ class BumbleClient(BaseBleakClient):
             await self._connection.disconnect()
 
     async def pair(self, *args: Any, **options: Any) -> None:
-        """Pairs, or encrypts with the key of an earlier pairing. Raises BleakError where that fails."""
+        """Pair, or encrypt with the key of an earlier pairing. Raises BleakError if that fails."""
         connection = self._needed()
         store = self.device.keystore
         try:
@@ -193,28 +193,29 @@ class BumbleClient(BaseBleakClient):
             raise BleakError("Not connected")
         return self._connection
 
-    async def _do(self, work: Any) -> Any:
+    async def _do(self, work: Callable[[], Awaitable[Any]]) -> Any:
+        """Await what `work` starts; a lost link starts nothing. Raises BleakError."""
         self._needed()
         try:
-            return await work
+            return await work()
         except core.ProtocolError as error:
             raise BleakError(error.error_name or f"error {error.error_code}") from error
         except (core.BaseBumbleError, asyncio.CancelledError) as error:
             raise BleakError(str(error) or "the link broke") from error
 
     async def read_gatt_char(self, characteristic: BleakGATTCharacteristic, **options: Any) -> bytearray:
-        return bytearray(await self._do(characteristic.obj.read_value()))
+        return bytearray(await self._do(lambda: characteristic.obj.read_value()))
 
     async def read_gatt_descriptor(self, descriptor: BleakGATTDescriptor, **options: Any) -> bytearray:
-        return bytearray(await self._do(descriptor.obj.read_value()))
+        return bytearray(await self._do(lambda: descriptor.obj.read_value()))
 
     async def write_gatt_char(
         self, characteristic: BleakGATTCharacteristic, data: Any, response: bool
     ) -> None:
-        await self._do(characteristic.obj.write_value(bytes(data), with_response=response))
+        await self._do(lambda: characteristic.obj.write_value(bytes(data), with_response=response))
 
     async def write_gatt_descriptor(self, descriptor: BleakGATTDescriptor, data: Any) -> None:
-        await self._do(descriptor.obj.write_value(bytes(data), True))
+        await self._do(lambda: descriptor.obj.write_value(bytes(data), True))
 
     async def start_notify(
         self, characteristic: BleakGATTCharacteristic, callback: Any, **options: Any
@@ -223,10 +224,10 @@ class BumbleClient(BaseBleakClient):
             callback(bytearray(value))
 
         self._subscriptions[characteristic.handle] = received
-        await self._do(characteristic.obj.subscribe(received))
+        await self._do(lambda: characteristic.obj.subscribe(received))
 
     async def stop_notify(self, characteristic: BleakGATTCharacteristic) -> None:
-        await self._do(characteristic.obj.unsubscribe(self._subscriptions.pop(characteristic.handle)))
+        await self._do(lambda: characteristic.obj.unsubscribe(self._subscriptions.pop(characteristic.handle)))
 
 
 @asynccontextmanager
@@ -241,10 +242,10 @@ async def open_backend(
 
     Args:
         where: a bumble transport.
-        passkey: the six digits that this host's user types; None: a host without a keyboard.
+        passkey: six digits entered on this host; None: a host without a keyboard.
         store: keys of earlier pairings; None: none.
-        address: this host's own; None: a random one, so that two hosts on one air never share one.
-        secure: whether it knows LE Secure Connections; otherwise it pairs the legacy way.
+        address: address of this host; None: random, so that two hosts on one link never share one.
+        secure: whether it supports LE Secure Connections; otherwise it uses legacy pairing.
     """
     async with await open_transport(where) as transport:
         own = address or "F2:" + ":".join(f"{byte:02X}" for byte in secrets.token_bytes(5))

@@ -1,6 +1,6 @@
-"""MicroPython's `bluetooth.BLE` over a bumble device: the same calls, events, buffers and refusals.
+"""MicroPython's `bluetooth.BLE` on a bumble device: the same calls, events, buffers and errors.
 
-Calls come from the firmware's thread, bumble lives in the event loop; nothing is shared but queued calls.
+Calls come from the firmware's thread, bumble runs in the event loop; only queued calls are shared.
 """
 
 from __future__ import annotations
@@ -26,17 +26,17 @@ _GET_SECRET, _SET_SECRET, _PASSKEY = 29, 30, 31
 _WRITE_PAIRED = 0x3000
 _ENOMEM = 12
 _IN_FLIGHT = 12
-"""Notifications that the stack holds before it refuses the next, as NimBLE with its dozen buffers does."""
+"""Notifications that the stack holds before it rejects the next, like NimBLE with about twelve buffers."""
 _PER_EVENT = 6
-"""Notifications that one connection event carries."""
+"""Notifications per connection event."""
 _OUR_SECRET = 1
 _NIMBLE_BOND = struct.Struct("<7sBH6x8s16s")
-"""Begin of NimBLE's `ble_store_value_sec` (host/ble_store.h): peer, key size, ediv, rand, long-term key."""
+"""Start of NimBLE's `ble_store_value_sec` (host/ble_store.h): peer, key size, ediv, rand, long-term key."""
 _ADVERTISE_MS = 20.0
 
 
 class MicroUUID:
-    """`bluetooth.UUID`: text in, bytes of the air (little-endian) out."""
+    """`bluetooth.UUID`: from text to the bytes of a packet (little-endian)."""
 
     def __init__(self, text: str) -> None:
         self._bytes = uuid.UUID(text).bytes[::-1]
@@ -46,7 +46,7 @@ class MicroUUID:
 
 
 class _Bonds(keys.KeyStore):
-    """Bumble's store of keys, kept by the firmware through its secret events."""
+    """Bumble's key store, backed by the firmware's secret events."""
 
     def __init__(self, ask: Callable[[int, tuple[Any, ...]], Awaitable[Any]]) -> None:
         self._ask = ask
@@ -72,7 +72,7 @@ def _peer(name: str) -> bytes:
 
 
 def _nimble_bond(name: str, keys: keys.PairingKeys) -> bytes:
-    """What NimBLE would hand to the firmware for these keys.
+    """The value that NimBLE would pass to the firmware for these keys.
 
     bumble leaves ediv and rand of its own legacy keys zero; NimBLE draws them at random.
     """
@@ -84,7 +84,7 @@ def _nimble_bond(name: str, keys: keys.PairingKeys) -> bytes:
 
 
 class _Delegate(pairing.PairingDelegate):
-    """Shows the number that the firmware gives."""
+    """Displays the number that the firmware gives."""
 
     def __init__(self, radio: VirtualBle) -> None:
         super().__init__(pairing.PairingDelegate.DISPLAY_OUTPUT_ONLY)
@@ -98,10 +98,10 @@ class VirtualBle:
     """`bluetooth.BLE` of one board.
 
     Args:
-        board: whose thread serves the events.
+        board: the board whose thread serves the events.
         device: bumble's device, not yet powered on.
-        loop: the event loop in which bumble lives.
-        air: told the scan response, which virtual controllers do not carry.
+        loop: the event loop in which bumble runs.
+        air: receives the scan response, which virtual controllers do not transmit.
     """
 
     def __init__(self, board: Board, device: Device, loop: asyncio.AbstractEventLoop, air: Any) -> None:
@@ -125,7 +125,7 @@ class VirtualBle:
         self._lock = threading.Lock()
         device.on("connection", self._connected)
 
-    # What the firmware calls.
+    # Called by the firmware.
 
     def active(self, on: bool) -> None:
         self._device.keystore = _Bonds(self._ask)
@@ -181,7 +181,7 @@ class VirtualBle:
 
     def gap_advertise(self, interval_us: int, data: bytes, *, resp_data: bytes) -> None:
         self._call(self._air.set_scan_response, self._device.random_address, resp_data)
-        # Faster than the firmware asks, so that nobody waits; on a board its rate is a matter of power.
+        # Faster than the firmware requests, to shorten tests; on a board the rate depends on the power budget.
         start = self._device.start_advertising(
             advertising_data=data,
             scan_response_data=resp_data,
@@ -202,13 +202,13 @@ class VirtualBle:
         asyncio.run_coroutine_threadsafe(end(), self._loop)
 
     def break_next_event(self) -> None:
-        """The next event reaches the firmware with data that make its handler fail."""
+        """Deliver the next event to the firmware with data that make its handler fail."""
         self._event(_MTU, ())
 
-    # What happens in the event loop.
+    # Called in the event loop.
 
     async def passkey(self) -> int:
-        """The firmware's pass-key, asked for through its event; where it refuses it disconnects."""
+        """The firmware's pass-key, requested through its event; if it refuses, it disconnects."""
         self._asked = self._loop.create_future()
         assert self._connection is not None
         self._event(_PASSKEY, (self._connection.handle, 3, 0))
@@ -219,7 +219,7 @@ class VirtualBle:
             self._asked.set_result(passkey)
 
     async def _sender(self) -> None:
-        """Takes notifications off the stack, so many in each connection event."""
+        """Remove notifications from the stack, a fixed number per connection event."""
         sent = 0
         while True:
             handle, data = await self._outbox.get()
@@ -253,7 +253,7 @@ class VirtualBle:
         return made
 
     def _written(self, connection: int, handle: int, data: bytes) -> None:
-        """In the firmware's thread: the value is there when its event is served, as on an ESP32."""
+        """Runs in the firmware's thread: the value is set when its event is served, as on an ESP32."""
         room = self._sizes.get(handle, 20)
         if self._append.get(handle):
             self._values[handle] += data[: room - len(self._values[handle])]
@@ -278,7 +278,7 @@ class VirtualBle:
         self._event(_DISCONNECT, (connection.handle, 1, address))
 
     def _encrypted(self, connection: Connection) -> None:
-        """Bumble calls every encrypted link authenticated; only a pass-key or a key made with one is."""
+        """Bumble calls every encrypted link authenticated; only one with a pass-key, or its stored key, is."""
         session = self._device.smp_manager.sessions.get(connection.handle)
         if session is not None and not session.completed:
             self._now(connection, session.pairing_method != smp.PairingMethod.JUST_WORKS)
@@ -300,13 +300,13 @@ class VirtualBle:
         self._board.interrupt(lambda: self._handler(event, data))
 
     async def _ask(self, event: int, data: tuple[Any, ...]) -> Any:
-        """An event whose answer is wanted."""
+        """Deliver an event and return its answer."""
         answer: concurrent.futures.Future[Any] = concurrent.futures.Future()
         self._board.interrupt(lambda: answer.set_result(self._handler(event, data)))
         return await asyncio.wrap_future(answer)
 
     def _wait(self, work: Coroutine[Any, Any, Any]) -> None:
-        """Runs `work` in the loop and serves interrupts until it is done, because it may ask something."""
+        """Run `work` in the loop and serve interrupts until it is done, because it may raise events."""
         done = asyncio.run_coroutine_threadsafe(work, self._loop)
         while not done.done():
             self._board.sleep_ms(1)

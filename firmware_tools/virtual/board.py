@@ -1,7 +1,7 @@
-"""The board under the firmware: interrupts, pins, serial line and watchdog, as MicroPython would offer them.
+"""The board below the firmware: interrupts, pins, serial line and watchdog as in MicroPython.
 
-The firmware runs in a thread of its own; everything that is an interrupt on a board is queued and served
-whenever the firmware sleeps, so that interrupt and loop never run at once, as on the board.
+The firmware runs in its own thread; interrupts of a real board are queued and served whenever the firmware
+sleeps, so that interrupt and loop never run concurrently, as on the board.
 """
 
 from __future__ import annotations
@@ -36,13 +36,13 @@ _SPEEDS = {
 
 
 class Board:
-    """What the modules `machine` and `time` stand on.
+    """Implements the hardware behind the modules `machine` and `time`.
 
     Args:
-        uart: path of the tty of the robot, or "loop" for TX wired to RX.
+        uart: path of the tty of the robot, or "loop" for TX connected to RX.
         report: called with {"pin": ..., "value": ..., "us": ...} when an output changes.
-        end: called with an exit code where the board resets.
-        reset_cause: what `machine.reset_cause()` answers.
+        end: called with an exit code when the board resets.
+        reset_cause: value of `machine.reset_cause()`.
     """
 
     def __init__(self, uart: str, report: Report, end: Callable[[int], None], reset_cause: int = 1) -> None:
@@ -60,7 +60,7 @@ class Board:
         self._interrupts.put(handler)
 
     def schedule(self, handler: Callable[[], None]) -> None:
-        """Queue a pin's handler as MicroPython does: late where the firmware is busy, lost beyond SCHEDULED.
+        """Queue a pin's handler as MicroPython does: late if the firmware is busy, lost beyond SCHEDULED.
 
         From one thread only.
         """
@@ -76,7 +76,7 @@ class Board:
         self.interrupt(run)
 
     def sleep_ms(self, duration: int) -> None:
-        """The firmware's sleep: interrupts are served as they come."""
+        """The firmware's sleep: interrupts are served as they arrive."""
         deadline = time.monotonic() + duration / 1000
         while True:
             try:
@@ -86,11 +86,11 @@ class Board:
             handler()
 
     def feed(self, timeout_ms: float) -> None:
-        """The watchdog is satisfied for another while."""
+        """Reset the watchdog's timer."""
         self.watchdog_due = time.monotonic() + timeout_ms / 1000
 
     def guard(self) -> None:
-        """Ends the board where the watchdog was not fed; runs in a thread of its own."""
+        """End the board if the watchdog was not fed; runs in its own thread."""
         while True:
             time.sleep(0.05)
             if self.watchdog_due is not None and time.monotonic() > self.watchdog_due:
@@ -98,12 +98,12 @@ class Board:
                 self.end(70)
 
     def start_guard(self) -> None:
-        """Starts the watchdog."""
+        """Start the watchdog."""
         threading.Thread(target=self.guard, daemon=True).start()
 
 
 class VirtualPin:
-    """`machine.Pin`: an output reports its changes, an input is moved by `pulse`."""
+    """`machine.Pin`: an output reports its changes, an input is driven by `pulse`."""
 
     IN, OUT, OPEN_DRAIN = 1, 3, 7
     PULL_UP = 2
@@ -119,25 +119,25 @@ class VirtualPin:
         board.pins[number] = self
 
     def value(self, value: int | None = None) -> int:
-        """Reads, or sets and reports."""
+        """Read, or set and report."""
         if value is not None and value != self._value:
             self._value = value
             self._board.report({"pin": self._number, "value": value, "us": time.monotonic_ns() // 1000})
         return self._value
 
     def irq(self, handler: Callable[[Any], None], trigger: int) -> None:
-        """Calls `handler` on an edge."""
+        """Call `handler` on an edge."""
         self._handler = handler
 
     def pulse(self) -> None:
-        """The edge that the interrupt waits for."""
+        """Generate the edge that triggers the interrupt."""
         handler = self._handler
         if handler is not None:
             self._board.schedule(lambda: handler(self))
 
 
 class VirtualUart:
-    """`machine.UART` on a tty, or wired to itself."""
+    """`machine.UART` on a tty, or with TX connected to RX."""
 
     def __init__(self, board: Board, number: int, baudrate: int, **pins: Any) -> None:
         self._loop: bytearray | None = None
@@ -149,7 +149,7 @@ class VirtualUart:
         self.init(baudrate)
 
     def init(self, baudrate: int) -> None:
-        """Sets the speed of the line; on a pty the other end can read it back."""
+        """Set the baud rate of the line; on a pty the other end can read it back."""
         if self._loop is None:
             settings = termios.tcgetattr(self._tty)
             settings[4] = settings[5] = _SPEEDS.get(baudrate, termios.B115200)
@@ -161,7 +161,7 @@ class VirtualUart:
             return len(self._loop)
         try:
             return int(struct.unpack("i", fcntl.ioctl(self._tty, termios.FIONREAD, b"\0\0\0\0"))[0])
-        except OSError:  # the robot's side of the pty is closed: an unplugged robot says nothing
+        except OSError:  # the robot's side of the pty is closed: a disconnected robot sends nothing
             return 0
 
     def read(self, count: int) -> bytes | None:
@@ -176,7 +176,7 @@ class VirtualUart:
             return None
 
     def write(self, data: bytes) -> int:
-        """Bytes go out; where nobody takes them they are lost, as on a wire."""
+        """Send bytes; if there is no reader they are lost, as on a real line."""
         if self._loop is not None:
             self._loop += data
             return len(data)

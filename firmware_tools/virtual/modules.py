@@ -1,6 +1,6 @@
-"""The modules that MicroPython has and CPython has not, put where `import` finds them.
+"""The modules of MicroPython that CPython lacks, installed where `import` finds them.
 
-Each process is one board, because the modules are the process's."""
+Each process is one board, because modules are global to the process."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ _PERIOD = 1 << 30
 
 
 def ticks_diff(later: int, earlier: int) -> int:
-    """Signed difference of two readings of a clock that wraps."""
+    """Signed difference of two readings of a wrapping clock."""
     return ((later - earlier + _PERIOD // 2) % _PERIOD) - _PERIOD // 2
 
 
 def install(board: Board, ble: Any, folder: str) -> None:
-    """Puts `machine`, `bluetooth`, `micropython` and the extensions of `time` and `sys` in place."""
+    """Install `machine`, `bluetooth`, `micropython` and the extensions of `time` and `sys`."""
     machine = types.ModuleType("machine")
     pin = partial(VirtualPin, board)
     for name in ("IN", "OUT", "OPEN_DRAIN", "PULL_UP", "IRQ_RISING", "IRQ_FALLING"):

@@ -1,6 +1,6 @@
-"""Starts a virtual bridge as a process of its own and talks to it; for emulators and tests.
+"""Runs a virtual bridge in its own process and communicates with it; for emulators and tests.
 
-Two processes, because a firmware that hangs or a host that is killed must not take the other with it.
+Two processes, because a hanging firmware or a killed host must not affect the other.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ class BoardProcess:
     """One virtual bridge; use it as a context manager.
 
     Args:
-        config: the configuration file's keys, or None for a bridge that was never provisioned.
+        config: the configuration file's keys, or None for an unprovisioned bridge.
         uart: path of the robot's tty, or "loop".
-        options: further words of the command line, see `python -m firmware_tools.virtual --help`.
-        timeout: for its start and each answer, s.
+        options: further command line arguments, see `python -m firmware_tools.virtual --help`.
+        timeout: timeout for its start and each answer, s.
 
-    Raises DeviceTimeoutError where it does not start.
+    Raises DeviceTimeoutError if it does not start.
     """
 
     def __init__(
@@ -42,9 +42,9 @@ class BoardProcess:
         self._lines: queue.Queue[dict[str, Any] | None] = queue.Queue()
         self._folder: tempfile.TemporaryDirectory[str] | None = None
         self.changes: list[dict[str, Any]] = []
-        """Everything it reported beside answers: pins and the watchdog."""
+        """Reports other than answers: pins and the watchdog."""
         self.hci = ""
-        """Where a host finds its controller, a bumble transport."""
+        """Address at which a host finds its controller, a bumble transport."""
         self.address = ""
 
     def __enter__(self) -> Self:
@@ -92,7 +92,7 @@ class BoardProcess:
         try:
             for line in stream:
                 self._lines.put(json.loads(line))
-        except ValueError:  # closed under the reader
+        except ValueError:  # closed during the read
             pass
         self._lines.put(None)
 
@@ -101,11 +101,9 @@ class BoardProcess:
             try:
                 line = self._lines.get(timeout=self._timeout)
             except queue.Empty:
-                raise DeviceTimeoutError(
-                    "the virtual bridge does not answer", "Look at its output."
-                ) from None
+                raise DeviceTimeoutError("the virtual bridge does not answer", "Check its output.") from None
             if line is None:
-                raise DeviceTimeoutError("the virtual bridge has ended", "Look at its output.")
+                raise DeviceTimeoutError("the virtual bridge has ended", "Check its output.")
             if key in line:
                 return line
             self.changes.append(line)
@@ -115,7 +113,7 @@ class BoardProcess:
         return self._answer(key)
 
     def command(self, text: str) -> int:
-        """Carries out a command (cut, drop, index, stall MS); returns when, on this machine's clock, us."""
+        """Execute a command (cut, drop, index, stall MS); return its time on this machine's clock, us."""
         assert self.process.stdin is not None
         self.process.stdin.write(text + "\n")
         self.process.stdin.flush()

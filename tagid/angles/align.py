@@ -28,6 +28,10 @@ _UNEVEN: Final = 0.01
 _GAP_S: Final = 0.1
 """Beyond the first or last reading by more than this, sigma marks the angle as unknown."""
 
+_STEP_S: Final = 0.25
+_MAX_DRIFT: Final = 1e-3
+"""A change of the host's clock beyond this, s, plus this share of the duration is no drift of a crystal."""
+
 
 @dataclass(frozen=True, eq=False)
 class Alignment:
@@ -99,6 +103,22 @@ def even_times(arrivals_s: Floats, step_s: float) -> Floats:
     return np.asarray(np.maximum.accumulate(index + windows.min(axis=1)))
 
 
+def _refuse_step(times_s: Floats, arrivals_s: Floats) -> None:
+    """Raises DataError if the earliest arrivals before and after a scan say that the clock was set there."""
+    late = arrivals_s - times_s
+    before = np.minimum.accumulate(late)[:-1]
+    after = np.minimum.accumulate(late[::-1])[::-1][1:]
+    edge = len(late) // 10  # at the ends, a short stall of the network looks the same
+    steps = (after - before)[edge : len(late) - edge]
+    step = float(steps[np.argmax(np.abs(steps))]) if len(steps) else 0.0
+    if abs(step) > _STEP_S + _MAX_DRIFT * (times_s[-1] - times_s[0]):
+        raise DataError(
+            f"this computer's clock was set by about {step:+.1f} s during the recording: the measured angles "
+            "cannot be assigned to the scans",
+            "Use the period from the scans: --motion free.",
+        )
+
+
 def align(clock: UniformClock, host_time_ns: NDArray[np.int64], track: Track) -> Alignment:
     """Angles of scans from a track.
 
@@ -108,7 +128,7 @@ def align(clock: UniformClock, host_time_ns: NDArray[np.int64], track: Track) ->
         track: motion readings; at least two.
 
     Raises:
-        DataError: no readings, or not one of them during the recording.
+        DataError: no readings, not one of them during the recording, or the host's clock was set meanwhile.
     """
     if len(track) < 2:
         raise DataError(
@@ -117,6 +137,7 @@ def align(clock: UniformClock, host_time_ns: NDArray[np.int64], track: Track) ->
         )
     zero = int(host_time_ns[0])
     arrivals = np.asarray((host_time_ns - zero) * 1e-9, dtype=np.float64)
+    _refuse_step(clock.times_s, arrivals)
     offset, slope = lower_edge(clock.times_s, arrivals)
     if abs(slope - 1) > 1e-2:
         # Larger than the drift of a crystal: the arrivals are too few or too noisy to measure it.

@@ -1,7 +1,7 @@
-"""The same batch on a Dask cluster: items go out over the network, results come back as from local cores.
+"""A batch on a Dask cluster: items are sent over the network and results returned as from local cores.
 
-A worker that dies is the scheduler's business: its items go to another one. One thread at a time works on an
-item's linear algebra, so that numbers are the same as here.
+The scheduler reassigns the items of a worker that dies. Linear algebra runs on one thread per item, so the
+numbers are identical to those of a local run.
 """
 
 from __future__ import annotations
@@ -20,28 +20,29 @@ from tagid.errors import ClusterError, MissingExtraError, TagidError
 
 CONNECT_S = 10.0
 WORKERS_S = 30.0
-"""How long to wait for the scheduler, and for a first worker, s."""
+"""Timeout for the scheduler and for the first worker, s."""
 WORKERS_EVERY_S = 2.0
 AHEAD = 6
-"""Items handed out for each thread: enough that none waits for the network, few enough to bound memory."""
+"""Items in flight per thread: enough to hide network latency, few enough to bound memory."""
 RETRIES = 3
-"""Workers an item may lose before it counts as failed; the scheduler's own default."""
+"""Number of workers that may die while working on an item before it counts as failed; the scheduler's
+default."""
 
 
 def run_cluster(tasks: Tasks, job: Job, address: str, verbose: bool = False) -> Results:
-    """Work on all tasks on a cluster and give each result as it comes; close the iterator to stop.
+    """Process all tasks on a cluster and yield each result as it arrives; close the iterator to stop.
 
-    At most `AHEAD` tasks a thread of the workers are taken from `tasks` before their results are given.
+    At most `AHEAD` tasks per worker thread are taken from `tasks` before their results are yielded.
 
     Args:
-        tasks: what to do; the workers must reach the files under the same absolute paths or URLs.
+        tasks: the items; workers must be able to open the files under the same absolute paths or URLs.
         job: settings, sent once to each worker.
-        address: of the scheduler, e.g. tcp://10.0.0.1:8786.
-        verbose: let Dask's own log through.
+        address: address of the scheduler, e.g. tcp://10.0.0.1:8786.
+        verbose: show Dask's own log.
 
     Raises:
         MissingExtraError: `distributed` is not installed.
-        ClusterError: no scheduler, no worker, another tagid on the workers, or the scheduler went away.
+        ClusterError: no scheduler, no worker, another tagid version on the workers, or the scheduler is lost.
     """
     try:
         import distributed
@@ -66,7 +67,7 @@ def _connect(distributed: Any, address: str) -> Any:
     except (OSError, ValueError, TimeoutError) as error:
         raise ClusterError(
             f"no Dask scheduler answers at {address}: {str(error)[:200]}",
-            "Start one with `dask scheduler`, and give the address that it prints, e.g. tcp://10.0.0.1:8786.",
+            "Start one with `dask scheduler` and give the address that it prints, e.g. tcp://10.0.0.1:8786.",
         ) from None
     try:
         client.wait_for_workers(1, timeout=WORKERS_S)
@@ -77,7 +78,7 @@ def _connect(distributed: Any, address: str) -> Any:
             f"the cluster at {address} has no workers",
             f"Start some with `dask worker {address} --nthreads 1`.",
         ) from None
-    except Exception as error:  # whatever a worker answers where tagid is missing comes as its own exception
+    except Exception as error:  # a worker without tagid raises exceptions of many kinds
         client.close(timeout=5)
         raise ClusterError(
             f"the workers at {address} cannot run tagid: {type(error).__name__}: {str(error)[:200]}",
@@ -101,7 +102,7 @@ class _Remote:
         self._count, self._count_until = 1, 0.0
 
     def run(self, tasks: Tasks, job: Job) -> Results:
-        # A task, not scattered data: should the worker that holds it die, the scheduler makes it again.
+        # A task, not scattered data: if the worker that holds it dies, the scheduler computes it again.
         shared = self._client.submit(_same, job, pure=False)
         more = True
         while more or self._under_way:
@@ -125,7 +126,7 @@ class _Remote:
             yield position, source, self._outcome(source, future)
 
     def _threads(self) -> int:
-        """Threads of all workers; asked anew every few seconds, as workers come and go."""
+        """Number of threads of all workers, refreshed every few seconds because workers join and leave."""
         if time.monotonic() > self._count_until:
             workers = self._client.scheduler_info(n_workers=-1)["workers"]
             self._count = max(1, sum(int(worker["nthreads"]) for worker in workers.values()))
@@ -143,7 +144,7 @@ class _Remote:
         except self._distributed.scheduler.KilledWorker:
             error = TagidError(
                 f"{RETRIES + 1} workers died with this file (out of memory, or a fault in a library)",
-                "Look into the file with `tagid show`; the others are not affected.",
+                "Inspect the file with `tagid show`; other files are not affected.",
             )
             return Outcome(failed_record(source, error))
         except (self._distributed.client.FutureCancelledError, TimeoutError, OSError) as fault:
@@ -157,8 +158,8 @@ class _Remote:
 
     def _gone(self) -> ClusterError:
         return ClusterError(
-            f"the Dask scheduler at {self._address} went away",
-            "What was finished is kept: start the cluster again and add --resume.",
+            f"the connection to the Dask scheduler at {self._address} was lost",
+            "Finished items are kept: start the cluster again and add --resume.",
         )
 
 

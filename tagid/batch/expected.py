@@ -1,6 +1,7 @@
-"""What each file should be, from a manifest, and how well the answers fit: accuracy, confusion, misses.
+"""Expected answers from a manifest, compared with the actual ones: accuracy, confusion, misses.
 
-A manifest that names what is not there ends the run before it starts: an accuracy over other files is none.
+A manifest that names missing files is rejected before the run starts, because the accuracy would be
+meaningless.
 """
 
 from __future__ import annotations
@@ -29,33 +30,34 @@ _LAYOUT_HEADS = ("expected_layout", "expected layout", "expected", "layout")
 
 @dataclass(frozen=True)
 class Expectations:
-    """The manifest: expected answer by location of the file."""
+    """The manifest: expected answer for the location of each file."""
 
     path: str
     by_location: Mapping[str, str]
 
     def of(self, source: Source) -> str | None:
-        """The expected answer of an input; None where the manifest does not name it."""
+        """The expected answer for an input, or None if the manifest does not name it."""
         return self.by_location.get(source.location)
 
 
 def read_manifest(
     path: Path, sources: Sequence[Source], layouts: Iterable[str], *, may_come: bool = False
 ) -> Expectations:
-    """Read a manifest: CSV with the columns `file` and `expected_layout` (or the first two, without a head).
+    """Read a manifest: CSV with the columns `file` and `expected_layout` (without a header: the first two).
 
-    A file is named as the report names it, relative to the manifest's or the current folder, or by its bare
-    name where only one input has it.
+    A file is named as in the report, by a path relative to the manifest's or the current folder, or by its
+    file name if that is unique among the inputs.
 
     Args:
         path: the manifest.
         sources: the inputs.
-        layouts: enrolled names; `no_tag`, `unknown` and `ambiguous` can be expected, too.
-        may_come: files that are not there yet are no error (a watched folder).
+        layouts: enrolled names; `no_tag`, `unknown` and `ambiguous` may be expected, too.
+        may_come: whether files may be missing because they can still arrive (a watched folder).
 
     Raises:
-        StorageError: it cannot be read. FileFormatError: larger than 64 MiB.
-        UsageError: no table; it names files that are not among the inputs, unknown layouts, or a file twice.
+        StorageError: the manifest cannot be read.
+        FileFormatError: it is larger than 64 MiB.
+        UsageError: it is not a table, or names unknown layouts, a file twice, or one not among the inputs.
     """
     rows = _rows(path)
     known = {*layouts, *NO_LAYOUT}
@@ -77,8 +79,8 @@ def read_manifest(
     for found, what, remedy in (
         (strange, "names layouts that are not enrolled", f"Known are {names}."),
         ([] if may_come else missing, "names files that are not among the inputs",
-         "Correct the names, give the folder that holds them, or take the lines out."),
-        (doubled, "expects different answers of one file", "Keep one line a file."),
+         "Correct the names, give the folder that contains them, or delete the lines."),
+        (doubled, "expects different answers for one file", "Keep one line per file."),
     ):  # fmt: skip
         if found:
             more = f" and {len(found) - 5} more" if len(found) > 5 else ""
@@ -90,7 +92,7 @@ def _rows(path: Path) -> list[tuple[int, str, str]]:
     """(line, file, layout) of a manifest."""
     raw = files.read_bytes(path, MAX_BYTES)
     try:
-        # Names that are not UTF-8 come back as the operating system writes them.
+        # Names that are not UTF-8 keep the operating system's bytes.
         text = raw.decode("utf-8-sig", "surrogateescape")
         first = text.partition("\n")[0]
         separator = ";" if first.count(";") > first.count(",") else ","
@@ -138,23 +140,23 @@ class _Finder:
         return alike[0] if len(alike) == 1 else None
 
     def later(self, name: str) -> str:
-        """Where a file is expected that is not there yet."""
+        """Location of an expected file that does not exist yet."""
         return name if is_url(name) else os.path.normpath(self._folders[0] / name)
 
 
 def answer_of(record: Mapping[str, Any]) -> str:
-    """The answer as one word: the layout where identified, else the status."""
+    """The answer as one word: the layout if identified, else the status."""
     return str(record["layout"] if record["status"] == "identified" else record["status"])
 
 
 @dataclass
 class Comparison:
-    """Answers against expectations, counted as they come.
+    """Running comparison of answers with expectations.
 
     Attributes:
-        counts: items by (expected, answer).
-        misses: the first of the items that were not as expected.
-        not_expected: items that the manifest does not name.
+        counts: number of items by (expected, answer).
+        misses: the first items whose answer was not the expected one.
+        not_expected: number of items that the manifest does not name.
     """
 
     counts: Counter[tuple[str, str]] = field(default_factory=Counter)
@@ -202,7 +204,7 @@ def _names_first(answer: str) -> tuple[bool, str]:
 
 
 def wilson(hits: int, total: int) -> tuple[float, float]:
-    """95 % interval of a proportion (E. B. Wilson, 1927); (0, 1) of nothing.
+    """95 % interval of a proportion (E. B. Wilson, 1927); (0, 1) for an empty sample.
 
     >>> [round(v, 3) for v in wilson(9, 10)]
     [0.596, 0.982]

@@ -1,6 +1,6 @@
-"""Which captures a batch works on: files, folders and URLs, told apart from what merely lies beside them.
+"""The captures of a batch, collected from files, folders and URLs.
 
-A folder holds pictures, reports and notes too; what claims to be a recording is an item, and all of that.
+A folder may also contain pictures, reports and notes; only files that claim to be a recording become items.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from tagid.errors import DataError, MissingExtraError, StorageError, displayable
 from tagid.storage import mrm_ret, npz
 
 SUFFIXES = (CAPTURE_SUFFIX, ".h5", ".hdf5", ".npz", ".prd", ".out", ".csv", ".tagid.journal", ".journal")
-"""How names of recordings end, in small letters."""
+"""File suffixes of recordings, in lower case."""
 _URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]*(::[A-Za-z0-9+.-]+)*://")
 _HEAD = 1 << 16
 
@@ -29,9 +29,8 @@ class Source:
     """One item's input.
 
     Attributes:
-        location: absolute path as the operating system has it (surrogates stand for bytes that are not
-            UTF-8), or URL.
-        name: the path or URL as it was given, as text that can be shown and written.
+        location: absolute path (surrogates stand for bytes that are not UTF-8), or URL.
+        name: the path or URL as given, as printable text.
     """
 
     location: str
@@ -39,22 +38,22 @@ class Source:
 
     @classmethod
     def of(cls, word: str) -> Source:
-        """The input that a path or URL names; a path is made absolute, for workers in other folders."""
+        """The input for a path or URL; a path is made absolute, for workers in other folders."""
         return cls(word if is_url(word) else str(Path(word).absolute()), displayable(word))
 
     @property
     def is_url(self) -> bool:
-        """Whether fsspec has to open it."""
+        """Whether the input is opened with fsspec."""
         return is_url(self.location)
 
 
 @dataclass(frozen=True)
 class Collected:
-    """What was found.
+    """Result of collecting inputs.
 
     Attributes:
-        sources: the items, each once, those of a folder in the order of their names.
-        passed_over: names of files that are no recordings.
+        sources: the items, each once, those of a folder sorted by name.
+        passed_over: names of files that are not recordings.
         unreadable: folders that could not be listed, with the reason.
     """
 
@@ -64,22 +63,22 @@ class Collected:
 
 
 def is_url(text: str) -> bool:
-    """Whether a command line's word is a URL of fsspec, e.g. s3://bucket/folder."""
+    """Whether a command-line argument is an fsspec URL, e.g. s3://bucket/folder."""
     return _URL.match(text) is not None
 
 
 def collect(words: Sequence[str], outside: Path | None = None) -> Collected:
-    """The items behind files, folders (with all below them) and URLs.
+    """The items in files, folders (recursively) and URLs.
 
-    A file that is named is an item whatever it holds.
+    A file that is named explicitly is an item regardless of its content.
 
     Args:
         words: paths or URLs.
-        outside: a folder whose contents are never taken, e.g. the report's own.
+        outside: a folder whose contents are excluded, e.g. the report's own.
 
     Raises:
         StorageError: a path does not exist, or a folder cannot be listed.
-        DataError: nothing was found.
+        DataError: no captures were found.
         MissingExtraError: a URL without fsspec.
     """
     found: dict[str, Source] = {}
@@ -111,10 +110,10 @@ def collect(words: Sequence[str], outside: Path | None = None) -> Collected:
 
 
 def files_below(folder: Path, unreadable: list[str], outside: Path | None = None) -> Iterable[Path]:
-    """All regular files of a folder and the folders in it, by name; hidden ones and links to folders are
-    left out.
+    """All regular files of a folder and its subfolders, sorted by name.
 
-    Folders within that cannot be listed are noted in `unreadable`; the folder itself raises StorageError.
+    Hidden files and links to folders are omitted. Subfolders that cannot be listed are added to `unreadable`;
+    the folder itself raises StorageError.
     """
     avoid = None if outside is None else outside.resolve()
 
@@ -139,16 +138,16 @@ def files_below(folder: Path, unreadable: list[str], outside: Path | None = None
 
 
 def is_recording(path: Path) -> bool:
-    """Whether a file found in a folder is an item: its name says so, and its content does not say otherwise.
+    """Whether a file found in a folder is an item, judged by its name and content.
 
-    A damaged recording is one: it must be listed, not passed over.
+    A damaged recording is an item: it must be listed, not skipped.
     """
     name = path.name.lower()
     if not name.endswith(SUFFIXES):
         return False
     try:
         if name.endswith(".journal"):
-            # What `tagid scan` recorded from it lies beside it once the recording is complete.
+            # `tagid scan` writes the recording next to its journal once it is complete.
             stem = path.name[: -len(".journal")].removesuffix(".tagid")
             return not path.with_name(f"{stem}{CAPTURE_SUFFIX}").exists()
         head = files.read_head(path, _HEAD)
@@ -162,7 +161,7 @@ def is_recording(path: Path) -> bool:
 
 
 def _is_image(path: Path) -> bool:
-    """Whether an NPZ file holds an image of `tagid reconstruct --out` and no scans."""
+    """Whether an NPZ file contains an image of `tagid reconstruct --out` and no scans."""
     try:
         with zipfile.ZipFile(path) as file:
             names = set(file.namelist())
@@ -173,11 +172,11 @@ def _is_image(path: Path) -> bool:
 
 def _nothing(words: Sequence[str], passed_over: Sequence[str], unreadable: Sequence[str]) -> DataError:
     where = ", ".join(displayable(word) for word in words[:3])
-    seen = f"; {len(passed_over)} other file(s) are no recordings" if passed_over else ""
-    closed = f"; could not look into {unreadable[0]}" if unreadable else ""
+    seen = f"; {len(passed_over)} other file(s) are not recordings" if passed_over else ""
+    closed = f"; could not open {unreadable[0]}" if unreadable else ""
     return DataError(
         f"no captures in {where}{seen}{closed}",
-        f"Captures end in {', '.join(SUFFIXES)}; name a file to have it read whatever it is called.",
+        f"Captures end in {', '.join(SUFFIXES)}; a file with any other name must be named explicitly.",
     )
 
 
@@ -185,8 +184,8 @@ def filesystem(url: str) -> tuple[Any, str]:
     """The fsspec file system of a URL and the path on it.
 
     Raises:
-        MissingExtraError: fsspec, or what it needs for this kind of URL, is not installed.
-        StorageError: the URL cannot be understood.
+        MissingExtraError: fsspec, or a package it needs for this kind of URL, is not installed.
+        StorageError: the URL is invalid.
     """
     try:
         from fsspec.core import url_to_fs
@@ -203,7 +202,7 @@ def filesystem(url: str) -> tuple[Any, str]:
 
 
 def _of_url(url: str) -> list[str]:
-    """URLs of the captures behind a URL: itself, those of a folder, or those that fit a pattern."""
+    """URLs of the captures at a URL: the URL itself, the files of a folder, or the matches of a pattern."""
     files, path = filesystem(url)
     prefix = url[: len(url) - len(path)] if url.endswith(path) else url.split("://", 1)[0] + "://"
     try:
@@ -218,6 +217,6 @@ def _of_url(url: str) -> list[str]:
             raise StorageError(f"{url}: no such file or folder", "Check the URL.")
     except (OSError, ValueError, NotImplementedError) as error:
         raise StorageError(
-            f"{url}: cannot be listed: {error}", "Check the URL, the network and your rights."
+            f"{url}: cannot be listed: {error}", "Check the URL, the network and your permissions."
         ) from error
     return [name if is_url(name) else prefix + name for name in names]

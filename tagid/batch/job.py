@@ -1,6 +1,6 @@
-"""What all items of a batch have in common, and what makes two answers the same answer.
+"""Settings common to all items of a batch, and the fingerprint of those settings.
 
-A worker on another computer gets exactly this, and `--resume` compares its fingerprint.
+Workers on other computers receive exactly this value, and `--resume` compares its fingerprint.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from tagid.tags.bodies.signature_file import to_bytes
 from tagid.tags.layouts.layout import Layout
 
 MAX_CAPTURE_BYTES = 512 << 20
-"""Largest file that a worker takes: hours of scans. A batch must not be ended by one file."""
+"""Largest file that a worker accepts: hours of scans. A single file must not end a batch."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,10 +28,10 @@ class Job:
     """Settings of a batch.
 
     Attributes:
-        settings: of imaging; its method draws the page's pictures.
-        layouts, registry_version: what to choose from.
-        load: how captures are loaded; geometry and motion for those that lack them.
-        pictures: whether to make the page's pictures.
+        settings: imaging settings; the method also renders the page's pictures.
+        layouts, registry_version: the enrolled layouts to compare with, and the registry's version.
+        load: how captures are loaded, with geometry and motion for those that lack them.
+        pictures: whether to render the page's pictures.
         known: sha256 of contents whose answer is kept from an earlier run with the same fingerprint.
         signatures: enrolled bodies and objects.
     """
@@ -45,7 +45,7 @@ class Job:
     signatures: tuple[Signature, ...] = ()
 
     def described(self) -> dict[str, Any]:
-        """Everything an answer depends on, the capture aside, as plain JSON values."""
+        """Everything that an answer depends on except the capture, as plain JSON values."""
         return {
             "imaging": asdict(self.settings),
             **self.load.described(),
@@ -64,14 +64,14 @@ class Job:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of one item.
+    """Result of one item.
 
     Attributes:
-        record: the identification as plain JSON values (`report.items.RECORD_VERSION`).
-        image, sinogram: small pictures as PNG; empty where there is none.
-        drawing: scales of the pictures and the places of the layout's reflectors, plain JSON values.
-        reused: the answer of an earlier run stands; `record` then names the content alone.
-        cpu_s: processor time it took, s.
+        record: the identification as plain JSON values (`tagid.batch.work.RECORD_VERSION`).
+        image, sinogram: small pictures as PNG; empty if there is none.
+        drawing: scales of the pictures and positions of the layout's reflectors, plain JSON values.
+        reused: the answer of an earlier run is reused; `record` then only names the content.
+        cpu_s: processor time used, s.
     """
 
     record: Mapping[str, Any]

@@ -1,6 +1,6 @@
-"""The cores of this computer: one process each, one thread in each, and none that can end the batch.
+"""A batch on the cores of this computer: one single-threaded worker process per core.
 
-A worker that dies (out of memory, a fault in native code) costs the item that killed it, nothing else.
+A worker that dies (out of memory, a fault in native code) loses only the item that it was working on.
 """
 
 from __future__ import annotations
@@ -23,9 +23,10 @@ from tagid.batch.work import failed_record, unexpected, work
 from tagid.errors import TagidError
 
 AHEAD = 2
-"""Items handed out for each worker: one at work, one waiting, so that none idles and memory is bounded."""
+"""Items in flight per worker: one in progress and one waiting, so that no worker is idle and memory is
+bounded."""
 TICK_S = 0.25
-"""How often a runner that waits gives its caller the chance to stop, s."""
+"""Interval at which a waiting runner lets its caller stop it, s."""
 _THREADS = (
     "OMP_NUM_THREADS",
     "OPENBLAS_NUM_THREADS",
@@ -35,24 +36,24 @@ _THREADS = (
 )
 
 Tasks = Iterator[tuple[int, Source] | None]
-"""Positions and inputs; None where nothing is there yet but more may come (a watched folder)."""
+"""Positions and inputs; None if there is none at the moment but more may arrive (a watched folder)."""
 Results = Generator[tuple[int, Source, Outcome] | None, None, None]
-"""What became of each, in any order; None every `TICK_S` or so where nothing did."""
+"""Result of each item, in any order; None about every `TICK_S` while there is no result."""
 
 _job: Job | None = None
 
 
 def cores() -> int:
-    """Cores that this process may use."""
+    """Number of cores that this process may use."""
     with contextlib.suppress(AttributeError, OSError):
         return len(os.sched_getaffinity(0)) or 1
     return os.cpu_count() or 1
 
 
 def run_local(tasks: Tasks, job: Job, workers: int) -> Results:
-    """Work on all tasks and give each result as it comes; close the iterator to stop.
+    """Process all tasks and yield each result as it arrives; close the iterator to stop.
 
-    At most `AHEAD` tasks a worker are taken from `tasks` before their results are given.
+    At most `AHEAD` tasks per worker are taken from `tasks` before their results are yielded.
     """
     pool = _Pool(job, workers)
     with one_thread_each():
@@ -98,13 +99,13 @@ class _Pool:
             try:
                 self._under_way[self._executor.submit(_work, task[1])] = task
             except BrokenProcessPool as error:
-                # It died between two items; what is under way will say the same.
+                # It died between two items; the items in progress will raise the same error.
                 future: Future[Outcome] = Future()
                 future.set_exception(error)
                 self._under_way[future] = task
 
     def _after_a_death(self, done: set[Future[Outcome]]) -> Results:
-        """A worker died and took the pool along: do what was under way one by one, to find the culprit."""
+        """A worker died and broke the pool: process the items in flight one by one to find the cause."""
         left = []
         for future, task in list(self._under_way.items()):
             if future in done and not isinstance(future.exception(), BrokenProcessPool):
@@ -124,14 +125,14 @@ class _Pool:
             except BrokenProcessPool:
                 error = TagidError(
                     "the process that worked on this file died (out of memory, or a fault in a library)",
-                    "Look into the file with `tagid show`; the others are not affected.",
+                    "Inspect the file with `tagid show`; other files are not affected.",
                 )
                 yield position, source, Outcome(failed_record(source, error))
             finally:
                 _stop(alone)
 
     def stop(self) -> None:
-        """End the workers at once; what they were at is lost."""
+        """Terminate the workers; items in progress are lost."""
         if self._executor is not None:
             _stop(self._executor)
             self._executor = None
@@ -139,7 +140,7 @@ class _Pool:
 
 
 def _outcome(source: Source, future: Future[Outcome]) -> Outcome:
-    """What a worker gave, or the item's failure where its result could not even be sent here.
+    """A worker's result, or the item's failure if its result could not be transferred.
 
     Raises BrokenProcessPool.
     """
@@ -155,16 +156,18 @@ _END = object()
 
 
 def _executor(job: Job, workers: int) -> ProcessPoolExecutor:
-    # Spawned, not forked: a fork would copy the parent's threads' locks and its open database.
+    # Spawned, not forked: a fork would copy the locks of the parent's threads and its open database.
     context = multiprocessing.get_context("spawn")
     return ProcessPoolExecutor(workers, context, initializer=_begin, initargs=(job,))
 
 
 @contextlib.contextmanager
 def _no_interrupt() -> Iterator[None]:
-    """Processes started meanwhile get neither SIGINT nor SIGHUP, which a terminal sends to all its processes:
-    the parent decides when they end."""
-    # Starting it unblocks Ctrl-C, and with it the first process that is started after.
+    """Context in which new processes block SIGINT and SIGHUP, which a terminal sends to all its processes.
+
+    The parent decides when they end.
+    """
+    # Start the tracker first: starting it unblocks SIGINT, also in the first process created afterwards.
     resource_tracker.ensure_running()
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGHUP})
     try:
@@ -182,7 +185,7 @@ def _stop(executor: ProcessPoolExecutor) -> None:
 
 @contextlib.contextmanager
 def one_thread_each() -> Iterator[None]:
-    """Processes started meanwhile run their linear algebra on one thread: the cores are busy with items."""
+    """Context in which new processes run linear algebra on one thread: every core already has a worker."""
     before = {name: os.environ.get(name) for name in _THREADS}
     os.environ.update(dict.fromkeys(_THREADS, "1"))
     try:
@@ -205,7 +208,7 @@ def _begin(job: Job) -> None:
 
 
 def _end_with(sentinel: int) -> None:
-    """A killed parent cannot stop its workers; they see that it is gone."""
+    """Exit when the parent is gone: a killed parent cannot stop its workers."""
     wait_for([sentinel])
     os._exit(1)
 
@@ -217,4 +220,4 @@ def _work(source: Source) -> Outcome:
 
 
 Runner = Callable[[Tasks, Job], Results]
-"""Anything that works on tasks: the local cores, a cluster."""
+"""Anything that processes tasks: the local cores, a cluster."""

@@ -1,6 +1,6 @@
-"""A batch from its inputs to its report: what is to be done goes out, what comes back is kept at once.
+"""A batch from its inputs to its report: items are distributed, and every result is stored when it arrives.
 
-It may be stopped or killed at any moment; what was found stays, and the next run goes on from there.
+The run may be stopped or killed at any moment; results so far are kept and the next run continues from there.
 """
 
 from __future__ import annotations
@@ -29,20 +29,20 @@ from tagid.storage.history import History, utc_text
 FILES = ("report.html", "items.csv", "items.jsonl", "junit.xml", "summary.json")
 _MOST_TO_REMEMBER = 100
 _PAGE_SHARE = 10
-"""While a folder is watched, writing reports takes at most one part in this many of the time."""
+"""While a folder is watched, writing reports takes at most 1/this of the time."""
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What to do.
+    """Inputs, outputs and rules of a batch run.
 
     Attributes:
-        inputs: the captures that are there.
-        watch: a folder whose arrivals are identified, too; None to end with the inputs.
+        inputs: the captures that exist at the start.
+        watch: a folder whose new captures are identified, too; None to end with the inputs.
         out: the report's folder.
-        page: of the page.
+        page: settings of the HTML page.
         expectations: the manifest, if any.
-        resume: keep earlier answers about the same contents with the same settings.
+        resume: reuse earlier answers for the same contents and settings.
         fail_fast: stop at the first item that fails.
     """
 
@@ -57,12 +57,12 @@ class Plan:
 
 @dataclass(frozen=True)
 class Hooks:
-    """Who is told meanwhile.
+    """Callbacks during a run.
 
     Attributes:
-        progress: called with (finished, of so many, items a second of this run, seconds left or None).
-        stopped: asked often; True ends the run and leaves a report of what is finished.
-        history: where new answers are kept, and the number of the run there.
+        progress: called with (finished, total, items per second of this run, seconds left or None).
+        stopped: polled often; True ends the run with a report of the finished items.
+        history: where new answers are recorded, and the number of the run there.
     """
 
     progress: Callable[[int, int, float, float | None], None] = lambda done, total, rate, left: None
@@ -72,13 +72,13 @@ class Hooks:
 
 @dataclass(frozen=True)
 class Finished:
-    """What became of a batch.
+    """Result of a batch.
 
     Attributes:
         summary: content of summary.json.
-        exit_code: by the contract; of an interrupted run, too.
-        interrupted: the user stopped it.
-        reused: answers taken over from an earlier run.
+        exit_code: exit code of the command, also for an interrupted run.
+        interrupted: whether the user stopped it.
+        reused: number of answers reused from an earlier run.
     """
 
     summary: dict[str, Any]
@@ -90,16 +90,16 @@ class Finished:
 def run_batch(plan: Plan, job: Job, runner: Runner, hooks: Hooks | None = None) -> Finished:
     """Identify all inputs and write the report's files into `plan.out`.
 
-    `items.jsonl` grows line by line while the run goes on, in the order of finishing; at the end all files
-    are written whole, in the order of the inputs.
+    During the run, `items.jsonl` grows by one line per finished item; at the end all files are rewritten in
+    the order of the inputs.
 
     Raises:
-        StorageError: the folder cannot be made or written, or another report is being written there.
-        DiskFullError: no space left; what was finished is kept for `resume`.
+        StorageError: the folder cannot be created or written, or another report is being written there.
+        DiskFullError: no space left; finished items are kept for `resume`.
     """
     hooks = hooks or Hooks()
     try:
-        plan.out.mkdir(parents=True, exist_ok=True)
+        files.make_folder(plan.out)
     except OSError as error:
         raise files.storage_error(error, plan.out, "making the report's folder") from error
     with Spool(plan.out / FILE_NAME, fresh=not plan.resume) as spool:
@@ -147,16 +147,16 @@ class _Run:
             return self._write(done, interrupted)
 
     def _tasks(self) -> Tasks:
-        yield from enumerate(list(self._sources))
         watch = self._plan.watch
-        if watch is None:
-            return
+        # Made before the first input is read: one that changes while it is read comes again.
+        arrivals = iter(()) if watch is None else watch.arrivals(self._sources)
+        yield from enumerate(list(self._sources))
         places = {source.location: position for position, source in enumerate(self._sources)}
-        for source in watch.arrivals(self._sources):
+        for source in arrivals:
             if source is None:
                 yield None
                 continue
-            # A file that changed after its answer, e.g. one that was still being copied, keeps its place.
+            # A file that changed after its answer, e.g. one that was still being copied, keeps its position.
             position = places.setdefault(source.location, len(self._sources))
             if position == len(self._sources):
                 self._sources.append(source)
@@ -171,7 +171,7 @@ class _Run:
             try:
                 history.add(run, self._to_remember)
             except TagidError:
-                # Another process is at it for long, or the disk is full: the answers stay in the spool.
+                # Another process has locked it, or the disk is full: the answers stay in the spool.
                 if len(self._to_remember) > _MOST_TO_REMEMBER:
                     raise
             else:
@@ -181,12 +181,12 @@ class _Run:
         fresh = done - self._reused
         seconds = time.monotonic() - self._clock
         rate = fresh / seconds if seconds > 0 else 0.0
-        # A watched file that changed is done twice.
+        # A watched file that changed is processed twice.
         left = max(len(self._sources) - done, 0) / rate if rate > 0 else None
         self._hooks.progress(min(done, len(self._sources)), len(self._sources), rate, left)
 
     def _judged(self, record: dict[str, Any], position: int) -> dict[str, Any]:
-        """The record with what was expected of it."""
+        """The record with its expected answer."""
         expectations = self._plan.expectations
         expected = None if expectations is None else expectations.of(self._sources[position])
         correct = None if expected is None else answer_of(record) == expected
@@ -197,7 +197,7 @@ class _Run:
             yield self._judged(record, position)
 
     def _due(self, done: int) -> bool:
-        """Whether a watched folder's report should be written again."""
+        """Whether a watched folder's report should be rewritten."""
         at, took = self._written
         return time.monotonic() - at > _PAGE_SHARE * took and done != self._count_written
 
@@ -214,7 +214,7 @@ class _Run:
         write_jsonl(out / "items.jsonl", self._records())
         write_junit(out / "junit.xml", self._records(), summary)
         write_page(out / "report.html", self._spool, self._judged, summary, self._plan.page)
-        # The last one says that the others are there.
+        # The last file written proves that the others exist.
         write_json(out / "summary.json", summary)
         self._written = (time.monotonic(), time.monotonic() - began)
         self._count_written = done

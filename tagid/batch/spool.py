@@ -1,7 +1,7 @@
-"""The working file of a report: every result as soon as it is there, to be continued and turned into pages.
+"""The working file of a report, which stores every result when it arrives.
 
-It is a sqlite file in the report's folder, so that a report of any size needs little memory, and a run that
-was stopped or killed goes on where it was.
+It is a sqlite file in the report's folder: a report of any size needs little memory, and a run that was
+stopped or killed can be resumed.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ FILE_NAME = ".tagid-report.sqlite"
 _VERSION = 1
 _APPLICATION_ID = 0x74616773  # "tags"
 _KEPT_FAILURES = ("bad_file", "bad_data")
-"""Failures that the same content will always give; others, such as a lost worker, are tried again."""
+"""Failures that the same content always produces; others, such as a lost worker, are retried."""
 
 
 class Pictures(NamedTuple):
-    """The pictures of an item, PNG; empty where there is none."""
+    """The pictures of an item, PNG; empty if there is none."""
 
     image: bytes
     sinogram: bytes
@@ -38,7 +38,7 @@ class Spool:
 
     Args:
         path: the file.
-        fresh: begin anew, whatever was there.
+        fresh: discard earlier contents.
 
     Raises:
         StorageError: not a working file of tagid, in use by another report, or not writable.
@@ -64,13 +64,21 @@ class Spool:
 
     def _open(self, fresh: bool) -> None:
         db = self._db
-        # Exclusive from the first statement on: two reports in one folder would mix their items.
+        # Exclusive from the first statement: two reports in one folder would mix their items.
         db.execute("PRAGMA locking_mode = EXCLUSIVE")
+        db.execute("PRAGMA synchronous = EXTRA")
         db.execute("BEGIN EXCLUSIVE")
         owner = int(db.execute("PRAGMA application_id").fetchone()[0])
         version = int(db.execute("PRAGMA user_version").fetchone()[0])
         if owner not in (0, _APPLICATION_ID):
-            raise StorageError(f"{self.path} is a database of another program", "Choose another --out.")
+            raise StorageError(f"{self.path} belongs to another program", "Choose another --out.")
+        strange = "SELECT name FROM sqlite_master WHERE type IN ('view', 'trigger') LIMIT 1"
+        found = db.execute(strange).fetchone()
+        if found is not None:  # tagid never makes one; reading a view may never end
+            raise StorageError(
+                f"{self.path} holds a view or trigger, {str(found[0])[:80]!r}",
+                "Remove the file, or choose another --out.",
+            )
         if fresh or version != _VERSION:
             for table in ("item", "kept"):
                 db.execute(f"DROP TABLE IF EXISTS {table}")
@@ -84,13 +92,14 @@ class Spool:
             db.execute(f"PRAGMA application_id = {_APPLICATION_ID}")
             db.execute(f"PRAGMA user_version = {_VERSION}")
         db.execute("COMMIT")
-        # A power cut may cost the last results, never the file; they are identified again.
+        # With the write-ahead log each result costs one sync, and a power cut loses none.
         db.execute("PRAGMA journal_mode = WAL")
-        db.execute("PRAGMA synchronous = NORMAL")
 
     def take_over(self, job: str) -> frozenset[str]:
-        """Set aside what earlier runs with this fingerprint found, empty the list of items, and name the
-        contents (sha256) whose answers need not be found again."""
+        """Keep the results of earlier runs with this fingerprint and empty the list of items.
+
+        Returns the sha256 of the contents whose answers can be reused.
+        """
         with interrupts.deferred(), self._told():
             self._db.execute("BEGIN")
             columns = "content, job, status, record, drawing, image, sinogram"
@@ -105,7 +114,7 @@ class Spool:
         return frozenset(content for content, status, record in rows if _final(status, record))
 
     def put(self, position: int, name: str, job: str, outcome: Outcome) -> dict[str, Any]:
-        """Keep a result; returns its record, which for a reused answer is the earlier one under this name."""
+        """Store a result; return its record, which for a reused answer is the earlier one under this name."""
         record = dict(outcome.record)
         drawing, image, sinogram = json.dumps(dict(outcome.drawing)), outcome.image, outcome.sinogram
         with interrupts.deferred(), self._told():
@@ -132,12 +141,12 @@ class Spool:
         return record
 
     def records(self) -> Iterator[dict[str, Any]]:
-        """Every record in the order of the inputs, read as it is taken."""
+        """Every record in the order of the inputs, read lazily."""
         for _, record, _, _ in self.items():
             yield record
 
     def items(self) -> Iterator[tuple[int, dict[str, Any], dict[str, Any], int]]:
-        """(position, record, drawing, bytes of its pictures) in the order of the inputs."""
+        """(position, record, drawing, size of its pictures in bytes) in the order of the inputs."""
         with self._told():
             query = (
                 "SELECT position, record, drawing, length(image) + length(sinogram)"
@@ -153,7 +162,7 @@ class Spool:
             return Pictures(*row.fetchone())
 
     def count(self) -> int:
-        """Number of items finished."""
+        """Number of finished items."""
         with self._told():
             return int(self._db.execute("SELECT COUNT(*) FROM item").fetchone()[0])
 
@@ -176,9 +185,9 @@ def _clear(error: sqlite3.Error, path: Path) -> TagidError:
             f"another tagid report is writing to {path.parent}", "Wait for it, or choose another --out."
         )
     if code in (sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_READONLY, sqlite3.SQLITE_PERM):
-        return StorageError(f"{path}: cannot be written: {error}", "Check the rights of the folder.")
+        return StorageError(f"{path}: cannot be written: {error}", "Check the permissions of the folder.")
     return StorageError(
-        f"{path}: {error}", "Remove the file, or choose another --out; its results are lost for --resume."
+        f"{path}: {error}", "Remove the file (--resume then finds no results), or choose another --out."
     )
 
 

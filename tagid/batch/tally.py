@@ -1,6 +1,6 @@
-"""What a report says of all its items together, counted as they pass so that none has to be kept.
+"""Totals over all items of a report, counted one record at a time so that none has to be kept in memory.
 
-The page's head, summary.json and the exit code all come from here.
+The page's header, summary.json and the exit code are all derived from them.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ class Tally:
     """Counts over the records of a report.
 
     Attributes:
-        items: records seen.
-        status, layout: how often each.
-        verdicts: test cases by "failure" and "error".
-        items_s: seconds of work, all items together.
-        comparison: answers against the manifest; None without one.
+        items: number of records.
+        status, layout: number of items per status and per layout.
+        verdicts: number of test cases with a "failure" or an "error".
+        items_s: processing time of all items, s.
+        comparison: comparison with the manifest; None without one.
         uuids: files and contents by capture UUID.
-        models: sha256 of models that had a part.
+        models: sha256 of the models that were used.
     """
 
     items: int = 0
@@ -60,7 +60,7 @@ class Tally:
             self.models.add(record["model_sha256"])
 
     def duplicates(self) -> list[dict[str, Any]]:
-        """Captures that came in several files: copies, or different scans under one UUID."""
+        """Captures found in several files: copies, or different scans with the same UUID."""
         return [
             {
                 "capture_uuid": uuid,
@@ -72,14 +72,14 @@ class Tally:
         ]
 
     def exit_code(self) -> int:
-        """5 where items failed, 3 where an answer is not a name or not the expected one, else 0."""
+        """5 if items failed, 3 if an answer is not a name or not the expected one, else 0."""
         if self.status["failed"]:
             return EXIT_BATCH
         missed = self.comparison is not None and bool(self.comparison.misses)
         return EXIT_OK if self.status["identified"] == self.items and not missed else EXIT_UNCERTAIN
 
     def to_dict(self) -> dict[str, Any]:
-        """Its part of summary.json."""
+        """The totals' part of summary.json."""
         return {
             "items": self.items,
             "by_status": {status: self.status[status] for status in STATUSES},

@@ -1,6 +1,6 @@
-"""A folder in which captures arrive: each is an item once it has stopped changing.
+"""A folder in which captures arrive: each becomes an item when it has stopped changing.
 
-The folder is looked through again and again, which works on every file system, network drives included.
+The folder is polled, which works on every file system, including network drives.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ _State = tuple[int, int]
 
 @dataclass(frozen=True)
 class FolderWatch:
-    """What to watch.
+    """The folder to watch, and when to stop.
 
     Attributes:
-        folder: with all folders in it.
-        outside: a folder in it that is left out, the report's own.
-        interval_s: between two looks, s. A file is taken when two looks found it the same.
-        idle_stop_s: end after so long without an arrival, s; None to go on for ever.
+        folder: watched with all its subfolders.
+        outside: a subfolder that is excluded, the report's own.
+        interval_s: polling interval, s. A file is taken when two consecutive polls find it unchanged.
+        idle_stop_s: end after this time without an arrival, s; None to continue indefinitely.
     """
 
     folder: Path
@@ -33,11 +33,16 @@ class FolderWatch:
     idle_stop_s: float | None = None
 
     def arrivals(self, seen: Iterable[Source]) -> Iterator[Source | None]:
-        """Inputs as they become complete, None where there is none at the moment.
+        """Inputs as they become complete; None if there is none at the moment.
 
-        Raises StorageError where the folder cannot be listed at first; later on it may come and go.
+        The files of `seen` come again if they change after this call: call it before reading them.
+
+        Raises StorageError if the folder cannot be listed at the start; later it may disappear and return.
         """
-        taken = {source.location: _state(Path(source.location)) for source in seen}
+        return self._changes({source.location: _state(Path(source.location)) for source in seen})
+
+    def _changes(self, taken: dict[str, _State | None]) -> Iterator[Source | None]:
+        """As `arrivals`; `taken` are the files that were given, as they were then."""
         before: dict[str, _State] = {}
         looked = -self.interval_s
         last = time.monotonic()
@@ -72,7 +77,7 @@ class FolderWatch:
 
 
 def _state(path: Path) -> _State | None:
-    """Size and time of a file's last change; None where it is gone."""
+    """Size and modification time of a file; None if it no longer exists."""
     try:
         status = path.stat()
     except OSError:

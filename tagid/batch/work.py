@@ -1,6 +1,6 @@
-"""One item from its file to its record and pictures: what a worker does, wherever it runs.
+"""One item from its file to its record and pictures: the work of a worker, local or remote.
 
-Nothing that happens to one item may end the batch, so every fault becomes that item's record.
+A failing item must not end the batch, so every fault is stored in the item's record.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ from tagid.report.thumbnails import draw_pictures
 from tagid.storage.history import utc_text
 
 RECORD_VERSION = 1
-"""Version of an item's record; it changes only when a field changes its meaning or goes."""
+"""Version of an item's record; it changes only if a field is removed or changes its meaning."""
 _CHUNK = 1 << 20
 
 
 def work(source: Source, job: Job) -> Outcome:
-    """Identify one item; never raises for what its file holds."""
+    """Identify one item; the content of its file never causes an exception."""
     watch = Stopwatch()
     began = time.process_time()
     facts: dict[str, Any] = {"sha256": None, "size": None}
@@ -67,7 +67,7 @@ def work(source: Source, job: Job) -> Outcome:
 
 
 def unexpected(source: Source, error: BaseException) -> TagidError:
-    """What to report of an item that failed as nothing should; its type and place go to the log."""
+    """The report of an item that failed unexpectedly; the exception's type and location are logged."""
     frames = traceback.extract_tb(error.__traceback__)
     place = f"{Path(frames[-1].filename).name}:{frames[-1].lineno}" if frames else "an unknown place"
     log = logging.getLogger("tagid")
@@ -86,7 +86,7 @@ def make_record(
     sha256: str | None = None,
     size: int | None = None,
 ) -> dict[str, Any]:
-    """An item's record: the contract's Identification, with file, content and time."""
+    """An item's record: the JSON of its identification, with file, content and time."""
     return {
         "schema": "tagid.report.item",
         "schema_version": RECORD_VERSION,
@@ -100,12 +100,12 @@ def make_record(
 
 
 def failed_record(source: Source, error: TagidError) -> dict[str, Any]:
-    """The record of an item that no worker could finish."""
+    """The record of an item that no worker could complete."""
     return make_record(source, _failed(source, error), {})
 
 
 def content_sha256(path: Path) -> tuple[str, int]:
-    """Hex sha256 and size of a file, read in pieces. Raises StorageError, FileFormatError where too large."""
+    """Hex sha256 and size of a file, read in blocks. Raises StorageError, or FileFormatError if too large."""
     digest = hashlib.sha256()
     size = 0
     try:
@@ -125,7 +125,7 @@ def content_sha256(path: Path) -> tuple[str, int]:
 
 @contextmanager
 def local_copy(source: Source) -> Iterator[Path]:
-    """The item's file as a path: itself, or a copy of what a URL holds, gone afterwards."""
+    """Context that gives the item's file as a path: the file itself or a temporary copy of a URL."""
     if not source.is_url:
         yield Path(source.location)
         return
@@ -141,11 +141,12 @@ def local_copy(source: Source) -> Iterator[Path]:
                         _check_size(target.tell(), source.name)
             except (OSError, ValueError, NotImplementedError) as error:
                 raise StorageError(
-                    f"{source.name}: cannot be read: {error}", "Check the URL, the network and your rights."
+                    f"{source.name}: cannot be read: {error}",
+                    "Check the URL, the network and permissions.",
                 ) from error
         yield copy
     except TagidError as error:
-        # The user never saw the copy's name.
+        # The user does not know the copy's name.
         error.message = error.message.replace(str(copy), source.name)
         raise
     finally:
@@ -161,7 +162,7 @@ def _check_size(size: int, name: str) -> None:
 
 
 def _failed(source: Source, error: TagidError) -> Identification:
-    # The same file has the same message wherever it is read from.
+    # The message of a file must not depend on the path it was read from.
     message = error.message.replace(displayable(source.location), source.name)
     named = message if source.name in message else f"{source.name}: {message}"
     entry = {"code": error.code, "message": named, "remedy": error.remedy}

@@ -5,59 +5,82 @@ It imports no numerics, so that `tagid --help` answers at once.
 
 from __future__ import annotations
 
+import gc
 import sys
 from typing import Annotated
 
 import typer
 
 from tagid import __version__
-from tagid.cli import (
-    bodies,
-    config,
-    doctor,
-    enroll,
-    history,
-    identify,
-    reconstruct,
-    report,
-    scan,
-    show,
-    simulate,
-    transfer,
-)
 from tagid.cli.common.frame import serve
-from tagid.cli.emulate import app as emulate
-from tagid.cli.layouts import app as layouts
-from tagid.cli.motion import app as motion
-from tagid.cli.radar import app as radar
+from tagid.cli.common.lazy import Entry, lazy_group
+
+COMMANDS = {
+    "plan": Entry(
+        "tagid.cli.plan",
+        "Plan a recording: SNR, clipping, time, centring, and how surely the tag will be named.",
+    ),
+    "scan": Entry("tagid.cli.scan", "Record one turn of the object, image it and name it."),
+    "station": Entry(
+        "tagid.cli.station",
+        "Serve a page with a Scan button, the live image, the answer, health and history.",
+    ),
+    "identify": Entry("tagid.cli.identify", "Name the object in one or more recorded scans."),
+    "enroll": Entry(
+        "tagid.cli.enroll",
+        "Enrol a layout from numbers, a file or captures of the real object, or an untagged body.",
+    ),
+    "history": Entry(
+        "tagid.cli.history", "List the identifications made on this computer, newest first, or export them."
+    ),
+    "report": Entry("tagid.cli.report", "Identify many captures: write a page, tables and a test report."),
+    "reconstruct": Entry("tagid.cli.reconstruct", "Make an image of a recorded scan."),
+    "join": Entry(
+        "tagid.cli.volume",
+        "Join captures of one object from several antenna heights into one of antenna positions.",
+    ),
+    "show": Entry(
+        "tagid.cli.show",
+        "Draw range profile, scans over time and spectrum of a recording, and print its statistics.",
+    ),
+    "import": Entry("tagid.cli.transfer", "Convert another tool's recording to a capture file."),
+    "export": Entry(
+        "tagid.cli.transfer",
+        "Write a capture as NPZ, MATLAB (.mat), P440 recording (.out, .prd), MRM-RET log (.csv) or .h5.",
+    ),
+    "recover": Entry(
+        "tagid.cli.transfer", "Make a capture file from the journal of an interrupted recording."
+    ),
+    "simulate": Entry(
+        "tagid.cli.simulate",
+        "Simulate the capture of a turning scene, or of an object whose response is in a file.",
+    ),
+    "doctor": Entry("tagid.cli.doctor", "Check ports, the radar's answer, disk, layouts and versions."),
+    "config": Entry("tagid.cli.config", "Show or change the stored settings."),
+    "layouts": Entry(
+        "tagid.cli.layouts.app",
+        "List, design, draw, exchange and check the layouts; without a command, list those enrolled.",
+    ),
+    "bodies": Entry(
+        "tagid.cli.bodies",
+        "List, draw and check enrolled bodies and objects; without a command they are listed.",
+    ),
+    "emulate": Entry("tagid.cli.emulate.app", "Emulate a device on a real wire."),
+    "radar": Entry("tagid.cli.radar.app", "Find, ask, set and record the radar itself."),
+    "motion": Entry("tagid.cli.motion.app", "Find, query, turn, stop and calibrate robots and turntables."),
+}
+"""Every command, in the order of the help, with the first sentence of its own help."""
 
 app = typer.Typer(
     name="tagid",
+    cls=lazy_group(COMMANDS),
     help="Read the identity of a tagged object from radar scans taken while it turns.",
     epilog="Try it without a radar: tagid scan --demo",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
+    rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for part in (
-    scan,
-    identify,
-    enroll,
-    layouts,
-    bodies,
-    history,
-    report,
-    reconstruct,
-    show,
-    transfer,
-    simulate,
-    emulate,
-    radar,
-    motion,
-    doctor,
-    config,
-):
-    part.register(app)
 
 
 def _print_version(value: bool) -> None:
@@ -77,4 +100,7 @@ def _root(
 
 def main() -> None:
     """Entry point: run the command line, and report an invalid one in the requested format."""
+    # Importing makes tens of thousands of objects that all stay: looking through them for garbage again and
+    # again costs a tenth of a short command.
+    gc.set_threshold(20_000, 20, 20)
     sys.exit(serve(app))

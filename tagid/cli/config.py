@@ -43,7 +43,12 @@ def register(app: typer.Typer) -> None:
             return Result("config", {"path": str(loaded.path)}, Text(str(loaded.path)))
         if action != "list":
             raise UsageError(f"unknown action {action!r}", "Use list, set, unset or path.")
-        table = Table("setting", "value", "from", "meaning", box=None)
+        table = Table(box=None)
+        # Names are to be copied, so they are never cut; long values continue on the next line.
+        table.add_column("setting", no_wrap=True)
+        table.add_column("value", overflow="fold")
+        table.add_column("from", no_wrap=True)
+        table.add_column("meaning", overflow="fold", ratio=1)
         for setting in SETTINGS:
             entry = loaded.values[setting.name]
             shown = "-" if entry.value is None else str(entry.value)

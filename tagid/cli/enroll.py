@@ -173,7 +173,7 @@ def _enrol_layout(
     found = look(layout, contents.layouts, direction_known=known_direction, version=contents.version)
     if any(other.name == layout.name for other in contents.layouts) and not wish.force:
         raise RegistryError(
-            f"a layout named {layout.name} is enrolled already",
+            f"a layout named {layout.name} is already enrolled",
             "Choose another name, remove it with `tagid layouts --remove`, or replace it with --force.",
         )
     conflict = None if wish.force else found.conflict()
@@ -209,7 +209,7 @@ def _enrol_signature(
     names = {layout.name for layout in contents.layouts} if one.kind == "object" else set()
     if (taken or one.name in names) and not given.wish.force:
         raise RegistryError(
-            f"{'an object' if one.kind == 'object' else 'a body'} named {one.name} is enrolled already",
+            f"{'an object' if one.kind == 'object' else 'a body'} named {one.name} is already enrolled",
             "Choose another name, remove it with `tagid "
             f"{'layouts' if one.kind == 'object' else 'bodies'} --remove`, or replace it with --force.",
         )
@@ -235,7 +235,7 @@ def _enrol_signature(
         error = LayoutConflictError(
             f"object {one.name} could be confused with {alike[0]}: {pairs[0].left:.1%} of its turning echo "
             "tells them apart",
-            "Change its tag, remove the other, or insist with --force; nothing was stored.",
+            "Change its tag, remove the other, or override with --force; nothing was stored.",
         )
         entry = {"code": error.code, "message": error.message, "remedy": error.remedy}
         return Result("enroll", data, shown, "error", error.exit_code, tuple(notes), (entry,))

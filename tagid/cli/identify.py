@@ -28,6 +28,7 @@ def register(app: typer.Typer) -> None:
         motion: options.MotionUrl = None,
         axis_distance: options.AxisDistance = None,
         antenna_height: options.AntennaHeight = None,
+        antenna_separation: options.AntennaSeparation = None,
         background: options.Background = "mean",
         preview: options.Preview = False,
         png: options.PngFile = None,
@@ -47,6 +48,7 @@ def register(app: typer.Typer) -> None:
                 "motion.url": motion,
                 "motion.axis_distance_m": axis_distance,
                 "motion.antenna_height_m": antenna_height,
+                "motion.antenna_separation_m": antenna_separation,
             }
             return vote_on(files, load_config(overrides), background, "identify")
         return run(
@@ -56,6 +58,7 @@ def register(app: typer.Typer) -> None:
                 "motion.url": motion,
                 "motion.axis_distance_m": axis_distance,
                 "motion.antenna_height_m": antenna_height,
+                "motion.antenna_separation_m": antenna_separation,
             },
             View(background, preview, png),
         )
@@ -81,6 +84,7 @@ def run(terminal: Terminal, files: list[Path], overrides: dict[str, object], vie
     from rich.console import Group, RenderableType
 
     from tagid.cli.common import imaging
+    from tagid.pipeline.diagnosis import recording_remarks, with_causes
     from tagid.pipeline.identify import identify
     from tagid.pipeline.load import LoadSettings, load_capture
     from tagid.pipeline.prepared import PreparedCapture
@@ -92,6 +96,7 @@ def run(terminal: Terminal, files: list[Path], overrides: dict[str, object], vie
     items: list[dict[str, object]] = []
     drawn: list[RenderableType] = []
     errors: list[dict[str, str]] = []
+    remarks: list[str] = []
     settings = imaging.settings_from(config, view.background)
     loading = LoadSettings.of(config, view.background)
     for path in files:
@@ -100,6 +105,9 @@ def run(terminal: Terminal, files: list[Path], overrides: dict[str, object], vie
             answer = identify(
                 prepared, known.layouts, registry_version=known.version, signatures=known.signatures
             )
+            answer = with_causes(answer, prepared, known.layouts)
+            prefix = f"{displayable(path.name)}: " if len(files) > 1 else ""
+            remarks += [prefix + remark for remark in recording_remarks(prepared.given)]
             if (view.preview or view.png) and len(files) == 1:
                 result = imaging.image_with_progress(terminal, prepared)
                 if view.png:
@@ -124,7 +132,9 @@ def run(terminal: Terminal, files: list[Path], overrides: dict[str, object], vie
         code = EXIT_BATCH
     notes = imaging.remember("identify", items, {"background": view.background, **_given(overrides)})
     data = {"items": items, "png": str(view.png) if view.png else None}
-    return Result("identify", data, Group(*drawn) if drawn else None, status, code, notes, tuple(errors))
+    return Result(
+        "identify", data, Group(*drawn) if drawn else None, status, code, (*remarks, *notes), tuple(errors)
+    )
 
 
 def vote_on(files: list[Path], config: Config, background: str, command_name: str) -> Result:

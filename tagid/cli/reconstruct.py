@@ -22,7 +22,9 @@ def register(app: typer.Typer) -> None:
         terminal: Terminal,
         file: options.CaptureFile,
         method: options.Method = None,
-        engine: Annotated[str, typer.Option("--engine", help="What runs ats: onnx, torch or auto.")] = "auto",
+        engine: Annotated[
+            str, typer.Option("--engine", help="What runs ats: native, onnx, torch or auto.")
+        ] = "auto",
         device: Annotated[str, typer.Option("--device", help="cpu, or cuda with torch.")] = "cpu",
         calibrate: Annotated[
             str | None,
@@ -49,6 +51,7 @@ def register(app: typer.Typer) -> None:
         motion: options.MotionUrl = None,
         axis_distance: options.AxisDistance = None,
         antenna_height: options.AntennaHeight = None,
+        antenna_separation: options.AntennaSeparation = None,
         background: options.Background = "mean",
         focus: Annotated[
             bool,
@@ -71,6 +74,31 @@ def register(app: typer.Typer) -> None:
             typer.Option("--subtract-body", help="Subtract the echo of the body that `identify` finds."),
         ] = False,
         seed: options.Seed = 0,
+        volume: Annotated[
+            bool,
+            typer.Option("--volume", help="Make a volume of captures from several antenna heights (`join`)."),
+        ] = False,
+        heights: Annotated[
+            str | None,
+            typer.Option(
+                "--heights",
+                metavar="LOW,HIGH",
+                help="Lowest and highest height of the volume, metres.",
+                show_default=False,
+            ),
+        ] = None,
+        levels: Annotated[
+            int | None, typer.Option("--levels", help="Levels of the volume.", show_default=False)
+        ] = None,
+        vti: Annotated[
+            Path | None, typer.Option("--vti", help="Write the volume as VTK image data.", show_default=False)
+        ] = None,
+        ply: Annotated[
+            Path | None, typer.Option("--ply", help="Write its bright points as PLY.", show_default=False)
+        ] = None,
+        webp: Annotated[
+            Path | None, typer.Option("--webp", help="Write the volume turning.", show_default=False)
+        ] = None,
     ) -> Result:
         """Make an image of a recorded scan.
 
@@ -88,6 +116,10 @@ def register(app: typer.Typer) -> None:
         from tagid.pipeline.prepared import PreparedCapture
         from tagid.storage.image import write_image
 
+        if not volume and (heights or levels or vti or ply or webp):
+            raise UsageError(
+                "--heights, --levels, --vti, --ply and --webp belong to a volume", "Add --volume."
+            )
         if (calibrate or ats) and preset != "field":
             raise UsageError("--calibrate and --ats are for --preset field", "Omit them.")
         config = load_config(
@@ -99,8 +131,16 @@ def register(app: typer.Typer) -> None:
                 "motion.url": motion,
                 "motion.axis_distance_m": axis_distance,
                 "motion.antenna_height_m": antenna_height,
+                "motion.antenna_separation_m": antenna_separation,
             }
         )
+        if volume:
+            from tagid.cli.volume import Outputs, make_volume
+
+            loading = replace(LoadSettings.of(config, background), wave_speed_m_s=wave_speed)
+            outputs = Outputs(out, vti, ply, png, webp)
+            shape = imaging.parse_place(heights, "--heights"), levels, held_out
+            return make_volume(terminal, load_capture(file, loading), config, background, shape, outputs)
         given = imaging.settings_from(config, background, focus)
         if (calibrate or ats) and given.method not in ("ats", "auto"):
             raise UsageError(f"--calibrate and --ats do nothing for {given.method}", "Use --method ats.")

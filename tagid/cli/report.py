@@ -11,7 +11,7 @@ from tagid import interrupts
 from tagid.cli.common import options
 from tagid.cli.common.frame import Output, Terminal, command
 from tagid.config import Config, load_config
-from tagid.errors import EXIT_INTERRUPTED, CaptureInterrupted, UsageError
+from tagid.errors import EXIT_INTERRUPTED, CaptureInterrupted, StorageError, UsageError
 from tagid.result import Result, Status
 
 if TYPE_CHECKING:
@@ -61,6 +61,7 @@ def register(app: typer.Typer) -> None:
         motion: options.MotionUrl = None,
         axis_distance: options.AxisDistance = None,
         antenna_height: options.AntennaHeight = None,
+        antenna_separation: options.AntennaSeparation = None,
         background: options.Background = "mean",
     ) -> Result:
         """Identify many captures: write a page, tables and a test report.
@@ -86,6 +87,7 @@ def register(app: typer.Typer) -> None:
                 "motion.url": motion,
                 "motion.axis_distance_m": axis_distance,
                 "motion.antenna_height_m": antenna_height,
+                "motion.antenna_separation_m": antenna_separation,
             }
         )
         page = PageSettings(title or PageSettings.title, page_megabytes)
@@ -138,8 +140,14 @@ def _watch(folder: Path | None, out: Path, idle_stop: float | None) -> Any:
 
     if folder is None:
         return None
-    if not folder.is_dir():
-        raise UsageError(f"--watch {folder} is not a folder", "Give the folder where captures arrive.")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except FileExistsError:
+        raise UsageError(
+            f"--watch {folder} is not a folder", "Give the folder where captures arrive."
+        ) from None
+    except OSError as error:
+        raise StorageError(f"cannot make the folder {folder}: {error.strerror}", "Choose another.") from None
     return FolderWatch(folder, out, idle_stop_s=idle_stop)
 
 

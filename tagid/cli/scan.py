@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -13,23 +14,59 @@ from tagid.cli.common import options
 from tagid.cli.common.consent import Yes, agree_to
 from tagid.cli.common.frame import Terminal, command
 from tagid.cli.common.recording import Limits, plan_of
+from tagid.cli.common.truth import truth_of, with_truth
 from tagid.config import Config, load_config
 from tagid.constants import CAPTURE_SUFFIX
-from tagid.errors import ConfigError, StorageError, TagidError
+from tagid.errors import ConfigError, DataError, StorageError, TagidError
+from tagid.files import make_folder
 from tagid.result import Result
 
 if TYPE_CHECKING:
+    from tagid.capture import Capture
     from tagid.metadata import ObjectInfo
+    from tagid.pipeline.answer import Identification
+    from tagid.pipeline.prepared import PreparedCapture
+    from tagid.pipeline.settings import ImagingSettings
+    from tagid.recording.plan import RecordingPlan
 
 MAX_REPEAT = 100
 
 
 @dataclass(frozen=True)
 class View:
-    """How the image of a scan is shown: in the terminal, too; without the body's echo."""
+    """What is shown of a scan.
+
+    Attributes:
+        preview: draw the image in the terminal, too.
+        subtract_body: image without the body's echo.
+        live: show image and evidence while the object turns.
+    """
 
     preview: bool
     subtract_body: bool
+    live: bool
+
+
+@dataclass(frozen=True, eq=False)
+class _Turn:
+    """A recorded turn and what was read in it.
+
+    Attributes:
+        capture, path: the recording and its file.
+        answer: who it is; of status "failed" where `error` says why.
+        prepared: as it was read; None where that failed.
+        error: why it could not be read.
+        live: figures of the live view; None without one.
+        remarks: what is wrong with the recording, a sentence each.
+    """
+
+    capture: Capture
+    path: Path
+    answer: Identification
+    prepared: PreparedCapture | None
+    error: TagidError | None
+    live: dict[str, Any] | None
+    remarks: tuple[str, ...]
 
 
 def register(app: typer.Typer) -> None:
@@ -42,6 +79,7 @@ def register(app: typer.Typer) -> None:
         motion: options.MotionUrl = None,
         axis_distance: options.AxisDistance = None,
         antenna_height: options.AntennaHeight = None,
+        antenna_separation: options.AntennaSeparation = None,
         cable_delay: options.CableDelay = None,
         scans: Annotated[int | None, typer.Option("--scans", help="Stop after so many scans.")] = None,
         max_seconds: Annotated[float, typer.Option("--max-seconds", help="Stop after so long.")] = 180.0,
@@ -50,6 +88,9 @@ def register(app: typer.Typer) -> None:
         demo: Annotated[bool, typer.Option("--demo", help="Use an emulated radar and helmet.")] = False,
         demo_scene: Annotated[str, typer.Option("--demo-scene", help="What the demo turns.")] = "helmet-120",
         preview: options.Preview = False,
+        live: Annotated[
+            bool, typer.Option("--live", help="Show image and evidence while the object turns.")
+        ] = False,
         note: Annotated[str, typer.Option("--note", help="Kept in the capture, e.g. a name.")] = "",
         subtract_body: Annotated[
             bool,
@@ -60,17 +101,25 @@ def register(app: typer.Typer) -> None:
         repeat: Annotated[
             int, typer.Option("--repeat", help="Record so many turns and answer from all of them.")
         ] = 1,
+        truth: Annotated[
+            Path | None,
+            typer.Option(
+                "--truth", help="What emulate --truth wrote; kept in the capture.", show_default=False
+            ),
+        ] = None,
         yes: Yes = False,
     ) -> Result:
         """Record one turn of the object, image it and name it.
 
         Example: tagid scan --radar udp://192.168.1.100 --axis-distance 1.0
+        Example: tagid scan --live --motion 'free?rpm=2'
         """
         overrides: dict[str, Any] = {
             "radar.url": radar,
             "motion.url": motion,
             "motion.axis_distance_m": axis_distance,
             "motion.antenna_height_m": antenna_height,
+            "motion.antenna_separation_m": antenna_separation,
             "radar.cable_delay_ps": cable_delay,
             "imaging.method": method,
             "storage.folder": None if save_dir is None else str(save_dir),
@@ -84,13 +133,15 @@ def register(app: typer.Typer) -> None:
         if not demo:
             config = load_config(overrides)
             agree_to(config["motion.url"], yes)
-            return _scans(terminal, config, limits, about, View(preview, subtract_body), repeat)
+            about = with_truth(about, truth_of(config["radar.url"] or "", truth))
+            return _scans(terminal, config, limits, about, View(preview, subtract_body, live), repeat)
         from tagid.cli.common.demo import emulated_radar
 
         with emulated_radar(demo_scene) as there:
-            demo_config = load_config({**overrides, **there})
-            shown = View(preview, subtract_body)
-            return _scans(terminal, demo_config, limits, replace(about, demo=True), shown, repeat)
+            demo_config = load_config({**overrides, **there.settings})
+            shown = View(preview, subtract_body, live)
+            about = with_truth(replace(about, demo=True), there.object)
+            return _scans(terminal, demo_config, limits, about, shown, repeat)
 
 
 def _scans(
@@ -125,16 +176,9 @@ def _scan(
     from rich.text import Text
 
     from tagid.cli.common import imaging
-    from tagid.motion.urls import open_motion
-    from tagid.pipeline.identify import identify, without_body
-    from tagid.pipeline.load import LoadSettings, load_capture
-    from tagid.pipeline.prepared import PreparedCapture
+    from tagid.pipeline.identify import without_body
     from tagid.pipeline.resolve import turn_line
-    from tagid.pipeline.turn import resolve_turn
     from tagid.recording.intake import notes
-    from tagid.recording.plan import capture_path
-    from tagid.recording.radars import open_radar
-    from tagid.recording.recorder import Watch, record
     from tagid.storage.image import write_image
 
     url = config["radar.url"]
@@ -146,57 +190,38 @@ def _scan(
         )
     folder = Path(config["storage.folder"] or ".")
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        make_folder(folder)
     except OSError as error:
         raise StorageError(f"cannot make the folder {folder}: {error.strerror}", "Choose another.") from None
-    plan = plan_of(config, url, limits, about)
-    known = imaging.open_registry().contents()
-    motion = open_motion(config["motion.url"])
-    paths: list[Path] = []
-    with terminal.progress("record", motion.needed_seconds()) as advance:
-        capture = record(
-            open_radar(url, config["radar.timeout_s"]),
-            motion,
-            replace(plan, renumber=True),
-            capture_path(folder),
-            Watch(
-                lambda count, seconds: advance(seconds, f"{count} scans, {seconds:.1f} s"),
-                resolve_turn,
-                named=paths.append,
-            ),
-        )
+    plan = replace(plan_of(config, url, limits, about), renumber=True)
+    settings = imaging.settings_from(config)
+    turn = _record_and_read(terminal, config, plan, settings, folder, view)
+    capture, path, answer = turn.capture, turn.path, turn.answer
     resolved = capture.motion.resolved
-    path = paths[-1]
     stem = path.name.removesuffix(CAPTURE_SUFFIX)
     png = path.with_name(f"{stem}.png")
     npz = path.with_name(f"{stem}.image.npz")
     drawn: list[RenderableType] = []
-    settings = imaging.settings_from(config)
-    loading = LoadSettings.of(config, as_recorded=True)
     files: dict[str, str | None] = {"capture": str(path), "png": None, "image": None}
     result_errors: tuple[dict[str, str], ...] = ()
     learned: dict[str, Any] = {}
     try:
-        loaded = load_capture(capture, loading)
-        prepared = PreparedCapture(loaded, settings)
-        answer = identify(
-            prepared, known.layouts, registry_version=known.version, signatures=known.signatures
-        )
-        shown = without_body(prepared, answer) if view.subtract_body else prepared
+        if turn.prepared is None:
+            raise turn.error or DataError("the capture could not be read")
+        shown = without_body(turn.prepared, answer) if view.subtract_body else turn.prepared
         result = imaging.image_with_progress(terminal, shown)
         imaging.draw(result, answer, png)
         write_image(npz, result.image)
         files |= {"png": str(png), "image": str(npz)}
         learned = imaging.learned(result)
         drawn += [Text(line) for line in imaging.learned_words(result)]
-        if shown is not prepared:
+        if shown is not turn.prepared:
             drawn.append(Text(imaging.SUBTRACTED[True]))
         if view.preview:
             drawn.append(imaging.in_terminal(result))
         code = imaging.exit_code_of([answer])
     except KeyboardInterrupt as stop:
-        remedy = f"The capture is kept in {path}; `tagid identify {path}` reads it."
-        raise interrupts.stopped_by_user(stop, remedy) from stop
+        raise interrupts.stopped_by_user(stop, _kept(path)) from stop
     except TagidError as error:
         # The recording is safe; only what was to be read from it failed.
         answer = imaging.failed(capture.uuid, error)
@@ -205,8 +230,8 @@ def _scan(
         code = error.exit_code
     else:
         drawn.append(imaging.describe(answer, ""))
-    if turn := turn_line(resolved):
-        drawn.append(Text(f"turn     {turn}"))
+    if line := turn_line(resolved):
+        drawn.append(Text(f"turn     {line}"))
     drawn += [Text(f"{name:<8} {where}") for name, where in files.items() if where]
     facts = {
         "views": capture.views,
@@ -217,10 +242,74 @@ def _scan(
         "files": files,
         "motion": {} if resolved is None else {"nominal_rpm": None, **resolved.to_json()},
         "learned": learned,
+        **({} if turn.live is None else {"live": turn.live}),
     }
     items = [{"file": str(path), **answer.to_dict()}]
     kept = imaging.remember("scan", items, {"radar": url, "motion": config["motion.url"]})
-    messages = (*notes(capture.radar), *kept)
+    messages = (*notes(capture.radar), *turn.remarks, *kept)
     data = {"items": items, **facts}
     status = "error" if result_errors else "success"
     return Result("scan", data, Group(*drawn), status, code, messages, result_errors)  # type: ignore[arg-type]
+
+
+def _record_and_read(
+    terminal: Terminal,
+    config: Config,
+    plan: RecordingPlan,
+    settings: ImagingSettings,
+    folder: Path,
+    view: View,
+) -> _Turn:
+    """Record one turn and name the object, under a progress line or the live view."""
+    from tagid.cli.common import imaging
+    from tagid.cli.common.live import LiveScan, live_scan
+    from tagid.live.engine import LiveSettings
+    from tagid.motion.urls import open_motion
+    from tagid.pipeline.diagnosis import recording_remarks, with_causes
+    from tagid.pipeline.identify import identify
+    from tagid.pipeline.load import LoadSettings, load_capture
+    from tagid.pipeline.prepared import PreparedCapture
+    from tagid.pipeline.turn import resolve_turn
+    from tagid.recording.plan import capture_path
+    from tagid.recording.radars import open_radar
+    from tagid.recording.recorder import Watch, record
+
+    url = config["radar.url"]
+    known = imaging.open_registry().contents()
+    motion = open_motion(config["motion.url"])
+    paths: list[Path] = []
+    live: LiveScan | None = None
+    with ExitStack() as showing:
+        watch = Watch(resolve=resolve_turn, named=paths.append)
+        radar = open_radar(url, config["radar.timeout_s"])
+        if view.live:
+            needs = LiveSettings(motion, known.layouts, known.signatures, known.version, settings)
+            live = showing.enter_context(live_scan(terminal, needs, f"tagid scan --live   {url}"))
+            watch = live.watching(watch, resolve_turn)
+        else:
+            advance = showing.enter_context(terminal.progress("record", motion.needed_seconds()))
+            watch = replace(watch, progress=lambda count, s: advance(s, f"{count} scans, {s:.1f} s"))
+        capture = record(radar, motion, plan, capture_path(folder), watch)
+        prepared, failure = None, None
+        remarks: tuple[str, ...] = ()
+        try:
+            loaded = load_capture(capture, LoadSettings.of(config, as_recorded=True))
+            remarks = recording_remarks(loaded)
+            prepared = PreparedCapture(loaded, settings)
+            answer = identify(
+                prepared, known.layouts, registry_version=known.version, signatures=known.signatures
+            )
+            answer = with_causes(answer, prepared, known.layouts)
+            if live is not None:
+                live.view.settle(loaded, answer)
+        except KeyboardInterrupt as stop:
+            raise interrupts.stopped_by_user(stop, _kept(paths[-1])) from stop
+        except TagidError as error:
+            prepared, failure, answer = None, error, imaging.failed(capture.uuid, error)
+    return _Turn(
+        capture, paths[-1], answer, prepared, failure, None if live is None else live.facts(), remarks
+    )
+
+
+def _kept(path: Path) -> str:
+    return f"The capture is kept in {path}; `tagid identify {path}` reads it."

@@ -15,6 +15,7 @@ from tagid.result import Result
 
 if TYPE_CHECKING:
     from tagid.capture import Capture
+    from tagid.planning.plan import Gap
     from tagid.recording.inspection import RecordingSummary
 
 
@@ -25,16 +26,24 @@ def register(app: typer.Typer) -> None:
     def show(
         terminal: Terminal,
         file: options.CaptureFile,
-        png: Annotated[Path | None, typer.Option("--png", help="Picture (default: beside the file).")] = None,
+        png: Annotated[
+            Path | None, typer.Option("--png", help="Picture (default: NAME.show.png beside the file).")
+        ] = None,
         changing: Annotated[
             bool, typer.Option("--changing", help="Draw without the mean scan: only what changes.")
         ] = False,
         cable_delay: options.CableDelay = None,
         node: options.Node = None,
+        reflector: options.Reflector = None,
+        body: options.Body = None,
     ) -> Result:
         """Draw range profile, scans over time and spectrum of a recording, and print its statistics.
 
+        With --reflector, the measured SNR is compared with that of `tagid plan`, and the likely cause of a
+        gap is named.
+
         Example: tagid show helmet.tagid.h5
+        Example: tagid show helmet.tagid.h5 --reflector octahedron:40mm
         """
         from rich.console import Group
         from rich.table import Table
@@ -48,12 +57,18 @@ def register(app: typer.Typer) -> None:
         config = load_config({"radar.cable_delay_ps": cable_delay})
         capture = load_capture(file, LoadSettings.of(config, node=node), turn=False)
         summary = inspect(capture)
-        target = png or file.with_name(file.name.removesuffix(CAPTURE_SUFFIX) + ".png")
+        # The image of `scan` is NAME.png beside the capture, and stays.
+        target = png or file.with_name(file.name.removesuffix(CAPTURE_SUFFIX) + ".show.png")
         draw_recording(
             thinned(capture)[0], target, file.name, changing_only=changing, turning=_turns(summary, capture)
         )
         table = Table(show_header=False, box=None)
-        for name, text in _rows(summary):
+        compared = _against_plan(capture, summary, reflector, body)
+        rows = _rows(summary)
+        if compared is not None:
+            told = f"{compared.measured_db:.1f} dB measured, {compared.planned_db:.1f} dB planned, per sample"
+            rows += [("plan", told), *([("likely cause", compared.cause)] if compared.cause else [])]
+        for name, text in rows:
             table.add_row(name, text)
         strongest = summary.strongest
         data = {
@@ -79,11 +94,41 @@ def register(app: typer.Typer) -> None:
                 "spread_bins": strongest.spread_bins,
             },
             "complete": capture.complete,
+            "plan": None
+            if compared is None
+            else {
+                "measured_db": compared.measured_db,
+                "planned_db": compared.planned_db,
+                "cause": compared.cause,
+            },
         }
         messages = remarks(capture)
         if summary.every > 1:
             messages += (f"SNR, period and picture are from every {summary.every}th scan",)
         return Result("show", data, Group(table, Text(f"picture {target}")), messages=messages)
+
+
+def _against_plan(
+    capture: Capture, summary: RecordingSummary, reflector: str | None, body: str | None
+) -> Gap | None:
+    """Measured against planned SNR; None where no reflector is stated, or nothing turns."""
+    if reflector is None or summary.noise is None or capture.axis_distance_m is None or not summary.changes:
+        return None
+    from tagid.cli.plan import Asked, setup_from
+    from tagid.planning.plan import changing_peak, gap
+
+    settings = capture.radar.config
+    asked = Asked(
+        reflector,
+        body,
+        capture.axis_distance_m,
+        None if settings is None else settings.base_integration_index,
+        None,
+        2.0,
+        "container-90",
+        None,
+    )
+    return gap(capture, summary.noise, changing_peak(capture), setup_from(asked))
 
 
 def _turns(summary: RecordingSummary, capture: Capture) -> bool:

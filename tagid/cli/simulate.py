@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -34,8 +35,9 @@ def register(app: typer.Typer) -> None:
         ] = 0.0,
         scene: Annotated[
             str | None,
-            typer.Argument(help="helmet-120, container-90, points-3, can, box, empty ...; or --response."),
+            typer.Argument(help="An enrolled layout, points-3, can, box, empty ...; or --response."),
         ] = None,
+        file: options.LayoutFile = None,
         response: response_options.ResponseFile = None,
         polarisation: response_options.Polarisation = None,
         snr_reference: response_options.SnrReference = None,
@@ -69,6 +71,7 @@ def register(app: typer.Typer) -> None:
             float, typer.Option("--axis-error", help="Stated minus true distance, m.")
         ] = 0.0,
         height: Annotated[float, typer.Option("--antenna-height", help="Metres.")] = 0.0,
+        antenna_separation: options.AntennaSeparation = None,
         rotation: Annotated[float, typer.Option("--rotation", help="Rotation of the object, degrees.")] = 0.0,
         centre: options.ObjectCentre = "0,0",
         wobble: Annotated[float, typer.Option("--wobble", help="Uneven speed, 0.01 is 1 %.")] = 0.0,
@@ -102,6 +105,10 @@ def register(app: typer.Typer) -> None:
             parse_point("--centre", centre), float(np.deg2rad(rotation)), parse_elevation(elevation)
         )
         files = response_options.response_files(response, polarisation, snr_reference, snr_reference_body)
+        if file is not None and scene is None:
+            from tagid.tags.enrolling.lookup import only_layout
+
+            scene = only_layout(file)
         if (scene is None) == (files is None):
             raise UsageError("give either a scene or --response FILE", "tagid simulate --help has examples.")
         if files is not None and range_law:
@@ -112,6 +119,7 @@ def register(app: typer.Typer) -> None:
             axis_distance_m=axis_distance,
             axis_distance_error_m=axis_error,
             antenna_height_m=height,
+            antenna_separation_m=antenna_separation or 0.0,
             pulse=_pulse(pulse, seed) if pulse_of is None else _pulse_of(pulse_of),
             snr_db=None if noise is not None else snr,
             snr_reference=snr_of,
@@ -125,7 +133,7 @@ def register(app: typer.Typer) -> None:
         if files is not None and (body or reflector or unlike):
             raise UsageError("--body and --reflector belong to a scene", "A response file holds the object.")
         if files is None:
-            shown = _scene(scene or "", body, reflector, unlike, seed)
+            shown = _scene(scene or "", _Carrier(body, reflector, unlike), seed, file)
         else:
             shown = files.scene(acquisition, seed)
         capture, truth = simulate_capture(shown, acquisition, seed)
@@ -147,16 +155,29 @@ def register(app: typer.Typer) -> None:
         return Result("simulate", data, line)
 
 
-def _scene(name: str, body: str | None, reflector: str | None, unlike_db: float, seed: int) -> Scene:
-    """The preset, or its tag on a physical body where one of the options asks for that."""
-    from tagid.simulate import parse_body, parse_reflector, scene_from_name, scene_on_body
+@dataclass(frozen=True)
+class _Carrier:
+    """Body and reflectors as the command line names them, and the spread of the reflectors' strengths, dB."""
 
-    if body is None and reflector is None:
-        if unlike_db:
+    body: str | None
+    reflector: str | None
+    unlike_db: float
+
+
+def _scene(name: str, on: _Carrier, seed: int, file: Path | None) -> Scene:
+    """The preset, or its tag on a physical body where one of the options asks for that."""
+    from tagid.config import data_folder
+    from tagid.simulate import parse_body, parse_reflector, scene_from_name, scene_on_body
+    from tagid.simulate.presets import is_plain
+    from tagid.tags.enrolling.lookup import named_layouts
+
+    layouts = None if is_plain(name) else named_layouts(file, data_folder() / "registry.sqlite")
+    if on.body is None and on.reflector is None:
+        if on.unlike_db:
             raise UsageError("--unlike needs physical reflectors", "Add --reflector octahedron:20mm.")
-        return scene_from_name(name, seed)
-    carried = parse_body(body or "none")
-    return scene_on_body(name, carried, parse_reflector(reflector or "octahedron"), seed, unlike_db)
+        return scene_from_name(name, seed, layouts)
+    body, reflector = parse_body(on.body or "none"), parse_reflector(on.reflector or "octahedron")
+    return scene_on_body(name, body, reflector, seed, on.unlike_db, layouts)
 
 
 def _pulse(name: str, seed: int) -> Pulse | None:
@@ -172,7 +193,7 @@ def _pulse(name: str, seed: int) -> Pulse | None:
 
 
 def _pulse_of(path: Path) -> Pulse:
-    """The pulse that a capture holds. Raises the reader's errors, and DataError where it holds none."""
+    """The pulse that a capture holds. Raises the reader's errors, and DataError if it holds none."""
     from tagid.storage.importers import read_any
 
     pulse = read_any(path).pulse

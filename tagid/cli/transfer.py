@@ -28,6 +28,7 @@ def register(app: typer.Typer) -> None:
         out: _Out = None,
         axis_distance: options.AxisDistance = None,
         antenna_height: options.AntennaHeight = None,
+        antenna_separation: options.AntennaSeparation = None,
         cable_delay: options.CableDelay = None,
         node: options.Node = None,
         force: _Force = False,
@@ -46,6 +47,7 @@ def register(app: typer.Typer) -> None:
             {
                 "motion.axis_distance_m": axis_distance,
                 "motion.antenna_height_m": antenna_height,
+                "motion.antenna_separation_m": antenna_separation,
                 "radar.cable_delay_ps": cable_delay,
             }
         )

@@ -3,10 +3,11 @@
  * They are exact transposes of each other: both walk the same distances and use the same two weights. Numpy
  * would need the distances in memory, which is what makes it slow; here they live in registers.
  *
- * gather:  out[p]    += sum_v (1 - f) row_v[i] + f row_v[i + 1],        i + f = |antenna_v - point_p| - start
+ * gather:  out[p]    += sum_v (1 - f) row_v[i] + f row_v[i + 1],        i + f = d_vp - start
  * scatter: row_v[i]  += (1 - f) x_p,  row_v[i + 1] += f x_p             (row index clipped to the row)
  *
- * All lengths are in units of the row's range step. Only the stable ABI and the buffer protocol are used.
+ * d_vp = |antenna_v - point_p|, or with a second antenna (|antenna_v - point_p| + |second_v - point_p|) / 2.
+ * Points lie in the plane z = 0 unless heights are given. All lengths are in units of the row's range step. Only the stable ABI and the buffer protocol are used.
  */
 #define PY_SSIZE_T_CLEAN
 #define Py_LIMITED_API 0x030b0000
@@ -34,26 +35,79 @@
 
 typedef struct {
     const float *antenna; /* (views, 3) */
+    const float *second;  /* (views, 3), or NULL */
     const float *x, *y;   /* (points,) */
+    const float *z;       /* (points,), or NULL */
     int64_t views, points, bins;
     float start;
 } Geometry;
 
-/* Bin and weight of n points seen from one antenna. */
-static inline void locate(const Geometry *g, const float *antenna, int64_t at, int n, int32_t *bin, float *f)
+/* Bin and weight of a range in steps. */
+static inline void split(float t, float last, float before, int32_t *bin, float *f)
 {
-    const float *restrict x = g->x + at, *restrict y = g->y + at;
+    t = t < 0.0f ? 0.0f : t;
+    t = t > last ? last : t;
+    const float whole = (float)(int32_t)(t < before ? t : before);
+    *bin = (int32_t)whole;
+    *f = t - whole;
+}
+
+/* Bin and weight of n points of the plane seen from one antenna. */
+static inline void locate_plane(const Geometry *g, int64_t view, int64_t at, int n, int32_t *bin, float *f)
+{
+    const float *restrict x = g->x + at, *restrict y = g->y + at, *antenna = g->antenna + 3 * view;
     const float ax = antenna[0], ay = antenna[1], az2 = antenna[2] * antenna[2];
     const float last = (float)(g->bins - 1), before = (float)(g->bins - 2), start = g->start;
     for (int k = 0; k < n; k++) {
         const float dx = x[k] - ax, dy = y[k] - ay;
-        float t = sqrtf(dx * dx + dy * dy + az2) - start;
-        t = t < 0.0f ? 0.0f : t;
-        t = t > last ? last : t;
-        const float whole = (float)(int32_t)(t < before ? t : before);
-        bin[k] = (int32_t)whole;
-        f[k] = t - whole;
+        split(sqrtf(dx * dx + dy * dy + az2) - start, last, before, bin + k, f + k);
     }
+}
+
+/* The same for points at heights of their own. */
+static inline void locate_space(const Geometry *g, int64_t view, int64_t at, int n, int32_t *bin, float *f)
+{
+    const float *restrict x = g->x + at, *restrict y = g->y + at, *restrict z = g->z + at;
+    const float *antenna = g->antenna + 3 * view;
+    const float ax = antenna[0], ay = antenna[1], az = antenna[2];
+    const float last = (float)(g->bins - 1), before = (float)(g->bins - 2), start = g->start;
+    for (int k = 0; k < n; k++) {
+        const float dx = x[k] - ax, dy = y[k] - ay, dz = z[k] - az;
+        split(sqrtf(dx * dx + dy * dy + dz * dz) - start, last, before, bin + k, f + k);
+    }
+}
+
+/* The same with two antennas. */
+static inline void locate_two(const Geometry *g, int64_t view, int64_t at, int n, int32_t *bin, float *f)
+{
+    const float *restrict x = g->x + at, *restrict y = g->y + at, *a = g->antenna + 3 * view;
+    const float *b = g->second + 3 * view, *restrict z = g->z ? g->z + at : NULL;
+    const float last = (float)(g->bins - 1), before = (float)(g->bins - 2), start = g->start;
+    if (!z) {
+        const float az2 = a[2] * a[2], bz2 = b[2] * b[2];
+        for (int k = 0; k < n; k++) {
+            const float ax = x[k] - a[0], ay = y[k] - a[1], bx = x[k] - b[0], by = y[k] - b[1];
+            const float both = sqrtf(ax * ax + ay * ay + az2) + sqrtf(bx * bx + by * by + bz2);
+            split(0.5f * both - start, last, before, bin + k, f + k);
+        }
+        return;
+    }
+    for (int k = 0; k < n; k++) {
+        const float ax = x[k] - a[0], ay = y[k] - a[1], az = z[k] - a[2];
+        const float bx = x[k] - b[0], by = y[k] - b[1], bz = z[k] - b[2];
+        const float both = sqrtf(ax * ax + ay * ay + az * az) + sqrtf(bx * bx + by * by + bz * bz);
+        split(0.5f * both - start, last, before, bin + k, f + k);
+    }
+}
+
+static inline void locate(const Geometry *g, int64_t view, int64_t at, int n, int32_t *bin, float *f)
+{
+    if (g->second)
+        locate_two(g, view, at, n, bin, f);
+    else if (g->z)
+        locate_space(g, view, at, n, bin, f);
+    else
+        locate_plane(g, view, at, n, bin, f);
 }
 
 /* Points [from, to): out (points, 2) of rows (views, bins, 2). */
@@ -70,7 +124,7 @@ WIDE static void gather_points(const Geometry *g, const float *rows, float *out,
             memset(sum, 0, sizeof sum);
             for (int64_t v = first; v < end; v++) {
                 const float *restrict row = rows + 2 * v * g->bins;
-                locate(g, g->antenna + 3 * v, at, n, bin, f);
+                locate(g, v, at, n, bin, f);
                 for (int k = 0; k < n; k++) {
                     const float *a = row + 2 * (int64_t)bin[k];
                     float *restrict s = sum + 4 * k;
@@ -100,7 +154,7 @@ WIDE static void scatter_views(const Geometry *g, const float *x, float *rows, f
         memset(pair, 0, (size_t)g->bins * 4 * sizeof(float));
         for (int64_t at = 0; at < g->points; at += BLOCK) {
             const int n = (int)(g->points - at < BLOCK ? g->points - at : BLOCK);
-            locate(g, g->antenna + 3 * v, at, n, bin, f);
+            locate(g, v, at, n, bin, f);
             for (int k = 0; k < n; k++) {
                 float *restrict s = pair + 4 * (int64_t)bin[k];
                 const float *a = x + 2 * (at + k);
@@ -169,19 +223,22 @@ static void run(Job *first, int64_t count, int threads)
 
 static PyObject *apply(PyObject *args, int scatter)
 {
-    Py_buffer antenna, x, y, in, out;
+    Py_buffer antenna, second, x, y, z, in, out;
     Py_ssize_t bins;
     float start;
     int threads;
-    if (!PyArg_ParseTuple(args, "y*y*y*y*w*nfi", &antenna, &x, &y, &in, &out, &bins, &start, &threads))
+    if (!PyArg_ParseTuple(args, "y*y*y*y*y*y*w*nfi", &antenna, &second, &x, &y, &z, &in, &out, &bins, &start, &threads))
         return NULL;
-    Geometry g = {antenna.buf, x.buf, y.buf, antenna.len / 12, x.len / 4, bins, start};
+    /* An empty buffer of second antennas or of heights stands for none. */
+    Geometry g = {antenna.buf, second.len ? second.buf : NULL, x.buf, y.buf, z.len ? z.buf : NULL,
+                  antenna.len / 12, x.len / 4, bins, start};
     const Py_buffer *rows = scatter ? &out : &in, *image = scatter ? &in : &out;
     PyObject *result = NULL;
     float *scratch = NULL;
     if (bins < 2 || bins > (1 << 24) || antenna.len != g.views * 12 || x.len != g.points * 4 || y.len != x.len ||
+        (second.len && second.len != antenna.len) || (z.len && z.len != x.len) ||
         image->len != g.points * 8 || rows->len / 8 / bins != g.views || rows->len != g.views * bins * 8) {
-        PyErr_SetString(PyExc_ValueError, "buffers of antenna, points, rows and image do not fit together");
+        PyErr_SetString(PyExc_ValueError, "buffers of antennas, points, rows and image do not fit together");
         goto done;
     }
     const int64_t count = scatter ? g.views : g.points;
@@ -204,8 +261,10 @@ static PyObject *apply(PyObject *args, int scatter)
     result = Py_None;
 done:
     PyBuffer_Release(&antenna);
+    PyBuffer_Release(&second);
     PyBuffer_Release(&x);
     PyBuffer_Release(&y);
+    PyBuffer_Release(&z);
     PyBuffer_Release(&in);
     PyBuffer_Release(&out);
     return result;
@@ -215,8 +274,8 @@ static PyObject *gather(PyObject *self, PyObject *args) { (void)self; return app
 static PyObject *scatter(PyObject *self, PyObject *args) { (void)self; return apply(args, 1); }
 
 static PyMethodDef methods[] = {
-    {"gather", gather, METH_VARARGS, "gather(antenna, x, y, rows, out, bins, start, threads)"},
-    {"scatter", scatter, METH_VARARGS, "scatter(antenna, x, y, image, out, bins, start, threads)"},
+    {"gather", gather, METH_VARARGS, "gather(antenna, second, x, y, z, rows, out, bins, start, threads)"},
+    {"scatter", scatter, METH_VARARGS, "scatter(antenna, second, x, y, z, image, out, bins, start, threads)"},
     {NULL, NULL, 0, NULL},
 };
 
@@ -225,4 +284,13 @@ static struct PyModuleDef module = {
     NULL, NULL, NULL, NULL,
 };
 
-PyMODINIT_FUNC PyInit__kernel(void) { return PyModule_Create(&module); }
+PyMODINIT_FUNC PyInit__kernel(void)
+{
+    PyObject *made = PyModule_Create(&module);
+    /* `tagid.imaging.kernel` uses no build of other arguments. */
+    if (made && PyModule_AddIntConstant(made, "ARGUMENTS", 2) < 0) {
+        Py_DECREF(made);
+        return NULL;
+    }
+    return made;
+}

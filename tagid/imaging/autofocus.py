@@ -21,7 +21,7 @@ from tagid.imaging.lengths import search_range_m
 from tagid.imaging.pointmodel import Explained, explain, needed_evidence
 from tagid.imaging.preprocess import select_views
 from tagid.imaging.types import BasebandScans
-from tagid.signal import vertex
+from tagid.signal import fitted_peak, vertex
 
 Floats = NDArray[np.float64]
 
@@ -66,12 +66,12 @@ class AxisFocus:
 
     Attributes:
         axis_distance_m: distance that the returned scans assume, m; None for free antenna positions.
-        offset_m: its difference from the one given, m; 0 where the given one was kept.
+        offset_m: its difference from the one given, m; 0 if the given one was kept.
         sharpness: sum |f|^4 / (sum |f|^2)^2 of the brightest image of the search.
         contrast: largest brightness (see `focus_axis_distance`) over the median of the search, >= 1.
         peak_db: power of the brightest pixel over the mean noise power of a pixel, dB; inf without noise.
         reliable: the estimate passed every test; only then is it taken.
-        best_m: the best guess, m, taken or not; None where there was no search.
+        best_m: the best guess, m, taken or not; None if there was no search.
         sigma_m: its standard error by the jackknife over sectors of the turn, m; nan where not known.
         evidence: least t value, over all distances more than a quarter wavelength away, of the hypothesis
             that the sectors of the turn are explained better by the best guess; `needed_evidence` says what
@@ -79,7 +79,7 @@ class AxisFocus:
         needed: see there.
         second: energy of the second spot of the scene over that of the first.
         unexplained: share of the scans' energy that points leave over at the best guess.
-        reason: why it was not taken; empty where it was.
+        reason: why it was not taken; empty if it was.
     """
 
     axis_distance_m: float | None
@@ -173,7 +173,7 @@ def focus_axis_distance(
         float(measure[brightest] / np.median(measure)),
         _peak_db(few, images[brightest]),
     )
-    bright = _vertex(offsets, measure, brightest)
+    bright = fitted_peak(offsets, measure, brightest, _HALF_WINDOW)
     if seen.peak_db < MIN_PEAK_DB:
         reason = f"the image peak is {seen.peak_db:.1f} dB over the noise, {MIN_PEAK_DB:g} dB are needed"
         return scans, seen.focus(distance, 0.0, best_m=distance + bright, reason=reason)
@@ -298,13 +298,3 @@ def _peak_db(scans: BasebandScans, image: NDArray[np.complex64]) -> float:
         return float("inf")
     noise = scans.noise_std**2 / scans.aperture.views
     return float(10 * np.log10(np.abs(image).max() ** 2 / noise))
-
-
-def _vertex(at: Floats, values: Floats, best: int) -> float:
-    """Vertex of the parabola through the best value and two neighbours a side (least squares)."""
-    middle = int(np.clip(best, _HALF_WINDOW, len(at) - 1 - _HALF_WINDOW))
-    part = slice(middle - _HALF_WINDOW, middle + _HALF_WINDOW + 1)
-    bend, slope, _ = np.polyfit(at[part] - at[middle], values[part], 2)
-    if bend >= 0:
-        return float(at[best])
-    return float(np.clip(at[middle] - slope / (2 * bend), at[part][0], at[part][-1]))

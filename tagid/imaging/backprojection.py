@@ -55,7 +55,7 @@ def backproject(scans: BasebandScans, grid: ImageGrid) -> Image:
     for at in range(0, views, block):
         part = slice(at, at + block)
         rows, start, step = upsample_at_carrier(scans, part)
-        geometry = RangeGeometry.of(scans.aperture.positions[part], points, (start, step), rows.shape[1])
+        geometry = RangeGeometry.of(scans.aperture.select(part), points, (start, step), rows.shape[1])
         total += geometry.gather(rows)
     total /= np.float32(views)
     values = total.reshape(grid.pixels, grid.pixels)

@@ -1,7 +1,7 @@
-"""How well an image predicts views that it was not made from: the figure of merit that needs no truth.
+"""How well an image predicts views that it was not made from: a figure of merit that needs no ground truth.
 
-An image of what is there predicts the next view as well as the last; sidelobes, ghosts and noise that was
-taken for reflectors do not.
+An image of the object also predicts views that were left out. Sidelobes, ghosts and noise that was mistaken
+for reflectors do not.
 """
 
 from __future__ import annotations
@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tagid.errors import DataError
 from tagid.geometry import ImageGrid
 from tagid.imaging.backprojection import backproject
-from tagid.imaging.metrics import residual
+from tagid.imaging.operator import ForwardOperator
 from tagid.imaging.preprocess import select_views
 from tagid.imaging.types import BasebandScans, Image
 
@@ -59,9 +60,27 @@ class HeldOut:
 
 
 def left_out(views: int) -> NDArray[np.intp]:
-    """Numbers of the views to leave out, spread over all; empty where there are too few."""
+    """Numbers of the views to leave out, spread over all; empty if there are too few."""
     count = max(2, round(views * SHARE)) if views >= LEAST_VIEWS else 0
     return np.asarray((np.arange(count) + 0.5) * views / max(count, 1), dtype=np.intp)
+
+
+def residual(scans: BasebandScans, image: Image) -> float:
+    """||y - A x||^2 / ||y||^2 on scans that were not used for the reconstruction: 1 for a blank image.
+
+    The image's scale and phase are fitted (one complex number), so that the normalisation of
+    backprojection does not count.
+
+    Raises:
+        DataError: the scans are all zero.
+    """
+    y = scans.samples.astype(np.complex128)
+    energy = float(np.vdot(y, y).real)
+    if energy == 0:
+        raise DataError("the held-out scans are zero")
+    fit = ForwardOperator(scans, image.grid).forward(image.values.ravel()).astype(np.complex128)
+    power = float(np.vdot(fit, fit).real)
+    return 1 - float(np.abs(np.vdot(fit, y)) ** 2) / (power * energy) if power > 0 else 1.0
 
 
 def check(
@@ -71,7 +90,7 @@ def check(
     make: Callable[[BasebandScans], Image] | None,
     predicted: Callable[[BasebandScans, float], float] | None = None,
 ) -> HeldOut | None:
-    """Residual of an image made without some views, on those views; None where there are too few, or no data.
+    """Residual of an image made without some views, on those views; None if there are too few, or no data.
 
     Args:
         scans: as the method takes them, with or without matched filter.

@@ -7,7 +7,7 @@ where a compiler was present at installation, numpy and scipy with the same arit
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.errors import UsageError
+from tagid.geometry import Aperture
 from tagid.imaging.memory import require_memory
 
 if TYPE_CHECKING:
@@ -24,6 +25,8 @@ _compiled: Any
 try:
     from tagid.imaging import _kernel as _compiled  # type: ignore[attr-defined, no-redef]
 except ImportError:  # no compiler at installation
+    _compiled = None
+if getattr(_compiled, "ARGUMENTS", 0) != 2:  # built before the present source
     _compiled = None
 
 MAX_THREADS = 8
@@ -41,7 +44,7 @@ _BYTES_PER_PAIR = 16
 
 
 def is_compiled() -> bool:
-    """True where the C extension runs; False where numpy and scipy stand in for it."""
+    """True if the C extension runs; False where numpy and scipy stand in for it."""
     return _compiled is not None
 
 
@@ -51,29 +54,33 @@ class RangeGeometry:
 
     Attributes:
         antenna: (views, 3) float32 antenna positions.
-        x, y: (points,) float32, in the plane z = 0.
+        second: (views, 3) float32 positions of the receiver where it is another antenna, else (0, 3).
+        x, y: (points,) float32.
+        z: (points,) float32 heights, or (0,) where all lie in the plane z = 0.
         start: range of the first bin.
         bins: bins of a row.
     """
 
     antenna: NDArray[np.float32]
+    second: NDArray[np.float32]
     x: NDArray[np.float32]
     y: NDArray[np.float32]
+    z: NDArray[np.float32]
     start: float
     bins: int
 
     @classmethod
     def of(
         cls,
-        positions_m: NDArray[np.floating],
+        aperture: Aperture,
         points_m: NDArray[np.floating],
         range_m: tuple[float, float],
         bins: int,
     ) -> RangeGeometry:
-        """Geometry of antenna positions (views, 3) and points (points, 2), both in m.
+        """Geometry of an aperture and of points (points, 2) in the plane z = 0 or (points, 3), in m.
 
         Args:
-            positions_m, points_m: see above.
+            aperture, points_m: see above.
             range_m: one-way range of the first bin, and between bins, m.
             bins: bins of a row, 2 to 2^24.
 
@@ -86,9 +93,11 @@ class RangeGeometry:
                 "Check the antenna positions (metres, in the object's frame) and the extent of the image.",
             )
         first, step = range_m
-        antenna = np.ascontiguousarray(np.asarray(positions_m) / step, dtype=np.float32)
-        x, y = (np.ascontiguousarray(np.asarray(points_m)[:, i] / step, dtype=np.float32) for i in (0, 1))
-        return cls(antenna, x, y, first / step, bins)
+        antennas = [np.ascontiguousarray(each / step, dtype=np.float32) for each in aperture.antennas]
+        second = antennas[1] if len(antennas) > 1 else np.zeros((0, 3), dtype=np.float32)
+        place = [np.ascontiguousarray(axis / step, dtype=np.float32) for axis in np.asarray(points_m).T]
+        z = place[2] if len(place) > 2 else np.zeros(0, dtype=np.float32)
+        return cls(antennas[0], second, place[0], place[1], z, first / step, bins)
 
     @property
     def views(self) -> int:
@@ -102,7 +111,9 @@ class RangeGeometry:
 
     def select(self, views: NDArray[np.integer] | slice) -> RangeGeometry:
         """The geometry of some views only, in the order given."""
-        return RangeGeometry(np.ascontiguousarray(self.antenna[views]), self.x, self.y, self.start, self.bins)
+        antenna = np.ascontiguousarray(self.antenna[views])
+        second = np.ascontiguousarray(self.second[views]) if len(self.second) else self.second
+        return replace(self, antenna=antenna, second=second)
 
     def gather(self, rows: NDArray[np.complexfloating]) -> NDArray[np.complex64]:
         """out[p] = sum_v of row v at the distance of point p, by linear interpolation between bins.
@@ -116,9 +127,8 @@ class RangeGeometry:
         z = np.ascontiguousarray(rows, dtype=np.complex64).reshape(self.views, self.bins)
         out = np.zeros(self.points, dtype=np.complex64)
         if _compiled is not None:
-            _compiled.gather(
-                self.antenna, self.x, self.y, z, out, self.bins, self.start, self._threads(self.points)
-            )
+            place = (self.antenna, self.second, self.x, self.y, self.z)
+            _compiled.gather(*place, z, out, self.bins, self.start, self._threads(self.points))
             return out
         parts = _as_pairs(z).reshape(self.views, self.bins, 2)
         total = np.zeros((self.points, 2), dtype=np.float32)
@@ -132,9 +142,8 @@ class RangeGeometry:
         x = np.ascontiguousarray(values, dtype=np.complex64).reshape(self.points)
         out = np.empty((self.views, self.bins), dtype=np.complex64)
         if _compiled is not None:
-            _compiled.scatter(
-                self.antenna, self.x, self.y, x, out, self.bins, self.start, self._threads(self.views)
-            )
+            place = (self.antenna, self.second, self.x, self.y, self.z)
+            _compiled.scatter(*place, x, out, self.bins, self.start, self._threads(self.views))
             return out
         for at, block in self._blocks():
             rows = np.ascontiguousarray(block @ _as_pairs(x)).view(np.complex64)
@@ -168,17 +177,21 @@ class RangeGeometry:
             "its compiled kernel stores nothing.",
         )
         starts = range(0, self.views, VIEWS_PER_BLOCK)
-        return [(at, self._block(self.antenna[at : at + VIEWS_PER_BLOCK])) for at in starts]
+        return [(at, self._block(slice(at, at + VIEWS_PER_BLOCK))) for at in starts]
 
-    def _block(self, antenna: NDArray[np.float32]) -> sparse.csc_array[np.float32]:
+    def _block(self, some: slice) -> sparse.csc_array[np.float32]:
         """Matrix of some views; by columns, so that nothing needs sorting."""
         from scipy import sparse
 
+        antenna, second = self.antenna[some], self.second[some]
         views, points = len(antenna), self.points
         index = np.empty((points, views, 2), dtype=np.int32)
         weight = np.empty((points, views, 2), dtype=np.float32)
-        for v, (ax, ay, az) in enumerate(antenna):
-            t = np.sqrt((self.x - ax) ** 2 + (self.y - ay) ** 2 + az * az) - np.float32(self.start)
+        for v in range(views):
+            t = self._ranges(antenna[v])
+            if len(second):
+                t = np.float32(0.5) * (t + self._ranges(second[v]))
+            t -= np.float32(self.start)
             np.clip(t, np.float32(0), np.float32(self.bins - 1), out=t)
             whole = np.minimum(t, np.float32(self.bins - 2)).astype(np.int32)
             index[:, v, 0] = whole + v * self.bins
@@ -188,6 +201,12 @@ class RangeGeometry:
         starts = np.arange(0, index.size + 1, 2 * views, dtype=np.int32)
         parts: Any = (weight.ravel(), index.ravel(), starts)
         return sparse.csc_array(parts, shape=(views * self.bins, points))
+
+    def _ranges(self, antenna: NDArray[np.float32]) -> NDArray[np.float32]:
+        """(points,) distance from one antenna position (3,)."""
+        ax, ay, az = antenna
+        up = (self.z - az) ** 2 if len(self.z) else az * az
+        return np.asarray(np.sqrt((self.x - ax) ** 2 + (self.y - ay) ** 2 + up), dtype=np.float32)
 
 
 def cores() -> int:

@@ -14,7 +14,7 @@ SHARE = 0.8
 
 
 def free_memory() -> int | None:
-    """Bytes that can be taken without swapping, None where the system does not tell."""
+    """Bytes that can be taken without swapping, None if the system does not tell."""
     try:
         with open("/proc/meminfo", encoding="ascii") as file:  # noqa: PTH123 - a pseudo file
             for line in file:

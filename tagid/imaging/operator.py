@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.errors import UsageError
-from tagid.geometry import ImageGrid
+from tagid.geometry import Aperture, ImageGrid
 from tagid.imaging.kernel import RangeGeometry
 from tagid.imaging.memory import require_memory
 from tagid.imaging.types import BasebandScans
@@ -27,7 +27,8 @@ PHASE_STEP^2 / 8 too small (0.5 %); `interpolation_gain` takes the mean of that 
 
 
 class ForwardOperator:
-    """y[v, b] = sum_p sigma_p response(R_b - d_vp) exp(-2j k d_vp), d_vp = |antenna_v - point_p|.
+    """y[v, b] = sum_p sigma_p response(R_b - d_vp) exp(-2j k d_vp), d_vp = |antenna_v - point_p|, or with two
+    antennas half the way from the transmitter over the point to the receiver.
 
     It is applied in two stages, y = S G sigma: the sparse real G writes every point into two neighbours of
     a fine range grid (geometry only, computed as it goes), the small dense S puts the carrier on, convolves
@@ -36,7 +37,7 @@ class ForwardOperator:
     Args:
         scans: where the bins, the response, the wavenumber and the antenna positions come from; the samples
             are not used.
-        target: image grid, or (points, 2) positions x, y in m in the plane z = 0.
+        target: image grid, or positions in m, (points, 2) in the plane z = 0 or (points, 3).
 
     Raises:
         UsageError: so many views and points that the operator would not fit in memory.
@@ -44,8 +45,8 @@ class ForwardOperator:
 
     def __init__(self, scans: BasebandScans, target: ImageGrid | NDArray[np.floating]) -> None:
         points = target.points if isinstance(target, ImageGrid) else np.asarray(target, dtype=np.float64)
-        if points.ndim != 2 or points.shape[1] != 2 or len(points) == 0:
-            raise UsageError(f"points have shape {points.shape}, expected (points, 2)")
+        if points.ndim != 2 or points.shape[1] not in (2, 3) or len(points) == 0:
+            raise UsageError(f"points have shape {points.shape}, expected (points, 2) or (points, 3)")
         if not np.isfinite(points).all():
             raise UsageError("points are not finite")
         views, bins = scans.aperture.views, scans.samples.shape[1]
@@ -55,7 +56,7 @@ class ForwardOperator:
             f"{views} views of points {start:.2f} to {start + step * fine_bins:.2f} m from the antenna",
             "Use fewer views or a smaller extent, and check the antenna positions (m, object's frame).",
         )
-        self.geometry = RangeGeometry.of(scans.aperture.positions, points, (start, step), fine_bins)
+        self.geometry = RangeGeometry.of(scans.aperture, points, (start, step), fine_bins)
         self._spread = _spread(scans, start + step * np.arange(fine_bins, dtype=np.float64))
         self._collect = np.ascontiguousarray(self._spread.conj().T)
         self._fine_step, self._phase_step = step, 2 * scans.wavenumber * step
@@ -141,13 +142,19 @@ def interpolation_gain(phase_step: float) -> float:
 
 def fine_range(scans: BasebandScans, points: NDArray[np.float64]) -> tuple[float, float, int]:
     """First fine range (m), step (m) and number of fine bins, such that all points lie inside."""
-    antenna = scans.aperture.positions
-    radius = float(np.hypot(points[:, 0], points[:, 1]).max())
-    across = np.hypot(antenna[:, 0], antenna[:, 1])
-    near = float(np.hypot(np.maximum(across - radius, 0), antenna[:, 2]).min())
-    far = float(np.hypot(across + radius, antenna[:, 2]).max())
+    near, far = reach_of(scans.aperture, points)
     step = min(PHASE_STEP / (2 * scans.wavenumber), scans.range_step_m)
     return near - step, step, int(np.ceil((far - near) / step)) + 3
+
+
+def reach_of(aperture: Aperture, points: NDArray[np.float64]) -> tuple[float, float]:
+    """Bounds of the one-way ranges of points (n, 2) or (n, 3) over all views, m."""
+    radius = float(np.hypot(points[:, 0], points[:, 1]).max())
+    heights = (0.0, 0.0)
+    if points.shape[1] == 3:
+        heights = float(points[:, 2].min()), float(points[:, 2].max())
+    near, far = aperture.span(radius, heights)
+    return float(near.min()), float(far.max())
 
 
 def _spread(scans: BasebandScans, fine_m: NDArray[np.float64]) -> NDArray[np.complex64]:

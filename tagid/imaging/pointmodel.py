@@ -41,7 +41,7 @@ class Explained:
     Attributes:
         left: (groups,) energy that they leave of each sector, over the energy of all scans.
         points: (n, 2) m; amplitudes: (n,) complex.
-        second: energy of the second spot over that of the first; 0 where there is one spot.
+        second: energy of the second spot over that of the first; 0 if there is one spot.
     """
 
     left: NDArray[np.float64]
@@ -74,7 +74,7 @@ def explain(scans: BasebandScans, grid: ImageGrid) -> Explained:
     for floor in _STAGES:
         rows, start, step = upsample_at_carrier(replace(scans, samples=rest @ match), slice(None))
         if geometry is None:
-            geometry = RangeGeometry.of(scans.aperture.positions, square.points, (start, step), rows.shape[1])
+            geometry = RangeGeometry.of(scans.aperture, square.points, (start, step), rows.shape[1])
         image = np.abs(geometry.gather(rows)).reshape(pixels, pixels)
         found = peaks(image, square, floor, lam / 4, _PER_STAGE)
         if not len(found):
@@ -95,8 +95,7 @@ def needed_evidence(groups: int) -> float:
 
 def echoes(scans: BasebandScans, points: NDArray[np.float64]) -> NDArray[np.complex64]:
     """(n, views * bins) scans of unit points (n, 2), m."""
-    there = np.column_stack([points, np.zeros(len(points))])
-    distance = np.linalg.norm(scans.aperture.positions[None] - there[:, None], axis=2)
+    distance = scans.aperture.distances(points).T
     response = scans.response(scans.ranges_m[None, None] - distance[..., None])
     carrier = np.exp(-2j * scans.wavenumber * distance)
     return np.asarray(response * carrier[..., None], dtype=np.complex64).reshape(len(points), -1)

@@ -57,6 +57,7 @@ class PreprocessSettings:
         margin_m: range kept beyond that on both sides, m, which leaves room for the search of the axis
             distance; None: `MARGIN_WAVELENGTHS` of the carrier's.
         oversampling: sampling rate after decimation / bandwidth of the pulse, at least 1.3.
+        heights_m: lowest and highest point that will be imaged, m.
     """
 
     background: Background = "mean"
@@ -65,6 +66,7 @@ class PreprocessSettings:
     extent_m: float = 0.5
     margin_m: float | None = None
     oversampling: float = 1.5
+    heights_m: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
         if self.background not in ("mean", "median", "none"):
@@ -158,12 +160,12 @@ def remove_background(samples: NDArray[Any], background: Background) -> NDArray[
 
 
 def assumed_pulse(capture: Capture) -> Pulse:
-    """The capture's own pulse, or the nominal one of its band. Raises DataError where the band is none."""
+    """The capture's own pulse, or the nominal one of its band. Raises DataError if the band is none."""
     return capture.pulse or nominal(capture)
 
 
 def nominal(capture: Capture) -> Pulse:
-    """The nominal pulse of the capture's band. Raises DataError where that is none of a pulse."""
+    """The nominal pulse of the capture's band. Raises DataError if that is none of a pulse."""
     ratio = capture.bandwidth_hz / capture.center_frequency_hz
     if not 0.01 <= ratio <= 1.8:
         raise DataError(
@@ -214,11 +216,9 @@ def _gate(
 ) -> tuple[float, float]:
     """Ranges (m) from the nearest to the farthest that the imaged square can reach, and the pulse's width."""
     radius = settings.extent_m / np.sqrt(2)
-    across = np.hypot(aperture.positions[:, 0], aperture.positions[:, 1])
-    height = aperture.positions[:, 2]
-    near = float(np.hypot(np.maximum(across - radius, 0), height).min())
-    far = float(np.hypot(across + radius, height).max())
-    axis = np.hypot(across, height)
+    least, greatest = aperture.span(radius, settings.heights_m)
+    near, far = float(least.min()), float(greatest.max())
+    axis = aperture.distances(np.zeros((1, 3)))[:, 0]
     first, last = capture.range_start_m, float(capture.ranges_m[-1])
     wavelength = band.wave_speed_m_s / band.center_hz
     kept = MARGIN_WAVELENGTHS * wavelength if settings.margin_m is None else settings.margin_m

@@ -79,7 +79,7 @@ def estimate_pulse(
     is it taken, and only then made again from all views.
 
     Args:
-        capture: of known angles or antenna positions, the path delay of free positions taken off.
+        capture: with known angles or antenna positions; for free positions, with the path delay subtracted.
         grid: the square that holds the scene.
         background: as in `PreprocessSettings`.
         focus_m: half width of the search for the axis distance, m; 0 takes it as given, None: as wide as

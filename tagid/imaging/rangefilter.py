@@ -131,7 +131,7 @@ def _middle(low: float, high: float, said: float) -> float:
 
 
 def normalised(pulse: Pulse) -> Pulse:
-    """The pulse with an envelope peak of 1. Raises DataError where it is too long to be one."""
+    """The pulse with an envelope peak of 1. Raises DataError if it is too long to be one."""
     if len(pulse.samples) > MAX_PULSE_SAMPLES:
         raise DataError(
             f"the pulse has {len(pulse.samples)} samples, at most {MAX_PULSE_SAMPLES} are allowed"

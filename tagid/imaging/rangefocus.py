@@ -18,6 +18,7 @@ from tagid.imaging.backprojection import upsample_at_carrier
 from tagid.imaging.pointmodel import needed_evidence
 from tagid.imaging.preprocess import select_views
 from tagid.imaging.types import BasebandScans
+from tagid.signal import fitted_peak
 
 Floats = NDArray[np.float64]
 
@@ -82,15 +83,15 @@ class DelayFocus:
     """What the search for the path delay found.
 
     Attributes:
-        delay_m: one-way metres that were subtracted from the scans' ranges; 0 where nothing was.
+        delay_m: one-way metres that were subtracted from the scans' ranges; 0 if nothing was.
         contrast: focus measure at the best delay over its median in the search.
         reliable: the best lies inside the search and the pieces of the path agree on it; only then is it
             taken.
         points: the strong echoes, strongest first, at the delay taken.
-        best_m: the best guess, m, taken or not; None where there was no search.
+        best_m: the best guess, m, taken or not; None if there was no search.
         evidence: how far the focus measure of the best delay is above that of the best rival outside its
             lobe, in jackknife standard errors over pieces of the path; `needed_evidence(PIECES)` is needed.
-        reason: why it was not taken; empty where it was.
+        reason: why it was not taken; empty if it was.
         sigma_m: standard error by the jackknife over pieces of the path, m; nan where not known.
     """
 
@@ -197,9 +198,10 @@ def focus_delay(
         reason = "the pieces of the path do not agree on one delay"
     delay, sigma = guess, float("nan")
     for near in () if reason else (width, width / 3):
-        fine = _measure(few, reference, focused, delay + near * np.linspace(-1, 1, 13), _FINE * lam)
-        sigma = _spread(np.array([_vertex(delay + near * np.linspace(-1, 1, 13), m) for m in fine.without()]))
-        delay = _vertex(delay + near * np.linspace(-1, 1, 13), fine.power.sum(axis=1))
+        trials = delay + near * np.linspace(-1, 1, 13)
+        fine = _measure(few, reference, focused, trials, _FINE * lam)
+        sigma = _spread(np.array([_peak(trials, measure) for measure in fine.without()]))
+        delay = _peak(trials, fine.power.sum(axis=1))
         kept = _measure(few, reference, focused, np.array([delay]), _FINE * lam).points
         focused = focused[_real(kept, few.aperture.positions, focused, lam)]
     if not reason and not sigma <= MOST_SIGMA_WAVELENGTHS * lam:
@@ -215,7 +217,7 @@ def focus_delay(
 
 
 def _rival(measure: Floats, best: int) -> int | None:
-    """The best delay outside the lobe about the best one; None where there is no other."""
+    """The best delay outside the lobe about the best one; None if there is no other."""
     lobe = measure >= _LOBE * measure[best]
     first, last = best, best
     while first > 0 and lobe[first - 1]:
@@ -259,7 +261,7 @@ def _strongest_first(points: tuple[EchoPoint, ...]) -> tuple[EchoPoint, ...]:
 
 
 def is_straight(positions: Floats, wavelength_m: float) -> bool:
-    """True where the antenna positions (views, 3) lie above one line to within a fortieth of a wavelength,
+    """True if the antenna positions (views, 3) lie above one line to within a fortieth of a wavelength,
     rms.
 
     Heights do not count: from a path in one upright plane both sides of it look the same.
@@ -298,8 +300,9 @@ def _strong_echoes(scans: BasebandScans, towards: tuple[float, float]) -> tuple[
     x = centre[0] + np.outer(ranges, np.cos(bearings))
     y = centre[1] + np.outer(ranges, np.sin(bearings))
     image = np.zeros(x.shape, dtype=np.complex64)
-    for row, antenna in zip(fine, positions[piece], strict=True):
-        distance = np.sqrt((x - antenna[0]) ** 2 + (y - antenna[1]) ** 2 + antenna[2] ** 2)
+    seen = zip(*(a[piece] for a in scans.aperture.antennas), strict=True)
+    for row, antennas in zip(fine, seen, strict=True):
+        distance = _ranges(x, y, antennas)
         image += row[np.clip(np.rint((distance - start) / step), 0, len(row) - 1).astype(np.intp)]
     magnitude = np.abs(image) / len(piece)
     return centre, _peaks(magnitude, ranges, bearings, _SPOT_WAVELENGTHS * lam)
@@ -349,7 +352,7 @@ class _Measure:
     pairs: list[tuple[int, int]]
 
     def responding(self) -> Floats:
-        """(echoes,) 1 where the echo comes into focus somewhere in the search, 0 where no delay makes a
+        """(echoes,) 1 where the echo comes into focus somewhere in the search, 0 if no delay makes a
         difference."""
         middle = np.maximum(np.median(self.power, axis=0), 1e-30)
         found = self.power.max(axis=0) / middle >= LEAST_CONTRAST
@@ -358,7 +361,7 @@ class _Measure:
         return np.asarray(found, dtype=np.float64)
 
     def agreeing(self, best: int) -> NDArray[np.bool_]:
-        """(echoes,) True where the echo comes into focus at this delay, if less clearly than those that
+        """(echoes,) True if the echo comes into focus at this delay, if less clearly than those that
         count."""
         middle = np.maximum(np.median(self.power, axis=0), 1e-30)
         top = self.power.max(axis=0)
@@ -407,12 +410,9 @@ def _measure(
     pieces = min(PIECES, views)
     sums = np.zeros((pieces, *x.shape), dtype=np.complex64)
     shift = ((delays[:, None, None, None] - start) / step).astype(np.float32)
-    for v, (row, antenna) in enumerate(zip(fine, scans.aperture.positions, strict=True)):
-        distance = np.sqrt(
-            (x - np.float32(antenna[0])) ** 2
-            + (y - np.float32(antenna[1])) ** 2
-            + np.float32(antenna[2] ** 2)
-        )
+    single = zip(*(a.astype(np.float32) for a in scans.aperture.antennas), strict=True)
+    for v, (row, antennas) in enumerate(zip(fine, single, strict=True)):
+        distance = _ranges(x, y, antennas)
         label = distance / np.float32(step) + shift
         sums[v * pieces // views] += row[np.clip(np.rint(label), 0, len(row) - 1).astype(np.int32)]
     shape = (len(delays), len(echoes), -1)
@@ -425,6 +425,14 @@ def _measure(
     best = np.take_along_axis(power, strongest[..., None], axis=2)[..., 0].astype(np.float64)
     pairs = _mirrors(scans.aperture.positions, echoes, lam)
     return _Measure(_brighter(best, pairs), sums.reshape(pieces, *shape), points, pairs)
+
+
+def _ranges(
+    x: NDArray[np.floating], y: NDArray[np.floating], antennas: tuple[NDArray[np.floating], ...]
+) -> NDArray[np.floating]:
+    """One-way range of points of the plane from one antenna (3,), or half the way by two of them."""
+    ways = [np.sqrt((x - a[0]) ** 2 + (y - a[1]) ** 2 + a[2] ** 2) for a in antennas]
+    return np.asarray(ways[0] if len(ways) == 1 else (ways[0] + ways[1]) / 2)
 
 
 def _brighter(power: Floats, pairs: list[tuple[int, int]]) -> Floats:
@@ -461,11 +469,5 @@ def _mirrors(positions: Floats, echoes: Floats, lam: float) -> list[tuple[int, i
     return pairs
 
 
-def _vertex(at: Floats, values: Floats) -> float:
-    """Vertex of the parabola through the best value and three neighbours a side (least squares)."""
-    middle = int(np.clip(np.argmax(values), 3, len(at) - 4))
-    part = slice(middle - 3, middle + 4)
-    bend, slope, _ = np.polyfit(at[part] - at[middle], values[part], 2)
-    if bend >= 0:
-        return float(at[int(np.argmax(values))])
-    return float(np.clip(at[middle] - slope / (2 * bend), at[part][0], at[part][-1]))
+def _peak(at: Floats, values: Floats) -> float:
+    return fitted_peak(at, values, int(np.argmax(values)), 3)

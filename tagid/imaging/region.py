@@ -34,10 +34,10 @@ class Region:
     """What is to be imaged, and the capture as seen from there.
 
     Attributes:
-        capture: positions relative to `centre_m`, the path delay taken off the ranges.
+        capture: positions relative to `centre_m`, the path delay subtracted from the ranges.
         grid: the square about `centre_m`.
         centre_m: (x, y) in the frame of the original positions, m.
-        focus: result of the delay search; None where there was none.
+        focus: result of the delay search; None if there was none.
         mirrored: the path is straight, so that what lies on one side shows on the other, too.
         points: the strong echoes, strongest first, in the frame of the original positions.
     """
@@ -76,8 +76,7 @@ def choose_region(
     Raises:
         DataError: as `preprocess`. UsageError: the search is too wide.
     """
-    positions = capture.antenna_positions_m
-    assert positions is not None
+    positions = capture.aperture().positions
     lam = capture.wavelength_m
     search_m = search_range_m(lam) if search_m is None else search_m
     towards = towards_m or centre_m or (0.0, 0.0)
@@ -88,7 +87,7 @@ def choose_region(
         middle = np.array([*positions.mean(axis=0)[:2], 0.0])
         reach = float(capture.ranges_m[-1]) + search_m
         wide = PreprocessSettings(background, True, extent_m=2 * reach, margin_m=search_m + 1.3 * lam)
-        scans = preprocess(replace(capture, antenna_positions_m=positions - middle), settings=wide)
+        scans = preprocess(capture.shifted(middle), settings=wide)
         there = (towards[0] - float(middle[0]), towards[1] - float(middle[1]))
         if search_m > 0:
             _, focus = focus_delay(scans, search_m, there)
@@ -109,8 +108,7 @@ def choose_region(
         pixels = int(np.clip(np.ceil(extent / coarsest_pixel_m(lam)), pixels, max(pixels, _MAX_PIXELS)))
     grid = ImageGrid(extent, pixels)
     shift = np.array([*centre_m, 0.0])
-    seen = replace(capture, antenna_positions_m=positions - shift)
-    return Region(seen, grid, centre_m, focus, is_straight(positions, lam), points)
+    return Region(capture.shifted(shift), grid, centre_m, focus, is_straight(positions, lam), points)
 
 
 def _about_echoes(

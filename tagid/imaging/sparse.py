@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,21 +84,32 @@ def sparse_recovery(
         progress: called after every iteration.
         operator: A for these scans and this grid, where it is at hand already.
     """
+    x, facts = sparse_amplitudes(scans, grid.points, settings, progress, operator)
+    facts = {"method": "sparse", "axis_distance_m": scans.aperture.axis_distance, **facts}
+    return Image(x.reshape(grid.pixels, grid.pixels), grid, facts)
+
+
+def sparse_amplitudes(
+    scans: BasebandScans,
+    points: NDArray[np.float64],
+    settings: SparseSettings | None = None,
+    progress: Progress | None = None,
+    operator: ForwardOperator | None = None,
+) -> tuple[NDArray[np.complex64], dict[str, Any]]:
+    """Amplitudes (n,) of points (n, 2) or (n, 3), m, and the facts of the fit; see `sparse_recovery`."""
     settings = settings or SparseSettings()
-    operator = operator or ForwardOperator(scans, grid)
+    operator = operator or ForwardOperator(scans, points)
     back = operator.adjoint(scans.samples)
     top = float(np.abs(back).max())
-    shape = (grid.pixels, grid.pixels)
-    facts = {"method": "sparse", "axis_distance_m": scans.aperture.axis_distance, **asdict(settings)}
+    facts: dict[str, Any] = asdict(settings)
     if top == 0:
-        return Image(np.zeros(shape, dtype=np.complex64), grid, {**facts, "iterations_done": 0})
+        return np.zeros(len(points), dtype=np.complex64), {**facts, "iterations_done": 0}
     floor = settings.noise_factor * scans.noise_std * column_norm(scans)
     weight = min(max(settings.regularisation * top, floor), 0.95 * top)
-    x, done = _by_active_set(_Problem(scans, grid, operator, back, weight), settings, progress)
+    x, done = _by_active_set(_Problem(scans, points, operator, back, weight), settings, progress)
     if settings.debias:
         x = _debias(operator, back, x)
-    facts |= {"lambda": weight, "iterations_done": done}
-    return Image(x.reshape(shape), grid, facts)
+    return x, {**facts, "lambda": weight, "iterations_done": done}
 
 
 def column_norm(scans: BasebandScans) -> float:
@@ -162,7 +174,7 @@ class _Problem:
     """min_x 1/2 ||A x - y||^2 + weight ||x||_1 with back = A^H y."""
 
     scans: BasebandScans
-    grid: ImageGrid
+    points: NDArray[np.float64]
     operator: ForwardOperator
     back: NDArray[np.complex64]
     weight: float
@@ -195,7 +207,7 @@ def _by_active_set(
     for _ in range(_ROUNDS):
         if active.mean() > _ACTIVE_SHARE or not active.any():
             break
-        some = ForwardOperator(problem.scans, problem.grid.points[active])
+        some = ForwardOperator(problem.scans, problem.points[active])
         for limit in (_ROUGH_ITERATIONS, budget):
             done += solve(some, active, limit)
             slope = np.abs(problem.back - problem.operator.adjoint(some.forward(x[active])))

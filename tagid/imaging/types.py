@@ -56,10 +56,10 @@ class BasebandScans:
         wave_speed_m_s: speed of the wave in the medium, m/s.
         center_hz: middle of the pulse's band, Hz, which sets the lengths of imaging; the carrier is the
             nearest bin of a Fourier transform. None: the carrier.
-        noise_std: estimated standard deviation of the complex noise of one sample, 0 where unknown.
+        noise_std: estimated standard deviation of the complex noise of one sample, 0 if unknown.
         noise_density: estimated spectral density of that noise, averaged over the pulse's band and in units
             of one sample's variance: sum_b a_b n_b exp(-j theta b) has the variance noise_density
-            sum_b |a_b|^2 at the band's frequencies theta. 0 where unknown. It exceeds noise_std^2, because
+            sum_b |a_b|^2 at the band's frequencies theta. 0 if unknown. It exceeds noise_std^2, because
             the filter's skirts pass less than its band does.
         background_removed: the mean (or median) over the views was subtracted, and with it the mean echo of
             the scene.

@@ -1,6 +1,6 @@
-"""Bluetooth as a byte link: bleak's event loop on a thread of its own, so that drivers stay plain code.
+"""Bluetooth as a byte link: bleak's event loop runs on its own thread, so that drivers can be synchronous.
 
-The bridge in front of a robot and a table with a serial characteristic look alike to a driver.
+To a driver, the bridge in front of a robot and a table with a serial characteristic look the same.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from tagid.errors import (
 from tagid.motion.bridge import Event, Op, Tripped
 from tagid.motion.bridge.client import Bridge
 from tagid.motion.bridge.find import Backends, bluetooth_errors, find
-from tagid.motion.guardian import Guardian, Watch
+from tagid.motion.guardian import Guarded, Watch
 from tagid.motion.links import WAKE_S, require
 from tagid.motion.virtual import virtual_bluetooth
 
@@ -33,21 +33,21 @@ T = TypeVar("T")
 _OPEN_S: Final = 60.0
 _WRITE_S: Final = 2.0
 _RELAXED_MS: Final = 5000
-"""Dead-man's time while nothing is driven: questions may take a while."""
+"""Dead-man timeout while nothing moves: queries may take long."""
 _WAKE_MS: Final = round(1000 * WAKE_S)
 _GUARD_S: Final = 2 * _WRITE_S
-"""Longest time between two heartbeats to the helper process: a write may take _WRITE_S."""
+"""Maximum time between two heartbeats to the helper process: a write may take _WRITE_S."""
 
 
 @dataclass(frozen=True)
 class BleAddress:
-    """Where a Bluetooth device is.
+    """Address of a Bluetooth device.
 
     Attributes:
-        target: name or address; "" takes the only one.
-        passkey: six digits to pair with; None where none is needed.
-        hci: a controller of our own instead of the system's, as a bumble transport, e.g. usb:0.
-        seconds: how long to look for it, s.
+        target: name or address; "" selects the only device found.
+        passkey: six digits to pair with; None if none is needed.
+        hci: a separate controller instead of the system's, as a bumble transport, e.g. usb:0.
+        seconds: duration of the search, s.
     """
 
     target: str
@@ -69,7 +69,7 @@ async def backends_of(address: BleAddress) -> AsyncIterator[Backends]:
             pair = await stack.enter_async_context(open_backend(address.hci, address.passkey))
         except (OSError, ValueError, TimeoutError) as error:
             raise DeviceError(
-                f"no Bluetooth controller at {address.hci}: {error}", "Check hci=, or leave it out."
+                f"no Bluetooth controller at {address.hci}: {error}", "Check hci=, or omit it."
             ) from error
         yield Backends(*pair)
 
@@ -83,13 +83,13 @@ class _Loop:
         self._thread.start()
 
     def run(self, work: Coroutine[Any, Any, T], timeout: float, what: str) -> T:
-        """The result of work on the loop. Raises DeviceTimeoutError, and what the work raises."""
+        """Run work on the loop; return its result. Raises DeviceTimeoutError, and the errors of the work."""
         future: Future[T] = asyncio.run_coroutine_threadsafe(work, self._loop)
         try:
             return future.result(timeout)
         except (FutureTimeoutError, TimeoutError):
             future.cancel()
-            raise DeviceTimeoutError(f"{what} takes too long", "Bring the device nearer.") from None
+            raise DeviceTimeoutError(f"{what} takes too long", "Move the device closer.") from None
         except BaseException:
             future.cancel()
             raise
@@ -113,7 +113,7 @@ class _Loop:
 
 
 class _Inbox:
-    """Bytes from the loop's thread for the driver's thread."""
+    """Bytes passed from the loop's thread to the driver's thread."""
 
     def __init__(self) -> None:
         self._data = bytearray()
@@ -149,11 +149,11 @@ class BridgeLink:
     """The robot behind a bridge.
 
     Args:
-        address: of the bridge.
-        on_event: told of index pulses and losses, on the loop's thread.
+        address: address of the bridge.
+        on_event: called on the loop's thread for index pulses and lost bytes.
 
     Raises:
-        DeviceError and its kinds: no adapter, no such bridge, pairing refused. UsageError: two of one name.
+        DeviceError and its subclasses: no adapter, no bridge, pairing refused. UsageError: ambiguous name.
     """
 
     def __init__(self, address: BleAddress, on_event: Callable[[Event], None] = lambda event: None) -> None:
@@ -163,7 +163,7 @@ class BridgeLink:
         self._inbox = _Inbox()
         self._armed = False
         self._relaxed = False
-        self._guard: Guardian | None = None
+        self._guard = Guarded()
         self._stack = AsyncExitStack()
         self._loop = _Loop()
         try:
@@ -192,7 +192,7 @@ class BridgeLink:
     def _lost(self) -> None:
         self._inbox.fail(
             DeviceGoneError(
-                f"the link to the bridge {self._address.target} is lost", "Bring it nearer; check its power."
+                f"the link to the bridge {self._address.target} is lost", "Move it closer; check its power."
             )
         )
 
@@ -209,7 +209,7 @@ class BridgeLink:
         self._on_event(event)
 
     def request(self, op: Op, *arguments: int, timeout: float = 5.0) -> bytes:
-        """Ask the bridge itself. Raises DeviceError and its kinds."""
+        """Send a request to the bridge itself. Raises DeviceError and its subclasses."""
         self._inbox.raise_failure()
         return self._loop.run(
             self.bridge.request(op, *arguments, timeout=timeout), timeout + 1, f"asking {self!r}"
@@ -219,49 +219,42 @@ class BridgeLink:
         """Send to the robot."""
         self._inbox.raise_failure()
         if not self._armed and not self._relaxed:
-            # The first byte would arm the bridge with its short default.
+            # The first byte would arm the bridge with its short default timeout.
             self.request(Op.ARM, _RELAXED_MS)
             self._relaxed = True
         self._loop.run(self.bridge.write(data), _WRITE_S, f"writing to {self!r}")
 
     def read(self, timeout: float) -> bytes:
-        """What the robot sent."""
+        """Bytes received from the robot."""
         return self._inbox.take(timeout)
 
     def arm(self, timeout_s: float) -> None:
-        """Arm the bridge's dead-man; it is fed by writes alone, so a driver that hangs stops it, too.
+        """Arm the bridge's dead-man; only writes reset it, so a driver that hangs also stops the robot.
 
-        The helper process stops nothing here: it takes the request of `tagid motion stop`.
+        The helper process stops nothing here; it only receives the request of `tagid motion stop`.
         """
         self.request(Op.ARM, round(timeout_s * 1000))
         self._armed = True
-        if self._guard is None:
-            self._guard = Guardian(Watch(self._address.target, _GUARD_S))
+        self._guard.start(Watch(self._address.target, _GUARD_S))
 
     def beat(self) -> None:
-        """Ask whether another process wants the robot to stop."""
-        if self._guard is not None:
-            self._guard.beat()
+        """Check whether another process wants the robot to stop."""
+        self._guard.beat()
 
     def disarm(self) -> None:
-        """The robot stands in Passive: nothing is left to stop."""
+        """The robot is stopped in Passive mode: end the dead-man."""
         self._armed = self._relaxed = False
-        self._release()
+        self._guard.release()
         self.request(Op.DISARM)
 
-    def _release(self) -> None:
-        guard, self._guard = self._guard, None
-        if guard is not None:
-            guard.release()
-
     def wake(self) -> None:
-        """A second's low pulse on BRC, where the bridge has that wire."""
+        """Hold BRC low for one second, if the bridge has that wire."""
         with contextlib.suppress(DeviceRejectedError):
             self.request(Op.BRC, _WAKE_MS, 1, 0)
 
     def close(self) -> None:
-        """End the link; where it is still armed, the bridge then stops the robot."""
-        self._release()
+        """Close the link; if the bridge is still armed, it then stops the robot."""
+        self._guard.release()
         if self._relaxed and not self._armed:
             with contextlib.suppress(TagidError):
                 self.disarm()
@@ -274,15 +267,15 @@ class BridgeLink:
 
 
 class CharacteristicLink:
-    """A device whose serial line is one characteristic, written and notified.
+    """A device whose serial line is one characteristic, used for writes and notifications.
 
     Args:
-        address: its name or address; the name may be the beginning of one.
+        address: its name or address; a name prefix is enough.
         service, characteristic: UUIDs.
-        stop: words of a command that connects anew and stops the device, for where this process dies.
+        stop: words of a command that reconnects and stops the device if this process dies.
 
     Raises:
-        DeviceError and its kinds: no adapter, no such device.
+        DeviceError and its subclasses: no adapter, no such device.
     """
 
     def __init__(
@@ -290,7 +283,7 @@ class CharacteristicLink:
     ) -> None:
         require("bleak", "motion", "Bluetooth")
         self._stop = tuple(stop)
-        self._guard: Guardian | None = None
+        self._guard = Guarded()
         self._address, self._service, self._characteristic = address, service, characteristic
         self._inbox = _Inbox()
         self._stack = AsyncExitStack()
@@ -338,7 +331,7 @@ class CharacteristicLink:
     def _lost(self, _: Any) -> None:
         if not self._closing:
             self._inbox.fail(
-                DeviceGoneError(f"the link to {self._address.target} is lost", "Bring it nearer.")
+                DeviceGoneError(f"the link to {self._address.target} is lost", "Move it closer.")
             )
 
     def write(self, data: bytes) -> None:
@@ -352,36 +345,30 @@ class CharacteristicLink:
         self._loop.run(send(), _WRITE_S, f"writing to {self!r}")
 
     def read(self, timeout: float) -> bytes:
-        """What has arrived."""
+        """Bytes received so far."""
         return self._inbox.take(timeout)
 
     def arm(self, timeout_s: float) -> None:
-        """Start the helper that stops the table where this process dies; the table has no dead-man itself."""
-        if self._guard is None:
-            limit = max(timeout_s, _GUARD_S)
-            self._guard = Guardian(Watch(self._address.target, limit, command=self._stop))
+        """Start the helper that stops the table if this process dies; the table itself has no dead-man."""
+        limit = max(timeout_s, _GUARD_S)
+        self._guard.start(Watch(self._address.target, limit, command=self._stop))
 
     def beat(self) -> None:
         """Tell the helper that this process is alive."""
-        if self._guard is not None:
-            self._guard.beat()
+        self._guard.beat()
 
     def disarm(self) -> None:
         """End the helper."""
-        guard, self._guard = self._guard, None
-        if guard is not None:
-            guard.release()
+        self._guard.release()
 
     def wake(self) -> None:
-        """Nothing to wake."""
+        """Does nothing: the device does not sleep."""
 
     def close(self) -> None:
-        """End the link; a helper that was not ended by `disarm` then connects and stops the table."""
+        """Close the link; a helper that was not ended by `disarm` then connects and stops the table."""
         self._closing = True
         self._shut()
-        guard, self._guard = self._guard, None
-        if guard is not None:
-            guard.release(farewell=False)
+        self._guard.release(farewell=False)
 
     def _shut(self) -> None:
         with contextlib.suppress(TagidError, OSError):

@@ -1,7 +1,7 @@
 """The Bluetooth part of a motion URL: name, pass-key, controller.
 
-The pass-key may stand in the configuration (motion.passkey) or the environment, where nobody reads it over a
-shoulder.
+The pass-key may be given in the configuration (motion.passkey) or the environment, where it does not appear
+on the command line.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from tagid.motion.urls import Options
 
 
 def _refuse_a_readable_file(path: Path) -> None:
-    """Raise ConfigError where others can read the file that holds the pass-key."""
+    """Raise ConfigError if others can read the file that holds the pass-key."""
     if os.name == "posix" and path.exists() and path.stat().st_mode & 0o077:
         raise ConfigError(
             f"{path} holds the bridge's pass-key and other users can read it", f"Run: chmod 600 {path}"
@@ -27,7 +27,7 @@ def ble_address(options: Options, default: str = "") -> BleAddress:
     """Take the Bluetooth options of a URL: passkey, hci, wait. Raises UsageError, ConfigError."""
     target = options.target or default
     if not target:
-        raise options.wrong("names no device")
+        raise options.wrong("has no device name")
     config = load_config()
     passkey = options.text("passkey") or config["motion.passkey"]
     if passkey is not None and config.values["motion.passkey"].source == "file":

@@ -1,6 +1,6 @@
-"""What is remembered of a robot: its effective wheel base, as the radar saw it turn.
+"""Stored calibration of a robot: its effective wheel base, measured with the radar.
 
-A wheel base depends on tyres and floor by some per cent, so it belongs to one robot, not to a type.
+The effective wheel base depends on tyres and floor by a few per cent, so it is stored for each robot.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from tagid.metadata import ResolvedMotion
 _FILE: Final = "robots.toml"
 _DIRECTIONS: Final = "directions.toml"
 _LEAST_SIGMA: Final = 2e-3
-"""Tyres and floor change from day to day by more than one recording can tell."""
+"""Day-to-day variation of tyres and floor, which one recording does not show."""
 
 
 @dataclass(frozen=True)
@@ -27,10 +27,10 @@ class Calibration:
     """An effective wheel base.
 
     Attributes:
-        wheel_base_mm: that makes the odometry right.
+        wheel_base_mm: value for which the odometry is correct.
         sigma: its relative standard deviation.
-        turns: turns that it rests on.
-        date_utc: when.
+        turns: number of turns used.
+        date_utc: date of the calibration.
     """
 
     wheel_base_mm: float
@@ -41,15 +41,15 @@ class Calibration:
     def __post_init__(self) -> None:
         if not (100 <= self.wheel_base_mm <= 1000 and 0 < self.sigma < 0.5 and self.turns > 0):
             raise ConfigError(
-                f"a wheel base of {self.wheel_base_mm} mm, sigma {self.sigma}, makes no sense",
+                f"a wheel base of {self.wheel_base_mm} mm, sigma {self.sigma}, is not possible",
                 "Calibrate again: tagid motion calibrate.",
             )
 
 
 def wheel_base_from(resolved: ResolvedMotion) -> tuple[str, Calibration]:
-    """Robot and wheel base from how a recording was resolved (`measured_angles`).
+    """Robot and wheel base from the resolved angles of a recording (`measured_angles`).
 
-    The robot took `radar_turn_in_own_rad` for a full turn, so its wheels are that much further apart.
+    The robot reported `radar_turn_in_own_rad` for a full turn, so its wheel base is larger by that ratio.
 
     Raises:
         DataError: the radar did not see the turn.
@@ -57,17 +57,17 @@ def wheel_base_from(resolved: ResolvedMotion) -> tuple[str, Calibration]:
     if not resolved.checked_by_radar:
         raise DataError(
             f"the radar did not see a full turn: {resolved.reason or 'no period'}",
-            "Record two turns or more, with a strong reflector off the axis.",
+            "Record at least two turns, with a strong reflector off the axis.",
         )
     turn, sigma = resolved.radar_turn_in_own_rad, resolved.radar_turn_sigma_rad
     base, robot, turns = resolved.wheel_base_mm, resolved.robot, resolved.turns
     if turn is None or sigma is None or base is None or robot is None or turns is None:
-        raise DataError("the capture does not say how its robot turned", "Record it again.")
+        raise DataError("the capture does not contain the motion of its robot", "Record it again.")
     return robot, Calibration(base * turn / (2 * math.pi), max(sigma / turn, _LEAST_SIGMA), turns)
 
 
 def calibrations_path() -> Path:
-    """Where they are kept."""
+    """Folder of the calibration files."""
     return data_folder() / _FILE
 
 
@@ -85,7 +85,7 @@ def _load() -> dict[str, Calibration]:
 
 
 def recall_reversed(device: str) -> bool:
-    """Whether a device was found to turn the other way than its documents say. Raises ConfigError."""
+    """Whether calibration found that a device turns opposite to its documents. Raises ConfigError."""
     path = data_folder() / _DIRECTIONS
     try:
         found = tomllib.loads(path.read_text(encoding="utf-8")).get(device, False)
@@ -101,35 +101,35 @@ def recall_reversed(device: str) -> bool:
 
 
 def remember_reversed(device: str, is_reversed: bool) -> Path:
-    """Keep the direction of a device; returns the file. Raises StorageError, ConfigError."""
+    """Store the direction of a device; return the file. Raises StorageError, ConfigError."""
     import tomli_w
 
-    from tagid.files import write_bytes
+    from tagid.files import make_folder, write_bytes
 
-    recall_reversed(device)  # a damaged file is told, not overwritten
+    recall_reversed(device)  # a damaged file is reported, not overwritten
     path = data_folder() / _DIRECTIONS
     known = tomllib.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
-    path.parent.mkdir(parents=True, exist_ok=True)
+    make_folder(path.parent)
     write_bytes(path, tomli_w.dumps({**known, device: is_reversed}).encode())
     return path
 
 
 def recall(robot: str) -> Calibration | None:
-    """What is remembered of a robot; None where nothing is. Raises ConfigError, StorageError."""
+    """The stored calibration of a robot; None if there is none. Raises ConfigError, StorageError."""
     return _load().get(robot)
 
 
 def remember(robot: str, calibration: Calibration) -> Path:
-    """Keep a robot's calibration; returns the file. Raises StorageError."""
+    """Store a robot's calibration; return the file. Raises StorageError."""
     import tomli_w
 
-    from tagid.files import write_bytes
+    from tagid.files import make_folder, write_bytes
 
     known = _load()
     stamp = datetime.now(UTC).isoformat(timespec="seconds")
     known[robot] = Calibration(**{**asdict(calibration), "date_utc": stamp})
     path = calibrations_path()
-    path.parent.mkdir(parents=True, exist_ok=True)
+    make_folder(path.parent)
     text = tomli_w.dumps({name: asdict(one) for name, one in sorted(known.items())})
     write_bytes(path, text.encode())
     return path

@@ -1,7 +1,7 @@
-"""The common interface of everything that turns the object: free-running tables and commanded devices.
+"""The common interface of all motion devices: free-running tables and commanded devices.
 
-A device either measures its angle (its readings are then a Track, stamped with the host's clock) or leaves it
-to the period in the scans; no caller needs to know which.
+A device either measures its angle (its readings form a Track with host timestamps) or leaves it to the period
+in the scans; callers need not distinguish the two.
 """
 
 from __future__ import annotations
@@ -18,31 +18,31 @@ from tagid.metadata import Track
 
 
 class MotionStoppedError(DeviceError):
-    """What turns the object stopped, or was stopped because it was no longer safe; says the cause."""
+    """The device stopped, or was stopped because motion was no longer safe; the message gives the cause."""
 
     code = "motion_stopped"
 
 
 class PausedError(MotionStoppedError):
-    """This program was paused while something turned: it was stopped, and its angle is lost."""
+    """This program was paused during motion: the device was stopped, and its angle is lost."""
 
 
 class Motion(Protocol):
-    """What turns the object."""
+    """Interface of a motion device."""
 
     @property
     def moves(self) -> bool:
-        """Whether `start` sets something in motion, so that a person has to agree first."""
+        """Whether `start` starts motion, so that a person has to confirm first."""
         ...
 
     @property
     def measures(self) -> bool:
-        """Whether it gives a Track; otherwise `resolve` finds the angles in the scans."""
+        """Whether it provides a Track; otherwise `resolve` finds the angles in the scans."""
         ...
 
     @property
     def nominal_s(self) -> float | None:
-        """Seconds per turn as far as known beforehand."""
+        """Seconds per turn, as far as known in advance."""
         ...
 
     @property
@@ -51,31 +51,31 @@ class Motion(Protocol):
         ...
 
     def start(self) -> None:
-        """Begin to turn; nothing where it turns by itself. Raises DeviceError and its kinds."""
+        """Start turning; no effect if it turns by itself. Raises DeviceError and its subclasses."""
         ...
 
     def check(self) -> None:
-        """Raise what has stopped the motion since `start`: MotionStoppedError, DeviceError."""
+        """Raise the error that stopped the motion since `start`: MotionStoppedError, DeviceError."""
         ...
 
     def track(self) -> Track | None:
-        """The readings so far; None where the device measures nothing."""
+        """The readings so far; None if the device measures nothing."""
         ...
 
     def stop(self) -> None:
-        """Stop turning and let go of the device; safe to call twice, and before `start`."""
+        """Stop turning and release the device; safe to call twice, and before `start`."""
         ...
 
     def needed_seconds(self) -> float | None:
-        """Seconds to record, None where only the data can tell."""
+        """Seconds to record; None if only the data can determine it."""
         ...
 
     def finished(self, samples: Sequence[NDArray[Any]] | NDArray[Any], times_s: Sequence[float]) -> bool:
-        """Whether the scans so far (one array a scan) cover a full turn and the overlap that is needed."""
+        """Whether the scans so far (one array per scan) cover a full turn and the required overlap."""
         ...
 
     def resolve(
         self, samples: NDArray[Any], times_s: NDArray[np.floating], clock_sigma_s: float = 0.0
     ) -> Angles:
-        """Angle and sigma of every scan from the scans alone. Raises DataError where they cannot tell."""
+        """Angle and sigma of every scan from the scans alone. Raises DataError if that is not possible."""
         ...

@@ -1,6 +1,6 @@
-"""Which robots and tables are there: serial ports with a likely adapter, and Bluetooth devices.
+"""Finds robots and tables: serial ports with a likely adapter, and Bluetooth devices.
 
-Nothing is sent to a port: an unknown device must not be woken, let alone moved, by being looked for.
+Nothing is sent to a port: a search must not wake or move an unknown device.
 """
 
 from __future__ import annotations
@@ -20,20 +20,24 @@ _ADAPTERS: Final = {
     (0x0403, 0x6015): "FTDI adapter: a robot's cable",
     (0x10C4, 0xEA60): "CP210x adapter: a robot's cable, or an ESP32 board",
     (0x303A, 0x1001): "ESP32 board on USB: a bridge to provision, not a robot",
+    (0x1027, 0x0005): "P440 radar, not a robot",
+    (0x1027, 0x0003): "P410 radar, not a robot",
 }
+_NOT_A_ROBOT: Final = frozenset({(0x303A, 0x1001), (0x1027, 0x0005), (0x1027, 0x0003)})
+_ON_BOARD: Final = "serial port of this computer: a robot's cable, if one is connected"
 REVOPOINT: Final = "REVO_DUAL_AXIS_TABLE"
 """Advertised name of the dual-axis table."""
 
 
 @dataclass(frozen=True)
 class Found:
-    """Something that may turn an object.
+    """A device that may rotate an object.
 
     Attributes:
-        url: what to give as --motion; "" where it is no device to turn with.
-        what: what it seems to be.
+        url: value for --motion; "" if it is not a motion device.
+        what: probable type.
         where: port or address.
-        signal_dbm: strength over Bluetooth; None on a cable.
+        signal_dbm: Bluetooth signal strength; None on a cable.
     """
 
     url: str
@@ -43,17 +47,19 @@ class Found:
 
 
 def serial_devices() -> list[Found]:
-    """Serial ports of USB adapters."""
+    """Every serial port: those of USB adapters, and those of the computer itself (a Raspberry Pi's UART)."""
     from serial.tools import list_ports
 
     found = []
-    for port in sorted(list_ports.comports()):
+    for port in sorted(list_ports.comports(), key=lambda one: (one.vid is None, one.device)):
+        kind = (port.vid, port.pid)
         if port.vid is None:
-            continue
-        what = _ADAPTERS.get((port.vid, port.pid or 0), f"{port.description or 'USB adapter'}")
-        comxim = (port.vid, port.pid) == (0x1A86, 0x7523)
-        url = f"comxim+serial://{port.device}" if comxim else f"roomba+serial://{port.device}"
-        found.append(Found("" if "ESP32 board on USB" in what else url, what, port.device))
+            what = _ON_BOARD
+        else:
+            what = _ADAPTERS.get((port.vid, port.pid or 0), port.description or "USB adapter")
+        scheme = "comxim+serial" if kind == (0x1A86, 0x7523) else "roomba+serial"
+        url = "" if kind in _NOT_A_ROBOT else f"{scheme}://{port.device}"
+        found.append(Found(url, what, port.device))
     return found
 
 
@@ -82,5 +88,5 @@ async def _listen(seconds: float, hci: str | None) -> list[Found]:
 
 
 def bluetooth_devices(seconds: float, hci: str | None = None) -> list[Found]:
-    """Bridges and tables that advertise within some seconds, strongest first. Raises DeviceError."""
+    """Bridges and tables that advertise within a few seconds, strongest first. Raises DeviceError."""
     return asyncio.run(_listen(seconds, hci))

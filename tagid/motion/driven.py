@@ -1,6 +1,6 @@
-"""The base of every commanded device: a thread that reads and watches, and that always ends with a halt.
+"""Base class of commanded devices: a thread that polls and monitors, and always ends with a halt.
 
-A driver adds four steps (begin, poll, halt, close); whatever happens in them, the halt is run.
+A driver adds four steps (begin, poll, halt, close); halt is run whatever error occurs in them.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from tagid import hostclock
 from tagid.angles.views import Angles
 from tagid.errors import DataError, DeviceError, TagidError, UsageError
 from tagid.metadata import Track
@@ -23,8 +24,8 @@ from tagid.motion.device import MotionStoppedError, PausedError
 
 _JOIN_S: Final = 5.0
 MEASURED_TURNS: Final = 1.15
-"""Turns to record where angles are measured: one, and enough overlap to hold them against the scans' own
-period (`find_period` needs 1.1)."""
+"""Turns to record with measured angles: one, plus enough overlap to compare them with the period in the
+scans (`find_period` needs 1.1)."""
 Reading = tuple[int, float, float]
 """host_time_ns, angle_rad, sigma_rad."""
 
@@ -33,21 +34,21 @@ class DrivenMotion(ABC):
     """A device that turns on command and measures its angle.
 
     Args:
-        name: what messages call it.
+        name: name of the device in messages.
         direction: +1 counter-clockwise from above, -1 clockwise.
         nominal_s: seconds per turn.
-        scale_sigma: relative standard deviation of a factor common to all its angles.
-        turns: turns to record; None for one and the overlap that scale_sigma asks for.
-        max_seconds: longest time it turns without being stopped.
+        scale_sigma: relative standard deviation of a scale factor common to all its angles.
+        turns: turns to record; None for one plus the overlap that scale_sigma requires.
+        max_seconds: time after which the motion is stopped, s.
     """
 
     moves = True
     measures = True
     kind = "driven"
     stops_by = "switch it off"
-    """What a person does where the program can no longer stop it; follows "It may still be turning: "."""
+    """What the user does if the program can no longer stop it; follows "It may still be turning: "."""
     warning = ""
-    """What does not stop it by itself, for the question before it moves; "" where something always does."""
+    """Conditions without an automatic stop, for the prompt before motion; "" if it always stops."""
 
     def __init__(
         self,
@@ -59,12 +60,12 @@ class DrivenMotion(ABC):
         max_seconds: float = 300.0,
     ) -> None:
         if turns is not None and not 0 < turns <= 20:
-            raise UsageError(f"{turns} turns are asked of {name}", "Give more than 0 and up to 20.")
+            raise UsageError(f"{turns} turns are requested of {name}", "Give more than 0 and up to 20.")
         if not 0 < max_seconds <= 3600:
             raise UsageError(f"max_seconds is {max_seconds}", "Give more than 0 and up to 3600 seconds.")
         self.name, self.direction, self.nominal_s = name, direction, nominal_s
         self.scale_sigma, self.max_seconds = scale_sigma, max_seconds
-        # Three sigma more, so that a turn is complete also where the device overstates its angle.
+        # Three sigma more, so that a turn is complete even if the device overestimates its angle.
         self.turns = turns if turns is not None else MEASURED_TURNS * (1 + 3 * scale_sigma)
         self._readings: list[Reading] = []
         self._error: TagidError | None = None
@@ -75,15 +76,15 @@ class DrivenMotion(ABC):
 
     @abstractmethod
     def _begin(self) -> None:
-        """Open the link, arm what stops the device when this program dies, and start the motion."""
+        """Open the link, arm the emergency stop for the case that this program dies, and start the motion."""
 
     @abstractmethod
     def _poll(self) -> list[Reading]:
-        """Wait a moment for readings; raise what has to stop the motion."""
+        """Wait briefly for readings; raise if the motion has to stop."""
 
     @abstractmethod
     def _halt(self) -> None:
-        """Stop, and make sure of it; harmless where nothing moves or nothing is open."""
+        """Stop and verify it; no effect if nothing moves or nothing is open."""
 
     @abstractmethod
     def _close(self) -> None:
@@ -91,23 +92,23 @@ class DrivenMotion(ABC):
 
     @abstractmethod
     def describe(self) -> dict[str, Any]:
-        """What the device reports about itself, as plain values; nothing moves, and the link is closed again.
+        """The state that the device reports, as plain values; nothing moves, and the link is closed again.
 
-        Raises DeviceError and its kinds.
+        Raises DeviceError and its subclasses.
         """
 
     @abstractmethod
     def halt_now(self) -> None:
-        """Stop it, whoever started it. Raises DeviceError where it does not confirm."""
+        """Stop it, even if another program started it. Raises DeviceError if it does not confirm."""
 
     def _facts(self) -> dict[str, Any]:
-        """What a Track carries besides its readings."""
+        """Metadata of a Track besides its readings."""
         return {}
 
     def start(self) -> None:
-        """Begin to turn. Raises DeviceError and its kinds; then nothing moves."""
+        """Start turning. Raises DeviceError and its subclasses; then nothing moves."""
         if self._thread is not None:
-            raise UsageError(f"{self.name} is turning already", "Stop it first.")
+            raise UsageError(f"{self.name} is already turning", "Stop it first.")
         self._readings, self._error, self._unconfirmed = [], None, False
         self._stopping.clear()
         try:
@@ -131,24 +132,24 @@ class DrivenMotion(ABC):
                 if time.monotonic() > until:
                     raise MotionStoppedError(
                         f"{self.name} has turned for {self.max_seconds:.0f} s and was stopped",
-                        "Ask for fewer turns, or give a larger max_seconds.",
+                        "Request fewer turns, or give a larger max_seconds.",
                     )
         except TagidError as error:
             self._error = error
             if isinstance(error, PausedError):
                 self._lose_angle()
         except Exception as error:
-            # Whatever breaks here, the wheels must stop and the recording must hear of it.
+            # On any error the wheels must stop and the recording must be notified.
             logging.getLogger("tagid").debug("motion thread", exc_info=True)
             self._error = DeviceError(f"{self.name}: {type(error).__name__}: {error}")
         finally:
             self._safely_halt()
 
     def _lose_angle(self) -> None:
-        """Nobody knows how far it turned since the last reading: any angle is as likely as another."""
+        """The angle since the last reading is unknown: its uncertainty is uniform over a turn."""
         with self._lock:
             if self._readings:
-                self._readings.append((time.time_ns(), self._readings[-1][1], math.pi))
+                self._readings.append((hostclock.now_ns(), self._readings[-1][1], math.pi))
 
     def _safely_halt(self) -> None:
         try:
@@ -169,7 +170,7 @@ class DrivenMotion(ABC):
             logging.getLogger("tagid").debug("closing %s", self.name, exc_info=True)
 
     def check(self) -> None:
-        """Raise what has stopped the motion."""
+        """Raise the error that stopped the motion."""
         if self._error is not None:
             raise self._error
 
@@ -177,7 +178,7 @@ class DrivenMotion(ABC):
         """Stop turning and close the link; safe to call twice.
 
         Raises:
-            DeviceError: it did not confirm that it stands.
+            DeviceError: it did not confirm the stop.
         """
         before = self._error
         self._stopping.set()
@@ -209,17 +210,17 @@ class DrivenMotion(ABC):
             return self._readings[-1][1] if self._readings else 0.0
 
     def needed_seconds(self) -> float:
-        """As long as the wanted turns take at the nominal speed."""
+        """Duration of the requested turns at the nominal speed."""
         return self.turns * self.nominal_s
 
     def finished(self, samples: Sequence[NDArray[Any]] | NDArray[Any], times_s: Sequence[float]) -> bool:
-        """Whether the wanted turns are there, by the device's own angle."""
+        """Whether the requested turns are complete, by the device's own angle."""
         return abs(self.turned_rad) >= self.turns * 2 * math.pi
 
     def resolve(
         self, samples: NDArray[Any], times_s: NDArray[np.floating], clock_sigma_s: float = 0.0
     ) -> Angles:
-        """Not possible from scans: the angles are measured while recording. Raises DataError."""
+        """Not possible from scans: the angles are measured during recording. Raises DataError."""
         raise DataError(
             f"the angles of {self.name} are measured while recording; this capture holds none",
             "Take the period from the scans: --motion free, or 'free?rpm=...'.",

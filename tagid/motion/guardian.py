@@ -1,9 +1,9 @@
-"""A helper process that stops what turns when its driver dies, hangs or is suspended, or when it is asked to.
+"""A helper process that stops a device when its driver dies, hangs or is suspended, or on request.
 
-The driver sends it a heartbeat. A heartbeat that does not come within the limit (kill -9, SIGSTOP, Ctrl-Z, a
-computer that slept), a broken pipe, and `tagid motion stop` from another process all end alike: the helper
-writes the halt bytes to the shared port, or starts the command that stops the device. It answers every
-heartbeat, so that the driver notices a dead guardian in its turn.
+The driver sends heartbeats. A missed heartbeat (kill -9, SIGSTOP, Ctrl-Z, a computer that slept), a broken
+pipe, and `tagid motion stop` from another process all have the same effect: the helper writes the halt bytes
+to the shared port, or starts the command that stops the device. It answers every heartbeat, so that the
+driver in turn notices a dead guardian.
 """
 
 from __future__ import annotations
@@ -27,17 +27,17 @@ from tagid.errors import DeviceError
 from tagid.motion.device import MotionStoppedError, PausedError
 
 PAUSES_S: Final = (0.0, 0.03, 0.12)
-"""Pauses before the three stops: the first may complete a command that was cut."""
+"""Pauses before the three stops: the first may complete a truncated command."""
 _START_S: Final = 5.0
 _DEAF_S: Final = 1.0
-"""A guardian that answers no heartbeat for so long is as good as dead."""
+"""A guardian that answers no heartbeat for this time is considered dead."""
 _ASK_S: Final = 3.0
 _FAREWELL: Final = b"x"
 _BEAT: Final = b"."
 _ECHO, _TRIPPED, _ASKED = b"e", b"t", b"a"
 
-# Plain Python without the package, so that it stands after some 20 ms. CLOCK_BOOTTIME goes on while the
-# computer sleeps. Only processes of the same user reach the socket: its folder is closed to all others.
+# Plain Python without the package, so that it starts in about 20 ms. CLOCK_BOOTTIME continues while the
+# computer sleeps. Only processes of the same user can reach the socket: its folder is closed to all others.
 _PROGRAM: Final = """
 import os, select, signal, socket, subprocess, sys, time
 for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGTSTP, signal.SIGPIPE):
@@ -113,14 +113,14 @@ if path:
 
 @dataclass(frozen=True)
 class Watch:
-    """What a guardian does.
+    """Parameters of a guardian.
 
     Attributes:
         name: of the device (port or address), under which `ask_to_stop` finds the guardian.
         limit_s: longest time between two heartbeats, s.
         port: file descriptor of the open port, which the guardian shares; -1 for none.
-        halt: bytes that stop the device there, written three times.
-        command: words of a command that stops the device where there is no port to share; () for none.
+        halt: bytes that stop the device, written three times.
+        command: words of a command that stops the device if there is no port to share; () for none.
     """
 
     name: str
@@ -131,9 +131,9 @@ class Watch:
 
 
 class Guardian:
-    """Watches over this process from now until `release`.
+    """Monitors this process from now until `release`.
 
-    Raises DeviceError where the helper does not start; then nothing may move.
+    Raises DeviceError if the helper does not start; then the device must not move.
     """
 
     def __init__(self, watch: Watch) -> None:
@@ -168,11 +168,11 @@ class Guardian:
         self.beat()
 
     def beat(self) -> None:
-        """Tell that the driver is alive; call it several times within the limit.
+        """Send a heartbeat; call it several times within the limit.
 
         Raises:
-            PausedError: heartbeats failed to come and the guardian has stopped the device.
-            MotionStoppedError: another process had it stopped. DeviceError: the guardian is dead.
+            PausedError: heartbeats were missed and the guardian has stopped the device.
+            MotionStoppedError: another process requested a stop. DeviceError: the guardian is dead.
         """
         process = self._process
         if process is None:
@@ -187,12 +187,12 @@ class Guardian:
                     break
         if _ASKED in marks:
             raise MotionStoppedError(
-                f"{self._name} was stopped by another process", "`tagid motion stop` asked for it."
+                f"{self._name} was stopped by another process", "`tagid motion stop` requested it."
             )
         if _TRIPPED in marks:
             raise PausedError(
                 f"this program was paused for more than {self._limit_s:g} s and {self._name} was stopped; "
-                "its angle is lost from there on",
+                "its angle is lost from then on",
                 "Record again; keep this computer awake and less busy.",
             )
         now = time.monotonic()
@@ -200,14 +200,14 @@ class Guardian:
             self._heard = now
         if process.poll() is not None or now - self._heard > max(_DEAF_S, self._limit_s):
             raise DeviceError(
-                f"the helper process that watches over {self._name} is gone, so the motion was stopped",
+                f"the helper process that monitors {self._name} has ended, so the motion was stopped",
                 "Record again; do not end processes of tagid while it drives.",
             )
         with contextlib.suppress(OSError):
             os.write(process.stdin.fileno(), _BEAT)
 
     def release(self, farewell: bool = True) -> None:
-        """All is still: nothing is left to do; without a farewell it stops the device first."""
+        """End the guardian after a stop; without a farewell message it stops the device first."""
         process, self._process = self._process, None
         if process is None:
             return
@@ -225,8 +225,31 @@ class Guardian:
             process.wait()
 
 
+class Guarded:
+    """The guardian of a link: None until the link is armed, and after its release."""
+
+    def __init__(self) -> None:
+        self._guardian: Guardian | None = None
+
+    def start(self, watch: Watch) -> None:
+        """Start the guardian unless it is running. Raises DeviceError if it does not start."""
+        if self._guardian is None:
+            self._guardian = Guardian(watch)
+
+    def beat(self) -> None:
+        """Send a heartbeat to the guardian; raises the errors of `Guardian.beat`."""
+        if self._guardian is not None:
+            self._guardian.beat()
+
+    def release(self, farewell: bool = True) -> None:
+        """End the guardian; without a farewell message it stops the device first."""
+        guardian, self._guardian = self._guardian, None
+        if guardian is not None:
+            guardian.release(farewell)
+
+
 def runtime_folder() -> Path | None:
-    """A folder that only this user can enter, made where it is missing; None where there is none to trust."""
+    """A folder that only this user can enter, created if missing; None if no safe folder is available."""
     if os.name != "posix":
         return None
     base = os.environ.get("XDG_RUNTIME_DIR")
@@ -241,7 +264,7 @@ def runtime_folder() -> Path | None:
 
 
 def stop_socket(name: str) -> Path | None:
-    """Where the guardian of a device listens; the same for a port and for links to it."""
+    """The guardian's socket for a device; the same for a port and for links to it."""
     folder = runtime_folder()
     if folder is None:
         return None
@@ -250,7 +273,7 @@ def stop_socket(name: str) -> Path | None:
 
 
 def ask_to_stop(name: str) -> bool:
-    """Have the guardian of another process stop a device; False where none watches over it."""
+    """Ask the guardian of another process to stop a device; False if no guardian monitors it."""
     path = stop_socket(name)
     if path is None or not path.exists():
         return False

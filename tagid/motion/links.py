@@ -1,6 +1,6 @@
-"""Byte links to robots and tables: a serial port here, Bluetooth in `ble`; they know nothing of messages.
+"""Byte links to robots and tables: a serial port here, Bluetooth in `ble`; independent of the messages.
 
-A driver is written against ByteLink and cannot tell a cable from a bridge.
+A driver uses ByteLink and does not distinguish a cable from a bridge.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ import errno
 from typing import Final, Protocol
 
 from tagid.errors import DeviceGoneError, DeviceTimeoutError, MissingExtraError
-from tagid.motion.guardian import Guardian, Watch
+from tagid.motion.guardian import Guarded, Watch
 from tagid.ports import open_port
 
 _WRITE_TIMEOUT_S: Final = 1.0
@@ -18,45 +18,45 @@ WAKE_S: Final = 1.0
 
 
 class ByteLink(Protocol):
-    """Carries bytes both ways."""
+    """Carries bytes in both directions."""
 
     def write(self, data: bytes) -> None:
-        """Send; may be called from any thread. Raises DeviceError where the link is down."""
+        """Send; may be called from any thread. Raises DeviceError if the link is down."""
         ...
 
     def read(self, timeout: float) -> bytes:
-        """What has arrived, waiting up to `timeout` s for the first byte; b"" where nothing came.
+        """Received bytes, waiting up to `timeout` s for the first one; b"" if none arrived.
 
-        Raises DeviceError where the link is down.
+        Raises DeviceError if the link is down.
         """
         ...
 
     def arm(self, timeout_s: float) -> None:
-        """From now on stop the robot by itself where nothing is written for so long, or the link ends."""
+        """From now on stop the robot automatically if nothing is written for this time, or the link ends."""
         ...
 
     def beat(self) -> None:
-        """Tell whatever watches that the driver is alive; call it several times within the armed time.
+        """Send a heartbeat to the emergency stop; call it several times within the armed time.
 
-        Raises MotionStoppedError where it has stopped the device, DeviceError where it is gone.
+        Raises MotionStoppedError if it has stopped the device, DeviceError if it has ended.
         """
         ...
 
     def disarm(self) -> None:
-        """End of `arm`, when the robot stands still."""
+        """Undo `arm`, once the robot is stopped."""
         ...
 
     def wake(self) -> None:
-        """Wake a sleeping robot (a low pulse on its BRC pin), where the link can."""
+        """Wake a sleeping robot (a low pulse on its BRC pin), if the link can."""
         ...
 
     def close(self) -> None:
-        """Close the link; harmless when closed already."""
+        """Close the link; no effect if it is already closed."""
         ...
 
 
 def require(module: str, extra: str, what: str) -> None:
-    """Raise MissingExtraError where a package of an extra is not installed."""
+    """Raise MissingExtraError if a package of an extra is not installed."""
     import importlib.util
 
     if importlib.util.find_spec(module) is None:
@@ -70,8 +70,8 @@ class SerialLink:
 
     Args:
         port: device path or name.
-        baud: rate.
-        halt: what a helper process writes where this process dies or hangs while armed; b"" for no helper.
+        baud: baud rate.
+        halt: bytes that a helper process writes if this process dies or hangs while armed; b"" for no helper.
 
     Raises:
         DeviceGoneError, DeviceError, PortInUseError: see `tagid.ports.open_port`.
@@ -81,24 +81,24 @@ class SerialLink:
         self.port, self.baud = port, baud
         self._halt = halt
         self._serial = open_port(port, baud, _WRITE_TIMEOUT_S, "`tagid motion find` lists the ports")
-        self._guard: Guardian | None = None
+        self._guard = Guarded()
 
     def __repr__(self) -> str:
         return self.port
 
     def write(self, data: bytes) -> None:
-        """Send all of it."""
+        """Send all of the data."""
         import serial
 
         try:
             self._serial.write(data)
         except serial.SerialTimeoutException:
-            raise DeviceTimeoutError(f"{self.port} takes no bytes", "Check the cable.") from None
-        except (OSError, TypeError, ValueError) as error:  # pyserial's own traps after an unplugging
+            raise DeviceTimeoutError(f"{self.port} accepts no data", "Check the cable.") from None
+        except (OSError, TypeError, ValueError) as error:  # raised by pyserial after a disconnection
             raise self._lost(error) from error
 
     def read(self, timeout: float) -> bytes:
-        """What has arrived."""
+        """Received bytes."""
         try:
             self._serial.timeout = timeout
             data = bytes(self._serial.read(1))
@@ -108,26 +108,23 @@ class SerialLink:
             raise self._lost(error) from error
 
     def _lost(self, error: Exception) -> DeviceGoneError:
-        return DeviceGoneError(f"the link at {self.port} is gone ({error})", "Check the plug and its power.")
+        return DeviceGoneError(f"the link at {self.port} disappeared ({error})", "Check plug and power.")
 
     def arm(self, timeout_s: float) -> None:
-        """Start the helper that stops the device where this process dies or hangs; no cable, no stop."""
-        if self._guard is None and self._halt:
-            self._guard = Guardian(Watch(self.port, timeout_s, self._serial.fileno(), self._halt))
+        """Start the helper that stops the device if this process dies or hangs; it needs an intact cable."""
+        if self._halt:
+            self._guard.start(Watch(self.port, timeout_s, self._serial.fileno(), self._halt))
 
     def beat(self) -> None:
-        """Tell the helper that this process is alive."""
-        if self._guard is not None:
-            self._guard.beat()
+        """Send a heartbeat to the helper."""
+        self._guard.beat()
 
     def disarm(self) -> None:
         """End the helper."""
-        guard, self._guard = self._guard, None
-        if guard is not None:
-            guard.release()
+        self._guard.release()
 
     def wake(self) -> None:
-        """A pulse on RTS, to which adapters for robots wire BRC; a port without RTS is left alone.
+        """A pulse on RTS, to which robot adapters connect BRC; no effect on a port without RTS.
 
         It lasts a second (Create 2 OI specification): three pulses of 50 to 500 ms would change the rate.
         """
@@ -143,12 +140,10 @@ class SerialLink:
                 raise self._lost(error) from error
 
     def set_baud(self, baud: int) -> None:
-        """Change this side's rate."""
+        """Change the baud rate of this side."""
         self._serial.baudrate = self.baud = baud
 
     def close(self) -> None:
         """Close the port; a helper that was not ended by `disarm` stops the device now."""
-        guard, self._guard = self._guard, None
-        if guard is not None:
-            guard.release(farewell=False)
+        self._guard.release(farewell=False)
         self._serial.close()

@@ -1,6 +1,6 @@
-"""A turntable that runs freely: nothing to command, its angle follows from the time and its period.
+"""A free-running turntable: it is not commanded, and its angle follows from time and period.
 
-It is the plainest motion device: nothing to open, nothing to watch, an angle with a sigma for every scan.
+It is the simplest motion device: it needs no connection and gives an angle with a sigma for every scan.
 """
 
 from __future__ import annotations
@@ -18,17 +18,17 @@ from tagid.metadata import ResolvedMotion
 from tagid.motion.device import MotionStoppedError
 
 OVERLAP_TURNS = 1.3
-"""Turns to record: one, and the overlap that gives the period to 0.1 % at 10 dB."""
+"""Turns to record: one, plus the overlap that gives the period to 0.1 % at 10 dB."""
 AMBIGUOUS_TURNS = 2.3
-"""Turns to record where the scans also repeat after a fraction of a turn."""
+"""Turns to record if the scans also repeat after a fraction of a turn."""
 NOMINAL_SIGMA = 0.01
-"""Relative standard deviation of a speed that was given and could not be checked against the data."""
+"""Relative standard deviation of a given speed that could not be checked against the data."""
 MAX_SEARCH_SCANS = 2000
-"""Scans that the running search looks at; more are thinned."""
+"""Maximum number of scans used by the running search; longer recordings are decimated."""
 
 
 STILL_S = 12.0
-"""Seconds after which a table that shows no change at all is taken for one that stands still."""
+"""Seconds without any change after which the table is considered stationary."""
 _STILL_SIGMAS = 4.0
 _BLOCKS = (1, 4, 16)
 
@@ -36,10 +36,10 @@ _BLOCKS = (1, 4, 16)
 def nothing_changes(samples: NDArray[Any]) -> bool:
     """Whether scans differ by white noise only.
 
-    Where nothing moves, the variance of the means of k consecutive scans is 1/k of that of single scans, and
-    half the mean square difference of neighbours is that variance (J. von Neumann, "Distribution of the ratio
-    of the mean square successive difference to the variance", 1941). What turns slowly makes the variance of
-    the means larger; averaging them finds it down to about 0 dB per sample within 12 s.
+    Without motion, the variance of the means of k consecutive scans is 1/k of that of single scans, and half
+    the mean square difference of neighbours equals that variance (J. von Neumann, "Distribution of the ratio
+    of the mean square successive difference to the variance", 1941). Slow motion increases the variance of
+    the means; averaging detects it down to about 0 dB per sample within 12 s.
 
     Args:
         samples: (scans, bins), real.
@@ -56,7 +56,7 @@ def nothing_changes(samples: NDArray[Any]) -> bool:
             break
         means = scaled[: blocks * k].reshape(blocks, k, -1).mean(axis=1)
         excess = k * means.var(axis=0, ddof=1) - 1
-        # Standard deviations of a variance of Gaussian noise, and of that of the reference beside it.
+        # Standard deviations of the variance of Gaussian noise, and of its reference.
         alone = np.sqrt(2 / (blocks - 1) + 1.5 / len(scaled))
         together = alone / np.sqrt(noisy.sum())
         if excess.mean() > _STILL_SIGMAS * together or excess.max() > 2 * _STILL_SIGMAS * alone:
@@ -68,11 +68,11 @@ class FreeTurntable:
     """A free-running turntable.
 
     Args:
-        rpm: nominal speed, turns per minute, believed to 15 %; None to take it from the data alone.
+        rpm: nominal speed, turns per minute, accurate to 15 %; None to estimate it from the data alone.
         direction: +1 counter-clockwise from above, -1 clockwise.
-        max_seconds: when to give up waiting for a period.
-        marker: a reflector off the axis was put on the table, so that a symmetric object is alike only after
-            a full turn: the best repetition is taken, not the first good one.
+        max_seconds: longest time to wait for a period, s.
+        marker: a reflector off the axis was placed on the table, so that a symmetric object repeats only
+            after a full turn: the best repetition is used, not the first good one.
     """
 
     moves = False
@@ -103,32 +103,32 @@ class FreeTurntable:
         return None if self.rpm is None else 60.0 / self.rpm
 
     def start(self) -> None:
-        """Forget an earlier recording; the table turns by itself."""
+        """Discard the state of an earlier recording; the table turns by itself."""
         self._tested_s, self._last = 0.0, None
 
     def check(self) -> None:
-        """Nothing to watch."""
+        """Does nothing: there is nothing to monitor."""
 
     def track(self) -> None:
-        """Nothing is measured."""
+        """None: no angle is measured."""
 
     def stop(self) -> None:
-        """Nothing: the table turns by itself."""
+        """Does nothing: the table turns by itself."""
 
     def needed_seconds(self) -> float | None:
-        """1.3 turns at the nominal speed, or None where the speed is not known."""
+        """1.3 turns at the nominal speed, or None if the speed is not known."""
         return None if self.nominal_s is None else OVERLAP_TURNS * self.nominal_s
 
     def finished(self, samples: Sequence[NDArray[Any]] | NDArray[Any], times_s: Sequence[float]) -> bool:
         """Whether to stop recording.
 
-        With a speed it is a matter of time. Without one the growing sinogram is searched whenever it has
-        become a tenth longer, until two searches in a row agree on a period and 1.3 turns of it are there
-        (2.3 where it is ambiguous), or max_seconds have passed.
+        With a known speed this depends on time alone. Otherwise the growing sinogram is searched each time it
+        is 10 % longer, until two consecutive searches agree on a period and 1.3 turns of it are recorded
+        (2.3 if it is ambiguous), or max_seconds have passed.
 
         Args:
-            samples: one (bins,) array a scan, or (scans, bins).
-            times_s: one time a scan, s.
+            samples: one (bins,) array per scan, or (scans, bins).
+            times_s: one time per scan, s.
         """
         if len(times_s) < 2:
             return False
@@ -144,8 +144,8 @@ class FreeTurntable:
         if elapsed >= STILL_S and nothing_changes(np.stack(list(samples))):
             raise MotionStoppedError(
                 f"nothing turns: the scans of {elapsed:.0f} s differ by noise only",
-                "Switch the table on; check that the antennas point at the object. For an object that looks "
-                "alike from all sides give its speed: --motion 'free?rpm=...'.",
+                "Switch the table on; check that the antennas point at the object. If the object looks "
+                "the same from all sides, give the speed: --motion 'free?rpm=...'.",
             )
         every = -(-len(times_s) // MAX_SEARCH_SCANS)
         try:
@@ -166,7 +166,7 @@ class FreeTurntable:
     def resolve(
         self, samples: NDArray[Any], times_s: NDArray[np.floating], clock_sigma_s: float = 0.0
     ) -> Angles:
-        """Angles from the period in the data; from the nominal speed where the data do not show one.
+        """Angles from the period in the data; from the nominal speed if the data show none.
 
         sigma(t) = (2 pi / T) hypot(sqrt(2) sigma_clock, (t - t0) sigma_T / T): it grows with the time since
         the first scan, which has angle zero by definition.
@@ -177,7 +177,7 @@ class FreeTurntable:
             clock_sigma_s: standard deviation of a time, s.
 
         Raises:
-            DataError: no speed was given and the data show no period.
+            DataError: no speed was given, and the data show no period.
         """
         times = np.asarray(times_s, dtype=np.float64)
         info: dict[str, Any] = {"kind": "free", "direction": self.direction, "nominal_rpm": self.rpm}

@@ -1,7 +1,7 @@
-"""Motion devices by URL, as the command line and the configuration name them.
+"""Creates motion devices from URLs, as used on the command line and in the configuration.
 
-A device with a wire is one file and one line of the entry-point table `tagid.motion` in pyproject.toml; what
-needs no wire is here.
+A device with a link has its own file and one line in the entry-point table `tagid.motion` in pyproject.toml;
+devices without a link are here.
 """
 
 from __future__ import annotations
@@ -35,13 +35,13 @@ _DIRECTIONS: Final = {"ccw": 1, "cw": -1}
 
 @dataclass
 class Options:
-    """A device URL taken apart; each option is taken once, and `done` refuses what is left over.
+    """A parsed device URL; each option is taken once, and `done` rejects those left over.
 
     Attributes:
         url: as given.
         scheme: before "://".
-        target: device file, name or address; "" where none is given.
-        given: options not taken yet.
+        target: device file, name or address; "" if none is given.
+        given: options not yet taken.
     """
 
     url: str
@@ -54,7 +54,7 @@ class Options:
         return bad_url(self.url, why)
 
     def number(self, name: str, default: float | None, low: float, high: float) -> float | None:
-        """A number within bounds; the default where it is not given."""
+        """A number within bounds; the default if it is not given."""
         text = self.given.pop(name, None)
         if text is None:
             return default
@@ -78,9 +78,9 @@ class Options:
         return _DIRECTIONS[text]
 
     def reversed(self, device: str) -> bool:
-        """The option `reversed`: 1 where the device turns the other way than its documents say.
+        """The option `reversed`: 1 if the device turns opposite to its documents.
 
-        Without it, what `tagid motion calibrate --direction` found for this device; else 0.
+        Without it, the result of `tagid motion calibrate --direction` for this device; otherwise 0.
         """
         from tagid.motion.calibration import recall_reversed
 
@@ -88,18 +88,18 @@ class Options:
         return recall_reversed(device) if given is None else bool(given)
 
     def done(self) -> None:
-        """Raise UsageError for an option that nobody took."""
+        """Raise UsageError for an option that was not taken."""
         if self.given:
             raise self.wrong(f"option {min(self.given)[:50]!r} is unknown")
 
 
 def bad_url(url: str, why: str) -> UsageError:
-    """The error for a motion URL, with what works."""
+    """The error for a motion URL, with the valid forms."""
     return UsageError(f"motion {url[:200]!r}: {why}", f"Use one of {', '.join(EXAMPLES)}.")
 
 
 def parse_motion_url(url: str) -> Options:
-    """Take a motion URL apart. Raises UsageError.
+    """Parse a motion URL. Raises UsageError.
 
     >>> parse_motion_url("roomba+serial:///dev/ttyUSB1?step=2").target
     '/dev/ttyUSB1'
@@ -111,12 +111,12 @@ def parse_motion_url(url: str) -> Options:
         raise bad_url(url, "is malformed") from None
     names = [name for name, _ in pairs]
     if len(set(names)) != len(names):
-        raise bad_url(url, "names an option twice")
+        raise bad_url(url, "gives an option twice")
     if not parts.scheme:
         if parts.netloc or not parts.path:
             raise bad_url(url, "is unknown")
         return Options(url, unquote(parts.path), "", dict(pairs))
-    # The part before the path keeps its case here: it may be a Bluetooth name.
+    # The case of the part before the path is preserved: it may be a Bluetooth name.
     return Options(url, parts.scheme, unquote(parts.netloc + parts.path), dict(pairs))
 
 
@@ -126,12 +126,12 @@ def schemes() -> dict[str, metadata.EntryPoint]:
 
 
 def open_motion(url: str) -> Motion:
-    """The motion device of a URL; nothing is connected yet.
+    """The motion device of a URL; nothing is connected.
 
     `free` takes rpm (turns per minute), direction (ccw, the default, or cw), max_seconds (how long to wait
-    for a period where rpm is not given) and marker=1 (a reflector off the axis breaks the object's symmetry).
+    for a period if rpm is not given) and marker=1 (a reflector off the axis breaks the object's symmetry).
     `emulator://SCENE?rpm=...` is the emulated radar's own table, which runs freely; options of the scene are
-    ignored here. All others are told in docs/motion.md.
+    ignored here. docs/motion.md describes all others.
 
     >>> open_motion("free?rpm=2&direction=cw").needed_seconds()
     39.0
@@ -142,7 +142,7 @@ def open_motion(url: str) -> Motion:
     options = parse_motion_url(url)
     if options.scheme == "emulator":
         if not options.target:
-            raise options.wrong("names no scene")
+            raise options.wrong("has no scene")
         known = ("rpm", "direction", "max_seconds", "marker")
         return _free(Options(url, "free", "", {k: v for k, v in options.given.items() if k in known}))
     if options.scheme == "free" and not options.target:
@@ -166,7 +166,7 @@ def _free(options: Options) -> FreeTurntable:
 
 
 def public_url(url: str) -> str:
-    """The URL without its pass-key, as it is kept with a capture.
+    """The URL without its pass-key, as stored with a capture.
 
     >>> public_url("roomba+ble://R2?passkey=123456&step=3")
     'roomba+ble://R2?step=3'

@@ -1,6 +1,6 @@
-"""Virtual Bluetooth from whoever provides it: the firmware's tools do, through an entry point.
+"""Virtual Bluetooth from a provider: the firmware tools register one through an entry point.
 
-The package itself imports nothing of those tools; they register in the group `tagid.virtual_bluetooth`.
+The package imports none of those tools; they register in the group `tagid.virtual_bluetooth`.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ GROUP: Final = "tagid.virtual_bluetooth"
 
 
 def virtual_bluetooth(part: str) -> Any:
-    """A part of the group. Raises MissingExtraError where nobody provides it."""
+    """A member of the group. Raises MissingExtraError if there is no provider."""
     for entry in metadata.entry_points(group=GROUP, name=part):
         return entry.load()
     raise MissingExtraError(
-        "this installation knows no virtual Bluetooth controllers",
-        "Install again with: pip install 'tagid[virtual]'; in a checkout: pip install -e .",
+        "this installation has no virtual Bluetooth controllers",
+        "Reinstall with: pip install 'tagid[virtual]'; in a checkout: pip install -e .",
     )

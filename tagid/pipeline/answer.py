@@ -5,7 +5,7 @@ Commands, batch runs and the history share it, so that its JSON form is defined 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from tagid import __version__
@@ -13,6 +13,21 @@ from tagid import __version__
 if TYPE_CHECKING:
     from tagid.tags.matching.reading import Reading
     from tagid.tags.network.second_look import SecondLook
+
+
+@dataclass(frozen=True)
+class Cause:
+    """A likely cause of an answer that names nothing.
+
+    Attributes:
+        code: "speed", "partial_turn", "axis_distance" or "off_centre"; stable, for programs.
+        text: what the scans show.
+        remedy: what to do.
+    """
+
+    code: str
+    text: str
+    remedy: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,6 +42,7 @@ class Identification:
         error: {code, message, remedy} where status is "failed".
         second: the network's result for the image; None for free antenna positions and where status is
             "failed".
+        causes: likely causes where nothing is named, most certain first.
     """
 
     status: str
@@ -37,6 +53,7 @@ class Identification:
     seconds: dict[str, float] = field(default_factory=dict)
     error: dict[str, str] | None = None
     second: SecondLook | None = None
+    causes: tuple[Cause, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """Plain JSON values, with all fields of the contract."""
@@ -48,6 +65,8 @@ class Identification:
             "reason": r.reason if r else (self.error or {}).get("message", ""),
             "reason_code": r.code.value if r else (self.error or {}).get("code", ""),
             "advice": r.advice if r else (self.error or {}).get("remedy", ""),
+            "causes": [asdict(cause) for cause in self.causes],
+            "nearest": {"layout": r.nearest, "share": self._nearest_share()} if r else None,
             "layout": r.layout if r else None,
             "label": self.label,
             "score": r.score if r else 0.0,
@@ -70,12 +89,17 @@ class Identification:
             "error": self.error,
         }
 
+    def _nearest_share(self) -> float | None:
+        """Share of the energy above noise that the nearest layout explains; None where unknown."""
+        scores = self.reading.scores if self.reading else ()
+        return next((s.share for s in scores if self.reading and s.name == self.reading.nearest), None)
+
     def _won(self) -> str | None:
-        """The kind of the hypothesis that the answer rests on; None where nothing was read."""
+        """The kind of the hypothesis that the answer rests on; None if nothing was read."""
         return self.reading.kind.value if self.reading else None
 
     def _bound(self) -> dict[str, Any] | None:
-        """What the false-accept setting rests on; None where no calibration was asked."""
+        """What the false-accept setting rests on; None if no calibration was asked."""
         bound = self.reading.bound if self.reading else None
         if bound is None:
             return None

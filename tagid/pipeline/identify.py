@@ -126,7 +126,7 @@ def identify_together(
 def _enrolled(
     capture: Capture, signatures: Sequence[Signature], settings: ImagingSettings
 ) -> Enrolled | None:
-    """Enrolled bodies and objects as hypotheses; None where there are none of the capture's band."""
+    """Enrolled bodies and objects as hypotheses; None if there are none of the capture's band."""
     if not signatures or capture.angles_rad is None:
         return None
     from tagid.tags.bodies.enrolled import hypotheses, signature_wavenumbers

@@ -21,7 +21,7 @@ BACKGROUNDS = ("mean", "median", "reference", "none")
 
 
 @dataclass(frozen=True)
-class Default:
+class LoadDefault:
     """A value for captures that lack it.
 
     Attributes:
@@ -40,20 +40,21 @@ class LoadSettings:
     Attributes:
         cable_delay_ps: two-way cable delay to subtract from the ranges of raw recordings, ps.
         node: number of the radar to read, if a log holds several.
-        axis_distance_m, antenna_height_m: geometry for captures that lack it, m.
+        axis_distance_m, antenna_height_m, antenna_separation_m: geometry for captures that lack it, m.
         motion: device URL of what turned the object.
         motion_is_default: whether `motion` is only the built-in default; a capture's own URL then wins.
         as_recorded: keep the angles of a capture, even where the command line names the motion: it was
             recorded with this very motion.
         wave_speed_m_s: replaces the wave speed of the capture, m/s.
-        reference: recording of the empty scene to subtract; None where none is wanted.
+        reference: recording of the empty scene to subtract; None if none is wanted.
     """
 
     cable_delay_ps: float = 0.0
     node: int | None = None
-    axis_distance_m: Default = Default()
-    antenna_height_m: Default = Default()
-    motion: Default = Default("free")
+    axis_distance_m: LoadDefault = LoadDefault()
+    antenna_height_m: LoadDefault = LoadDefault()
+    antenna_separation_m: LoadDefault = LoadDefault()
+    motion: LoadDefault = LoadDefault("free")
     motion_is_default: bool = True
     as_recorded: bool = False
     wave_speed_m_s: float | None = None
@@ -73,15 +74,16 @@ class LoadSettings:
         if background not in BACKGROUNDS:
             raise UsageError(f"--background is {background!r}", f"Use {', '.join(BACKGROUNDS)}.")
 
-        def default(name: str) -> Default:
+        def default(name: str) -> LoadDefault:
             given = config.values[name]
-            return Default(given.value, given.value is not None and given.source == "command line")
+            return LoadDefault(given.value, given.value is not None and given.source == "command line")
 
         return cls(
             config["radar.cable_delay_ps"],
             node,
             default("motion.axis_distance_m"),
             default("motion.antenna_height_m"),
+            default("motion.antenna_separation_m"),
             default("motion.url"),
             config.values["motion.url"].source == "default",
             as_recorded,
@@ -95,6 +97,8 @@ class LoadSettings:
             "motion.axis_distance_m": self.axis_distance_m,
             "motion.antenna_height_m": self.antenna_height_m,
         }
+        if self.antenna_separation_m.overrides:
+            given["motion.antenna_separation_m"] = self.antenna_separation_m
         return {
             "given": {
                 name: {"value": default.value, "from the command line": default.overrides}
@@ -145,6 +149,8 @@ def load_capture(source: Path | Capture, settings: LoadSettings | None = None, t
         capture = replace(capture, axis_distance_m=distance.value)
     if height.overrides:
         capture = replace(capture, antenna_height_m=height.value)
+    if settings.antenna_separation_m.overrides:
+        capture = replace(capture, antenna_separation_m=settings.antenna_separation_m.value)
     if settings.wave_speed_m_s is not None:
         capture = replace(capture, wave_speed_m_s=settings.wave_speed_m_s)
     if settings.reference is not None:

@@ -66,7 +66,7 @@ class PreparedCapture:
 
     @property
     def capture(self) -> Capture:
-        """The capture with the pulse selected by the settings. Raises DataError where the estimate fails."""
+        """The capture with the pulse selected by the settings. Raises DataError if the estimate fails."""
         if self._with_pulse is None:
             self._with_pulse = self._choose_pulse()
         return self._with_pulse

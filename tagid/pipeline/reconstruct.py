@@ -15,8 +15,10 @@ from tagid.imaging.ats.adapt import CANDIDATES
 from tagid.imaging.ats.fit import LEAST_HELD_OUT, fit
 from tagid.imaging.autofocus import AxisFocus, focus_axis_distance
 from tagid.imaging.bandcheck import band_warning
-from tagid.imaging.heldout import HeldOut, check
+from tagid.imaging.heldout import HeldOut, check, left_out
 from tagid.imaging.lengths import finest_cell_m
+from tagid.imaging.outside import Outside, find_outside
+from tagid.imaging.preprocess import select_views
 from tagid.imaging.pulsefit import PulseEstimate
 from tagid.imaging.region import Region, choose_region
 from tagid.imaging.restore import restore
@@ -34,9 +36,9 @@ class Reconstruction:
     Attributes:
         image: complex reflectivity.
         method: the method used, never "auto".
-        focus: result of the search for the axis distance; None where there was none.
+        focus: result of the search for the axis distance; None if there was none.
         region: path delay and place of the image for free antenna positions; None for a turntable.
-        pulse: result of the estimate of the pulse; None where none was asked for.
+        pulse: result of the estimate of the pulse; None if none was asked for.
         views: number of views imaged, after averaging.
         seconds: of each stage.
     """
@@ -103,10 +105,15 @@ def reconstruct(
     if settings.focus_m != 0 and scans.aperture.angles is not None:
         with watch.stage("focus"):
             scans, focus = focus_axis_distance(scans, grid, settings.focus_m)
+    outside: Outside | None = None
+    if IMAGING_METHODS[method].sparse and settings.preset != "paper":
+        with watch.stage("outside"):
+            outside = find_outside(scans, grid)
+    imaged = scans if outside is None else outside.removed(scans)
     with watch.stage("image"):
-        image = make_image(scans, grid, method, settings.seed, settings.preset, progress, settings.ats)
+        image = make_image(imaged, grid, method, settings.seed, settings.preset, progress, settings.ats)
     with watch.stage("held out"):
-        predicted = _held_out(prepared, scans, grid, method, settings, image)
+        predicted = _held_out(prepared, scans, grid, method, settings, image, outside is not None)
     with watch.stage("image"):
         if settings.restore and IMAGING_METHODS[method].sparse and settings.preset != "paper":
             image = restore(image, scans.wavenumber)
@@ -122,6 +129,8 @@ def reconstruct(
         facts["focus"] = focus.facts()
     elif region is not None and region.focus is not None:
         facts["focus"] = region.focus.facts()
+    if outside is not None:
+        facts["outside"] = outside.facts()
     warning = band_warning(prepared.given)
     if warning:
         facts["warnings"] = [warning]
@@ -154,8 +163,12 @@ def _held_out(
     method: str,
     settings: ImagingSettings,
     made: Image,
+    outside: bool,
 ) -> HeldOut | None:
-    """Prediction of unseen views by this method, with the priors that the image was made with."""
+    """Prediction of unseen views by this method, with the priors that the image was made with.
+
+    Echoes from outside the image, found in the other views alone, are subtracted from all if `outside`.
+    """
     if settings.preset == "paper" or method in _NO_PREDICTION or not settings.held_out:
         return None
     unfiltered = scans
@@ -164,6 +177,12 @@ def _held_out(
         unfiltered = plain.with_aperture(scans.aperture)
     if method in ("bp", "bp-raw"):
         return check(scans, unfiltered, grid, None)
+    if outside:
+        unseen = left_out(scans.aperture.views)
+        seen = np.setdiff1d(np.arange(scans.aperture.views), unseen)
+        found = find_outside(select_views(scans, seen), grid)
+        scans = scans if found is None else found.removed(scans)
+        unfiltered = scans
     ats = replace(settings.ats, adapt=0, held_out=0.0, calibrate=())
     changes = CANDIDATES.get(made.settings.get("prior", ""), {})
     axis = made.settings.get("calibration", {}).get("axis")

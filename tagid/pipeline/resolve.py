@@ -63,6 +63,7 @@ def with_angles(capture: Capture, motion: str | None = None) -> Capture:
         angles_rad=angles.angles_rad,
         angle_sigma_rad=angles.sigma_rad,
         antenna_positions_m=None,
+        receive_positions_m=None,
         motion=capture.motion.without_track(url=motion or "free", resolved=found),
     )
 
@@ -95,6 +96,21 @@ def turn_line(resolved: ResolvedMotion | None) -> str:
     if resolved.kind == "roomba" and not resolved.calibrated:
         line += "; `tagid motion calibrate` stores the wheel base"
     return line
+
+
+def speed_contradiction(resolved: ResolvedMotion | None) -> str:
+    """One sentence with both speeds where the scans contradict the stated one; else "".
+
+    >>> speed_contradiction(ResolvedMotion(nominal_rpm=6.0, measured_rpm=10.02))
+    'the stated speed of 6 rpm (10.0 s per turn) is not that of the scans: they show 10 rpm (6.0 s per turn)'
+    """
+    if resolved is None or not resolved.measured_rpm or not resolved.nominal_rpm:
+        return ""
+    stated, shown = resolved.nominal_rpm, resolved.measured_rpm
+    return (
+        f"the stated speed of {stated:.3g} rpm ({60 / stated:.1f} s per turn) is not that of the scans: "
+        f"they show {shown:.3g} rpm ({60 / shown:.1f} s per turn)"
+    )
 
 
 def one_turn(capture: Capture, max_views: int) -> Capture:

@@ -1,12 +1,11 @@
 """Regroups SCAN_INFO fragments into scans by (id, timestamp), each scan once and in order.
 
-UDP loses, repeats and reorders; counting packets would turn one lost packet into shifted data for the rest of
-a recording. Here a lost packet costs its scan, which is counted, and nothing else.
+UDP loses, repeats and reorders packets. If packets were merely counted, one lost packet would shift the data
+for the rest of a recording. Here a lost packet loses only its scan, which is counted.
 """
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
@@ -14,21 +13,22 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from tagid import hostclock
 from tagid.radar.messages import SAMPLES_PER_MESSAGE
 from tagid.radar.scan_info import Fragment
 
 WINDOW: Final = 8
-"""Scans that may always be overtaken by later ones before an unfinished scan is given up."""
+"""Number of later scans that may always arrive before an incomplete scan is declared lost."""
 
 HOLD_MS: Final = 100
-"""Time that later scans wait for an unfinished one, ms of the radar's clock: twice the 50 ms that a network
-may delay a packet. At a thousand scans a second that is a hundred scans; at seven the window is longer."""
+"""How long later scans wait for an incomplete one, ms of radar time: twice the 50 ms by which a network may
+delay a packet. At 1000 scans/s this is 100 scans; at 7 scans/s the minimum of `REORDER_WINDOW` applies."""
 
 MAX_PENDING: Final = 512
-"""Unfinished scans kept at a time; bounds what hostile fragments can take to 17 MB."""
+"""Maximum number of incomplete scans kept; limits the memory used by forged fragments to 17 MB."""
 
 MAX_READY: Final = 512
-"""Complete scans held back at a time, at most."""
+"""Maximum number of complete scans held back."""
 
 _SLACK_SCANS: Final = 64
 
@@ -40,11 +40,11 @@ class Scan:
     Attributes:
         scan_id: number of the scan, unwrapped past 65535; a gap is a lost scan.
         radar_time_ms: the radar's clock, whole ms since its boot, unwrapped past 2^32.
-        host_time_ns: when its last fragment arrived, ns since the epoch.
+        host_time_ns: arrival time of its last fragment, ns since the epoch.
         samples: (N,) int32, counts.
         scan_start_ps, scan_stop_ps: two-way time of the scan window, ps.
-        antenna_id: the antenna mode it was taken with.
-        node_id: the radar's number.
+        antenna_id: the antenna mode used.
+        node_id: the radar's node number.
     """
 
     scan_id: int
@@ -59,20 +59,20 @@ class Scan:
 
 @dataclass
 class Statistics:
-    """What happened on the wire, counted.
+    """Counters of a connection.
 
     Attributes:
-        received: packets from the radar, malformed ones included.
-        foreign: packets from another sender, dropped.
-        malformed: packets that were no message, or a fragment that contradicts itself, its scan or the clock,
-            dropped.
-        unexpected: well-formed messages that nothing waited for (late confirms), dropped.
-        duplicate: fragments that had arrived before, dropped.
-        late: fragments of scans already given up, or of an earlier run, dropped.
-        complete_scans: scans handed out.
-        lost_scans: scans of which a fragment never came.
-        retries: requests sent again because no answer came.
-        skipped_bytes: bytes on a serial line that belonged to no frame.
+        received: packets from the radar, including malformed ones.
+        foreign: packets from other senders, dropped.
+        malformed: packets that are not a message, or fragments that contradict themselves, their scan or the
+            clock, dropped.
+        unexpected: well-formed messages that no request was waiting for (late confirms), dropped.
+        duplicate: fragments that had already arrived, dropped.
+        late: fragments of scans already declared lost, or of an earlier run, dropped.
+        complete_scans: scans returned.
+        lost_scans: scans with a missing fragment.
+        retries: requests repeated because no answer arrived.
+        skipped_bytes: bytes on a serial line outside any frame.
     """
 
     received: int = 0
@@ -88,7 +88,7 @@ class Statistics:
 
 
 class _Partial:
-    """Fragments of one scan so far."""
+    """The fragments of one scan received so far."""
 
     __slots__ = ("layout", "missing", "samples")
 
@@ -99,7 +99,7 @@ class _Partial:
 
 
 def unwrap(value: int, reference: int, bits: int) -> int:
-    """The number congruent to `value` modulo 2^bits that lies nearest to `reference`.
+    """The number congruent to `value` modulo 2^bits that is nearest to `reference`.
 
     >>> unwrap(2, 65_535, 16)
     65538
@@ -109,21 +109,21 @@ def unwrap(value: int, reference: int, bits: int) -> int:
 
 
 class ScanAssembler:
-    """Fragments in, complete scans out.
+    """Reassembles fragments into complete scans.
 
     Args:
-        first_id: id of the run's first scan, which is that of the CONTROL request; None takes the first seen.
-        statistics: counters to add to.
+        first_id: id of the first scan, equal to that of the CONTROL request; None uses the first one seen.
+        statistics: counters to update.
         clock_ns: host clock, ns since the epoch.
-        period_s: shortest time between scans, s. With it, an id that runs ahead of the radar's clock counts
-            as damaged and cannot make all that really follows look late.
+        period_s: shortest time between scans, s. If given, an id ahead of the radar's clock counts as
+            damaged, so it cannot make all the valid scans that follow appear late.
     """
 
     def __init__(
         self,
         first_id: int | None = None,
         statistics: Statistics | None = None,
-        clock_ns: Callable[[], int] = time.time_ns,
+        clock_ns: Callable[[], int] = hostclock.now_ns,
         period_s: float | None = None,
     ) -> None:
         self.statistics = statistics or Statistics()
@@ -140,16 +140,16 @@ class ScanAssembler:
 
     @property
     def whole_scans(self) -> int:
-        """Scans of which every fragment came, those still held back included."""
+        """Number of complete scans, including those still held back."""
         return self._whole
 
     @property
     def next_id(self) -> int | None:
-        """Unwrapped id of the scan that is waited for; None before the first fragment."""
+        """Unwrapped id of the next scan expected; None before the first fragment."""
         return self._next
 
     def add(self, fragment: Fragment) -> list[Scan]:
-        """Takes one fragment; returns the scans that are complete and in turn now (often none)."""
+        """Process one fragment; return the scans that are now complete and next in order (often none)."""
         if self._next is None:
             self._next = fragment.id
         scan_id = unwrap(fragment.id, self._next, 16)
@@ -179,16 +179,16 @@ class ScanAssembler:
         return self._in_turn(held=True)
 
     def flush(self) -> list[Scan]:
-        """The complete scans still held back, in order; what is unfinished before them is lost."""
+        """The complete scans still held back, in order; incomplete scans before them are counted as lost."""
         return self._in_turn(held=False)
 
     def give_up_until(self, end_id: int) -> None:
-        """Counts as lost every scan before `end_id` that has not been handed out: the run is over."""
+        """End the run: count every scan before `end_id` that has not been returned as lost."""
         if self._next is not None and end_id > self._next:
             self._lose_until(end_id)
 
     def _plausible(self, scan_id: int, timestamp_ms: int) -> bool:
-        """Whether the radar can have got as far as this id at this time; late packets always can."""
+        """Whether the radar can have reached this id by now; always true for late packets."""
         if self._period_ms is None:
             return True
         if self._start is None:
@@ -220,7 +220,7 @@ class ScanAssembler:
         self._newest_ready = max(self._newest_ready, scan_id)
 
     def _in_turn(self, held: bool) -> list[Scan]:
-        """Hands out what is next; with `held`, only what no younger unfinished scan must be waited for."""
+        """The next scans in order; with `held`, only those that need not wait for an incomplete one."""
         out: list[Scan] = []
         while self._ready and self._next is not None:
             scan = self._ready.pop(self._next, None)
@@ -236,7 +236,7 @@ class ScanAssembler:
         return out
 
     def _given_up(self) -> int | None:
-        """Id up to which scans that have not come are given up now; None while they may still come."""
+        """Id below which missing scans are declared lost now; None while they may still arrive."""
         first = min(self._ready)
         if len(self._ready) >= MAX_READY:
             return first

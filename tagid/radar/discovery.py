@@ -1,6 +1,6 @@
-"""Which radars are there: serial ports with a radar's USB number, and configured addresses that answer.
+"""Discovery of radars: serial ports with a radar's USB number, and configured addresses that answer.
 
-All are asked at once, so that the whole search ends within three seconds however many are silent.
+All candidates are queried in parallel, so the search ends within three seconds even if many are silent.
 """
 
 from __future__ import annotations
@@ -23,26 +23,26 @@ USB_PRODUCTS: Final = {0x0005: "P440", 0x0003: "P410"}
 
 LIMIT_S: Final = 3.0
 _ASKING_S: Final = 2.1
-"""Leaves room for the program's own start within the limit."""
+"""Shorter than the limit of three seconds, to leave time for the program to start."""
 _ANSWER_S: Final = 0.65
 _ATTEMPTS: Final = 3
 _MOST_ADDRESSES: Final = 64
 
 WHERE_TO_LOOK: Final = (
-    "Check power (a P440 boots for 7 to 11 s) and cable; in a network give this computer 192.168.1.1/24 and "
-    "let the firewall pass UDP port 21210; other addresses: --address, or `tagid config set radar.addresses`."
+    "Check power (a P440 boots for 7 to 11 s) and cable. On Ethernet, give this computer 192.168.1.1/24 and "
+    "allow UDP port 21210 in the firewall. Other addresses: --address, or `tagid config set radar.addresses`."
 )
 
 
 @dataclass(frozen=True)
 class FoundRadar:
-    """One radar, or one port that should be one.
+    """A radar, or a port that should have one.
 
     Attributes:
-        url: what to give as --radar.
+        url: the value for --radar.
         kind: "network", "P440 on USB", "P410 on USB" or "serial".
-        status: what it says of itself; None where it did not answer.
-        problem, remedy: why it did not answer, and what to do; empty where it did.
+        status: its status; None if it did not answer.
+        problem, remedy: why it did not answer, and what to do; empty if it did.
     """
 
     url: str
@@ -52,18 +52,18 @@ class FoundRadar:
     remedy: str = ""
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain JSON values."""
+        """As plain JSON values."""
         return asdict(self)
 
 
 @dataclass(frozen=True)
 class Search:
-    """Outcome of a search.
+    """Result of a search.
 
     Attributes:
-        radars: what was found; network addresses that stay silent are not in it, silent serial ports are.
-        asked: URLs of all that were asked.
-        seconds: how long it took.
+        radars: the radars found, and serial ports that did not answer; silent network addresses are omitted.
+        asked: URLs of all candidates.
+        seconds: duration of the search, s.
     """
 
     radars: tuple[FoundRadar, ...]
@@ -74,7 +74,7 @@ class Search:
 def addresses_from(text: str | None) -> tuple[str, ...]:
     """The addresses of the setting `radar.addresses`: HOST or HOST:PORT, separated by commas or spaces.
 
-    Raises ConfigError where there are more than 64.
+    Raises ConfigError if there are more than 64.
 
     >>> addresses_from("127.0.0.1:5000, 127.0.0.1:5001")
     ('127.0.0.1:5000', '127.0.0.1:5001')
@@ -83,14 +83,14 @@ def addresses_from(text: str | None) -> tuple[str, ...]:
     found = tuple(dict.fromkeys(parts))
     if len(found) > _MOST_ADDRESSES:
         raise ConfigError(
-            f"radar.addresses holds {len(found)} addresses",
-            f"Give at most {_MOST_ADDRESSES}, with commas between.",
+            f"radar.addresses has {len(found)} addresses",
+            f"Give at most {_MOST_ADDRESSES}, separated by commas.",
         )
     return found
 
 
 def radar_ports() -> list[tuple[str, str]]:
-    """(URL, kind) of the serial ports whose USB number is that of a P440 or P410."""
+    """(URL, kind) of the serial ports with the USB number of a P440 or P410."""
     from serial.tools import list_ports
 
     return [
@@ -105,14 +105,14 @@ def discover(
     urls: Sequence[str] = (),
     ports: Callable[[], list[tuple[str, str]]] = radar_ports,
 ) -> Search:
-    """Asks every candidate for its status, all at once; a scanning radar goes on scanning.
+    """Query the status of every candidate in parallel; a scanning radar continues scanning.
 
     Args:
-        addresses: HOST or HOST:PORT of the network, for UDP.
-        urls: further radar URLs, e.g. of a UART adapter, which no USB number gives away.
-        ports: lists the serial ports that look like a radar.
+        addresses: HOST or HOST:PORT, for UDP.
+        urls: further radar URLs, e.g. of a UART adapter, which cannot be recognised by its USB number.
+        ports: lists the serial ports that may be a radar.
 
-    Raises UsageError for an address or URL that makes no sense.
+    Raises UsageError for an invalid address or URL.
     """
     started = time.monotonic()
     candidates: dict[str, str] = {}

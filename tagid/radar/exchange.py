@@ -1,6 +1,7 @@
-"""One request, one confirm: what is sent again, what is dropped while waiting, and what ends the wait.
+"""One request and its confirm: retries, packets dropped while waiting, and the timeout.
 
-The client above thinks in commands and scans; here packets are lost, late, damaged or of an earlier run.
+The client works with commands and scans; this module handles packets that are lost, late, damaged or from
+an earlier run.
 """
 
 from __future__ import annotations
@@ -26,10 +27,10 @@ from tagid.radar.scan_info import SCAN_INFO_HEAD, Fragment, read_fragment
 _T = MessageType
 _QUIET_S: Final = 0.05
 _BACKLOG: Final = 4
-"""Fragments that may stand before an answer on a slow line."""
+"""Fragments that may be queued before an answer on a slow line."""
 NO_ANSWER: Final = (
     "Check power, cable and the address (kit units: 192.168.1.100 to 103, this computer 192.168.1.1/24), and "
-    "that no firewall drops the answers from UDP port 21210; `tagid doctor` tries each."
+    "that no firewall drops the answers from UDP port 21210; `tagid doctor` checks each of these."
 )
 
 
@@ -39,14 +40,14 @@ class Exchange:
     Args:
         link: carries the packets.
         timeout: wait for one answer, s.
-        attempts: how often a request is sent before the radar counts as silent.
+        attempts: number of times a request is sent before the radar is considered silent.
 
     Attributes:
-        statistics: counters of everything.
+        statistics: counters of the connection.
         next_id: id of the next request, u16.
-        scanning: whether a run of ours is under way, so that its fragments are kept while asking.
-        started: whether READY_INFO is a surprise.
-        early: fragments of the run that came while a confirm was waited for.
+        scanning: whether our run is in progress, so its fragments are kept during requests.
+        started: whether READY_INFO is unexpected, i.e. means a reboot.
+        early: fragments of the run that arrived while waiting for a confirm.
     """
 
     def __init__(self, link: Link, timeout: float, attempts: int) -> None:
@@ -61,11 +62,11 @@ class Exchange:
 
     @property
     def patience_s(self) -> float:
-        """Wait for an answer that queues behind fragments on a slow line, s."""
+        """Timeout for an answer that queues behind fragments on a slow line, s."""
         return self.timeout + _BACKLOG * self.link.packet_time_s
 
     def request(self, request: MessageType, **fields: Any) -> Message:
-        """The confirm of a request that does not start a run."""
+        """Send a request that does not start a run; return its confirm."""
         confirm = self.exchange(request, fields, self.patience_s)
         assert isinstance(confirm, Message)
         return confirm
@@ -73,16 +74,16 @@ class Exchange:
     def exchange(
         self, request: MessageType, fields: dict[str, Any], patience: float, attempts: int | None = None
     ) -> Message | Fragment:
-        """Sends a request until its confirm comes (requests are idempotent, so repeats carry the same id).
+        """Send a request until its confirm arrives (requests are idempotent; repeats carry the same id).
 
-        For the start of a run, the run's first fragment is returned as well as kept for the assembler.
+        If the request starts a run, the run's first fragment is returned and also kept for the assembler.
         """
         message_id, self.next_id = self.next_id, (self.next_id + 1) & 0xFFFF
         try:
             packet = encode(request, message_id, **fields)
         except ValueError as error:
             raise UsageError(
-                f"the radar cannot be sent this: {error}", "Give a value within the limits."
+                f"the request cannot be encoded: {error}", "Give a value within the limits."
             ) from error
         bytes_before, heard = self._bytes_in_vain(), 0
         starts = request is _T.CONTROL_REQUEST and fields.get("scan_count", 0) > 0
@@ -122,11 +123,11 @@ class Exchange:
         )
 
     def _bytes_in_vain(self) -> int:
-        """What arrived so far that is no message: packets, and bytes outside frames on a serial line."""
+        """Number of malformed packets so far, plus bytes outside frames on a serial line."""
         return self.statistics.malformed + self.link.skipped_bytes
 
     def drain(self) -> None:
-        """Drops what still arrives after a stop, until it has been quiet for a moment."""
+        """Drop packets that still arrive after a stop, until the line is quiet."""
         deadline = time.monotonic() + self.timeout
         while time.monotonic() < deadline:
             message = self.receive(_QUIET_S)
@@ -135,12 +136,12 @@ class Exchange:
             self._left_over(message)
 
     def _left_over(self, message: Message | Fragment) -> None:
-        """Moves our ids past those of an old run's scans: stragglers can only be behind the next run."""
+        """Move request ids past the scan ids of an old run, so that its late packets precede the next run."""
         if isinstance(message, Fragment) and (message.id - self.next_id) & 0xFFFF < 0x8000:
             self.next_id = (message.id + 1) & 0xFFFF
 
     def receive(self, timeout: float) -> Message | Fragment | None:
-        """The next message, or None where none came in time; what is no message is counted and dropped."""
+        """The next message, or None if none arrived in time; malformed packets are counted and dropped."""
         deadline = time.monotonic() + timeout
         while (packet := self.link.receive(max(deadline - time.monotonic(), 0.0))) is not None:
             self.statistics.received += 1
@@ -159,11 +160,11 @@ class Exchange:
         return None
 
     def _refused(self, message: Message, request: MessageType, message_id: int) -> None:
-        """Raises where a message ends the wait for a confirm; a late confirm of something else is dropped."""
+        """Raise if a message ends the wait for a confirm; drop late confirms of other requests."""
         if message.type is _T.INVALID_MESSAGE_CONFIRM and message["bad_id"] == message_id:
             raise DeviceRejectedError(
                 f"the radar does not accept {request.name}: {status_text(message['status'])}",
-                "Its firmware is another one, or the device is no P440 in MRM mode; see `tagid doctor`.",
+                "Its firmware differs, or the device is not a P440 in MRM mode; see `tagid doctor`.",
             )
         if message.type is _T.READY_INFO and self.started:
             raise restarted()
@@ -176,13 +177,13 @@ def accept(confirm: Message, action: str) -> None:
     if status != Status.OK:
         raise DeviceRejectedError(
             f"the radar refused to {action}: {status_text(status)}",
-            "Check the setting against the P440's limits; a reboot of the radar clears a wrong mode.",
+            "Check the setting against the P440's limits; rebooting the radar clears a wrong mode.",
         )
 
 
 def restarted() -> DeviceRestartedError:
-    """What to raise where READY_INFO came unasked."""
+    """The error for an unexpected READY_INFO."""
     return DeviceRestartedError(
-        "the radar rebooted in the middle (READY_INFO arrived)",
-        "Check its power supply, then run the command again; the scans that arrived before are kept.",
+        "the radar rebooted while in use (READY_INFO arrived)",
+        "Check its power supply, then run the command again; the scans received so far are kept.",
     )

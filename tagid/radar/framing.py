@@ -1,7 +1,7 @@
 """Packets in a byte stream: the frames of the P440's USB and UART ports, and a decoder that finds them.
 
-A serial line has no packet borders: bytes are lost, noise comes in, and samples may look like the sync word.
-One damaged frame must cost that frame and nothing behind it.
+A serial line has no packet boundaries: bytes are lost, noise is received, and samples may contain the sync
+word. One damaged frame must not affect the frames after it.
 
 Frame (P440 MRM API): `A5 A5`, length u16 of the packet, packet; on UART followed by the CRC-16 of the packet.
 """
@@ -19,7 +19,7 @@ _PREFIX: Final = 4
 _CRC: Final = 2
 _SMALLEST: Final = HEADER_DTYPE.itemsize
 _STRONG: Final = _PREFIX + 2
-"""Bytes that tell a frame of a known message: sync, length, type."""
+"""Bytes that identify the frame of a known message: sync, length, type."""
 _SIZES: Final = {number: spec.sizes for number, spec in MESSAGES.items()}
 
 
@@ -40,7 +40,7 @@ def crc16(packet: bytes | bytearray) -> int:
 
 
 def frame(packet: bytes, framing: Framing) -> bytes:
-    """One packet as it goes over the wire. Raises ValueError for a packet that no frame can hold."""
+    """One packet as sent on the wire. Raises ValueError if the packet is too long for a frame."""
     if not 0 < len(packet) <= 0xFFFF:
         raise ValueError(f"a frame holds 1 to 65535 bytes, not {len(packet)}")
     head = SYNC + len(packet).to_bytes(2, "big") + packet
@@ -48,19 +48,19 @@ def frame(packet: bytes, framing: Framing) -> bytes:
 
 
 class StreamDecoder:
-    """Bytes in, packets out; whatever is no frame is skipped and counted.
+    """Decoder from bytes to packets; bytes outside frames are skipped and counted.
 
-    What comes out does not depend on how the bytes are cut into chunks. On UART the CRC decides. On USB,
-    which has none, a frame counts when it starts where the one before ended, or when it has the length of the
-    message type it claims; and a frame that holds the head of another one is a cut frame that ran into its
-    successor, unless another one starts exactly behind it (then the head was a pattern in the samples).
+    The result does not depend on how the bytes are divided into chunks. On UART the CRC decides. On USB,
+    which has no CRC, a frame is valid if it starts where the previous one ended, or if it has the length of
+    its message type. A frame that contains the header of another one is a truncated frame followed by its
+    successor, unless another frame starts exactly after it (then the header was a pattern in the samples).
 
     Args:
-        framing: of the wire.
+        framing: framing of the wire.
 
     Attributes:
-        skipped: bytes that belonged to no frame.
-        damaged: frames dropped because their CRC or their end was wrong.
+        skipped: bytes outside any frame.
+        damaged: frames dropped because of a wrong CRC or end.
     """
 
     def __init__(self, framing: Framing) -> None:
@@ -73,24 +73,24 @@ class StreamDecoder:
 
     @property
     def buffered(self) -> int:
-        """Bytes kept until more arrive; never more than one frame and what `feed` was given last."""
+        """Number of bytes kept until more arrive; at most one frame plus the last argument of `feed`."""
         return len(self._buffer)
 
     def feed(self, data: bytes) -> list[bytes]:
-        """Takes bytes from the wire; returns the packets that are certain now."""
+        """Take bytes from the wire; return the packets that are certain now."""
         self._buffer += data
         return self._take(quiet=False)
 
     def flush(self) -> list[bytes]:
-        """The packets that count once the line has been quiet for a moment.
+        """The packets that are valid if the line has been quiet for a moment.
 
-        A frame that waits for its end gives way to whole frames inside it; where there are none it goes on
-        waiting, so that a pause in the middle of a frame costs nothing.
+        An incomplete frame is discarded in favour of complete frames inside it. If there are none, it is
+        kept, so a pause within a frame loses nothing.
         """
         return self._take(quiet=True)
 
     def reset(self) -> None:
-        """Forgets what is buffered, e.g. after the line was opened anew."""
+        """Discard the buffer, e.g. after the line was reopened."""
         self.skipped += len(self._buffer)
         self._buffer.clear()
         self._locked = True
@@ -133,7 +133,7 @@ class StreamDecoder:
         self._locked = False
 
     def _size_at(self, at: int) -> int | None:
-        """Packet size of the frame that may start at `at`; 0 where none does, None: not known yet."""
+        """Packet size of the frame that may start at `at`; 0 if none does, None if not known yet."""
         data = self._buffer
         have = len(data) - at
         if have < _PREFIX:
@@ -159,7 +159,7 @@ class StreamDecoder:
         return size in _SIZES.get(data[at + 4] << 8 | data[at + 5], ())
 
     def _verdict(self, at: int, size: int, quiet: bool) -> bool | None:
-        """Whether the frame at `at` counts; None where that cannot be said before more bytes arrive."""
+        """Whether the frame at `at` is valid; None if more bytes are needed to decide."""
         data = self._buffer
         end = at + _PREFIX + size + self._tail
         if len(data) < end:
@@ -170,14 +170,14 @@ class StreamDecoder:
         inner = self._inner_head(at + 1, end)
         if inner is False:
             return True
-        # A head inside, or the start of one: what follows decides.
+        # A complete or partial header inside: the following bytes decide.
         behind = self._head_at(end)
         if inner is None:
             return True if quiet or behind else None
         return True if quiet and behind is None else behind
 
     def _inner_head(self, start: int, end: int) -> bool | None:
-        """Whether a known message's frame starts in `start`..`end`; None where its head may still come."""
+        """Whether a known message's frame starts in `start`..`end`; None if its header may still arrive."""
         data = self._buffer
         at = data.find(SYNC, start, end + 1)
         while 0 <= at < end:
@@ -189,7 +189,7 @@ class StreamDecoder:
         return None if len(data) == end and data[-1] == SYNC[0] else False
 
     def _holds_whole_frame(self, start: int, end: int) -> bool:
-        """Whether a complete frame lies behind `start`, i.e. the one that starts there was cut."""
+        """Whether a complete frame follows `start`, i.e. the one that starts there was truncated."""
         data = self._buffer
         at = data.find(SYNC, start + 1, end)
         while at >= 0 and end - at >= _PREFIX + _SMALLEST:

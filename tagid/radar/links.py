@@ -1,6 +1,6 @@
-"""Links carry whole packets between the client and a radar; they know nothing of messages.
+"""Links carry whole packets between the client and a radar, independent of the messages in them.
 
-The client speaks to a real radar, an emulator and a replay alike through the one Link protocol.
+The client uses the same Link protocol for a real radar, an emulator and a replay.
 """
 
 from __future__ import annotations
@@ -27,41 +27,41 @@ class Link(Protocol):
 
     @property
     def skipped_bytes(self) -> int:
-        """Bytes that belonged to no packet: noise on a serial line, frames that were cut."""
+        """Number of bytes outside any packet: noise on a serial line, truncated frames."""
         ...
 
     guarded: bool
     """Whether a checksum keeps damaged packets out: UDP and UART have one, USB frames have none."""
 
     packet_time_s: float
-    """Time that the longest packet takes on the wire, s; 0 where that is nothing beside all else."""
+    """Duration of the longest packet on the link, s; 0 if negligible."""
 
     @property
     def exhausted(self) -> bool:
-        """True once no packet can ever come again (the end of a replay)."""
+        """True when no further packet can arrive (the end of a replay)."""
         ...
 
     def send(self, packet: bytes) -> None:
-        """Sends one packet. Raises DeviceError where the link is down."""
+        """Send one packet. Raises DeviceError if the link is down."""
         ...
 
     def receive(self, timeout: float) -> bytes | None:
-        """The next packet, or None where none came within `timeout` seconds."""
+        """The next packet, or None if none arrived within `timeout` seconds."""
         ...
 
     def reopen(self) -> None:
-        """Makes the link usable again after the device was gone. Raises DeviceGoneError while it is."""
+        """Make the link usable again after the device disconnected. Raises DeviceGoneError if it still is."""
         ...
 
     def close(self) -> None:
-        """Frees the link; harmless when closed already."""
+        """Release the link; has no effect if it is closed already."""
         ...
 
 
 def bind_udp(host: str, port: int) -> socket.socket:
-    """A UDP socket bound to an address; port 0 takes any free one.
+    """A UDP socket bound to an address; port 0 selects any free one.
 
-    Raises PortInUseError where another program holds the port, DeviceError for an address of another machine.
+    Raises PortInUseError if another program holds the port, DeviceError for an address of another machine.
     """
     sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     try:
@@ -72,7 +72,7 @@ def bind_udp(host: str, port: int) -> socket.socket:
         if isinstance(error, OSError) and error.errno == errno.EADDRINUSE:
             raise PortInUseError(
                 f"UDP port {port} on {host or 'this machine'} is in use",
-                "Stop the program that holds it (an emulator, another tagid) or choose another port.",
+                "Stop the program that uses it (an emulator, another tagid) or choose another port.",
             ) from error
         raise DeviceError(
             f"cannot open UDP port {port} on {host or 'this machine'}: {error}",
@@ -90,23 +90,23 @@ def resolve(host: str, port: int) -> tuple[str, int]:
     except (OSError, UnicodeError) as error:
         raise DeviceError(
             f"radar host {host!r} is unknown ({error})",
-            "Give the radar's IPv4 address; kit units sit at 192.168.1.100 to 103.",
+            "Give the radar's IPv4 address; kit units use 192.168.1.100 to 103.",
         ) from error
     address = found[0][4]
     return str(address[0]), int(address[1])
 
 
 class UdpLink:
-    """UDP to one radar; packets of any other address or port are counted in `foreign` and dropped.
+    """UDP to one radar; packets from any other address or port are counted in `foreign` and dropped.
 
     Args:
         host: name or IPv4 address of the radar.
         port: the radar's UDP port.
-        local_port: port to receive on; 0 takes any free one.
+        local_port: port to receive on; 0 selects any free one.
 
     Raises:
         DeviceError: unknown host, or no network.
-        PortInUseError: `local_port` is taken.
+        PortInUseError: `local_port` is in use.
     """
 
     exhausted = False
@@ -124,11 +124,11 @@ class UdpLink:
 
     @property
     def local_port(self) -> int:
-        """The port that answers come to."""
+        """The port on which answers arrive."""
         return int(self._socket.getsockname()[1])
 
     def send(self, packet: bytes) -> None:
-        """Sends one datagram. Raises DeviceError where the network is down."""
+        """Send one datagram. Raises DeviceError if the network is down."""
         try:
             self._socket.sendto(packet, self.address)
         except OSError as error:
@@ -138,17 +138,17 @@ class UdpLink:
             ) from error
 
     def receive(self, timeout: float) -> bytes | None:
-        """The next datagram of the radar, or None after `timeout` seconds."""
+        """The next datagram from the radar, or None after `timeout` seconds."""
         deadline = time.monotonic() + timeout
         while True:
-            # A flood of foreign packets must not keep us here beyond the deadline.
+            # A flood of foreign packets must not extend the wait beyond the deadline.
             self._socket.settimeout(max(deadline - time.monotonic(), 1e-4))
             try:
                 packet, sender = self._socket.recvfrom(_LARGEST_DATAGRAM)
             except TimeoutError:
                 return None
             except ConnectionError:
-                continue  # an ICMP "port unreachable" to an earlier send; silence decides, not this
+                continue  # an ICMP "port unreachable" for an earlier packet; only the timeout counts
             except OSError as error:
                 raise DeviceError(f"cannot receive from the radar: {error}", "Check the network.") from error
             if sender == self.address:
@@ -158,8 +158,8 @@ class UdpLink:
                 return None
 
     def reopen(self) -> None:
-        """Nothing to do: the port outlives the radar."""
+        """Nothing to do: a UDP socket survives a restart of the radar."""
 
     def close(self) -> None:
-        """Frees the port."""
+        """Close the port."""
         self._socket.close()

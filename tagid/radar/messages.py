@@ -1,6 +1,6 @@
-"""Every message of the P440's MRM interface as one big-endian packed numpy dtype, and bytes <-> values.
+"""Every message of the P440's MRM interface as a big-endian packed numpy dtype, with encoder and decoder.
 
-One table serves the client, the emulator and the file importers, so that no two of them can disagree.
+The client, the emulator and the file importers share this table, so they cannot disagree.
 """
 
 from __future__ import annotations
@@ -15,22 +15,22 @@ import numpy as np
 from tagid.errors import DeviceError
 
 SAMPLES_PER_MESSAGE: Final = 350
-"""Samples that one SCAN_INFO holds; the last one of a scan is zero-padded (P440 MRM API)."""
+"""Samples in one SCAN_INFO; the last one of a scan is zero-padded (P440 MRM API)."""
 
 MAX_MESSAGES_PER_SCAN: Final = 24
-"""Most SCAN_INFO messages a scan is accepted in; bounds what bytes from the wire can make us allocate."""
+"""Maximum number of SCAN_INFO messages per scan; limits the memory that received bytes can allocate."""
 
 MAX_SAMPLES_PER_SCAN: Final = SAMPLES_PER_MESSAGE * MAX_MESSAGES_PER_SCAN
 
 SCAN_FOREVER: Final = 65535
-"""Scan count that means: until stopped."""
+"""Scan count that means "until stopped"."""
 
 OPMODE_MRM: Final = 1
 
 SLEEP_ACTIVE: Final = 0
 
 MAX_PACKET_BYTES: Final = 1452
-"""No message is longer."""
+"""Length of the longest message."""
 
 
 class Status(enum.IntEnum):
@@ -65,7 +65,7 @@ STATUS_TEXT: Final = MappingProxyType(
 
 
 def status_text(status: int) -> str:
-    """What a status code means; unknown codes are shown in hexadecimal."""
+    """Text of a status code; unknown codes are shown in hexadecimal."""
     try:
         return STATUS_TEXT[Status(status)]
     except ValueError:
@@ -181,8 +181,8 @@ class MessageSpec:
 
     Attributes:
         type: its type number.
-        dtype: the layout that is sent, type and id included.
-        older: other layouts that are accepted; fields they lack read as zero.
+        dtype: the layout to send, type and id included.
+        older: other layouts accepted on receipt; missing fields read as zero.
     """
 
     type: MessageType
@@ -244,8 +244,8 @@ def _table() -> dict[int, MessageSpec]:
         t.INVALID_MESSAGE_CONFIRM: [("bad_type", ">u2"), ("bad_id", ">u2"), *_STATUS],
         t.READY_INFO: [],
     }
-    # Old firmware answers 32 bytes, without the package string; the vendor's headers have no status in the
-    # sleep confirm, where several clients expect one.
+    # Old firmware answers with 32 bytes, without the package string. The vendor's headers have no status in
+    # the sleep confirm, but several clients expect one.
     older = {
         t.GET_STATUSINFO_CONFIRM: (np.dtype([*_HEADER, *_STATUSINFO, *_STATUS]),),
         t.GET_SLEEPMODE_CONFIRM: (np.dtype([*_HEADER, ("mode", ">u4")]),),
@@ -259,17 +259,17 @@ MESSAGES: Final = MappingProxyType(_table())
 """Type number -> layout, for every message of the interface."""
 
 
-class MalformedMessage(DeviceError, ValueError):  # noqa: N818 - it says what the bytes are
-    """Bytes that are not a message; counted and dropped, or answered with INVALID_MESSAGE, hardly ever shown.
+class MalformedMessage(DeviceError, ValueError):  # noqa: N818 - named after the bytes, not the exception
+    """Bytes that are not a message; counted and dropped, or answered with INVALID_MESSAGE; rarely reported.
 
     Attributes:
-        status: `Status.WRONG_SIZE` or `Status.UNRECOGNISED`, as the radar would call it.
+        status: `Status.WRONG_SIZE` or `Status.UNRECOGNISED`, as the radar would report it.
     """
 
     code = "malformed_message"
 
     def __init__(self, text: str, status: Status) -> None:
-        super().__init__(text, "Check that a P440 in MRM mode stands at the other end.")
+        super().__init__(text, "Check that the device is a P440 in MRM mode.")
         self.status = status
 
 
@@ -280,7 +280,7 @@ class Message:
     Attributes:
         type: its type.
         id: message id, 0..65535; a confirm carries the id of its request.
-        fields: structured scalar in the dtype of `MESSAGES[type]`, a copy of its own.
+        fields: structured scalar in the dtype of `MESSAGES[type]`, an independent copy.
     """
 
     type: MessageType
@@ -299,7 +299,7 @@ class Message:
 
 
 def encode(message_type: MessageType, message_id: int, **fields: Any) -> bytes:
-    """The exact bytes of a message; fields not named are zero.
+    """The bytes of a message; fields that are not given are zero.
 
     Raises:
         KeyError: a field that the message does not have.
@@ -312,7 +312,7 @@ def encode(message_type: MessageType, message_id: int, **fields: Any) -> bytes:
 
 
 def encode_older(message_type: MessageType, message_id: int, **fields: Any) -> bytes:
-    """A message in the layout of older firmware; raises as `encode` does.
+    """A message in the layout of older firmware; raises the same errors as `encode`.
 
     >>> len(encode_older(MessageType.GET_SLEEPMODE_CONFIRM, 1, mode=2))
     8
@@ -336,7 +336,7 @@ def _packed(message_type: MessageType, dtype: np.dtype[np.void], fields: dict[st
 
 
 def decode(data: bytes) -> Message:
-    """One message from the bytes of one packet, which must hold nothing else.
+    """One message from the bytes of one packet, which must contain nothing else.
 
     Raises:
         MalformedMessage: too short, of an unknown type, or not of that type's size.

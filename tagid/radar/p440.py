@@ -1,6 +1,6 @@
-"""The P440 client: requests with retries, the settings that the radar took, and scans until told to stop.
+"""The P440 client: requests with retries, the settings that the radar accepted, and scans until stopped.
 
-It stops the radar however it ends, because a radar that is still scanning refuses the next user's connect.
+It always stops the radar on exit, because a scanning radar refuses the connection of the next user.
 """
 
 from __future__ import annotations
@@ -35,16 +35,16 @@ from tagid.radar.messages import (
 from tagid.radar.patience import Patience
 from tagid.radar.scan_info import Fragment
 from tagid.radar.settings import RadarConfig
-from tagid.radar.status import RadarStatus
+from tagid.radar.status import RadarStatus, status_from
 
 _T = MessageType
 BOOT_QUIET_S: Final = 3.0
-"""Time after a reboot in which only READY_INFO counts: before its boot a radar may still answer."""
+"""Time after a reboot request in which only READY_INFO counts: before it boots the radar may still answer."""
 _POLL_S: Final = 0.25
 _WHOLE_S: Final = 4.0
 _WHOLE_PERIODS: Final = 20
-"""Time in which one whole scan must come while fragments arrive: so many seconds or scan periods. With 30 %
-of the packets lost, a third of the scans of three fragments is whole; 20 in a row fail once in 4000 times."""
+"""Time within which one complete scan must arrive while fragments arrive, in seconds or scan periods. At 30 %
+packet loss, a third of the scans of three fragments are complete; 20 in a row fail once in 4000 times."""
 
 
 class P440:
@@ -53,11 +53,11 @@ class P440:
     Args:
         link: carries the packets; closed with the client.
         timeout: wait for one answer, s.
-        attempts: how often a request is sent before the radar counts as silent.
+        attempts: number of times a request is sent before the radar is considered silent.
 
-    Every method raises DeviceTimeoutError where the radar stays silent, DeviceRejectedError where it refuses,
-    DeviceRestartedError where it reboots in the middle, DeviceGoneError where its port vanishes, and
-    DeviceError where the network fails.
+    Every method raises DeviceTimeoutError if the radar does not answer, DeviceRejectedError if it refuses,
+    DeviceRestartedError if it reboots during the call, DeviceGoneError if its port disappears, and
+    DeviceError if the network fails.
     """
 
     def __init__(self, link: Link, timeout: float = 1.0, attempts: int = 3) -> None:
@@ -69,7 +69,7 @@ class P440:
 
     @property
     def statistics(self) -> Statistics:
-        """Counters of everything since the client was made."""
+        """Counters of the connection since the client was created."""
         self._talk.statistics.foreign = self._link.foreign
         self._talk.statistics.skipped_bytes = self._link.skipped_bytes
         return self._talk.statistics
@@ -95,9 +95,9 @@ class P440:
         self.close()
 
     def connect(self) -> RadarConfig:
-        """Stops whatever runs, drains it, wakes the radar into MRM mode; returns its settings."""
+        """Stop any run, drain its packets, wake the radar into MRM mode; return its settings."""
         confirm = self._stop()
-        # Both may be wrong, and which one a radar names first is its own affair.
+        # Both may be wrong, and radars differ in which one they report first.
         for _ in range(2):
             if confirm["status"] == Status.INVALID_DURING_SLEEP:
                 self.set_sleep_mode(SLEEP_ACTIVE)
@@ -111,14 +111,14 @@ class P440:
         return self.get_config()
 
     def close(self) -> None:
-        """Stops a run that is under way and frees the link; never raises for a radar that is gone."""
+        """Stop a run in progress and release the link; never raises for a disconnected radar."""
         try:
             self._stop_quietly()
         finally:
             self._link.close()
 
     def reconnect(self) -> RadarConfig:
-        """Connects again after the radar or its port was gone; returns its settings, which may be others."""
+        """Reconnect after the radar or its port disappeared; return its settings, which may differ."""
         self._link.reopen()
         self._talk.scanning = False
         self._config = None
@@ -129,12 +129,12 @@ class P440:
         """Versions, serial number, temperature, self test."""
         m = self._talk.request(_T.GET_STATUSINFO_REQUEST)
         accept(m, "status")
-        return RadarStatus.from_message(m)
+        return status_from(m)
 
     def ask_status(self) -> None:
-        """Asks for the status in the middle of a run and does not wait: a lost answer must cost no scan.
+        """Request the status during a run without waiting: a lost answer must not cost a scan.
 
-        The answer becomes `latest_status` while scans are taken.
+        The answer becomes `latest_status` while scans are received.
         """
         message_id, self._talk.next_id = self._talk.next_id, (self._talk.next_id + 1) & 0xFFFF
         self._link.send(encode(_T.GET_STATUSINFO_REQUEST, message_id))
@@ -146,7 +146,7 @@ class P440:
         return float(confirm["timestamp_ms"] * 1e-3)
 
     def get_config(self) -> RadarConfig:
-        """The settings in force. Raises DeviceRejectedError where they are none that tagid can read."""
+        """The settings in force. Raises DeviceRejectedError if tagid cannot use them."""
         confirm = self._talk.request(_T.GET_CONFIG_REQUEST)
         accept(confirm, "get configuration")
         try:
@@ -160,11 +160,11 @@ class P440:
 
     @property
     def asked(self) -> RadarConfig:
-        """The settings last asked for; where none were, those in force."""
+        """The settings last requested; if none were, those in force."""
         return self._asked or self.config
 
     def set_config(self, config: RadarConfig) -> RadarConfig:
-        """Sets the radar; returns what it took, which lies on its own grid."""
+        """Configure the radar; return the settings it accepted, which lie on its own grid."""
         self._asked = config
         accept(self._talk.request(_T.SET_CONFIG_REQUEST, config=config.to_record()), "set configuration")
         return self.get_config()
@@ -174,7 +174,7 @@ class P440:
         return int(self._talk.request(_T.GET_OPMODE_REQUEST)["mode"])
 
     def set_opmode(self, mode: int) -> int:
-        """Sets the operating mode; returns the mode in force."""
+        """Set the operating mode; return the mode in force."""
         confirm = self._talk.request(_T.SET_OPMODE_REQUEST, mode=mode)
         accept(confirm, f"set operating mode {mode}")
         return int(confirm["mode"])
@@ -184,15 +184,15 @@ class P440:
         return int(self._talk.request(_T.GET_SLEEPMODE_REQUEST)["mode"])
 
     def set_sleep_mode(self, mode: int) -> None:
-        """Sets the sleep mode."""
+        """Set the sleep mode."""
         accept(self._talk.request(_T.SET_SLEEPMODE_REQUEST, mode=mode), f"set sleep mode {mode}")
 
     def reboot(self, wait_s: float = 15.0) -> RadarConfig:
-        """Reboots the radar and connects again (a P440 takes 7 s on Ethernet, 11 s otherwise)."""
+        """Reboot the radar and reconnect (a P440 takes 7 s on Ethernet, 11 s otherwise)."""
         self._talk.request(_T.REBOOT_REQUEST)
         self._talk.scanning = False
         self._config = None
-        self._talk.started = False  # the READY_INFO to come is no surprise now
+        self._talk.started = False  # the next READY_INFO is expected
         now = time.monotonic()
         deadline, ask_from = now + wait_s, now + BOOT_QUIET_S
         while time.monotonic() < deadline and not self._link.exhausted:
@@ -200,14 +200,14 @@ class P440:
                 if self._booted(ask_from):
                     return self.connect()
             except DeviceGoneError:
-                # A USB port vanishes while its radar boots.
+                # A USB port disappears while its radar boots.
                 time.sleep(_POLL_S)
                 with contextlib.suppress(DeviceError):
                     self._link.reopen()
         return self.connect()
 
     def _booted(self, ask_from: float) -> bool:
-        """Whether READY_INFO came, or, as that is one packet and may be lost, whether the radar answers."""
+        """Whether READY_INFO arrived, or, since that single packet may be lost, whether the radar answers."""
         message = self._talk.receive(_POLL_S)
         if isinstance(message, Message) and message.type is _T.READY_INFO:
             return True
@@ -225,14 +225,14 @@ class P440:
         interval_us: int = 0,
         until: Callable[[], bool] = lambda: False,
     ) -> Iterator[Scan]:
-        """Starts a run, yields its whole scans in order, and stops the radar however the caller leaves.
+        """Start a run, yield its complete scans in order, and stop the radar however the caller exits.
 
         Args:
             count: 1..65534 scans, or 65535 until the caller stops.
             interval_us: time between scans, us; 0 is as fast as the settings allow.
-            until: asked about ten times per second, also while no whole scan comes; True ends the run.
+            until: called about ten times per second, also while no scan is complete; True ends the run.
 
-        Raises DeviceTimeoutError where the radar falls silent, or where its packets make no whole scan for
+        Raises DeviceTimeoutError if the radar stops sending, or if its packets form no complete scan for
         4 s or 20 scan periods; the scans before that have been yielded.
         """
         if not 1 <= count <= SCAN_FOREVER:
@@ -246,7 +246,7 @@ class P440:
         patience = self._talk.timeout + 3 * period
         self._talk.early.clear()
         first_id = self._talk.next_id
-        # Where damage can come through, an id must agree with the clock before it is believed.
+        # If damaged packets can get through, an id must agree with the clock to be accepted.
         believed = None if self._link.guarded else self.config.scan_period_s
         assembler = ScanAssembler(first_id, self._talk.statistics, period_s=believed)
         end_id = None if count == SCAN_FOREVER else first_id + count
@@ -298,16 +298,16 @@ class P440:
             elif patience.fruitless():
                 yield from _before(assembler.flush(), end_id)
                 raise DeviceTimeoutError(
-                    f"{patience.fragments} packets came from the radar at {self._link} in "
-                    f"{patience.whole_s:.1f} s, but no whole scan: fragments are missing",
+                    f"{patience.fragments} packets arrived from the radar at {self._link} in "
+                    f"{patience.whole_s:.1f} s, but no complete scan: fragments are missing",
                     "Use a direct cable or a switch with larger buffers, or fewer fragments per scan (a "
                     "shorter range window); the scans that arrived before are kept.",
                 )
 
     def _over(self, assembler: ScanAssembler, end_id: int | None) -> bool:
-        """Whether a silent radar has done its count, only that its last packets were lost.
+        """Whether a silent radar has completed its count, and only its last packets were lost.
 
-        Either a packet of the last scan was seen, or the radar answers and the rest is short.
+        Either a packet of the last scan arrived, or the radar answers and only a few scans are missing.
         """
         if end_id is None:
             return False
@@ -326,7 +326,7 @@ class P440:
         )
 
     def _start(self, count: int, interval_us: int, patience: float) -> None:
-        """Starts a run; its first scan counts as confirm, so that a lost confirm does not start it twice."""
+        """Start a run; its first scan also counts as confirm, so a lost confirm does not start it twice."""
         fields = {"scan_count": count, "interval_us": interval_us}
         confirm = self._talk.exchange(_T.CONTROL_REQUEST, fields, patience)
         if isinstance(confirm, Message):
@@ -339,11 +339,11 @@ class P440:
         return confirm
 
     def _stop_quietly(self, silent: bool = False) -> None:
-        """Stops a run where one may be under way; a radar that is gone cannot be stopped."""
+        """Stop a run that may be in progress; a disconnected radar cannot be stopped."""
         if not self._talk.scanning:
             return
         try:
-            # A radar that has been silent for long already is asked to stop once, not three times.
+            # Ask a radar that has been silent for long only once, not three times.
             self._stop(1 if silent else None)
             self._talk.drain()
         except DeviceError:
@@ -358,7 +358,7 @@ class P440:
         if message.type is _T.CONTROL_CONFIRM and message["status"] != Status.OK:
             accept(message, "start scanning")
         if message.type is _T.GET_STATUSINFO_CONFIRM and message["status"] == Status.OK:
-            self.latest_status = RadarStatus.from_message(message)
+            self.latest_status = status_from(message)
             return
         if message.type is not _T.CONTROL_CONFIRM:
             self._talk.statistics.unexpected += 1

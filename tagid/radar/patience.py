@@ -1,4 +1,4 @@
-"""How long a run waits for a packet, for a whole scan, and until it asks its caller whether to stop."""
+"""Timeouts of a run: for a packet, for a complete scan, and between stop checks."""
 
 from __future__ import annotations
 
@@ -6,23 +6,23 @@ import time
 from typing import Final
 
 STOP_POLL_S: Final = 0.1
-"""Longest time between two questions to the caller whether to stop, s."""
+"""Longest interval between two calls that check whether to stop, s."""
 AWAY_S: Final = 0.5
-"""A pass of the receiving loop that takes longer means that this process was stopped or got no CPU, s."""
+"""A pass of the receive loop that takes longer means that this process was suspended or got no CPU, s."""
 
 
 class Patience:
-    """How long a run waits: for any fragment, and, while fragments come, for a whole scan.
+    """How long a run waits for any fragment and, while fragments arrive, for a complete scan.
 
-    Time in which this process did not run does not count: what came meanwhile waits in the receive buffer.
+    Time in which this process did not run does not count: packets that arrived wait in the receive buffer.
 
     Args:
-        quiet_s: time without a fragment after which the radar counts as silent, s.
-        whole_s: time without a whole scan after which the run is given up although fragments come, s.
+        quiet_s: time without a fragment after which the radar is considered silent, s.
+        whole_s: time without a complete scan after which the run is aborted although fragments arrive, s.
 
     Attributes:
-        fragments: packets since the last whole scan.
-        whole_scans: whole scans when the time was last renewed.
+        fragments: packets since the last complete scan.
+        whole_scans: number of complete scans when the timeout was last restarted.
     """
 
     def __init__(self, quiet_s: float, whole_s: float) -> None:
@@ -33,7 +33,7 @@ class Patience:
         self._whole_at = self._now + whole_s
 
     def tick(self) -> bool:
-        """Takes the time for the checks below; whether the caller is to be asked whether to stop."""
+        """Record the time for the checks below; return whether to check for a stop now."""
         before, self._now = self._now, time.monotonic()
         away = self._now - before
         if away > AWAY_S:
@@ -49,20 +49,20 @@ class Patience:
         return max(min(self._quiet_at, self._whole_at, self._asked + STOP_POLL_S) - self._now, 0.0)
 
     def heard(self) -> None:
-        """A fragment came."""
+        """Note that a fragment arrived."""
         self._quiet_at = time.monotonic() + self.quiet_s
 
     def renew(self, whole_scans: int) -> None:
-        """A whole scan came, and the caller has taken it."""
+        """Note that a complete scan arrived and the caller has processed it."""
         self.whole_scans, self.fragments = whole_scans, 0
         self._now = time.monotonic()
         self._quiet_at = self._now + self.quiet_s
         self._whole_at = self._now + self.whole_s
 
     def silent(self) -> bool:
-        """Whether no fragment came for too long."""
+        """Whether no fragment arrived for too long."""
         return self._now >= self._quiet_at
 
     def fruitless(self) -> bool:
-        """Whether fragments came for too long without making a whole scan."""
+        """Whether fragments arrived for too long without forming a complete scan."""
         return self._now >= self._whole_at

@@ -1,7 +1,7 @@
-"""Scans that continue after the radar was away: a plug pulled and put back, a restart, a loose cable.
+"""Scans that continue after the radar was disconnected: an unplugged cable, a restart, a loose connector.
 
-A recording of ten minutes must not be lost because a plug was loose for two seconds. What is missing is
-marked, and scan numbers and clock continue as if the radar had scanned all the time.
+A loose plug for two seconds must not end a recording of ten minutes. Missing scans are marked, and scan
+numbers and clock continue as if the radar had scanned without interruption.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from tagid.radar.messages import SCAN_FOREVER
 from tagid.radar.p440 import P440
 
 RESUME_S: Final = 20.0
-"""How long a radar that is gone or boots is waited for: it boots for 7 to 11 s (measured)."""
+"""How long to wait for a radar that is disconnected or booting: it boots for 7 to 11 s (measured)."""
 
 _POLL_S: Final = 0.2
 _SAME_CLOCK_MS: Final = 1500
-"""A clock that is further from where it should be has started anew."""
+"""Clock deviation above which the radar is considered restarted."""
 
 
 def steady_scans(
@@ -39,21 +39,21 @@ def steady_scans(
     on_gap: Callable[[ScanGap], None] = lambda gap: None,
     until: Callable[[], bool] = lambda: False,
 ) -> Iterator[Scan]:
-    """The scans of a run as `P440.scans` gives them, and those after the radar came back.
+    """The scans of a run as from `P440.scans`, continued after the radar reconnects.
 
-    After a gap, scan numbers have moved on by the scans that would have come, and the radar's clock
-    continues, by the host's clock where the radar restarted. A radar that is only silent is asked once more;
-    one that lost its plug or its power is waited for.
+    After a gap, the scan numbers include the scans that were missed, and the radar's clock continues; if the
+    radar restarted, by the host's clock. A radar that is only silent gets one more request; one that lost its
+    connection or power is waited for.
 
     Args:
-        radar: connected and set.
-        count, interval_us: as for `P440.scans`; scans that would have come in a gap do not count.
-        resume_s: how long a radar that is gone or boots is waited for, s; 0 never waits.
+        radar: connected and configured.
+        count, interval_us: as for `P440.scans`; scans missed in a gap do not count.
+        resume_s: how long to wait for a radar that is disconnected or booting, s; 0 never waits.
         on_gap: called before the first scan after a gap.
-        until: as for `P440.scans`; also asked while the radar is waited for.
+        until: as for `P440.scans`; also called while waiting for the radar.
 
-    Raises what `P440.scans` raises where the radar does not come back, comes back with other settings, or
-    sends no whole scan for `resume_s` although it came back.
+    Raises the errors of `P440.scans` if the radar does not reconnect, reconnects with other settings, or
+    sends no complete scan for `resume_s` after reconnecting.
     """
     last: Scan | None = None
     last_at = 0.0
@@ -94,7 +94,7 @@ def steady_scans(
 
 @dataclass(frozen=True)
 class _Join:
-    """What a run's numbers and clock are moved by, to continue those before it."""
+    """Offsets of a run's scan numbers and clock that make it continue the previous one."""
 
     scans: int
     time_ms: int
@@ -108,9 +108,9 @@ class _Join:
 
 
 def _joined(before: Scan, first: Scan, period_s: float, shift_ms: int | None) -> tuple[_Join, ScanGap]:
-    """How a run that starts with `first` continues after `before`.
+    """Offsets with which a run that starts with `first` continues after `before`.
 
-    `shift_ms` is what the clock of `before` is moved by; None where the radar's clock surely restarted.
+    `shift_ms` is the clock offset of `before`; None if the radar's clock certainly restarted.
     """
     elapsed_ms = max((first.host_time_ns - before.host_time_ns) / 1e6, 0.0)
     expected = round(before.radar_time_ms + elapsed_ms)
@@ -120,16 +120,16 @@ def _joined(before: Scan, first: Scan, period_s: float, shift_ms: int | None) ->
     if restarted:
         now_ms = max(expected, before.radar_time_ms + 1)
     gap_ms = now_ms - before.radar_time_ms
-    # At least one scan is missing, so that the gap shows in the numbers, too.
+    # Count at least one missing scan, so that the scan numbers also show the gap.
     step = max(2, round(gap_ms / (period_s * 1e3)))
     join = _Join(before.scan_id + step - first.scan_id, now_ms - first.radar_time_ms)
     return join, ScanGap(before.scan_id, gap_ms * 1e-3, "", restarted)
 
 
 def _come_back(radar: P440, error: DeviceError, resume_s: float, until: Callable[[], bool]) -> bool:
-    """Waits for the radar and sets it as before; False where the caller ended the wait.
+    """Wait for the radar and restore its settings; return False if the caller ended the wait.
 
-    Raises `error` where the radar stays away.
+    Raises `error` if the radar does not reconnect.
     """
     asked, taken = replace(radar.asked, persist=0), radar.config
     deadline = time.monotonic() + resume_s
@@ -146,8 +146,8 @@ def _come_back(radar: P440, error: DeviceError, resume_s: float, until: Callable
             continue
         if replace(back, persist=taken.persist) != taken:
             raise DeviceError(
-                "the radar came back with another scan window or other settings",
-                "The scans up to then are kept; run the command again.",
+                "the radar reconnected with another scan window or other settings",
+                "The scans before that are kept; run the command again.",
             )
         return True
     return False

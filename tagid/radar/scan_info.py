@@ -1,6 +1,6 @@
-"""SCAN_INFO, the one message that comes a thousand times a second, packed and read without the general path.
+"""SCAN_INFO, the message that arrives a thousand times per second, encoded and decoded on a fast path.
 
-The layout is that of `messages.SCAN_INFO_DTYPE`; a test holds the two together.
+The layout is that of `messages.SCAN_INFO_DTYPE`; a test compares the two.
 """
 
 from __future__ import annotations
@@ -28,17 +28,17 @@ RAW_FILTER: Final = 1
 
 _HEADER: Final = struct.Struct(">HHII16xiiHBBBBHIHH")
 _RESERVED: Final = 3
-"""What the second reserved byte is on every recording."""
+"""Value of the second reserved byte in every recording."""
 _BIG: Final = np.dtype(">i4")
 
 
 class Fragment(NamedTuple):
-    """One SCAN_INFO whose numbers agree with one another.
+    """One consistent SCAN_INFO.
 
     Attributes:
         id: message id of the scan, u16.
         timestamp_ms: radar clock, u32.
-        layout: (samples, messages, scan start ps, scan stop ps, antenna, node id), the same in all of a scan.
+        layout: (samples, messages, scan start ps, scan stop ps, antenna, node id), equal throughout a scan.
         part: which message of the scan this is, from 0.
         samples: (350,) or fewer, big-endian i32 counts, a view of the packet.
     """
@@ -51,10 +51,10 @@ class Fragment(NamedTuple):
 
 
 def read_fragment(packet: bytes) -> Fragment | None:
-    """The fragment in a packet of SCAN_INFO's type; None where its numbers or its length disagree.
+    """Decode a packet of SCAN_INFO's type; None if its fields or its length are inconsistent.
 
-    A P440 pads the last fragment of a scan to the length of the others; one that ends with its samples is
-    read as well.
+    A P440 pads the last fragment of a scan to the length of the others; an unpadded last fragment is accepted
+    as well.
     """
     if len(packet) < _HEADER.size:
         return None
@@ -84,10 +84,10 @@ def scan_packets(
 
     Args:
         samples: (N,) int32, counts.
-        config: settings it was taken with.
+        config: settings it was recorded with.
         scan_id: message id, u16, that all fragments share.
         timestamp_ms: radar clock, u32, that all fragments share.
-        filter_bit: what the samples are: 1 raw, as a radar sends them.
+        filter_bit: type of the samples; 1 is raw, as sent by a radar.
     """
     total = len(samples)
     count = -(-total // SAMPLES_PER_MESSAGE)

@@ -1,7 +1,7 @@
 """A radar on a serial port: the P440's USB (CDC ACM) or its UART behind an adapter.
 
-The port is opened for us alone, and a port that vanishes is told apart from a radar that is silent, because
-the first can be opened again when the plug is back.
+The port is opened exclusively. A port that disappeared is distinguished from a silent radar, because it can
+be reopened when the device is reconnected.
 """
 
 from __future__ import annotations
@@ -19,25 +19,25 @@ from tagid.radar.framing import Framing, StreamDecoder, frame
 from tagid.radar.messages import MAX_PACKET_BYTES
 
 DEFAULT_BAUD: Final = 115_200
-"""Baud rate of the P440's UART at delivery, 8N1 (P440 MRM API)."""
+"""Factory baud rate of the P440's UART, 8N1 (P440 MRM API)."""
 
 BAUD_RATES: Final = range(9_600, 921_601)
-"""What the P440's UART can be set to (P440 MRM API)."""
+"""Baud rates of the P440's UART (P440 MRM API)."""
 
 _QUIET_S: Final = 0.05
-"""Pause after which a frame that misses its end may be judged; a USB port bundles bytes for up to 16 ms."""
+"""Idle time after which an incomplete frame is evaluated; a USB port buffers bytes for up to 16 ms."""
 _FRAME_BITS: Final = 10 * (MAX_PACKET_BYTES + 6)
-"""Bits of the longest frame with start and stop bits (8N1)."""
+"""Bits of the longest frame, including start and stop bits (8N1)."""
 _CHUNK: Final = 65_536
 _WRITE_TIMEOUT_S: Final = 5.0
 
 
 @dataclass(frozen=True)
 class SerialPort:
-    """Which port and how.
+    """A serial port and its framing.
 
     Attributes:
-        path: device file, e.g. /dev/ttyACM0, or a link to one in /dev/serial/by-id, whose name stays.
+        path: device file, e.g. /dev/ttyACM0, or a link in /dev/serial/by-id, whose name does not change.
         framing: USB (CDC ACM) or UART.
         baud: baud rate on UART; on USB it has no meaning.
     """
@@ -48,7 +48,7 @@ class SerialPort:
 
     @property
     def url(self) -> str:
-        """The radar URL that opens it."""
+        """The corresponding radar URL."""
         options = "" if self.framing is Framing.USB else f"?framing=uart&baud={self.baud}"
         return f"serial://{self.path}{options}"
 
@@ -57,11 +57,11 @@ class SerialLink:
     """Carries packets over a serial port.
 
     Args:
-        port: which port and how.
+        port: port and framing.
 
     Raises:
         PortInUseError: another program has it open.
-        DeviceGoneError: there is no such port (now).
+        DeviceGoneError: the port does not exist (at present).
         DeviceError: no permission, or not a serial port.
     """
 
@@ -83,24 +83,24 @@ class SerialLink:
 
     @property
     def skipped_bytes(self) -> int:
-        """Bytes on the line that belonged to no frame."""
+        """Number of bytes on the line outside any frame."""
         return self.decoder.skipped
 
     def send(self, packet: bytes) -> None:
-        """Sends one packet. Raises DeviceGoneError where the port is gone, DeviceError where it is stuck."""
+        """Send one packet. Raises DeviceGoneError if the port disappeared, DeviceError if writing fails."""
         line = self._line()
         try:
             line.write(frame(packet, self.port.framing))
         except serial.SerialTimeoutException as error:
             raise DeviceError(
-                f"{self.port.path} takes no bytes",
-                "Check cable and power, then plug it in anew.",
+                f"{self.port.path} accepts no data",
+                "Check cable and power, then reconnect it.",
             ) from error
-        except (OSError, TypeError) as error:  # pyserial raises its errors as kinds of OSError
+        except (OSError, TypeError) as error:  # pyserial's errors are subclasses of OSError
             raise self._gone(error) from error
 
     def receive(self, timeout: float) -> bytes | None:
-        """The next packet, or None after `timeout` seconds. Raises DeviceGoneError where the port is gone."""
+        """The next packet, or None after `timeout` seconds. Raises DeviceGoneError if the port is missing."""
         deadline = time.monotonic() + timeout
         while not self._packets:
             left = deadline - time.monotonic()
@@ -115,20 +115,20 @@ class SerialLink:
         return self._packets.popleft()
 
     def reopen(self) -> None:
-        """Opens the port again after it was gone. Raises as the constructor does."""
+        """Reopen the port after it disappeared. Raises the same errors as the constructor."""
         self.close()
         self.decoder.reset()
         self._packets.clear()
         self._serial = _open(self.port)
 
     def close(self) -> None:
-        """Frees the port."""
+        """Release the port."""
         line, self._serial = self._serial, None
         if line is not None:
             try:
                 line.close()
             except OSError:
-                return  # the device is gone already
+                return  # the device is already disconnected
 
     def _line(self) -> serial.Serial:
         if self._serial is None:
@@ -146,13 +146,13 @@ class SerialLink:
                     return b""
                 return first + bytes(line.read(min(line.in_waiting, _CHUNK)))
             return bytes(line.read(min(waiting, _CHUNK)))
-        except (OSError, TypeError) as error:  # TypeError: pyserial, where the port is closed under a read
+        except (OSError, TypeError) as error:  # TypeError: pyserial, if the port is closed during a read
             raise self._gone(error) from error
 
     def _gone(self, error: Exception) -> DeviceGoneError:
         self.close()
         return DeviceGoneError(
-            f"the radar's port {self.port.path} is gone ({error})", "Check the plug and the radar's power."
+            f"the radar's port {self.port.path} disappeared ({error})", "Check plug and power."
         )
 
 

@@ -1,8 +1,8 @@
-"""What the vendor's server program on a PC makes of raw scans: filtered scans and lists of detections.
+"""Filters of the vendor's PC server program: filtered scans and detection lists, from raw scans.
 
 A radar sends raw scans only. The server's filters are named by a mask (P440 MRM API): 1 raw, 2 fast time (the
-pulse's band), 4 motion (what changed since the last scan), 8 detection list. The vendor's coefficients are
-not published; these filters have the same meaning, not the same numbers.
+pulse's band), 4 motion (change since the last scan), 8 detection list. The vendor's coefficients are not
+published; these filters have the same meaning, but not the same numbers.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ class ServerFilters:
     """The filters of one run.
 
     Args:
-        mask: which outputs to send, of `ALL_FILTERS`.
-        multiplier: a detection is this many times the median magnitude of a scan; 0 takes 6.
+        mask: outputs to send, a subset of `ALL_FILTERS`.
+        multiplier: detection threshold as a multiple of the median magnitude of a scan; 0 means 6.
     """
 
     def __init__(self, mask: int, multiplier: int) -> None:
@@ -42,7 +42,7 @@ class ServerFilters:
     def packets(
         self, samples: NDArray[np.int32], config: RadarConfig, scan_id: int, timestamp_ms: int
     ) -> list[bytes]:
-        """What the server sends for one raw scan (config.samples,), each output after the other."""
+        """The messages that the server sends for one raw scan (config.samples,), one output after another."""
         out: list[bytes] = []
         if self._mask & RAW_FILTER:
             out += scan_packets(samples, config, scan_id, timestamp_ms)
@@ -61,7 +61,7 @@ class ServerFilters:
         return out
 
     def _detections(self, motion: NDArray[np.float64], scan_id: int) -> bytes:
-        """The list of the strongest maxima of the envelope over the threshold, in the order of range."""
+        """The strongest maxima of the envelope above the threshold, in order of range."""
         envelope = np.abs(analytic(motion[None])[0]).astype(np.float64)
         padded = np.concatenate([[-1.0], envelope, [-1.0]])
         peaks = (padded[1:-1] > padded[:-2]) & (padded[1:-1] >= padded[2:])

@@ -1,6 +1,6 @@
-"""The P440's configuration as a validated value, and the grid that the radar forces on a scan window.
+"""The P440's configuration as a validated value, and the grid to which the radar rounds a scan window.
 
-Client, emulator and importers ask this one place how many samples a window holds and how long a scan takes.
+Client, emulator and importers use this module to get the number of samples and the scan period.
 """
 
 from __future__ import annotations
@@ -41,9 +41,9 @@ _LIMITS: Final = {
 
 
 def _grid_bin(time_ps: int) -> int:
-    """The last bin whose time, cut to whole ps as the radar reports it, is not after `time_ps`.
+    """The last bin whose time, truncated to whole ps as the radar reports it, is not after `time_ps`.
 
-    Reading back a reported time gives the same bin again: 15000 -> bin 7864 -> 14999 ps -> bin 7864.
+    A reported time read back gives the same bin: 15000 -> bin 7864 -> 14999 ps -> bin 7864.
     """
     return math.ceil((time_ps + 1) / BIN_PS) - 1
 
@@ -65,7 +65,7 @@ class RadarConfig:
         code_channel: 0..10.
         persist: 1 to keep the settings in flash.
 
-    Raises ConfigError where a value is out of range or the window is empty or too long.
+    Raises ConfigError if a value is out of range or the window is empty or too long.
     """
 
     scan_start_ps: int = 10_000
@@ -107,7 +107,7 @@ class RadarConfig:
         return SAMPLES_PER_BLOCK * max(1, math.ceil(bins / (BINS_PER_SAMPLE * SAMPLES_PER_BLOCK)))
 
     def quantised(self) -> RadarConfig:
-        """The settings as the radar takes them: start and stop on its grid.
+        """The settings as the radar applies them: start and stop on its grid.
 
         >>> RadarConfig(scan_start_ps=15_000, scan_stop_ps=20_000).quantised().scan_start_ps
         14999
@@ -142,7 +142,7 @@ class RadarConfig:
         return RANGE_STEP_M
 
     def range_start_m(self, cable_delay_ps: float = 0.0) -> float:
-        """One-way range of the first sample after the two-way cable delay (ps) is taken off, m."""
+        """One-way range of the first sample after subtracting the two-way cable delay (ps), m."""
         return (self.scan_start_ps - cable_delay_ps) * 1e-12 * SPEED_OF_LIGHT / 2
 
     def to_record(self) -> np.void:
@@ -158,23 +158,23 @@ class RadarConfig:
     def from_record(cls, record: Any) -> RadarConfig:
         """Settings from a CONFIG block (structured scalar). Segments are not implemented in the radar.
 
-        Raises ConfigError for values that no P440 has.
+        Raises ConfigError for values that a P440 cannot have.
         """
         resolution = int(record["resolution_bins"])
         if resolution != BINS_PER_SAMPLE:
             raise ConfigError(
                 f"the scan resolution is {resolution} bins",
-                f"Set the radar to {BINS_PER_SAMPLE} bins, the only one that tagid reads.",
+                f"Set the radar to {BINS_PER_SAMPLE} bins, the only resolution that tagid supports.",
             )
         return cls(**{name: int(record[name]) for name in cls.__dataclass_fields__})
 
     def stored(self) -> RadarSettings:
-        """The settings as a capture keeps them."""
+        """The settings as stored in a capture."""
         return RadarSettings(**asdict(self))
 
     @classmethod
     def of_stored(cls, settings: RadarSettings) -> RadarConfig:
-        """The settings of a recording, with a P440's defaults for those unknown. Raises ConfigError."""
+        """The settings of a recording, with the P440's defaults for unknown values. Raises ConfigError."""
         known = {name: getattr(settings, name) for name in cls.__dataclass_fields__}
         return cls(**{name: value for name, value in known.items() if value is not None})
 

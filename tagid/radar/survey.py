@@ -1,6 +1,6 @@
-"""A look at a radar that changes nothing: no stop, no waking up, no setting.
+"""Reads a radar's state without changing it: no stop, no wake-up, no settings.
 
-Connecting stops whatever runs; who only wants to know must not end somebody's recording.
+Connecting would stop a run; a user who only reads the status must not end another user's recording.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from tagid.radar.status import RadarStatus
 
 @dataclass(frozen=True)
 class RadarSurvey:
-    """What a radar answers.
+    """State of a radar.
 
     Attributes:
         status: versions, serial number, temperature, self test.
-        opmode, sleep_mode: as in the P440 MRM API; None where the firmware does not tell.
-        config: settings in force; None outside MRM mode, where it tells none.
+        opmode, sleep_mode: as in the P440 MRM API; None if the firmware does not report it.
+        config: settings in force; None outside MRM mode, in which it reports none.
         uptime_s: its clock, s since boot, modulo 2^32 ms; None as above.
     """
 
@@ -33,17 +33,17 @@ class RadarSurvey:
     uptime_s: float | None = None
 
     def warnings(self) -> list[str]:
-        """What a user should know of, one sentence each."""
+        """Warnings for the user, one sentence each."""
         found = self.status.warnings()
         if self.opmode not in (OPMODE_MRM, None):
-            found.append(f"the radar is in operating mode {self.opmode}, not MRM: the next recording sets it")
+            found.append(f"the radar is in operating mode {self.opmode}, not MRM: a recording sets MRM")
         if self.sleep_mode not in (SLEEP_ACTIVE, None):
-            found.append(f"the radar sleeps (mode {self.sleep_mode}): the next recording wakes it")
+            found.append(f"the radar is asleep (mode {self.sleep_mode}): the next recording wakes it")
         return found
 
 
 def survey(radar: P440) -> RadarSurvey:
-    """Asks a radar that is not connected, and closes it. Raises DeviceError and its kinds."""
+    """Query a radar without connecting, then close it. Raises DeviceError and its subclasses."""
     try:
         status, opmode, sleep = radar.status(), _told(radar.get_opmode), _told(radar.get_sleep_mode)
         if opmode not in (OPMODE_MRM, None):

@@ -1,4 +1,4 @@
-"""Radar URLs: their syntax, and the wire that a udp:// or serial:// URL names."""
+"""Radar URLs: their syntax, and the link that a udp:// or serial:// URL opens."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ WHAT_WORKS: Final = (
 
 @dataclass(frozen=True)
 class RadarUrl:
-    """A radar URL taken apart.
+    """A parsed radar URL.
 
     Attributes:
         scheme: "udp", "serial", "replay" or "emulator".
         target: host, device file, file path or scene name.
         port: UDP port; 0 for other schemes.
-        options: what stands behind the question mark.
+        options: parameters after the question mark.
     """
 
     scheme: str
@@ -36,7 +36,7 @@ class RadarUrl:
 
 
 def parse_radar_url(url: str) -> RadarUrl:
-    """Takes a radar URL apart. Raises UsageError with what would work.
+    """Parse a radar URL. Raises UsageError that lists the valid forms.
 
     >>> parse_radar_url("udp://192.168.1.100").port
     21210
@@ -74,16 +74,16 @@ _TARGET_NAMES: Final = {"udp": "host", "serial": "port", "replay": "file", "emul
 
 
 def open_link(url: str) -> Callable[[], Link]:
-    """What opens the wire that a udp:// or serial:// URL names; the URL itself is judged at once.
+    """A function that opens the link of a udp:// or serial:// URL; the URL itself is validated at once.
 
     Raises UsageError for another scheme, a bad address or a bad option. Calling the result raises DeviceError
-    for an unknown host or a port that is missing, taken or forbidden.
+    for an unknown host, or a port that is missing, in use or not permitted.
     """
     parsed = parse_radar_url(url)
     if parsed.scheme == "udp":
         return lambda: UdpLink(parsed.target, parsed.port)
     if parsed.scheme != "serial":
-        raise UsageError(f"radar {url!r} stands on no wire", WHAT_WORKS)
+        raise UsageError(f"radar {url!r} is not a udp:// or serial:// URL", WHAT_WORKS)
     options = dict(parsed.options)
     framing_name, baud_text = options.pop("framing", "usb"), options.pop("baud", None)
     if options:
@@ -96,13 +96,13 @@ def open_link(url: str) -> Callable[[], Link]:
 
     baud = DEFAULT_BAUD if baud_text is None else int(number_option(url, "baud", baud_text))
     if baud not in BAUD_RATES:
-        raise UsageError(f"radar {url!r}: baud is {baud}", "Give 9600 to 921600; at delivery: 115200.")
+        raise UsageError(f"radar {url!r}: baud is {baud}", "Give 9600 to 921600 (factory: 115200).")
     port = SerialPort(parsed.target, Framing(framing_name), baud)
     return lambda: SerialLink(port)
 
 
 def number_option(url: str, name: str, text: str) -> float:
-    """A finite number of a URL's option. Raises UsageError."""
+    """A finite number from a URL option. Raises UsageError."""
     try:
         value = float(text)
     except ValueError as error:

@@ -70,14 +70,14 @@ def estimate_delay(
 ) -> DelayEstimate:
     """The delay from scans of a target at rest: echo time less 2 d / c.
 
-    The scans are averaged, the empty scene is taken off, and the peak of the envelope behind a filter matched
-    to the nominal pulse is found between delay 0 and `longest_ps`.
+    The scans are averaged, the empty scene is subtracted, and the peak of the envelope behind a filter
+    matched to the nominal pulse is found between delay 0 and `longest_ps`.
 
     Args:
-        target: (views, bins) raw samples, ranges with no delay taken off.
+        target: (views, bins) raw samples, ranges without delay correction.
         distance_m: taped from the antennas to the target's reflecting point, m.
         tape_error_m: standard deviation of that, m.
-        empty: (bins,) mean scan without the target on the same grid, counts; None where there is none.
+        empty: (bins,) mean scan without the target on the same grid, counts; None if there is none.
         longest_ps: longest delay looked for, ps.
 
     Raises:
@@ -105,7 +105,7 @@ def estimate_delay(
     background = np.zeros(target.bins) if empty is None else empty
     raw, matched = _envelopes(scans.mean(axis=0) - background, step_ps * 1e-12)
     peak = _peak(matched, low, high)
-    snr_db = _check_echo(target, scans, matched, (low, high, peak), start_ps, step_ps)
+    snr_db = _check_echo(target, scans, matched, _Found(low, high, peak, start_ps, step_ps))
     edges = np.linspace(0, len(scans), _BLOCKS + 1).astype(int)
     near = round(_APART_PS / step_ps * _FINER)
     around = max(low, round(peak) - near), min(high, round(peak) + near)
@@ -153,7 +153,7 @@ def reference_on(reference: Capture, capture: Capture) -> NDArray[np.float64]:
     The two windows may differ by any part of a sample: the mean is brought to a 16 times finer step by the
     Fourier transform and interpolated linearly there. Integration scales it by 2^PII.
 
-    Raises DataError where the reference does not cover the capture or was taken with other settings.
+    Raises DataError if the reference does not cover the capture or was taken with other settings.
     """
     here, there = capture.radar.config or RadarSettings(), reference.radar.config or RadarSettings()
     for name in ("transmit_gain", "antenna_mode", "code_channel"):
@@ -179,7 +179,7 @@ def reference_on(reference: Capture, capture: Capture) -> NDArray[np.float64]:
 
 
 def without_background(capture: Capture, reference: Capture) -> Capture:
-    """The capture with the empty scene taken off, float32; raises as `reference_on`.
+    """The capture with the empty scene subtracted, float32; raises as `reference_on`.
 
     Unlike the mean over the angles it leaves what the object itself sends back evenly all around.
     """
@@ -199,9 +199,9 @@ def calibration_window(distances_m: Sequence[float], longest_ps: float, base: Ra
 
 
 def take_scans(radar: P440, count: int, progress: Callable[[int], None] = lambda done: None) -> Capture:
-    """A capture of `count` scans with the radar's settings, no delay taken off, in memory.
+    """A capture of `count` scans with the radar's settings, without a delay correction, in memory.
 
-    Raises UsageError for more than 5000 scans, DataError where none arrives, DeviceError and its kinds.
+    Raises UsageError for more than 5000 scans, DataError if none arrives, DeviceError and its kinds.
     """
     if not 2 * _BLOCKS <= count <= _MOST_SCANS:
         raise UsageError(f"{count} scans are asked for", f"Give {2 * _BLOCKS} to {_MOST_SCANS}.")
@@ -225,7 +225,7 @@ def take_scans(radar: P440, count: int, progress: Callable[[int], None] = lambda
 
 
 def _envelopes(scan: NDArray[np.float64], step_s: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(bins * 16,) envelope as it is, and behind a filter matched to the nominal pulse."""
+    """(bins * 16,) plain envelope, and envelope after a filter matched to the nominal pulse."""
     bins = len(scan)
     length = 1 << (2 * bins - 1).bit_length()
     half = length // 2
@@ -238,23 +238,39 @@ def _envelopes(scan: NDArray[np.float64], step_s: float) -> tuple[NDArray[np.flo
 
 
 def _peak(envelope: NDArray[np.float64], low: int, high: int) -> float:
-    """Where the envelope is largest in low..high, refined by a parabola."""
+    """Position of the envelope's maximum in low..high, refined by a parabola."""
     best = low + int(envelope[low : high + 1].argmax())
     if not 0 < best < len(envelope) - 1:
         return float(best)
     return best + float(vertex(*envelope[best - 1 : best + 2]))
 
 
+@dataclass(frozen=True)
+class _Found:
+    """The strongest echo of an envelope.
+
+    Attributes:
+        low, high: first and last index that were searched.
+        peak: index of the peak, between samples.
+        start_ps, step_ps: two-way time of the first bin and step of the bins, `_FINER` indices each, ps.
+    """
+
+    low: int
+    high: int
+    peak: float
+    start_ps: float
+    step_ps: float
+
+    def time_ps(self, index: float) -> float:
+        """Two-way time at an index, ps."""
+        return self.start_ps + index * self.step_ps / _FINER
+
+
 def _check_echo(
-    target: Capture,
-    scans: NDArray[np.float64],
-    matched: NDArray[np.float64],
-    found: tuple[int, int, float],
-    start_ps: float,
-    step_ps: float,
+    target: Capture, scans: NDArray[np.float64], matched: NDArray[np.float64], found: _Found
 ) -> float:
-    """SNR of the echo, dB; DataError where it is none, not the only one, or clipped."""
-    low, high, peak = found
+    """SNR of the echo, dB; DataError if there is none, if it is not the only one, or if it is clipped."""
+    low, high, peak, step_ps = found.low, found.high, found.peak, found.step_ps
     near = round(_APART_PS / step_ps * _FINER)
     away = np.ones(len(matched), dtype=bool)
     away[max(0, round(peak) - 2 * near) : round(peak) + 2 * near + 1] = False
@@ -275,7 +291,7 @@ def _check_echo(
     rivals[max(0, round(peak) - near) : round(peak) + near + 1] = 0
     rival = low + int(rivals[low : high + 1].argmax())
     if rivals[rival] > _SIMILAR * height:
-        times = [f"{(start_ps + each * step_ps / _FINER) / 1e3:.2f} ns" for each in sorted((peak, rival))]
+        times = [f"{found.time_ps(each) / 1e3:.2f} ns" for each in sorted((peak, rival))]
         raise DataError(
             f"two echoes of similar strength stand out, at {times[0]} and {times[1]}",
             "Record the scene without the target first (--step both), or use a larger reflector.",
@@ -292,5 +308,5 @@ def _check_echo(
 
 
 def _two_way(capture: Capture) -> float:
-    """Range that was taken off for the cable delay, m."""
+    """Range that was subtracted for the cable delay, m."""
     return (capture.radar.cable_delay_ps or 0.0) * 1e-12 * SPEED_OF_LIGHT / 2

@@ -54,17 +54,17 @@ class RecordingSummary:
     Attributes:
         views, bins: size of the recording.
         range_from_m, range_to_m: one-way range of the first and last bin, m.
-        noise: standard deviation of the noise of one sample, counts; None where one view alone is there.
-        snr_db: power of the strongest return over the noise's in one view, dB; None where there is no return.
+        noise: standard deviation of the noise of one sample, counts; None if one view alone is there.
+        snr_db: power of the strongest return over the noise's in one view, dB; None if there is no return.
         changing_snr_db: the same for what is left without the mean scan: what moves or turns.
         changing_range_m: one-way range at which most changes, m; None with `changing_snr_db`.
-        clipped_fraction: saturated samples over all samples; None where the limit is not known.
+        clipped_fraction: saturated samples over all samples; None if the limit is not known.
         lost_scans: scans missing between the first and the last; None where scans are not numbered.
-        scan_rate_hz: scans a second; None where there is no clock.
-        duration_s: from the first view to the last, s; None where there is no clock.
-        period_s, period_sigma_s: seconds a turn and their standard deviation; None where none was found.
+        scan_rate_hz: scans a second; None if there is no clock.
+        duration_s: from the first view to the last, s; None if there is no clock.
+        period_s, period_sigma_s: seconds a turn and their standard deviation; None if none was found.
         period_note: why there is no period, or what is doubtful about it; empty otherwise.
-        strongest: the strongest return; None where all samples are zero.
+        strongest: the strongest return; None if all samples are zero.
         every: noise, SNR, period and strongest return are from every so-manieth view; 1 is all of them.
     """
 
@@ -97,7 +97,7 @@ class Turning:
     """A period of rotation, or why there is none.
 
     Attributes:
-        period_s, sigma_s: seconds a turn and their standard deviation; None where none was found.
+        period_s, sigma_s: seconds a turn and their standard deviation; None if none was found.
         note: why there is none, or what is doubtful about it; empty otherwise.
     """
 
@@ -293,7 +293,7 @@ def _sensible(value: float | None) -> float | None:
 
 
 def strongest_return(signal: NDArray[np.complex64], capture: Capture) -> StrongReturn | None:
-    """Where the strongest return stands, in the mean and in each view; None where all is zero.
+    """Where the strongest return stands, in the mean and in each view; None if all is zero.
 
     A view's own maximum jumps between returns of like strength and between cycles of the carrier. So the mean
     scan around the strongest return serves as template, every view is correlated with it, and the peak of the

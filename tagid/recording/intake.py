@@ -142,7 +142,7 @@ class Intake:
         )
 
     def _check_journal(self) -> None:
-        """Raises StorageError where the journal's file vanished, was replaced or became shorter."""
+        """Raises StorageError if the journal's file vanished, was replaced or became shorter."""
         if self._journal is None or time.monotonic() < self._guard_at:
             return
         self._guard_at = time.monotonic() + _GUARD_EVERY_S

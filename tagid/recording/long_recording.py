@@ -6,26 +6,17 @@ Memory does not grow with the length of the recording.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
-from tagid import interrupts
 from tagid.constants import CAPTURE_SUFFIX
-from tagid.errors import DataError, StorageError
+from tagid.errors import StorageError
 from tagid.metadata import ScanGap
 from tagid.radar.messages import SCAN_FOREVER
 from tagid.radar.p440 import P440
 from tagid.recording.intake import HostLimit
-from tagid.recording.plan import RecordingPlan, journal_beside
-from tagid.recording.session import (
-    Recorded,
-    Session,
-    check_all_read,
-    record_to_journal,
-    where_kept,
-    with_recovery,
-    with_remedy,
-)
+from tagid.recording.plan import RecordingPlan
+from tagid.recording.session import Recorded, Session, Steps, Written, run_recording
 from tagid.storage.journal_capture import PART_BYTES, WrittenCaptures, write_captures
 
 
@@ -115,25 +106,20 @@ def record_long(
         DataError: no scan arrived.
     """
     watch = watch or RecordingWatch()
-    if not plan.renumber:
-        journal_beside(path)
-    kept = [path]
 
-    def named(taken: Path) -> None:
-        kept.append(taken)
-        watch.named(taken)
+    def receive(session: Session) -> bool:
+        return _receive(session, limits, watch)
 
-    try:
-        with interrupts.deferred() as signals:
+    def write(recorded: Recorded) -> Written[WrittenCaptures]:
+        written = write_captures(
+            recorded.journal,
+            lambda part: part_path(recorded.path, part),
+            recorded.counters,
+            limits.part_bytes,
+        )
+        return Written(written, written.views, tuple(written.paths))
 
-            def receive(session: Session) -> bool:
-                return _receive(session, limits, watch)
-
-            told = replace(watch, named=named)
-            recorded = record_to_journal(radar, plan, path, receive, told, signals)
-            return _finish(recorded, limits)
-    except KeyboardInterrupt as stop:
-        raise interrupts.stopped_by_user(stop, where_kept(kept[-1])) from stop
+    return run_recording(radar, plan, path, Steps(receive, write), watch)
 
 
 def _receive(session: Session, limits: RecordingLimits, watch: RecordingWatch) -> bool:
@@ -155,25 +141,3 @@ def _receive(session: Session, limits: RecordingLimits, watch: RecordingWatch) -
         if done:
             return True
     return limit.passed() or (limits.scans is None and limits.seconds is None)
-
-
-def _finish(recorded: Recorded, limits: RecordingLimits) -> WrittenCaptures:
-    """Make the capture files of the journal, which is removed only when they were read back and compared."""
-    ended_by, journal_path, path = recorded.ended_by, recorded.journal, recorded.path
-    if not recorded.scans:
-        journal_path.unlink(missing_ok=True)
-        raise ended_by or DataError(
-            "no complete scan arrived", "Check the network for lost packets with `tagid radar monitor`."
-        )
-    try:
-        written = write_captures(
-            journal_path, lambda part: part_path(path, part), recorded.counters, limits.part_bytes
-        )
-        check_all_read(journal_path, written.views, recorded.scans)
-    except StorageError as error:
-        raise with_recovery(error, journal_path) from error
-    journal_path.unlink(missing_ok=True)
-    if ended_by is not None:
-        places = ", ".join(str(each) for each in written.paths)
-        raise with_remedy(ended_by, f"The {written.views} scans that arrived are in {places}.") from ended_by
-    return written

@@ -41,9 +41,9 @@ class Snapshot:
         range_m: one-way range of the first and the last bin, m.
         scans, lost: complete scans and lost ones since the start.
         scan_rate_hz: of the last scans, by the radar's clock; None before two of them.
-        snr_db: strongest return over the noise in one scan; None where none stands out.
+        snr_db: strongest return over the noise in one scan; None if none stands out.
         peak_m: its range, m.
-        clipped_fraction: of the samples of the last two seconds.
+        clipped_fraction: of the samples of the two seconds up to the last scan.
         temperature_c: board temperature; None until the radar said it.
         silent_s: since the last scan, s.
         seconds: since the start, s.
@@ -74,8 +74,8 @@ class Monitor:
 
     Args:
         config: of the radar.
-        cable_delay_ps: taken off the ranges, two-way ps.
-        changing: show what changes: the running mean is taken off.
+        cable_delay_ps: two-way delay subtracted from the ranges, ps.
+        changing: subtract the running mean, to show only what changes.
         clock: seconds.
     """
 
@@ -140,7 +140,7 @@ class Monitor:
         now = self._clock()
         with self._lock:
             rows = np.array(self._rows) if self._rows else np.zeros((0, self._config.samples), np.float32)
-            counted = [count for at, count in self._clipped if now - at <= _CLIP_WINDOW_S]
+            counted = [count for at, count in self._clipped if self._last - at <= _CLIP_WINDOW_S]
             rate = None
             if len(self._times) > 1 and self._times[-1] > self._times[0]:
                 rate = (self._ids[-1] - self._ids[0]) / ((self._times[-1] - self._times[0]) * 1e-3)

@@ -26,6 +26,7 @@ class RecordingPlan:
     Attributes:
         config: requested radar settings; None keeps those of the radar.
         axis_distance_m, antenna_height_m: of the antenna, m; the distance may be None (unknown).
+        antenna_separation_m: from the transmitting to the receiving antenna, m; 0: one antenna.
         cable_delay_ps: two-way delay to subtract from the ranges, ps.
         scans: number of scans; None to record until the motion reports a full turn.
         max_seconds: longest recording, s.
@@ -38,6 +39,7 @@ class RecordingPlan:
     config: RadarConfig | None
     axis_distance_m: float | None
     antenna_height_m: float = 0.0
+    antenna_separation_m: float = 0.0
     cable_delay_ps: float = 0.0
     scans: int | None = None
     max_seconds: float = 180.0

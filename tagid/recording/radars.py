@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Final
 
 from tagid.errors import UsageError
+from tagid.metadata import ObjectInfo
 from tagid.radar.emulation.core import EmulatorCore
 from tagid.radar.emulation.faults import Faults
 from tagid.radar.emulation.memory import MemoryLink
@@ -53,3 +54,12 @@ def open_radar(url: str, timeout: float = 1.0) -> P440:
         )
     recording = emulated_recording(Path(parsed.target), loop)
     return P440(MemoryLink(EmulatorCore(recording), rate, faults, url), timeout)
+
+
+def emulated_object(url: str) -> ObjectInfo | None:
+    """What an emulator:// URL shows, with its true pose; None for every other radar. Raises UsageError."""
+    parsed = parse_radar_url(url)
+    if parsed.scheme != "emulator":
+        return None
+    own = ("rate", *_FAULT_OPTIONS)
+    return emulated_scene(parsed.target, {k: v for k, v in parsed.options.items() if k not in own}).about()

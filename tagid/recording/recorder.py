@@ -11,7 +11,7 @@ import numpy as np
 from tagid import interrupts
 from tagid.capture import Capture
 from tagid.constants import RANGE_STEP_M
-from tagid.errors import DataError, StorageError
+from tagid.errors import CaptureInterrupted, DataError
 from tagid.metadata import ScanGap, Track
 from tagid.motion.device import Motion
 from tagid.motion.turntable import OVERLAP_TURNS
@@ -19,16 +19,8 @@ from tagid.radar.assembler import Scan
 from tagid.radar.messages import SCAN_FOREVER
 from tagid.radar.p440 import P440
 from tagid.recording.intake import HostLimit
-from tagid.recording.plan import RecordingPlan, journal_beside
-from tagid.recording.session import (
-    Recorded,
-    Session,
-    check_all_read,
-    record_to_journal,
-    where_kept,
-    with_recovery,
-    with_remedy,
-)
+from tagid.recording.plan import RecordingPlan
+from tagid.recording.session import Recorded, Session, Steps, Written, run_recording
 from tagid.storage.hdf5 import write_capture
 from tagid.storage.journal import read_journal
 from tagid.storage.journal_capture import journal_to_capture
@@ -51,12 +43,20 @@ class Watch:
         resolve: gives a capture its angles, from the motion's URL; asked when the motion believes that a turn
             is complete (imaging knows whether the shortest repetition is a turn, the motion does not), and
             at the end. It raises DataError where it cannot.
+        began: called once the radar is configured, before the motion starts.
+        scan: called with each scan after it was put into the journal's queue; it must return at once.
+        ended: called after the last scan and when the motion was stopped, before the capture file is written.
+        stop: asked about ten times per second; True ends the recording early, as a stop signal does.
     """
 
     progress: Progress | None = None
     resolve: Callable[[Capture, str], Capture] | None = None
     gap: Callable[[ScanGap], None] = lambda gap: None
     named: Callable[[Path], None] = lambda path: None
+    began: Callable[[Session], None] = lambda session: None
+    scan: Callable[[Scan], None] = lambda scan: None
+    ended: Callable[[], None] = lambda: None
+    stop: Callable[[], bool] = lambda: False
 
 
 def record(
@@ -81,25 +81,21 @@ def record(
         CaptureInterrupted: stopped by the user. DataError: no scan arrived.
     """
     watch = watch or Watch()
-    if not plan.renumber:
-        journal_beside(path)
-    kept = [path]
-
-    def named(taken: Path) -> None:
-        kept.append(taken)
-        watch.named(taken)
 
     def receive(session: Session) -> bool:
-        _OneTurn(session, motion, watch).run()
+        watch.began(session)
+        try:
+            _OneTurn(session, motion, watch).run()
+        finally:
+            watch.ended()
         return True
 
-    try:
-        with interrupts.deferred() as signals:
-            told = replace(watch, named=named)
-            recorded = record_to_journal(radar, plan, path, receive, told, signals)
-            return _finish(recorded, watch)
-    except KeyboardInterrupt as stop:
-        raise interrupts.stopped_by_user(stop, where_kept(kept[-1])) from stop
+    def write(recorded: Recorded) -> Written[Capture]:
+        capture = _with_angles(recorded, watch)
+        write_capture(recorded.path, capture)
+        return Written(capture, capture.views, (recorded.path,))
+
+    return run_recording(radar, plan, path, Steps(receive, write), watch)
 
 
 class _OneTurn:
@@ -117,15 +113,26 @@ class _OneTurn:
     def run(self) -> None:
         check_every = max(1, round(0.5 / self._session.config.scan_period_s))
         try:
+            if self._watch.stop():
+                raise CaptureInterrupted("stopped before the first scan")
             self._motion.start()
             limit = HostLimit(self._plan.max_seconds)
-            for scan in self._session.intake.scans(self._plan.scans or SCAN_FOREVER, until=limit.passed):
+
+            def ends() -> bool:
+                return limit.passed() or self._watch.stop()
+
+            for scan in self._session.intake.scans(self._plan.scans or SCAN_FOREVER, until=ends):
                 self._scans.append(scan)
+                self._watch.scan(scan)
                 self._motion.check()
+                if self._watch.stop():
+                    break
                 if len(self._scans) % max(1, check_every // 5) == 0:
                     self._keep_readings()
                 if len(self._scans) % check_every == 0 and self._complete(scan):
                     return
+            if self._watch.stop():
+                raise CaptureInterrupted(f"stopped after {len(self._scans)} scans")
         finally:
             with interrupts.deferred():
                 try:
@@ -172,6 +179,7 @@ class _OneTurn:
             RANGE_STEP_M,
             axis_distance_m=self._plan.axis_distance_m,
             antenna_height_m=self._plan.antenna_height_m,
+            antenna_separation_m=self._plan.antenna_separation_m,
             radar_time_ms=np.array([scan.radar_time_ms for scan in some], dtype=np.float64),
         )
         try:
@@ -181,29 +189,15 @@ class _OneTurn:
         return OVERLAP_TURNS * (resolved.period_s or 0.0) if resolved else 0.0
 
 
-def _finish(recorded: Recorded, watch: Watch) -> Capture:
-    """Make the capture file of the journal, which is removed only when that was read back and compared."""
-    ended_by, journal_path, path = recorded.ended_by, recorded.journal, recorded.path
-    journal = read_journal(journal_path)
-    if not journal.scans:
-        journal_path.unlink(missing_ok=True)
-        raise ended_by or DataError(
-            "no complete scan arrived", "Check the network for lost packets with `tagid doctor`."
-        )
-    capture = journal_to_capture(journal)
+def _with_angles(recorded: Recorded, watch: Watch) -> Capture:
+    """The capture of a journal, with angles if they are known."""
+    ended_by = recorded.ended_by
+    capture = journal_to_capture(read_journal(recorded.journal))
     if ended_by is not None:
         capture = replace(capture, radar=capture.radar.with_known(recorded.counters))
     if watch.resolve and (ended_by is None or capture.motion.track is not None):
         try:
-            capture = watch.resolve(capture, capture.motion.url or "free")
+            return watch.resolve(capture, capture.motion.url or "free")
         except DataError as error:
-            capture = replace(capture, motion=capture.motion.without_track(not_resolved=error.message))
-    try:
-        write_capture(path, capture)
-        check_all_read(journal_path, capture.views, recorded.scans)
-    except StorageError as error:
-        raise with_recovery(error, journal_path) from error
-    journal_path.unlink(missing_ok=True)
-    if ended_by is not None:
-        raise with_remedy(ended_by, f"The {capture.views} scans that arrived are in {path}.") from ended_by
+            return replace(capture, motion=capture.motion.without_track(not_resolved=error.message))
     return capture

@@ -11,11 +11,11 @@ from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Generic, Protocol, TypeVar
 
 from tagid import __version__, interrupts
 from tagid.constants import CAPTURE_SUFFIX, RANGE_STEP_M
-from tagid.errors import CaptureInterrupted, StorageError, TagidError
+from tagid.errors import CaptureInterrupted, DataError, StorageError, TagidError
 from tagid.metadata import METADATA_VERSION, MotionInfo, RadarInfo, ScanGap
 from tagid.radar.p440 import P440
 from tagid.radar.settings import RadarConfig
@@ -26,8 +26,10 @@ from tagid.storage.journal import JournalWriter
 from tagid.storage.journal_queue import JournalQueue
 from tagid.storage.metadata import VERSION_KEY
 
+_Result = TypeVar("_Result")
+
 SYNC_S = 0.5
-"""Minimum time between two syncs of the disk, s: the most that a power cut can lose."""
+"""Time between two syncs of the disk, s: a power cut loses no scan that was written so long before."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +69,21 @@ class Recorded:
     ended_by: TagidError | None
 
 
+@dataclass(frozen=True)
+class Written(Generic[_Result]):
+    """The capture files made of a journal.
+
+    Attributes:
+        result: what the recording returns to its caller.
+        views: number of scans read back from the journal.
+        paths: of the files.
+    """
+
+    result: _Result
+    views: int
+    paths: tuple[Path, ...]
+
+
 class Told(Protocol):
     """Callbacks of a recording."""
 
@@ -81,60 +98,112 @@ class Told(Protocol):
         ...
 
 
-def record_to_journal(
-    radar: P440,
-    plan: RecordingPlan,
-    path: Path,
-    receive: Callable[[Session], bool],
-    told: Told,
-    signals: interrupts.Deferred,
-) -> Recorded:
-    """Connect, configure, and record into the journal of a capture that is to be written at `path`.
+@dataclass(frozen=True)
+class Steps(Generic[_Result]):
+    """What differs between recordings.
+
+    Attributes:
+        receive: takes the scans; returns whether the recording is complete.
+        write: makes the capture files of the journal.
+    """
+
+    receive: Callable[[Session], bool]
+    write: Callable[[Recorded], Written[_Result]]
+
+
+def run_recording(radar: P440, plan: RecordingPlan, path: Path, steps: Steps[_Result], told: Told) -> _Result:
+    """Record into a journal, write its capture files, and remove it once they were read back and compared.
 
     A stop signal takes effect while the radar is configured and while scans arrive, not while the journal is
-    opened or closed. The journal gets its end record if `receive` reports a complete recording.
+    opened or closed or a file is written; later ones are delayed until the files are written.
 
     Args:
         radar: not connected yet.
         plan: what to record.
-        path: of the capture; the next free name is taken where the plan says so.
-        receive: takes the scans; returns whether the recording is complete.
+        path: of the first capture file; the next free name is taken where the plan says so.
+        steps: how scans are taken and files written.
         told: callbacks.
-        signals: the deferral of stop signals that the caller keeps until its files are written.
 
     Raises:
-        DeviceError and its kinds: the radar does not answer. DiskFullError, StorageError: the journal.
+        DeviceError and its kinds: the radar failed; what arrived is in the files, and the error says where.
+        DiskFullError, StorageError: files; the journal is kept. CaptureInterrupted: stopped by the user.
+        DataError: no scan arrived.
     """
-    with ExitStack() as connected:
-        with signals.listening():
-            connected.enter_context(radar)
-            status = radar.status()
-            taken = radar.config if plan.config is None else radar.set_config(plan.config)
-        header = journal_header(plan, taken, RadarInfo(serial=status.serial, package=status.package))
-        ended_by: TagidError | None = None
-        complete = False
-        with start_journal(path, header, plan.renumber) as journal:
-            journal_path, path = journal.path, capture_beside(journal.path)
-            told.named(path)
+    if not plan.renumber:
+        journal_beside(path)
+    taken = [path]
+    try:
+        with interrupts.deferred() as signals:
+            with ExitStack() as connected:
+                with signals.listening():
+                    connected.enter_context(radar)
+                    header = _configure(radar, plan)
+                with start_journal(path, header, plan.renumber) as journal:
+                    taken.append(capture_beside(journal.path))
+                    told.named(taken[-1])
+                    recorded = _fill(journal, radar, plan, steps.receive, told, signals)
+            return _keep(recorded, steps.write)
+    except KeyboardInterrupt as stop:
+        raise interrupts.stopped_by_user(stop, where_kept(taken[-1])) from stop
+
+
+def _configure(radar: P440, plan: RecordingPlan) -> dict[str, Any]:
+    """Configure a connected radar; returns the header of the journal."""
+    status = radar.status()
+    config = radar.config if plan.config is None else radar.set_config(plan.config)
+    return journal_header(plan, config, RadarInfo(serial=status.serial, package=status.package))
+
+
+def _fill(
+    journal: JournalWriter,
+    radar: P440,
+    plan: RecordingPlan,
+    receive: Callable[[Session], bool],
+    told: Told,
+    signals: interrupts.Deferred,
+) -> Recorded:
+    """Write the scans to the journal, with its end record if `receive` reports a complete recording."""
+    ended_by: TagidError | None = None
+    complete = False
+    try:
+        with JournalQueue(journal) as queue:
+            intake = Intake(radar, queue, plan.resume_s, told.gap)
+            intake.guard(journal)
             try:
-                with JournalQueue(journal) as queue:
-                    intake = Intake(radar, queue, plan.resume_s, told.gap)
-                    intake.guard(journal)
-                    try:
-                        with signals.listening():
-                            complete = receive(Session(plan, radar.config, intake, queue, journal))
-                    except KeyboardInterrupt:
-                        ended_by = CaptureInterrupted(f"stopped by the user after {intake.scans_taken} scans")
-                    except StorageError:
-                        raise
-                    except TagidError as error:
-                        ended_by = error
-            except StorageError as error:
-                raise with_recovery(error, journal_path) from error
-            counters = intake.counted()
-            if ended_by is None and complete:
-                journal.close({"radar": counters.to_json()})
-            return Recorded(journal_path, path, journal.scans, counters, ended_by)
+                with signals.listening():
+                    complete = receive(Session(plan, radar.config, intake, queue, journal))
+            except KeyboardInterrupt:
+                ended_by = CaptureInterrupted(f"stopped by the user after {intake.scans_taken} scans")
+            except StorageError:
+                raise
+            except TagidError as error:
+                ended_by = error
+    except StorageError as error:
+        raise with_recovery(error, journal.path) from error
+    counters = intake.counted()
+    if ended_by is None and complete:
+        journal.close({"radar": counters.to_json()})
+    return Recorded(journal.path, capture_beside(journal.path), journal.scans, counters, ended_by)
+
+
+def _keep(recorded: Recorded, write: Callable[[Recorded], Written[_Result]]) -> _Result:
+    """Make the capture files of the journal, which is removed only when they were read back and compared."""
+    ended_by, journal = recorded.ended_by, recorded.journal
+    if not recorded.scans:
+        journal.unlink(missing_ok=True)
+        raise ended_by or DataError(
+            "no complete scan arrived", "Check the network for lost packets with `tagid radar monitor`."
+        )
+    try:
+        written = write(recorded)
+        check_all_read(journal, written.views, recorded.scans)
+    except StorageError as error:
+        raise with_recovery(error, journal) from error
+    journal.unlink(missing_ok=True)
+    if ended_by is not None:
+        places = ", ".join(str(each) for each in written.paths)
+        raise with_remedy(ended_by, f"The {written.views} scans that arrived are in {places}.") from ended_by
+    return written.result
 
 
 def start_journal(path: Path, header: dict[str, Any], renumber: bool = False) -> JournalWriter:
@@ -152,7 +221,7 @@ def start_journal(path: Path, header: dict[str, Any], renumber: bool = False) ->
             continue
         journal_path = journal_beside(wanted)
         try:
-            journal = JournalWriter(journal_path, header, sync_seconds=SYNC_S)
+            journal = JournalWriter(journal_path, header, sync_every=1, sync_seconds=SYNC_S)
         except StorageError as error:
             if not journal_path.is_file():
                 raise
@@ -189,6 +258,7 @@ def journal_header(plan: RecordingPlan, taken: RadarConfig, radar: RadarInfo) ->
         "range_step_m": RANGE_STEP_M,
         "axis_distance_m": plan.axis_distance_m,
         "antenna_height_m": plan.antenna_height_m,
+        "antenna_separation_m": plan.antenna_separation_m or None,
         "uuid": str(uuid.uuid4()),
         "created_utc": datetime.now(UTC).isoformat(timespec="seconds"),
         "tool_version": __version__,

@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+from tagid.config import data_folder
 from tagid.errors import UsageError
-from tagid.radar.emulation.sources import RecordingSource, ScanSource
+from tagid.radar.emulation.sources import RecordingSource
 from tagid.radar.settings import RadarConfig
+
+if TYPE_CHECKING:
+    from tagid.simulate import TurningScene
 
 
 def emulated_recording(path: Path, loop: bool) -> RecordingSource:
@@ -24,30 +31,38 @@ def emulated_recording(path: Path, loop: bool) -> RecordingSource:
     return RecordingSource(capture.samples, config, capture.radar_time_ms, loop)
 
 
-def emulated_scene(name: str, options: dict[str, str]) -> ScanSource:
-    """A turning scene.
+def emulated_scene(name: str, options: dict[str, str]) -> TurningScene:
+    """A turning scene: an enrolled layout, one of a file, or a preset (`tagid.simulate.presets`).
 
-    Options: `seed`, `rpm` (6), `axis_distance` (1.0 m), `snr` (20 dB, per reflector), `cable_delay` (0,
-    two-way ps), `centre` (X,Y in metres off the axis), `elevation` (0m), `body` and `reflector` (see
-    `tagid.simulate.specification`), and `turned_by`: HOST:PORT of an emulated robot that turns the scene
-    instead, which needs rate=1.
+    Options: `seed`, `rpm` (6), `axis_distance` (1.0 m), `antenna_height` (0 m), `antenna_separation` (0 m,
+    between a transmitting and a receiving antenna), `snr` (20 dB, per reflector), `cable_delay` (0, two-way
+    ps), `centre` (X,Y in metres off the axis), `rotation` (0 degrees), `wobble` (0, relative, of the speed),
+    `elevation` (0m), `body` and `reflector` (see `tagid.simulate.specification`), `file` (TOML file of
+    layouts), `budget` (1: SNR and range law from the radar equation, `tagid.simulate.budget`, for physical
+    reflectors, octahedron:40mm unless given; `snr` is then not used), and `turned_by`: HOST:PORT of an
+    emulated robot that turns the scene instead, which needs rate=1.
 
-    Raises UsageError for an unknown scene or option, or a value that cannot be read.
+    Raises UsageError for an unknown scene or option, or a value that cannot be read; the errors of
+    `named_layouts`.
     """
     from tagid.motion.emulation.truth import TrueAngle
     from tagid.simulate import (
         Acquisition,
         Placement,
-        TurningScene,
+        Wobble,
         parse_body,
         parse_elevation,
         parse_reflector,
         scene_from_name,
         scene_on_body,
     )
+    from tagid.simulate.presets import is_plain
+    from tagid.simulate.source import TurningScene
+    from tagid.tags.enrolling.lookup import named_layouts
 
     values = {"seed": 0.0, "rpm": 6.0, "axis_distance": 1.0, "snr": 20.0, "cable_delay": 0.0}
-    texts = {"turned_by": "", "centre": "0,0", "elevation": "0m", "body": "", "reflector": ""}
+    values |= dict.fromkeys(("rotation", "wobble", "antenna_height", "antenna_separation", "budget"), 0.0)
+    texts = {"turned_by": "", "centre": "0,0", "elevation": "0m", "body": "", "reflector": "", "file": ""}
     for key, text in options.items():
         if key in texts:
             texts[key] = text
@@ -62,18 +77,43 @@ def emulated_scene(name: str, options: dict[str, str]) -> ScanSource:
         raise UsageError(f"scene {name}: cable_delay is {values['cable_delay']}", "Give picoseconds.")
     x, comma, y = texts["centre"].partition(",")
     centre = (_number(name, "centre", x), _number(name, "centre", y if comma else "none"))
+    if not 0 <= values["wobble"] < 0.5:
+        raise UsageError(f"scene {name}: wobble is {values['wobble']}", "Give 0 to 0.5, e.g. 0.01 for 1 %.")
     acquisition = Acquisition(
         axis_distance_m=values["axis_distance"],
+        antenna_height_m=values["antenna_height"],
+        antenna_separation_m=values["antenna_separation"],
         snr_db=values["snr"],
-        placement=Placement(centre, height_m=parse_elevation(texts["elevation"])),
+        placement=Placement(centre, math.radians(values["rotation"]), parse_elevation(texts["elevation"])),
+        wobble=Wobble(speed=values["wobble"]),
     )
+    if values["budget"]:
+        texts["reflector"] = texts["reflector"] or "octahedron:40mm"
+        noise = _budget_noise(texts["reflector"], values["axis_distance"])
+        acquisition = replace(acquisition, noise_std=noise, range_law=True)
+    layouts = None
+    if not is_plain(name):
+        file = Path(texts["file"]) if texts["file"] else None
+        layouts = named_layouts(file, data_folder() / "registry.sqlite")
     if texts["body"] or texts["reflector"]:
         body = parse_body(texts["body"] or "none")
-        scene = scene_on_body(name, body, parse_reflector(texts["reflector"] or "octahedron"), seed)
+        reflector = parse_reflector(texts["reflector"] or "octahedron")
+        scene = scene_on_body(name, body, reflector, seed, layouts=layouts)
     else:
-        scene = scene_from_name(name, seed)
+        scene = scene_from_name(name, seed, layouts)
     delay_s = values["cable_delay"] * 1e-12
     return TurningScene(scene, values["rpm"], seed, acquisition, delay_s, true_angle=turner)
+
+
+def _budget_noise(reflector: str, axis_distance_m: float) -> float:
+    """Standard deviation of a sample at index 11, where a reflector peaks at 1 (on the axis, 4 GHz)."""
+    from tagid.simulate.budget import LinkBudget
+    from tagid.simulate.scatterers import Octahedron, unit_of
+    from tagid.simulate.snr import noise_std_for
+    from tagid.simulate.specification import parse_reflector
+
+    unit_m = unit_of(Octahedron(parse_reflector(reflector).size_m))
+    return noise_std_for(LinkBudget().snr_db(unit_m, axis_distance_m), 1.0)
 
 
 def _number(scene: str, key: str, text: str) -> float:

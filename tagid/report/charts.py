@@ -69,7 +69,7 @@ def resample_views(
         rows, columns: raster's size, at least 1.
 
     Returns:
-        (rows, columns) values, row 0 the earliest, and (rows,) True where no view lies within 1.5 intervals.
+        (rows, columns) values, row 0 the earliest, and (rows,) True if no view lies within 1.5 intervals.
     """
     bins = envelope.shape[1]
     starts = (np.arange(min(columns, bins)) * bins) // min(columns, bins)

@@ -29,7 +29,7 @@ CHECK_MM = 100.0
 def plan(layout: Layout) -> Drawing:
     """Seen from above at 1:1: axis, rows, reflectors with number, radius, angle and height, and gaps."""
     half = layout.radius_m * 1e3 + EDGE_MM
-    lines = 4 + layout.size
+    lines = 5 + layout.size
     foot = 6.0 * lines + 12
     sheet = Drawing(max(2 * half, CHECK_MM + 20), 2 * half + foot)
     cx, cy = sheet.width / 2, foot + half
@@ -70,6 +70,7 @@ def plan(layout: Layout) -> Drawing:
         end = cx + radius * float(np.cos(free)), cy + radius * float(np.sin(free))
         sheet.add(Text(end, f"R {radius:.1f}", 3.5))
     rows = [f"{layout.name}   {layout.label}   (from above, millimetres, 1:1)"]
+    rows.append(f"Circles: reflectors of size {REFLECTOR_M * 1e3:.0f} mm, measured from tip to tip.")
     if len(set(heights.tolist())) > 1:
         rows.append("A dashed outline is a reflector above the lowest row.")
     for number, ((x, y), h) in enumerate(zip(places, heights, strict=True), 1):
@@ -79,7 +80,7 @@ def plan(layout: Layout) -> Drawing:
         )
     for line, text in enumerate(rows):
         sheet.add(Text((8, foot - 6.0 * (line + 1)), text, 3.8, "start"))
-    _check_bar(sheet, (8.0, 7.0))
+    check_bar(sheet, (8.0, 7.0))
     sheet.marks.sort(key=lambda mark: isinstance(mark, Text))  # no line goes over a figure
     return sheet
 
@@ -92,7 +93,7 @@ def strip(layout: Layout, surface_radius_m: float | None = None) -> Drawing:
         surface_radius_m: radius at which the strip lies on the object, m; None takes that of the outermost
             reflectors' centres.
 
-    Raises UsageError where a reflector sits on the axis: there is no side to unroll.
+    Raises UsageError if a reflector sits on the axis: there is no side to unroll.
     """
     radii = np.linalg.norm(layout.positions, axis=1)
     if radii.min() < 0.01:
@@ -142,7 +143,7 @@ def strip(layout: Layout, surface_radius_m: float | None = None) -> Drawing:
             "start",
         )
     )
-    _check_bar(sheet, (left, 7.0))
+    check_bar(sheet, (left, 7.0))
     return sheet
 
 
@@ -263,7 +264,8 @@ def _sides(layout: Layout) -> list[tuple[int, int]]:
     return [(int(i), int(j)) for i, j in (pairs if layout.size > 2 else pairs[:1])]
 
 
-def _check_bar(sheet: Drawing, at: tuple[float, float]) -> None:
+def check_bar(sheet: Drawing, at: tuple[float, float]) -> None:
+    """The bar of 100 mm by which a print is measured, its left end at a point, mm."""
     x, y = at
     sheet.add(Line((x, y), (x + CHECK_MM, y), 0.4), Line((x, y - 2), (x, y + 2)))
     sheet.add(Line((x + CHECK_MM, y - 2), (x + CHECK_MM, y + 2)))

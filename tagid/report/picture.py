@@ -37,7 +37,7 @@ def draw_image(
     extent_m: float,
     path: Path,
     title: str = "",
-    reflectors: Sequence[Marker | tuple[float, float, str, bool]] = (),
+    reflectors: Sequence[Marker] = (),
     dynamic_range_db: float = 30.0,
     centre_m: tuple[float, float] = (0.0, 0.0),
 ) -> None:
@@ -48,8 +48,8 @@ def draw_image(
         extent_m: side of the image along x, m; the pixels are square.
         path: the PNG; it appears complete or not at all.
         title: one line above the image, cut where it is too long.
-        reflectors: (x, y, label, matched) each; a circle where matched, a cross where not. Those outside
-            the image are not drawn.
+        reflectors: markers, drawn as a circle if matched, else as a cross. Those outside the image are not
+            drawn.
         dynamic_range_db: pixels further below the brightest one have the darkest colour.
         centre_m: (x, y) of the image's middle, m; the rotation axis is the origin.
 

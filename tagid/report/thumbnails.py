@@ -38,7 +38,7 @@ def draw_pictures(
         capture: prepared, as it was identified.
         result: its image.
         answer: its identification.
-        layout: the layout of the answer; None where there is none.
+        layout: the layout of the answer; None if there is none.
 
     Returns:
         (image, sinogram, drawing): drawing has `method`, `extent_m`, `centre_m`, `image_db`, `layout_m`

@@ -1,57 +1,26 @@
 """The monitor's screen: range to the right, time downwards, and the figures above it, as text.
 
-It is drawn a dozen times a second, possibly over a slow terminal link, so few colours are used, equal
-neighbours share one escape sequence, and without colours characters stand for strength.
+It is drawn a dozen times per second, possibly over a slow terminal link.
 """
 
 from __future__ import annotations
 
-from functools import cache
-from itertools import pairwise
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.console import Console, ConsoleOptions, Group, RenderableType, RenderResult
-from rich.segment import Segment
-from rich.style import Style
+from rich.console import Group, RenderableType
 from rich.text import Text
 
 from tagid.radar.status import WARM_C
 from tagid.recording.monitoring import Snapshot
-from tagid.report.colours import to_decibels, viridis
+from tagid.report.blocks import LEVELS, raster
+from tagid.report.colours import to_decibels
 from tagid.report.preview import resample
 
 DEPTH_DB: Final = 40.0
-_LEVELS: Final = 16
-_RAMP: Final = " .:-=+*#%@"
-_COLOURS: Final = [f"#{r:02x}{g:02x}{b:02x}" for r, g, b in viridis(_LEVELS).tolist()]
 _HEAD_LINES: Final = 4
 _SILENT_S: Final = 2.0
-
-
-class _Blocks:
-    """Coloured half blocks for rich, as segments: texts with a thousand styles take too long to draw.
-
-    Args:
-        levels: (2 * lines, columns) of 0.._LEVELS - 1.
-    """
-
-    def __init__(self, levels: NDArray[np.intp]) -> None:
-        self._levels = levels
-
-    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        columns = self._levels.shape[1]
-        for upper, lower in zip(self._levels[::2], self._levels[1::2], strict=True):
-            edges = np.flatnonzero((np.diff(upper) != 0) | (np.diff(lower) != 0)) + 1
-            for first, last in pairwise([0, *edges.tolist(), columns]):
-                yield Segment("▀" * (last - first), _style(int(upper[first]), int(lower[first])))
-            yield Segment.line()
-
-
-@cache
-def _style(upper: int, lower: int) -> Style:
-    return Style.parse(f"{_COLOURS[upper]} on {_COLOURS[lower]}")
 
 
 def draw(snapshot: Snapshot, title: str, size: tuple[int, int], colour: bool) -> RenderableType:
@@ -80,10 +49,7 @@ def draw(snapshot: Snapshot, title: str, size: tuple[int, int], colour: bool) ->
     levels = _levels(resample(shown, len(shown), columns))
     if len(levels) < wanted:
         levels = np.concatenate([levels, np.zeros((wanted - len(levels), columns), np.intp)])
-    if colour:
-        return Group(text, _Blocks(levels))
-    ramp = levels * (len(_RAMP) - 1) // (_LEVELS - 1)
-    return text.append("\n".join("".join(_RAMP[i] for i in row) for row in ramp.tolist()))
+    return Group(text, raster(levels, colour))
 
 
 def _figures(s: Snapshot) -> Text:
@@ -115,4 +81,4 @@ def _levels(envelope: NDArray[np.float64]) -> NDArray[np.intp]:
     decibels = to_decibels(envelope, DEPTH_DB)
     floor = max(float(np.median(decibels)) + 6.0, -DEPTH_DB)
     share = (decibels - floor) / max(-floor, 1.0)
-    return np.clip(np.rint(share * (_LEVELS - 1)), 0, _LEVELS - 1).astype(np.intp)
+    return np.clip(np.rint(share * (LEVELS - 1)), 0, LEVELS - 1).astype(np.intp)

@@ -110,6 +110,9 @@ class Acquisition:
         period_s: seconds per turn.
         direction: +1 counter-clockwise from above, -1 clockwise.
         axis_distance_m, antenna_height_m: antenna position, m; the height refers to the plane at z = 0.
+        antenna_separation_m: between a transmitting and a receiving antenna side by side, m, that position in
+            their middle; 0: one antenna. Paths are exact; a body scatters as it does straight back to the
+            middle.
         window: range bins; None for 192 bins with the axis in the middle.
         pulse: as received from a point; None for the nominal one.
         tell_pulse: whether the capture carries the pulse.
@@ -132,6 +135,7 @@ class Acquisition:
     direction: int = 1
     axis_distance_m: float = 1.0
     antenna_height_m: float = 0.0
+    antenna_separation_m: float = 0.0
     window: RangeWindow | None = None
     pulse: Pulse | None = None
     tell_pulse: bool = False
@@ -157,6 +161,11 @@ class Acquisition:
             )
         if not (self.axis_distance_m > 0 and self.period_s > 0 and self.range_window.bins > 0):
             raise UsageError("axis distance, period and bins must be positive", "Give positive numbers.")
+        if not 0 <= self.antenna_separation_m < self.axis_distance_m:
+            raise UsageError(
+                f"the antennas are {self.antenna_separation_m} m apart",
+                "Give 0 to less than the axis distance.",
+            )
         if self.direction not in (1, -1):
             raise UsageError(
                 f"direction is {self.direction}", "Use +1 (counter-clockwise) or -1 (clockwise)."

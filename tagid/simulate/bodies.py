@@ -125,7 +125,7 @@ class RoundBody:
         return Returns(points, factor[:, None] * amplitude[None])
 
     def around(self, position_m: Floats) -> tuple[Layer, ...]:
-        """The body itself; DataError where the place lies in its wall or metal."""
+        """The body itself; DataError if the place lies in its wall or metal."""
         radius = float(np.hypot(*(np.asarray(position_m) - self.centre_m)))
         core = self.layers[0]
         inside = radius < self.layers[-1].radius_m

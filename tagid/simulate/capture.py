@@ -105,7 +105,8 @@ def simulate_capture(
     """Record a turning scene.
 
     y[v, b] = sum_k a_k(v) s(2 (R_b - d_k(v)) / c) + noise, with the pulse s at RF (paper, eq. 1) and d_k the
-    distance from the antenna, whose position in the object's frame is that of `Aperture.turntable`.
+    distance from the antenna, whose position in the object's frame is that of `Aperture.turntable`, or the
+    mean of the distances from two antennas.
 
     Args:
         scene: what reflects.
@@ -143,6 +144,7 @@ def simulate_capture(
         angle_sigma_rad=np.full(acq.scans, acq.angle_error_rad),
         axis_distance_m=acq.axis_distance_m + acq.axis_distance_error_m,
         antenna_height_m=acq.antenna_height_m,
+        antenna_separation_m=acq.antenna_separation_m,
         radar_time_ms=np.floor(times * 1e3 + rng.uniform()),
         scan_id=np.arange(acq.scans, dtype=np.int64),
         flags=flags,

@@ -145,14 +145,20 @@ def object_scene(
     rng: np.random.Generator,
     room: StaticReturns | None = None,
     variation: Variation | None = None,
-    about: dict[str, Any] | None = None,
+    layout: str = "",
+    seed: int | None = None,
 ) -> Scene:
     """A scene of one tagged object (or an untagged one, with no positions) in a room.
+
+    `layout` and `seed` are noted in the scene's description if given.
 
     Raises:
         DataError: a reflector lies inside the body's wall or metal.
     """
     bodies = tagged_object(positions, body, reflector, rng, variation)
-    described = {**(about or {}), "body": str(body), "reflector": str(reflector)}
+    described: dict[str, Any] = {"layout": layout} if layout else {}
+    if seed is not None:
+        described["seed"] = seed
+    described |= {"body": str(body), "reflector": str(reflector)}
     untagged = None if len(positions) else 1.0
     return Scene(name, bodies, room=room, reference_amplitude=untagged, description=described)

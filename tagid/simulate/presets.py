@@ -7,7 +7,8 @@ Shells and handles belong to the object: they are placed off the axis with its r
 from __future__ import annotations
 
 import re
-from typing import Any
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,9 @@ from tagid.simulate.objects import Variation, object_scene
 from tagid.simulate.scattering import Box, Cylinder, Points
 from tagid.simulate.scene import Scene, StaticReturns
 from tagid.simulate.specification import BodySpec, ReflectorSpec
+
+if TYPE_CHECKING:
+    from tagid.tags.layouts.layout import Layout
 
 CAN_RADIUS_M = 0.033
 """A 330 ml drink can is 66 mm wide."""
@@ -49,13 +53,13 @@ def scene_from_layout(positions: NDArray[np.floating], name: str = "tag", seed: 
     """A tagged object with a simple round shell, in a room.
 
     Args:
-        positions: (n, 2) reflectors in the object's plane, m.
+        positions: (n, 2) reflectors in the object's plane, or (n, 3) with their heights, m.
         name: of the scene.
         seed: random seed of amplitudes and room.
     """
     rng = np.random.default_rng(seed)
     points = tag_points(positions, rng)
-    # The wall that carries the reflectors; octahedra of 20 mm stand off it.
+    # The wall that carries the reflectors; octahedra of 40 mm (tip to tip) have their middle 20 mm off it.
     radius = max(0.02, float(np.linalg.norm(points.positions[:, :2], axis=1).max()) - 0.02)
     shell = Cylinder(radius, amplitude=0.5)
     about = {"layout": name, "seed": seed}
@@ -77,21 +81,27 @@ def random_points(count: int, rng: np.random.Generator, radius_m: float = 0.2) -
 
 
 def scene_on_body(
-    name: str, body: BodySpec, reflector: ReflectorSpec, seed: int = 0, strength_db: float = 0.0
+    name: str,
+    body: BodySpec,
+    reflector: ReflectorSpec,
+    seed: int = 0,
+    strength_db: float = 0.0,
+    layouts: Mapping[str, Layout] | None = None,
 ) -> Scene:
     """A named tag on a physical body in a room.
 
     Args:
-        name: a built-in layout, points-N, or untagged for the body alone.
+        name: a layout, points-N, or untagged for the body alone.
         body, reflector: see `specification`.
         seed: random seed of room, direction of handle and seam, and strengths.
         strength_db: standard deviation of the reflectors' strengths, dB.
+        layouts: as for `scene_from_name`.
 
     Raises:
         UsageError: the scene is unknown or holds no tag, or its reflectors do not fit on the body.
     """
     rng = np.random.default_rng(seed)
-    plain = scene_from_name(name, seed)
+    plain = scene_from_name(name, seed, layouts)
     tagged = plain.tag is not None and plain.reference_amplitude is None and name != "corner"
     if not tagged and name != "untagged":
         raise UsageError(
@@ -99,30 +109,40 @@ def scene_on_body(
             "Use a layout, points-N or untagged (the body alone).",
         )
     positions = plain.tag.positions if tagged and plain.tag is not None else np.zeros((0, 3))
-    about: dict[str, Any] = {"layout": name, "seed": seed} if tagged else {"seed": seed}
+    layout = name if tagged else ""
     room = room_clutter(rng)
     change = Variation(float(rng.uniform(0, 2 * np.pi)), strength_db=strength_db)
     try:
         return object_scene(
-            name, positions, body, reflector, rng=rng, room=room, variation=change, about=about
+            name, positions, body, reflector, rng=rng, room=room, variation=change, layout=layout, seed=seed
         )
     except DataError as error:
         raise UsageError(f"{name} does not fit on {body}: {error.message}", error.remedy) from None
 
 
-def preset_names() -> list[str]:
+def preset_names(layouts: Mapping[str, Layout] | None = None) -> list[str]:
     """Every name that `scene_from_name` takes; N in "points-N" is any number."""
+    return [*sorted(_layouts(layouts)), *_PLAIN, "points-N"]
+
+
+def is_plain(name: str) -> bool:
+    """Whether a scene needs no layout: points-N, can, box, corner, empty, untagged."""
+    return name in _PLAIN or re.fullmatch(r"points-\d{1,3}", name) is not None
+
+
+def _layouts(layouts: Mapping[str, Layout] | None) -> Mapping[str, Layout]:
     from tagid.tags.layouts.layout import builtin_layouts
 
-    return [*sorted(builtin_layouts()), *_PLAIN, "points-N"]
+    return builtin_layouts() if layouts is None else layouts
 
 
-def scene_from_name(name: str, seed: int = 0) -> Scene:
-    """A named scene: a built-in layout on its object, or points-N, can, box, corner, empty, untagged.
+def scene_from_name(name: str, seed: int = 0, layouts: Mapping[str, Layout] | None = None) -> Scene:
+    """A named scene: a layout on its object, or points-N, can, box, corner, empty, untagged.
 
     Args:
         name: see `preset_names`.
         seed: random seed.
+        layouts: layouts by name, e.g. of `tagid.tags.enrolling.lookup`; None for the built-in ones.
 
     Raises:
         UsageError: the name is unknown.
@@ -152,9 +172,13 @@ def scene_from_name(name: str, seed: int = 0) -> Scene:
         weak = Points(random_points(2, rng, 0.1).positions, rng.uniform(0.03, 0.1, 2))
         parts = (weak, Cylinder(0.09, amplitude=0.5))
         return Scene(name, parts, room=room_clutter(rng), reference_amplitude=1.0, description=about)
-    from tagid.tags.layouts.layout import builtin_layouts
-
-    layouts = builtin_layouts()
-    if name in layouts:
-        return scene_from_layout(layouts[name].positions, name, seed)
-    raise UsageError(f"scene {name[:80]!r} is unknown", f"Use one of {', '.join(preset_names())}.")
+    chosen = _layouts(layouts).get(name)
+    if chosen is not None:
+        places, heights = chosen.positions, chosen.heights
+        if heights is not None and heights.any():
+            places = np.column_stack([places, heights])
+        return scene_from_layout(places, name, seed)
+    raise UsageError(
+        f"scene {name[:80]!r} is unknown",
+        f"Use one of {', '.join(preset_names(layouts))}, or give a designed layout with --file.",
+    )

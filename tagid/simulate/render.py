@@ -91,6 +91,15 @@ def antennas(
     )
 
 
+def _pair(antenna: NDArray[np.float64], separation_m: float) -> tuple[NDArray[np.float64], ...]:
+    """Transmitter and receiver (views, 3) to both sides of the antenna positions, as `Aperture.turntable`."""
+    if separation_m == 0:
+        return (antenna,)
+    x, y = antenna[:, 0], antenna[:, 1]
+    aside = np.stack([-y, x, np.zeros_like(x)], axis=1) * (separation_m / 2 / np.hypot(x, y))[:, None]
+    return antenna + aside, antenna - aside
+
+
 def _placed(antenna: NDArray[np.float64], placement: Placement) -> NDArray[np.float64]:
     """Antenna positions in the frame of an object turned by r, shifted by c and raised: R(-r) (p - c)."""
     x, y = antenna[:, 0] - placement.centre_m[0], antenna[:, 1] - placement.centre_m[1]
@@ -122,10 +131,12 @@ def render_bodies(
     power pattern 2^-(2 theta / width)^2, half at half of the -3 dB width.
     """
     local = _placed(antenna, placement)
+    pair = [_placed(each, placement) for each in _pair(antenna, acquisition.antenna_separation_m)]
     axis = _placed(np.zeros((1, 3)), placement)
     for body in bodies:
         returns = body.returns(local)
-        distance = np.linalg.norm(returns.points - local[:, None], axis=2)
+        ways = [np.linalg.norm(returns.points - each[:, None], axis=2) for each in pair]
+        distance = ways[0] if len(ways) == 1 else (ways[0] + ways[1]) / 2
         amplitude = returns.amplitudes
         if acquisition.range_law:
             amplitude = amplitude * (acquisition.axis_distance_m / np.maximum(distance, 0.05)) ** 2

@@ -79,7 +79,7 @@ class Response:
         reflectors_m: (n, 2) true places of its reflectors in the object's frame, m, where they are known.
         provenance: texts: how it was made, by what, with which error.
 
-    Raises DataError where the parts do not fit or are not finite.
+    Raises DataError if the parts do not fit or are not finite.
     """
 
     name: str
@@ -208,7 +208,7 @@ class Response:
     def without(self, other: Response) -> Response:
         """What this object has in addition to `other`, for example a tagged can without the can.
 
-        Raises UsageError where frequencies, rings or aspects differ.
+        Raises UsageError if frequencies, rings or aspects differ.
         """
         alike = (
             self.rings == other.rings

@@ -40,7 +40,7 @@ class ResponseFiles:
     def scene(self, acquisition: Acquisition, seed: int = 0) -> Scene:
         """The object in a room drawn from the seed, as strong as the object where that exceeds its reference.
 
-        Raises the reader's errors, and UsageError where the response does not cover the acquisition.
+        Raises the reader's errors, and UsageError if the response does not cover the acquisition.
         """
         response = read_response(self.response)
         reference = None if self.reference is None else read_response(self.reference)

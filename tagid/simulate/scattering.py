@@ -32,7 +32,7 @@ class Returns:
 
 
 class Body(Protocol):
-    """Anything that reflects."""
+    """Anything that reflects, in its own frame."""
 
     def returns(self, antennas: Floats) -> Returns:
         """Reflecting points for antenna positions (views, 3) in m, in the body's frame."""

@@ -50,7 +50,7 @@ class EchoLevels:
 
 @dataclass(frozen=True)
 class Snr:
-    """Both SNRs of a recording, dB; None where there is no noise or no echo."""
+    """Both SNRs of a recording, dB; None if there is no noise or no echo."""
 
     reflector_db: float | None
     summed_db: float | None

@@ -15,7 +15,9 @@ from numpy.typing import NDArray
 
 from tagid.constants import CLIP_COUNTS_PER_INTEGRATION, SPEED_OF_LIGHT
 from tagid.errors import UsageError
+from tagid.metadata import ObjectInfo
 from tagid.simulate.acquisition import Acquisition, RangeWindow, Turn
+from tagid.simulate.capture import object_settings
 from tagid.simulate.noise import draw_noise
 from tagid.simulate.render import PulseTable, antennas, render_bodies, render_room
 from tagid.simulate.scene import Scene
@@ -59,7 +61,8 @@ class TurningScene:
         seed: random seed of wobble and noise; scan `index` has the same noise whenever it is requested.
         acquisition: axis distance, height, pulse, placement, wobble, noise, beam, range law, direction. Its
             window, period, turns and recording are not used: the radar's configuration and rpm replace them.
-            Its snr_db (20 by default) holds at integration index 11 and refers to what `snr` defines.
+            Its snr_db (20 by default) holds at integration index 11 and refers to what `snr` defines; a
+            positive noise_std, at the same index, replaces it.
         cable_delay_s: two-way delay that the radar sees on top of the path through the air, s.
         true_angle: turns the scene instead of rpm: the angle in rad at a moment of time.monotonic().
 
@@ -88,11 +91,15 @@ class TurningScene:
         around = replace(acq, window=RangeWindow.around(acq.axis_distance_m))
         levels = echo_levels(scene, around, antenna, self._table)
         snr_db = 20.0 if acq.snr_db is None else acq.snr_db
-        self._noise = noise_std_for(snr_db, levels.of(acq.snr_reference))
+        self._noise = acq.noise_std or noise_std_for(snr_db, levels.of(acq.snr_reference))
         self.snr = Snr.of(levels, self._noise)
         self._true_angle = true_angle
         self._monotonic: Callable[[float], float] | None = None
         self._room: tuple[RangeWindow, NDArray[np.complex128]] | None = None
+
+    def about(self) -> ObjectInfo:
+        """The object and the truth of a recording, as `simulate_capture` states them; SNR at index 11."""
+        return object_settings(self.scene, self._acquisition, self.snr)
 
     def follow(self, monotonic: Callable[[float], float]) -> None:
         """Take from the emulator which moment of time.monotonic() a time since the start is."""

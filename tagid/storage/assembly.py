@@ -88,11 +88,21 @@ def unwrap(counter: NDArray[Any], modulus: int) -> NDArray[np.int64]:
     return unwrapped
 
 
+OPTIONAL_NUMBERS = (
+    "axis_distance_m",
+    "antenna_height_m",
+    "antenna_separation_m",
+    "center_frequency_hz",
+    "bandwidth_hz",
+    "wave_speed_m_s",
+)
+"""Numbers of a capture that a file may omit."""
 _LIMITS = {
     "range_start_m": (-1e7, 1e7),
     "range_step_m": (1e-6, 1e4),
     "axis_distance_m": (1e-6, 1e7),
     "antenna_height_m": (-1e7, 1e7),
+    "antenna_separation_m": (0.0, 1e4),
     "center_frequency_hz": (1.0, 1e13),
     "bandwidth_hz": (1.0, 1e13),
 }
@@ -109,7 +119,9 @@ def _check_plausible(path: Path, fields: dict[str, Any]) -> None:
                 f"{path}: {name} is {value:g}, which no radar can have",
                 f"Expected {least:g} to {most:g} (SI units): check the file's units.",
             )
-    for name, most in (("antenna_positions_m", 1e7), ("angles_rad", 1e9), ("radar_time_ms", _LONGEST_MS)):
+    arrays = {"antenna_positions_m": 1e7, "receive_positions_m": 1e7}
+    arrays |= {"angles_rad": 1e9, "radar_time_ms": _LONGEST_MS}
+    for name, most in arrays.items():
         values = fields.get(name)
         if values is not None and len(values) and not float(np.abs(values).max()) <= most:
             raise FileFormatError(f"{path}: {name} reaches {np.abs(values).max():g}, which is not plausible")
@@ -139,7 +151,12 @@ _SCANS = uuid.UUID("0a4f3a9b-6f0e-5d0c-9f43-5c0b7a1d2e68")
 
 def _digest(capture: Capture) -> str:
     digest = hashlib.sha256(np.ascontiguousarray(capture.samples).data)
-    for values in (capture.angles_rad, capture.antenna_positions_m, capture.host_time_ns):
+    for values in (
+        capture.angles_rad,
+        capture.antenna_positions_m,
+        capture.receive_positions_m,
+        capture.host_time_ns,
+    ):
         if values is not None:
             digest.update(np.ascontiguousarray(values).data)
     digest.update(repr((capture.samples.shape, capture.range_start_m, capture.range_step_m)).encode())

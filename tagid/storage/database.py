@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from tagid import interrupts
+from tagid import files, interrupts
 from tagid.errors import DiskFullError, RegistryError, TagidError
 
 BUSY_SECONDS = 10.0
@@ -78,7 +78,7 @@ class Database:
         self.path = Path(path)
         self.schema = schema
         try:
-            self.path.parent.mkdir(parents=True, exist_ok=True)
+            files.make_folder(self.path.parent)
         except OSError as error:
             raise schema.error(
                 f"cannot create the folder of the {schema.what} {self.path}: {error.strerror}",
@@ -99,6 +99,9 @@ class Database:
                 sqlite3.connect(self.path, timeout=BUSY_SECONDS, isolation_level=None)
             ) as connection:
                 connection.execute("PRAGMA foreign_keys = ON")
+                # FULL, the default, leaves the removal of the rollback journal unsynced: a power cut could
+                # undo a committed transaction.
+                connection.execute("PRAGMA synchronous = EXTRA")
                 yield connection
         except sqlite3.Error as error:
             raise self._told(error) from error

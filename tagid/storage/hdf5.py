@@ -2,15 +2,16 @@
 
 It is the format that every command writes and that other programs can open without `tagid`.
 
-Layout, version 2. Root attributes: format ("tagid.capture"), format_version, uuid, created_utc,
-tool_version, complete, radar, motion, object (JSON), range_start_m, range_step_m, axis_distance_m (absent:
-unknown), antenna_height_m, center_frequency_hz, bandwidth_hz, wave_speed_m_s (absent: vacuum),
-pulse_step_s (with /pulse). Datasets under
-/scans, a row a view: samples (views, bins) int32 or float32, samples_imag (for complex samples, whose real
-part is in samples), host_time_ns and scan_id int64, radar_time_ms, angle_rad, angle_sigma_rad float64,
-flags uint8, antenna_positions_m (views, 3) float64; what is not known is absent. /pulse (n,) float64, its
-middle sample is time zero. Texts have a fixed length, so that all metadata is checksummed, too. Every
-dataset is checksummed (Fletcher-32), shuffled and deflated.
+Layout, version 3 (docs/formats.md). Root attributes: format ("tagid.capture"), format_version, uuid,
+created_utc, tool_version, complete, radar, motion, object (JSON), range_start_m, range_step_m,
+axis_distance_m (absent: unknown), antenna_height_m, antenna_separation_m (absent: one antenna),
+center_frequency_hz, bandwidth_hz, wave_speed_m_s (absent: vacuum), pulse_step_s (with /pulse). Datasets
+under /scans, one row per view: samples (views, bins) int32 or float32, samples_imag (for complex samples,
+whose real part is in samples), host_time_ns and scan_id int64, radar_time_ms, angles_rad, angle_sigma_rad
+float64, flags uint8, antenna_positions_m (views, 3) float64 and, where the receiving antenna is another one,
+receive_positions_m; what is not known is absent. /pulse (n,) float64, its middle sample is time zero. Texts
+have a fixed length, so that all metadata is checksummed, too. Every dataset is checksummed (Fletcher-32),
+shuffled and deflated.
 """
 
 from __future__ import annotations
@@ -41,7 +42,14 @@ from tagid.storage.assembly import (
     text,
 )
 from tagid.storage.metadata import PARTS, metadata_of, read_metadata
-from tagid.storage.migrations import FORMAT_VERSION, RawCapture, check_version, migrate
+from tagid.storage.migrations import (
+    FORMAT_VERSION,
+    OLD_ANGLES,
+    RawCapture,
+    check_version,
+    migrate,
+    named_angles,
+)
 
 FORMAT = "tagid.capture"
 MAGIC = b"\x89HDF\r\n\x1a\n"
@@ -49,11 +57,12 @@ MAGIC = b"\x89HDF\r\n\x1a\n"
 _VIEW_ARRAYS = {
     "host_time_ns": ("host_time_ns", "int64"),
     "radar_time_ms": ("radar_time_ms", "float64"),
-    "angle_rad": ("angles_rad", "float64"),
+    "angles_rad": ("angles_rad", "float64"),
     "angle_sigma_rad": ("angle_sigma_rad", "float64"),
     "scan_id": ("scan_id", "int64"),
     "flags": ("flags", "uint8"),
     "antenna_positions_m": ("antenna_positions_m", "float64"),
+    "receive_positions_m": ("receive_positions_m", "float64"),
 }
 """Dataset under /scans -> (field of Capture, dtype)."""
 _NUMBERS = ("range_start_m", "range_step_m", "antenna_height_m", "center_frequency_hz", "bandwidth_hz")
@@ -63,7 +72,7 @@ _MAX_EXPANSION = 20
 _SMALL_BYTES = 16 << 20
 """Scans hold noise and deflate 2:1 to 5:1; far more, of something large, was made to fill the memory."""
 _KNOWN = frozenset(
-    {"pulse", "scans/samples", "scans/samples_imag", *(f"scans/{name}" for name in _VIEW_ARRAYS)}
+    {"pulse", "scans/samples", "scans/samples_imag", OLD_ANGLES, *(f"scans/{name}" for name in _VIEW_ARRAYS)}
 )
 
 
@@ -218,7 +227,7 @@ def read_capture(path: Path) -> Capture:
             f"{path}: the HDF5 file is damaged or cut off ({str(error)[:120]})",
             "If a journal of the recording is left, use `tagid recover`.",
         ) from error
-    return _to_capture(path, migrate(raw, version, path))
+    return _to_capture(path, named_angles(migrate(raw, version, path)))
 
 
 def _fill(file: Any, capture: Capture, written: _Written) -> None:
@@ -226,6 +235,8 @@ def _fill(file: Any, capture: Capture, written: _Written) -> None:
     plain |= {name: float(getattr(capture, name)) for name in _NUMBERS}
     if capture.axis_distance_m is not None:
         plain["axis_distance_m"] = float(capture.axis_distance_m)
+    if capture.antenna_separation_m != 0:
+        plain["antenna_separation_m"] = float(capture.antenna_separation_m)
     if capture.wave_speed_m_s != SPEED_OF_LIGHT:
         plain["wave_speed_m_s"] = float(capture.wave_speed_m_s)
     if capture.pulse is not None:
@@ -296,7 +307,7 @@ def _version(file: Any, path: Path) -> int:
 
 
 def _attribute(file: Any, name: str) -> Any:
-    """A root attribute; None where it is missing or is not one number or text of fixed length.
+    """A root attribute; None if it is missing or is not one number or text of fixed length.
 
     Texts of variable length are never read: HDF5 2.0 loops for ever on a damaged heap of them.
     """
@@ -367,7 +378,7 @@ def _to_capture(path: Path, raw: RawCapture) -> Capture:
             raise FileFormatError(f"{path}: {name} is not a JSON text")
         parts[name] = decode_settings(attributes[name], f"{path} ({name})")
     fields |= read_metadata(parts, str(path))
-    for name in ("axis_distance_m", "wave_speed_m_s"):
+    for name in ("axis_distance_m", "antenna_separation_m", "wave_speed_m_s"):
         if attributes.get(name) is not None:
             fields[name] = number(attributes[name], f"{path} ({name})")
     if not isinstance(attributes["complete"], bool | np.bool_):

@@ -88,6 +88,7 @@ class Filter:
         file: part of the file name.
         since, until: ISO 8601 date or time, UTC if no zone is given; from `since` on, before `until`.
         limit: maximum number.
+        number: of one identification.
     """
 
     status: str | None = None
@@ -98,6 +99,7 @@ class Filter:
     since: str | None = None
     until: str | None = None
     limit: int | None = None
+    number: int | None = None
 
     def __post_init__(self) -> None:
         if self.status and self.status not in STATUSES:
@@ -218,6 +220,9 @@ def _conditions(wanted: Filter) -> tuple[str, list[Any]]:
         if value:
             tests.append(f"{column} = ?")
             values.append(value)
+    if wanted.number is not None:
+        tests.append("i.id = ?")
+        values.append(wanted.number)
     if wanted.file:
         tests.append("instr(i.file, ?) > 0")
         values.append(wanted.file)

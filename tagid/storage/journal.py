@@ -1,6 +1,7 @@
 """Append-only record of a recording, written before any other processing.
 
-After a kill or a power cut, everything but the record being written can be read back.
+After a kill, everything but the record being written can be read back; after a power cut, everything that was
+synced.
 
 Layout, little-endian: magic `TAGIDJNL`, version u32; then records of marker `REC\\x1e`, kind u32, payload
 length u32, CRC-32 u32 (over kind, length and payload), payload. Kinds: 1 header (JSON), 2 scan, 3 end (JSON),
@@ -58,11 +59,12 @@ class JournalWriter:
     Args:
         path: the file to create; it must not exist.
         header: the fields of a Capture besides the scans: `range_start_m`, `range_step_m` and, if known,
-            `axis_distance_m`, `antenna_height_m`, `center_frequency_hz`, `bandwidth_hz`, `uuid`,
-            `created_utc`, `tool_version` and the dicts `radar`, `motion`, `object`.
-        sync_every: number of records after which the disk is synced: the most that a power cut may lose (a
-            killed process loses nothing); 0 leaves it to the operating system.
-        sync_seconds: minimum time between syncs, s.
+            `axis_distance_m`, `antenna_height_m`, `antenna_separation_m`, `center_frequency_hz`,
+            `bandwidth_hz`, `uuid`, `created_utc`, `tool_version` and the dicts `radar`, `motion`, `object`.
+        sync_every: number of records (scans or motion readings) after which the disk is synced; a power cut
+            loses those that are not (a killed process loses nothing). 0 leaves it to the operating system.
+        sync_seconds: minimum time between syncs, s. Whoever appends calls `sync` when `seconds_to_sync` says
+            so and no record follows.
 
     Raises:
         DiskFullError, StorageError: the file cannot be created or written.
@@ -145,12 +147,28 @@ class JournalWriter:
                     self.scans += 1
             raise
         self.scans += len(records)
-        self._unsynced += len(records)
+        self._written(len(records))
+
+    def _written(self, records: int) -> None:
+        """Count records, and sync when that is due."""
+        self._unsynced += records
         if self._sync_every and self._unsynced >= self._sync_every:
             now = time.monotonic()
             if now - self._synced_at >= self._sync_seconds:
                 self._sync()
                 self._synced_at = now
+
+    def seconds_to_sync(self) -> float | None:
+        """Seconds until the records written so far are to be synced; None if they are, or need not be."""
+        if not self._sync_every or not self._unsynced or self._descriptor < 0:
+            return None
+        return max(0.0, self._synced_at + self._sync_seconds - time.monotonic())
+
+    def sync(self) -> None:
+        """Make all records durable now. Raises StorageError, DiskFullError."""
+        with interrupts.deferred():
+            self._sync()
+            self._synced_at = time.monotonic()
 
     def _packed(self, scan: JournalScan) -> bytes:
         samples, scan_id = scan.samples, scan.scan_id
@@ -174,6 +192,7 @@ class JournalWriter:
         """
         with interrupts.deferred():
             self._write(pack_record(_MOTION, encode_settings(readings).encode()))
+            self._written(1)
 
     def close(self, summary: dict[str, Any] | None = None) -> None:
         """Write the end record, which marks the recording as complete, and close. Raises DiskFullError."""

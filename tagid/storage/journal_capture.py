@@ -27,7 +27,7 @@ PART_BYTES = 1 << 30
 """Samples in one file of a long recording, bytes: half the limit for reading."""
 
 _BLOCK_BYTES = 1 << 19
-_NUMBERS = ("range_start_m", "range_step_m", "axis_distance_m", "antenna_height_m")
+_NUMBERS = ("range_start_m", "range_step_m", "axis_distance_m", "antenna_height_m", "antenna_separation_m")
 _BAND = ("center_frequency_hz", "bandwidth_hz")
 _TEXTS = ("uuid", "created_utc", "tool_version")
 

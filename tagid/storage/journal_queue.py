@@ -96,18 +96,23 @@ class JournalQueue:
             with self._changed:
                 self._busy = False
                 self._changed.notify_all()
-                while not self._waiting and not self._readings and not self._ending:
-                    self._changed.wait()
-                if not self._waiting and not self._readings:
+                idle = False
+                while not (self._waiting or self._readings or self._ending or idle):
+                    # Scans that come slowly, or no more, are not to wait for the next one to be synced.
+                    idle = not self._changed.wait(self._writer.seconds_to_sync())
+                if self._ending and not self._waiting and not self._readings:
                     return
                 readings = list(self._readings)
                 self._readings.clear()
                 batch = [self._waiting.popleft() for _ in range(min(len(self._waiting), _BATCH))]
                 self._busy = True
             try:
-                self._writer.append_all(batch)
+                if batch:
+                    self._writer.append_all(batch)
                 for reading in readings:
                     self._writer.append_motion(reading)
+                if not batch and not readings:
+                    self._writer.sync()
             except TagidError as error:
                 with self._changed:
                     self._error = error

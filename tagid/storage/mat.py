@@ -20,38 +20,41 @@ from tagid.capture import Capture, Pulse
 from tagid.errors import DataError, FileFormatError
 from tagid.metadata import METADATA_VERSION
 from tagid.storage import hdf5
-from tagid.storage.assembly import build_capture, decode_settings, encode_settings, number, text
+from tagid.storage.assembly import (
+    OPTIONAL_NUMBERS,
+    build_capture,
+    decode_settings,
+    encode_settings,
+    number,
+    text,
+)
 from tagid.storage.metadata import PARTS, VERSION_KEY, metadata_of, read_metadata
 
 MAGIC: Final = b"MATLAB 5.0 MAT-file"
 
-_SCALARS: Final = (
-    "axis_distance_m",
-    "antenna_height_m",
-    "center_frequency_hz",
-    "bandwidth_hz",
-    "wave_speed_m_s",
-    "range_start_m",
-    "range_step_m",
-)
+_SCALARS: Final = (*OPTIONAL_NUMBERS, "range_start_m", "range_step_m")
 _TEXTS: Final = ("uuid", "created_utc", "tool_version")
 _VECTORS: Final = MappingProxyType(
     {
-        "angles_rad": ("angle_rad", "float64"),
+        "angles_rad": ("angles_rad", "float64"),
         "angle_sigma_rad": ("angle_sigma_rad", "float64"),
         "host_time_ns": ("host_time_ns", "int64"),
         "radar_time_ms": ("radar_time_ms", "float64"),
         "scan_id": ("scan_id", "int64"),
         "flags": ("flags", "uint8"),
         "antenna_positions_m": ("antenna_positions_m", "float64"),
+        "receive_positions_m": ("receive_positions_m", "float64"),
     }
 )
 """Field of Capture -> (variable, dtype)."""
+OLD_ANGLES: Final = "angle_rad"
+"""Name of the angles in files of tagid 0.1 and 0.2."""
 _NAMES: Final = frozenset(
     (
         *("format", "complete", "samples", "pulse", "pulse_step_s"),
         *(*_SCALARS, *_TEXTS, *PARTS, VERSION_KEY),
         *(name for name, _ in _VECTORS.values()),
+        OLD_ANGLES,
     )
 )
 _SAMPLE_TYPES: Final = ("int32", "float32", "complex64")
@@ -64,10 +67,11 @@ def encode_mat(capture: Capture) -> bytes:
     """The bytes of a MATLAB 5 file.
 
     Variables: samples (views, bins) int32, single or complex single; range_m (bins, 1), m; range_start_m,
-    range_step_m; as columns, where known, angle_rad, angle_sigma_rad, host_time_ns (int64), radar_time_ms,
-    scan_id (int64), flags (uint8); antenna_positions_m (views, 3); axis_distance_m, antenna_height_m,
-    center_frequency_hz, bandwidth_hz, wave_speed_m_s; pulse with pulse_step_s; radar, motion, object as JSON
-    text with metadata_version; uuid, created_utc, tool_version, complete, format.
+    range_step_m; as columns, where known, angles_rad, angle_sigma_rad, host_time_ns (int64), radar_time_ms,
+    scan_id (int64), flags (uint8); antenna_positions_m and receive_positions_m (views, 3); axis_distance_m,
+    antenna_height_m, antenna_separation_m, center_frequency_hz, bandwidth_hz, wave_speed_m_s; pulse with
+    pulse_step_s; radar, motion, object as JSON text with metadata_version; uuid, created_utc, tool_version,
+    complete, format.
     """
     from scipy.io import savemat  # late: 100 ms that no other command should pay
 
@@ -108,6 +112,8 @@ def read_mat(path: Path) -> Capture:
     samples = found["samples"]
     if samples.dtype.name not in _SAMPLE_TYPES:
         raise FileFormatError(f"{path}: samples have dtype {samples.dtype}, expected {_SAMPLE_TYPES}")
+    if OLD_ANGLES in found:
+        found.setdefault("angles_rad", found[OLD_ANGLES])
     fields: dict[str, Any] = {"samples": np.ascontiguousarray(samples)}
     for name in _SCALARS:
         if name in found:
@@ -177,7 +183,7 @@ def _vector(path: Path, name: str, values: NDArray[Any], dtype: str) -> NDArray[
     converted = values.astype(dtype)
     if not np.array_equal(converted, values):
         raise FileFormatError(f"{path}: {name} holds values that do not fit {dtype}")
-    return np.ascontiguousarray(converted if name == "antenna_positions_m" else converted.reshape(-1))
+    return np.ascontiguousarray(converted if name.endswith("positions_m") else converted.reshape(-1))
 
 
 def _text(found: dict[str, NDArray[Any]], name: str, path: Path) -> str:

@@ -16,8 +16,12 @@ from tagid.errors import FileFormatError
 from tagid.storage.assembly import decode_settings, encode_settings
 from tagid.storage.metadata import PARTS, migrate_metadata
 
-FORMAT_VERSION = 2
-"""Version of the capture file that this tagid writes. 2: typed metadata (`tagid.storage.metadata`)."""
+FORMAT_VERSION = 3
+"""Version of the capture file that this tagid writes. 2: typed metadata (`tagid.storage.metadata`). 3: the
+angles are called `angles_rad`, as in NPZ and MATLAB files; a second antenna (antenna_separation_m,
+/scans/receive_positions_m), which version 2 would ignore."""
+OLD_ANGLES = "scans/angle_rad"
+ANGLES = "scans/angles_rad"
 
 
 @dataclass(frozen=True)
@@ -48,7 +52,17 @@ def _typed_metadata(raw: RawCapture) -> RawCapture:
     return RawCapture({**raw.attributes, **texts}, raw.arrays)
 
 
-STEPS: Mapping[int, Step] = MappingProxyType({1: _typed_metadata})
+def named_angles(raw: RawCapture) -> RawCapture:
+    """Version 2 to 3: angles under the name that every format has for them; no second antenna means one."""
+    if OLD_ANGLES not in raw.arrays or ANGLES in raw.arrays:
+        return raw
+    return RawCapture(
+        raw.attributes,
+        {ANGLES if name == OLD_ANGLES else name: values for name, values in raw.arrays.items()},
+    )
+
+
+STEPS: Mapping[int, Step] = MappingProxyType({1: _typed_metadata, 2: named_angles})
 """The step from version n to n + 1, by n."""
 
 
@@ -73,7 +87,7 @@ def migrate(
 
 
 def check_version(version: int, path: Path, current: int = FORMAT_VERSION) -> None:
-    """Raise FileFormatError where a file of this version cannot be read."""
+    """Raise FileFormatError if a file of this version cannot be read."""
     if version > current:
         raise FileFormatError(
             f"{path}: format version {version}, this tagid reads up to version {current}",

@@ -68,7 +68,7 @@ def read_mrm_ret(path: Path, cable_delay_ps: float = 0.0, node: int | None = Non
 
     Args:
         path: the file.
-        cable_delay_ps: two-way delay of cables and antennas to take off the ranges, ps.
+        cable_delay_ps: two-way delay of cables and antennas to subtract from the ranges, ps.
         node: number of the radar to read, where the log holds scans of several.
 
     Raises:
@@ -240,7 +240,7 @@ class _Head:
 
     @classmethod
     def parse(cls, line: bytes) -> _Head | None:
-        """The head, or None where it cannot be read.
+        """The head, or None if it cannot be read.
 
         The vendor's C example logs neither the reserved columns nor the mode: 11 columns before the samples.
         """
@@ -279,7 +279,7 @@ class _Head:
         return line.count(b",") - line.endswith((b",", b", ")) >= self._first_sample - 1 + self.total
 
     def samples(self, line: bytes) -> np.ndarray[Any, np.dtype[np.int32]] | None:
-        """(total,) int32 counts; None where the line is cut off or holds something else."""
+        """(total,) int32 counts; None if the line is cut off or holds something else."""
         columns = line.split(b",", self._first_sample)
         if len(columns) <= self._first_sample:
             return None
@@ -328,7 +328,7 @@ def _config(line: bytes) -> dict[str, Any] | None:
 
 @dataclass(frozen=True)
 class _Window:
-    """The scan window that the configuration asks for and that of the scans, ps; None where not known."""
+    """The scan window that the configuration asks for and that of the scans, ps; None if not known."""
 
     requested_ps: tuple[int, ...] | None = None
     actual_ps: tuple[int, ...] | None = None
@@ -356,7 +356,7 @@ def _fitting_config(survey: _Survey, node: int, reading: _Reading) -> tuple[dict
 
 
 def _detections(line: bytes) -> str | None:
-    """A detection list as "message id: index magnitude, ..."; None where the line is not one."""
+    """A detection list as "message id: index magnitude, ..."; None if the line is not one."""
     columns = line.split(b",", 4 + 2 * SAMPLES_PER_MESSAGE)[2:]
     try:
         message_id, count = _integer(columns[0]), _integer(columns[1])

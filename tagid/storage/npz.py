@@ -1,11 +1,12 @@
 """The generic NPZ file, through which scans of any radar come in and captures go out to numpy.
 
-Keys: samples (views, bins) real or complex; range_start_m, range_step_m; one of angles_rad (views,),
-timestamps_s (views,), antenna_positions_m (views, 3); with angles axis_distance_m, optionally
-antenna_height_m. Optional: center_frequency_hz, bandwidth_hz, wave_speed_m_s (m/s, vacuum unless given),
-pulse with pulse_step_s, object (text or
-JSON). What `tagid` exports also holds angle_sigma_rad, radar_time_ms, host_time_ns, scan_id, flags and
-tagid (JSON: provenance, settings).
+Keys (docs/formats.md): samples (views, bins) real or complex; range_start_m, range_step_m; one of angles_rad
+(views,), timestamps_s (views,), antenna_positions_m (views, 3), or transmit_positions_m with
+receive_positions_m where the radar has two antennas; with angles axis_distance_m, optionally
+antenna_height_m and antenna_separation_m (between two antennas side by side). Optional: center_frequency_hz,
+bandwidth_hz, wave_speed_m_s (m/s, vacuum unless given), pulse with pulse_step_s, object (text or JSON). What
+`tagid` exports also holds angle_sigma_rad, radar_time_ms, host_time_ns, scan_id, flags and tagid (JSON:
+provenance, settings).
 """
 
 from __future__ import annotations
@@ -27,23 +28,33 @@ from tagid import files
 from tagid.capture import Capture, Pulse
 from tagid.errors import DataError, FileFormatError, displayable
 from tagid.metadata import METADATA_VERSION
-from tagid.storage.assembly import build_capture, decode_settings, encode_settings, number, text
+from tagid.storage.assembly import (
+    OPTIONAL_NUMBERS,
+    build_capture,
+    decode_settings,
+    encode_settings,
+    number,
+    text,
+)
 from tagid.storage.metadata import PARTS, VERSION_KEY, metadata_of, read_metadata, stored_version
 
 MAGIC = b"PK"
 
-_NUMBERS = ("axis_distance_m", "antenna_height_m", "center_frequency_hz", "bandwidth_hz", "wave_speed_m_s")
 _VECTORS = {
     "angles_rad": np.float64,
     "angle_sigma_rad": np.float64,
     "antenna_positions_m": np.float64,
+    "receive_positions_m": np.float64,
     "radar_time_ms": np.float64,
     "host_time_ns": np.int64,
     "scan_id": np.int64,
     "flags": np.uint8,
 }
-_WHERE = ("angles_rad", "timestamps_s", "antenna_positions_m")
+_TRANSMIT = "transmit_positions_m"
+"""Another name of antenna_positions_m, for files that hold receive_positions_m."""
+_WHERE = ("angles_rad", "timestamps_s", "antenna_positions_m", _TRANSMIT)
 _OTHER = (
+    _TRANSMIT,
     "samples",
     "range_start_m",
     "range_step_m",
@@ -53,8 +64,10 @@ _OTHER = (
     "object",
     "tagid",
 )
-_KEYS = frozenset((*_NUMBERS, *_VECTORS, *_OTHER))
+_KEYS = frozenset((*OPTIONAL_NUMBERS, *_VECTORS, *_OTHER))
 _TEXTS = ("uuid", "created_utc", "tool_version")
+_OLD_ANGLES = "angle_rad"
+"""Name of the angles in older HDF5 and MATLAB files, which scripts copied into NPZ files."""
 _SMALL_BYTES = 16 << 20
 _MAX_EXPANSION = 20
 """Scans hold noise and deflate 2:1 to 5:1; far more, of something large, was made to fill the memory."""
@@ -69,7 +82,9 @@ def read_npz(path: Path) -> Capture:
         StorageError: the file cannot be read.
         FileFormatError: damaged, a key is missing, of the wrong shape, dtype or size, or not finite.
     """
-    arrays = read_arrays(path, files.read_bytes(path), _KEYS)
+    arrays = read_arrays(path, files.read_bytes(path), _KEYS | {_OLD_ANGLES})
+    if _OLD_ANGLES in arrays:
+        arrays.setdefault("angles_rad", arrays[_OLD_ANGLES])
     missing = [key for key in ("samples", "range_start_m", "range_step_m") if key not in arrays]
     if missing:
         raise FileFormatError(
@@ -93,10 +108,17 @@ def read_npz(path: Path) -> Capture:
             f"{path}: the NPZ file holds angles_rad, but lacks axis_distance_m",
             "Add axis_distance_m, the metres from the radar to the rotation axis.",
         )
+    if _TRANSMIT in arrays:
+        if "antenna_positions_m" in arrays or "receive_positions_m" not in arrays:
+            raise FileFormatError(
+                f"{path}: {_TRANSMIT} belongs to receive_positions_m",
+                "Give both, or antenna_positions_m for one antenna.",
+            )
+        arrays["antenna_positions_m"] = arrays.pop(_TRANSMIT)
     samples = _samples(path, arrays["samples"])
     fields: dict[str, Any] = {
         key: number(arrays[key], f"{path} ({key})")
-        for key in ("range_start_m", "range_step_m", *_NUMBERS)
+        for key in ("range_start_m", "range_step_m", *OPTIONAL_NUMBERS)
         if key in arrays
     }
     for key, dtype in _VECTORS.items():
@@ -119,10 +141,12 @@ def encode_npz(capture: Capture) -> bytes:
         "range_start_m": np.float64(capture.range_start_m),
         "range_step_m": np.float64(capture.range_step_m),
     }
-    for key in (*_NUMBERS, *_VECTORS):
+    for key in (*OPTIONAL_NUMBERS, *_VECTORS):
         value = getattr(capture, key)
         if value is not None:
             arrays[key] = np.asarray(value)
+    if capture.receive_positions_m is not None:
+        arrays[_TRANSMIT] = arrays.pop("antenna_positions_m")
     if capture.radar_time_ms is not None:
         arrays["timestamps_s"] = capture.radar_time_ms / 1000.0
     if capture.pulse is not None:
@@ -211,7 +235,7 @@ def _samples(path: Path, values: NDArray[Any]) -> NDArray[Any]:
 
 
 def _vector(path: Path, key: str, values: NDArray[Any], dtype: Any, views: int) -> NDArray[Any]:
-    shape = (views, 3) if key == "antenna_positions_m" else (views,)
+    shape = (views, 3) if key.endswith("positions_m") else (views,)
     if values.shape != shape:
         raise FileFormatError(
             f"{path}: {key} has shape {values.shape}, but samples has {views} views: expected {shape}"

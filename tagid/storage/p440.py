@@ -56,7 +56,7 @@ def choose_node(path: Path, scans_of: dict[int, int], node: int | None) -> int:
         scans_of: number of each radar in the file (at most `MAX_NODES` of them) -> how much of it there is.
         node: the one that was asked for; None takes the only one.
 
-    Raises UsageError where there are several and none was chosen, or the chosen one is not among them.
+    Raises UsageError if there are several and none was chosen, or the chosen one is not among them.
     """
     if node is None and len(scans_of) == 1:
         return next(iter(scans_of))
@@ -78,7 +78,7 @@ def p440_capture(path: Path, scans: P440Scans, source: str, cable_delay_ps: floa
         path: the file, for messages.
         scans: what was read.
         source: name of the file's format, kept in `radar.source`.
-        cable_delay_ps: two-way delay of cables and antennas that is taken off the ranges, ps.
+        cable_delay_ps: two-way delay of cables and antennas to subtract from the ranges, ps.
 
     Raises:
         FileFormatError: the grid makes no sense.

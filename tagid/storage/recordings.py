@@ -64,7 +64,7 @@ def read_recording(path: Path, cable_delay_ps: float = 0.0, node: int | None = N
 
     Args:
         path: the file.
-        cable_delay_ps: two-way delay of cables and antennas to take off the ranges, ps.
+        cable_delay_ps: two-way delay of cables and antennas to subtract from the ranges, ps.
         node: number of the radar to read, where the file holds scans of several.
 
     Raises:
@@ -235,7 +235,7 @@ def wire_settings(capture: Capture) -> tuple[dict[str, Any], dict[str, Any]]:
 
 
 def _fill(record: NDArray[np.void], fields: dict[str, Any]) -> None:
-    """Set the fields that the record has; DataError where a value does not fit."""
+    """Set the fields that the record has; DataError if a value does not fit."""
     names = (set(_PER_SCAN) | set(_CONFIG_NAMES)) & set(record.dtype.names or ())
     for name in names & set(fields):
         field = record.dtype[name]

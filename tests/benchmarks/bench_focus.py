@@ -2,15 +2,17 @@
 
 Run `python tests/benchmarks/bench_focus.py --write`; `--seeds N` sets the scenes per family and radar,
 `--first` the first seed. The criterion was chosen on seeds from 1000 on; the reported ones start at 5000.
+`--resume FILE` keeps every outcome in a file (JSON lines) and leaves out the scenes that it already holds.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import sys
 from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
-from datetime import date
+from contextlib import ExitStack
 from pathlib import Path
 from typing import NamedTuple
 
@@ -21,6 +23,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 from focus_rails import PATHS, draw_rail
 from focus_scenes import FAMILIES, FULL_WAVE, FULL_WAVE_OBJECTS, RADARS, draw_scene, full_wave_scene
+from imaging_report import heading
 
 from tagid.geometry import ImageGrid
 from tagid.imaging.autofocus import focus_axis_distance
@@ -147,18 +150,27 @@ def reasons(found: list[Outcome]) -> str:
     return "\n".join(f"- {count} x {reason}" for reason, count in counted.most_common())
 
 
-def spread(items: list[Task], jobs: int) -> list[Outcome]:
-    """The outcome of all items, over processes."""
-    if jobs == 1:
-        return [try_task(item) for item in items]
-    with ProcessPoolExecutor(jobs) as pool:
-        return list(pool.map(try_task, items, chunksize=4))
+def outcomes(items: list[Task], jobs: int, kept: Path | None) -> list[Outcome]:
+    """The outcome of every item, in their order, over processes; those in the file `kept` are not redone."""
+    done: dict[Task, Outcome] = {}
+    if kept is not None and kept.exists():
+        for line in kept.read_text(encoding="utf-8").splitlines():
+            entry = json.loads(line)
+            done[Task(*entry["task"])] = Outcome(*entry["outcome"])
+    rest = [item for item in items if item not in done]
+    with ExitStack() as stack:
+        file = stack.enter_context(kept.open("a", encoding="utf-8")) if kept else None
+        pool = stack.enter_context(ProcessPoolExecutor(jobs)) if jobs > 1 else None
+        found = pool.map(try_task, rest, chunksize=4) if pool else map(try_task, rest)
+        for task, outcome in zip(rest, found, strict=True):
+            done[task] = outcome
+            if file is not None:
+                print(json.dumps({"task": task, "outcome": outcome}), file=file, flush=True)
+    return [done[item] for item in items]
 
 
-TEXT = """# Focus: axis distance and path delay
-
-`python tests/benchmarks/bench_focus.py --seeds {seeds} --rails {rails} --write`, {date}, seeds from
-{first}; the criterion was chosen on other seeds, from 1000 on. Scenes are drawn by
+TEXT = """{head}
+The criterion was chosen on other seeds, from 1000 on. Scenes are drawn by
 `tests/benchmarks/focus_scenes.py` and `focus_rails.py`: the distance given is right in a third of the scenes
 and wrong by up to 0.4 wavelengths in the others; noise 10 to 30 dB under the strongest sample, 36 to 360
 views, a turn that is uneven by up to 0.6 degrees, antenna sometimes above the object's plane. The path delay
@@ -191,15 +203,18 @@ def main() -> None:
     parser.add_argument("--rails", type=int, default=10)
     parser.add_argument("--first", type=int, default=FIRST_SEED)
     parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--resume", type=Path, metavar="FILE")
     parser.add_argument("--write", action="store_true")
     given = parser.parse_args()
     turns, paths = tasks(given.seeds, given.first, given.rails)
-    found, delays = spread(turns, given.jobs), spread(paths, given.jobs)
+    found = outcomes(turns, given.jobs, given.resume)
+    delays = outcomes(paths, given.jobs, given.resume)
     text = TEXT.format(
-        seeds=given.seeds,
-        rails=given.rails,
-        date=date.today(),
-        first=given.first,
+        head=heading(
+            "Focus: axis distance and path delay",
+            f"python tests/benchmarks/bench_focus.py --seeds {given.seeds} --rails {given.rails} --write",
+            f"{given.seeds} scenes per row from {given.first} on (full wave: half as many per object)",
+        ),
         turns=f"{summary(found)}\n\n{table(found)}",
         paths=f"{summary(delays)}\n\n{table(delays)}",
         why=reasons(found + delays),

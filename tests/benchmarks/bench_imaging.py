@@ -42,8 +42,8 @@ from imaging_scenes import (
 )
 
 from tagid.geometry import ImageGrid
-from tagid.imaging.metrics import localise, pick_peaks
 from tagid.imaging.types import Image
+from train.metrics import localise, pick_peaks
 
 DIGITS = (1, 2, 3, 1, 0, 2, 2)
 SLOW = ("ATS paper",)

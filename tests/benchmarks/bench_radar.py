@@ -89,7 +89,7 @@ def measure(name: str, wire: str, seconds: float, folder: Path, minutes: bool) -
             config = radar.set_config(SETTINGS[name])
             header = {"range_start_m": 0.0, "range_step_m": config.range_step_m}
             with (
-                JournalWriter(path, header, sync_seconds=0.5) as journal,
+                JournalWriter(path, header, sync_every=1, sync_seconds=0.5) as journal,
                 JournalQueue(journal) as queue,
             ):
                 intake = Intake(radar, queue, resume_s=0)

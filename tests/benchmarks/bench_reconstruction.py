@@ -24,16 +24,18 @@ from pathlib import Path
 
 import numpy as np
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # train/ is not installed
+
 from tagid.capture import Capture
 from tagid.constants import RANGE_STEP_M, SPEED_OF_LIGHT
 from tagid.geometry import Aperture, ImageGrid
 from tagid.imaging.ats.fit import fit
 from tagid.imaging.backprojection import backproject
-from tagid.imaging.metrics import blank, localise, lpips, mse, pick_peaks, psnr, truth_image
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.imaging.sparse import omp, sparse_recovery
 from tagid.imaging.types import BasebandScans, Image
 from tagid.waveform import nominal_pulse, pulse_at
+from train.metrics import blank, localise, lpips, mse, pick_peaks, psnr, truth_image
 
 GRID = ImageGrid(0.7, 96)
 AXIS_DISTANCE_M = 1.0

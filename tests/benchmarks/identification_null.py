@@ -1,4 +1,4 @@
-"""What chance does: how well the enrolled layouts explain noise, boxes and strangers' tags.
+"""Chance level: how well the enrolled layouts explain noise, boxes and unenrolled tags.
 
 Run `python tests/benchmarks/identification_null.py --jobs 2` for the numbers that
 `tagid/tags/reading/decision.py` rests on, `--short` for a check of a minute. Its seeds and its objects occur
@@ -39,9 +39,9 @@ from tagid.tags.reading.decision import (
 )
 
 FIRST_SEED = 90_000_000
-GROUPS = ("stranger", "tagged", "box", "noise")
+GROUPS = ("unenrolled", "tagged", "box", "noise")
 APART_M = 0.012
-"""Nearer strangers, in RMS, are the layout itself for every purpose: enrolment calls them confusable."""
+"""Unenrolled tags nearer than this, in RMS, are equivalent to the layout: enrolment calls them confusable."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class Sample:
     evidence: Evidence
 
 
-def stranger(rng: np.random.Generator) -> np.ndarray:
+def unenrolled(rng: np.random.Generator) -> np.ndarray:
     """(K, 2) two to five reflectors 40 mm or more apart, anywhere or on a ring, m; none of the enrolled."""
     while True:
         count, radius = int(rng.integers(2, 6)), rng.uniform(0.045, 0.12)
@@ -67,7 +67,7 @@ def stranger(rng: np.random.Generator) -> np.ndarray:
         gap = np.linalg.norm(points[:, None] - points[None], axis=2) + np.eye(count)
         if gap.min() < 0.04:
             continue
-        layout = Layout("stranger", points)
+        layout = Layout("unenrolled", points)
         same = [other for other in SETS["paper"] if other.size == count]
         if all(rotational_distance(layout, other).rms_m > APART_M for other in same):
             return points
@@ -85,7 +85,7 @@ def scene_of(group: str, rng: np.random.Generator, seed: int) -> tuple[Scene, st
         layout = list(builtin_layouts().values())[seed % 4]
         points, name = layout.positions, layout.name
     else:
-        points = stranger(rng)
+        points = unenrolled(rng)
         name = str(len(points))
     scene = scene_from_layout(points, name, seed)
     if seed % 8 < 4 and scene.points is not None:
@@ -171,19 +171,19 @@ def report_preference(groups: dict[str, list[Sample]]) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--scenes", type=int, default=2000, help="strangers; a quarter of each other group")
-    parser.add_argument("--short", action="store_true", help="80 strangers")
+    parser.add_argument("--scenes", type=int, default=2000, help="unenrolled tags; a quarter per other group")
+    parser.add_argument("--short", action="store_true", help="80 unenrolled tags")
     parser.add_argument("--jobs", type=int, default=2)
     arguments = parser.parse_args()
     scenes = 80 if arguments.short else arguments.scenes
-    tasks = [(g, i) for g in GROUPS for i in range(scenes if g == "stranger" else scenes // 4)]
+    tasks = [(g, i) for g in GROUPS for i in range(scenes if g == "unenrolled" else scenes // 4)]
     with multiprocessing.get_context("fork").Pool(arguments.jobs) as pool:
         samples = list(pool.imap(sample, tasks, chunksize=4))
     groups = {g: [s for s in samples if s.group == g] for g in GROUPS}
     print(f"Command: `python {' '.join(sys.argv)}`\n")
     report_noise(groups["noise"])
     report_gain(passes([s for s in groups["tagged"] if s.right]))
-    report_preference({name: groups[name] for name in ("stranger", "box", "tagged")})
+    report_preference({name: groups[name] for name in ("unenrolled", "box", "tagged")})
 
 
 if __name__ == "__main__":

@@ -7,9 +7,12 @@ the script that made it replaces it as a whole, so that no figure is ever typed 
 from __future__ import annotations
 
 import multiprocessing
+import os
+import platform
 import re
 import subprocess
 from collections.abc import Callable, Sequence
+from datetime import date
 from pathlib import Path
 from typing import TypeVar
 
@@ -61,6 +64,15 @@ def commit() -> str:
 
     changed = git("status", "--porcelain", "--untracked-files=no")
     return f"commit {git('rev-parse', '--short=10', 'HEAD').strip()}{'+' if changed else ''}"
+
+
+def heading(title: str, command: str, seeds: str) -> str:
+    """Title of a page of results and where its tables come from."""
+    machine = f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"
+    return (
+        f"# {title}\n\n- Command: `{command}`\n- Commit: {commit().removeprefix('commit ')}\n"
+        f"- Machine: {machine}, numpy {np.__version__}\n- Date: {date.today()}\n- Seeds: {seeds}\n"
+    )
 
 
 def write_block(page: str, name: str, title: str, text: str) -> None:

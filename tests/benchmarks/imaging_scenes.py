@@ -15,7 +15,6 @@ import numpy as np
 from tagid.capture import Capture
 from tagid.constants import RANGE_STEP_M, SPEED_OF_LIGHT
 from tagid.geometry import Aperture, ImageGrid
-from tagid.imaging.metrics import blank, localise, lpips, mse, pick_peaks, psnr, truth_image
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.imaging.restore import restore
 from tagid.imaging.types import BasebandScans, Image
@@ -32,6 +31,7 @@ from tagid.simulate import (
 )
 from tagid.simulate import simulate_capture as record_scene
 from tagid.waveform import nominal_pulse, pulse_at
+from train.metrics import blank, localise, lpips, mse, pick_peaks, psnr, truth_image
 
 GRID = ImageGrid(0.7, 96)
 AXIS_DISTANCE_M = 1.0
@@ -294,7 +294,7 @@ def wobbling_problem(views: int, error_m: float, wobble: float, seed: int) -> tu
 
 
 def field_problem(layout: str, seed: int) -> Problem:
-    """A tag on its object in a room with clutter, 15 dB SNR, 360 views, the mean over angle taken off."""
+    """A tag on its object in a room with clutter, 15 dB SNR, 360 views, the mean over angle subtracted."""
     scene = scene_from_name(layout)
     acquisition = Acquisition(views=360, axis_distance_m=AXIS_DISTANCE_M, snr_db=15.0, snr_reference="summed")
     capture, truth = record_scene(scene, acquisition, seed=FIRST_SEED + seed)

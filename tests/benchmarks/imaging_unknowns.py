@@ -19,7 +19,6 @@ from tagid.geometry import ImageGrid
 from tagid.imaging.ats.fit import AtsSettings, fit
 from tagid.imaging.autofocus import focus_axis_distance
 from tagid.imaging.backprojection import backproject
-from tagid.imaging.metrics import localise, pick_peaks, psnr, truth_image
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.imaging.pulsefit import estimate_pulse
 from tagid.imaging.restore import restore
@@ -34,6 +33,7 @@ from tagid.simulate import Acquisition, Scene
 from tagid.simulate import simulate_capture as record_scene
 from tagid.waveform import nominal_pulse, pulse_at
 from train.distributions import PulseDistribution
+from train.metrics import localise, pick_peaks, psnr, truth_image
 from train.scenes import draw_pulse
 
 MEASURED = Path(__file__).resolve().parents[3] / "shared" / "data" / "p440" / "pulse.npz"
@@ -49,7 +49,7 @@ class Run(Protocol):
 
 
 class Cell(NamedTuple):
-    """A scene of three points whose axis distance is told wrong by up to 3 cm and whose turn may wobble."""
+    """A scene of three points with an assumed axis distance wrong by up to 3 cm and, optionally, wobble."""
 
     views: int
     wobble: float

@@ -1,4 +1,4 @@
-"""How exactly a recording tells where each reflector is: the error that capacity and confusion rates rest on.
+"""Accuracy of reflector positions measured in one recording, on which capacity and confusion rates are based.
 
 Run `python tests/benchmarks/localisation.py` for what docs/results/localisation.md shows,
 `--short` for a check.
@@ -80,7 +80,7 @@ def errors(task: tuple[str, bool, int, int, int, int]) -> tuple[np.ndarray, np.n
 
 
 def repeated(pool: Pool, scenes: int, repeats: int = 4) -> None:
-    """How much of the error with own echoes is the same whenever the object is put down anew."""
+    """Part of the error with body echoes that is unchanged when the object is repositioned."""
     print(f"\nOwn echoes, 36 views, 20 dB, every object recorded {repeats} times\n")
     print("| object | error mm | same in all mm | scatter mm |")
     print("|---|---|---|---|")

@@ -98,7 +98,7 @@ class Cell:
 
 @dataclass(frozen=True, eq=False)
 class Drawn:
-    """A recording, what is enrolled, and the right name; empty where no name is right."""
+    """A recording, what is enrolled, and the right name; empty if no name is right."""
 
     capture: Capture
     layouts: tuple[Layout, ...]

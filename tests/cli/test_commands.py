@@ -175,3 +175,11 @@ def test_doctor_finds_a_radar_that_does_not_answer(tagid) -> None:
     ill = tagid("doctor", "--radar", "udp://127.0.0.1:9", "--output", "json", TAGID_RADAR_TIMEOUT_S="0.1")
     assert ill.code == 1
     assert ill.json["data"]["problems"] == 1
+
+
+def test_show_leaves_the_image_of_a_scan_alone(tagid, tmp_path: Path) -> None:
+    tagid("simulate", "container-90", "--views", 8, "--out", "c.tagid.h5")
+    (tmp_path / "c.png").write_bytes(b"the image of the scan")
+    shown = tagid("show", "c.tagid.h5", "--output", "json")
+    assert shown.json["data"]["png"] == "c.show.png" and (tmp_path / "c.show.png").stat().st_size > 1000
+    assert (tmp_path / "c.png").read_bytes() == b"the image of the scan"

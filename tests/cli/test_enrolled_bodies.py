@@ -45,7 +45,7 @@ def test_a_body_is_enrolled_listed_drawn_and_read_with(tagid: Callable[..., Any]
     assert stored["signature"]["kind"] == "body"
     assert all(one["residual_over_noise"] < 1.4 for one in stored["signature"]["captures"])
     again = tagid("enroll", "--body", "mug", *mugs)
-    assert again.code == 1 and "enrolled already" in again.err
+    assert again.code == 1 and "already enrolled" in again.err
     changed = tagid("enroll", "--body", "other", "mug0.npz", "tagged1.npz", "mug2.npz")
     assert changed.code == 1 and "tagged1.npz does not show" in changed.err
     few = tagid("enroll", "--body", "other", *mugs[:2])

@@ -66,13 +66,13 @@ def test_neighbours_and_confusion_are_told_before_anything_is_stored(
     stored = tagid("enroll", "mine", *POINTS, "--sigma", 0.001, "--output", "json").json["data"]
     assert stored["stored"] and stored["sigma_m"] == pytest.approx(0.001)
     again = tagid("enroll", "mine", *POINTS)
-    assert again.code == 1 and "enrolled already" in again.err
+    assert again.code == 1 and "already enrolled" in again.err
     design = ("layouts", "design", "--rows", 2, "--count", 3, "--enroll", "--output", "json")
     enrolled = tagid(*design).json["data"]
     assert [one["layout"] for one in enrolled["confusion"]] == [one["name"] for one in enrolled["layouts"]]
     assert enrolled["confusion"][0]["nearest"] and enrolled["registry_version"] == 8
     refused = tagid(*design, "--alone").json
-    assert refused["exit_code"] == 1 and "enrolled already" in refused["errors"][0]["message"]
+    assert refused["exit_code"] == 1 and "already enrolled" in refused["errors"][0]["message"]
 
 
 def test_a_person_is_asked_and_may_refuse(tagid: Callable[..., Any], home: dict[str, str]) -> None:

@@ -74,10 +74,10 @@ def test_spin_asks_first_and_says_what_nothing_stops(tagid: Callable[..., Any], 
         ran = tagid("motion", "spin", there["url"], "--output", "json")
         assert ran.code == 2 and ran.json["errors"][0]["code"] == "usage"
         assert "--yes" in ran.json["errors"][0]["remedy"]
-        assert "If its cable is pulled out nothing stops it: then lift it" in ran.err
+        assert "If its cable is disconnected nothing stops it: then lift it" in ran.err
         assert TrueAngle(there["truth"]).state()["angle_rad"] == 0
     with emulated(home, "comxim") as there:
-        assert "switch it off at its plug" in tagid("motion", "spin", there["url"]).err
+        assert "disconnect its power supply" in tagid("motion", "spin", there["url"]).err
 
 
 def test_stop_leaves_a_robot_in_passive(tagid: Callable[..., Any], home: dict[str, str]) -> None:

@@ -7,7 +7,7 @@ import pytest
 
 @pytest.fixture
 def wobbly(tagid):
-    """A turn that wobbles by 2 % and whose axis distance is told 2 cm too long."""
+    """A turn with 2 % wobble and an assumed axis distance 2 cm too long."""
     made = tagid(
         "simulate", "points-3", "--views", 36, "--wobble", 0.02, "--axis-error", 0.02, "--out", "w.tagid.h5"
     )  # fmt: skip
@@ -28,7 +28,7 @@ def test_calibration_is_reported_with_standard_errors(tagid, wobbly) -> None:
     assert [w["harmonic"] for w in found["wobble"]] == [1, 2, 3, 4]
     assert all(0 < w["sigma_deg"] < 0.6 for w in found["wobble"])
     assert len(found["gain"]["scans"]) == len(found["gain"]["sigma"])
-    text = tagid("reconstruct", wobbly, *words)
+    text = tagid("reconstruct", wobbly, *words, "--ats", "steps=30")
     assert "axis distance 1.00" in text.out
     assert "wobble, harmonic 1" in text.out
     assert "±" in text.out

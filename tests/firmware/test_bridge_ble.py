@@ -56,7 +56,7 @@ def test_bytes_cross_both_ways_unchanged_and_in_order(board: BoardProcess, wire:
     assert bytes(received) == from_robot
 
 
-def test_a_stranger_can_read_the_version_and_nothing_else(board: BoardProcess, wire: Wire) -> None:
+def test_an_unpaired_host_can_read_the_version_and_nothing_else(board: BoardProcess, wire: Wire) -> None:
     async def attempt(passkey: str | None) -> None:
         async with open_backend(board.hci, passkey) as pair:
             backends = Backends(*pair)
@@ -298,7 +298,7 @@ def test_names_that_are_absent_or_ambiguous(board: BoardProcess) -> None:
             impostor = twin[1].device  # type: ignore[attr-defined]
             service = bytes.fromhex("11079ecadc240ee5a9e093f3a3b50100406e")
             await impostor.start_advertising(advertising_data=service + b"\x08\x09robot-7")
-            with pytest.raises(UsageError, match="2 bridges are called 'robot-7'"):
+            with pytest.raises(UsageError, match="2 bridges have the name 'robot-7'"):
                 await find("robot-7", 1.0, backends)
             assert (await find("ROBOT-7", 1.0, Backends(*twin))).address == board.address
             assert (await find(board.address, 20.0, backends)).address == board.address

@@ -114,7 +114,7 @@ def test_a_stop_that_still_waits_when_the_link_is_lost_is_not_dropped(board: Pat
 
 
 def test_without_the_passkey_no_byte_reaches_the_robot(board: Path) -> None:
-    """Encrypted but not authenticated is what a stranger without a keyboard gets."""
+    """Encrypted but not authenticated is what an unpaired host without a keyboard gets."""
     actions = [[10, "connect", 247], [11, "trust", 0], [20, "rx", DRIVE], command(30, Op.BRC, 100, 1, 0)]
     (result,) = run_in_vm(board, {"end_ms": 70_000, "actions": actions, "round_us": 9000})
     assert of(result, "uart") == [] and of(result, "pin") == []
@@ -167,10 +167,10 @@ def test_only_secure_connections_are_trusted(board: Path) -> None:
     back = [[50, "lose", 0], [60, "connect", 247], [61, "again", 0], [70, "rx", DRIVE]]
     again = {"end_ms": 200, "actions": [*connect, [11, "trust", 1], *back]}
     unknown = {"end_ms": 200, "actions": [*connect, [11, "again", 0], *drive]}
-    refused, trusted, stranger = run_in_vm(board, legacy, again, unknown)
+    refused, trusted, unpaired = run_in_vm(board, legacy, again, unknown)
     assert of(refused, "uart") == [] and len(of(refused, "disconnect")) == 1
     assert [text for _, text in of(trusted, "uart")][:1] == [DRIVE]
-    assert of(stranger, "uart") == []
+    assert of(unpaired, "uart") == []
 
 
 def test_bonds_are_bounded(board: Path) -> None:

@@ -114,12 +114,12 @@ def test_a_flash_that_reads_back_differently_is_told(flash) -> None:  # type: ig
 @pytest.mark.parametrize(
     ("data", "words"),
     [
-        (b"<html>404</html>" * 1000, "is no ESP32 image"),
+        (b"<html>404</html>" * 1000, "is not an ESP32 image"),
         (image(9), "is for an ESP32-S3"),
         (image(text=b"some blinking light"), "but not MicroPython"),
         (image(size=100_000), "cut off"),
         (image()[:32] + struct.pack("<I", 0xABCD5432) + image()[36:], "has no bootloader"),
-        (b"", "is no ESP32 image"),
+        (b"", "is not an ESP32 image"),
     ],
 )
 def test_wrong_images(flash, data: bytes, words: str) -> None:  # type: ignore[no-untyped-def]
@@ -129,7 +129,7 @@ def test_wrong_images(flash, data: bytes, words: str) -> None:  # type: ignore[n
 
 def test_the_hash_decides(flash, tmp_path: Path, monkeypatch, capsys) -> None:  # type: ignore[no-untyped-def]
     code, _, text = flash(image(), "/dev/null", digest="0" * 64)
-    assert code == 1 and "is not the image that was meant" in text
+    assert code == 1 and "is not the expected image" in text
     code, _, text = flash(image(), "/dev/null", digest="abc")
     assert code == 2 and "no SHA-256" in text
     path = tmp_path / "image.bin"
@@ -174,7 +174,7 @@ def test_no_board_and_several(flash, monkeypatch, capsys, tmp_path: Path) -> Non
     code, document = run(monkeypatch, capsys, *words)
     assert (
         code == 4
-        and "no board is plugged in (USB serial ports: /dev/ttyACM5)" in document["errors"][0]["message"]
+        and "no board is connected (USB serial ports: /dev/ttyACM5)" in document["errors"][0]["message"]
     )  # type: ignore[index]
     plugged(("/dev/ttyUSB1", 0x1A86, 0x7523), ("/dev/ttyUSB0", 0x10C4, 0xEA60))
     code, document = run(monkeypatch, capsys, *words)

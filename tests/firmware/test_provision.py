@@ -215,7 +215,7 @@ def test_an_old_micropython_is_told(board: Pty, run: Run) -> None:
 def test_a_half_written_flash_and_a_foreign_device_are_told_apart() -> None:
     loops = "import sys, time\nwhile True: print('invalid header: 0xffffffff', flush=True); time.sleep(0.05)"
     for code, words in (
-        (loops, "empty or half written"),
+        (loops, "empty or incomplete"),
         ("import time; time.sleep(600)", "does not answer"),
     ):
         import sys
@@ -248,8 +248,8 @@ def test_configurations_that_the_board_would_refuse(run: Run, words: tuple[str, 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("{", "is no JSON"),
-        ("[1]", "no table of keys"),
+        ("{", "is not JSON"),
+        ("[1]", "not a table of keys"),
         ('{"uart_pin": 3}', "unknown key 'uart_pin'"),
         ('{"uart_tx": 5}', "must be different pins"),
         ('{"deadman_ms": 99}', "deadman_ms must be a whole number from 100 to 5000"),

@@ -6,7 +6,7 @@ Each try starts `tagid scan`, `radar record`, `simulate` or `report` as a proces
 is being written (the temporary file exists) and sends one to three of SIGINT, SIGTERM and SIGHUP within a few
 milliseconds. Half of the recordings get a first signal while scans still arrive. What the process leaves is
 compared with the journal, to which the attacker keeps a hard link, or with an undisturbed run. The exit code
-is 1 if anything was found that must not be.
+is 1 if anything was found that must not be. With --log, a run goes on where an earlier one ended.
 """
 
 from __future__ import annotations
@@ -24,14 +24,15 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, field
+from contextlib import contextmanager, suppress
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
 import numpy as np  # noqa: E402
+from robustness_page import Section, write_section  # noqa: E402
 
 from tagid.errors import TagidError  # noqa: E402
 from tagid.storage.hdf5 import read_capture  # noqa: E402
@@ -135,11 +136,12 @@ def attack(
         recording = command in ("scan", "record")
         if recording and rng.random() < 0.5:
             enough = rng.randint(50_000, 1_500_000)
-            wait_for(lambda: any(p.stat().st_size > enough for p in out.glob("*.tagid.journal")), process)
+            wait_for(lambda: _longest_journal(out) > enough, process)
             process.send_signal(rng.choice(kinds))
         aimed = wait_for(lambda: any(path.name.endswith(".tmp") for path in out.iterdir()), process)
         for number, journal in enumerate(out.glob("*.tagid.journal")):
-            os.link(journal, folder / f"kept-{number}.tagid.journal")
+            with suppress(FileNotFoundError):  # it may go at any moment
+                os.link(journal, folder / f"kept-{number}.tagid.journal")
         time.sleep(rng.random() * 0.02)
         for _ in range(rng.randint(1, 3)):
             if process.poll() is None:
@@ -163,6 +165,15 @@ def attack(
     else:
         outcome.faults += capture_faults(folder, truth)
     return outcome
+
+
+def _longest_journal(folder: Path) -> int:
+    """Size of the longest journal in a folder, bytes; a journal may go at any moment."""
+    longest = 0
+    for path in folder.glob("*.tagid.journal"):
+        with suppress(FileNotFoundError):
+            longest = max(longest, path.stat().st_size)
+    return longest
 
 
 def capture_faults(folder: Path, truth: Path | None) -> list[str]:
@@ -208,34 +219,55 @@ def main() -> int:
     parser.add_argument("--commands", default=",".join(COMMANDS))
     parser.add_argument("--signals", default="INT,TERM,HUP")
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--log", type=Path, help="a line for each try; those in it are not repeated")
+    parser.add_argument("--page", action="store_true", help="write the section of docs/results/robustness.md")
     given = parser.parse_args()
     for kind in KINDS:  # a shell has its background processes ignore them, and their children do as well
         signal.signal(kind, signal.default_int_handler)
     commands = given.commands.split(",")
     kinds = tuple(signal.Signals[f"SIG{name}"] for name in given.signals.split(","))
-    codes: collections.Counter[tuple[str, int]] = collections.Counter()
-    faults: collections.Counter[tuple[str, str]] = collections.Counter()
-    bad = aimed = 0
-    with tempfile.TemporaryDirectory() as place:
+    log = given.log or Path(os.devnull)
+    before = [json.loads(line) for line in log.read_text().splitlines()] if log.is_file() else []
+    outcomes = [(str(one.pop("command")), Outcome(**one)) for one in before]
+    with tempfile.TemporaryDirectory() as place, log.open("a") as lines:
         with started("simulate", Path(place) / "truth") as undisturbed:
             undisturbed.communicate()
         truth = Path(place) / "truth" / "out" / "a.tagid.h5"
-        for number in range(given.tries):
+        for number in range(len(outcomes), given.tries):
             command = commands[number % len(commands)]
             folder = Path(place) / str(number)
             folder.mkdir()
             expected = truth if command in ("simulate", "report") else None
             outcome = attack(command, folder, random.Random(f"{given.seed}-{number}"), expected, kinds)
-            codes[command, outcome.returncode] += 1
-            faults.update((command, fault) for fault in set(outcome.faults))
-            aimed += outcome.aimed
-            bad += bool(outcome.faults)
+            outcomes.append((command, outcome))
+            lines.write(json.dumps({"command": command, **asdict(outcome)}) + "\n")
+            lines.flush()
             shutil.rmtree(folder)
-    print(f"{given.tries} tries, {aimed} hit a write, {bad} with a fault")
-    for (command, code), count in sorted(codes.items()):
-        print(f"  {command:9} exit code {code:4}: {count}")
-    for (command, fault), count in sorted(faults.items()):
-        print(f"  {command:9} FAULT {fault}: {count}")
+    return _told(outcomes, given.seed, given.page)
+
+
+def _told(outcomes: list[tuple[str, Outcome]], seed: int, page: bool) -> int:
+    """Print the counts, and write them to the page where asked; 1 if there was a fault."""
+    rows = []
+    for command in sorted({command for command, _ in outcomes}):
+        own = [outcome for name, outcome in outcomes if name == command]
+        codes = collections.Counter(outcome.returncode for outcome in own)
+        faults = collections.Counter(fault for outcome in own for fault in set(outcome.faults))
+        ended = ", ".join(f"{code}: {count}" for code, count in sorted(codes.items()))
+        named = ", ".join(f"{fault}: {count}" for fault, count in sorted(faults.items())) or "none"
+        rows.append((command, len(own), sum(outcome.aimed for outcome in own), ended, named))
+        print(*rows[-1], sep=" | ")
+    bad = sum(bool(outcome.faults) for _, outcome in outcomes)
+    print(f"{len(outcomes)} tries, {sum(one.aimed for _, one in outcomes)} hit a write, {bad} with a fault")
+    if page:
+        text = (
+            "One to three of SIGINT, SIGTERM and SIGHUP within a few milliseconds while the output "
+            "file is being written. A fault is a damaged or missing file, a journal that went before "
+            "its capture was whole, a temporary file, a traceback, several messages, a wrong exit "
+            "code, or a process that does not end."
+        )
+        columns = ("command", "tries", "during a write", "exit code: tries", "faults")
+        write_section(Section("Stop signals", text, str(seed), columns, rows))
     return 1 if bad else 0
 
 

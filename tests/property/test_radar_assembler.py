@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tagid.radar.assembler import MAX_PENDING, MAX_READY, Scan, ScanAssembler
+from tagid.radar.assembler import HOLD_MS, MAX_PENDING, MAX_READY, WINDOW, Scan, ScanAssembler
 from tagid.radar.emulation.core import EmulatorCore
 from tagid.radar.messages import MAX_SAMPLES_PER_SCAN, MalformedMessage, MessageType, decode, encode
 from tagid.radar.scan_info import Fragment, read_fragment, scan_packets
@@ -214,3 +214,98 @@ def test_a_missing_scan_is_waited_for_until_both_window_and_time_are_over() -> N
     assert first_out(50) == 8  # the window decides
     assert first_out(10) == 11  # 100 ms after scan 1
     assert first_out(1) == 101
+
+
+def test_a_scan_carries_all_that_its_fragments_say() -> None:
+    config = RadarConfig(scan_start_ps=11_000, scan_stop_ps=71_000, antenna_mode=3, node_id=77)
+    samples = np.arange(config.samples, dtype=np.int32) * 1001 - 5
+    times = iter([111, 222, 333])
+    assembler = ScanAssembler(9, clock_ns=lambda: next(times))
+    assert assembler.next_id == 9
+    out = []
+    for packet in scan_packets(samples, config, 9, 4_000_000_000):
+        assert assembler.newest_id == (9 if out or assembler.newest_id else None)
+        out += assembler.add(fragment(packet))
+    (scan,) = out
+    assert (scan.scan_id, scan.radar_time_ms, scan.host_time_ns) == (9, 4_000_000_000, 111)
+    assert (scan.scan_start_ps, scan.scan_stop_ps) == (11_000, config.scan_stop_ps)
+    assert (scan.antenna_id, scan.node_id) == (3, 77)
+    np.testing.assert_array_equal(scan.samples, samples)
+    assert scan.samples.dtype == np.int32 and not scan.samples.flags.writeable
+    assert (assembler.next_id, assembler.newest_id, assembler.whole_scans) == (10, 9, 1)
+    assert assembler.statistics.complete_scans == 1
+
+
+def test_a_repeated_fragment_is_a_duplicate_and_one_of_the_past_is_late() -> None:
+    assembler = ScanAssembler(0)
+    first, second, third = packets_of(3, 0)
+    for packet in [first[0], first[0], *second, second[0]]:  # before its scan is whole, and after
+        assert assembler.add(fragment(packet)) == []
+    assert (assembler.statistics.duplicate, assembler.statistics.late) == (2, 0)
+    done = [scan.scan_id for packet in first[1:] for scan in assembler.add(fragment(packet))]
+    assert done == [0, 1]
+    assert assembler.add(fragment(second[1])) == []
+    assert (assembler.statistics.duplicate, assembler.statistics.late) == (2, 1)
+    assert assembler.newest_id == 1
+    assembler.add(fragment(third[0]))
+    assert (assembler.newest_id, assembler.next_id) == (2, 2)
+
+
+def test_a_run_without_a_first_id_begins_with_the_first_that_is_seen() -> None:
+    assembler = ScanAssembler()
+    assert assembler.next_id is None and assembler.newest_id is None
+    assembler.give_up_until(4)
+    assert assembler.statistics.lost_scans == 0
+    assert [scan.scan_id for scan in feed(assembler, [p for s in packets_of(2, 500) for p in s])] == [
+        500,
+        501,
+    ]
+    assembler.give_up_until(502)
+    assembler.give_up_until(400)
+    assert assembler.statistics.lost_scans == 0
+    assembler.give_up_until(505)
+    assert (assembler.statistics.lost_scans, assembler.next_id) == (3, 505)
+
+
+def test_scans_given_up_at_the_end_take_their_fragments_with_them() -> None:
+    assembler = ScanAssembler(0)
+    scans = packets_of(4, 0)
+    for packet in [scans[0][0], scans[1][0], scans[3][0]]:
+        assembler.add(fragment(packet))
+    assembler.give_up_until(3)
+    assert [scan_id for scan_id, _ in assembler._pending] == [3]
+    assert [scan.scan_id for p in scans[3][1:] for scan in assembler.add(fragment(p))] == [3]
+    assert not assembler._pending
+
+
+def test_how_far_an_id_may_run_ahead_of_the_clock() -> None:
+    """64 scans, and twice what the time between the stamps holds; a stamp before the first says nothing."""
+    period_s = 0.01
+
+    def taken(scan_id: int, elapsed_ms: int) -> bool:
+        assembler = ScanAssembler(10, period_s=period_s)
+        start = 2**32 - 20  # the clock wraps in between
+        for packet in scan_packets(samples_of(0), CONFIG, 10, start):
+            assembler.add(fragment(packet))
+        late = (start + elapsed_ms) % 2**32
+        assembler.add(fragment(scan_packets(samples_of(1), CONFIG, scan_id, late)[0]))
+        assert assembler.statistics.malformed + len(assembler._pending) == 1
+        return bool(assembler._pending)
+
+    assert taken(10 + 64, 0) and not taken(10 + 65, 0)
+    assert taken(10 + 64 + 20, 100) and not taken(10 + 64 + 21, 100)
+    assert taken(10 + 3000, -1)
+
+
+def test_the_clock_of_scans_out_of_order_goes_back_without_a_wrap() -> None:
+    """Stamps are unwrapped beside the newest one, so that an older scan may come after the wrap."""
+    assembler = ScanAssembler(0)
+    stamps = [2**32 - 30, 2**32 - 10, 10, 30]
+    scans = [scan_packets(samples_of(i), CONFIG, i, stamp % 2**32) for i, stamp in enumerate(stamps)]
+    got = [scan for i in (0, 2, 1, 3) for p in scans[i] for scan in assembler.add(fragment(p))]
+    assert [scan.radar_time_ms - 2**32 for scan in got] == [-30, -10, 10, 30]
+
+
+def test_the_bounds_are_those_that_are_documented() -> None:
+    assert (WINDOW, HOLD_MS, MAX_PENDING, MAX_READY) == (8, 100, 512, 512)
+    assert MAX_PENDING * MAX_SAMPLES_PER_SCAN * 4 < 17.3e6

@@ -1,4 +1,4 @@
-"""Recordings that end whatever arrives: fragments without whole scans, clocks that stand still, strangers."""
+"""Recordings that end whatever arrives: fragments without whole scans, stopped clocks, foreign senders."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def soon(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_fragments_that_never_make_a_scan_end_the_run_and_say_so() -> None:
     with udp() as device, P440(Incomplete(device.address), timeout=0.7) as radar:
         radar.set_config(THREE_FRAGMENTS)
-        with pytest.raises(DeviceTimeoutError, match=r"\d+ packets came .* but no whole scan: fragments"):
+        with pytest.raises(DeviceTimeoutError, match=r"\d+ packets arrived .* no complete scan: fragments"):
             list(radar.scans())
         assert not device.core.scanning
 

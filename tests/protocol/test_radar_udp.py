@@ -85,12 +85,12 @@ def test_bad_network_costs_exactly_the_scans_it_hits() -> None:
             )
 
 
-def test_packets_of_strangers_are_counted_and_dropped() -> None:
+def test_packets_of_other_senders_are_counted_and_dropped() -> None:
     with emulator() as device, P440(UdpLink(*device.address)) as radar:
         port = radar._link.local_port  # type: ignore[attr-defined]
         run = radar.scans(50)
         got = [next(run)]
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
             for i in range(10):
                 fake = encode(
                     T.SCAN_INFO,
@@ -100,7 +100,7 @@ def test_packets_of_strangers_are_counted_and_dropped() -> None:
                     message_count=1,
                     samples=[66] + [0] * 349,
                 )
-                stranger.sendto(fake, ("127.0.0.1", port))
+                other.sendto(fake, ("127.0.0.1", port))
             got += list(run)
         assert len(got) == 50
         assert radar.statistics.foreign == 10

@@ -83,7 +83,7 @@ def test_a_robot_turns_over_bluez_after_pairing_by_passkey(bus: None) -> None:
         assert host.core.mode is Mode.PASSIVE and host.core.body.heading_rad > 0.25
 
 
-def test_a_stranger_is_refused(bus: None) -> None:
+def test_an_unpaired_host_is_refused(bus: None) -> None:
     with RoombaHost() as host, bluez(host, "482913"):
         with pytest.raises(DeviceError) as error:
             open_motion("roomba+ble://robot-1?passkey=111111&wait=1").start()

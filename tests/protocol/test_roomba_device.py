@@ -73,7 +73,7 @@ def test_it_turns_the_way_it_was_told_and_says_how_far(host: RoombaHost, directi
 
 @pytest.mark.parametrize(
     ("event", "cause"),
-    [("wheel-drop", "lost the floor"), ("bump", "bumped"), ("cliff", "cliff"), ("charger", "charger")],
+    [("wheel-drop", "dropped wheel"), ("bump", "bumped"), ("cliff", "cliff"), ("charger", "charger")],
 )
 def test_what_happens_to_it_ends_the_recording_with_its_cause(
     host: RoombaHost, tmp_path: Path, event: str, cause: str
@@ -128,7 +128,7 @@ def test_falling_back_to_passive_is_noticed_also_where_the_firmware_counts_from_
         motion.check()
         with host.port.lock:
             host.core.handle(bytes([128]), time.monotonic())
-        with pytest.raises(MotionStoppedError, match="fell back"):
+        with pytest.raises(MotionStoppedError, match="left Safe mode"):
             turned(motion, 3)
         motion.stop()
 
@@ -137,7 +137,7 @@ def test_falling_back_to_passive_is_noticed_also_where_the_firmware_counts_from_
     ("world", "cause"),
     [
         (World(on_charger=True), "on its charger"),
-        (World(wheel_drop=1), "wheel in the air"),
+        (World(wheel_drop=1), "dropped wheel"),
         (World(charge=100), "battery"),
         (World(temperature_c=70), "degC"),
     ],

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import shutil
+import sys
 from pathlib import Path
+from typing import Any
 
 from tagid.batch.job import Job
 from tagid.batch.local import Results, Tasks
@@ -13,6 +16,12 @@ from tagid.pipeline.load import LoadSettings
 from tagid.pipeline.settings import ImagingSettings
 from tagid.tags.layouts.layout import builtin_layouts
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "unit"))
+
+from hostile_files import REFUSED, unknown_dataset
+
+HOSTILE = (*REFUSED, "unknown.tagid.h5")
+"""Names of files that were made to break the program; the last one is a capture with more in it."""
 OBJECTS = ("helmet-120", "container-90", "helmet-linear", "empty")
 
 
@@ -32,3 +41,27 @@ def in_this_process(tasks: Tasks, job: Job) -> Results:
 def a_job() -> Job:
     settings = ImagingSettings(method="bp", pixels=48)
     return Job(settings, tuple(builtin_layouts().values()), 4, LoadSettings.of(load_config()))
+
+
+def add_hostile_files(folder: Path) -> None:
+    """Put the files of `HOSTILE` into a folder."""
+    for name, make in REFUSED.items():
+        make(folder / name)
+    unknown_dataset(folder / HOSTILE[-1])
+
+
+def records_of(out: Path) -> dict[str, dict[str, Any]]:
+    """The records of a report by file name."""
+    lines = (out / "items.jsonl").read_text().splitlines()
+    return {Path(record["file"]).name: record for record in map(json.loads, lines)}
+
+
+def check_hostile(out: Path) -> None:
+    """Hostile files cost themselves, and the good ones beside them have their answers."""
+    found = records_of(out)
+    assert found["helmet-120.tagid.h5"]["layout"] == "helmet-120"
+    assert found["empty.tagid.h5"]["status"] == "no_tag"
+    for name in REFUSED:
+        assert (found[name]["status"], found[name]["error"]["code"]) == ("failed", "bad_file"), found[name]
+        assert name in found[name]["error"]["message"]
+    assert found[HOSTILE[-1]]["status"] != "identified"

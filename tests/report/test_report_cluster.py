@@ -15,6 +15,7 @@ from functools import partial
 from pathlib import Path
 
 import pytest
+from report_batches import HOSTILE, add_hostile_files, check_hostile
 
 from tagid.batch.local import run_local
 from tagid.batch.run import Hooks
@@ -82,7 +83,7 @@ def pictures(folder: Path) -> list[str]:
     return re.findall(r'<script type="text/plain".*', (folder / "report.html").read_text())
 
 
-def test_a_cluster_gives_the_local_answers_though_a_worker_dies(
+def test_a_cluster_gives_the_local_answers_though_a_worker_dies_and_files_are_hostile(
     make_report, captures: Path, tmp_path: Path, cluster
 ) -> None:
     from tagid.batch.cluster import run_cluster
@@ -90,6 +91,7 @@ def test_a_cluster_gives_the_local_answers_though_a_worker_dies(
     for number in range(2):
         for name in ("helmet-120", "container-90", "empty"):
             shutil.copy(captures / f"{name}.tagid.h5", captures / f"{name}-{number}.tagid.h5")
+    add_hostile_files(captures)
     address, workers = cluster
     finished = []
 
@@ -102,7 +104,8 @@ def test_a_cluster_gives_the_local_answers_though_a_worker_dies(
         captures, out=tmp_path / "dask", runner=partial(run_cluster, address=address), hooks=Hooks(kill_one)
     )
     assert workers[0].process.poll() is not None
-    assert finished == list(range(1, 12))
+    assert finished == list(range(1, 12 + len(HOSTILE)))
+    check_hostile(tmp_path / "dask")
     make_report(captures, out=tmp_path / "local", runner=partial(run_local, workers=2))
     assert timeless(tmp_path / "dask") == timeless(tmp_path / "local")
     assert pictures(tmp_path / "dask") == pictures(tmp_path / "local") != []

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from chromium import size, start, theme, wait
 from PIL import Image
 from report_batches import a_job, copy_captures, in_this_process
 
@@ -19,35 +20,17 @@ from tagid.batch.inputs import collect
 from tagid.batch.run import Plan, run_batch
 from tagid.report.page import PageSettings, write_page
 
-webdriver = pytest.importorskip("selenium.webdriver")
-from selenium.webdriver.chrome.service import Service  # noqa: E402
-from selenium.webdriver.common.by import By  # noqa: E402
-from selenium.webdriver.common.keys import Keys  # noqa: E402
-from selenium.webdriver.support.ui import Select, WebDriverWait  # noqa: E402
+pytest.importorskip("selenium.webdriver")
+from selenium.webdriver.common.by import By
+from selenium.webdriver.common.keys import Keys
+from selenium.webdriver.support.ui import Select
 
 HOSTILE = "<script>document.title='taken'<\u2215script><img src=x onerror=alert(1)> & \"quotes\".tagid.h5"
-WAIT_S = 30
 
 
 @pytest.fixture(scope="module")
 def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
-    chromium = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-    driver = shutil.which("chromedriver")
-    if not chromium or not driver:
-        pytest.skip("no Chromium: apt-get install chromium chromium-driver")
-    options = webdriver.ChromeOptions()
-    options.binary_location = chromium
-    for word in (
-        "--headless=new",
-        "--no-sandbox",
-        "--disable-gpu",
-        "--disable-dev-shm-usage",
-    ):
-        options.add_argument(word)
-    options.add_argument("--host-resolver-rules=MAP * ~NOTFOUND")  # there is no network to be asked
-    options.add_argument(f"--user-data-dir={tmp_path_factory.mktemp('profile')}")
-    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
-    one = webdriver.Chrome(options=options, service=Service(driver))
+    one = start(tmp_path_factory.mktemp("profile"))
     yield one
     one.quit()
 
@@ -57,10 +40,7 @@ def show(browser: Any) -> Iterator[Callable[..., Any]]:
     """Opens a report's page at a size, and afterwards asks whether the console stayed empty."""
 
     def open_page(folder: Path, width: int = 1280, height: int = 900, mobile: bool = False) -> Any:
-        browser.execute_cdp_cmd(
-            "Emulation.setDeviceMetricsOverride",
-            {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": mobile},
-        )
+        size(browser, width, height, mobile)
         theme(browser, "light")
         browser.get((folder / "report.html").as_uri())
         return browser
@@ -69,18 +49,9 @@ def show(browser: Any) -> Iterator[Callable[..., Any]]:
     assert [entry["message"] for entry in browser.get_log("browser")] == []
 
 
-def theme(browser: Any, name: str) -> None:
-    features = [{"name": "prefers-color-scheme", "value": name}]
-    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": features, "media": ""})
-
-
 def files(browser: Any) -> list[str]:
     cells = "return [...document.querySelectorAll('#rows td.file')].map((cell) => cell.innerText)"
     return [text.rpartition("/")[2] for text in browser.execute_script(cells)]
-
-
-def wait(browser: Any, condition: Callable[[], Any]) -> Any:
-    return WebDriverWait(browser, WAIT_S).until(lambda _: condition())
 
 
 @pytest.fixture(scope="module")

@@ -24,7 +24,7 @@ from train.targets import cell_targets, make_batch, symmetry
 
 @pytest.fixture(scope="module")
 def few() -> Samples:
-    return make_shard([(seed, "bp") for seed in range(12)], Distribution())
+    return make_shard([(seed, "bp") for seed in range(8)], Distribution())
 
 
 def test_a_seed_is_a_scene() -> None:
@@ -36,7 +36,7 @@ def test_a_seed_is_a_scene() -> None:
 def test_images_are_bright_where_the_truth_says() -> None:
     """Of simple objects: a metal body off the axis outshines its tag in the image."""
     simple = replace(Distribution(), object=ObjectDistribution(physical=0.0))
-    few = make_shard([(seed, "bp") for seed in range(16)], simple)
+    few = make_shard([(seed, "bp") for seed in range(10)], simple)
     hits = total = 0
     for i in range(len(few)):
         if few.scene_snr_db[i] < 8:
@@ -54,14 +54,16 @@ def test_bodies_stand_in_the_middle_of_their_tags() -> None:
     """All reflectors of a physical object lie equally far, to 2 mm each, from the middle of its body."""
     cells = replace(Distribution(), object=ObjectDistribution(physical=1.0))
     checked = 0
-    for seed in range(10):
+    for seed in range(20):
         scene = draw_scene(seed, cells)
         if scene.ghosts and len(scene.reflectors_m) > 1:
             away = np.linalg.norm(scene.reflectors_m - scene.ghosts[0].centre_m, axis=1)
             assert np.ptp(away) <= 0.004
             assert away.min() > scene.ghosts[0].radius_m - 0.002
             checked += 1
-    assert checked > 3
+            if checked == 3:
+                return
+    pytest.fail("too few scenes with a body and two reflectors")
 
 
 @pytest.mark.parametrize("which", range(8))
@@ -87,7 +89,7 @@ def test_targets_lead_back_to_the_reflector() -> None:
 
 
 def test_a_shard_is_made_once_and_a_lost_one_again(tmp_path: Path) -> None:
-    plan = Plan("validation", 3, ats_every=0)
+    plan = Plan("validation", 2, ats_every=0)
     build(tmp_path, plan)
     first = load(tmp_path, plan)
     (shard,) = (tmp_path / "validation").glob("*.npz")
@@ -100,7 +102,7 @@ def test_a_shard_is_made_once_and_a_lost_one_again(tmp_path: Path) -> None:
     build(tmp_path, plan)
     assert np.array_equal(load(tmp_path, plan).relative, first.relative)
     with pytest.raises(UsageError, match="another kind"):
-        build(tmp_path, Plan("validation", 3, ats_every=2))
+        build(tmp_path, Plan("validation", 2, ats_every=2))
 
 
 def test_training_learns_and_goes_on_where_it_was_killed(few: Samples, tmp_path: Path) -> None:

@@ -23,8 +23,8 @@ def analytic_echo(offset_m: NDArray[np.floating]) -> NDArray[np.complex128]:
     return np.exp(-(t**2) / (2 * TAU**2) + 2j * np.pi * FC * t)
 
 
-def turn(views: int, axis_distance: float = 1.0, height: float = 0.0) -> Aperture:
-    return Aperture.turntable(np.arange(views) * 2 * np.pi / views, axis_distance, height)
+def turn(views: int, axis_distance: float = 1.0, height: float = 0.0, apart: float = 0.0) -> Aperture:
+    return Aperture.turntable(np.arange(views) * 2 * np.pi / views, axis_distance, height, apart)
 
 
 def helix(views: int) -> Aperture:
@@ -33,6 +33,12 @@ def helix(views: int) -> Aperture:
     radius = 1.0 + 0.1 * np.sin(3 * a)
     positions = np.stack([radius * np.cos(a), radius * np.sin(a), 0.2 + 0.1 * np.cos(2 * a)], axis=1)
     return Aperture(positions)
+
+
+def antennas_of(aperture: Aperture) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Transmitter and receiver, (views, 3) each."""
+    half = np.zeros(3) if aperture.half_baseline is None else aperture.half_baseline
+    return aperture.positions + half, aperture.positions - half
 
 
 def record(
@@ -47,10 +53,13 @@ def record(
     seed: int = 0,
     analytic: bool = False,
 ) -> Capture:
-    """Capture of points (n, 2), m, in the object's plane."""
-    xy = np.asarray(points, dtype=float).reshape(-1, 2)
-    xyz = np.column_stack([xy, np.zeros(len(xy))])
-    distance = np.linalg.norm(aperture.positions[:, None] - xyz, axis=2)
+    """Capture of points (n, 2) in the object's plane, or (n, 3), m."""
+    xyz = np.asarray(points, dtype=float)
+    if xyz.ndim != 2 or xyz.shape[1] != 3:
+        xy = xyz.reshape(-1, 2)
+        xyz = np.column_stack([xy, np.zeros(len(xy))])
+    ways = [np.linalg.norm(antenna[:, None] - xyz, axis=2) for antenna in antennas_of(aperture)]
+    distance = (ways[0] + ways[1]) / 2
     centre = float(np.linalg.norm(aperture.positions, axis=1).mean())
     start = centre - bins // 2 * step_m if start_m is None else start_m
     ranges = start + step_m * np.arange(bins)
@@ -63,6 +72,8 @@ def record(
     else:
         data = (z.real + noise * rng.standard_normal(z.shape)).astype(np.float32)
     free = aperture.angles is None
+    transmit, receive = antennas_of(aperture)
+    apart = 2 * np.linalg.norm(aperture.half_baseline[0]) if aperture.half_baseline is not None else 0.0
     return Capture(
         data,
         start,
@@ -70,5 +81,7 @@ def record(
         angles_rad=aperture.angles,
         axis_distance_m=aperture.axis_distance,
         antenna_height_m=aperture.height,
-        antenna_positions_m=aperture.positions if free else None,
+        antenna_separation_m=0.0 if free else apart,
+        antenna_positions_m=transmit if free else None,
+        receive_positions_m=receive if free and apart else None,
     )

@@ -22,6 +22,7 @@ def capture(**changes: Any) -> Capture:
         "angle_sigma_rad": np.full(views, 1e-3),
         "axis_distance_m": 1.25,
         "antenna_height_m": 0.2,
+        "antenna_separation_m": 0.15,
         "host_time_ns": 1_700_000_000_123_456_789 + np.arange(views),
         "radar_time_ms": 21.0 * np.arange(views),
         "scan_id": np.arange(70_000, 70_000 + views),
@@ -51,6 +52,7 @@ def assert_equal(a: Capture, b: Capture) -> None:
 
 
 FREE = {"angles_rad": None, "angle_sigma_rad": None, "antenna_positions_m": np.arange(27.0).reshape(9, 3)}
+PAIRS = {**FREE, "receive_positions_m": np.arange(27.0).reshape(9, 3)[::-1] / 7}
 BARE = dict.fromkeys(("angles_rad", "angle_sigma_rad", "axis_distance_m", "host_time_ns", "pulse"))
 COMPLEX = {"samples": (np.arange(360).reshape(9, 40) * (1 - 2j)).astype(np.complex64)}
 FLOAT = {"samples": np.linspace(-1, 1, 360, dtype=np.float32).reshape(9, 40)}

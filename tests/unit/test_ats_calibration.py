@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from imaging_scenes import record, turn
@@ -10,7 +12,7 @@ from tagid.capture import Capture
 from tagid.errors import DataError, UsageError
 from tagid.geometry import Aperture, ImageGrid
 from tagid.imaging import memory
-from tagid.imaging.ats.calibration import Unknowns, angle_error, improve
+from tagid.imaging.ats.calibration import Unknowns, _gains, _solve, angle_error, improve
 from tagid.imaging.ats.fit import AtsSettings, fit
 from tagid.imaging.ats.illumination import illumination
 from tagid.imaging.ats.occlusion import transmission
@@ -27,11 +29,11 @@ WOBBLE = np.array([0.015 + 0.01j, -0.006j])
 VIEWS = 48
 
 
-def scans_of(wobble=WOBBLE, offset_m=0.004, noise=0.05, gain=None, static=0.0) -> BasebandScans:
+def scans_of(wobble=WOBBLE, offset_m=0.004, noise=0.05, gain=None, static=0.0, seed=3) -> BasebandScans:
     """Scans that claim an even turn at 1 m; the truth is `wobble` and `offset_m`."""
     nominal = np.arange(VIEWS) * 2 * np.pi / VIEWS
     truth = Aperture.turntable(nominal + angle_error(nominal, wobble), 1.0 + offset_m)
-    capture = record(POINTS, [1.0, 0.8, 0.9], truth, analytic=True, noise=noise, seed=3)
+    capture = record(POINTS, [1.0, 0.8, 0.9], truth, analytic=True, noise=noise, seed=seed)
     scans = preprocess(capture, settings=PreprocessSettings("none", False, extent_m=0.4))
     samples = scans.samples * (1 if gain is None else gain[:, None]) + static
     kept = {**scans.__dict__, "aperture": turn(VIEWS), "samples": samples.astype(np.complex64)}
@@ -48,6 +50,64 @@ def test_distance_and_wobble_of_a_known_scene() -> None:
     assert now.offset_m == pytest.approx(0.004, abs=3 * now.sigma_m)
     assert now.sigma_m < 5e-4
     assert np.abs(now.wobble - WOBBLE).max() < 1e-3
+
+
+def test_a_scene_that_explains_a_tenth_less_than_the_last_teaches_no_geometry() -> None:
+    scans, what = scans_of(), ("axis", "wobble")
+    sigma = np.array([1.0, 0.8, 0.9], dtype=np.complex64)
+    free = improve(scans, POINTS, sigma, Unknowns.none(scans, 2), what)
+    assert 0 < free.unexplained < np.inf and free.offset_m != 0
+    for share, taken in ((1.09, True), (1.11, False)):
+        before = replace(Unknowns.none(scans, 2), unexplained=free.unexplained / share)
+        after = improve(scans, POINTS, sigma, before, what)
+        if taken:
+            assert (after.offset_m, after.unexplained) == (free.offset_m, free.unexplained)
+            np.testing.assert_array_equal(after.wobble, free.wobble)
+        else:
+            assert (after.offset_m, after.unexplained) == (0.0, before.unexplained)
+            assert not after.wobble.any()
+
+
+def test_samples_that_repeat_the_noise_count_once() -> None:
+    """Noise sampled three times as densely as it changes: the same estimates with the same errors."""
+    rng = np.random.default_rng(2)
+    scans = scans_of(np.zeros(2), 0.0, noise=0.3, gain=1 + 0.1 * rng.standard_normal(VIEWS))
+    once = replace(scans, independent_samples=float(scans.samples.size))
+    dense = replace(once, samples=np.repeat(scans.samples, 3, axis=1))
+    seen = scans_of(np.zeros(2), 0.0, noise=0.0).samples
+    known = _gains(once, seen, Unknowns.none(once, 2))
+    same = _gains(dense, np.repeat(seen, 3, axis=1), Unknowns.none(dense, 2))
+    np.testing.assert_allclose(same.gain, known.gain, rtol=1e-6)
+    np.testing.assert_allclose(same.gain_sigma, known.gain_sigma, rtol=1e-6)
+    blind = _gains(
+        replace(dense, independent_samples=0.0), np.repeat(seen, 3, axis=1), Unknowns.none(dense, 2)
+    )
+    assert (blind.gain_sigma < 0.75 * known.gain_sigma).all()  # unknown: taken as white
+
+    columns = [rng.standard_normal((VIEWS, 8)) + 1j * rng.standard_normal((VIEWS, 8)) for _ in range(3)]
+    noise = rng.standard_normal((VIEWS, 8)) + 1j * rng.standard_normal((VIEWS, 8))
+    data = 0.3 * columns[0] - 0.1 * columns[2] + 0.5 * noise
+    change, error = _solve(columns, data, [0.2, 1.0, 0.1], [0.05], 1.0)
+    dense_columns = [np.repeat(column, 3, axis=1) for column in columns]
+    again, dense_error = _solve(dense_columns, np.repeat(data, 3, axis=1), [0.2, 1.0, 0.1], [0.05], 3.0)
+    np.testing.assert_allclose(again, change, rtol=1e-5)
+    np.testing.assert_allclose(dense_error, error, rtol=1e-5)
+
+
+def test_the_stated_error_of_a_gain_is_its_error() -> None:
+    """With gains drawn from the prior, error over sigma has unit spread, in noise that filters correlate."""
+    rng = np.random.default_rng(5)
+    ratios = []
+    for seed in range(20):
+        gain = 1 + 0.1 * rng.standard_normal(VIEWS)
+        gain /= gain.mean()
+        clean = scans_of(np.zeros(2), 0.0, noise=0.0)
+        noisy = scans_of(np.zeros(2), 0.0, noise=0.2, gain=gain, seed=seed)
+        now = Unknowns.none(noisy, 2)
+        for _ in range(3):
+            now = _gains(noisy, clean.samples, now)
+        ratios.append((now.gain - gain) / now.gain_sigma)
+    assert np.std(ratios) == pytest.approx(1.0, abs=0.12)
 
 
 def test_gain_and_static_component_of_a_known_scene() -> None:

@@ -15,6 +15,7 @@ from tagid.imaging.ats import fit as fit_module  # noqa: E402
 from tagid.imaging.ats import fit_torch  # noqa: E402
 from tagid.imaging.ats import forward_step as step_module  # noqa: E402
 from tagid.imaging.ats.fit import AtsSettings, fit  # noqa: E402
+from tagid.imaging.ats.fit_native import NativeEngine  # noqa: E402
 from tagid.imaging.ats.fit_torch import TorchEngine  # noqa: E402
 from tagid.imaging.ats.problem import (  # noqa: E402
     FieldShape,
@@ -46,12 +47,12 @@ def problem(scans):
     aspect = np.exp(1j * RNG.uniform(0, 6, (24, 3)))
     confidence = RNG.uniform(0.2, 1, scans.samples.shape)
     shadow = RNG.uniform(0.3, 1, (24, GRID.pixels**2))
-    return weights, GridArrays.of(GRID, SHAPE.cells, fine.step), fine, aspect, confidence, shadow
+    return weights, GridArrays.of(GRID, SHAPE.cells), fine, aspect, confidence, shadow
 
 
 def test_the_gradient_is_that_of_the_loss_by_autograd(scans) -> None:
     weights, grid, fine, aspect, confidence, shadow = problem(scans)
-    views = view_arrays(scans, fine.step, confidence, aspect, shadow)
+    views = view_arrays(scans, GRID.points, fine, confidence, aspect, shadow)
     numbers = np.array([0, 0, 1, 1, 3.0, 2e-3, 1e-3, 5e-3, 1e-8], dtype=np.float32)
     engine = TorchEngine(weights)
     loss = engine.step(grid, views, fine, numbers)
@@ -85,7 +86,7 @@ def test_the_gradient_is_that_of_the_loss_by_autograd(scans) -> None:
 def test_the_gradient_is_that_of_the_loss_by_finite_differences(scans, monkeypatch) -> None:
     """The very step of the engine in double precision, along random directions of every parameter."""
     weights, grid, fine, aspect, confidence, shadow = problem(scans)
-    views = view_arrays(scans, fine.step, confidence, aspect, shadow)
+    views = view_arrays(scans, GRID.points, fine, confidence, aspect, shadow)
     numbers = np.array([0, 0, 1, 1, 3.0, 2e-3, 1e-3, 5e-3, 1e-8], dtype=np.float32)
     seen = []
     monkeypatch.setattr(fit_torch, "optimise", lambda s: seen.append(s) or step_module.optimise(s))
@@ -123,8 +124,10 @@ def test_the_step_sees_what_the_operator_sees(scans) -> None:
     shape = FieldShape((4, 9), features=3, width=5, hidden=2)
     weights = draw_weights(shape, GRID, 0.3, seed=2)
     fine = FineRange.of(scans, GRID.points)
-    arrays = GridArrays.of(GRID, shape.cells, fine.step)
-    views = view_arrays(scans, fine.step, np.ones(scans.samples.shape), np.ones((24, 1), dtype=complex))
+    arrays = GridArrays.of(GRID, shape.cells)
+    views = view_arrays(
+        scans, GRID.points, fine, np.ones(scans.samples.shape), np.ones((24, 1), dtype=complex)
+    )
     numbers = np.array([0, 0, 1, 1, 0.3, 1, 0, 0, 1e-8], dtype=np.float32)
     loss = TorchEngine(weights).step(arrays, views, fine, numbers)
     residual = ForwardOperator(scans, GRID).forward(weights.on(GRID).ravel()) - scans.samples
@@ -137,7 +140,7 @@ def matrix_of_nearest_bins(scans, fine):
     real, imaginary = np.split(fine.spread, 2, axis=1)
     out = []
     for antenna in scans.aperture.positions:
-        place = np.linalg.norm(points - antenna, axis=1) / fine.step - fine.offset[0]
+        place = np.linalg.norm(points - antenna, axis=1) / fine.step - fine.offset
         out.append((real + 1j * imaginary)[place.astype(int)].T)
     return torch.from_numpy(np.stack(out).astype(np.complex64))
 
@@ -159,7 +162,65 @@ def test_onnxruntime_gives_the_image_of_torch(scans) -> None:
     assert (torch_image.settings["engine"], onnx_image.settings["engine"]) == ("torch", "onnx")
 
 
-def test_auto_is_onnx_where_it_can_and_torch_else(scans) -> None:
+class NearestBins:
+    """What `RangeGeometry` is to the native engine, with every point in the nearest bin."""
+
+    def __init__(self, index: np.ndarray, bins: int) -> None:
+        self.index, self.bins = index, bins
+
+    def scatter(self, values: np.ndarray) -> np.ndarray:
+        out = np.zeros((len(self.index), self.bins), np.complex64)
+        for row, at in zip(out, self.index, strict=True):
+            np.add.at(row, at, values)
+        return out
+
+    def gather(self, rows: np.ndarray) -> np.ndarray:
+        return np.take_along_axis(rows, self.index.astype(np.intp), axis=1).sum(axis=0)
+
+
+@pytest.mark.parametrize("changes", [{}, {"aspect_harmonics": 1}, {"smoothness": 0.01}, {"hidden": 2}])
+def test_one_native_step_is_that_of_torch(scans, changes) -> None:
+    """Loss, gradient and update with the nearest bins of the graph in the place of the kernel's two."""
+    harmonics, hidden = changes.get("aspect_harmonics", 0), changes.get("hidden", 1)
+    shape = FieldShape((4, 9), features=3, width=5, hidden=hidden, channels=2 * harmonics + 1)
+    weights = draw_weights(shape, GRID, 0.3, seed=2)
+    fine = FineRange.of(scans, GRID.points)
+    aspect = np.exp(1j * RNG.uniform(0, 6, (24, shape.channels)))
+    confidence = RNG.uniform(0.2, 1, scans.samples.shape)
+    views = view_arrays(scans, GRID.points, fine, confidence, aspect).select(np.arange(0, 24, 2))
+    views.__dict__["geometry"] = NearestBins(views.index, len(fine.spread))
+    numbers = np.array([0, 0, 1, 1, 0.3, 1, 1e-3, changes.get("smoothness", 0), 0.1], np.float32)
+    arrays = GridArrays.of(GRID, shape.cells)
+    torch_engine, native = TorchEngine(weights), NativeEngine(weights)
+    losses = [engine.step(arrays, views, fine, numbers) for engine in (torch_engine, native)]
+    assert losses[0] == pytest.approx(losses[1], rel=1e-4)
+    count = len(native._state)
+    for one, other in zip(torch_engine._state[count : 2 * count], native._first, strict=True):
+        assert np.linalg.norm(one.numpy() - other) < 1e-3 * np.linalg.norm(other)  # of Adam: the gradient
+    moving = np.array([0.06, 0.03, 10, 20, 0.3, 1, 1e-3, 0, 0.1], np.float32)
+    for engine in (torch_engine, native):
+        engine.step(arrays, views, fine, moving)
+    after = [engine.weights() for engine in (torch_engine, native)]
+    for name in ("tables", "weights", "biases"):
+        for start, one, other in zip(*(getattr(w, name) for w in (weights, *after)), strict=True):
+            assert np.linalg.norm(one - other) < 2e-3 * np.linalg.norm(one - start)
+
+
+def test_the_native_engine_gives_the_image_of_the_graph(scans) -> None:
+    images = [
+        fit(scans, GRID, AtsSettings(engine=e, seed=3, finest_m=0.015)).image for e in ("native", "onnx")
+    ]
+    difference = np.linalg.norm(images[0].values - images[1].values)
+    assert difference < 0.03 * np.linalg.norm(images[1].values)
+
+
+def test_auto_is_the_fastest_engine_that_can(scans, monkeypatch) -> None:
+    assert fit(scans, GRID, AtsSettings(steps=2, occlusion=0.3)).image.settings["engine"] == "onnx"
+    with pytest.raises(UsageError, match="light"):
+        fit(scans, GRID, AtsSettings(steps=2, occlusion=0.3, engine="native"))
+    monkeypatch.setattr(fit_module, "is_compiled", lambda: True)
+    assert fit(scans, GRID, AtsSettings(steps=2)).image.settings["engine"] == "native"
+    monkeypatch.setattr(fit_module, "is_compiled", lambda: False)
     assert fit(scans, GRID, AtsSettings(steps=2)).image.settings["engine"] == "onnx"
     assert fit(scans, GRID, AtsSettings(steps=2, hidden=2)).image.settings["engine"] == "torch"
     with pytest.raises(UsageError, match="8 levels and 1 hidden"):

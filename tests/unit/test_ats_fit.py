@@ -155,7 +155,7 @@ def test_stops_when_unseen_views_are_no_longer_explained_better() -> None:
     noise_fitted = AtsSettings(steps=200, l1=0.0, noise_factor=0.0, patience=2)
     result = fit(scans, GRID, noise_fitted)
     assert len(result.losses) < 200
-    assert result.held_out > 1
+    assert result.held_out > 0.9
     assert len(fit(scans, GRID, AtsSettings(steps=40, patience=0)).losses) == 40
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tagid.batch import job as job_module
-from tagid.batch.job import Job
+from tagid.batch.job import MAX_CAPTURE_BYTES, Job, Outcome, _sha256
 from tagid.config import load_config
 from tagid.imaging.ats.settings import AtsSettings
 from tagid.models_store import manifest
@@ -96,3 +96,18 @@ def test_version_and_models_change_it(monkeypatch: pytest.MonkeyPatch) -> None:
     assert "ats_step" in entries
     monkeypatch.setattr(job_module, "manifest", lambda: entries)
     assert job().fingerprint() != usual
+
+
+def test_the_order_of_settings_changes_nothing_and_their_values_do() -> None:
+    """A worker of another version of Python may list the same settings in another order."""
+    assert _sha256({"a": 1, "b": [2, 3]}) == _sha256({"b": [2, 3], "a": 1})
+    assert _sha256({"a": 1, "b": [2, 3]}) != _sha256({"a": 1, "b": [3, 2]})
+
+
+def test_an_outcome_is_new_and_without_pictures_unless_it_says_so() -> None:
+    plain = Outcome({"status": "no_tag"})
+    assert (plain.image, plain.sinogram, dict(plain.drawing)) == (b"", b"", {})
+    assert plain.reused is False and plain.cpu_s == 0.0
+    assert plain == Outcome({"status": "no_tag"}) != Outcome({"status": "no_tag"}, reused=True)
+    assert job().pictures and job().known == frozenset()
+    assert MAX_CAPTURE_BYTES == 512 * 1024 * 1024

@@ -47,7 +47,7 @@ def test_two_of_three_reflectors_are_not_named_for_sure_where_they_are_another_l
     assert reading.matches[0].layout.name == "pair"
 
 
-def test_strangers_are_unknown_and_nothing_is_no_tag() -> None:
+def test_unenrolled_tags_are_unknown_and_nothing_is_no_tag() -> None:
     square = Layout("square", np.array([[0.1, 0.0], [0.0, 0.1], [-0.1, 0.0], [0.0, -0.1]]))
     found, _ = detections(square, np.random.default_rng(2))
     assert read_constellation(found, LAYOUTS).status == "unknown"

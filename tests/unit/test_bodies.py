@@ -230,7 +230,7 @@ def test_an_untagged_can_has_no_tag_and_the_picture_loses_it() -> None:
 
 
 @pytest.mark.parametrize("seed", [7, 11, 23, 31])
-def test_strangers_are_not_named(seed: int) -> None:
+def test_unenrolled_objects_are_not_named(seed: int) -> None:
     reading = read_tag(scans_of(draw(seed).capture), LAYOUTS, SETTINGS)
     assert reading.status != "identified"
     assert reading.advice == ADVICE[reading.code] != ""

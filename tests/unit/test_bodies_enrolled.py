@@ -109,7 +109,7 @@ def test_a_registry_of_schema_1_is_migrated(tmp_path: Path, mug: Signature) -> N
     assert {change.kind for change in registry.history()} == {"layout"}
     assert all(change.layout is not None for change in registry.history())
     assert registry.add_all([], "3 captures", signatures=[mug]) == 10
-    assert registry.go_back(6) == 12
+    assert registry.undo(6).version == 12
     assert registry.signatures() == [] and "container-180" in [one.name for one in registry.layouts()]
     with sqlite3.connect(path) as connection:
         assert connection.execute("PRAGMA user_version").fetchone()[0] == 2
@@ -124,7 +124,7 @@ def test_bodies_and_objects_are_kept_undone_and_removed(
     assert registry.add_all([layout], "3 captures", signatures=[tagged], replace=False) == 6
     assert registry.add_all([], "3 captures", signatures=[mug], replace=False) == 7
     assert registry.add_all([], "again", signatures=[mug]) == 7
-    with pytest.raises(RegistryError, match="a body named mug is enrolled already"):
+    with pytest.raises(RegistryError, match="a body named mug is already enrolled"):
         registry.add_all([], "x", signatures=[mug], replace=False)
     assert [(one.kind, one.name) for one in registry.contents().signatures] == [
         ("body", "mug"),
@@ -134,12 +134,12 @@ def test_bodies_and_objects_are_kept_undone_and_removed(
     assert registry.remove_signature("body", "mug") == 8
     with pytest.raises(RegistryError, match="no body is named 'mug'"):
         registry.remove_signature("body", "mug")
-    assert registry.go_back() == 9
+    assert registry.undo().version == 9
     assert [one.name for one in registry.signatures("body")] == ["mug"]
     # An identity goes as a whole and comes back as a whole.
     assert registry.remove("mug-7") == 11
     assert registry.signatures("object") == []
-    registry.go_back()
+    registry.undo()
     assert [one.name for one in registry.signatures("object")] == ["mug-7"]
     assert registry.get("mug-7").size == 2
     last = registry.history("mug")[-1]
@@ -162,7 +162,7 @@ def test_a_damaged_signature_is_seen_and_can_be_removed(tmp_path: Path, mug: Sig
     assert len(registry.layouts()) == 4
     registry.remove_signature("body", "mug")
     assert registry.history("mug")[-1].entry is None
-    registry.go_back(good)
+    registry.undo(good)
     assert [one.name for one in registry.signatures()] == ["mug"]
 
 

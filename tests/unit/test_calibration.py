@@ -84,7 +84,7 @@ def test_the_empty_scene_is_taken_off() -> None:
     assert empty.radar.reference.noise_std == pytest.approx(120, rel=0.05)
     both = capture(leakage + 5000 * echo(2e12 * DISTANCE / SPEED_OF_LIGHT + DELAY_PS))
     alone = estimate_delay(both, DISTANCE)
-    assert abs(alone.delay_ps - DELAY_PS) > 5000  # the leakage was taken for the target
+    assert abs(alone.delay_ps - DELAY_PS) > 5000  # the leakage was mistaken for the target
     found = estimate_delay(both, DISTANCE, empty=reference_on(empty, both))
     assert found.delay_ps == pytest.approx(DELAY_PS, abs=5)
 
@@ -107,7 +107,7 @@ def test_what_cannot_be_told_is_an_error() -> None:
 
 
 def test_the_reference_fits_a_window_that_starts_elsewhere() -> None:
-    """Another start, integration and cable delay: the empty scene is taken off to the noise of its mean."""
+    """Another start, integration and cable delay: the empty scene is subtracted to the noise of its mean."""
     room = [(12_000.0, 30_000.0), (15_500.0, -9000.0), (23_000.0, 4000.0)]
     wide = sum(a * echo(t) for t, a in room)
     reference = make_reference(capture(wide, noise=0.0))

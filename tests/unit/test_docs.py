@@ -7,6 +7,7 @@ import importlib.util
 import re
 import subprocess
 import sys
+from functools import cache
 from html.parser import HTMLParser
 from pathlib import Path
 from types import ModuleType
@@ -190,3 +191,70 @@ def test_the_site_builds_strictly_and_loads_nothing_from_elsewhere(tmp_path: Pat
     for style in (tmp_path / "site").rglob("*.css"):
         away |= set(re.findall(r"url\(['\"]?((?:https?:)?//[^)'\"]+)", style.read_text(encoding="utf-8")))
     assert away == set()
+
+
+@cache
+def definitions() -> set[str]:
+    """Names of every module, class, function and value of the package."""
+    found: set[str] = set()
+    for path in (ROOT / "tagid").rglob("*.py"):
+        found.add(path.stem)
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.ClassDef | ast.FunctionDef):
+                found.add(node.name)
+            elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+                found.add(node.id)
+    return found
+
+
+def exists(path: str) -> bool:
+    return (ROOT / path).exists() or (ROOT / "tagid" / path).exists()
+
+
+def test_the_architecture_page_describes_the_code_as_it_is() -> None:
+    page = (DOCS / "architecture.md").read_text()
+    tree, text = page.split("```")[1], page.split("```")[2]
+    rows = re.findall(r"^ *([\w/]+/|[a-z_]+(?: [a-z_]+)*|__init__\.py)(?: {2,}|$)", tree, re.M)
+    named = {name for row in rows for name in row.removesuffix("/").split()}
+    rooms = {p.stem for p in (ROOT / "tagid").iterdir() if p.is_dir() or p.suffix == ".py"} - {
+        "__pycache__",
+        "__main__",
+    }
+    assert rooms - named - {"__init__"} == set(), "parts that the page does not name"
+    known = definitions()
+    words = re.findall(r"`([\w./]+)`", text)
+    gone = [
+        word
+        for word in words
+        if not (exists(word) if "/" in word or "." in word else word in known or exists(word))
+    ]
+    assert gone == []
+    for room, line in re.findall(r"^  ([\w/]+)/ +(.*(?:\n {15,}.*)*)", tree, re.M):
+        for folder in re.findall(r"\b(\w+)/", line):
+            assert exists(f"{room}/{folder}"), f"{room}/{folder}"
+        for module in re.findall(r": ((?:[a-z_0-9]+ )*[a-z_0-9]+)$", line.split("\n")[-1], re.M):
+            if " " in module:
+                assert [m for m in module.split() if not exists(f"{room}/{m}.py")] == [], room
+
+
+@pytest.mark.parametrize("page", sorted(DOCS.rglob("*.md")), ids=lambda p: p.name)
+def test_modules_and_files_that_a_page_names_exist(page: Path) -> None:
+    text = page.read_text()
+    modules = set(re.findall(r"`((?:tagid|train|firmware_tools)(?:\.\w+)+)", text))
+    known = definitions()
+    gone = []
+    for module in modules:
+        parts = module.split(".")
+        while parts and not (
+            (ROOT / "/".join(parts)).is_dir() or (ROOT / ("/".join(parts) + ".py")).exists()
+        ):
+            parts.pop()
+        rest = module.split(".")[len(parts) :]
+        gone += (
+            [module]
+            if len(rest) > 2 or any(name not in known and name not in tagid.__all__ for name in rest)
+            else []
+        )
+    assert gone == []
+    paths = set(re.findall(r"`((?:tagid|train|tests|firmware_tools|docs|models)/[\w./-]+)`", text))
+    assert [path for path in paths if not exists(path)] == []

@@ -15,15 +15,17 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 
 LAYERS = (
     {"cli", "__main__"},
+    {"station"},
     {"batch"},
     {"report", "doctor"},
+    {"live", "planning"},
     {"pipeline", "recording"},
     {"simulate"},
     {"tags"},
     {"imaging"},
     {"angles", "motion", "radar", "storage"},
     {"capture", "metadata", "geometry", "waveform", "signal", "files", "config", "result", "ports"}
-    | {"models_store", "interrupts"},
+    | {"models_store", "interrupts", "hostclock", "onnx_files"},
     {"constants", "errors", "__init__"},
 )
 """The layers of docs/architecture.md, from the top; a room imports from its own layer and those below."""

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from tagid.errors import UsageError
+from tagid.geometry import Aperture
 from tagid.imaging import kernel, memory
 from tagid.imaging.kernel import RangeGeometry
 
@@ -29,7 +30,7 @@ def engine(request, monkeypatch):
 
 
 def geometry(bins=500):
-    return RangeGeometry.of(ANTENNA, POINTS, (FIRST_M, STEP_M), bins)
+    return RangeGeometry.of(Aperture(ANTENNA), POINTS, (FIRST_M, STEP_M), bins)
 
 
 def by_definition(rows):
@@ -94,7 +95,16 @@ def test_buffers_that_do_not_fit_are_refused():
     for bins in (0, 1, 499, 501, -5, 1 << 40):
         with pytest.raises(ValueError, match="fit"):
             kernel._compiled.gather(
-                where.antenna, where.x, where.y, complex_noise(23, 500), complex_noise(70), bins, 0.0, 1
+                where.antenna,
+                where.second,
+                where.x,
+                where.y,
+                where.z,
+                complex_noise(23, 500),
+                complex_noise(70),
+                bins,
+                0.0,
+                1,
             )
 
 

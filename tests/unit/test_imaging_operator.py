@@ -11,7 +11,7 @@ from imaging_scenes import helix, record, turn
 from tagid.errors import UsageError
 from tagid.geometry import ImageGrid
 from tagid.imaging import memory
-from tagid.imaging.operator import ForwardOperator
+from tagid.imaging.operator import PHASE_STEP, ForwardOperator, fine_range, interpolation_gain
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
 
 GRID = ImageGrid(0.4, 24)
@@ -63,9 +63,42 @@ def test_the_matrix_is_the_operator(operator):
     assert np.abs(two.ravel() - y).max() < 1e-5 * np.abs(y).max()
 
 
+def test_adjoint_and_call_are_those_of_the_forward_map(operator):
+    rng = np.random.default_rng(5)
+    x = complex_noise(rng, operator.points)
+    y = complex_noise(rng, (operator.views, operator.bins))
+    left, right = np.vdot(y, operator(x)), np.vdot(operator.adjoint(y), x)
+    assert left == pytest.approx(right, rel=1e-4)
+
+
+def test_the_fine_range_holds_all_points_in_steps_of_the_stated_phase(aperture):
+    """One step more on either side, so that each point lies between two samples, and none is wasted."""
+    scans = scans_of(aperture)
+    start, step, bins = fine_range(scans, POINTS)
+    assert step == pytest.approx(0.2 / (2 * scans.wavenumber))
+    xyz = np.column_stack([POINTS, np.zeros(len(POINTS))])
+    away = np.linalg.norm(scans.aperture.positions[:, None] - xyz, axis=2)
+    reach = np.hypot(*POINTS.T).max()
+    assert start <= away.min() - step * 0.99
+    assert start + step * (bins - 1) >= away.max() + step * 0.99
+    assert step * bins <= 2 * reach + np.ptp(np.linalg.norm(scans.aperture.positions, axis=1)) + 4 * step
+    coarse = replace(scans, range_step_m=step / 3)
+    assert fine_range(coarse, POINTS)[1] == step / 3
+
+
+def test_what_the_bins_cannot_see_has_no_norm():
+    scans = scans_of(turn(20))
+    assert ForwardOperator(replace(scans, range_start_m=90.0), GRID).norm_squared() == 0.0
+    few = [ForwardOperator(scans, GRID).norm_squared(iterations=n) for n in (1, 12, 13)]
+    assert 0 < few[0] < few[1] <= few[2]
+    assert ForwardOperator(scans, GRID).norm_squared() == few[1]
+    assert ForwardOperator(scans, GRID).norm_squared(seed=1) != few[1]
+
+
 def test_norm_bounds_the_operator(operator):
     norm = operator.norm_squared(iterations=60)
-    largest = np.linalg.svd(operator.matrix.toarray(), compute_uv=False)[0] ** 2
+    dense = operator.matrix.toarray()
+    largest = np.linalg.eigvalsh(dense.conj().T @ dense)[-1]
     assert norm == pytest.approx(largest, rel=0.02)
     assert operator.norm_squared() == operator.norm_squared()
 
@@ -77,6 +110,45 @@ def test_forward_of_points_is_the_recorded_echo(aperture, matched):
     scans = scans_of(aperture, matched=matched)
     model = ForwardOperator(scans, POINTS).forward(amplitudes)
     assert np.abs(model - scans.samples).max() < 0.01 * np.abs(scans.samples).max()
+
+
+def test_the_gain_makes_up_for_what_linear_interpolation_loses():
+    """Mean over the place between two samples of (1 - f + f exp(j phi)) exp(-j f phi), for any phi."""
+    place = (np.arange(1000) + 0.5) / 1000
+    for phase in (0.05, 0.2, 1.0, 2.5):
+        between = 1 - place + place * np.exp(1j * phase)
+        mean = (between * np.exp(-1j * place * phase)).mean()
+        assert interpolation_gain(phase) * mean == pytest.approx(1.0, abs=1e-5)
+
+
+def test_the_model_has_the_echo_of_the_formula_on_average_and_nearly_everywhere(aperture):
+    """0.33 % are lost without the gain; what stays is the scatter that the module states, 0.15 % rms."""
+    scans = scans_of(aperture)
+    rng = np.random.default_rng(8)
+    for point in rng.uniform(-0.15, 0.15, (12, 2)):
+        away = np.linalg.norm(scans.aperture.positions - np.append(point, 0.0), axis=1)[:, None]
+        exact = scans.response(scans.ranges_m - away) * np.exp(-2j * scans.wavenumber * away)
+        model = ForwardOperator(scans, point[None]).forward(np.ones(1))
+        share = np.vdot(exact, model) / np.vdot(exact, exact)
+        assert abs(share - 1) < 1e-3
+        assert np.linalg.norm(model - exact) < 2.5e-3 * np.linalg.norm(exact)
+    assert pytest.approx(0.005) == PHASE_STEP**2 / 8
+
+
+def test_the_slope_is_the_derivative_by_a_common_distance(aperture):
+    """All points 10 um farther: the difference of two models over the way, in amplitude and in phase."""
+    scans = scans_of(aperture)
+    rng = np.random.default_rng(9)
+    for point in rng.uniform(-0.15, 0.15, (4, 2)):
+        away = np.linalg.norm(scans.aperture.positions - np.append(point, 0.0), axis=1)[:, None]
+
+        def echo(distance, scans=scans):
+            return scans.response(scans.ranges_m - distance) * np.exp(-2j * scans.wavenumber * distance)
+
+        exact = (echo(away + 1e-5) - echo(away - 1e-5)) / 2e-5
+        slope = ForwardOperator(scans, point[None]).slope(np.ones(1))
+        assert np.linalg.norm(slope - exact) < 0.01 * np.linalg.norm(exact)
+        assert abs(np.vdot(exact, slope) / np.vdot(exact, exact) - 1) < 4e-3
 
 
 def test_turning_the_object_is_turning_the_aperture_back(aperture):
@@ -115,7 +187,7 @@ def test_too_large_is_refused_before_memory_is_taken(monkeypatch):
     assert "fewer views" in caught.value.remedy
 
 
-@pytest.mark.parametrize("points", [np.zeros((0, 2)), np.zeros((4, 3)), np.zeros(4), np.full((2, 2), np.nan)])
+@pytest.mark.parametrize("points", [np.zeros((0, 2)), np.zeros((4, 4)), np.zeros(4), np.full((2, 2), np.nan)])
 def test_points_must_be_points(points):
     with pytest.raises(UsageError, match="points"):
         ForwardOperator(scans_of(turn(20)), points)

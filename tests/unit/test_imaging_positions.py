@@ -10,7 +10,6 @@ from tagid.config import METHODS as CONFIG_METHODS
 from tagid.errors import UsageError
 from tagid.geometry import Aperture, ImageGrid
 from tagid.imaging.farfield import polar_format, range_doppler
-from tagid.imaging.metrics import localise, pick_peaks
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.imaging.rangefocus import focus_delay, is_straight
 from tagid.imaging.region import choose_region
@@ -18,6 +17,7 @@ from tagid.pipeline.prepared import prepare
 from tagid.pipeline.reconstruct import reconstruct
 from tagid.pipeline.settings import METHODS, ImagingSettings
 from tests.unit.imaging_scenes import STEP_M, analytic_echo, record, turn
+from train.metrics import localise, pick_peaks
 
 POINTS = np.array([[-0.6, 2.3], [0.5, 3.6]])
 
@@ -157,3 +157,29 @@ def test_polar_format_of_a_far_turn_is_the_backprojection() -> None:
 
 def test_config_names_the_methods_that_exist() -> None:
     assert set(CONFIG_METHODS) == set(METHODS)
+
+
+def test_ranges_as_given_are_imaged_about_the_strong_echoes() -> None:
+    """`--no-focus` with free positions: no delay is searched, and the image is not about the origin."""
+    settings = ImagingSettings(method="bp", delay_m=0.0, free_size=(True, True))
+    result = reconstruct(prepare(rail(0.0, views=150)), settings)
+    assert result.region is not None
+    assert result.region.focus is None
+    assert np.hypot(*(np.array(result.image.centre_m) - POINTS.mean(axis=0))) < 0.05
+    peaks = pick_peaks(result.image, 2, 0.25) + np.array(result.image.centre_m)
+    assert localise(peaks, POINTS, 0.03).detected == 2
+    late = reconstruct(prepare(rail(0.42, views=150)), settings)
+    far = np.hypot(*np.array(late.image.centre_m)) - np.hypot(*POINTS.mean(axis=0))
+    assert far == pytest.approx(0.42, abs=0.15)  # the delay stays in the ranges
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_one_side_of_a_straight_path_is_chosen(side: float) -> None:
+    """A straight rail cannot tell its sides apart; a point on one of them says which is wanted."""
+    settings = ImagingSettings(method="bp", free_size=(True, True), towards_m=(0.0, side))
+    result = reconstruct(prepare(rail(0.42, views=150)), settings)
+    assert result.region is not None
+    assert result.region.mirrored
+    found = np.array([[p.x_m, p.y_m] for p in result.region.points])
+    assert localise(found, POINTS * [1, side], 0.03).detected == 2
+    assert result.image.centre_m[1] * side > 1

@@ -104,6 +104,16 @@ def test_noise_is_estimated_beside_a_target(matched, window):
     assert scans.noise_std == pytest.approx(float(truth), rel=0.1)
 
 
+@pytest.mark.parametrize("background", ["mean", "median"])
+@pytest.mark.parametrize("views", [2, 3, 12])
+def test_the_noise_is_that_of_the_radar_and_not_what_the_background_left(background, views):
+    """Subtracting the mean of n views leaves 1 - 1/n of the noise's power; the estimate makes up for it."""
+    capture = record([(0.1, 0)], [5.0], turn(views), noise=0.3, bins=4608, start_m=-18.0)
+    known = preprocess(capture, settings=RAW).noise_std
+    found = preprocess(capture, settings=PreprocessSettings(background)).noise_std
+    assert found == pytest.approx(known, rel=0.05 if background == "mean" or views == 2 else 0.2)
+
+
 def test_the_gate_keeps_what_the_object_can_reach_and_not_more():
     capture = record([(0.2, 0.2)], [1.0], turn(24), bins=1152, start_m=-3.0)
     scans = preprocess(capture, settings=RAW)

@@ -10,10 +10,10 @@ from tagid.errors import UsageError
 from tagid.geometry import ImageGrid
 from tagid.imaging.autofocus import focus_axis_distance, sharpness
 from tagid.imaging.backprojection import backproject
-from tagid.imaging.metrics import localise, peak_to_sidelobe_db, pick_peaks
 from tagid.imaging.operator import ForwardOperator
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.imaging.sparse import SparseSettings, column_norm, omp, soft_threshold, sparse_recovery
+from train.metrics import localise, peak_to_sidelobe_db, pick_peaks
 
 GRID = ImageGrid(0.4, 48)
 POINTS = np.array([GRID.points[i] for i in (10 * 48 + 33, 30 * 48 + 12, 36 * 48 + 37)])

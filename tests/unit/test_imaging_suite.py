@@ -25,7 +25,13 @@ from tagid.imaging.types import BasebandScans
 GRID = ImageGrid(0.3, 18)
 PIXELS = GRID.pixels**2
 POINTS = np.array([[0.1, 0.05], [-0.12, 0.0], [0.03, -0.11]])
-APERTURES = {"turntable": turn(20), "raised": turn(20, 1.1, 0.4), "free": helix(20)}
+APERTURES = {
+    "turntable": turn(20),
+    "raised": turn(20, 1.1, 0.4),
+    "free": helix(20),
+    "two antennas": turn(20, 1.1, 0.4, 0.2),
+    "free pairs": Aperture.two_antennas(helix(20).positions + np.array([0, 0.1, 0.05]), helix(20).positions),
+}
 
 
 @dataclass(frozen=True)
@@ -53,9 +59,16 @@ def slope_map() -> Map:
     return Map(PIXELS, ForwardOperator(scans_of(APERTURES["raised"]), GRID).slope)
 
 
-def kernel_map(compiled: bool) -> Map:
+def kernel_map(compiled: bool, pair: bool = False, high: bool = False) -> Map:
+    one = helix(11)
+    aperture = (
+        Aperture.two_antennas(one.positions, one.positions + np.array([0.1, -0.1, 0.05])) if pair else one
+    )
+    heights = np.random.default_rng(1).uniform(-0.2, 0.2, PIXELS)
+    points = np.column_stack([GRID.points, heights]) if high else GRID.points
+
     def engine() -> RangeGeometry:
-        return RangeGeometry.of(helix(11).positions, GRID.points, (0.7, 0.002), 400)
+        return RangeGeometry.of(aperture, points, (0.7, 0.002), 400)
 
     def run(job: Callable[[RangeGeometry], np.ndarray]) -> np.ndarray:
         before = kernel._compiled
@@ -160,6 +173,10 @@ MAPS: dict[str, Callable[[], Map]] = {
     "operator's slope": slope_map,
     "kernel in C": lambda: kernel_map(True),
     "kernel in numpy": lambda: kernel_map(False),
+    "kernel in C, two antennas": lambda: kernel_map(True, pair=True),
+    "kernel in C, heights": lambda: kernel_map(True, high=True),
+    "kernel in C, both": lambda: kernel_map(True, pair=True, high=True),
+    "kernel in numpy, both": lambda: kernel_map(False, pair=True, high=True),
     "backprojection": lambda: image_map(backproject),
     "polar format": lambda: image_map(polar_format),
     "preprocessing": preprocess_map,
@@ -179,7 +196,7 @@ ONE_WAY = {"operator's slope", "backprojection", "polar format", "preprocessing"
 
 
 def made(name: str) -> Map:
-    if name == "kernel in C" and not kernel.is_compiled():
+    if name.startswith("kernel in C") and not kernel.is_compiled():
         pytest.skip("no compiler was present at installation")
     return MAPS[name]()
 

@@ -138,7 +138,7 @@ def test_the_period_of_a_turning_object_is_found() -> None:
     assert summary.period_s == pytest.approx(6.0, rel=5e-3)
     assert summary.period_sigma_s is not None
     assert abs(summary.period_s - 6.0) < 5 * max(summary.period_sigma_s, 0.005)
-    assert "1/n" in summary.period_note  # without a nominal speed the doubt is told
+    assert "1/n" in summary.period_note  # without a nominal speed the ambiguity is reported
     assert summary.changing_range_m == pytest.approx(2.0 + 350 * RANGE_STEP_M, abs=15 * RANGE_STEP_M)
     assert summary.strongest is not None
     assert summary.strongest.bin == pytest.approx(80, abs=1)

@@ -32,12 +32,16 @@ from tagid.recording.recorder import Watch, record
 from tagid.storage.hdf5 import read_capture, write_capture
 from tagid.storage.importers import read_any
 from tagid.storage.metadata import migrate_metadata, read_metadata
+from tagid.storage.migrations import FORMAT_VERSION
 
 GOLDEN = Path(__file__).parents[1] / "data" / "captures"
 
 
-@pytest.mark.parametrize("suffix", [".tagid.h5", ".npz", ".tagid.journal"])
-@pytest.mark.parametrize("version", range(1, METADATA_VERSION + 1))
+@pytest.mark.parametrize(
+    ("version", "suffix"),
+    [(n, suffix) for n in range(1, METADATA_VERSION + 1) for suffix in (".npz", ".tagid.journal")]
+    + [(n, ".tagid.h5") for n in range(1, FORMAT_VERSION + 1)],
+)
 def test_files_of_every_version_are_read_alike(version: int, suffix: str) -> None:
     capture = read_any(GOLDEN / f"version-{version}{suffix}")
     assert capture.samples.shape == (64, 192) and capture.complete
@@ -49,6 +53,7 @@ def test_files_of_every_version_are_read_alike(version: int, suffix: str) -> Non
     assert (capture.radar.serial, capture.radar.scans_lost, capture.radar.gap_count) == (1088, 0, 0)
     assert capture.motion.url == "free?rpm=20" and capture.object == ObjectInfo(note="golden")
     if suffix != ".tagid.journal":
+        assert capture.angles_rad is not None
         assert capture.motion.resolved is not None
         assert capture.motion.resolved.nominal_rpm == 20.0 and capture.motion.resolved.period_s == 3.0
     assert not capture.radar.extra and not capture.motion.extra

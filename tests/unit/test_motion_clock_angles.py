@@ -92,6 +92,68 @@ def test_the_stated_sigma_of_the_period_is_its_error() -> None:
     assert np.std(ratios) == pytest.approx(1.0, abs=0.12)
 
 
+@pytest.mark.parametrize(("off_ms", "outliers"), [(1.4, 0), (1.7, 1), (-1.4, 0), (-1.7, 1)])
+def test_a_stamp_further_off_than_rounding_and_jitter_is_not_used(off_ms: float, outliers: int) -> None:
+    times = np.arange(101) * 20.0
+    times[50] += off_ms  # in the middle, where it turns no line
+    clock = fit_clock(times, np.arange(101))
+    assert clock.outliers == outliers
+    assert clock.residual_ms == pytest.approx(0.0 if outliers else 1.4 / np.sqrt(101), abs=2e-2)
+    assert clock.period_s == pytest.approx(0.020, rel=1e-12)
+
+
+def test_stamps_of_no_uniform_clock_are_all_kept_and_the_residual_shows_it() -> None:
+    times = np.cumsum(np.random.default_rng(3).uniform(5, 400, 60))
+    clock = fit_clock(times, np.arange(60))
+    assert clock.outliers == 0
+    line = np.polynomial.Polynomial.fit(np.arange(60), times, 1)
+    rms = np.sqrt(np.mean((times - line(np.arange(60))) ** 2))
+    assert clock.residual_ms == pytest.approx(rms) and rms > 30
+    assert clock.period_s == pytest.approx(line.convert().coef[1] * 1e-3)
+    spread = np.sqrt(60 * (60**2 - 1) / 12)
+    assert clock.period_sigma_s == pytest.approx(rms / spread * 1e-3)
+
+
+def test_a_line_through_two_or_three_stamps() -> None:
+    two = fit_clock(np.array([1000.0, 1021.0]))
+    assert (two.period_s, two.residual_ms, two.outliers) == (0.021, 0.0, 0)
+    assert two.period_sigma_s == pytest.approx(1e-3 / np.sqrt(12) / np.sqrt(0.5))
+    three = fit_clock(np.array([0.0, 20.0, 41.0]), np.array([7, 8, 9]))
+    assert three.period_s == pytest.approx(0.0205)
+    np.testing.assert_array_equal(three.index, [0, 1, 2])
+    np.testing.assert_allclose(three.times_s, [0.0, 0.0205, 0.041])
+
+
+def test_times_are_worst_known_far_from_the_stamps_that_were_used() -> None:
+    """The last five of forty stamps are wrong: the ends' sigma reaches from the middle of the others."""
+    times = np.arange(40) * 20.0
+    times[35:] += 50.0
+    clock = fit_clock(times, np.arange(40))
+    assert clock.outliers == 5
+    used = np.arange(35)
+    rounding_s = 1e-3 / np.sqrt(12)
+    period = rounding_s / np.sqrt(np.sum((used - used.mean()) ** 2))
+    assert clock.period_sigma_s == pytest.approx(period)
+    assert clock.sigma_s == pytest.approx(np.hypot(rounding_s / np.sqrt(35), period * (39 - used.mean())))
+
+
+def test_a_gap_longer_than_half_the_counter_is_still_a_wrap_and_a_shorter_step_back_is_none() -> None:
+    step = 2.0**31 - 1000
+    wrapped = (np.arange(4) * step) % 2**32
+    np.testing.assert_allclose(fit_clock(wrapped, np.arange(4)).times_s, np.arange(4) * step * 1e-3)
+    back = np.arange(30) * 20.0 + 5000
+    back[15] -= 4000  # one bad stamp
+    clock = fit_clock(back, np.arange(30))
+    assert (clock.outliers, clock.times_s[-1]) == (1, pytest.approx(0.58))
+
+
+def test_scan_numbers_of_another_length_are_refused() -> None:
+    with pytest.raises(DataError, match="scan numbers"):
+        fit_clock(np.arange(5) * 20.0, np.arange(4))
+    with pytest.raises(DataError, match="cannot be fitted through 6"):
+        fit_clock(np.ones((2, 3)))
+
+
 @pytest.mark.parametrize(
     ("times", "ids"),
     [

@@ -1,4 +1,4 @@
-"""The registry: round trips, history, damage, strangers, and two writers at once."""
+"""The registry: round trips, history, damage, foreign files, and two concurrent writers."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def test_each_change_raises_the_version_and_is_kept(tmp_path: Path) -> None:
 
 def test_taken_and_missing_names(tmp_path: Path) -> None:
     registry = Registry(tmp_path / "r.db")
-    with pytest.raises(RegistryError, match="enrolled already"):
+    with pytest.raises(RegistryError, match="already enrolled"):
         registry.add(builtin_layouts()["helmet-120"], "x")
     for call in (registry.get, registry.remove):
         with pytest.raises(RegistryError, match="no layout is named") as caught:
@@ -64,7 +64,7 @@ def test_taken_and_missing_names(tmp_path: Path) -> None:
     assert registry.version == 4
 
 
-def test_strangers_and_damage_are_told(tmp_path: Path) -> None:
+def test_foreign_and_damaged_files_are_reported(tmp_path: Path) -> None:
     noise = tmp_path / "noise.db"
     noise.write_bytes(b"not a database, " * 400)
     with pytest.raises(RegistryError, match=r"noise\.db"):
@@ -117,12 +117,12 @@ def test_a_damaged_layout_can_be_taken_out_and_got_back(tmp_path: Path) -> None:
     assert "--remove" in caught.value.remedy
     for name in ("container-180", "container-90"):
         registry.remove(name)
-    with pytest.raises(RegistryError, match="it is that of helmet-120"):
+    with pytest.raises(RegistryError, match="it belongs to helmet-120"):
         registry.layouts()
     registry.remove("strange")
     assert [layout.name for layout in registry.layouts()] == ["helmet-linear"]
     assert [c.layout is None for c in registry.history()] == [False] * 4 + [True] * 3
-    registry.go_back(4)
+    registry.undo(4)
     assert {a.name: a.to_dict() for a in registry.layouts()} == {
         name: layout.to_dict() for name, layout in builtin_layouts().items()
     }
@@ -282,18 +282,46 @@ def test_several_are_added_all_or_none_and_taken_back_as_one(tmp_path: Path) -> 
         merge(registry, [other], "file")
     assert registry.version == last
     assert merge(registry, [other], "file", force=True) == last + 1
-    registry.go_back()
+    step = registry.undo()
+    assert (step.undone, step.changed, step.added, step.removed) == ("file", ("helmet-120",), (), ())
     assert registry.get("helmet-120").to_dict() == before["helmet-120"]
-    registry.go_back(4)
+    registry.undo(4)
     assert {layout.name: layout.to_dict() for layout in registry.layouts()} == before
-    registry.go_back()
+    assert len(registry.redo().added) == 4
     assert len(registry.layouts()) == 8
     with pytest.raises(RegistryError, match="no version 99"):
-        registry.go_back(99)
+        registry.undo(99)
+
+
+def test_undo_goes_back_command_by_command_and_redo_forward(tmp_path: Path) -> None:
+    registry = Registry(tmp_path / "r.sqlite")
+    for number, name in enumerate(("one", "two", "three")):
+        registry.add(Layout(name, SCALENE * (0.6 + 0.1 * number)), f"file {name}")
+
+    def names() -> list[str]:
+        return [one.name for one in registry.layouts() if one.name in ("one", "two", "three", "four")]
+
+    with pytest.raises(RegistryError, match="nothing to redo"):
+        registry.redo()
+    assert registry.undo().undone == "file three" and names() == ["one", "two"]
+    assert registry.undo().removed == ("two",) and names() == ["one"]
+    assert registry.redo().added == ("two",) and names() == ["one", "two"]
+    assert registry.redo().added == ("three",) and names() == ["one", "three", "two"]
+    for _ in range(2):
+        registry.undo()
+    registry.add(Layout("four", SCALENE), "file four")
+    with pytest.raises(RegistryError, match="nothing to redo"):
+        registry.redo()  # a new change ends the row of what was undone
+    assert registry.undo().undone == "file four" and names() == ["one"]
+    assert registry.undo().undone == "file one" and names() == []
+    with pytest.raises(RegistryError, match="nothing to undo"):
+        registry.undo()
+    assert registry.redo().added == ("one",) and registry.redo().added == ("four",)
+    assert names() == ["four", "one"]
 
 
 def test_a_file_of_layouts_comes_back_unchanged(tmp_path: Path) -> None:
-    made = design(object_named("mug").with_rows(2), DesignRules(), 5).layouts
+    made = design(object_named("mug").with_rows(2), DesignRules(), 5, "mug-r3s12").layouts
     seen = np.tile([[1e-6, 2e-7], [2e-7, 3e-6]], (3, 1, 1))
     family = [*made[:4], replace(made[4], covariance=seen)]
     path = tmp_path / "family.toml"

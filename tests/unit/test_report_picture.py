@@ -53,7 +53,7 @@ def test_markers_show_at_their_place_only_inside(tmp_path: Path) -> None:
     plain, marked = tmp_path / "plain.png", tmp_path / "marked.png"
     values = point_image(25, 25)
     draw_image(values, 0.5, plain)
-    draw_image(values, 0.5, marked, reflectors=[Marker(0.1, -0.1, "1"), (-0.2, 0.2, "extra", False)])
+    draw_image(values, 0.5, marked, reflectors=[Marker(0.1, -0.1, "1"), Marker(-0.2, 0.2, "extra", False)])
     with Image.open(plain) as a, Image.open(marked) as b:
         rows, columns = np.nonzero((np.asarray(a) != np.asarray(b)).any(axis=2))
     assert np.abs(rows - (TOP + 0.7 * SIDE)).min() < 25
@@ -64,7 +64,7 @@ def test_markers_show_at_their_place_only_inside(tmp_path: Path) -> None:
     assert near_first.any()
     assert near_second.any()
     outside = tmp_path / "outside.png"
-    draw_image(values, 0.5, outside, reflectors=[(0.4, 0.0, "far", True)])
+    draw_image(values, 0.5, outside, reflectors=[Marker(0.4, 0.0, "far")])
     assert outside.read_bytes() == plain.read_bytes()
 
 

@@ -55,7 +55,7 @@ def test_passive_sleeps_after_five_minutes_and_only_a_pulse_wakes_it() -> None:
     assert core.handle(bytes((128, 149, 1, 35)), SLEEP_AFTER_S + 2) == b"" and core.asleep
     core.pulse_brc()
     assert core.handle(bytes((128, 149, 1, 35)), SLEEP_AFTER_S + 3) == bytes([Mode.PASSIVE])
-    # A pulse or a command begins the five minutes anew.
+    # A pulse or a command restarts the five minutes.
     core.advance(2 * SLEEP_AFTER_S)
     assert not core.asleep
 

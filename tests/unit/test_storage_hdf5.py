@@ -11,7 +11,7 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
-from storage_samples import BARE, COMPLEX, FLOAT, FREE, LONG, TINY, assert_equal, capture
+from storage_samples import BARE, COMPLEX, FLOAT, FREE, LONG, PAIRS, TINY, assert_equal, capture
 
 from tagid import files
 from tagid.errors import DiskFullError, FileFormatError, StorageError, TagidError
@@ -19,7 +19,7 @@ from tagid.storage.hdf5 import read_capture, write_capture
 from tagid.storage.migrations import FORMAT_VERSION, RawCapture, migrate
 
 
-@pytest.mark.parametrize("changes", [{}, FREE, BARE, COMPLEX, FLOAT, TINY, LONG, {"complete": True}])
+@pytest.mark.parametrize("changes", [{}, FREE, PAIRS, BARE, COMPLEX, FLOAT, TINY, LONG, {"complete": True}])
 def test_round_trip(tmp_path: Path, changes: dict[str, Any]) -> None:
     one = capture(**changes)
     write_capture(tmp_path / "a.tagid.h5", one)
@@ -35,7 +35,7 @@ def test_layout_is_the_documented_one(tmp_path: Path) -> None:
         )
         assert file["scans/samples"].fletcher32 and file["scans/samples"].compression == "gzip"
         np.testing.assert_array_equal(file["scans/samples"][()], capture().samples)
-        np.testing.assert_array_equal(file["scans/angle_rad"][()], capture().angles_rad)
+        np.testing.assert_array_equal(file["scans/angles_rad"][()], capture().angles_rad)
 
 
 def test_overwrites_whole_and_leaves_no_temporary_file(tmp_path: Path) -> None:
@@ -152,7 +152,7 @@ BAD = {
         "scans/samples", shape=(100_000, 4000), dtype="i4", chunks=(1000, 4000), compression="gzip"
     ),
     "samples empty": replace("scans/samples", shape=(0, 40), dtype="i4"),
-    "angles too short": replace("scans/angle_rad", data=np.zeros(8)),
+    "angles too short": replace("scans/angles_rad", data=np.zeros(8)),
     "times as float": replace("scans/host_time_ns", data=np.zeros(9)),
     "imaginary part of another shape": replace("scans/samples_imag", data=np.ones((9, 39), np.float32)),
     "link to another file": link,

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+import json
 import os
 import struct
 import subprocess
 import sys
+import zlib
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tagid import files
 from tagid.errors import DataError, DiskFullError, FileFormatError, StorageError
 from tagid.metadata import ObjectInfo, RadarInfo, RadarSettings
 from tagid.storage.journal import JournalWriter, read_journal
 from tagid.storage.journal_capture import journal_to_capture
+from tagid.storage.journal_records import pack_record
 
 HEADER = {
     "range_start_m": 0.4,
@@ -58,6 +62,88 @@ def test_what_is_written_is_read_back(tmp_path: Path) -> None:
         HEADER["uuid"],
         ObjectInfo(label="helmet"),
     )
+
+
+def test_the_bytes_are_those_of_the_documented_layout(tmp_path: Path) -> None:
+    """Written down from the format's description, so that a journal of today can be read tomorrow."""
+
+    def record(kind: int, payload: bytes) -> bytes:
+        crc = zlib.crc32(struct.pack("<II", kind, len(payload)) + payload)
+        return struct.pack("<4sIII", b"REC\x1e", kind, len(payload), crc) + payload
+
+    samples = np.array([1, -2, 2**31 - 1], np.int32)
+    motion = {"host_time_ns": [5], "angle_rad": [0.25], "sigma_rad": [0.5], "info": {}}
+    before = os.umask(0)
+    try:
+        with JournalWriter(tmp_path / "j", {"range_step_m": 0.5}) as journal:
+            journal.append(-3, 10**18, 21.5, samples, flags=9)
+            journal.append_motion(motion)
+            journal.close({"radar": {}})
+    finally:
+        os.umask(before)
+    data = (tmp_path / "j").read_bytes()
+    assert (tmp_path / "j").stat().st_mode & 0o777 == 0o666  # the rest is the umask's
+    texts = [json.dumps(value).encode() for value in ({"range_step_m": 0.5}, motion, {"radar": {}})]
+    scan = struct.pack("<qqdBBHI", -3, 10**18, 21.5, 9, 0, 0, 3) + samples.astype("<i4").tobytes()
+    wanted = b"TAGIDJNL" + struct.pack("<I", 1) + record(1, texts[0]) + record(2, scan)
+    assert data[: len(wanted)] == wanted
+    rest = data[len(wanted) :]
+    (kind, length), at = struct.unpack_from("<II", rest, 4), 16
+    assert (kind, json.loads(rest[at : at + length])) == (4, motion)
+    assert rest[: at + length] == record(4, rest[at : at + length])
+    rest = rest[at + length :]
+    assert (rest[4:8], json.loads(rest[16:])) == (struct.pack("<I", 3), {"radar": {}})
+    assert rest == record(3, rest[16:])
+    with JournalWriter(tmp_path / "f", {}) as journal:
+        journal.append(0, 0, 0.0, samples.astype(np.float32))
+    assert (
+        (tmp_path / "f")
+        .read_bytes()
+        .endswith(struct.pack("<qqdBBHI", 0, 0, 0.0, 0, 1, 0, 3) + samples.astype("<f4").tobytes())
+    )
+
+
+@pytest.mark.parametrize(
+    ("kind", "payload", "message"),
+    [
+        (2, b"short", "scan record"),
+        (2, struct.pack("<qqdBBHI", 0, 0, 0.0, 0, 2, 0, 1) + b"1234", "scan record"),  # no such dtype
+        (2, struct.pack("<qqdBBHI", 0, 0, 0.0, 0, 0, 0, 2) + b"1234", "scan record"),  # one sample short
+        (4, b'{"host_time_ns": [], "angle_rad": []}', "motion record"),
+        (4, b'{"host_time_ns": [], "angle_rad": [], "sigma_rad": 1}', "motion record"),
+        (4, b"[1", "motion record"),
+        (3, b"{", "end record"),
+    ],
+)
+def test_a_record_that_is_intact_but_makes_no_sense_is_an_error(
+    tmp_path: Path, kind: int, payload: bytes, message: str
+) -> None:
+    write(tmp_path / "j", 2, close=False)
+    with (tmp_path / "j").open("ab") as stream:
+        stream.write(pack_record(kind, payload))
+    with pytest.raises(FileFormatError, match=message) as caught:
+        read_journal(tmp_path / "j")
+    assert str(tmp_path / "j") in caught.value.message
+
+
+def test_a_journal_too_large_for_memory_is_not_read_whole(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write(tmp_path / "j", 3)
+    size = (tmp_path / "j").stat().st_size
+    monkeypatch.setattr(files, "MAX_FILE_BYTES", size)
+    assert len(read_journal(tmp_path / "j").scans) == 3
+    monkeypatch.setattr(files, "MAX_FILE_BYTES", size - 1)
+    with pytest.raises(FileFormatError, match="exceeds the limit") as caught:
+        read_journal(tmp_path / "j")
+    assert "tagid recover" in caught.value.remedy
+
+
+def test_samples_of_no_length_or_more_than_a_record_holds_are_refused(tmp_path: Path) -> None:
+    with JournalWriter(tmp_path / "j", HEADER) as journal:
+        for bad in (np.zeros(0, np.int32), np.zeros(((64 << 20) - 32) // 4 + 1, np.int32)):
+            with pytest.raises(DataError, match="shape"):
+                journal.append(0, 0, 0.0, bad)
 
 
 def test_without_end_record_the_capture_is_not_complete(tmp_path: Path) -> None:
@@ -117,6 +203,15 @@ def test_samples_must_keep_their_shape(tmp_path: Path) -> None:
         ):
             with pytest.raises(DataError):
                 journal.append(1, 0, 0.0, bad)
+    assert len(read_journal(tmp_path / "j").scans) == 1
+
+
+@pytest.mark.parametrize("bad", [scan(0).astype(np.int64), scan(0).reshape(2, 16)])
+def test_the_first_scan_must_be_one_row_of_a_known_type(tmp_path: Path, bad: np.ndarray) -> None:
+    with JournalWriter(tmp_path / "j", HEADER) as journal:
+        with pytest.raises(DataError, match="expected"):
+            journal.append(0, 0, 0.0, bad)
+        journal.append(0, 0, 0.0, scan(1))  # what was refused has not set the shape
     assert len(read_journal(tmp_path / "j").scans) == 1
 
 

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import io
 import pickle
+import shutil
 import zipfile
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 import pytest
-from scipy.io import loadmat
-from storage_samples import COMPLEX, FLOAT, FREE, TINY, assert_equal, capture
+from scipy.io import loadmat, savemat
+from storage_samples import COMPLEX, FLOAT, FREE, PAIRS, TINY, assert_equal, capture
 
 from tagid.errors import FileFormatError, StorageError, UsageError
 from tagid.metadata import ObjectInfo
@@ -78,7 +80,7 @@ def test_small_is_not_bad(tmp_path: Path) -> None:
     assert read_any(npz(tmp_path / "a.npz", **one)).samples.shape == (1, 1)
 
 
-@pytest.mark.parametrize("changes", [{}, FREE, COMPLEX, FLOAT, TINY])
+@pytest.mark.parametrize("changes", [{}, FREE, PAIRS, COMPLEX, FLOAT, TINY])
 def test_export_is_taken_back_without_loss(tmp_path: Path, changes: dict[str, Any]) -> None:
     one = capture(**changes)
     export(one, tmp_path / "a.npz")
@@ -104,6 +106,13 @@ BAD: dict[str, tuple[tuple[str, ...], dict[str, Any], str]] = {
     "angles NaN": ((), {"angles_rad": np.full(4, np.nan)}, "angles_rad"),
     "angles complex": ((), {"angles_rad": np.zeros(4, complex)}, "angles_rad"),
     "positions flat": (("angles_rad",), {"antenna_positions_m": np.ones((4, 2))}, "(4, 2)"),
+    "receivers alone": (
+        ("angles_rad",),
+        {"receive_positions_m": np.ones((4, 3)), "timestamps_s": np.arange(4.0)},
+        "transmitting",
+    ),
+    "transmitters alone": (("angles_rad",), {"transmit_positions_m": np.ones((4, 3))}, "receive_positions_m"),
+    "antennas a negative distance apart": ((), {"antenna_separation_m": -0.1}, "antenna_separation_m"),
     "angles and positions": ((), {"antenna_positions_m": np.ones((4, 3))}, "not both"),
     "times infinite": ((), {"timestamps_s": np.full(4, 1e308)}, "radar_time_ms"),
     "range step of zero": ((), {"range_step_m": 0.0}, "range_step_m"),
@@ -214,13 +223,13 @@ def test_matlab_file(tmp_path: Path) -> None:
     np.testing.assert_array_equal(mat["samples"], one.samples)
     np.testing.assert_array_equal(mat["host_time_ns"][:, 0], one.host_time_ns)
     np.testing.assert_allclose(mat["range_m"][:, 0], one.ranges_m)
-    np.testing.assert_array_equal(mat["angle_rad"][:, 0], one.angles_rad)
+    np.testing.assert_array_equal(mat["angles_rad"][:, 0], one.angles_rad)
     assert mat["axis_distance_m"].item() == 1.25 and mat["uuid"].item() == one.uuid
     assert mat["object"].item() == '{"label": "helmet 7"}' and mat["complete"].item() == 0
-    export(capture(**{**COMPLEX, **FREE}), tmp_path / "b.mat")
+    export(capture(**{**COMPLEX, **PAIRS}), tmp_path / "b.mat")
     mat = loadmat(tmp_path / "b.mat")
     np.testing.assert_array_equal(mat["samples"], COMPLEX["samples"])
-    assert mat["antenna_positions_m"].shape == (9, 3) and "angle_rad" not in mat
+    assert mat["antenna_positions_m"].shape == (9, 3) and "angles_rad" not in mat
 
 
 def test_unknown_suffix_lists_those_known(tmp_path: Path) -> None:
@@ -263,3 +272,23 @@ def test_no_file_to_read(tmp_path: Path) -> None:
     for path in (tmp_path / "none.npz", tmp_path, Path("/dev/zero"), tmp_path / ("x" * 300)):
         with pytest.raises(StorageError):
             read_any(path)
+
+
+def test_every_format_names_the_angles_alike_and_takes_the_old_name(tmp_path: Path) -> None:
+    one = capture()
+    for name in ("a.npz", "a.mat", "a.tagid.h5"):
+        export(one, tmp_path / name)
+    with np.load(tmp_path / "a.npz") as arrays, h5py.File(tmp_path / "a.tagid.h5") as file:
+        held = (dict(arrays), loadmat(tmp_path / "a.mat"), file["scans"])
+        for arrays_of in held:
+            assert np.ravel(arrays_of["angles_rad"]) == pytest.approx(one.angles_rad)
+            assert arrays_of["samples"].shape == (one.views, one.bins)  # a view is a row
+        old = {("angle_rad" if key == "angles_rad" else key): value for key, value in held[0].items()}
+        in_matlab = {("angle_rad" if key == "angles_rad" else key): value for key, value in held[1].items()}
+    np.savez(tmp_path / "old.npz", **old)
+    savemat(tmp_path / "old.mat", {key: value for key, value in in_matlab.items() if key[:2] != "__"})
+    shutil.copy(tmp_path / "a.tagid.h5", tmp_path / "old.tagid.h5")
+    with h5py.File(tmp_path / "old.tagid.h5", "r+") as file:
+        file.move("scans/angles_rad", "scans/angle_rad")
+    for name in ("old.npz", "old.mat", "old.tagid.h5"):
+        np.testing.assert_array_equal(read_any(tmp_path / name).angles_rad, one.angles_rad)

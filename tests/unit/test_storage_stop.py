@@ -182,7 +182,7 @@ DAMAGE: dict[str, Callable[[Path], None]] = {
     "rows of zeros": zero_rows,
     "fewer rows": shorten,
     "samples gone": without("scans/samples"),
-    "angles gone": without("scans/angle_rad"),
+    "angles gone": without("scans/angles_rad"),
     "pulse gone": without("pulse"),
     "complete": change_attribute("complete", True),
     "range": change_attribute("range_start_m", 0.3100001),

@@ -100,9 +100,11 @@ def test_captures_that_do_not_belong_are_named_with_what_is_wrong() -> None:
     moved[1] += [0.0, 0.009]
     cases = {
         r"^odd\.h5 shows 2 reflectors, the others 3$": sighting(rng, 3e-4, name="odd.h5", points=SCALENE[:2]),
-        r"^odd\.h5 has a reflector \d\.\d mm from where": sighting(rng, 3e-4, name="odd.h5", points=moved),
+        r"^odd\.h5 has a reflector \d\.\d mm from its position": sighting(
+            rng, 3e-4, name="odd.h5", points=moved
+        ),
         r"^odd\.h5 is the mirror image": sighting(rng, 3e-4, name="odd.h5").mirrored(),
-        r"^odd\.h5 tells where a reflector is to 7": sighting(rng, 3e-4, told_m=7e-3, name="odd.h5"),
+        r"^odd\.h5 locates a reflector only to within 7": sighting(rng, 3e-4, told_m=7e-3, name="odd.h5"),
     }
     for words, odd in cases.items():
         for at in range(4):
@@ -118,7 +120,7 @@ def test_captures_that_do_not_belong_are_named_with_what_is_wrong() -> None:
         average([Sighting.of(synthetic_scans(np.array([[0.05, 0.0]])), "one")], "x")
 
 
-def test_where_the_direction_is_unknown_mirror_images_are_turned_over() -> None:
+def test_where_the_direction_is_unknown_captures_are_mirrored() -> None:
     rng = np.random.default_rng(3)
     captures = [sighting(rng, 2e-4, name=f"c{i}") for i in range(4)]
     captures[2] = captures[2].mirrored()

@@ -1,4 +1,4 @@
-"""The bridge: commands of the host, the loop that moves bytes, and the end of everything: stopped wheels."""
+"""The bridge: commands from the host, the loop that transfers bytes, and a robot stop on every exit."""
 
 import sys
 from struct import pack, unpack
@@ -32,7 +32,7 @@ _WHILE_AWAKE_MS = const(600000)
 
 
 class Bridge:
-    """Everything on one board; `step` does what is due and returns at once."""
+    """All functions of one board; `step` does what is due and returns at once."""
 
     def __init__(self, config, problem, robot, after_watchdog=False):
         self._config = config
@@ -76,7 +76,7 @@ class Bridge:
     # The loop.
 
     def step(self):
-        """One round: hours of rounds hold no state but what the objects say."""
+        """One pass of the loop; all state is in the objects, so it can run for hours."""
         now = ticks_ms()
         self._longest_ms = max(self._longest_ms, ticks_diff(now, self._round_at))
         self._round_at = now
@@ -119,7 +119,7 @@ class Bridge:
         self._loop = None
 
     def tell_fault(self):
-        """Tells the host that the firmware failed and stopped the robot, where a host is there."""
+        """Tell the host, if connected, that the firmware failed and stopped the robot."""
         self._tell(pack("<BBI", _TRIPPED_EVENT, FAULT, self.robot.silent_ms()))
         self._send()
 
@@ -134,12 +134,12 @@ class Bridge:
             data = queue.peek(limit)
             if not self.radio.send_bytes(data):
                 return
-            # Only what the stack took leaves the queue: a refused notification is sent again.
+            # Remove from the queue only what the stack accepted: a rejected notification is sent again.
             queue.drop(len(data))
             self._waiting_since = None
 
     def _waited(self):
-        """Short pieces wait a little for more to come: fewer notifications carry more."""
+        """Delay short pieces a little so that fewer notifications carry more bytes."""
         if self._waiting_since is None:
             self._waiting_since = ticks_ms()
         return ticks_diff(ticks_ms(), self._waiting_since) >= self._config["linger_ms"]
@@ -182,7 +182,7 @@ class Bridge:
             self._reply(op, seq, status, payload)
 
     def _answer(self, op, seq, args):
-        """(status, payload); the status is None where the reply comes later."""
+        """(status, payload); the status is None if the reply comes later."""
         if op not in _ARGUMENTS:
             return _UNKNOWN, b""
         form = _ARGUMENTS[op]
@@ -259,12 +259,12 @@ class Bridge:
         uart = self.robot.uart
         while uart.any():
             uart.read(uart.any())
-        # Reply tag, bytes to send, bytes sent, bytes that came back right, start, last sign of life.
+        # Reply tag, bytes to send, bytes sent, bytes that came back correctly, start, time of the last byte.
         self._loop = [seq, count, 0, 0, self.clock.now(), ticks_ms()]
         return None, b""
 
     def _loop_back(self):
-        """A few bytes of the pattern go out and must come back; the pattern holds no opcode of a robot."""
+        """Send a few bytes of the pattern and expect them back; the pattern contains no robot opcode."""
         loop, uart = self._loop, self.robot.uart
         if loop[2] < loop[1] and loop[2] - loop[3] < 32:
             piece = min(16, loop[1] - loop[2])
@@ -288,7 +288,7 @@ class Bridge:
         if not 300 <= values[0] <= 115200:
             return _BAD, b""
         if self.robot.state == ARMED:
-            # At another rate a stop would not be understood.
+            # At a different baud rate the robot would not understand a stop.
             return _BUSY, b""
         self.robot.set_baud(values[0])
         return _OK, pack("<I", values[0])
@@ -297,7 +297,7 @@ class Bridge:
         if not self._tell(pack("BBB", op | 0x80, seq, status) + payload):
             self._bad_commands += 1
 
-    # Who we are.
+    # Identity.
 
     def _flags(self):
         c = self._config
@@ -357,19 +357,19 @@ def _pattern(position):
 
 
 def run():
-    """Serves until the power goes; the robot is stopped when it begins and before every other end."""
+    """Serve until power-off; the robot is stopped at the start and before every other exit."""
     config, problem = settings.load()
     try:
         robot = Robot(config)
     except Exception as error:
-        # A pin or UART that this chip lacks: serve as a board that was never provisioned, and say why.
+        # A pin or UART that this chip lacks: serve like an unprovisioned board, and report why.
         problem = str(error) or repr(error)
         config = settings.default()
         robot = Robot(config)
     if problem is not None:
         print("tagid bridge: not provisioned:", problem)
-    # Whatever reset the board (a brown-out counts as power-on, a crash as a hard reset), it may have been
-    # driving; and before the radio starts, because that may fail.
+    # Whatever reset the board (a brown-out counts as power-on, a crash as a hard reset), the robot may be
+    # moving: stop it before the radio starts, because that may fail.
     robot.stop_and_wait()
     bridge = None
     try:
@@ -381,7 +381,7 @@ def run():
             sleep_ms(1)
     except KeyboardInterrupt:
         robot.stop_and_wait()
-        # Someone works on the board over USB; the watchdog cannot be ended, but it can be made patient.
+        # The board is in use over USB; the watchdog cannot be stopped, but its timeout can be extended.
         machine.WDT(timeout=_WHILE_AWAKE_MS)
         raise
     except Exception as error:

@@ -1,4 +1,4 @@
-"""Time stamps of a turntable's index pulse, and the clock that they and the host's clock fit refer to."""
+"""Timestamps of a turntable's index pulse, and the clock to which they and the host's clock fit refer."""
 
 from array import array
 from time import ticks_diff, ticks_us
@@ -9,7 +9,7 @@ _SLOTS = 16
 
 
 class Clock:
-    """Microseconds since power-up that do not wrap; call `now` more often than every 8 minutes."""
+    """Microseconds since power-up, without wrapping; call `now` at least every 8 minutes."""
 
     def __init__(self):
         self._last = ticks_us()
@@ -29,7 +29,7 @@ class Clock:
 
 
 class IndexPulse:
-    """Stamps pulses of a Hall sensor in the pin's interrupt; bounces within the gap are ignored."""
+    """Timestamps pulses of a Hall sensor in the pin's interrupt; bounces within the gap are ignored."""
 
     def __init__(self, pin, rising, gap_ms):
         self._stamps = array("i", [0] * _SLOTS)
@@ -50,7 +50,7 @@ class IndexPulse:
         self.count += 1
 
     def take(self):
-        """(number, ticks) of the oldest pulse not yet told, or None; overwritten pulses are counted."""
+        """(number, ticks) of the oldest pulse not yet reported, or None; overwritten pulses are counted."""
         waiting = self.count - self._taken
         if waiting > _SLOTS:
             self.lost += waiting - _SLOTS

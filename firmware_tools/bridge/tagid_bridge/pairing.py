@@ -1,8 +1,8 @@
-"""Who may pair: bonds, tries of the pass-key over all reboots, and the check for LE Secure Connections.
+"""Pairing rules: bonds, pass-key attempts counted across reboots, and the check for LE Secure Connections.
 
 A fixed pass-key is a weak secret. Pass-key entry compares its 20 bits one after the other (Bluetooth Core
-Specification, volume 3, part H, 2.3.5.6.3), so every failed try tells how many bits were right. Failed tries
-are therefore counted for the life of the pass-key and are few (docs/bridge.md has the arithmetic).
+Specification, volume 3, part H, 2.3.5.6.3), so every failed attempt reveals how many bits were right. Failed
+attempts are therefore counted over the life of the pass-key and limited (calculation: docs/bridge.md).
 """
 
 import json
@@ -16,13 +16,13 @@ BONDS = "bonds.json"
 TRIES = "tries.json"
 _OUR = const(1)
 _MOST_PEERS = const(8)
-# Wait before each try after so many failed ones, ms; after the last the bridge takes no new computer until
-# a new pass-key is written over USB.
+# Wait before each attempt after this many failed ones, ms; after the last the bridge rejects new computers
+# until a new pass-key is written over USB.
 WAITS_MS = (0, 2000, 10000, 60000, 300000)
 
 
 class Pairing:
-    """Bonds and tries, kept in two files that are written from the loop only, never from an interrupt."""
+    """Bonds and attempts, kept in two files that are written only from the loop, never from an interrupt."""
 
     def __init__(self):
         self.failed = _load_tries()
@@ -32,33 +32,33 @@ class Pairing:
         self.secure = False
         self.legacy = False
 
-    # Tries of the pass-key, called from the loop.
+    # Pass-key attempts, called from the loop.
 
     def may_try(self):
-        """Whether a try is due; the wait begins anew at every boot, because the clock stops without power."""
+        """Whether an attempt is allowed; the wait restarts at every boot, as the clock stops without power."""
         if self.failed >= len(WAITS_MS):
             return False
         return ticks_diff(ticks_ms(), self._since) >= WAITS_MS[self.failed]
 
     def begin(self):
-        """Counts a try as failed, in flash, before it is answered: a power cut must not save it."""
+        """Count an attempt as failed, in flash, before it is answered, so that a power cut cannot undo it."""
         self._since = ticks_ms()
         self.failed += 1
         _write(TRIES, self.failed)
 
     def passed(self):
-        """The try that was begun was right; only that one is taken back."""
+        """The attempt in progress was right; only that one is subtracted."""
         self.failed = max(0, self.failed - 1)
         _write(TRIES, self.failed)
 
     # Secrets of the radio stack, called from its interrupt.
 
     def forget_link(self):
-        """A new link or a new pairing: nothing is proved yet."""
+        """A new link or a new pairing: not authenticated yet."""
         self.secure = self.legacy = False
 
     def get(self, kind, index, key):
-        """The secret of a peer, or the one at a position; None where there is none."""
+        """The secret of a peer, or the one at an index; None if there is none."""
         for other, name, value in self._bonds:
             if other != kind:
                 continue
@@ -67,13 +67,13 @@ class Pairing:
                     return value
                 index -= 1
             elif name == bytes(key):
-                # Only bonds made with LE Secure Connections are ever kept.
+                # Only bonds made with LE Secure Connections are stored.
                 self.secure = self.secure or kind == _OUR
                 return value
         return None
 
     def put(self, kind, key, value):
-        """Keeps, replaces or (without a value) removes a secret; whether that was done."""
+        """Store, replace or (without a value) remove a secret; return whether that was done."""
         key = bytes(key)
         before = len(self._bonds)
         kept = [bond for bond in self._bonds if bond[0] != kind or bond[1] != key]
@@ -101,7 +101,7 @@ class Pairing:
         return True
 
     def save(self):
-        """Writes the bonds, where they changed; from the loop."""
+        """Write the bonds if they changed; called from the loop."""
         if self._changed:
             self._changed = False
             rows = [
@@ -113,10 +113,10 @@ class Pairing:
 def made_securely(value):
     """Whether a bond comes from LE Secure Connections.
 
-    The value is NimBLE's `ble_store_value_sec`: the random number that legacy pairing finds its key by stands
-    at 16..23, the long-term key at 24..39 (apache/mynewt-nimble, ble_store.h). With Secure Connections the
-    number is zero (Core Specification, volume 3, part H, 2.4.4); our own is drawn by us, so a peer cannot
-    choose it.
+    The value is NimBLE's `ble_store_value_sec`: bytes 16..23 are the random number by which legacy pairing
+    identifies its key, bytes 24..39 the long-term key (apache/mynewt-nimble, ble_store.h). With Secure
+    Connections the number is zero (Core Specification, volume 3, part H, 2.4.4); the bridge generates it
+    itself, so a peer cannot choose it.
     """
     return len(value) >= 40 and not any(value[16:24]) and any(value[24:40])
 
@@ -129,7 +129,7 @@ def _load_tries():
     except OSError:
         return 0
     except ValueError:
-        # Damaged: nobody knows how many there were.
+        # Damaged: the number of attempts is unknown.
         return len(WAITS_MS)
 
 
@@ -139,7 +139,7 @@ def _load_bonds():
             rows = [(kind, unhexlify(key), unhexlify(value)) for kind, key, value in json.load(file)]
     except (OSError, ValueError, TypeError):
         return []
-    # Firmware before 1.1 kept bonds of legacy pairing, too.
+    # Firmware before 1.1 also stored bonds of legacy pairing.
     secure = [key for kind, key, value in rows if kind == _OUR and made_securely(value)]
     return [row for row in rows if row[1] in secure]
 

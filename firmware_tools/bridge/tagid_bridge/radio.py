@@ -1,6 +1,6 @@
-"""The host's side: advertising, the two services, and pairing with the pass-key.
+"""The link to the host: advertising, the two services, and pairing with the pass-key.
 
-A write that arrives before the link is authenticated goes nowhere, whether the stack refused it or not.
+A write that arrives before the link is authenticated is discarded, whether the stack refused it or not.
 """
 
 from struct import pack
@@ -84,7 +84,7 @@ class Radio:
             )
         )
         (self._rx, self._tx), (self._command, self._event, self._info) = handles
-        # An attribute holds 20 bytes unless told; in append mode two writes before one read lose nothing.
+        # An attribute holds 20 bytes by default; in append mode two writes before one read lose nothing.
         self._ble.gatts_set_buffer(self._rx, 1024, True)
         self._ble.gatts_set_buffer(self._command, MTU)
 
@@ -96,25 +96,25 @@ class Radio:
         return data, pack("BB", len(text) + 1, 9) + text
 
     def connected(self):
-        """Whether a host is there."""
+        """Whether a host is connected."""
         return self._connection is not None
 
     def trusted(self):
-        """Whether the host may drive: it proved the pass-key with LE Secure Connections, or none is set."""
+        """Whether the host may drive: it used the pass-key with LE Secure Connections, or none is set."""
         if self._connection is None:
             return False
         return self._pairing is None or (self._paired and self._pairing.secure)
 
     def set_info(self, data):
-        """Changes what may be read without pairing."""
+        """Change the information that can be read without pairing."""
         self._ble.gatts_write(self._info, data)
 
     def send_bytes(self, data):
-        """Bytes for the host; False where the stack has no room, and they must be kept."""
+        """Send bytes to the host; False if the stack has no room, and the caller must keep them."""
         return self._notify(self._tx, data)
 
     def send_event(self, data):
-        """A reply or event for the host; False where the stack has no room, and it must be kept."""
+        """Send a reply or event to the host; False if the stack has no room, and the caller must keep it."""
         return self._notify(self._event, data)
 
     def _notify(self, handle, data):
@@ -129,14 +129,14 @@ class Radio:
         return True
 
     def tick(self):
-        """Does what must not be done in an interrupt."""
+        """Do the work that must not be done in an interrupt."""
         if self._advertise_due:
             self._advertise_due = False
             data, response = self._payloads
             self._ble.gap_advertise(_ADVERTISE_US, data, resp_data=response)
         if self._pairing is not None:
             self._tend_pairing()
-        # A stranger who connects and does not pair would keep the owner out.
+        # A host that connects and does not pair would block the owner.
         if self.connected() and not self.trusted() and ticks_diff(ticks_ms(), self._since) > _PAIRING_MS:
             self._since = ticks_ms()
             self._hang_up(self._connection)
@@ -154,9 +154,9 @@ class Radio:
                 try:
                     self._ble.gap_passkey(connection, _SHOW_PASSKEY, int(self._passkey))
                 except OSError:
-                    pass  # the peer is gone; its try is counted
+                    pass  # the peer has disconnected; its attempt is counted
         if pairing.legacy:
-            # Legacy pairing can be broken by listening to it once; who used it may not stay.
+            # Legacy pairing can be broken by recording it once; disconnect a host that used it.
             pairing.legacy = False
             self._hang_up(self._connection)
         if self._answered and self.trusted():
@@ -169,10 +169,10 @@ class Radio:
             try:
                 self._ble.gap_disconnect(connection)
             except OSError:
-                pass  # it is gone already
+                pass  # it has already disconnected
 
     def _irq(self, event, data):
-        # MicroPython prints what an interrupt raises and goes on; the loop has to hear of it and stop.
+        # MicroPython prints an exception of an interrupt and continues; the loop has to know of it and stop.
         try:
             return self._handle(event, data)
         except Exception as error:
@@ -199,7 +199,7 @@ class Radio:
         elif event == _ENCRYPTION:
             self._paired = bool(data[1] and data[2])
         elif event == _PASSKEY:
-            # Answered from the loop, after the try is counted in flash.
+            # Answered from the loop, after the attempt is counted in flash.
             self._forget_pairing()
             self._asked = (data[0], data[1])
         elif event == _GET_SECRET and self._pairing is not None:

@@ -1,10 +1,10 @@
-"""A first-in-first-out buffer of bytes with a fixed size; one side of it may be an interrupt.
+"""A first-in-first-out byte buffer of fixed size; one of its sides may be an interrupt.
 
-It takes no memory while it works, because an interrupt must not."""
+It allocates no memory during use, because an interrupt must not."""
 
 
 class Ring:
-    """Bytes in order; what does not fit is refused whole, so that no command is ever cut in two."""
+    """Bytes in order; data that does not fit is rejected as a whole, so that no command is split."""
 
     def __init__(self, size):
         self._buffer = bytearray(size + 1)
@@ -16,11 +16,11 @@ class Ring:
         return length if length >= 0 else length + len(self._buffer)
 
     def free(self):
-        """How many bytes still fit."""
+        """Free space, bytes."""
         return len(self._buffer) - 1 - len(self)
 
     def put(self, data):
-        """Appends all of `data`, or nothing and returns False."""
+        """Append all of `data`, or nothing and return False."""
         count = len(data)
         if count > self.free():
             return False
@@ -34,7 +34,7 @@ class Ring:
         return True
 
     def peek(self, limit):
-        """Up to `limit` bytes from the front, which stay."""
+        """Up to `limit` bytes from the front, without removing them."""
         count = min(limit, len(self))
         start = self._start
         first = min(count, len(self._buffer) - start)
@@ -44,7 +44,7 @@ class Ring:
         return data
 
     def drop(self, count):
-        """Takes `count` bytes off the front."""
+        """Remove `count` bytes from the front."""
         self._start = (self._start + min(count, len(self))) % len(self._buffer)
 
     def clear(self):

@@ -1,7 +1,7 @@
-"""The robot's side: its serial line, the dead-man that stops its wheels, and the BRC pin that wakes it.
+"""The link to the robot: its serial line, the dead-man that stops its wheels, and the BRC pin that wakes it.
 
-Whatever is queued towards the robot waits here and not in the serial driver, because a dead-man must be able
-to throw a stale drive command away.
+Data queued for the robot waits here and not in the serial driver, because the dead-man must be able to
+discard an outdated drive command.
 """
 
 from time import sleep_ms, ticks_add, ticks_diff, ticks_ms, ticks_us
@@ -17,19 +17,19 @@ TRIPPED = const(2)
 SILENCE = const(1)
 FAULT = const(3)
 
-# Roomba Open Interface: the zeros complete a command that was cut in the middle (opcode 0 is none), Drive
-# Direct 0 0 stops the wheels, Safe and a second stop follow for a robot that missed the first, and Start
-# leaves it Passive: motors off, and it may sleep and charge.
+# Roomba Open Interface: the zeros complete a truncated command (0 is not an opcode), Drive Direct 0 0 stops
+# the wheels, Safe and a second stop follow in case the robot missed the first, and Start leaves it in
+# Passive: motors off, and it may sleep and charge.
 STOP = b"\x00\x00\x00\x00\x91\x00\x00\x00\x00\x83\x91\x00\x00\x00\x00\x80"
 _AGAIN_MS = (30, 150)
-# Spot, Clean, Max, Drive, Seek Dock, PWM Motors, Drive Direct, Drive PWM: after one of these bytes (which may
-# be data of another command; that only errs towards stopping) the robot may be moving.
+# Spot, Clean, Max, Drive, Seek Dock, PWM Motors, Drive Direct, Drive PWM: after one of these bytes (possibly
+# data of another command, which only errs towards stopping) the robot may be moving.
 _MOVING = b"\x86\x87\x88\x89\x8f\x90\x91\x92"
 _SLICE_MS = const(4)
 
 
 class Robot:
-    """The serial line to the robot and everything that guards it."""
+    """The serial line to the robot, with its safety functions."""
 
     def __init__(self, config):
         self.baud = config["baud"]
@@ -39,7 +39,7 @@ class Robot:
             self._open()
         pin = config["brc_pin"]
         self._released = 0 if config["brc_inverted"] else 1
-        # Open drain where the pin goes straight to BRC; through a transistor the pin's level is inverted.
+        # Open drain if the pin is connected directly to BRC; through a transistor the level is inverted.
         mode = Pin.OUT if config["brc_inverted"] else Pin.OPEN_DRAIN
         self.brc = None if pin is None else Pin(pin, mode, value=self._released)
         self._brc_steps = 0
@@ -69,30 +69,30 @@ class Robot:
         )
 
     def set_baud(self, baud):
-        """Changes the line's speed, after the robot was told or woken into it."""
+        """Change the baud rate of the line, after the robot was commanded or woken into it."""
         self.baud = baud
         self.uart.init(baudrate=baud)
 
     # The dead-man.
 
     def feed(self):
-        """The host is alive."""
+        """Note that the host is alive."""
         self._fed = ticks_ms()
 
     def arm(self, timeout_ms):
-        """From now on silence longer than `timeout_ms` stops the wheels."""
+        """From now on stop the wheels if the host is silent for longer than `timeout_ms`."""
         self.timeout_ms = timeout_ms or self._config["deadman_ms"]
         self.state = ARMED
         self.feed()
 
     def disarm(self):
-        """The host says that silence means nothing any more; a robot that may be moving is stopped first."""
+        """End the dead-man at the host's request; a robot that may be moving is stopped first."""
         if self.drove or len(self.to_robot):
             self.halt(IDLE)
         self.state = IDLE
 
     def silent_ms(self):
-        """How long the host has said nothing, ms."""
+        """Time since the host last sent anything, ms."""
         return ticks_diff(ticks_ms(), self._fed)
 
     def overdue(self):
@@ -105,8 +105,8 @@ class Robot:
         self.halt(next_state)
 
     def halt(self, next_state):
-        """Throws away what waits for the robot and stops it, now and twice again."""
-        # The state first: bytes that an interrupt brings after the queue is empty must not enter it.
+        """Discard the bytes queued for the robot and stop it, now and twice more."""
+        # Set the state first: bytes from an interrupt after the queue is emptied must not enter it.
         self.state = TRIPPED
         self.to_robot.clear()
         self.stop()
@@ -116,7 +116,7 @@ class Robot:
         self.state = next_state
 
     def stop_and_wait(self):
-        """Stops the robot three times and returns after the third: where the program begins or ends."""
+        """Stop the robot three times and return after the third: used at the start and end of the program."""
         self.state = TRIPPED
         self.to_robot.clear()
         self._repeats = []
@@ -130,7 +130,7 @@ class Robot:
         self.state = IDLE
 
     def stop(self):
-        """Writes the stop bytes past every queue."""
+        """Write the stop bytes, bypassing the queue."""
         if self.uart is not None:
             self.uart.write(STOP)
             self.sent += len(STOP)
@@ -138,7 +138,7 @@ class Robot:
     # The byte stream.
 
     def from_host(self, data):
-        """Bytes of the host for the robot, called from the radio's interrupt."""
+        """Queue bytes from the host for the robot; called from the radio's interrupt."""
         if self.state == TRIPPED or not self.to_robot.put(data):
             self.lost_out += len(data)
             self._overflows[0] = True
@@ -148,13 +148,13 @@ class Robot:
         self.feed()
 
     def move(self, keep):
-        """Moves bytes along; without `keep` nobody listens and what the robot says is dropped."""
+        """Transfer bytes; without `keep` there is no listener, and bytes from the robot are dropped."""
         if self.uart is None:
             return
         now = ticks_us()
-        # While stops are still due nothing else goes out: a drive command must not overtake them.
+        # While stops are pending nothing else is sent: a drive command must not overtake them.
         if len(self.to_robot) and not self._repeats and ticks_diff(now, self._free_at) >= 0:
-            # Only what the line carries in a few milliseconds leaves the queue: see the module's docstring.
+            # Send only as much as the line carries in a few milliseconds: see the module's docstring.
             data = self.to_robot.peek(max(1, self.baud * _SLICE_MS // 10000))
             self.drove = self.drove or any(byte in _MOVING for byte in data)
             self.uart.write(data)
@@ -173,7 +173,7 @@ class Robot:
             waiting -= len(data)
 
     def overflows(self):
-        """(direction, bytes lost so far) of each direction that lost some since the last call."""
+        """(direction, bytes lost so far) of each direction that lost bytes since the last call."""
         found = []
         for direction, lost in enumerate((self.lost_out, self.lost_in)):
             if self._overflows[direction]:
@@ -181,20 +181,20 @@ class Robot:
                 found.append((direction, lost))
         return found
 
-    # What runs beside it.
+    # Periodic work.
 
     def pulse(self, width_ms, count, gap_ms):
-        """Starts `count` low pulses on BRC."""
+        """Start `count` low pulses on BRC."""
         self._brc_times = (width_ms, gap_ms)
         self._brc_steps = 2 * count
         self._brc_next = ticks_ms()
 
     def pulsing(self):
-        """Whether pulses are still under way."""
+        """Whether pulses are in progress."""
         return self._brc_steps > 0
 
     def tick(self):
-        """Does what is due: repeats of the stop bytes, edges on BRC."""
+        """Do the work that is due: repeats of the stop bytes, edges on BRC."""
         now = ticks_ms()
         if self._repeats and ticks_diff(now, self._repeats[0]) >= 0:
             self._repeats.pop(0)

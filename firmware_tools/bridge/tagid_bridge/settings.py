@@ -1,6 +1,6 @@
-"""The configuration file of one bridge: its keys, their bounds, and how it is read.
+"""The configuration file of one bridge: its keys, their bounds, and its parser.
 
-The host tools import this very file to check a configuration before it is written, so the two cannot differ.
+The host tools import this file to check a configuration before it is written, so the two cannot differ.
 """
 
 import json
@@ -25,7 +25,7 @@ NEEDED = ("uart_tx", "uart_rx")
 
 
 def default():
-    """Every key with its default; it has no pins, so nothing can be driven with it."""
+    """Every key with its default; no pins are set, so nothing can be driven."""
     config = {key: bounds[0] for key, bounds in NUMBERS.items()}
     config.update(FLAGS)
     config["name"] = "tagid-setup"
@@ -34,7 +34,7 @@ def default():
 
 
 def check(given):
-    """The whole configuration of what a file gives. Raises ValueError naming the key."""
+    """The complete configuration from the keys of a file. Raises ValueError naming the key."""
     if not isinstance(given, dict):
         raise ValueError("the configuration is not a table of keys")
     config = default()
@@ -65,7 +65,7 @@ def check(given):
 
 
 def load(path=PATH):
-    """(configuration, problem): problem is None, or why the defaults are in force and nothing is driven."""
+    """(configuration, problem): problem is None, or why the defaults apply and nothing is driven."""
     try:
         with open(path) as file:
             return check(json.load(file)), None

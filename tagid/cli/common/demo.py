@@ -7,9 +7,11 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import Any
 
 from tagid.errors import DeviceError
+from tagid.metadata import ObjectInfo
 
 DEMO_RPM = 6.0
 DEMO_AXIS_DISTANCE_M = 1.0
@@ -17,9 +19,22 @@ DEMO_CENTRE = "0.005,-0.003"
 """Nobody puts an object exactly on the axis: it stands 6 mm off, body and all."""
 
 
+@dataclass(frozen=True)
+class Emulated:
+    """An emulated radar that runs.
+
+    Attributes:
+        settings: for connecting to it, by the names of the configuration.
+        object: what it shows, with its true pose.
+    """
+
+    settings: dict[str, Any]
+    object: ObjectInfo
+
+
 @contextmanager
-def emulated_radar(scene: str) -> Iterator[dict[str, Any]]:
-    """Run an emulator while the block runs; yields the settings for connecting to it.
+def emulated_radar(scene: str) -> Iterator[Emulated]:
+    """Run an emulator while the block runs; yields how to connect to it, and what it shows.
 
     Raises DeviceError with the emulator's message if it does not start.
     """
@@ -35,18 +50,20 @@ def emulated_radar(scene: str) -> Iterator[dict[str, Any]]:
         assert process.stdout is not None
         line = process.stdout.readline()
         try:
-            url = json.loads(line)["data"]["url"]
+            data = json.loads(line)["data"]
+            url, shown = data["url"], data["object"]
         except (ValueError, KeyError, TypeError):
             rest, errors = process.communicate(timeout=5)
             raise DeviceError(
                 f"the emulated radar did not start: {_reason(line + rest, errors)}",
                 f"Run `tagid emulate p440 --scene {scene}` to see why.",
             ) from None
-        yield {
+        settings = {
             "radar.url": url,
             "motion.url": f"free?rpm={DEMO_RPM:g}",
             "motion.axis_distance_m": DEMO_AXIS_DISTANCE_M,
         }
+        yield Emulated(settings, ObjectInfo.from_json(shown))
     finally:
         process.terminate()
         try:

@@ -41,8 +41,8 @@ class Measured:
     """What captures of an object gave.
 
     Attributes:
-        estimate: its layout; None where the reflectors' positions are not seen.
-        joint: its signature; None where there is none.
+        estimate: its layout; None if the reflectors' positions are not seen.
+        joint: its signature; None if there is none.
         remarks: why one of the two is missing.
     """
 
@@ -52,7 +52,7 @@ class Measured:
 
 
 def prepared(captures: Sequence[Path], config: Config) -> list[Prepared]:
-    """Read captures of one object. Raises UsageError where one is given twice."""
+    """Read captures of one object. Raises UsageError if one is given twice."""
     from tagid.pipeline.load import LoadSettings, load_capture
 
     again = "Give captures of the object repositioned between them."
@@ -124,7 +124,7 @@ def measure(name: str, captures: Sequence[Path], config: Config, terminal: Termi
 def signature(
     name: str, kind: str, ready: Sequence[Prepared], settings: ImagingSettings, terminal: Terminal
 ) -> Joint:
-    """Signature of a body or object. Raises DataError where its captures do not confirm it."""
+    """Signature of a body or object. Raises DataError if its captures do not confirm it."""
     from tagid.pipeline.identify import aspect_spectra
     from tagid.tags.bodies.joint import Named, enrol_signature
 

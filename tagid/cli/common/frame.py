@@ -93,10 +93,19 @@ def command(
     """
 
     def decorate(function: Callable[..., Result]) -> Callable[..., Result]:
-        app.command(name.rpartition(" ")[2])(_with_common_options(name, function, formats))
+        first, text = help_of(function)
+        register = app.command(name.rpartition(" ")[2], help=text, short_help=first)
+        register(_with_common_options(name, function, formats))
         return function
 
     return decorate
+
+
+def help_of(function: Callable[..., Any]) -> tuple[str, str]:
+    """Help of a command from its docstring: the first sentence, and all of it with its examples unwrapped."""
+    text = inspect.cleandoc(function.__doc__ or "")
+    # A line of \\b keeps the lines of the paragraph that follows it.
+    return text.partition("\n\n")[0].replace("\n", " "), text.replace("\n\nExample:", "\n\n\b\nExample:")
 
 
 def group_command(app: typer.Typer, name: str) -> Callable[[Callable[..., Result]], Callable[..., Result]]:

@@ -127,7 +127,7 @@ def focus_words(focus: AxisFocus | None) -> list[str]:
         return []
     if focus.reliable:
         return [
-            f"axis distance moved by {focus.offset_m * 1e3:+.1f} mm "
+            f"axis distance {focus.axis_distance_m:.4f} m, {focus.offset_m * 1e3:+.1f} mm from the given one "
             f"(standard error {focus.sigma_m * 1e3:.2g} mm, "
             f"evidence {focus.evidence:.1f} of {focus.needed:.1f} needed)"
         ]
@@ -154,6 +154,17 @@ def held_out_words(settings: dict[str, Any]) -> list[str]:
     if found["worse_than_backprojection"]:
         lines.append("backprojection predicts unseen views better: trust --method bp more than this image")
     return lines
+
+
+def outside_words(settings: dict[str, Any]) -> list[str]:
+    """Whether echoes from outside the image were found."""
+    found = settings.get("outside")
+    if not found:
+        return []
+    return [
+        f"{100 * found['share']:.0f} % of the scans' energy comes from outside the image and was subtracted; "
+        "a larger --extent shows it"
+    ]
 
 
 def pulse_words(pulse: PulseEstimate | None) -> list[str]:
@@ -204,6 +215,7 @@ def learned_words(result: Reconstruction) -> list[str]:
     """The same for a person, a line each."""
     return [
         *held_out_words(result.image.settings),
+        *outside_words(result.image.settings),
         *result.image.settings.get("warnings", ()),
         *focus_words(result.focus),
         *region_words(result.region),
@@ -281,6 +293,13 @@ def bound_words(bound: Bound) -> str:
     )
 
 
+def nearest_words(answer: Identification) -> str:
+    """The nearest layout, and how much of the echo it explains where that was compared."""
+    nearest = answer.to_dict()["nearest"]
+    share = "" if nearest["share"] is None else f", which explains {nearest['share']:.0%} of the echo"
+    return f"{nearest['layout']}{share}"
+
+
 def describe(answer: Identification, name: str) -> RenderableType:
     """The answer for a person: one bold line, then what stands behind it."""
     from rich.console import Group
@@ -298,7 +317,12 @@ def describe(answer: Identification, name: str) -> RenderableType:
     if reading:
         if reading.reason:
             lines.append(Text(f"  why: {reading.reason}"))
-            lines.append(Text(f"  what to do: {reading.advice}"))
+            if answer.status == "unknown":
+                lines.append(Text(f"  nearest layout: {nearest_words(answer)}"))
+            for cause in answer.causes:
+                lines.append(Text(f"  likely cause: {cause.text}", "bold"))
+                lines.append(Text(f"  what to do: {cause.remedy}"))
+            lines.append(Text(f"  {'otherwise' if answer.causes else 'what to do'}: {reading.advice}"))
         if reading.kind is not Kind.BARE:
             lines.append(Text(f"  read as: {HYPOTHESES[reading.kind]}"))
         if reading.bound is not None:
@@ -307,11 +331,20 @@ def describe(answer: Identification, name: str) -> RenderableType:
             x, y = (value * 1e3 for value in reading.centre_m)
             lines.append(
                 Text(
-                    f"  turned {reading.rotation_deg:.1f} deg, centre ({x:.1f}, {y:.1f}) mm, "
+                    f"  turned {degrees(reading.rotation_deg)} deg, centre ({x:.1f}, {y:.1f}) mm, "
                     f"margin {reading.margin:.2f}, {len(reading.reflectors)} reflectors"
                 )
             )
     return Group(*lines)
+
+
+def degrees(value: float) -> str:
+    """An angle from 0 up to, but not including, 360 degrees, to a tenth.
+
+    >>> degrees(359.98), degrees(-0.01), degrees(120.04)
+    ('0.0', '0.0', '120.0')
+    """
+    return f"{round(value, 1) % 360:.1f}"
 
 
 def failed(capture_uuid: str | None, error: TagidError) -> Identification:

@@ -27,6 +27,14 @@ AntennaHeight = Annotated[
     float | None,
     typer.Option("--antenna-height", help="Antenna above the reflectors' plane, metres.", show_default=False),
 ]
+AntennaSeparation = Annotated[
+    float | None,
+    typer.Option(
+        "--antenna-separation",
+        help="Horizontal distance between transmitting and receiving antenna, metres; 0: one antenna.",
+        show_default=False,
+    ),
+]
 CableDelay = Annotated[
     float | None,
     typer.Option("--cable-delay", help="Cable and antenna delay, two-way picoseconds.", show_default=False),
@@ -112,3 +120,9 @@ Elevation = Annotated[
 ]
 ObjectCentre = Annotated[str, typer.Option("--centre", help="Object off the axis, X,Y in metres.")]
 Seed = Annotated[int, typer.Option("--seed", help="Random seed.")]
+LayoutFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--file", help="Layouts besides the enrolled ones, e.g. of layouts design --out.", show_default=False
+    ),
+]

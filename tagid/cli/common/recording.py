@@ -40,6 +40,7 @@ def plan_of(config: Config, url: str, limits: Limits, about: ObjectInfo) -> Reco
         _window(config, url),
         config["motion.axis_distance_m"],
         config["motion.antenna_height_m"],
+        config["motion.antenna_separation_m"],
         config["radar.cable_delay_ps"],
         limits.scans,
         limits.max_seconds,

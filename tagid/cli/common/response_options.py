@@ -34,7 +34,7 @@ def response_files(
 ) -> ResponseFiles | None:
     """The files of these options, None without --response.
 
-    Raises UsageError where one of the others is given without it.
+    Raises UsageError if one of the others is given without it.
     """
     if response is not None:
         from tagid.simulate.response_files import ResponseFiles

@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 import json
-import sys
 import threading
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from tagid import interrupts
 from tagid.cli.common import options, response_options
-from tagid.cli.common.frame import Output, Terminal, command
+from tagid.cli.common.frame import Terminal, command
 from tagid.cli.emulate import motion as emulate_motion
 from tagid.errors import UsageError
 from tagid.result import Result
 
 if TYPE_CHECKING:
+    from tagid.metadata import ObjectInfo
     from tagid.radar.emulation.wires import PtyWire
     from tagid.simulate import Placement
 
@@ -43,16 +43,22 @@ def register(app: typer.Typer) -> None:
         framing: Annotated[str, typer.Option("--framing", help="On the serial port: usb or uart.")] = "usb",
         baud: Annotated[int, typer.Option("--baud", help="Of the uart; 0 as fast as taken.")] = 115200,
         link: Annotated[Path | None, typer.Option("--link", help="A name for the port that stays.")] = (None),
-        scene: Annotated[str, typer.Option("--scene", help="helmet-120, points-3, can, empty ...")] = (
-            "helmet-120"
-        ),
+        scene: Annotated[
+            str, typer.Option("--scene", help="An enrolled layout, points-3, can, empty ...")
+        ] = "helmet-120",
+        file: options.LayoutFile = None,
         response: response_options.ResponseFile = None,
         polarisation: response_options.Polarisation = None,
         snr_reference: response_options.SnrReference = None,
         snr_reference_body: response_options.SnrReferenceBody = None,
         rotation: Annotated[
-            float, typer.Option("--rotation", help="With --response: rotation of the object, degrees.")
+            float, typer.Option("--rotation", help="Rotation of the object at the start, degrees.")
         ] = 0.0,
+        wobble: Annotated[float, typer.Option("--wobble", help="Uneven speed, 0.01 is 1 %.")] = 0.0,
+        truth: Annotated[
+            Path | None,
+            typer.Option("--truth", help="File for the true pose, which scan --truth puts into its capture."),
+        ] = None,
         replay: Annotated[str | None, typer.Option("--replay", help="Replay a recording instead.")] = None,
         rpm: Annotated[float, typer.Option("--rpm", help="Turns a minute of the emulated table.")] = 2.0,
         turned_by: Annotated[
@@ -64,6 +70,10 @@ def register(app: typer.Typer) -> None:
         reflector: options.Reflector = None,
         elevation: options.Elevation = "0m",
         centre: options.ObjectCentre = "0,0",
+        budget: Annotated[
+            bool,
+            typer.Option("--budget", help="SNR from the radar equation of `tagid plan`; replaces --snr."),
+        ] = False,
         snr: Annotated[
             float, typer.Option("--snr", help="Strongest reflector's peak over noise of one sample, dB.")
         ] = 20.0,
@@ -104,6 +114,7 @@ def register(app: typer.Typer) -> None:
         if replay is not None and files is not None:
             raise UsageError("--replay and --response are both given", "Choose one.")
         source: ScanSource
+        about: ObjectInfo | None = None
         if replay is not None:
             source = emulated_recording(Path(replay), loop)
         elif files is not None:
@@ -111,26 +122,37 @@ def register(app: typer.Typer) -> None:
                 axis_distance_m=axis_distance, snr_db=snr, placement=_placement(centre, rotation)
             )
             turner = TrueAngle(turned_by).at if turned_by else None
-            source = files.turning(placed, rpm, seed, cable_delay * 1e-12, turner)
+            turning = files.turning(placed, rpm, seed, cable_delay * 1e-12, turner)
+            source, about = turning, turning.about()
         else:
             wanted = {"seed": seed, "rpm": rpm, "axis_distance": axis_distance, "snr": snr}
-            wanted["cable_delay"] = cable_delay
+            wanted |= {"cable_delay": cable_delay, "rotation": rotation, "wobble": wobble}
             given = {key: str(value) for key, value in wanted.items()}
-            given |= {"centre": centre, "elevation": elevation}
+            given |= {"centre": centre, "elevation": elevation, "budget": "1" if budget else "0"}
             chosen = {"body": body, "reflector": reflector, "turned_by": turned_by}
+            chosen["file"] = None if file is None else str(file)
             given |= {key: text for key, text in chosen.items() if text}
-            source = emulated_scene(scene, given)
+            turning = emulated_scene(scene, given)
+            source, about = turning, turning.about()
+        if truth is not None:
+            _write_truth(truth, about)
         core = EmulatorCore(source, firmware=firmware)
         stop = threading.Event()
+        run = f"tagid scan --radar {{}} --axis-distance {axis_distance:g} --motion 'free?rpm={rpm:g}'"
+        facts: dict[str, Any] = {} if about is None else {"object": about.to_json()}
+
+        def listens(url: str, **more: str) -> None:
+            emulate_motion.announce(terminal, "emulate p440", {"url": url, **more, **facts}, run)
+
         with interrupts.asked_to_stop(stop.set):
             if serial:
                 wire = _pty(framing, baud, link)
                 end = link or wire.path
-                _announce(terminal, f"serial://{end}{'?framing=uart' * (framing == 'uart')}", str(end))
+                listens(f"serial://{end}{'?framing=uart' * (framing == 'uart')}", port=str(end))
                 serve(core, wire, ServeOptions(rate=rate, faults=faults), stop)
             else:
                 udp = ServeOptions(host, port, rate, faults)
-                serve_udp(core, udp, stop, lambda a, p: _announce(terminal, f"udp://{a}:{p}", ""))
+                serve_udp(core, udp, stop, lambda a, p: listens(f"udp://{a}:{p}"))
         raise typer.Exit(0)
 
 
@@ -162,13 +184,10 @@ def _pty(framing: str, baud: int, link: Path | None) -> PtyWire:
     return PtyWire(Framing(framing), baud if framing == "uart" and baud else None, link)
 
 
-def _announce(terminal: Terminal, url: str, port: str) -> None:
-    """Tells where the emulator listens, at once: whoever starts it must learn that while it runs."""
-    if terminal.output is Output.json:
-        data = {"url": url, **({"port": port} if port else {})}
-        sys.stdout.write(json.dumps(Result("emulate p440", data).envelope()) + "\n")
-    elif port:
-        sys.stdout.write(port + "\n")
-    sys.stdout.flush()
-    if terminal.output is Output.human and not terminal.quiet:
-        typer.echo(f"P440 emulator at {url}; stop with Ctrl-C", err=True)
+def _write_truth(path: Path, about: ObjectInfo | None) -> None:
+    """Write what is emulated, with its true pose, as JSON. Raises UsageError where it is a recording."""
+    from tagid.files import write_bytes
+
+    if about is None:
+        raise UsageError("--truth with --replay: a recording has no known pose", "Omit one of them.")
+    write_bytes(path, (json.dumps(about.to_json(), indent=1) + "\n").encode())

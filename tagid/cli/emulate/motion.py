@@ -17,6 +17,7 @@ import typer
 from tagid import interrupts
 from tagid.cli.common import options
 from tagid.cli.common.frame import Output, Terminal, command
+from tagid.cli.common.urls import next_command
 from tagid.errors import UsageError
 from tagid.result import Result
 
@@ -147,11 +148,31 @@ def serve(terminal: Terminal, name: str, facts: dict[str, Any]) -> None:
     """Say what listens, and wait for a stop signal."""
     stop = threading.Event()
     with interrupts.asked_to_stop(stop.set):
-        if terminal.output is Output.json:
-            # Written on one line when it listens: whoever starts it must learn its port while it runs.
-            sys.stdout.write(json.dumps(Result(name, facts).envelope()) + "\n")
-            sys.stdout.flush()
-        elif not terminal.quiet:
-            shown = ", ".join(f"{key} {value}" for key, value in facts.items())
-            typer.echo(f"{name.partition(' ')[2]} emulator: {shown}; stop with Ctrl-C", err=True)
+        announce(terminal, name, facts, "tagid motion info {}")
         stop.wait()
+
+
+def announce(terminal: Terminal, name: str, facts: dict[str, Any], command: str) -> None:
+    """Say at once where an emulator listens: whoever starts it must learn that while it runs.
+
+    As JSON it is one line; for a person the URL stands alone on its line on stdout, the rest on stderr.
+
+    Args:
+        terminal: how to say it.
+        name: of the command.
+        facts: `url` and more.
+        command: the next command, with {} for the URL.
+    """
+    if terminal.output is Output.json:
+        sys.stdout.write(json.dumps(Result(name, facts).envelope()) + "\n")
+        sys.stdout.flush()
+        return
+    if not terminal.quiet:
+        typer.echo(f"{name.partition(' ')[2]} emulator, stop it with Ctrl-C; it listens at", err=True)
+    sys.stdout.write(f"{facts['url']}\n")
+    sys.stdout.flush()
+    if not terminal.quiet:
+        for key, value in facts.items():
+            if key not in ("url", "truth", "object"):
+                typer.echo(f"{key} {value}", err=True)
+        typer.echo(f"next, in another terminal: {next_command(str(facts['url']), command)}", err=True)

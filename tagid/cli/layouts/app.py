@@ -1,6 +1,6 @@
 """`tagid layouts`: the enrolled identities, and the group of commands about layouts.
 
-One file per command; new commands are added to `PARTS` only.
+One file per command; new commands are added to `COMMANDS` only.
 """
 
 from __future__ import annotations
@@ -10,16 +10,44 @@ from typing import Annotated, Any
 import typer
 
 from tagid.cli.common.frame import Terminal, group_command
-from tagid.cli.layouts import check, design, files, show
+from tagid.cli.common.lazy import Entry, lazy_group
+from tagid.errors import RegistryError
 from tagid.result import Result
 
-PARTS = (design, show, files, check)
-"""Modules with a `register(group)`, in the order of the help text."""
+COMMANDS = {
+    "design": Entry(
+        "tagid.cli.layouts.design",
+        "Design the layouts that a radar distinguishes best at any orientation of the object.",
+    ),
+    "capacity": Entry(
+        "tagid.cli.layouts.design",
+        "Compute how many identities an object can carry at a given error rate.",
+    ),
+    "reflector": Entry(
+        "tagid.cli.layouts.reflector",
+        "Make a reflector: a solid for a 3-D printer and foil, or a net to cut and fold at 1:1.",
+    ),
+    "show": Entry("tagid.cli.layouts.show", "Draw a layout."),
+    "export": Entry("tagid.cli.layouts.files", "Write enrolled layouts, bodies and objects to a TOML file."),
+    "import": Entry(
+        "tagid.cli.layouts.files",
+        "Enrol the layouts, bodies and objects of files: all of them, or none if one is in conflict.",
+    ),
+    "undo": Entry(
+        "tagid.cli.layouts.files",
+        "Undo the last command that changed the registry, or all changes since a version.",
+    ),
+    "redo": Entry("tagid.cli.layouts.files", "Take the last undo back."),
+    "check": Entry(
+        "tagid.cli.layouts.check", "Check the registry: distance and confusion rate of every pair."
+    ),
+}
+"""Every command of the group, in the order of the help, with the first sentence of its own help."""
 
 
 def register(app: typer.Typer) -> None:
     """Add the group."""
-    group = typer.Typer()
+    group = typer.Typer(cls=lazy_group(COMMANDS))
     app.add_typer(group, name="layouts")
 
     @group_command(group, "layouts")
@@ -32,57 +60,77 @@ def register(app: typer.Typer) -> None:
 
         Example: tagid layouts --history
         """
-        from rich.table import Table
-        from rich.text import Text
+        if remove:
+            return _removed(remove)
+        if history:
+            return _history()
+        return _list()
 
+
+def _removed(name: str) -> Result:
+    from rich.text import Text
+
+    from tagid.cli.common.imaging import open_registry
+
+    version = open_registry().remove(name, "tagid layouts --remove")
+    line = Text(f"{name} removed; its history is kept (registry version {version})")
+    return Result("layouts", {"removed": name, "registry_version": version}, line)
+
+
+def _history() -> Result:
+    from rich.table import Table
+
+    from tagid.cli.common.imaging import open_registry
+
+    registry = open_registry()
+    table = Table("version", "time (UTC)", "change", "kind", "name", "source", box=None)
+    rows: list[dict[str, Any]] = []
+    for one in registry.history():
+        table.add_row(str(one.version), one.time_utc, one.action, one.kind, one.name, one.source)
+        rows.append(
+            {
+                "version": one.version,
+                "time_utc": one.time_utc,
+                "action": one.action,
+                "kind": one.kind,
+                "name": one.name,
+                "source": one.source,
+            }
+        )
+    return Result("layouts", {"registry_version": registry.version, "history": rows}, table)
+
+
+def _list() -> Result:
+    from rich.table import Table
+
+    from tagid.config import data_folder
+    from tagid.tags.enrolling.listing import list_layouts
+
+    path = data_folder() / "registry.sqlite"
+    found = list_layouts(path)
+    if found is None:
         from tagid.cli.common.imaging import open_registry
 
-        registry = open_registry()
-        if remove:
-            version = registry.remove(remove, "tagid layouts --remove")
-            line = Text(f"{remove} removed; its history is kept (registry version {version})")
-            return Result("layouts", {"removed": remove, "registry_version": version}, line)
-        if history:
-            changes = registry.history()
-            table = Table("version", "time (UTC)", "change", "kind", "name", "source", box=None)
-            for change in changes:
-                table.add_row(
-                    str(change.version),
-                    change.time_utc,
-                    change.action,
-                    change.kind,
-                    change.name,
-                    change.source,
-                )
-            rows: list[dict[str, Any]] = [
-                {
-                    "version": c.version,
-                    "time_utc": c.time_utc,
-                    "action": c.action,
-                    "kind": c.kind,
-                    "name": c.name,
-                    "source": c.source,
-                }
-                for c in changes
-            ]
-            return Result("layouts", {"registry_version": registry.version, "history": rows}, table)
-        enrolled = registry.layouts()
-        table = Table("layout", "kind", "reflectors", "radius mm", "symmetry", "label", box=None)
-        for layout in enrolled:
-            table.add_row(
-                layout.name,
-                layout.kind,
-                str(layout.size),
-                f"{layout.radius_m * 1e3:.0f}",
-                str(layout.symmetry),
-                layout.label,
-            )
-        data = {
-            "registry": str(registry.path),
-            "registry_version": registry.version,
-            "layouts": [layout.to_dict() for layout in enrolled],
-        }
-        return Result("layouts", data, table)
-
-    for part in PARTS:
-        part.register(group)
+        # The registry is made where there is none, and says what is wrong where something is.
+        open_registry().layouts()
+        found = list_layouts(path)
+        if found is None:
+            raise RegistryError(f"{path} cannot be listed", "`tagid doctor` says more.")
+    version, layouts = found
+    table = Table("layout", "kind", "reflectors", "radius mm", "symmetry", "label", box=None)
+    for one in layouts:
+        own = one.definition
+        table.add_row(
+            own["name"],
+            own["kind"],
+            str(one.reflectors),
+            f"{one.radius_m * 1e3:.0f}",
+            str(own["symmetry"]),
+            own["label"],
+        )
+    data = {
+        "registry": str(path),
+        "registry_version": version,
+        "layouts": [one.definition for one in layouts],
+    }
+    return Result("layouts", data, table)

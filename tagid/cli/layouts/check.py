@@ -67,7 +67,9 @@ def register(app: typer.Typer) -> None:
                 remark + (", as its mirror image" if other.mirrored else ""),
             )
         for part, whole in nested[:10]:
-            table.add_row(f"{part.name} - {whole.name}", "-", "-", "-", "the first is a subset of the second")
+            table.add_row(
+                f"{part.name} - {whole.name}", "-", "-", "-", f"{part.name} is a part of {whole.name}"
+            )
         data = {
             "layouts": len(enrolled),
             "registry_version": version,
@@ -87,6 +89,12 @@ def register(app: typer.Typer) -> None:
             "damaged_versions": [change.version for change in lost],
             "nested": [{"part": part.name, "of": whole.name} for part, whole in nested],
         }
+        if nested:
+            remarks.append(
+                f"{len(nested)} layout(s) are a part of a larger one. This is allowed: the reader counts "
+                "reflectors. But where the larger one loses a reflector, the smaller one may be named; avoid "
+                "such pairs on objects that could be mixed up."
+            )
         if not pairs and not nested:
             return Result(
                 "layouts check",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
 
     from tagid.tags.layouts.design import DesignRules, Family
+    from tagid.tags.layouts.layout import Layout
     from tagid.tags.layouts.objects import TaggedObject
 
 ObjectName = Annotated[str, typer.Option("--object", help="helmet, mug or container.")]
@@ -77,8 +79,14 @@ def register(app: typer.Typer) -> None:
 
         rules = rules_from(reflectors, slots, spacing, mirror, seed)
         beside = [] if alone else open_registry().layouts()
-        family = make(object_from(target, rows, radius, height), rules, count, prefix, beside)
-        return _designed(terminal, family, out, enrolling.Wish(False, yes, not enroll))
+        chosen = object_from(target, rows, radius, height)
+        whole = chosen if radius else object_from(target, None, None, None, every_row=True)
+        asked = _Asked(whole, len(chosen.rows), rules, count, tuple(beside))
+        try:
+            family = make(chosen, rules, count, prefix, beside)
+        except UsageError as error:
+            raise UsageError(error.message, asked.remedy() or error.remedy) from None
+        return _designed(terminal, family, asked, out, enrolling.Wish(False, yes, not enroll))
 
     @command(app, "layouts capacity")
     def capacity(
@@ -111,8 +119,37 @@ def register(app: typer.Typer) -> None:
         )
 
 
+@dataclass(frozen=True)
+class _Asked:
+    """What a design was asked for: the whole object, rows of it, rules, number, and the layouts beside it."""
+
+    target: TaggedObject
+    rows: int
+    rules: DesignRules
+    count: int
+    beside: tuple[Layout, ...]
+
+    def remedy(self) -> str:
+        """Options that were tried and work; "" where none was found."""
+        from tagid.tags.enrolling.advice import alternatives
+
+        found = alternatives(self.target, self.rows, self.rules, self.count, self.beside)
+        return f"These work: {', or '.join(found)}." if found else ""
+
+    def spacing_works(self, spacing_m: float) -> bool:
+        """Whether as many layouts, fit to be enrolled, have their reflectors that far apart."""
+        from tagid.tags.enrolling.advice import works
+
+        rules = replace(self.rules, spacing_m=spacing_m)
+        return works(self.target.with_rows(self.rows), rules, self.count, self.beside)
+
+
 def object_from(
-    name: str, rows: int | None, radii: list[float] | None, heights: list[float] | None
+    name: str,
+    rows: int | None,
+    radii: list[float] | None,
+    heights: list[float] | None,
+    every_row: bool = False,
 ) -> TaggedObject:
     """The built-in object with its rows, or a custom one from radii and heights. Raises UsageError."""
     from tagid.tags.layouts.objects import Row, TaggedObject, object_named
@@ -120,7 +157,8 @@ def object_from(
     if not radii:
         if heights:
             raise UsageError("--height without --radius", "Give a --radius for every --height.")
-        return object_named(name).with_rows(rows if rows is not None else 1)
+        named = object_named(name)
+        return named if every_row else named.with_rows(rows if rows is not None else 1)
     if heights and len(heights) != len(radii):
         raise UsageError(
             f"{len(radii)} radii and {len(heights)} heights", "Give as many --height as --radius."
@@ -146,29 +184,37 @@ def rules_from(
     )
 
 
-def _designed(terminal: Terminal, family: Family, out: Path | None, wish: enrolling.Wish) -> Result:
+def _designed(
+    terminal: Terminal, family: Family, asked: _Asked, out: Path | None, wish: enrolling.Wish
+) -> Result:
     import numpy as np
     from rich.console import Group
     from rich.table import Table
     from rich.text import Text
 
     from tagid.cli.common.imaging import open_registry
+    from tagid.tags.enrolling.advice import refusal
     from tagid.tags.enrolling.layout_file import write_layouts
     from tagid.tags.layouts.capacity import confusion_rate, reference
-    from tagid.tags.layouts.codebook import CONFUSABLE_M, confusable
     from tagid.tags.layouts.design import GHOST_M
 
     messages = []
-    near = sum(len(confusable(a, family.layouts[:i])) for i, a in enumerate(family.layouts))
-    if near:
+    refused = refusal(family, asked.beside, direction_known=enrolling.direction_known())
+    remedy = "" if refused is None else asked.remedy()
+    if refused is not None:
         messages.append(
-            f"{near} pairs of them are too similar to be told apart in noise (reflectors within "
-            f"{CONFUSABLE_M * 1e3:.0f} mm): ask for fewer, or give more --slots or --rows"
+            f"this set cannot be enrolled: {refused.message}. {remedy or 'Ask for fewer.'}".replace("..", ".")
         )
     if family.ghost_m < GHOST_M:
+        avoids = asked.spacing_works(GHOST_M)
         messages.append(
-            f"reflectors only {family.ghost_m * 1e3:.0f} mm apart can cause a ghost (under "
-            f"{GHOST_M * 1e3:.0f} mm); --spacing {GHOST_M:g} avoids it"
+            f"reflectors {family.ghost_m * 1e3:.0f} mm apart can cause a ghost (under a wavelength, "
+            f"{GHOST_M * 1e3:.0f} mm); "
+            + (
+                f"--spacing {GHOST_M:g} avoids it"
+                if avoids
+                else "this object is too small for a wider spacing"
+            )
         )
     if out is not None:
         write_layouts(family.layouts, out)
@@ -204,7 +250,10 @@ def _designed(terminal: Terminal, family: Family, out: Path | None, wish: enroll
         )
     )
     if out is not None:
-        lines.append(Text(f"written to {out}; enrol them with: tagid layouts import {out}"))
+        enrol = (
+            "they cannot be enrolled as they are" if refused else f"enrol them: tagid layouts import {out}"
+        )
+        lines.append(Text(f"written to {out}; {enrol}"))
     data = {
         "layouts": [layout.to_dict() for layout in family.layouts],
         "distance_m": None if family.distance_m == float("inf") else family.distance_m,
@@ -213,6 +262,8 @@ def _designed(terminal: Terminal, family: Family, out: Path | None, wish: enroll
         "nearest_reflectors_m": family.ghost_m,
         "candidates": family.candidates,
         "necklaces": family.necklaces,
+        "can_be_enrolled": refused is None,
+        "advice": remedy,
         "path": None if out is None else str(out),
         "registry_version": None if stored is None else stored.version,
         **({} if stored is None else stored.data),

@@ -1,8 +1,8 @@
-"""`tagid layouts export`, `import` and `undo`: entries of the registry in files, and undoing changes."""
+"""`tagid layouts export`, `import`, `undo` and `redo`: the registry in files, and undoing changes."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -10,12 +10,13 @@ import typer
 
 from tagid.cli.common import enrolling
 from tagid.cli.common.frame import Terminal, command
+from tagid.errors import StorageError
 from tagid.result import Result
 
 if TYPE_CHECKING:
     from tagid.tags.bodies.signature import Signature
     from tagid.tags.enrolling.layout_file import Entries
-    from tagid.tags.enrolling.registry import Contents
+    from tagid.tags.enrolling.registry import Registry, RegistryContents, Restored
     from tagid.tags.layouts.layout import Layout
 
 
@@ -29,6 +30,7 @@ def register(app: typer.Typer) -> None:
         names: Annotated[
             list[str] | None, typer.Argument(help="Layouts, bodies or objects; without names, all.")
         ] = None,
+        force: Annotated[bool, typer.Option("--force", help="Overwrite an existing file.")] = False,
     ) -> Result:
         """Write enrolled layouts, bodies and objects to a TOML file.
 
@@ -39,6 +41,8 @@ def register(app: typer.Typer) -> None:
         from tagid.cli.common.imaging import open_registry
         from tagid.tags.enrolling.layout_file import write_layouts
 
+        if file.exists() and not force:
+            raise StorageError(f"{file} exists already", "Choose another name, or add --force.")
         registry = open_registry()
         contents = registry.contents()
         signatures = [one for one in contents.signatures if not names or one.name in names]
@@ -67,7 +71,7 @@ def register(app: typer.Typer) -> None:
         yes: enrolling.Yes = False,
         dry_run: enrolling.DryRun = False,
     ) -> Result:
-        """Enrol the layouts, bodies and objects of files: all of them, or none where one is in conflict.
+        """Enrol the layouts, bodies and objects of files: all of them, or none if one is in conflict.
 
         The nearest other layout to each and the expected confusion rate are shown first; on a terminal,
         nothing is stored before you confirm.
@@ -132,26 +136,53 @@ def register(app: typer.Typer) -> None:
             typer.Option("--to", help="The version to restore; without, the last change is undone."),
         ] = None,
     ) -> Result:
-        """Undo the last change of the registry, or all changes since a version; repeat it to redo.
+        """Undo the last command that changed the registry, or all changes since a version.
 
+        Repeat it to undo the commands before; `tagid layouts redo` takes an undo back.
+
+        Example: tagid layouts undo
         Example: tagid layouts undo --to 4
         """
-        from rich.text import Text
+        return _restored("layouts undo", "undone", lambda registry: registry.undo(to))
 
-        from tagid.cli.common.imaging import open_registry
+    @command(app, "layouts redo")
+    def redo(terminal: Terminal) -> Result:
+        """Take the last undo back.
 
-        registry = open_registry()
-        version = registry.go_back(to)
-        contents = registry.contents()
-        names = [layout.name for layout in contents.layouts]
-        count = _count(contents.layouts, contents.signatures)
-        line = Text(f"{count} enrolled now, registry version {version}")
-        data = {
-            "registry_version": version,
-            "layouts": names,
-            "signatures": [{"kind": one.kind, "name": one.name} for one in contents.signatures],
-        }
-        return Result("layouts undo", data, line)
+        Example: tagid layouts redo
+        """
+        return _restored("layouts redo", "redone", lambda registry: registry.redo())
+
+
+def _restored(name: str, verb: str, step: Callable[[Registry], Restored]) -> Result:
+    """The registry after an undo or redo, with what changed."""
+    from rich.text import Text
+
+    from tagid.cli.common.imaging import open_registry
+
+    registry = open_registry()
+    done = step(registry)
+    contents = registry.contents()
+    parts = [
+        f"{word} {', '.join(names)}"
+        for word, names in (("removed", done.removed), ("added", done.added), ("restored", done.changed))
+        if names
+    ]
+    lines = [
+        f"{verb}: {done.undone}" if verb == "undone" else "redone",
+        f"  {'; '.join(parts) or 'nothing differs'}",
+        f"{_count(contents.layouts, contents.signatures)} enrolled now, registry version {done.version}",
+    ]
+    data = {
+        "registry_version": done.version,
+        "undone": done.undone,
+        "added": list(done.added),
+        "removed": list(done.removed),
+        "restored": list(done.changed),
+        "layouts": [layout.name for layout in contents.layouts],
+        "signatures": [{"kind": one.kind, "name": one.name} for one in contents.signatures],
+    }
+    return Result(name, data, Text("\n".join(lines)))
 
 
 def _count(layouts: Sequence[Layout], signatures: Sequence[Signature]) -> str:
@@ -163,8 +194,8 @@ def _count(layouts: Sequence[Layout], signatures: Sequence[Signature]) -> str:
     return ", ".join(parts)
 
 
-def _check_signatures(new: dict[tuple[str, str], Signature], contents: Contents) -> None:
-    """Raise LayoutConflictError where another body or object has the name of a new one."""
+def _check_signatures(new: dict[tuple[str, str], Signature], contents: RegistryContents) -> None:
+    """Raise LayoutConflictError if another body or object has the name of a new one."""
     from tagid.errors import LayoutConflictError
     from tagid.tags.bodies.signature_file import to_bytes
 
@@ -172,7 +203,7 @@ def _check_signatures(new: dict[tuple[str, str], Signature], contents: Contents)
         other = new.get((one.kind, one.name))
         if other is not None and to_bytes(other) != to_bytes(one):
             raise LayoutConflictError(
-                f"a different {one.kind} named {one.name} is enrolled already",
+                f"a different {one.kind} named {one.name} is already enrolled",
                 "Remove one of them, or import with --force; nothing was stored.",
             )
 

@@ -13,6 +13,7 @@ from tagid.cli.common.consent import Yes, agree_to
 from tagid.cli.common.frame import Terminal, command
 from tagid.config import Config, load_config
 from tagid.errors import DataError, UsageError
+from tagid.files import make_folder
 from tagid.result import Result
 
 if TYPE_CHECKING:
@@ -45,8 +46,8 @@ def register(group: typer.Typer) -> None:
         """Compare how a robot or table turns with what the radar sees, and remember the correction.
 
         For a robot this finds the effective wheel base; put something with strong, unsymmetric echoes on it.
-        With --direction it finds whether a table turns the way it is told; put an object with an enrolled
-        layout on it that is not its own mirror image.
+        With --direction it determines whether a table turns in the commanded direction; place an object with
+        an enrolled layout on it that is not its own mirror image.
 
         Example: tagid motion calibrate --motion roomba+serial:///dev/ttyUSB1 --axis-distance 1.0
         """
@@ -96,7 +97,7 @@ def _direction(capture: Capture, name: str) -> Result:
 
     layouts = {one.name: one for one in imaging.open_registry().layouts()}
     if name not in layouts:
-        raise UsageError(f"no layout is called {name!r}", f"Enrolled are: {', '.join(sorted(layouts))}.")
+        raise UsageError(f"no layout is called {name!r}", f"Enrolled: {', '.join(sorted(layouts))}.")
     capture = prepare(capture)
     resolved = capture.motion.resolved or ResolvedMotion()
     told = "clockwise" if resolved.direction == -1 else "counter-clockwise"
@@ -129,7 +130,7 @@ def _record(terminal: Terminal, config: Config, turns: float) -> Capture:
     device, _ = driven(config["motion.url"])
     device.turns = turns
     folder = Path(config["storage.folder"] or ".")
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     limits = Limits(None, 20 + 1.5 * device.needed_seconds())
     about = ObjectInfo(note="calibration")
     plan = replace(plan_of(config, str(config["radar.url"]), limits, about), renumber=True)

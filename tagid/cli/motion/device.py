@@ -21,7 +21,7 @@ Url = Annotated[
 
 
 def driven(url: str | None) -> tuple[DrivenMotion, Config]:
-    """The device of a URL or of the configuration. Raises UsageError where it takes no commands."""
+    """The device of a URL or of the configuration. Raises UsageError if it takes no commands."""
     from tagid.motion.driven import DrivenMotion
     from tagid.motion.urls import EXAMPLES, open_motion
 

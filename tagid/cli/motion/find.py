@@ -26,8 +26,10 @@ def register(group: typer.Typer) -> None:
 
         Example: tagid motion find
         """
+        from rich.console import Group
         from rich.table import Table
 
+        from tagid.cli.common.urls import to_copy
         from tagid.motion.discovery import bluetooth_devices, serial_devices
 
         if not 0.1 <= seconds <= 60:
@@ -49,11 +51,12 @@ def register(group: typer.Typer) -> None:
                     "finding: --motion free.",
                 },
             )
-        table = Table("--motion", "what", "signal", box=None)
+        table = Table("where", "what", "signal", box=None)
         for one in found:
-            table.add_row(one.url or "-", one.what, "" if one.signal_dbm is None else f"{one.signal_dbm} dBm")
+            table.add_row(one.where, one.what, "" if one.signal_dbm is None else f"{one.signal_dbm} dBm")
+        urls = to_copy([one.url for one in found if one.url], "tagid motion info {}")
         status = "success" if not errors else "partial" if found else "error"
         code = EXIT_OK if found else EXIT_DEVICE
         data = {"devices": [asdict(one) for one in found]}
-        human = table if found else None
+        human = Group(table, urls) if found else None
         return Result("motion find", data, human, status, code, errors=errors)  # type: ignore[arg-type]

@@ -151,6 +151,7 @@ def _keep(
     session: _Session, empty: Capture | None, target: Capture | None, tape_error: float, dry_run: bool
 ) -> Result:
     from tagid.config import change_settings
+    from tagid.files import make_folder
     from tagid.recording.calibration import estimate_delay, make_reference
     from tagid.report.calibration import calibration_table
     from tagid.storage.hdf5 import write_capture
@@ -170,7 +171,7 @@ def _keep(
     if reference is not None and not dry_run:
         path = data_folder() / REFERENCE_NAME
         try:
-            path.parent.mkdir(parents=True, exist_ok=True)
+            make_folder(path.parent)
         except OSError as error:
             raise StorageError(f"cannot make the folder {path.parent}: {error.strerror}") from None
         write_capture(path, reference)
@@ -196,7 +197,7 @@ def _background(session: _Session, fresh: Capture | None, target: Capture) -> tu
 
     if fresh is not None:
         return reference_on(fresh, target), ""
-    alone = "the empty scene was not taken off: leakage or a wall may have been taken for the target"
+    alone = "the empty scene was not subtracted: leakage or a wall may have been mistaken for the target"
     if not session.config["radar.background"]:
         return None, f"{alone}; use --step empty before"
     try:

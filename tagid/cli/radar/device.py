@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 def radar_url(config: Config) -> str:
-    """The configured radar. Raises ConfigError where none is."""
+    """The configured radar. Raises ConfigError if none is."""
     if not config["radar.url"]:
         raise ConfigError(
             "no radar is configured",

@@ -31,6 +31,9 @@ def register(group: typer.Typer) -> None:
 
         Example: tagid radar find
         """
+        from rich.console import Group
+
+        from tagid.cli.common.urls import to_copy
         from tagid.radar.discovery import WHERE_TO_LOOK, addresses_from, discover
         from tagid.report.radar import found_table
 
@@ -51,5 +54,7 @@ def register(group: typer.Typer) -> None:
             message = f"no radar answered at {', '.join(found.asked) or 'any address'}, none is on a USB port"
             errors = ({"code": "device", "message": message, "remedy": WHERE_TO_LOOK},)
         status = "success" if not errors else "partial" if code == EXIT_OK else "error"
-        human = found_table(found.radars) if found.radars else None
+        answering = [radar.url for radar in found.radars if radar.status]
+        urls = to_copy(answering, "tagid config set radar.url {}")
+        human = Group(found_table(found.radars), urls) if found.radars else None
         return Result("radar find", data, human, status, code, errors=errors)  # type: ignore[arg-type]

@@ -33,11 +33,11 @@ def register(group: typer.Typer) -> None:
         terminal: Terminal,
         radar: options.RadarUrl = None,
         changing: Annotated[
-            bool, typer.Option("--changing", help="Show what changes: the running mean is taken off.")
+            bool, typer.Option("--changing", help="Subtract the running mean, to show only what changes.")
         ] = False,
         seconds: Annotated[float | None, typer.Option("--seconds", help="End after so long.")] = None,
         interval_us: Annotated[
-            int, typer.Option("--interval-us", help="Microseconds between scans; 0 as fast as it goes.")
+            int, typer.Option("--interval-us", help="Time between scans (us); 0 for the shortest possible.")
         ] = 0,
         cable_delay: options.CableDelay = None,
     ) -> Result:
@@ -49,7 +49,7 @@ def register(group: typer.Typer) -> None:
             raise UsageError(f"--seconds is {seconds}", "Give a positive number of seconds.")
         config = load_config({"radar.url": radar, "radar.cable_delay_ps": cable_delay})
         radar_url(config)
-        return _watch(terminal, config, (changing, seconds, interval_us))
+        return _watch(terminal, config, changing, seconds, interval_us)
 
 
 class _Screen:
@@ -74,19 +74,20 @@ class _Screen:
 
     @property
     def rate_hz(self) -> float | None:
-        """Frames a second."""
+        """Frames per second."""
         spent = self.last_s - self.first_s
         return (self.frames - 1) / spent if spent > 0 else None
 
 
-def _watch(terminal: Terminal, config: Config, how: tuple[bool, float | None, int]) -> Result:
+def _watch(
+    terminal: Terminal, config: Config, changing: bool, seconds: float | None, interval_us: int
+) -> Result:
     from rich.console import Console
     from rich.live import Live
     from rich.text import Text
 
     from tagid.recording.monitoring import Monitor
 
-    changing, seconds, interval_us = how
     console = Console(stderr=True, highlight=False)
     with open_configured(config) as device:
         view = Monitor(device.config, config["radar.cable_delay_ps"], changing)
@@ -102,7 +103,7 @@ def _watch(terminal: Terminal, config: Config, how: tuple[bool, float | None, in
                 ):  # fmt: skip
                     _receive(device, view, seconds, interval_us)
         except KeyboardInterrupt:
-            pass  # the ordinary end
+            pass  # the usual end
     last = view.snapshot()
     data: dict[str, Any] = {
         "seconds": last.seconds,

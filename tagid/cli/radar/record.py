@@ -14,6 +14,7 @@ from tagid.cli.radar.device import open_configured, radar_url
 from tagid.config import load_config
 from tagid.constants import CAPTURE_SUFFIX
 from tagid.errors import EXIT_INTERRUPTED, EXIT_OK, StorageError, UsageError
+from tagid.files import make_folder
 from tagid.result import Result
 
 if TYPE_CHECKING:
@@ -38,6 +39,7 @@ def register(group: typer.Typer) -> None:
         ] = 0,
         axis_distance: options.AxisDistance = None,
         antenna_height: options.AntennaHeight = None,
+        antenna_separation: options.AntennaSeparation = None,
         cable_delay: options.CableDelay = None,
         note: Annotated[str, typer.Option("--note", help="Kept in the capture, e.g. a place.")] = "",
     ) -> Result:
@@ -58,6 +60,7 @@ def register(group: typer.Typer) -> None:
                 "radar.url": radar,
                 "motion.axis_distance_m": axis_distance,
                 "motion.antenna_height_m": antenna_height,
+                "motion.antenna_separation_m": antenna_separation,
                 "radar.cable_delay_ps": cable_delay,
                 "storage.folder": folder,
             }
@@ -71,6 +74,7 @@ def register(group: typer.Typer) -> None:
             None,
             config["motion.axis_distance_m"],
             config["motion.antenna_height_m"],
+            config["motion.antenna_separation_m"],
             config["radar.cable_delay_ps"],
             motion=config["motion.url"],
             object=ObjectInfo(note=note or None),
@@ -120,7 +124,7 @@ def _check(scans: int | None, seconds: float | None, interval_us: int) -> None:
 
 def _folder(folder: Path) -> Path:
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        make_folder(folder)
     except OSError as error:
         raise StorageError(f"cannot make the folder {folder}: {error.strerror}", "Choose another.") from None
     return folder

@@ -93,7 +93,7 @@ class Unknowns:
         if self.offset_m == 0 and not self.wobble.any():
             return nominal
         angles = nominal.angles + angle_error(nominal.angles, self.wobble)
-        return Aperture.turntable(angles, nominal.axis_distance + self.offset_m, nominal.height)
+        return nominal.turned(angles, nominal.axis_distance + self.offset_m)
 
 
 def begin(scans: BasebandScans, grid: ImageGrid, what: tuple[str, ...], harmonics: int) -> Unknowns:

@@ -1,6 +1,6 @@
 """The optimisation step as an ONNX graph: what torch runs in the laboratory, onnxruntime runs in the field.
 
-Run `python -m tagid.imaging.ats.export` in a checkout with the extra `export` to write `models/` anew.
+Run `python -m tagid.imaging.ats.export` in a checkout with the extra `export` to rewrite `models/`.
 """
 
 from __future__ import annotations
@@ -73,10 +73,14 @@ def dimensions() -> dict[str, Tensor]:
     state: list[tuple[int | str, ...]] = [*table, *layers, *biases]
     shapes: list[tuple[int | str, ...]] = [*state * 3]
     shapes += [("pixels", f"vertices_{i}") for i in range(LEVELS)]
-    shapes += [("pixels", "pixels"), (2, "points"), ("views", 3), ("views", "parts"), ("views", "parts")]
+    shapes += [("pixels", "pixels"), ("views", "points"), ("views", "parts"), ("views", "parts")]
     shapes += [("seen_views", "seen_points")]
-    shapes += [("fine", "spread"), (2, "views", "bins"), ("views", "bins"), (9,), (1,)]
-    found = {name: Tensor("float32", shape) for name, shape in zip(input_names(), shapes, strict=True)}
+    shapes += [("fine", "spread"), (2, "views", "bins"), ("views", "bins"), (9,)]
+    kinds = {"index": "int32"}
+    found = {
+        name: Tensor(kinds.get(name, "float32"), shape)
+        for name, shape in zip(input_names(), shapes, strict=True)
+    }
     found["loss"] = Tensor("float32", (1,))
     found |= {name: Tensor("float32", shape) for name, shape in zip(state_names(), state * 3, strict=True)}
     return found
@@ -92,16 +96,11 @@ def _example() -> list[Any]:
     biases = [torch.zeros(b, 1) for b in layers[1:]]
     moments = [[torch.zeros_like(p) for p in (*tables, *weights, *biases)] for _ in range(2)]
     grid = [[torch.zeros(pixels, n) for n in vertices], torch.zeros(pixels, pixels)]
-    rest: list[tuple[int, ...]] = [
-        (2, pixels**2),
-        (views, 3),
-        (views, parts),
-        (views, parts),
-        (fine, 2 * bins),
-    ]
-    rest[4:4] = [(views, pixels**2)]
-    rest += [(2, views, bins), (views, bins), (9,), (1,)]
-    return [tables, weights, biases, *moments, *grid, *(torch.zeros(*shape) for shape in rest)]
+    rest: list[tuple[int, ...]] = [(views, parts), (views, parts), (views, pixels**2), (fine, 2 * bins)]
+    rest += [(2, views, bins), (views, bins), (9,)]
+    index = torch.zeros(views, pixels**2, dtype=torch.int32)
+    others = [torch.zeros(*shape) for shape in rest]
+    return [tables, weights, biases, *moments, *grid, index, *others]
 
 
 def _dynamic(part: Any) -> Any:

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.capture import Capture
-from tagid.errors import DataError, MissingExtraError
+from tagid.errors import DataError, MissingExtraError, UsageError
 from tagid.geometry import ImageGrid
 from tagid.imaging.ats import calibration
 from tagid.imaging.ats.illumination import illumination, lit_forward
@@ -35,6 +35,7 @@ from tagid.imaging.ats.problem import (
     view_subsets,
 )
 from tagid.imaging.ats.settings import AtsResult, AtsSettings, Calibration, Progress
+from tagid.imaging.kernel import is_compiled
 from tagid.imaging.memory import require_memory
 from tagid.imaging.operator import ForwardOperator
 from tagid.imaging.preprocess import PreprocessSettings, preprocess, select_views
@@ -132,7 +133,7 @@ class _Fit:
         views = np.arange(scans.aperture.views)
         self.unseen = _held_out(len(views), settings.held_out)
         self.scans = select_views(scans, np.setdiff1d(views, self.unseen))
-        # What was taken off with the background is known but for the mean of the scene's own echoes.
+        # The subtracted background is known except for the mean of the scene's own echoes.
         self.what = settings.calibrate + (("static",) if scans.background_removed else ())
         self.known = calibration.begin(self.scans, grid, settings.calibrate, settings.wobble_harmonics)
         self.confidence: NDArray[np.floating] = np.ones(self.scans.samples.shape, dtype=np.float32)
@@ -159,13 +160,13 @@ class _Fit:
         """All steps; the mean field over the last of them, and its held-out residual."""
         settings, steps = self.settings, self.settings.steps
         fine = FineRange.of(self.all, self.grid.points, self._margin())
-        grid = GridArrays.of(self.grid, cells, fine.step)
+        grid = GridArrays.of(self.grid, cells)
         learn = {int(part * steps) for part in _LEARN_AT} if self._learns() else set()
         subsets = self._subsets(fine)
         best, worse, mean, since = np.inf, 0, engine.weights(), 0
         for step in range(steps):
             views = subsets[step % len(subsets)]
-            numbers = self._numbers(scales, step, len(views.antenna))
+            numbers = self._numbers(scales, step, views.aperture.views)
             self.losses.append(engine.step(grid, views, fine, numbers))
             if progress is not None:
                 progress(step + 1, steps, self.losses[-1])
@@ -209,7 +210,7 @@ class _Fit:
         now = replace(self.scans, samples=data, aperture=aperture)
         aspect = _aspect(aperture.positions, self.settings.aspect_harmonics) * self.known.gain[:, None]
         aspect = aspect * self.known.phase(self.scans.wavenumber)
-        arrays = view_arrays(now, fine.step, self.confidence, aspect, self.shadow)
+        arrays = view_arrays(now, self.grid.points, fine, self.confidence, aspect, self.shadow)
         return [arrays.select(views) for views in view_subsets(aperture, self.settings.views_per_step)]
 
     def _learns(self) -> bool:
@@ -241,7 +242,7 @@ class _Fit:
             self.confidence = np.minimum(1, settings.robust * sigma / np.maximum(residual, 1e-30))
 
     def _light(self, scans: BasebandScans) -> NDArray[np.float32] | None:
-        """Spreading and beam (views, points); None where the settings have neither."""
+        """Spreading and beam (views, points); None if the settings have neither."""
         s = self.settings
         if s.spreading == 0 and s.beam_width_deg == 0:
             return None
@@ -265,9 +266,12 @@ class _Fit:
     def _held_out_residual(self, field: FieldWeights) -> float:
         unseen = select_views(self.all, self.unseen)
         data = unseen.samples - self.known.static
-        residual = data - self._seen(unseen, field.on(self.grid), False)
-        energy = float(np.vdot(data, data).real)
-        return float(np.vdot(residual, residual).real) / energy if energy > 0 else float("nan")
+        seen = self._seen(unseen, field.on(self.grid), False)
+        energy, power = float(np.vdot(data, data).real), float(np.vdot(seen, seen).real)
+        if energy == 0:
+            return float("nan")
+        # One complex factor is fitted, as for the images of all methods (`heldout.residual`).
+        return 1 - float(np.abs(np.vdot(seen, data)) ** 2) / (power * energy) if power > 0 else 1.0
 
     def _result(
         self,
@@ -319,8 +323,19 @@ def make_engine(start: FieldWeights, settings: AtsSettings) -> Engine:
     if name == "auto":
         from tagid.imaging.ats.runtime import HIDDEN, LEVELS
 
+        if settings.device == "cpu" and is_compiled() and not _weighted(settings):
+            name = "native"
         shipped = (settings.levels, settings.hidden, settings.device) == (LEVELS, HIDDEN, "cpu")
-        name = "onnx" if shipped and importlib.util.find_spec("onnxruntime") else "torch"
+        if name == "auto":
+            name = "onnx" if shipped and importlib.util.find_spec("onnxruntime") else "torch"
+    if name == "native":
+        from tagid.imaging.ats.fit_native import NativeEngine
+
+        if _weighted(settings):
+            raise UsageError(
+                "the native engine gives every view the same light", "Use --engine onnx, torch or auto."
+            )
+        return NativeEngine(start)
     if importlib.util.find_spec("torch" if name == "torch" else "onnxruntime") is None:
         raise MissingExtraError(
             f"ATS with --engine {name} needs {'torch' if name == 'torch' else 'onnxruntime'}, "
@@ -336,16 +351,20 @@ def make_engine(start: FieldWeights, settings: AtsSettings) -> Engine:
     return TorchEngine(start, settings.device, settings.threads)
 
 
+def _weighted(settings: AtsSettings) -> bool:
+    """Whether a view sees some points more strongly than others."""
+    return settings.occlusion > 0 or settings.spreading > 0 or settings.beam_width_deg > 0
+
+
 def _foresee(scans: BasebandScans, grid: ImageGrid, settings: AtsSettings) -> None:
     """Refuse sizes that will not fit before anything is allocated."""
     points = grid.pixels**2
     views = 2 * max(map(len, view_subsets(scans.aperture, settings.views_per_step)))
     per_pair = 8 + 4 * 6
     per_point = 4 * (6 * settings.width + 4 * settings.levels * settings.features)
-    weighted = settings.occlusion > 0 or settings.spreading > 0 or settings.beam_width_deg > 0
-    shadows = 8 * scans.aperture.views * points if weighted else 0
+    shadows = 8 * scans.aperture.views * points if _weighted(settings) else 0
     require_memory(
-        points * (views * per_pair + per_point) + shadows,
+        points * (views * per_pair + per_point + 8 * scans.aperture.views) + shadows,
         f"steps of {views} views and {grid.pixels} x {grid.pixels} pixels",
         "Use fewer pixels (--pixels), or fewer views a step.",
     )
@@ -366,7 +385,7 @@ def _aspect(positions: NDArray[np.float64], harmonics: int) -> NDArray[np.comple
 
 
 def _scales(scans: BasebandScans, grid: ImageGrid, settings: AtsSettings) -> _Scales | None:
-    """Scales and weights; None where nothing is to be fitted (zero data, or none within the grid's reach)."""
+    """Scales and weights; None if nothing is to be fitted (zero data, or none within the grid's reach)."""
     operator = ForwardOperator(scans, grid)
     data = np.ascontiguousarray(scans.samples, dtype=np.complex64)
     back = operator.adjoint(data)

@@ -31,7 +31,7 @@ _FIRST_OUTPUT = 0.01
 
 _KEPT_BYTES = 500_000_000
 """Samples and encoding of so many views stay in memory (a table-top view takes some 0.6 MB, one of a rail
-20); those of more are made anew for every step."""
+20); larger ones are recomputed at every step."""
 
 _CELLS_A_WAVELENGTH = 10
 """Finest cells: the reflectivity carries the ripple of the carrier, half a wavelength long, which no coarser

@@ -38,7 +38,7 @@ class TorchEngine:
         arrays = [*weights.tables, *weights.weights, *weights.biases]
         self._state = [torch.tensor(a, device=self._device) for a in arrays]
         self._state += [torch.zeros_like(a) for a in self._state * 2]
-        self._constants: dict[int, tuple[Array, Any]] = {}
+        self._constants: dict[int, tuple[NDArray[Any], Any]] = {}
 
     def step(self, grid: GridArrays, views: ViewArrays, fine: FineRange, numbers: Array) -> float:
         """One step of Adam on some views; the loss before it."""
@@ -52,8 +52,7 @@ class TorchEngine:
             second=self._state[2 * count :],
             interpolation=[self._constant(a) for a in grid.interpolation],
             neighbours=self._constant(grid.neighbours),
-            points=self._constant(grid.points),
-            antenna=self._constant(views.antenna),
+            index=self._constant(views.index),
             real=self._constant(views.real),
             imaginary=self._constant(views.imaginary),
             transmission=self._constant(views.transmission),
@@ -61,7 +60,6 @@ class TorchEngine:
             samples=self._constant(views.samples),
             confidence=self._constant(views.confidence),
             numbers=torch.from_numpy(numbers).to(self._device),
-            start=self._constant(fine.offset),
         )
         before = torch.get_num_threads()
         torch.set_num_threads(self._threads)
@@ -85,7 +83,7 @@ class TorchEngine:
             self._start.pixels,
         )
 
-    def _constant(self, array: Array) -> Any:
+    def _constant(self, array: NDArray[Any]) -> Any:
         """The array on the device; sent there once."""
         kept = self._constants.get(id(array))
         if kept is None:

@@ -61,8 +61,8 @@ class RaySamples:
 
     Attributes:
         points: (rays, bins, 2) m, in the object's plane.
-        depths: (rays, bins) l of eq. 4, m along the ray; 0 where a sphere does not reach the plane.
-        weights: (rays, bins) beam directivity times arc length, m; 0 where there is no point of the scene.
+        depths: (rays, bins) l of eq. 4, m along the ray; 0 if a sphere does not reach the plane.
+        weights: (rays, bins) beam directivity times arc length, m; 0 if there is no point of the scene.
         ray_step_rad: angle between neighbouring rays.
     """
 

@@ -31,8 +31,7 @@ class Step(NamedTuple):
         first, second: Adam's moments, one tensor a parameter in the order tables, weights, biases.
         interpolation: one (pixels, k) matrix a level, the same along x and y.
         neighbours: (pixels, pixels) symmetric K of the neighbourhood prior sum sigma (K sigma + sigma K).
-        points: (2, P) rows x, y in fine range bins, row-major pixels.
-        antenna: (V, 3) x, y and z^2 in fine range bins.
+        index: (V, P) int32, fine range bin of every pixel (row-major) in every view.
         real, imaginary: (V, 2C) what a view sees of the channels.
         transmission: (V, P) or (1, 1), what is left of a point's echo on its way through the scene.
         spread: (fine bins, 2B) carrier and range response, real part before imaginary part.
@@ -41,7 +40,6 @@ class Step(NamedTuple):
         numbers: (9,) learning rate of the tables, of the network, Adam's two bias corrections, scale of the
             output, weights of data, sparsity and neighbourhood terms, Adam's epsilon relative to the largest
             gradient of a tensor.
-        start: (1,) range of the first fine bin, in fine bins, less the half that makes a cut a rounding.
     """
 
     tables: list[Any]
@@ -51,8 +49,7 @@ class Step(NamedTuple):
     second: list[Any]
     interpolation: list[Any]
     neighbours: Any
-    points: Any
-    antenna: Any
+    index: Any
     real: Any
     imaginary: Any
     transmission: Any
@@ -60,7 +57,6 @@ class Step(NamedTuple):
     samples: Any
     confidence: Any
     numbers: Any
-    start: Any
 
 
 def features(tables: list[Any], interpolation: list[Any]) -> Any:
@@ -99,11 +95,8 @@ def optimise(s: Step) -> tuple[Any, ...]:
 
 def _data_term(s: Step, sigma: Any) -> tuple[Any, Any]:
     """a sum c |A sigma - y|^2 and its gradient by sigma (2C, P)."""
-    views, fine = s.antenna.shape[0], s.spread.shape[0]
-    # Sum by sum, not as a product of matrices: so every engine rounds alike and finds the same bin.
-    across, along = s.points[0] - s.antenna[:, 0:1], s.points[1] - s.antenna[:, 1:2]
-    distance = (across * across + along * along + s.antenna[:, 2:3]).sqrt() - s.start
-    index = distance.to(torch.int64)
+    views, fine = s.index.shape[0], s.spread.shape[0]
+    index = s.index.to(torch.int64)
     empty = torch.zeros((views, fine), dtype=sigma.dtype, device=sigma.device)
     rows = torch.cat(
         [

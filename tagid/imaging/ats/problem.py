@@ -7,11 +7,14 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tagid.geometry import Aperture, ImageGrid
+from tagid.imaging.kernel import RangeGeometry
+from tagid.imaging.operator import reach_of
 from tagid.imaging.types import BasebandScans
 
 Array = NDArray[np.float32]
@@ -220,31 +223,43 @@ class GridArrays:
 
     interpolation: list[Array]
     neighbours: Array
-    points: Array
 
     @classmethod
-    def of(cls, grid: ImageGrid, cells: tuple[int, ...], fine_step: float) -> GridArrays:
-        """Arrays of a grid for levels of so many cells and fine range bins of `fine_step` m."""
-        x, y = (grid.points / fine_step).T
-        points = np.stack([x, y]).astype(np.float32)
-        return cls([interpolation(grid.pixels, n) for n in cells], neighbours(grid.pixels), points)
+    def of(cls, grid: ImageGrid, cells: tuple[int, ...]) -> GridArrays:
+        """Arrays of a grid for levels of so many cells."""
+        return cls([interpolation(grid.pixels, n) for n in cells], neighbours(grid.pixels))
 
 
 @dataclass(frozen=True, eq=False)
 class ViewArrays:
     """What a step reads of some views: see `Step` for the members of the same names."""
 
-    antenna: Array
+    aperture: Aperture
+    points: NDArray[np.float64]
+    fine: FineRange
     real: Array
     imaginary: Array
     samples: Array
     confidence: Array
     transmission: Array
 
+    @cached_property
+    def index(self) -> NDArray[np.int32]:
+        """(views, points) nearest fine bin of every point."""
+        return fine_index(self.aperture, self.points, self.fine)
+
+    @cached_property
+    def geometry(self) -> RangeGeometry:
+        """Where the points lie between the fine bins."""
+        first = (float(self.fine.offset) + 0.5) * self.fine.step
+        return RangeGeometry.of(self.aperture, self.points, (first, self.fine.step), len(self.fine.spread))
+
     def select(self, views: NDArray[np.integer] | slice) -> ViewArrays:
         """The same of some views only."""
         return ViewArrays(
-            np.ascontiguousarray(self.antenna[views]),
+            self.aperture.select(views),
+            self.points,
+            self.fine,
             np.ascontiguousarray(self.real[views]),
             np.ascontiguousarray(self.imaginary[views]),
             np.ascontiguousarray(self.samples[:, views]),
@@ -259,29 +274,35 @@ class FineRange:
 
     Attributes:
         step: m.
-        offset: (1,) range of the first bin in steps, less the half that makes a cut a rounding.
+        offset: range of the first bin in steps, less the half that makes a cut a rounding.
         spread: (fine bins, 2B) carrier and range response, real part before imaginary part.
     """
 
     step: float
-    offset: Array
+    offset: np.float32
     spread: Array
+
+    @cached_property
+    def complex_spread(self) -> NDArray[np.complex64]:
+        """(fine bins, B) `spread` as complex values."""
+        real, imaginary = np.split(self.spread, 2, axis=1)
+        return np.asarray(real + 1j * imaginary, dtype=np.complex64)
 
     @classmethod
     def of(cls, scans: BasebandScans, points: NDArray[np.float64], margin_m: float = 0.0) -> FineRange:
         """Fine grid that holds the points for all views even where the antennas move by the margin."""
-        antenna = scans.aperture.positions
-        radius = float(np.hypot(points[:, 0], points[:, 1]).max())
-        across = np.hypot(antenna[:, 0], antenna[:, 1])
-        near = float(np.hypot(np.maximum(across - radius, 0), antenna[:, 2]).min()) - margin_m
-        far = float(np.hypot(across + radius, antenna[:, 2]).max()) + margin_m
+        near, far = reach_of(scans.aperture, points)
+        near, far = near - margin_m, far + margin_m
         step = PHASE_STEP / (2 * scans.wavenumber)
         start = near - 2 * step
         fine = start + step * np.arange(int(np.ceil((far - near) / step)) + 5, dtype=np.float64)
         carrier = np.exp(-2j * scans.wavenumber * fine)
         matrix = scans.response(scans.ranges_m[None, :] - fine[:, None]) * carrier[:, None]
-        offset = np.array([start / step - 0.5], dtype=np.float32)
-        return cls(step, offset, np.concatenate([matrix.real, matrix.imag], axis=1).astype(np.float32))
+        return cls(
+            step,
+            np.float32(start / step - 0.5),
+            np.concatenate([matrix.real, matrix.imag], axis=1).astype(np.float32),
+        )
 
 
 def view_subsets(aperture: Aperture, views_per_step: int) -> list[NDArray[np.intp]]:
@@ -302,9 +323,28 @@ def view_subsets(aperture: Aperture, views_per_step: int) -> list[NDArray[np.int
     return [np.array([p[k] for p in pieces if k < len(p)]) for k in range(stride)]
 
 
+def fine_index(aperture: Aperture, points: NDArray[np.float64], fine: FineRange) -> NDArray[np.int32]:
+    """(views, points) nearest fine bin of every point (points, 2), m, in single precision.
+
+    Sum by sum, not as a product of matrices: so every machine rounds alike and finds the same bin.
+    """
+    x, y = (points / fine.step).T.astype(np.float32)
+    out = np.empty((aperture.views, len(points)), dtype=np.int32)
+    for view in range(aperture.views):
+        ways = []
+        for antenna in aperture.antennas:
+            ax, ay, az = antenna[view] / fine.step
+            across, along = x - np.float32(ax), y - np.float32(ay)
+            ways.append(np.sqrt(across * across + along * along + np.float32(az * az)))
+        distance = ways[0] if len(ways) == 1 else np.float32(0.5) * (ways[0] + ways[1])
+        out[view] = (distance - fine.offset).astype(np.int32)
+    return out
+
+
 def view_arrays(
     scans: BasebandScans,
-    fine_step: float,
+    points: NDArray[np.float64],
+    fine: FineRange,
     confidence: NDArray[np.floating],
     aspect: NDArray[np.complexfloating],
     transmission: NDArray[np.floating] | None = None,
@@ -313,16 +353,17 @@ def view_arrays(
 
     Args:
         scans: samples and antenna positions.
-        fine_step: m.
+        points: (points, 2) pixel centres, m.
+        fine: the fine range grid.
         confidence: (views, bins) weight of every sample.
         aspect: (views, channels) complex, what a view sees of every channel (its gain included).
         transmission: (views, points) what is left of each point's echo; None: all.
     """
-    x, y, z = scans.aperture.positions.T / fine_step
-    antenna = np.stack([x, y, z * z], axis=1)
     samples = np.stack([scans.samples.real, scans.samples.imag]).astype(np.float32)
     return ViewArrays(
-        antenna.astype(np.float32),
+        scans.aperture,
+        points,
+        fine,
         np.concatenate([aspect.real, -aspect.imag], axis=1).astype(np.float32),
         np.concatenate([aspect.imag, aspect.real], axis=1).astype(np.float32),
         samples,

@@ -5,6 +5,10 @@ The graph is `optimise` of `step`, exported with its gradient and Adam; this loo
 
 from __future__ import annotations
 
+from typing import Any
+
+from numpy.typing import NDArray
+
 from tagid.errors import UsageError
 from tagid.imaging.ats.problem import Array, FieldWeights, FineRange, GridArrays, ViewArrays
 from tagid.models_store import open_model
@@ -37,8 +41,7 @@ def input_names() -> list[str]:
     grid = [f"interpolation_{i}" for i in range(LEVELS)]
     rest = [
         "neighbours",
-        "points",
-        "antenna",
+        "index",
         "real",
         "imaginary",
         "transmission",
@@ -46,7 +49,7 @@ def input_names() -> list[str]:
         "samples",
         "confidence",
     ]
-    return [*state, *grid, *rest, "numbers", "start"]
+    return [*state, *grid, *rest, "numbers"]
 
 
 class OnnxEngine:
@@ -81,12 +84,11 @@ class OnnxEngine:
 
     def step(self, grid: GridArrays, views: ViewArrays, fine: FineRange, numbers: Array) -> float:
         """One step of Adam on some views; the loss before it."""
-        feeds = dict(self._state)
+        feeds: dict[str, NDArray[Any]] = dict(self._state)
         feeds |= {f"interpolation_{i}": a for i, a in enumerate(grid.interpolation)}
         feeds |= {
             "neighbours": grid.neighbours,
-            "points": grid.points,
-            "antenna": views.antenna,
+            "index": views.index,
             "real": views.real,
             "imaginary": views.imaginary,
             "transmission": views.transmission,
@@ -94,9 +96,8 @@ class OnnxEngine:
             "samples": views.samples,
             "confidence": views.confidence,
             "numbers": numbers,
-            "start": fine.offset,
         }
-        kind = (grid.points.shape[1], len(views.antenna))
+        kind = views.index.shape
         if kind not in self._checked:
             self._model.check(feeds)
             self._checked.add(kind)

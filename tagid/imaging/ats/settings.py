@@ -22,7 +22,7 @@ Progress = Callable[[int, int, float], None]
 """Called after every step with (steps done, steps at most, loss)."""
 
 PRESETS = ("field",)
-ENGINES = ("auto", "onnx", "torch")
+ENGINES = ("auto", "native", "onnx", "torch")
 CALIBRATIONS = ("axis", "wobble", "gain", "static")
 
 
@@ -32,7 +32,8 @@ class AtsSettings:
 
     Attributes:
         preset: "field", this project's method.
-        engine: "onnx", "torch", or "auto": onnx where it can do what is asked, torch else.
+        engine: "native" (numpy and the compiled kernel), "onnx", "torch", or "auto": the first of them that
+            is there and can do what is asked; native knows no shadows and no beam.
         device: "cpu", or "cuda" (torch only).
         steps: optimisation steps at most.
         learning_rate: Adam's rate for the encoding; the network gets `network_rate` of it.
@@ -51,7 +52,7 @@ class AtsSettings:
         occlusion: what lies behind bright pixels is dimmed: attenuation of the brightest pixel, in nepers; 0:
             nothing hides behind anything.
         spreading: an echo's amplitude falls with this power of the range: 2 for a point reflector in free
-            space, 0 where the radar or an earlier step has made up for it.
+            space, 0 if the radar or an earlier step has made up for it.
         beam_width_deg: full -3 dB width of the antenna's one-way power pattern; 0: it sees all round.
         views_per_step: views of one step; a capture with more is used in interleaved subsets by turns.
         held_out: share of the views that the fit does not see, which tell when to stop; none under 18 views.
@@ -165,7 +166,7 @@ class Calibration:
     static: NDArray[np.complex64]
 
     def facts(self, learned: tuple[str, ...]) -> dict[str, Any]:
-        """What was learned, of `CALIBRATIONS`, as plain JSON values; empty where nothing was."""
+        """What was learned, of `CALIBRATIONS`, as plain JSON values; empty if nothing was."""
         found: dict[str, Any] = {}
         if "axis" in learned and np.isfinite(self.axis_sigma_m):
             found["axis"] = {
@@ -205,7 +206,8 @@ class AtsResult:
         image: complex reflectivity on the grid asked for.
         losses: loss of every step.
         calibration: what was learned beside the scene.
-        held_out: energy of the residual on views that the fit did not see, over their energy; nan without.
+        held_out: energy of the residual on views that the fit did not see, over their energy, one complex
+            factor fitted; nan without.
         seconds: of the whole fit, set-up included.
         field: the fitted field, to be evaluated at any resolution; None for blank data.
     """

@@ -1,6 +1,6 @@
-"""The host's side of the Bluetooth bridge: its frames, its client, and answering a pass-key prompt.
+"""The host side of the Bluetooth bridge: its frames, its client, and the answer to a pass-key prompt.
 
-Who turns a Roomba and who tests a bridge speak to it through this one place.
+Motion devices and bridge tests both use this package to talk to a bridge.
 """
 
 from tagid.motion.bridge.protocol import (

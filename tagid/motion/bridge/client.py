@@ -1,6 +1,6 @@
-"""The client of one bridge: bytes to and from the robot, commands with answers, and the heartbeat.
+"""The client of one bridge: bytes to and from the robot, commands with answers, and heartbeats.
 
-It is asynchronous because bleak is; the heartbeat runs by itself as long as the bridge is armed.
+It is asynchronous because bleak is; heartbeats are sent automatically while the bridge is armed.
 """
 
 from __future__ import annotations
@@ -35,22 +35,22 @@ from tagid.motion.bridge.protocol import (
 
 _TRUST_S, _TRUST_LOOKS = 1.0, 20
 _HEARTBEATS: Final = 4
-"""Heartbeats within the dead-man's time: three may be late."""
+"""Heartbeats per dead-man timeout: three may be late."""
 _MEANING: Final[dict[int, tuple[str, str]]] = {
     Status.UNKNOWN: ("does not know this command", "Its firmware is older: `tagid-firmware verify`."),
-    Status.BAD_ARGUMENT: ("finds the argument out of range", "See docs/bridge.md for the bounds."),
+    Status.BAD_ARGUMENT: ("reports that the argument is out of range", "See docs/bridge.md for the bounds."),
     Status.NOT_PAIRED: (
         "is not paired with this computer",
-        "Pair with the bridge's pass-key first, by LE Secure Connections.",
+        "Pair with the bridge's pass-key first (LE Secure Connections).",
     ),
     Status.BUSY: ("is busy with another command", "Try again when it has ended; disarm before a self-test."),
     Status.NO_PIN: ("has no pin configured for this", "Set the pin: `tagid-firmware provision`."),
     Status.NO_ECHO: (
-        "heard no echo on its serial line",
-        "Join TX and RX for this test, and check both pins.",
+        "received no echo on its serial line",
+        "Connect TX and RX for this test, and check both pins.",
     ),
     Status.NOT_PROVISIONED: ("has no valid configuration", "Write one: `tagid-firmware provision`."),
-    Status.TRIPPED: ("has stopped the robot by its dead-man", "Arm it again before driving."),
+    Status.TRIPPED: ("has stopped the robot (dead-man)", "Arm it again before driving."),
 }
 
 
@@ -58,13 +58,13 @@ class Bridge:
     """A connected bridge; use it as an async context manager.
 
     Args:
-        heard: what `find` returned.
-        on_bytes: called with what the robot says.
+        heard: device returned by `find`.
+        on_bytes: called with bytes from the robot.
         on_event: called with every unsolicited event.
         on_lost: called once when the link ends without `close`.
-        passkey: six digits to pair with, or None where the bridge is open or known already.
+        passkey: six digits for pairing; None if the bridge is open or already paired.
         backends: bleak backends, or None for the platform's.
-        timeout: for one answer, s.
+        timeout: timeout for one answer, s.
     """
 
     def __init__(
@@ -97,8 +97,8 @@ class Bridge:
 
     @property
     def mtu(self) -> int:
-        """Largest packet of the link, bytes; three of them are overhead."""
-        # Asked of the characteristic: BlueZ tells the client's own value only after a detour.
+        """Maximum packet size of the link, bytes; three of them are overhead."""
+        # Read from the characteristic: BlueZ reports the client's own value only after extra requests.
         line = self._client.services.get_characteristic(NUS_RX)
         return 23 if line is None else int(line.max_write_without_response_size) + 3
 
@@ -121,14 +121,14 @@ class Bridge:
             services = {service.uuid.lower() for service in self._client.services}
             if not {NUS, CONTROL} <= services:
                 raise DeviceError(
-                    f"{self!r} is no tagid bridge: it lacks the bridge's control service",
+                    f"{self!r} is not a tagid bridge: it lacks the bridge's control service",
                     "Choose another name; other devices advertise the same serial service.",
                 )
             self.info = await self.read_info()
             if self.info.protocol != PROTOCOL:
                 raise DeviceError(
                     f"{self!r} speaks protocol {self.info.protocol}, this tagid speaks {PROTOCOL}",
-                    "Put this version's firmware on it: `tagid-firmware build`, then `provision`.",
+                    "Install this version's firmware on it: `tagid-firmware build`, then `provision`.",
                 )
             await self._pair()
             await self._client.start_notify(EVENT, self._event)
@@ -147,15 +147,15 @@ class Bridge:
 
             if not isinstance(error, (BleakError, NotImplementedError, TimeoutError)):
                 raise
-            if isinstance(error, NotImplementedError):  # macOS pairs by itself at the first guarded write
+            if isinstance(error, NotImplementedError):  # macOS pairs on the first protected write
                 return
             raise DeviceRejectedError(
                 f"{self!r} refused the pairing",
                 "Give its pass-key, the six digits on its label. After a wrong one it waits, longer each "
-                "time; after five it takes no new computer until `tagid-firmware provision` writes another "
-                "pass-key. The computer must know LE Secure Connections (Bluetooth 4.2).",
+                "time; after five it rejects new computers until `tagid-firmware provision` writes another "
+                "pass-key. The computer must support LE Secure Connections (Bluetooth 4.2).",
             ) from error
-        # The bridge trusts a computer when it has stored the bond, a moment after the pairing's end.
+        # The bridge trusts a computer once it has stored the bond, shortly after pairing ends.
         for _ in range(_TRUST_LOOKS):
             self.info = await self.read_info()
             if Flag.TRUSTED in self.info.flags:
@@ -163,7 +163,7 @@ class Bridge:
             await asyncio.sleep(_TRUST_S / _TRUST_LOOKS)
 
     async def read_info(self) -> BridgeInfo:
-        """What the bridge says of itself. Raises DeviceError."""
+        """Version and configuration of the bridge. Raises DeviceError."""
         with bluetooth_errors(f"reading the version of {self!r}"):
             data = bytes(await self._client.read_gatt_char(INFO))
         try:
@@ -184,7 +184,7 @@ class Bridge:
         for future in self._waiting.values():
             if not future.done():
                 future.set_exception(
-                    DeviceGoneError(f"the link to {self!r} is lost", "Bring it nearer; check its power.")
+                    DeviceGoneError(f"the link to {self!r} is lost", "Move it closer; check its power.")
                 )
         self._waiting.clear()
         self._stop_heart()
@@ -222,13 +222,13 @@ class Bridge:
             return await asyncio.wait_for(future, timeout or self._timeout)
         except TimeoutError as error:
             raise DeviceTimeoutError(
-                f"{self!r} did not answer {op.name}", "Bring it nearer; power-cycle it if this stays."
+                f"{self!r} did not answer {op.name}", "Move it closer; if this persists, power-cycle it."
             ) from error
         finally:
             self._waiting.pop(key, None)
 
     async def write(self, data: bytes) -> None:
-        """Bytes for the robot, cut to packets; keep one command of the robot within a packet."""
+        """Send bytes to the robot, split into packets; keep each robot command within one packet."""
         size = self.mtu - 3
         with bluetooth_errors(f"writing to {self!r}"):
             for start in range(0, len(data), size):
@@ -245,19 +245,19 @@ class Bridge:
             ) from error
 
     async def arm(self, timeout_ms: int = 0) -> int:
-        """Arms the dead-man and starts the heartbeat; returns the time in force, ms."""
+        """Arm the dead-man and start the heartbeats; return the timeout in force, ms."""
         self._stop_heart()
         taken = int.from_bytes((await self.request(Op.ARM, timeout_ms))[:2], "little")
         self._heart = asyncio.get_running_loop().create_task(self._beat(taken / 1000 / _HEARTBEATS))
         return taken
 
     async def disarm(self) -> None:
-        """Ends heartbeat and dead-man; the robot must stand still and in Passive by now."""
+        """Stop the heartbeats and disarm the dead-man; the robot must already be stopped and in Passive."""
         self._stop_heart()
         await self.request(Op.DISARM)
 
     async def _beat(self, every: float) -> None:
-        with contextlib.suppress(Exception):  # a lost link is told by on_lost, a trip by its event
+        with contextlib.suppress(Exception):  # a lost link is reported by on_lost, a trip by its event
             while True:
                 await asyncio.sleep(every)
                 self._seq = (self._seq + 1) & 0xFF
@@ -269,7 +269,7 @@ class Bridge:
             self._heart = None
 
     async def close(self) -> None:
-        """Ends the link; an armed bridge then stops the robot by itself."""
+        """Close the link; an armed bridge then stops the robot."""
         self._closing = True
         self._stop_heart()
         with contextlib.suppress(Exception):

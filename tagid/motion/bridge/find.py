@@ -1,6 +1,6 @@
-"""Looking for a bridge in the air: by name and service together, with a clear word where that fails.
+"""Finds bridges over Bluetooth by name and service, with clear errors if that fails.
 
-Other devices (a Foldio turntable) advertise the same serial service, and two bridges may bear one name.
+Other devices (a Foldio turntable) advertise the same serial service, and two bridges may have the same name.
 """
 
 from __future__ import annotations
@@ -45,10 +45,10 @@ class Heard:
 
 @contextmanager
 def bluetooth_errors(doing: str) -> Iterator[None]:
-    """Turns what bleak and the system raise into one error of ours, while `doing` something.
+    """Convert the errors of bleak and the system, raised while `doing` something, to tagid errors.
 
     Raises:
-        DeviceError: no adapter, no permission, or anything else that Bluetooth refuses.
+        DeviceError: no adapter, no permission, or any other Bluetooth failure.
         DeviceTimeoutError: no answer in time.
     """
     from bleak.exc import BleakBluetoothNotAvailableError, BleakDeviceNotFoundError, BleakError
@@ -56,15 +56,15 @@ def bluetooth_errors(doing: str) -> Iterator[None]:
     try:
         yield
     except BleakBluetoothNotAvailableError as error:
-        raise DeviceError(f"no Bluetooth here while {doing}: {_line(error)}", _ADAPTER) from error
+        raise DeviceError(f"Bluetooth is not available while {doing}: {_line(error)}", _ADAPTER) from error
     except BleakDeviceNotFoundError as error:
         raise DeviceGoneError(
-            f"the device does not answer while {doing}", "Bring it nearer and check its power."
+            f"the device does not answer while {doing}", "Move it closer and check its power."
         ) from error
     except BleakError as error:
         text = _line(error)
         if "ServiceUnknown" in text or "org.bluez was not provided" in text:
-            raise DeviceError(f"no Bluetooth here while {doing}: {text}", _ADAPTER) from error
+            raise DeviceError(f"Bluetooth is not available while {doing}: {text}", _ADAPTER) from error
         if "NSUFFICIENT_AUTH" in text.upper() or "NotPermitted" in text or "0x05" in text:
             raise DeviceError(
                 f"the bridge does not know this computer while {doing}",
@@ -75,10 +75,10 @@ def bluetooth_errors(doing: str) -> Iterator[None]:
         ) from error
     except TimeoutError as error:
         raise DeviceTimeoutError(
-            f"no answer over Bluetooth while {doing}", "Bring the bridge nearer and check its power."
+            f"no answer over Bluetooth while {doing}", "Move the bridge closer and check its power."
         ) from error
     except OSError as error:
-        raise DeviceError(f"no Bluetooth here while {doing}: {_line(error)}", _ADAPTER) from error
+        raise DeviceError(f"Bluetooth is not available while {doing}: {_line(error)}", _ADAPTER) from error
 
 
 def _line(error: BaseException) -> str:
@@ -86,7 +86,7 @@ def _line(error: BaseException) -> str:
 
 
 async def listen(seconds: float, backends: Backends | None = None) -> list[Heard]:
-    """Every device heard within `seconds` that advertises the serial service, strongest first."""
+    """Every device with the serial service found within `seconds`, strongest first."""
     from bleak import BleakScanner
 
     heard: dict[str, Heard] = {}
@@ -103,14 +103,14 @@ async def listen(seconds: float, backends: Backends | None = None) -> list[Heard
 
 
 async def find(wanted: str, seconds: float = 5.0, backends: Backends | None = None) -> Heard:
-    """The one device of that name or address.
+    """The one device with that name or address.
 
-    The whole time is listened even after a hit, because only then is it known that the name is unique; an
-    address ends the wait.
+    A search by name always lasts the full time, because only then is the name known to be unique; a search by
+    address ends when the device is found.
 
     Raises:
-        DeviceGoneError: none of that name; the message tells which were heard.
-        UsageError: several bridges of that name.
+        DeviceGoneError: no such device; the message lists those found.
+        UsageError: several bridges have that name.
         DeviceError: no Bluetooth.
     """
     from bleak import BleakScanner
@@ -134,13 +134,13 @@ async def find(wanted: str, seconds: float = 5.0, backends: Backends | None = No
     if len(found) > 1:
         addresses = ", ".join(sorted(item.address for item in found))
         raise UsageError(
-            f"{len(found)} bridges are called {wanted!r}: {addresses}",
+            f"{len(found)} bridges have the name {wanted!r}: {addresses}",
             "Give the address instead of the name, or provision one of them with another name.",
         )
     if not found:
         others = ", ".join(sorted(f"{item.name or '?'} ({item.address})" for item in heard.values()))
         raise DeviceGoneError(
-            f"no bridge called {wanted!r} within {seconds:g} s; heard: {others or 'none at all'}",
+            f"no bridge called {wanted!r} within {seconds:g} s; found: {others or 'none'}",
             "Check the bridge's power and name, and that no other computer is connected to it.",
         )
     return found[0]

@@ -1,6 +1,6 @@
-"""Answers the system's question for a pass-key on Linux, where otherwise someone must type it elsewhere.
+"""Answers the system's pass-key prompt on Linux, which the user would otherwise have to answer elsewhere.
 
-BlueZ asks an agent on the system bus; macOS and Windows show their own dialog and need nothing from here.
+BlueZ asks an agent on the system bus; macOS and Windows show their own dialog and need no agent.
 """
 
 # No postponed annotations here: dbus-fast reads the signatures of the methods from them.
@@ -19,11 +19,11 @@ def _agent(passkey: str) -> Any:
     from dbus_fast.service import ServiceInterface, dbus_method
 
     class Agent(ServiceInterface):
-        """org.bluez.Agent1 with a keyboard on which one number is typed."""
+        """org.bluez.Agent1 that answers with a fixed pass-key."""
 
         @dbus_method("Release")
         def release(self) -> None:
-            """BlueZ lets the agent go."""
+            """BlueZ released the agent."""
 
         @dbus_method("RequestPasskey")
         def request_passkey(self, device: DBusObjectPath) -> DBusUInt32:
@@ -35,16 +35,16 @@ def _agent(passkey: str) -> Any:
 
         @dbus_method("Cancel")
         def cancel(self) -> None:
-            """BlueZ gave up."""
+            """BlueZ cancelled the request."""
 
     return Agent("org.bluez.Agent1")
 
 
 @asynccontextmanager
 async def answering(passkey: str | None) -> AsyncIterator[None]:
-    """While inside, BlueZ is given `passkey`; elsewhere, or without one, nothing happens.
+    """Answer BlueZ's prompt with `passkey` inside the context; no effect on other systems or without one.
 
-    A system without BlueZ, or one that refuses an agent, is left alone: pairing itself will tell.
+    If BlueZ is missing or rejects the agent, nothing is reported here: pairing itself fails with an error.
     """
     if passkey is None or not sys.platform.startswith("linux"):
         yield
@@ -74,7 +74,7 @@ async def answering(passkey: str | None) -> AsyncIterator[None]:
     try:
         bus.export(_PATH, _agent(passkey))
         await call("RegisterAgent", "os", _PATH, "KeyboardOnly")
-        # bleak pairs on a connection of its own, and BlueZ asks the default agent for those.
+        # bleak pairs on its own connection, and BlueZ asks the default agent for those.
         await call("RequestDefaultAgent", "o", _PATH)
         yield
         await call("UnregisterAgent", "o", _PATH)

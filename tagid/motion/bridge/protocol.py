@@ -1,6 +1,6 @@
-"""Frames of the bridge's control service, version 2 (docs/bridge.md): no radio here, only bytes and values.
+"""Frames of the bridge's control service, version 2 (docs/bridge.md): only bytes and values, no radio.
 
-All integers are little-endian. What comes from the air is checked for its length before it is read.
+All integers are little-endian. The length of received data is checked before decoding.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ INFO: Final = "7d1c0004-3a6e-4f52-9b0d-7461676964b1"
 
 PROTOCOL: Final = 2
 DEADMAN_MS: Final = 400
-"""The bridge's default: longest silence of an armed host, ms."""
+"""The bridge's default dead-man timeout, ms: longest time without a write from an armed host."""
 
 
 class Op(IntEnum):
@@ -39,7 +39,7 @@ class Op(IntEnum):
 
 
 class Status(IntEnum):
-    """How a command ended."""
+    """Result of a command."""
 
     OK = 0
     UNKNOWN = 1
@@ -65,7 +65,7 @@ class Flag(IntFlag):
 
 _ARGUMENTS: Final = {Op.ARM: "<H", Op.BRC: "<HBH", Op.LOOPBACK: "<H", Op.BAUD: "<I"}
 _TRIPPED, _INDEX, _OVERFLOW = 0xC1, 0xC2, 0xC3
-_CAUSES: Final = {1: "silence of the host", 2: "a lost link", 3: "a fault of its firmware"}
+_CAUSES: Final = {1: "silence of the host", 2: "a lost link", 3: "a firmware fault"}
 _DIRECTIONS: Final = {0: "to the robot", 1: "from the robot", 2: "index pulses"}
 
 
@@ -80,7 +80,7 @@ def encode(op: Op, seq: int, *arguments: int, data: bytes = b"") -> bytes:
 
 @dataclass(frozen=True)
 class Reply:
-    """The answer to command `op` number `seq`."""
+    """The answer to command `op` with sequence number `seq`."""
 
     op: int
     seq: int
@@ -98,7 +98,7 @@ class Tripped:
 
 @dataclass(frozen=True)
 class IndexPulse:
-    """A pulse of the index sensor: number, stamp on the bridge's clock (us), age when told (us)."""
+    """A pulse of the index sensor: number, stamp on the bridge's clock (us), age when reported (us)."""
 
     number: int
     stamp_us: int
@@ -107,7 +107,7 @@ class IndexPulse:
 
 @dataclass(frozen=True)
 class Overflow:
-    """Bytes (or pulses) that were lost in one direction since the bridge's power-up."""
+    """Bytes (or pulses) lost in one direction since the bridge's power-up."""
 
     direction: str
     lost: int
@@ -117,7 +117,7 @@ Event = Reply | Tripped | IndexPulse | Overflow
 
 
 def decode_event(data: bytes) -> Event | None:
-    """What the bridge says on EVENT; None where it is nothing of this protocol.
+    """Decode a message of EVENT; None if it is not part of this protocol.
 
     >>> decode_event(bytes.fromhex("8407000100000000000000")).payload.hex()
     '0100000000000000'
@@ -139,12 +139,12 @@ def decode_event(data: bytes) -> Event | None:
 
 @dataclass(frozen=True)
 class BridgeInfo:
-    """What a bridge says of itself, readable without pairing.
+    """Information that a bridge reports without pairing.
 
     Attributes:
-        protocol: version of the frames.
-        version: of the firmware, e.g. "1.0.0".
-        flags: what is configured and in force.
+        protocol: protocol version.
+        version: firmware version, e.g. "1.0.0".
+        flags: configuration and state.
         name, chip, micropython: text.
     """
 
@@ -157,7 +157,7 @@ class BridgeInfo:
 
     @classmethod
     def from_bytes(cls, data: bytes) -> Self:
-        """Raises ValueError where the bytes are too few."""
+        """Raises ValueError if the bytes are too few."""
         if len(data) < 5:
             raise ValueError(f"the bridge's information has {len(data)} bytes")
         name, chip, python = (data[5:].decode("utf-8", "replace") + ";;").split(";")[:3]
@@ -174,14 +174,14 @@ class BridgeStatus:
     Attributes:
         state: "idle", "armed" or "tripped".
         uptime_us: the bridge's clock.
-        to_robot, from_robot: bytes carried.
-        lost_to_robot, lost_from_robot: bytes that found a queue full.
-        notify_retries: notifications that the radio refused and that were sent again.
-        trips: how often the dead-man stopped the robot.
-        index_count, index_lost: pulses seen; pulses overwritten before they were told.
+        to_robot, from_robot: bytes transferred.
+        lost_to_robot, lost_from_robot: bytes dropped because a queue was full.
+        notify_retries: notifications that the radio rejected and that were resent.
+        trips: number of dead-man stops.
+        index_count, index_lost: pulses seen; pulses overwritten before they were reported.
         bad_commands: commands that were malformed or too many.
-        queue_free, mtu, baud: room towards the robot (bytes), largest packet, speed of the serial line.
-        longest_round_ms: longest round of the firmware's loop; the watchdog must allow several of them.
+        queue_free, mtu, baud: free space towards the robot (bytes), largest packet, baud rate of the line.
+        longest_round_ms: longest pass of the firmware's loop; the watchdog must allow several of them.
     """
 
     state: str
@@ -202,7 +202,7 @@ class BridgeStatus:
 
     @classmethod
     def from_bytes(cls, data: bytes) -> Self:
-        """Raises ValueError where the length is wrong."""
+        """Raises ValueError if the length is wrong."""
         if len(data) != _STATUS.size:
             raise ValueError(f"the bridge's status has {len(data)} bytes, not {_STATUS.size}")
         state, *rest = _STATUS.unpack(data)

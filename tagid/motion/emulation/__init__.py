@@ -1,4 +1,4 @@
-"""Emulated robots and tables: the other end of the wire, byte for byte.
+"""Emulated robots and tables, compatible byte for byte with the real ones.
 
-Each core is a state machine without a clock of its own (bytes in, bytes out, time passed in); ports serve it.
+Each core is a state machine without a clock (bytes in, bytes out, time as an argument), served on a port.
 """

@@ -1,6 +1,6 @@
-"""The body of an emulated robot: wheels that take only real speeds, slip, count and turn it.
+"""The body of an emulated robot: wheels with quantised speeds and slip, encoders, and a heading.
 
-What its encoders say and where it truly heads are two things, as on a floor.
+Encoder counts and true heading are independent, as on a real floor.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ _HISTORY_S = 30.0
 
 @dataclass(frozen=True)
 class BodySettings:
-    """What a robot is like.
+    """Parameters of a robot.
 
     Attributes:
-        wheel_base_mm: true distance of the wheels' tracks.
-        slip: share of a wheel's way that does not turn the robot.
-        slip_noise: standard deviation of the slip's slow wandering (correlation time 1 s).
+        wheel_base_mm: true distance between the wheels.
+        slip: fraction of a wheel's travel that does not turn the robot.
+        slip_noise: standard deviation of the slow slip variation (correlation time 1 s).
         encoder_noise: standard deviation of a count, counts.
-        imbalance: how much faster the right wheel runs, relative.
-        signed_encoders: count by the commanded direction; otherwise upwards always.
-        first_count: what both encoders start from (near 32767 they wrap soon).
+        imbalance: relative excess speed of the right wheel.
+        signed_encoders: count by the commanded direction; otherwise always upwards.
+        first_count: initial count of both encoders (near 32767 they wrap soon).
         lag_s: time constant of the motors.
         blocked: whether the wheels cannot turn.
         seed: random seed.
@@ -56,7 +56,7 @@ class BodySettings:
 
 
 def real_speed(commanded_mm_s: float) -> float:
-    """The speed that the wheels really take: the nearest step, 0 below half of one."""
+    """The speed that the wheels actually take: the nearest step, 0 below half of one."""
     return math.copysign(round(abs(commanded_mm_s) / SPEED_STEP_MM_S) * SPEED_STEP_MM_S, commanded_mm_s)
 
 
@@ -75,12 +75,12 @@ class Body:
         self.heading_rad = 0.0
         """True heading, counter-clockwise from above, not wrapped."""
         self.still_since_s: float = now_s
-        """When the wheels last came to rest."""
+        """Time at which the wheels last came to rest."""
         self._times: deque[float] = deque([now_s])
         self._headings: deque[float] = deque([0.0])
 
     def drive(self, right_mm_s: float, left_mm_s: float) -> None:
-        """New wheel speeds from now on."""
+        """Set the wheel speeds from now on."""
         if self.settings.blocked:
             return
         self._wanted = (
@@ -94,7 +94,7 @@ class Body:
         return any(self._speed)
 
     def advance(self, now_s: float) -> None:
-        """Let time pass."""
+        """Advance the time."""
         s = self.settings
         while self._now < now_s:
             step = min(_TICK_S, now_s - self._now)
@@ -129,7 +129,7 @@ class Body:
             self._headings.popleft()
 
     def heading_at(self, time_s: float) -> float:
-        """True heading at a moment of the last 30 s, rad; a moment to come goes on as it turns now."""
+        """True heading at a time within the last 30 s, rad; later times extrapolate the current rotation."""
         times = self._times
         if time_s >= times[-1]:
             return self._headings[-1] + self._rate_rad_s * (time_s - times[-1])
@@ -140,7 +140,7 @@ class Body:
         return self._headings[right - 1] + share * (self._headings[right] - self._headings[right - 1])
 
     def ways_mm(self) -> tuple[float, float]:
-        """Distance that the left and right wheel have rolled, forwards positive, mm."""
+        """Distance rolled by the left and right wheel, forwards positive, mm."""
         return self._way[0], self._way[1]
 
     def encoders(self) -> tuple[int, int]:

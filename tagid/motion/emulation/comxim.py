@@ -1,4 +1,4 @@
-"""A Comxim table as its serial port shows it: `CT+` commands, acknowledgements, angle and events."""
+"""A Comxim table as seen on its serial port: `CT+` commands, acknowledgements, angle and events."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ class ComximCore:
     """An emulated table; times are seconds of one clock.
 
     Args:
-        rate_error: how much slower it turns than it says.
+        rate_error: relative amount by which it turns slower than commanded.
         now_s: time at the start.
-        fail: error code that it answers to CT+RUN with; None for none.
-        backwards: whether its motor is wired the other way round than the maker's documents say.
+        fail: error code in its answer to CT+RUN; None for none.
+        backwards: whether its motor turns opposite to the manufacturer's documents.
     """
 
     baud = 115200
@@ -40,7 +40,7 @@ class ComximCore:
         self._ends_at: float | None = None
 
     def handle(self, data: bytes, now_s: float) -> bytes:
-        """Bytes that arrived; returns its answers."""
+        """Process received bytes; return the answers."""
         out = self.advance(now_s)
         self._buffer = (self._buffer + data.decode("ascii", "ignore"))[-256:]
         while ";" in self._buffer:
@@ -50,7 +50,7 @@ class ComximCore:
         return out
 
     def advance(self, now_s: float) -> bytes:
-        """Let time pass; an ended step is told as an event."""
+        """Advance the time; the end of a step is reported as an event."""
         self.table.advance(now_s)
         if self._ends_at is not None and now_s >= self._ends_at:
             self._ends_at = None

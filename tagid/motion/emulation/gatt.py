@@ -1,6 +1,6 @@
-"""An emulated device whose serial line is one Bluetooth characteristic, on a virtual controller of its own.
+"""An emulated device whose serial line is one Bluetooth characteristic, on its own virtual controller.
 
-A host reaches it with hci=tcp-client:...; bumble plays both controllers.
+A host reaches it with hci=tcp-client:...; bumble provides both controllers.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ class GattPort:
 
     Args:
         core: the device.
-        name: that it advertises.
+        name: advertised name.
         service, characteristic: UUIDs.
 
     Attributes:
-        hci: where a host finds its controller.
-        lock: held while the core is used; hold it to look into the core.
+        hci: address of its controller for a host.
+        lock: held while the core is used; hold it to inspect the core.
 
     Raises MissingExtraError without bumble.
     """

@@ -1,6 +1,6 @@
-"""An emulated robot with all its ends: a pty for its serial port, loopback UDP for its true angle.
+"""An emulated robot with all its interfaces: a pty as serial port, loopback UDP for its true angle.
 
-Events (a bump, a cliff) come at a set time after it began to turn, so that a test can provoke each.
+Events (a bump, a cliff) occur a set time after it starts turning, so that a test can trigger each.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ EVENTS: Final = ("bump", "wheel-drop", "cliff", "charger")
 
 
 class _Timed:
-    """A core to which something happens after it has turned for a while."""
+    """A core to which an event happens after it has turned for a given time."""
 
     def __init__(self, core: RoombaCore, event: str, after_s: float) -> None:
         self._core, self._event, self._after = core, event, after_s
@@ -43,7 +43,7 @@ class _Timed:
 
 
 def happen(world: World, event: str) -> None:
-    """Let one of EVENTS happen."""
+    """Trigger one of EVENTS."""
     if event == "bump":
         world.bump = 1
     elif event == "wheel-drop":
@@ -55,20 +55,20 @@ def happen(world: World, event: str) -> None:
 
 
 class RoombaHost:
-    """A robot that runs; a context manager.
+    """A running robot; a context manager.
 
     Args:
         body, world, baud, asleep: see RoombaCore.
         event: WHAT@SECONDS; None for no event.
-        truth_port: UDP port of the true angle; 0 takes any.
+        truth_port: UDP port of the true angle; 0 selects any free port.
         link: a symbolic link to create for the serial port.
 
     Attributes:
-        core: the robot; look into it under port.lock.
+        core: the robot; inspect it while holding port.lock.
         port: its serial port.
-        truth: tells `angle_rad`, `moving` and `still_since_s` (time.monotonic()).
+        truth: provides `angle_rad`, `moving` and `still_since_s` (time.monotonic()).
 
-    Raises UsageError for an event that makes no sense.
+    Raises UsageError for an event that is not valid.
     """
 
     def __init__(
@@ -115,7 +115,7 @@ class RoombaHost:
 
 
 def wait_until_still(host: RoombaHost, timeout_s: float) -> float | None:
-    """Seconds until the wheels stand, None where they do not within the timeout."""
+    """Seconds until the wheels stop; None if they do not within the timeout."""
     begin = time.monotonic()
     pause = threading.Event()
     while time.monotonic() - begin < timeout_s:

@@ -1,7 +1,7 @@
-"""An emulated device on a pseudo-terminal: a serial port that pyserial, or anything else, can open.
+"""An emulated device on a pseudo-terminal: a serial port that pyserial or any other program can open.
 
-A pty carries no rate, but it remembers which one the client chose: at another than the device's, both sides
-see garbage, as on a wire.
+A pty has no baud rate but stores the one the client chose: if it differs from the device's, both sides
+receive garbage, as on a real line.
 """
 
 from __future__ import annotations
@@ -27,20 +27,20 @@ class SerialCore(Protocol):
 
     @property
     def baud(self) -> int:
-        """Rate it listens at."""
+        """Baud rate of the device."""
         ...
 
     def handle(self, data: bytes, now_s: float) -> bytes:
-        """Bytes that arrived; returns what it sends."""
+        """Process received bytes; return the bytes it sends."""
         ...
 
     def advance(self, now_s: float) -> bytes:
-        """Let time pass; returns what it sends by itself."""
+        """Advance the time; return the bytes it sends unprompted."""
         ...
 
 
 def garbled(data: bytes) -> bytes:
-    """What is read of bytes at the wrong rate: fewer, with most bits stuck."""
+    """Simulates bytes read at the wrong baud rate: fewer, with most bits stuck."""
     return bytes((byte * 7 & 0x78) | 0x80 for byte in data[::3])
 
 
@@ -49,12 +49,12 @@ class PtyPort:
 
     Args:
         core: the device.
-        link: a name for the port, made as a symbolic link to it; None for none.
-        enforce_baud: garble what comes and goes at another rate than the core's.
+        link: path of a symbolic link to the port; None for none.
+        enforce_baud: garble data sent at another baud rate than the core's.
 
     Attributes:
         path: the port to open.
-        lock: held while the core is used; hold it to look into the core.
+        lock: held while the core is used; hold it to inspect the core.
     """
 
     def __init__(self, core: SerialCore, link: Path | None = None, enforce_baud: bool = True) -> None:
@@ -67,7 +67,7 @@ class PtyPort:
         attributes[4] = attributes[5] = termios.B115200
         termios.tcsetattr(slave, termios.TCSANOW, attributes)
         self.path = os.ttyname(slave)
-        # Kept open: with no slave at all a master reads EIO for ever.
+        # Kept open: without any open slave, reads of the master fail with EIO.
         self._slave = slave
         os.set_blocking(self._master, False)
         self._link = link
@@ -93,11 +93,11 @@ class PtyPort:
             self._link.unlink(missing_ok=True)
 
     def cut(self) -> None:
-        """Cut the cable: no byte passes any more, while the device lives on."""
+        """Cut the cable: no more bytes pass, while the device keeps running."""
         self._cut.set()
 
     def wrong_rate(self) -> bool:
-        """Whether the client chose another rate than the device's."""
+        """Whether the client chose another baud rate than the device's."""
         if not self._enforce:
             return False
         try:

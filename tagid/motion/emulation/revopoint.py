@@ -1,4 +1,4 @@
-"""A Revopoint dual-axis table as its characteristic shows it: `+CT,` commands and `+QT,` questions."""
+"""A Revopoint dual-axis table as seen on its characteristic: `+CT,` commands and `+QT,` queries."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class RevopointCore:
     """An emulated table; times are seconds of one clock.
 
     Args:
-        rate_error: how much slower it turns than it says.
+        rate_error: relative amount by which it turns slower than commanded.
         now_s: time at the start.
     """
 
@@ -28,12 +28,12 @@ class RevopointCore:
         self._buffer = ""
 
     def advance(self, now_s: float) -> bytes:
-        """Let time pass; it says nothing by itself."""
+        """Advance the time; the table sends nothing unprompted."""
         self.table.advance(now_s)
         return b""
 
     def handle(self, data: bytes, now_s: float) -> bytes:
-        """Bytes that arrived; returns its answers."""
+        """Process received bytes; return the answers."""
         self.advance(now_s)
         self._buffer = (self._buffer + data.decode("ascii", "ignore"))[-256:]
         out = b""

@@ -1,6 +1,6 @@
-"""A Roomba as its serial port shows it: modes and their fall-backs, sleep, sensors, the stream every 15 ms.
+"""A Roomba as seen on its serial port: modes and their transitions, sleep, sensors, the stream every 15 ms.
 
-It answers what a Create 2 answers, also to clients that are not ours (iRobot, "Create 2 Open Interface").
+It answers like a Create 2, for other clients as well (iRobot, "Create 2 Open Interface").
 """
 
 from __future__ import annotations
@@ -24,20 +24,20 @@ _DATA_BYTES: Final = {
     167: 15, 168: 3, 173: 0,
 }  # fmt: skip
 _COUNTED: Final = {140: (1, 2), 148: (0, 1), 149: (0, 1)}
-"""Commands with a count: its place in the data, and the bytes that each of so many takes."""
+"""Commands with a count: its offset in the data, and the bytes per counted item."""
 _CLEANING: Final = (134, 135, 136, 143)
 
 
 @dataclass
 class World:
-    """What happens to the robot; may be changed at any time.
+    """External conditions of the robot; may be changed at any time.
 
     Attributes:
         bump, wheel_drop: bits 0..1 of packet 7 (right, left), and of wheel drops.
-        cliff: whether the front left cliff sensor sees nothing.
+        cliff: whether the front left cliff sensor sees no floor.
         on_charger: home base contacts.
         charge, capacity: mAh. temperature_c, voltage_mv: of the battery.
-        mode_offset: what the firmware adds to the mode that it reports.
+        mode_offset: offset that the firmware adds to the reported mode.
     """
 
     bump: int = 0
@@ -64,17 +64,17 @@ class _State:
     buffer: bytearray = field(default_factory=bytearray)
     speeds: tuple[int, int] = (0, 0)
     told_mm: tuple[float, float] = (0.0, 0.0)
-    """What packets 19 and 20 have told of the way and of the difference of the wheels."""
+    """Distance and wheel difference already reported in packets 19 and 20."""
 
 
 class RoombaCore:
     """One emulated robot; times are seconds of one clock that never runs backwards.
 
     Args:
-        body: what it is like.
-        world: what happens to it.
+        body: parameters of the robot.
+        world: external conditions.
         now_s: time at the start.
-        baud: rate of its port at the start.
+        baud: initial baud rate of its port.
         asleep: whether it has to be woken by a pulse on BRC.
     """
 
@@ -91,7 +91,7 @@ class RoombaCore:
         self._now = now_s
         self._state = _State(baud=baud, asleep=asleep, used_s=now_s)
         self.ignored = 0
-        """Bytes that were no command."""
+        """Bytes that were not a command."""
 
     @property
     def mode(self) -> Mode:
@@ -100,21 +100,21 @@ class RoombaCore:
 
     @property
     def asleep(self) -> bool:
-        """Whether it sleeps: deaf until woken."""
+        """Whether it is asleep: ignores all commands until woken."""
         return self._state.asleep
 
     @property
     def baud(self) -> int:
-        """The rate of its port."""
+        """The baud rate of its port."""
         return self._state.baud
 
     def pulse_brc(self) -> None:
-        """A low pulse on BRC: wakes a robot that sleeps, and keeps one awake that does not."""
+        """A low pulse on BRC: wakes a sleeping robot, and keeps an awake one from falling asleep."""
         self._state.asleep = False
         self._state.used_s = self._now
 
     def handle(self, data: bytes, now_s: float) -> bytes:
-        """Bytes that arrived at the robot; returns what it sends by then, in order."""
+        """Process received bytes; return what the robot has sent by then, in order."""
         out = self.advance(now_s)
         state = self._state
         if state.asleep or state.starts_at_s is not None or not data:
@@ -126,7 +126,7 @@ class RoombaCore:
         return out
 
     def advance(self, now_s: float) -> bytes:
-        """Let time pass; returns what the robot sends by itself."""
+        """Advance the time; return what the robot sends unprompted."""
         out = b""
         state = self._state
         while True:
@@ -146,7 +146,7 @@ class RoombaCore:
 
     def _fit_frame(self) -> bytes:
         frame = oi.stream_frame(self._state.streamed, self._sensors(self._state.streamed))
-        # What does not fit into 15 ms at this rate is cut off, as on the real wire.
+        # Data that does not fit into 15 ms at this rate is truncated, as on the real line.
         return frame[: int(self._state.baud / 10 * oi.FRAME_S)]
 
     def _move_to(self, now_s: float) -> None:
@@ -236,9 +236,9 @@ class RoombaCore:
         return b"".join(oi.pack_packet(packet, values) for packet in known)
 
     def _since_told(self, packets: Iterable[int]) -> dict[int, int]:
-        """Packets 19 and 20: distance, mm, and angle, degrees, of the wheels since each was last asked for.
+        """Packets 19 and 20: distance, mm, and angle, degrees, of the wheels since the last request for each.
 
-        Asking resets them; what rounding leaves is kept for the next answer.
+        A request resets them; the rounding remainder is kept for the next answer.
         """
         asked = {single for packet in packets for single in oi.members(packet)}
         left, right = self.body.ways_mm()
@@ -277,7 +277,7 @@ class RoombaCore:
 
 
 def _wheel_speeds(opcode: int, data: bytes) -> tuple[int, int]:
-    """Right and left speeds, mm/s, of Drive, Drive Direct and Drive PWM; limited as the robot limits them."""
+    """Right and left speeds, mm/s, of Drive, Drive Direct and Drive PWM, within the robot's limits."""
     first = int.from_bytes(data[:2], "big", signed=True)
     second = int.from_bytes(data[2:], "big", signed=True)
     if opcode == Op.DRIVE_DIRECT:

@@ -1,4 +1,4 @@
-"""The body of an emulated turntable: a plate, its true angle, and where it was at each moment."""
+"""The body of an emulated turntable: a plate, its true angle, and its angle history."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections import deque
 
 
 class TurningTable:
-    """A plate that turns at the speed it was last told; times are seconds of one clock."""
+    """A plate that turns at the last commanded speed; times are seconds of one clock."""
 
     def __init__(self, now_s: float = 0.0) -> None:
         self.now_s = now_s
@@ -16,17 +16,17 @@ class TurningTable:
         self.speed_deg_s = 0.0
         self.still_since_s = now_s
         self.blocked = False
-        """Whether the plate cannot turn, whatever the motor is told."""
+        """Whether the plate is blocked, regardless of the motor's commands."""
         self._corners: deque[tuple[float, float, float]] = deque([(now_s, 0.0, 0.0)], maxlen=1000)
 
     def advance(self, now_s: float) -> None:
-        """Let time pass."""
+        """Advance the time."""
         if now_s > self.now_s:
             self.angle_deg += self.speed_deg_s * (now_s - self.now_s)
             self.now_s = now_s
 
     def turn(self, speed_deg_s: float) -> None:
-        """Turn at this speed from now on; counter-clockwise from above is positive, 0 stands."""
+        """Turn at this speed from now on; counter-clockwise from above is positive, 0 stops it."""
         speed_deg_s = 0.0 if self.blocked else speed_deg_s
         if self.speed_deg_s and not speed_deg_s:
             self.still_since_s = self.now_s
@@ -34,7 +34,7 @@ class TurningTable:
         self._corners.append((self.now_s, self.angle_deg, speed_deg_s))
 
     def state(self, moment_s: float) -> dict[str, float | int | bool]:
-        """True angle at a moment, and whether it turns."""
+        """True angle at a given time, and whether it turns."""
         corners = list(self._corners)
         place = bisect_right([corner[0] for corner in corners], moment_s) - 1
         since, angle, speed = corners[max(place, 0)]

@@ -1,4 +1,4 @@
-"""The true angle of an emulated robot, asked for over loopback: how an emulated radar sees it turn.
+"""The true angle of an emulated robot, served over loopback so that an emulated radar sees it turn.
 
 The radar and the robot may run in different processes; both share this machine's monotonic clock.
 """
@@ -22,11 +22,11 @@ _WAIT_S: Final = 0.5
 
 
 class TruthServer:
-    """Answers `{"at": monotonic seconds}` with what `state` knows of that moment; a context manager.
+    """Answers `{"at": monotonic seconds}` with the result of `state` at that time; a context manager.
 
     Args:
-        state: from a moment (time.monotonic) to JSON values; `angle_rad` is the true angle.
-        port: of 127.0.0.1; 0 takes any free one.
+        state: function from a time (time.monotonic) to JSON values; `angle_rad` is the true angle.
+        port: port on 127.0.0.1; 0 selects any free one.
     """
 
     def __init__(self, state: Callable[[float], dict[str, float | int | bool]], port: int = 0) -> None:
@@ -59,12 +59,12 @@ class TruthServer:
 
 
 class TrueAngle:
-    """Asks a TruthServer.
+    """Client of a TruthServer.
 
     Args:
         address: HOST:PORT on this machine.
 
-    Raises UsageError for an address that makes no sense.
+    Raises UsageError for an address that is not valid.
     """
 
     def __init__(self, address: str) -> None:
@@ -72,12 +72,12 @@ class TrueAngle:
         if not host.startswith("127.") or not port.isdecimal() or not 0 < int(port) < 65536:
             raise UsageError(
                 f"the turning robot's address is {address!r}",
-                "Give what `tagid emulate roomba` prints as truth, e.g. 127.0.0.1:40123.",
+                "Give the address that `tagid emulate roomba` prints as truth, e.g. 127.0.0.1:40123.",
             )
         self._address = (host, int(port))
 
     def state(self, moment_s: float | None = None) -> dict[str, float]:
-        """What is known of a moment of the monotonic clock; now where none is given. Raises DeviceError."""
+        """State at a time of the monotonic clock; now if none is given. Raises DeviceError."""
         moment = time.monotonic() if moment_s is None else moment_s
         asked = json.dumps({"at": moment}).encode()
         for _ in range(_TRIES):
@@ -91,7 +91,7 @@ class TrueAngle:
             if isinstance(answer, dict) and isinstance(answer.get("angle_rad"), int | float):
                 return answer
         raise DeviceError(
-            f"the emulated robot at {self._address[0]}:{self._address[1]} does not tell its angle",
+            f"the emulated robot at {self._address[0]}:{self._address[1]} does not report its angle",
             "Start `tagid emulate roomba` first.",
         )
 

@@ -1,4 +1,4 @@
-"""A floor robot as a turntable: the Roomba's Open Interface, its odometry, and how it is kept safe.
+"""A floor robot as a turntable: the Roomba's Open Interface, its odometry, and its safety functions.
 
 Opcodes and packets are those of iRobot's "Create 2 Open Interface (OI) Specification".
 """

@@ -1,4 +1,4 @@
-"""Client of the Open Interface over any byte link: wake, query, drive, leave.
+"""Client of the Open Interface over any byte link: wake, query, drive, stop.
 
 It has no thread and no safety policy; those are in `device`.
 """
@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
+from tagid import hostclock
 from tagid.errors import DeviceError, DeviceRejectedError, DeviceTimeoutError
 from tagid.motion.links import ByteLink
 from tagid.motion.roomba import messages as oi
@@ -33,20 +34,20 @@ _STATUS: Final = (
 )
 
 FAREWELL: Final = oi.HALT + oi.pause_stream(False) + oi.simple(Op.START)
-"""Wheels to zero, stream off, Passive: the state in which a robot is left."""
+"""Wheels to zero, stream off, Passive mode: the final state of the robot."""
 
 
 @dataclass(frozen=True)
 class RobotStatus:
-    """What a robot reports about itself.
+    """Status that a robot reports.
 
     Attributes:
-        mode: as it is, whatever the firmware's off-by-one says.
+        mode: the true mode, corrected for the firmware's off-by-one.
         on_charger: home base or internal charger connected.
         voltage_v, current_a, temperature_c: of the battery.
-        charge: 0..1 of the capacity; None where the robot does not know.
-        wheel_dropped: a wheel hangs free.
-        mode_offset: what the firmware adds to the mode it reports.
+        charge: 0..1 of the capacity; None if the robot does not know.
+        wheel_dropped: a wheel has dropped.
+        mode_offset: offset that the firmware adds to the reported mode.
     """
 
     mode: Mode
@@ -68,15 +69,15 @@ class OpenInterface:
         self.decoder = StreamDecoder()
 
     def wake(self) -> RobotStatus:
-        """Bring the robot to Passive, waking it where it sleeps, and ask for its state.
+        """Put the robot into Passive mode, waking it if needed, and read its status.
 
-        The robot stands in Passive then, so what it reports as its mode tells the firmware's off-by-one.
+        The robot is then in Passive mode, so the mode it reports reveals the firmware's off-by-one.
 
         Raises:
-            DeviceTimeoutError: no sensible answer, with what to check.
+            DeviceTimeoutError: no valid answer; the message says what to check.
         """
         for attempt in range(4):
-            # Streaming may still be on from a user who was cut off; its frames are no answers.
+            # The stream may still be on from a session that was cut off; its frames are not answers.
             self.link.write(oi.simple(Op.START) + oi.pause_stream(False))
             self._drain()
             with contextlib.suppress(DeviceTimeoutError, DeviceRejectedError):
@@ -90,13 +91,13 @@ class OpenInterface:
         )
 
     def status(self) -> RobotStatus:
-        """Ask for the state; the robot must be in Passive."""
+        """Read the status; the robot must be in Passive mode."""
         values = self.query(_STATUS)
         offset = values[Packet.MODE] - Mode.PASSIVE
         temperature = values[Packet.TEMPERATURE]
         if offset not in (-1, 0, 1) or not 5_000 <= values[Packet.VOLTAGE] <= 30_000:
             raise DeviceRejectedError(
-                f"the robot at {self.link} answers nonsense",
+                f"the robot at {self.link} sends invalid answers",
                 "Check the rate (?baud=115200 or 19200) and that this port is the robot's.",
             )
         self.mode_offset = offset
@@ -113,9 +114,9 @@ class OpenInterface:
         )
 
     def query(self, packets: Sequence[int]) -> dict[int, int]:
-        """Ask once; no stream may be on, because answers carry no header.
+        """Send one query; no stream may be on, because answers carry no header.
 
-        Raises DeviceTimeoutError where the answer does not come or is not as long as it must be.
+        Raises DeviceTimeoutError if the answer does not come or has the wrong length.
         """
         sizes = [oi.packet_size(packet) for packet in packets]
         self.link.write(oi.query(packets))
@@ -123,7 +124,7 @@ class OpenInterface:
         deadline = time.monotonic() + _ANSWER_S
         while len(answer) < sum(sizes) and (left := deadline - time.monotonic()) > 0:
             answer += self.link.read(left)
-        # Without a header an answer that is too long is as useless as one too short.
+        # Without a header, an answer that is too long cannot be used either.
         answer += self.link.read(_SETTLE_S) if len(answer) == sum(sizes) else b""
         if len(answer) != sum(sizes):
             self._drain()
@@ -138,25 +139,25 @@ class OpenInterface:
         return values
 
     def safe(self) -> None:
-        """Enter Safe mode and make sure of it. Raises DeviceRejectedError with the likely cause."""
+        """Enter Safe mode and verify it. Raises DeviceRejectedError with the likely cause."""
         self.link.write(oi.simple(Op.SAFE))
         time.sleep(_SETTLE_S)
         mode = self.query([Packet.MODE])[Packet.MODE] - self.mode_offset
         if mode != Mode.SAFE:
             raise DeviceRejectedError(
                 f"the robot does not enter Safe mode (it reports {mode})",
-                "Take it off the charger and put it on the floor with all wheels down.",
+                "Remove it from the charger and place it on the floor with all wheels down.",
             )
 
     def stream(self, packets: Sequence[int]) -> None:
-        """Begin to stream; read with `frames`."""
+        """Start the stream; read it with `frames`."""
         self.decoder = StreamDecoder(packets)
         self.link.write(oi.stream(packets))
 
     def frames(self, timeout: float) -> list[tuple[int, dict[int, int]]]:
-        """Stream frames that arrived, as (host time ns, values)."""
+        """Stream frames received, as (host time ns, values)."""
         data = self.link.read(timeout)
-        now = time.time_ns()
+        now = hostclock.now_ns()
         return [(now, values) for values in self.decoder.feed(data)]
 
     def spin(self, direction: int, speed_mm_s: int) -> None:
@@ -164,7 +165,7 @@ class OpenInterface:
         self.link.write(oi.drive_direct(direction * speed_mm_s, -direction * speed_mm_s))
 
     def leave(self) -> None:
-        """Wheels to zero, stream off, Passive; asked for until the robot says so. Raises DeviceError."""
+        """Wheels to zero, stream off, Passive; repeated until the robot confirms. Raises DeviceError."""
         for _ in range(3):
             self.link.write(FAREWELL)
             self._drain()
@@ -172,8 +173,8 @@ class OpenInterface:
                 if self.query([Packet.MODE])[Packet.MODE] - self.mode_offset <= Mode.PASSIVE:
                     return
         raise DeviceError(
-            f"the robot at {self.link} was told to stop, but does not confirm it",
-            "Then check the plug or the distance.",
+            f"the robot at {self.link} does not confirm the stop command",
+            "Then check the connector or the distance.",
         )
 
     def _drain(self) -> None:

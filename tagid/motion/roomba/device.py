@@ -1,6 +1,6 @@
-"""A Roomba as a turntable: it turns in place at one of its speed steps and stops when anything looks wrong.
+"""A Roomba as a turntable: it turns in place at one of its speed steps and stops on any anomaly.
 
-Speed, time and silence are bounded here, and the robot is always left in Passive.
+Speed, duration and time without data are limited here, and the robot is always left in Passive mode.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from tagid.motion.roomba.messages import FRAME_S, Mode, Packet
 from tagid.motion.roomba.odometry import NOMINAL_SCALE_SIGMA, WHEEL_BASE_MM, SpinOdometry
 
 SPEED_STEP_MM_S: Final = 28.5
-"""The wheels' speed moves in steps of about this (seen on Create 2 robots): 13.9 deg/s per step in place."""
+"""Step of the wheels' speed (seen on Create 2 robots): 13.9 deg/s per step when turning in place."""
 MAX_STEP: Final = 3
-"""41.7 deg/s, 8.6 s per turn: fast enough, and an object on top does not slide."""
+"""41.7 deg/s, 8.6 s per turn: as fast as possible without an object on top sliding."""
 DEAD_MAN_S: Final = 0.35
 _FEED_S: Final = 0.05
 _SILENCE_S: Final = 0.4
@@ -33,7 +33,7 @@ _STALL_S: Final = 1.5
 _LOW_CHARGE: Final = 0.08
 _HOT_C: Final = 60
 HALT: Final = bytes(4) + FAREWELL
-"""For whoever has to stop a robot amid an unknown command: zeros complete it, and are no opcode."""
+"""For a stop that may interrupt an unknown command: zeros complete it and are not an opcode."""
 
 WATCHED: Final = (
     Packet.BUMPS_AND_DROPS,
@@ -46,7 +46,7 @@ WATCHED: Final = (
     Packet.LEFT_ENCODER,
     Packet.RIGHT_ENCODER,
 )
-"""23 bytes per frame: fits 15 ms also at 19200 baud (28 bytes)."""
+"""23 bytes per frame: fits into 15 ms even at 19200 baud (28 bytes)."""
 WATCHED_FAST: Final = (*WATCHED, Packet.TEMPERATURE, Packet.CHARGE, Packet.CAPACITY)
 """31 bytes per frame, for 115200 baud."""
 
@@ -62,17 +62,17 @@ def step_period_s(step: int, wheel_base_mm: float = WHEEL_BASE_MM) -> float:
 
 @dataclass(frozen=True)
 class RoombaSettings:
-    """How a robot turns.
+    """Motion settings of a robot.
 
     Attributes:
         step: speed step, 1..3.
         direction: +1 counter-clockwise from above, -1 clockwise.
         wheel_base_mm: effective wheel base.
-        scale_sigma: relative standard deviation of it.
+        scale_sigma: relative standard deviation of the wheel base.
         calibrated: whether it was calibrated.
-        fast: 115200 baud, which leaves room for the battery in every frame.
+        fast: 115200 baud, which allows battery data in every frame.
         turns: turns to record; None for one and the overlap needed.
-        max_seconds: longest time it turns.
+        max_seconds: maximum duration of the motion, s.
     """
 
     step: int = 2
@@ -90,13 +90,13 @@ class Roomba(DrivenMotion):
 
     Args:
         open_link: opens the link; called by `start` and `inspect`.
-        settings: how it turns.
-        name: what messages call it.
+        settings: motion settings.
+        name: name of the robot in messages.
     """
 
     kind = "roomba"
-    stops_by = "lift it, because a wheel that drops stops it and its buttons do not"
-    warning = "If its cable is pulled out nothing stops it: then lift it, because its buttons do not work"
+    stops_by = "lift it; a dropped wheel stops it, its buttons do not"
+    warning = "If its cable is disconnected nothing stops it: then lift it, because its buttons do not work"
 
     def __init__(
         self, open_link: Callable[[], ByteLink], settings: RoombaSettings | None = None, name: str = "robot"
@@ -118,17 +118,17 @@ class Roomba(DrivenMotion):
         self._oi: OpenInterface | None = None
         self._driven = False
         self._driving = threading.Lock()
-        """Held while a drive command is written; none may follow the farewell."""
+        """Held while a drive command is written; none may follow the stop sequence."""
 
     def inspect(self) -> RobotStatus:
-        """Wake the robot and ask how it is, without moving it; the link is let go of."""
+        """Wake the robot and read its status without moving it; then release the link."""
         try:
             return self._interface().wake()
         finally:
             self._close()
 
     def describe(self) -> dict[str, Any]:
-        """Battery, charger, what the next turn would be like, and what is known of its wheel base."""
+        """Battery, charger, predicted motion, and the calibration of its wheel base."""
         status, s = self.inspect(), self.settings
         return {
             "robot": self.robot,
@@ -141,10 +141,10 @@ class Roomba(DrivenMotion):
         }
 
     def halt_now(self) -> None:
-        """Stop whatever it does and leave it in Passive; through the guardian of the process that drives it
-        where there is one.
+        """Stop the robot and leave it in Passive mode; through the guardian of the process that drives it, if
+        there is one.
 
-        Raises DeviceError where it does not confirm.
+        Raises DeviceError if it does not confirm.
         """
         if ask_to_stop(self.robot):
             return
@@ -182,9 +182,9 @@ class Roomba(DrivenMotion):
 
     def _fit_to_turn(self, status: RobotStatus) -> None:
         if status.on_charger:
-            raise DeviceRejectedError(f"{self.name} is on its charger", "Take it off; it cannot turn there.")
+            raise DeviceRejectedError(f"{self.name} is on its charger", "Remove it from the charger.")
         if status.wheel_dropped:
-            raise DeviceRejectedError(f"{self.name} hangs with a wheel in the air", "Put it on the floor.")
+            raise DeviceRejectedError(f"{self.name} has a dropped wheel", "Place it on the floor.")
         if status.charge is not None and status.charge < _LOW_CHARGE:
             raise DeviceRejectedError(
                 f"the battery of {self.name} is at {status.charge:.0%}", "Charge it for an hour."
@@ -202,16 +202,16 @@ class Roomba(DrivenMotion):
         if away > DEAD_MAN_S:
             raise PausedError(
                 f"this program was paused for {away:.1f} s; {self.name} was stopped and its angle is lost "
-                "from there on",
+                "from then on",
                 "Record again; keep this computer awake and less busy.",
             )
         if away > _STARVED_S:
-            # This computer did not look; that is not the robot's silence.
+            # This process did not read the link; the robot was not silent.
             self._heard += away
             self._moved += away
         self._looked = now
         if now - self._fed >= _FEED_S:
-            # Said again and again: this is what keeps the dead-man from stopping the wheels.
+            # Repeated regularly: these writes keep the dead-man from stopping the wheels.
             self._spin(round(self.settings.step * SPEED_STEP_MM_S) if self._readings else 0)
             self._fed = now
         found: list[Reading] = []
@@ -225,29 +225,29 @@ class Roomba(DrivenMotion):
         elif now - self._heard > _SILENCE_S:
             raise DeviceTimeoutError(
                 f"{self.name} has been silent for {_SILENCE_S} s: the link is lost",
-                "Then check the plug or the distance.",
+                "Then check the connector or the distance.",
             )
         if self._odometry.counts != self._counts or not self._readings:
             self._counts, self._moved = self._odometry.counts, now
         elif now - self._moved > _STALL_S:
             raise MotionStoppedError(
-                f"nothing turns: the wheels of {self.name} stand still",
-                "Look whether they are blocked; then try again.",
+                f"nothing turns: the wheels of {self.name} do not move",
+                "Check whether they are blocked; then try again.",
             )
         return found
 
     def _watch(self, values: dict[int, int]) -> None:
-        """Raise what has to stop the motion; the cause before its consequence, the fall back to Passive."""
+        """Raise the error that must stop the motion; a cause before its consequence, the return to Passive."""
         bits = values[Packet.BUMPS_AND_DROPS]
         capacity = values.get(Packet.CAPACITY, 0)
         cliffs = any(values[packet] for packet in range(Packet.CLIFF_LEFT, Packet.CLIFF_RIGHT + 1))
         mode = values[Packet.MODE] - self._interface().mode_offset
         for wrong, cause, remedy in (
-            (bits & 0b1100, "lost the floor under a wheel", "Put it back on level ground."),
-            (cliffs, "sees a cliff", "Move it away from the edge, or clean its cliff sensors."),
+            (bits & 0b1100, "has a dropped wheel", "Place it on level ground."),
+            (cliffs, "detects a cliff", "Move it away from the edge, or clean its cliff sensors."),
             (bits & 0b0011, "was bumped", "Clear its surroundings."),
-            (values[Packet.CHARGER] & 3, "was put on a charger", "Take it off the charger."),
-            (mode != Mode.SAFE, "fell back from Safe mode", "One of its safety sensors did that; try again."),
+            (values[Packet.CHARGER] & 3, "was put on a charger", "Remove it from the charger."),
+            (mode != Mode.SAFE, "left Safe mode", "One of its safety sensors caused this; try again."),
             (
                 capacity and values[Packet.CHARGE] < 0.5 * _LOW_CHARGE * capacity,
                 "has an empty battery",
@@ -263,12 +263,12 @@ class Roomba(DrivenMotion):
             return
         with self._driving:
             self._driven = False
-        # Where the robot does not confirm, its guard stays armed and fires when the link is closed.
+        # If the robot does not confirm, its guardian stays armed and acts when the link is closed.
         self._oi.leave()
         self._oi.link.disarm()
 
     def _spin(self, speed_mm_s: int) -> None:
-        """Turn in place, unless the farewell has begun: a drive command must not follow it."""
+        """Turn in place, unless the stop sequence has begun: a drive command must not follow it."""
         with self._driving:
             if self._driven:
                 self._interface().spin(self.direction, speed_mm_s)

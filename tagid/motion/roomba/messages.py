@@ -38,7 +38,7 @@ class Op(IntEnum):
 
 
 class Mode(IntEnum):
-    """What packet 35 says."""
+    """Modes reported in packet 35."""
 
     OFF = 0
     PASSIVE = 1
@@ -47,7 +47,7 @@ class Mode(IntEnum):
 
 
 class Packet(IntEnum):
-    """Sensor packets that turning an object needs."""
+    """Sensor packets needed to rotate an object."""
 
     BUMPS_AND_DROPS = 7
     CLIFF_LEFT = 9
@@ -80,11 +80,11 @@ GROUPS: Final[Mapping[int, range]] = {
     0: range(7, 27), 1: range(7, 17), 2: range(17, 21), 3: range(21, 27), 4: range(27, 35), 5: range(35, 43),
     6: range(7, 43), 100: range(7, 59), 101: range(43, 59), 106: range(46, 52), 107: range(54, 59),
 }  # fmt: skip
-"""Packets that stand for several."""
+"""Group packets and the single packets they contain."""
 
 
 def members(packet: int) -> range:
-    """The single packets behind an id. Raises KeyError for an unknown one."""
+    """The single packets of an id. Raises KeyError for an unknown one."""
     if packet in PACKETS:
         return range(packet, packet + 1)
     return GROUPS[packet]
@@ -100,7 +100,7 @@ def packet_size(packet: int) -> int:
 
 
 def pack_packet(packet: int, values: Mapping[int, int]) -> bytes:
-    """Data of a packet from the values of its single packets; what is not given is zero."""
+    """Data of a packet from the values of its single packets; missing values are zero."""
     return b"".join(struct.pack(">" + PACKETS[one], values.get(one, 0)) for one in members(packet))
 
 
@@ -125,7 +125,7 @@ def drive_direct(right_mm_s: int, left_mm_s: int) -> bytes:
     """
     for speed in (right_mm_s, left_mm_s):
         if not -MAX_SPEED_MM_S <= speed <= MAX_SPEED_MM_S:
-            raise UsageError(f"a wheel speed is {speed} mm/s", "Give -500 to 500 mm/s.")
+            raise UsageError(f"the wheel speed is {speed} mm/s", "Give -500 to 500 mm/s.")
     return struct.pack(">Bhh", Op.DRIVE_DIRECT, right_mm_s, left_mm_s)
 
 
@@ -134,19 +134,19 @@ HALT: Final = drive_direct(0, 0)
 
 
 def query(packets: Iterable[int]) -> bytes:
-    """Ask once for packets."""
+    """Query packets once."""
     ids = bytes(packets)
     return bytes([Op.QUERY_LIST, len(ids)]) + ids
 
 
 def stream(packets: Iterable[int]) -> bytes:
-    """Ask for packets every 15 ms."""
+    """Stream packets every 15 ms."""
     ids = bytes(packets)
     return bytes([Op.STREAM, len(ids)]) + ids
 
 
 def pause_stream(on: bool) -> bytes:
-    """Hold the stream, or let it go on."""
+    """Pause or resume the stream."""
     return bytes([Op.PAUSE_STREAM, int(on)])
 
 

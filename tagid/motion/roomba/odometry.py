@@ -1,7 +1,7 @@
-"""The angle of a robot that spins in place, from both wheels' encoder counts.
+"""The angle of a robot that turns in place, from the encoder counts of both wheels.
 
-A wheel of a spin runs on a circle of half the wheel base, so the angle is the sum of both ways over the base;
-how far their difference stays from zero tells of slip.
+Each wheel runs on a circle with the wheel base as diameter, so the angle is the sum of both distances over
+the base; their difference, ideally zero, indicates slip.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ NOMINAL_SCALE_SIGMA: Final = 0.06
 """Relative standard deviation of the effective wheel base of a robot that was not calibrated: errors up to
 17 % have been reported, taken as three sigma."""
 SLIP_SIGMA: Final = 0.03
-"""Relative standard deviation of slip that both wheels share, which no encoder sees: up to 5 % of their way
+"""Relative standard deviation of slip common to both wheels, which no encoder sees: up to 5 % of the distance
 on a smooth floor (an assumption: no robot was measured)."""
 _QUANTUM: Final = 1 / math.sqrt(12)
 
@@ -32,10 +32,10 @@ def wrapped_difference(now: int, before: int) -> int:
 
 
 class SpinOdometry:
-    """Turned angle since the first reading.
+    """Angle turned since the first reading.
 
-    The encoders see edges, not direction. Some firmwares count by the commanded direction and some upwards
-    always, so only the amount of a wheel's way is used, and the sign is that of the command.
+    The encoders detect edges, not direction. Some firmware versions count by the commanded direction, others
+    always upwards, so only the magnitude of a wheel's travel is used, with the sign of the command.
 
     Args:
         direction: +1 counter-clockwise from above, -1 clockwise.
@@ -57,9 +57,9 @@ class SpinOdometry:
 
     @property
     def sigma_rad(self) -> float:
-        """Standard deviation but for a common factor: counting, and half of what the wheels disagree.
+        """Standard deviation without the common scale factor: counting, plus half the wheels' disagreement.
 
-        The common factor, wheel base and slip, is the track's `scale_sigma`.
+        The common factor (wheel base and slip) is the track's `scale_sigma`.
         """
         counting = math.sqrt(2) * _QUANTUM
         disagreement = abs(abs(self._left) - abs(self._right)) / 2
@@ -71,7 +71,7 @@ class SpinOdometry:
         return self._left, self._right
 
     def add(self, left: int, right: int) -> float:
-        """Take a reading of packets 43 and 44; returns the angle."""
+        """Process a reading of packets 43 and 44; return the angle."""
         if self._last is not None:
             self._left += wrapped_difference(left, self._last[0])
             self._right += wrapped_difference(right, self._last[1])

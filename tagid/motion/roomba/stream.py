@@ -1,6 +1,6 @@
-"""Stream frames out of any bytes: what is no frame is dropped byte by byte until one fits again.
+"""Extracts stream frames from a byte stream: invalid data is skipped byte by byte until a frame fits.
 
-A robot that wakes up prints text, a plug that is pushed in makes noise, and a bridge may lose a piece.
+A robot that wakes up prints text, connecting a plug causes noise, and a bridge may lose data.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ MAX_BODY: Final = 170
 
 
 class StreamDecoder:
-    """Bytes in, frames out.
+    """Decoder from bytes to frames.
 
     Args:
-        packets: the ids that were asked for; a frame of other ids is noise that happens to add up (its chance
-            is 1 in 256 a byte). None takes any valid frame.
+        packets: ids in a valid frame; a frame with other ids is noise with a matching checksum (probability
+            1 in 256 per byte). None accepts any valid frame.
 
     Attributes:
-        frames: good frames so far.
-        dropped: bytes that belonged to none.
+        frames: valid frames so far.
+        dropped: bytes outside any frame.
     """
 
     def __init__(self, packets: Sequence[int] | None = None) -> None:
@@ -34,7 +34,7 @@ class StreamDecoder:
         self.dropped = 0
 
     def feed(self, data: bytes) -> list[dict[int, int]]:
-        """The frames that are complete now, oldest first, as {packet: value}."""
+        """The frames that are complete, oldest first, as {packet: value}."""
         self._buffer += data
         found: list[dict[int, int]] = []
         start = 0

@@ -1,6 +1,6 @@
-"""`roomba+serial://PORT` and `roomba+ble://NAME-OR-ADDRESS`: from a URL to a robot that can be started.
+"""`roomba+serial://PORT` and `roomba+ble://NAME-OR-ADDRESS`: creates a robot from a URL.
 
-Options are taken and checked here, before anything is opened.
+Options are parsed and checked here, before anything is opened.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ def _settings(options: Options, robot: str, fast: bool) -> RoombaSettings:
     if step is not None and rpm is not None:
         raise options.wrong("gives both step and rpm")
     if rpm is not None:
-        # The nearest speed that the wheels really have.
+        # The nearest speed that the wheels support.
         step = min(range(1, MAX_STEP + 1), key=lambda n: abs(60 / step_period_s(n) - rpm))
     if step is not None and step != int(step):
         raise options.wrong(f"step is {step:g}, expected 1, 2 or 3")
     base = options.number("base_mm", None, 100, 1000)
     known = recall(robot) if base is None else None
     if known is not None:
-        # Its floor may be another today: the wheel base is known, the slip is not.
+        # The floor may differ today: the wheel base is known, the slip is not.
         base, sigma = known.wheel_base_mm, math.hypot(known.sigma, SLIP_SIGMA)
     else:
         sigma = NOMINAL_SCALE_SIGMA
@@ -48,7 +48,7 @@ def open_serial(options: Options) -> Roomba:
     """A robot on a cable. Options: baud, step or rpm, direction, base_mm, turns, max_seconds."""
     port = options.target
     if not port:
-        raise options.wrong("names no port")
+        raise options.wrong("has no port")
     baud = int(options.number("baud", 115200, 300, 115200) or 115200)
     if baud not in BAUD_CODES:
         raise options.wrong(f"baud is {baud}, expected 115200 or 19200")
@@ -61,12 +61,12 @@ def open_serial(options: Options) -> Roomba:
 
 
 def open_ble(options: Options) -> Roomba:
-    """A robot behind the Bluetooth bridge. Options as on a cable but for baud, and passkey, hci, wait."""
+    """A robot behind the Bluetooth bridge. Options as on a cable without baud, plus passkey, hci, wait."""
     from tagid.motion.ble import BridgeLink
     from tagid.motion.ble_urls import ble_address
 
     address = ble_address(options)
     robot = Roomba(lambda: BridgeLink(address), _settings(options, address.target, fast=True), address.target)
-    robot.stops_by = "its bridge stops it within half a second, and if it turns on, lift it"
+    robot.stops_by = "its bridge stops it within half a second; if it continues to turn, lift it"
     robot.warning = ""
     return robot

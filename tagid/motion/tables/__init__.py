@@ -1,1 +1,1 @@
-"""Turntables with a wire, one file each; a new one is a file here and a line in pyproject.toml."""
+"""Commanded turntables, one file each; a new one needs a file here and a line in pyproject.toml."""

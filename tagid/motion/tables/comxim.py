@@ -1,6 +1,6 @@
 """Comxim turntables (also sold as Revopoint TA500) on a serial port: ASCII commands that begin with `CT+`.
 
-`comxim+serial:///dev/ttyUSB1?speed=3`; the words are those of the maker's protocol, its slips included.
+`comxim+serial:///dev/ttyUSB1?speed=3`; commands are spelt as in the manufacturer's protocol, errors included.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from tagid.motion.urls import Options
 
 BAUD: Final = 115200
 SECONDS_A_TURN: Final = 20.0
-"""At speed 1, a guess; higher numbers are slower. Give `period` where it matters."""
+"""Seconds per turn at speed 1 (an estimate); higher numbers are slower. Give `period` if it matters."""
 CLOCKWISE, COUNTER_CLOCKWISE = 0, 1
 """Arguments of SETDIR: 0 is left, clockwise, according to ComXim's command list as a public client quotes it
 (docs/motion.md)."""
 STOP: Final = b";CT+SETSTOP();"
-"""For whoever stops a table amid an unknown command: the first semicolon ends it."""
+"""For a stop that may interrupt an unknown command: the first semicolon ends it."""
 _ANGLE: Final = re.compile(r"OffsetAngle\s*=\s*([+-]?\d+(?:\.\d+)?)")
 
 
@@ -28,12 +28,12 @@ class Comxim(PolledTable):
     """A Comxim table; see PolledTable. speed is its own number, 1 the fastest."""
 
     kind = "comxim"
-    stops_by = "switch it off at its plug"
-    warning = "If its cable is pulled out nothing stops it: then switch it off at its plug"
+    stops_by = "disconnect its power supply"
+    warning = "If its cable is disconnected nothing stops it: then disconnect its power supply"
     speed = 1
 
     def _set_going(self) -> None:
-        # A table that was left turning must not take the settings for a new run.
+        # A table that is still turning rejects the settings of a new run.
         self.link().write(b"CT+STARTUP();CT+ACK(1);CT+EVENT(1);")
         self.answer("OK", 2.0)
         way = CLOCKWISE if self.commanded < 0 else COUNTER_CLOCKWISE
@@ -50,7 +50,7 @@ class Comxim(PolledTable):
         text = self.answer("OffsetAngle")
         found = _ANGLE.search(text)
         if found is None:
-            raise DeviceRejectedError(f"{self.name} answers {text[:40]!r}", "Is it a Comxim table?")
+            raise DeviceRejectedError(f"{self.name} answers {text[:40]!r}", "Check the device type.")
         return float(found[1])
 
     def _tell_stop(self) -> None:
@@ -64,7 +64,7 @@ def open_serial(options: Options) -> Comxim:
     """Options: speed (1 and higher, higher is slower), period (s per turn), direction, reversed, turns."""
     port = options.target
     if not port:
-        raise options.wrong("names no port")
+        raise options.wrong("has no port")
     speed = int(options.number("speed", 1, 1, 1000) or 1)
     period = options.number("period", SECONDS_A_TURN * speed, 1, 3600) or SECONDS_A_TURN
     table = Comxim(

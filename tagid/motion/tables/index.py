@@ -1,6 +1,6 @@
-"""A free-running table with a magnet, and a hall sensor on the bridge: one stamped pulse a turn.
+"""A free-running table with a magnet, and a Hall sensor on the bridge: one timestamped pulse per turn.
 
-`index+ble://NAME`: a pulse cannot be deceived by symmetry, and two of them are an exact turn.
+`index+ble://NAME`: a pulse is independent of the object's symmetry, and two pulses are exactly one turn.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable
 from typing import Any, Final
 
+from tagid import hostclock
 from tagid.errors import DeviceRejectedError
 from tagid.motion.ble import BleAddress, BridgeLink
 from tagid.motion.ble_urls import ble_address
@@ -23,14 +24,14 @@ _LOOK_S: Final = 0.05
 _CLOCK_EVERY_S: Final = 1.0
 _LONGEST_TURN_S: Final = 300.0
 _TICK_TURNS: Final = 1 / 64
-"""Readings per turn that are filled in between two pulses, so that an angle is there for every scan."""
+"""Readings per turn interpolated between two pulses, so that every scan has an angle."""
 
 
 class IndexTable(DrivenMotion):
-    """A table that runs by itself and tells each full turn.
+    """A free-running table that reports each full turn.
 
     Args:
-        address: of the bridge.
+        address: address of the bridge.
         direction: +1 counter-clockwise from above, -1 clockwise.
         nominal_s: seconds per turn, for the progress line.
     """
@@ -39,7 +40,7 @@ class IndexTable(DrivenMotion):
     moves = False
 
     def __init__(self, address: BleAddress, direction: int, nominal_s: float, turns: float | None) -> None:
-        # Two pulses are a full turn, exactly; the scans around them continue at its speed.
+        # Two pulses are exactly one turn; the angle outside them continues at the same speed.
         super().__init__(f"the index sensor at {address.target}", direction, nominal_s, 0.001, turns or 1.0)
         self._open_link: Callable[[], BridgeLink] = lambda: BridgeLink(address, self._event)
         self._link: BridgeLink | None = None
@@ -65,11 +66,11 @@ class IndexTable(DrivenMotion):
         self._fit_clock()
 
     def _fit_clock(self) -> None:
-        """Bridge time against host time, from the shortest round trip so far."""
+        """Bridge time versus host time, from the shortest round trip so far."""
         assert self._link is not None
-        asked = time.time_ns()
+        asked = hostclock.now_ns()
         (uptime_us,) = struct.unpack("<Q", self._link.request(Op.TIME)[:8])
-        answered = time.time_ns()
+        answered = hostclock.now_ns()
         if answered - asked < self._round_trip_ns:
             self._round_trip_ns = answered - asked
             self._offset_ns = (asked + answered) // 2 - uptime_us * 1000
@@ -89,7 +90,7 @@ class IndexTable(DrivenMotion):
         if not pulses:
             if time.monotonic() - self._heard > _LONGEST_TURN_S:
                 raise DeviceRejectedError(
-                    f"{self.name} gave no pulse for {_LONGEST_TURN_S:.0f} s",
+                    f"{self.name} sent no pulse for {_LONGEST_TURN_S:.0f} s",
                     "Check that the table turns and the magnet passes the sensor within millimetres.",
                 )
             return []
@@ -112,14 +113,14 @@ class IndexTable(DrivenMotion):
         ]
 
     def _halt(self) -> None:
-        """Nothing moves on command."""
+        """Does nothing: the table is not commanded."""
 
     def halt_now(self) -> None:
         """Not possible. Raises DeviceRejectedError."""
         raise DeviceRejectedError(f"{self.name} cannot stop its table", "Switch the table off.")
 
     def describe(self) -> dict[str, Any]:
-        """What the bridge says of itself."""
+        """Information and status of the bridge."""
         try:
             self._link = self._open_link()
             info = self._link.bridge.info

@@ -1,6 +1,6 @@
-"""Tables that are polled for their angle: what Comxim's and Revopoint's have in common.
+"""Tables whose angle is polled: the common part of the Comxim and Revopoint drivers.
 
-An angle is stamped with the middle between question and answer; half of that time is its uncertainty.
+An angle is timestamped midway between query and answer; half of that interval is its uncertainty.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from abc import abstractmethod
 from collections.abc import Callable
 from typing import Any, Final
 
+from tagid import hostclock
 from tagid.errors import DeviceRejectedError, DeviceTimeoutError
 from tagid.motion.device import MotionStoppedError, PausedError
 from tagid.motion.driven import DrivenMotion, Reading
@@ -22,12 +23,12 @@ ANSWER_S: Final = 1.0
 _STALL_S: Final = 3.0
 _SLICE_S: Final = 0.1
 GUARD_S: Final = 0.35
-"""Longest time without a heartbeat to the helper process that stops the table."""
+"""Maximum time without a heartbeat to the helper process that stops the table."""
 PAUSE_S: Final = 3.0
-"""Longest time between two questions; an answer alone may take ANSWER_S, twice."""
+"""Maximum time between two queries; an answer alone may take ANSWER_S, twice."""
 _SLOW_S: Final = 0.06
 _PATIENCE_S: Final = 0.5
-"""An answer that took longer than _SLOW_S is left out, unless none was quicker for so long."""
+"""An answer slower than _SLOW_S is discarded, unless none was faster for this time."""
 _LONGEST_ANSWER: Final = 512
 
 
@@ -36,11 +37,11 @@ class PolledTable(DrivenMotion):
 
     Args:
         open_link: opens the link.
-        name: what messages call it.
+        name: name of the table in messages.
         direction: +1 counter-clockwise from above, -1 clockwise.
         nominal_s: seconds per turn as set; real rates differ.
-        turns: turns to record; None for one and the overlap.
-        resolution_rad: of its angle.
+        turns: turns to record; None for one plus the overlap.
+        resolution_rad: resolution of its angle.
     """
 
     resolution_rad = math.radians(0.1)
@@ -67,39 +68,39 @@ class PolledTable(DrivenMotion):
 
     @property
     def commanded(self) -> int:
-        """The direction to command, as the maker's documents call it: +1 counter-clockwise from above."""
+        """The direction to command, as in the manufacturer's documents: +1 counter-clockwise from above."""
         return -self.direction if self.reversed else self.direction
 
     @abstractmethod
     def _set_going(self) -> None:
-        """Tell it to turn, with its speed and direction."""
+        """Command it to turn, with its speed and direction."""
 
     @abstractmethod
     def _ask_angle(self) -> float | None:
-        """Its angle, degrees; None where it reports none now."""
+        """Its angle, degrees; None if it currently reports none."""
 
     @abstractmethod
     def _tell_stop(self) -> None:
-        """Tell it to stop."""
+        """Command it to stop."""
 
     def link(self) -> ByteLink:
-        """The link, opened where it is not yet."""
+        """The link, opened on first use."""
         if self._link is None:
             self._link = self._open_link()
             self._buffer = b""
         return self._link
 
     def answer(self, wanted: str, timeout: float = ANSWER_S) -> str:
-        """The next answer that holds a text, without its semicolon; others (events, echoes) are passed over.
+        """The next answer that contains a text, without its semicolon; others (events, echoes) are skipped.
 
         Raises:
-            DeviceRejectedError: the table answers an error. DeviceTimeoutError: nothing that fits came.
+            DeviceRejectedError: the table reports an error. DeviceTimeoutError: no matching answer arrived.
         """
         deadline = time.monotonic() + timeout
         while True:
             while b";" in self._buffer:
                 part, self._buffer = self._buffer.split(b";", 1)
-                # The degree sign of some tables is no UTF-8; only ASCII is of interest.
+                # The degree sign of some tables is not UTF-8; only ASCII is needed.
                 text = part.decode("ascii", "ignore").strip()
                 self.refuse(text)
                 if wanted in text:
@@ -107,32 +108,32 @@ class PolledTable(DrivenMotion):
             left = deadline - time.monotonic()
             if left <= 0:
                 raise DeviceTimeoutError(
-                    f"{self.name} does not answer", "Switch it on; check its plug and that it is this device."
+                    f"{self.name} does not answer", "Switch it on; check its connection and its type."
                 )
             self._beat()
             self._buffer = (self._buffer + self.link().read(min(left, _SLICE_S)))[-_LONGEST_ANSWER:]
 
     def _beat(self) -> None:
-        """Keep the helper process calm; while halting it may have stopped the table already."""
+        """Send a heartbeat to the helper process, which may have stopped the table already during a halt."""
         if self._running:
             self.link().beat()
 
     def forget(self) -> None:
-        """Drop answers to what was asked before."""
+        """Discard answers to earlier requests."""
         deadline = time.monotonic() + ANSWER_S
         while self.link().read(0.02) and time.monotonic() < deadline:
             self._beat()
         self._buffer = b""
 
     def refuse(self, text: str) -> None:
-        """Raise DeviceRejectedError where an answer is an error."""
+        """Raise DeviceRejectedError if an answer is an error."""
         for mark in ("ERR=", "FAIL"):
             if mark in text:
-                # The halt of the guardian may have made it answer so.
+                # The guardian's halt may have caused this answer.
                 self._beat()
                 code = text.rpartition("=")[2].strip()
                 raise DeviceRejectedError(
-                    f"{self.name} answers error {code}", "Switch it off and on; see its manual for the code."
+                    f"{self.name} reports error {code}", "Switch it off and on; see its manual for the code."
                 )
 
     def _begin(self) -> None:
@@ -149,23 +150,23 @@ class PolledTable(DrivenMotion):
         if time.monotonic() - self._looked > PAUSE_S:
             raise PausedError(
                 f"this program was paused for {time.monotonic() - self._looked:.1f} s; {self.name} was "
-                "stopped and its angle is lost from there on",
+                "stopped and its angle is lost from then on",
                 "Record again; keep this computer awake and less busy.",
             )
         self._looked = time.monotonic()
         if time.monotonic() - self._moved > _STALL_S:
             raise MotionStoppedError(
                 f"nothing turns: {self.name} reports no new angle for {_STALL_S:g} s",
-                "Look whether it is blocked or overloaded.",
+                "Check whether it is blocked or overloaded.",
             )
-        asked = time.time_ns()
+        asked = hostclock.now_ns()
         degrees = self._ask_angle()
-        answered = time.time_ns()
+        answered = hostclock.now_ns()
         if degrees is None:
             return []
         late = (answered - asked) * 1e-9 > _SLOW_S and time.monotonic() - self._told < _PATIENCE_S
         if late:
-            # It is not known when in that time the table sampled its angle.
+            # The time within that interval at which the table sampled its angle is unknown.
             return []
         self._told = time.monotonic()
         if self._last_deg is not None:
@@ -176,7 +177,7 @@ class PolledTable(DrivenMotion):
         self._last_deg = degrees
         spread = 0.5 * (answered - asked) * 1e-9 * 2 * math.pi / self.nominal_s / math.sqrt(3)
         sigma = math.hypot(self.resolution_rad / math.sqrt(12), spread)
-        # The sign that tables report is not documented consistently: the direction is the commanded one.
+        # The sign that tables report is not documented consistently; the commanded direction is used.
         angle = self.direction * math.radians(abs(self._turned_deg))
         return [((asked + answered) // 2, angle, sigma)]
 
@@ -188,7 +189,7 @@ class PolledTable(DrivenMotion):
         self._link.disarm()
 
     def halt_now(self) -> None:
-        """Stop it, through the guardian of the process that drives it where there is one."""
+        """Stop it, through the guardian of the process that drives it if there is one."""
         if ask_to_stop(self.target):
             return
         try:

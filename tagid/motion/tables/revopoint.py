@@ -1,4 +1,4 @@
-"""Revopoint's dual-axis table over Bluetooth: `+CT,` commands and `+QT,` questions on one characteristic.
+"""Revopoint's dual-axis table over Bluetooth: `+CT,` commands and `+QT,` queries on one characteristic.
 
 `revopoint+ble://?period=30`, or with a name or address; only its turning axis is used.
 """
@@ -27,11 +27,11 @@ class Revopoint(PolledTable):
 
     kind = "revopoint"
     stops_by = "switch it off"
-    warning = "If Bluetooth is lost, or this program hangs, nothing is known to stop it: then switch it off"
+    warning = "If Bluetooth is lost, or this program hangs, it may not stop: then switch it off"
 
     def _set_going(self) -> None:
         self._command(f"TURNSPEED={self.nominal_s:.1f}")
-        # Revopoint's own program sends positive angles for "clockwise" (docs/motion.md).
+        # Revopoint's own app sends positive angles for "clockwise" (docs/motion.md).
         self._command(f"TURNCONTINUE={-self.commanded}")
 
     def _command(self, text: str) -> None:

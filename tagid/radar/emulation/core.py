@@ -1,4 +1,4 @@
-"""A P440 as a state machine: bytes in, bytes out, time as an argument; no sockets and no clock of its own.
+"""A P440 as a state machine: bytes in, bytes out, time as an argument. It has no sockets and no clock.
 
 The UDP emulator, the replay and the tests all drive this core, so they behave as the same radar.
 """
@@ -37,14 +37,14 @@ _MRM_REQUESTS: Final = (_T.SET_CONFIG_REQUEST, _T.GET_CONFIG_REQUEST, _T.CONTROL
 
 
 _LAG_S: Final = 0.5
-"""Delay behind the clock up to which scans are still sent one after the other, s of the emulated clock."""
+"""Lag up to which late scans are still sent one after the other, s of the emulated clock."""
 _LONGEST_LAG_S: Final = 2.0
-"""Delay from which on the emulator continues with the present scan, s of the emulated clock."""
+"""Lag above which the emulator skips to the current scan, s of the emulated clock."""
 
 
 @dataclass
 class _Run:
-    """A scan series under way; times are seconds since boot."""
+    """A running scan series; times are seconds since boot."""
 
     first_id: int
     count: int
@@ -79,11 +79,11 @@ class EmulatorCore:
     jumps to the next scan; all return the packets that leave the radar, in order.
 
     Args:
-        source: what the radar sees; a `FixedSource` (recording) also fixes the settings and the timestamps.
+        source: provides the samples; a `FixedSource` (recording) also fixes the settings and the timestamps.
         config: settings at power-up.
-        identity: what GET_STATUSINFO says.
+        identity: values reported by GET_STATUSINFO.
         booted_s: emulated time since boot at the start.
-        firmware: what its firmware does its own way.
+        firmware: firmware variant to emulate.
     """
 
     def __init__(
@@ -120,7 +120,7 @@ class EmulatorCore:
         }
 
     def follow(self, monotonic: Callable[[float], float]) -> None:
-        """Tell a source that needs it what moment of time.monotonic() an emulated time is."""
+        """Tell a source that needs it which time.monotonic() corresponds to an emulated time."""
         if isinstance(self._source, FollowingSource):
             self._source.follow(monotonic)
 
@@ -136,12 +136,12 @@ class EmulatorCore:
 
     @property
     def scanning(self) -> bool:
-        """Whether a run is under way."""
+        """Whether a run is in progress."""
         return self._state.run is not None
 
     @property
     def ended(self) -> bool:
-        """Whether a recording has come to its end: the run stopped for want of scans."""
+        """Whether a recording has ended: the run stopped because no scans were left."""
         return self._state.ended and self._state.run is None
 
     @property
@@ -151,13 +151,13 @@ class EmulatorCore:
 
     @property
     def next_due_s(self) -> float | None:
-        """Emulated time at which the next packet leaves by itself; None where nothing is planned."""
+        """Emulated time at which the next packet is sent without a request; None if none is scheduled."""
         if self._state.boots_until_s is not None:
             return self._state.boots_until_s
         return self._state.run.due_s() if self._state.run else None
 
     def handle(self, packet: bytes) -> list[bytes]:
-        """Answers to one packet of a client; a booting radar is deaf."""
+        """Answers to one packet from a client; a booting radar ignores it."""
         if self._state.boots_until_s is not None or len(packet) < 4:
             return []
         try:
@@ -178,17 +178,17 @@ class EmulatorCore:
         return [*residual, handler(message)]
 
     def hold_back(self, now_s: float) -> None:
-        """Lets time pass without a scan: the wire has no room, and the radar waits for it."""
+        """Advance the time without a scan: the link is full, and the radar waits for it."""
         run = self._state.run
         if run is not None and run.due_s() < now_s:
             run.started_s += now_s - run.due_s()
         self._now = max(self._now, now_s)
 
     def advance_by_one(self, now_s: float) -> list[bytes]:
-        """Lets time pass until `now_s` or the next scan, whichever is first; returns what left the radar.
+        """Advance the time to `now_s` or the next scan, whichever is first; return the packets sent.
 
-        One scan per call, so that a slow source cannot keep a request (a stop!) from being heard. Where the
-        source or this process is too slow, scans are skipped as if they were lost on the way: the scene
+        One scan per call, so that a slow source cannot delay the handling of a request such as a stop. If the
+        source or this process is too slow, scans are skipped as if lost in transit: the scene
         moves on with the clock, so a late scan must show the moment of its timestamp.
         """
         due = self.next_due_s
@@ -199,7 +199,7 @@ class EmulatorCore:
         return []
 
     def _catch_up(self, lag_s: float) -> None:
-        """Skips scans of a run that is late: some of them where the delay is short, else all."""
+        """Skip scans of a late run: some of them if the lag is short, otherwise all."""
         run = self._state.run
         if run is None or lag_s <= _LAG_S:
             return
@@ -213,7 +213,7 @@ class EmulatorCore:
         run.index += skipped
 
     def step(self) -> list[bytes]:
-        """Jumps to the next thing that happens by itself (a scan, the end of a boot)."""
+        """Jump to the next scheduled event (a scan, the end of a boot)."""
         due = self.next_due_s
         if due is None:
             return []
@@ -248,7 +248,7 @@ class EmulatorCore:
         return state.filters.packets(taken, config, (run.first_id + index) & 0xFFFF, stamp)
 
     def _set_config(self, message: Message) -> bytes:
-        self._state.run = None  # silently, as the real radar does
+        self._state.run = None  # without a message, like the real radar
         try:
             wanted = self._firmware.take(RadarConfig.from_record(message.fields["config"]))
         except ConfigError:
@@ -293,7 +293,7 @@ class EmulatorCore:
         )
 
     def power_cycle(self) -> None:
-        """Boots anew: settings from flash, no run, and deaf until READY_INFO."""
+        """Reboot: settings from flash, no run, and no answers until READY_INFO."""
         flash = self._state.flash
         self._state = _State(flash, flash, boots_until_s=self._now + self._identity.boot_s)
 
@@ -303,7 +303,7 @@ class EmulatorCore:
 
     def _set_opmode(self, message: Message) -> bytes:
         mode = message["mode"]
-        known = mode in (0, OPMODE_MRM)  # 0 is ranging: possible on a P440, but no radar then
+        known = mode in (0, OPMODE_MRM)  # 0 is ranging: valid on a P440, but without radar scans
         if known:
             self._state.opmode, self._state.run = mode, None
         status = Status.OK if known else Status.UNSUPPORTED_VALUE

@@ -1,6 +1,6 @@
-"""The emulated radar on a real wire: what stands behind `tagid emulate`.
+"""The emulated radar on a UDP port or a pseudo-terminal; used by `tagid emulate`.
 
-It adds to the core only what a wire adds: faults, real time, and a pace the receiver can take.
+It adds to the core what a real link adds: faults, real time and flow control.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _IDLE_S: Final = 0.05
 
 
 class StopEvent(Protocol):
-    """`threading.Event` and `multiprocessing.Event` alike."""
+    """Accepts both `threading.Event` and `multiprocessing.Event`."""
 
     def is_set(self) -> bool:
         """Whether to stop."""
@@ -34,12 +34,12 @@ class StopEvent(Protocol):
 
 @dataclass(frozen=True)
 class ServeOptions:
-    """How the emulator runs.
+    """Options of the emulator.
 
     Attributes:
         host, port: address to listen on; port 0 takes any free one.
-        rate: emulated seconds per second; 1 is real time, 0 as fast as the receiver takes scans.
-        faults: of the network.
+        rate: emulated seconds per second; 1 is real time, 0 as fast as the receiver reads scans.
+        faults: network faults to inject.
     """
 
     host: str = "127.0.0.1"
@@ -66,9 +66,9 @@ def serve_udp(
     stop_event: StopEvent,
     on_ready: Callable[[str, int], None] | None = None,
 ) -> None:
-    """Serves one emulated radar on UDP. `on_ready` is told the address when it listens.
+    """Serves one emulated radar on UDP. `on_ready` is called with the address once it listens.
 
-    Raises PortInUseError where another program holds the port.
+    Raises PortInUseError if another program holds the port.
     """
     sock = bind_udp(options.host, options.port)
     host, port = sock.getsockname()
@@ -78,7 +78,7 @@ def serve_udp(
 
 
 class Server:
-    """Moves packets between the core and a wire as time passes.
+    """Moves packets between the core and a link as time passes.
 
     Args:
         core: the radar.
@@ -97,11 +97,11 @@ class Server:
             core.follow(lambda emulated_s: self._origin + emulated_s / options.rate)
 
     def order(self, what: Callable[[], Any]) -> None:
-        """Has something done between two packets, by the thread that serves."""
+        """Schedule an action to run on the serving thread between two packets."""
         self._orders.put(what)
 
     def run(self, stop_event: StopEvent) -> None:
-        """Serves until told to stop."""
+        """Serve until `stop_event` is set."""
         while not stop_event.is_set():
             while not self._orders.empty():
                 self._orders.get()()
@@ -115,7 +115,7 @@ class Server:
             self._release()
 
     def send(self, packets: list[bytes]) -> None:
-        """Packets leave the radar and go the way that loses some of them."""
+        """Send packets of the radar through the simulated faults."""
         if packets:
             self._wire.send(self._path.pass_on(packets, self._core.now_s))
 
@@ -127,7 +127,7 @@ class Server:
             self.send(self._core.advance_by_one(now))
 
     def _release(self) -> None:
-        """What was held back goes when its time has come, or at once where nothing can follow it."""
+        """Send packets that were held back when they are due, or at once if no packet can follow them."""
         if self._path.holding:
             if self._core.next_due_s is None:
                 late = self._path.flush(self._core.now_s if self._rate else None)
@@ -169,7 +169,7 @@ class _Emulator:
         self._thread.start()
 
     def order(self, what: Callable[[], Any]) -> None:
-        """Has something done by the emulator's thread and waits until it is done."""
+        """Run an action on the emulator's thread and wait until it is done."""
         assert self._server is not None
         done = threading.Event()
 
@@ -181,7 +181,7 @@ class _Emulator:
         done.wait(10)
 
     def power_cycle(self) -> None:
-        """Takes the power away for a moment: the radar boots, loses its run and says READY_INFO then."""
+        """Interrupt the power briefly: the radar boots, loses its run and sends READY_INFO."""
         self.order(self.core.power_cycle)
 
     def __exit__(
@@ -195,7 +195,7 @@ class _Emulator:
 class UdpEmulator(_Emulator):
     """An emulated radar on a UDP port.
 
-    Raises PortInUseError on entry where the port is taken.
+    Raises PortInUseError on entry if the port is in use.
     """
 
     def __init__(self, core: EmulatorCore, options: ServeOptions | None = None) -> None:
@@ -221,8 +221,8 @@ class SerialEmulator(_Emulator):
         core: the radar.
         options: rate and faults.
         framing: USB or UART.
-        baud: bytes leave no faster than this; None is as fast as they are taken.
-        link: path of a symbolic link to the port, whose name stays when the port is replugged.
+        baud: maximum baud rate; None sends as fast as the reader reads.
+        link: path of a symbolic link to the port, whose name stays the same when the device is reconnected.
     """
 
     def __init__(
@@ -245,11 +245,11 @@ class SerialEmulator(_Emulator):
         return f"serial://{path}" + ("?framing=uart" if self._framing is Framing.UART else "")
 
     def unplug(self) -> None:
-        """Pulls the plug; the radar, which has its own power, goes on."""
+        """Disconnect the cable; the radar has its own power supply and continues."""
         self.order(self.wire.unplug)
 
     def plug(self) -> None:
-        """Puts the plug back; the port may have another name."""
+        """Reconnect the cable; the port may have another name."""
         self.order(self.wire.plug)
 
     def __enter__(self) -> Self:

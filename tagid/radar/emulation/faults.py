@@ -1,7 +1,7 @@
-"""A network that loses, repeats, reorders and delays packets, the same way every time from a seed.
+"""A network that loses, duplicates, reorders and delays packets, reproducibly from a seed.
 
-Only what the radar sends passes through it; requests may be lost, but are never held back, because a stop
-request that arrives after the next start would show a fault of the network and not of the client.
+Only packets from the radar are delayed or reordered. Requests may be lost but are never held back: a stop
+request that arrives after the next start would reveal a fault of the network, not of the client.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ class Faults:
     """Probabilities, per packet.
 
     Attributes:
-        lose: a packet of the radar vanishes.
-        lose_requests: a packet to the radar vanishes.
+        lose: a packet from the radar is lost.
+        lose_requests: a packet to the radar is lost.
         duplicate: a packet arrives twice.
-        reorder: a packet is held back behind the next one to three.
+        reorder: a packet arrives after the next one to three packets.
         delay: a packet arrives `delay_s` late.
-        delay_s: how late, s of the emulated clock.
-        seed: of the random numbers.
+        delay_s: the delay, s of the emulated clock.
+        seed: random seed.
     """
 
     lose: float = 0.0
@@ -47,13 +47,13 @@ class Faults:
 
 
 class FaultyPath:
-    """The way from the radar to the client."""
+    """The path from the radar to the client."""
 
     def __init__(self, faults: Faults | None = None) -> None:
         self._faults = faults or Faults()
         self._random = np.random.default_rng(self._faults.seed)
         self._sent = 0
-        # (not before this count of packets, not before this time, order, packet)
+        # (minimum packet count, earliest time, order, packet)
         self._held: list[tuple[int, float, int, bytes]] = []
         self.lost = 0
 
@@ -62,7 +62,7 @@ class FaultyPath:
         return not self._random.random() < self._faults.lose_requests
 
     def pass_on(self, packets: list[bytes], now_s: float) -> list[bytes]:
-        """What arrives now, of the packets sent now and of those held back before."""
+        """The packets that arrive now, of those sent now and those held back before."""
         out: list[bytes] = []
         f = self._faults
         for packet in packets:
@@ -88,9 +88,9 @@ class FaultyPath:
         return bool(self._held)
 
     def flush(self, now_s: float | None = None) -> list[bytes]:
-        """What is held back behind packets that will not follow; delayed ones only from their time on.
+        """Release packets that are waiting for others that will not follow; delayed ones only when due.
 
-        Without a time, as where no clock runs, everything goes.
+        Without a time (no running clock) all packets are released.
         """
         going = [held for held in self._held if now_s is None or held[1] <= now_s]
         self._held = [held for held in self._held if held not in going]
@@ -98,7 +98,7 @@ class FaultyPath:
 
     @property
     def next_due_s(self) -> float | None:
-        """When the next delayed packet is due; None where nothing is held back."""
+        """When the next delayed packet is due; None if nothing is held back."""
         return min((until for _, until, _, _ in self._held), default=None)
 
     def _released(self, now_s: float) -> list[bytes]:

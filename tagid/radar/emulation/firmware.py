@@ -1,6 +1,6 @@
-"""How emulated radars differ: what a unit says of itself, and what its firmware does its own way.
+"""How emulated radars differ: the identity that a unit reports, and variants of its firmware.
 
-Clients in the field meet old and new firmware; each difference here was seen in documents or public clients.
+Clients meet old and new firmware; each difference here is documented or known from public clients.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ SERVER_ONLY: Final = (
     MessageType.SET_FILTER_REQUEST,
     MessageType.GET_FILTER_REQUEST,
 )
-"""Requests that the vendor's server program on a PC answers, but no radar."""
+"""Requests answered by the vendor's PC server program, but by no radar."""
 
 
 @dataclass(frozen=True)
 class Identity:
-    """What the emulated radar says of itself in GET_STATUSINFO.
+    """What the emulated radar reports in GET_STATUSINFO.
 
     Attributes:
         serial: serial number.
@@ -42,14 +42,14 @@ class Identity:
 
 @dataclass(frozen=True)
 class Firmware:
-    """What this firmware does its own way.
+    """Behaviour of one firmware version.
 
     Attributes:
         status_bytes: size of the status confirm: 64, or 32 on old firmware (no package name).
         sleep_confirm_bytes: size of the GET_SLEEPMODE confirm: 12, or 8 as in the vendor's headers.
         server: answers the requests of the vendor's server program, which a radar refuses with F10C.
-        residual_scans: scans that still leave before the confirm of a stop.
-        window_step_ps: the scan window is moved to multiples of this, on top of the radar's own grid.
+        residual_scans: scans that are still sent before the confirm of a stop.
+        window_step_ps: the scan window is rounded to multiples of this, in addition to the radar's own grid.
     """
 
     status_bytes: int = 64
@@ -67,7 +67,7 @@ class Firmware:
             raise UsageError("the firmware's residual scans or window step is negative", "Give more.")
 
     def take(self, config: RadarConfig) -> RadarConfig:
-        """The settings that this firmware makes of those asked for. Raises ConfigError."""
+        """The settings in force after a request for these. Raises ConfigError."""
         step = self.window_step_ps
         if step == 1:
             return config.quantised()

@@ -1,6 +1,6 @@
-"""Joins a client to an emulated radar in the same process.
+"""Connects a client to an emulated radar in the same process.
 
-Replay and demo are the ordinary client on this link, so no driver has a branch for them.
+Replay and demo use the ordinary client on this link, so no driver needs special cases for them.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ class MemoryLink:
 
     Args:
         core: the emulated radar.
-        rate: emulated seconds per second; 0 is as fast as the client takes scans, with no waiting at all.
-        faults: of the network that is not there.
-        name: what messages call the radar.
+        rate: emulated seconds per second; 0 is as fast as the client reads scans, without waiting.
+        faults: simulated network faults.
+        name: name of the radar in messages.
     """
 
     guarded = True
@@ -44,24 +44,24 @@ class MemoryLink:
 
     @property
     def exhausted(self) -> bool:
-        """Whether a recording has come to its end and everything of it has been received."""
+        """Whether a recording has ended and all of it has been received."""
         return self._core.ended and not self._queue
 
     def send(self, packet: bytes) -> None:
-        """Hands one packet to the radar."""
+        """Pass one packet to the radar."""
         if self._rate:
             self._put(self._core.advance_by_one((time.monotonic() - self._origin) * self._rate))
         if self._path.request_arrives():
             self._put(self._core.handle(packet))
 
     def receive(self, timeout: float) -> bytes | None:
-        """The next packet; without a rate, time jumps to the next scan instead of being waited for."""
+        """The next packet; at rate 0 time jumps to the next scan instead of waiting for it."""
         deadline = time.monotonic() + timeout
         if not self._rate:
             while not self._queue and self._core.next_due_s is not None:
                 self._put(self._core.step())
                 if time.monotonic() >= deadline:
-                    break  # a path that loses everything must not keep us here
+                    break  # if every packet is lost, return to the caller
             self._queue.extend(self._path.flush() if not self._queue else [])
             return self._queue.popleft() if self._queue else None
         while True:
@@ -74,11 +74,11 @@ class MemoryLink:
             time.sleep(min(max(until - now, 0.0), 0.05))
 
     def reopen(self) -> None:
-        """Forgets what was not received; this radar is never gone."""
+        """Discard packets that were not received; this radar never disconnects."""
         self.close()
 
     def close(self) -> None:
-        """Forgets what was not received."""
+        """Discard packets that were not received."""
         self._queue.clear()
 
     def _put(self, packets: list[bytes]) -> None:

@@ -1,6 +1,6 @@
-"""How much a local UDP receiver has not read yet, so that an emulator without a clock does not overrun it.
+"""The fill level of a local UDP receiver's queue, so that an emulator without a clock does not overrun it.
 
-UDP itself has no back-pressure; on loopback, Linux shows the receiver's queue in /proc/net/udp.
+UDP has no back-pressure; on loopback, Linux shows the receiver's queue in /proc/net/udp.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ _TABLE: Final = Path("/proc/net/udp")
 
 
 def queued_bytes(address: tuple[str, int]) -> int | None:
-    """Bytes waiting in the receive queue of a UDP port on this machine; None where that cannot be seen.
+    """Bytes waiting in the receive queue of a UDP port on this machine; None if that cannot be seen.
 
     A row is "sl local_address rem_address st tx_queue:rx_queue ...", numbers in hexadecimal (Linux, proc(5)).
     """

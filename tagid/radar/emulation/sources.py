@@ -1,6 +1,6 @@
-"""Where an emulated radar gets its samples: a computed scene, or a recording replayed sample for sample.
+"""Where an emulated radar gets its samples: a simulated scene, or a recording replayed sample for sample.
 
-The emulator knows only these protocols, so that the radar part needs neither simulation nor storage.
+The emulator knows only these protocols, so the radar package depends on neither simulation nor storage.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from tagid.radar.settings import RadarConfig
 
 
 class ScanSource(Protocol):
-    """What stands before the emulated antenna."""
+    """A scene in front of the emulated antenna."""
 
     def scan(self, index: int, time_s: float, config: RadarConfig) -> NDArray[np.int32]:
         """(config.samples,) counts of scan `index` of this run, taken `time_s` after the radar's boot."""
@@ -25,20 +25,20 @@ class ScanSource(Protocol):
 
 @runtime_checkable
 class FollowingSource(Protocol):
-    """A source that another program on this machine turns: it must know its times on a shared clock."""
+    """A source whose object another program on this machine rotates: it needs its times on a shared clock."""
 
     def follow(self, monotonic: Callable[[float], float]) -> None:
-        """Take the function from the radar's time since boot to time.monotonic()."""
+        """Set the function from the radar's time since boot to time.monotonic()."""
         ...
 
 
 @runtime_checkable
 class FixedSource(Protocol):
-    """A source that cannot change its window and brings its own clock: a recording."""
+    """A source with a fixed window and its own clock: a recording."""
 
     @property
     def config(self) -> RadarConfig:
-        """The only settings there are."""
+        """The only settings it supports."""
         ...
 
     def timestamp_ms(self, index: int) -> int:
@@ -59,12 +59,12 @@ class RecordingSource:
 
     Args:
         samples: (views, bins) int32, counts.
-        config: settings of the recording; GET_CONFIG answers these whatever is set, so that a client that
+        config: settings of the recording; GET_CONFIG returns these regardless of SET_CONFIG, so a client that
             reads back its settings learns the recording's window.
         timestamps_ms: (views,) radar clock; None counts scan periods from zero.
-        loop: start over at the end, for ever.
+        loop: repeat without end.
 
-    Raises DataError where the samples do not fit the window of the settings.
+    Raises DataError if the samples do not fit the window of the settings.
     """
 
     def __init__(
@@ -111,7 +111,7 @@ class RecordingSource:
         return self._loop or index < self.views
 
     def timestamp_ms(self, index: int) -> int:
-        """The recorded clock of scan `index`, ms; loops follow one another without a gap."""
+        """The recorded clock of scan `index`, ms; repetitions follow each other without a gap."""
         turns, view = divmod(index, self.views)
         return int(self._times[view]) + turns * self._duration
 

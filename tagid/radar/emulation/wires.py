@@ -1,6 +1,6 @@
-"""The emulated radar's side of the wire: a UDP port, or a pseudo-terminal with USB or UART frames on it.
+"""The emulated radar's side of the link: a UDP port, or a pseudo-terminal with USB or UART frames.
 
-The server above knows neither; it gets requests, and hands over what the radar sends.
+The server that uses these classes knows neither; it receives requests and sends packets.
 """
 
 from __future__ import annotations
@@ -22,46 +22,46 @@ from tagid.radar.scan_info import SCAN_INFO_HEAD
 
 _LARGEST_DATAGRAM: Final = 65_535
 _QUEUE_LIMIT: Final = 64 * 1024
-"""Bytes waiting at a UDP receiver from which an unlimited emulator holds its next scan back."""
+"""Bytes waiting at a UDP receiver above which an emulator without a clock delays its next scan."""
 _UNSEEN_PACE_S: Final = 2e-3
-"""Time between scans where the receiver's queue cannot be seen (another machine, not Linux)."""
+"""Time between scans if the receiver's queue is not visible (another machine, not Linux)."""
 _MOST_FRAMES: Final = 256
-"""Frames that wait for a serial line; more are dropped, as a radar's own memory would."""
+"""Maximum number of frames queued for a serial line; more are dropped, as in the radar's own memory."""
 _USB_ROOM: Final = 64
-"""Frames that may wait for a reader on USB before the radar waits for it."""
+"""Maximum number of frames queued for a USB reader before the radar waits for it."""
 _CONTROL_HEAD: Final = int(MessageType.CONTROL_REQUEST).to_bytes(2, "big")
 _BITS_PER_BYTE: Final = 10
 """8N1: a start bit, eight data bits, a stop bit."""
 
 
 class Wire(Protocol):
-    """What the server needs of a wire."""
+    """Interface that the server requires of a link."""
 
     paces: bool
-    """Whether the wire is slower than the radar, which then waits for it."""
+    """Whether the link is slower than the radar, which then waits for it."""
 
     def requests(self, wait_s: float) -> list[bytes]:
-        """Packets of clients, after waiting for them up to `wait_s`."""
+        """Packets from clients, after waiting up to `wait_s` for them."""
         ...
 
     def send(self, packets: list[bytes]) -> None:
-        """Sends what leaves the radar: scans to who asked for scans, all else to who asked last."""
+        """Send packets: scans to the client that requested them, all others to the client that sent last."""
         ...
 
     def ready(self) -> bool:
-        """Whether the wire and the receiver have room for another scan; may wait for a moment."""
+        """Whether the link and the receiver have room for another scan; may wait briefly."""
         ...
 
     def close(self) -> None:
-        """Frees the wire."""
+        """Release the link."""
         ...
 
 
 class UdpWire:
-    """A bound UDP socket. Answers go to the port that asked; scans go on to the port that started them.
+    """A bound UDP socket. Answers go to the sender of the request; scans go to the port that started them.
 
     Args:
-        sock: bound; closed with the wire.
+        sock: bound; closed with this object.
     """
 
     paces = False
@@ -80,13 +80,13 @@ class UdpWire:
         try:
             packet, self._asker = self._socket.recvfrom(_LARGEST_DATAGRAM)
         except OSError:
-            return []  # an ICMP error of a client that is gone
+            return []  # an ICMP error from a client that has exited
         if packet[:2] == _CONTROL_HEAD:
             self._owner = self._asker
         return [packet]
 
     def send(self, packets: list[bytes]) -> None:
-        """One datagram a packet; what the network does not take is lost, as on a real wire."""
+        """One datagram per packet; a packet that the network rejects is lost, as on a real link."""
         for packet in packets:
             target = self._owner or self._asker if packet[:2] == SCAN_INFO_HEAD else self._asker
             if target is None:
@@ -97,7 +97,7 @@ class UdpWire:
                 continue
 
     def ready(self) -> bool:
-        """Back-pressure: the next scan waits while the receiver has not read the ones before."""
+        """Back-pressure: the next scan waits until the receiver has read the previous ones."""
         target = self._owner or self._asker
         waiting = queued_bytes(target) if target else None
         if waiting is None:
@@ -109,7 +109,7 @@ class UdpWire:
         return True
 
     def close(self) -> None:
-        """Frees the port."""
+        """Release the port."""
         self._socket.close()
 
 
@@ -118,10 +118,10 @@ class PtyWire:
 
     Args:
         framing: USB or UART.
-        baud: bytes leave no faster than this rate (8N1) allows; None is as fast as they are taken.
-        link: a symbolic link to the port is kept at this path, as udev does under /dev/serial/by-id.
+        baud: maximum rate of the bytes sent (8N1); None sends as fast as the reader reads.
+        link: a symbolic link to the port is maintained at this path, as udev does under /dev/serial/by-id.
 
-    Raises StorageError where the link cannot be made.
+    Raises StorageError if the link cannot be made.
     """
 
     paces = True
@@ -134,7 +134,7 @@ class PtyWire:
         self._frames: deque[bytes] = deque()
         self._rest = b""
         self._free_at = 0.0
-        # A UART is the bottleneck, so the radar waits for it; a USB port is not, only its reader may be late.
+        # A UART is slower than the radar, so the radar waits for it; with USB only the reader may be late.
         self._room = 0 if baud else _USB_ROOM
         self._ends: tuple[int, int] | None = None
         self.dropped = 0
@@ -142,7 +142,7 @@ class PtyWire:
         self.plug()
 
     def plug(self) -> None:
-        """Makes the port, under a new name as a replugged device may get; the link leads to it."""
+        """Create the port, under a new name as after a reconnection; the link points to it."""
         if self._ends:
             return
         master, slave = os.openpty()
@@ -160,7 +160,7 @@ class PtyWire:
                 ) from error
 
     def unplug(self) -> None:
-        """The port vanishes with all that was under way."""
+        """Remove the port and discard all packets in transit."""
         if self._ends is None:
             return
         for end in self._ends:
@@ -173,7 +173,7 @@ class PtyWire:
             self._link.unlink()
 
     def requests(self, wait_s: float) -> list[bytes]:
-        """Packets found in what the client wrote; bytes that wait go out meanwhile."""
+        """Packets found in the bytes from the client; queued bytes are sent meanwhile."""
         if self._ends is None:
             time.sleep(min(wait_s, 0.01))
             return []
@@ -191,7 +191,7 @@ class PtyWire:
             return []
 
     def send(self, packets: list[bytes]) -> None:
-        """Frames packets and writes what the line takes now."""
+        """Frame packets and write as many bytes as the line accepts now."""
         for packet in packets:
             if self._ends is None or len(self._frames) >= _MOST_FRAMES:
                 self.dropped += 1
@@ -200,16 +200,16 @@ class PtyWire:
         self._pump()
 
     def write_raw(self, data: bytes) -> None:
-        """Puts bytes that are no frame on the line, behind the frames that wait."""
+        """Write bytes that form no frame to the line, after the queued frames."""
         if self._ends is not None:
             self._frames.append(data)
 
     def ready(self) -> bool:
-        """Whether everything sent so far is on the line; without a baud rate, nearly everything."""
+        """Whether everything sent so far has been written; without a baud rate, nearly everything."""
         return self._ends is None or len(self._frames) + bool(self._rest) <= self._room
 
     def close(self) -> None:
-        """Frees the port and takes the link away."""
+        """Release the port and remove the link."""
         self.unplug()
 
     def _pump(self) -> None:
@@ -219,12 +219,12 @@ class PtyWire:
                 return
             if not self._rest:
                 self._rest = self._frames.popleft()
-            # At a real rate a hundredth of a second's bytes go at a time, so that answers come in their time.
+            # At a finite rate send 10 ms worth of bytes at a time, so that answers are sent on time.
             limit = max(1, round(0.01 / self._byte_s)) if self._byte_s else len(self._rest)
             try:
                 written = os.write(self._ends[0], self._rest[:limit])
             except OSError:
-                return  # the line is full for now, or the client's end is gone; the port stays
+                return  # the line is full, or the client closed its end; the port remains
             self._rest = self._rest[written:]
             self._free_at = max(self._free_at, now - 0.01) + written * self._byte_s
             if written == 0:

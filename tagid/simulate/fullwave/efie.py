@@ -83,7 +83,7 @@ class Efie:
     Args:
         mesh: the surface.
 
-    Raises DataError where no current can flow on the mesh.
+    Raises DataError if no current can flow on the mesh.
     """
 
     def __init__(self, mesh: Mesh) -> None:
@@ -179,7 +179,7 @@ class Efie:
             yield _FarBlock(begin, end, distance, np.append(row, col[inside]), np.append(col, row[inside]))
 
     def _sheet_gram(self) -> sparse.csr_array | None:
-        """int f_m . f_n / ((eps - 1) t) dS over the dielectric sheets; None where all is metal."""
+        """int f_m . f_n / ((eps - 1) t) dS over the dielectric sheets; None if all is metal."""
         mesh, scale = self.mesh, self.halves.scale
         own = np.flatnonzero(mesh.sheet_m != 0).astype(np.int64)
         if not len(own):
@@ -260,7 +260,7 @@ class Efie:
             antennas: (n, 3), m.
             polarisation: (n, 3) unit vectors.
 
-        Raises DataError where an antenna touches the mesh.
+        Raises DataError if an antenna touches the mesh.
         """
         total = np.zeros((self.unknowns, len(antennas)), dtype=np.complex128)
         tested = [part.T.tocsr() for part in self._sampled[:3]]
@@ -287,7 +287,7 @@ def dipole_field(k: float, points: Floats, antennas: Floats, polarisation: Float
     E = exp(-jkR) / R [p (1 + q) - R^ (R^ . p) (1 + 3 q)], q = -j / (kR) - 1 / (kR)^2 (Balanis, Antenna
     Theory, 4th edition, section 4.2).
 
-    Raises DataError where a point is within 1 mm of an antenna.
+    Raises DataError if a point is within 1 mm of an antenna.
     """
     sight = points[:, None] - antennas
     distance = np.linalg.norm(sight, axis=2)

@@ -134,7 +134,7 @@ class HalfFunction:
         others. They span every current whose sum over the edge is zero, which is Kirchhoff's law at a
         junction.
 
-        Raises DataError where no edge is shared, so that no current can flow.
+        Raises DataError if no edge is shared, so that no current can flow.
         """
         p = mesh.corners
         ends = np.stack([np.roll(mesh.triangles, -1, axis=1), np.roll(mesh.triangles, -2, axis=1)], axis=2)

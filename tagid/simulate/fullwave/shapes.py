@@ -69,6 +69,24 @@ def octahedron(tip_m: float, pieces: int = 4, grading: float = 2.5) -> Mesh:
     return Mesh(mesh.vertices * factor[:, None], mesh.triangles, mesh.sheet_m)
 
 
+def closed_octahedron(tip_m: float, pieces: int = 5) -> Mesh:
+    """A regular octahedron with metal faces, its corners at +-tip_m / 2: printed, and covered with foil.
+
+    Args:
+        tip_m: from tip to tip; its edges are tip_m / sqrt(2).
+        pieces: mesh edges along an edge.
+    """
+    axes = np.eye(3) * tip_m / 2
+    return Mesh.join(
+        *(
+            _cut(x * axes[0], y * axes[1], z * axes[2], pieces)
+            for x in (1, -1)
+            for y in (1, -1)
+            for z in (1, -1)
+        )
+    )
+
+
 def tag(tip_m: float, places_m: NDArray[np.floating], pieces: int = 4, grading: float = 2.5) -> Mesh:
     """Octahedral reflectors at places (n, 2) in the plane z = 0.
 

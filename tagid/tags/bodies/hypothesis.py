@@ -18,7 +18,7 @@ from tagid.tags.bodies.spectra import Spectra
 
 
 class Kind(StrEnum):
-    """Kinds of hypotheses."""
+    """The hypothesis that explains an echo best."""
 
     NO_TAG = "no_tag"
     """A body of revolution, or nothing, and no reflectors."""

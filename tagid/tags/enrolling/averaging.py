@@ -1,6 +1,7 @@
-"""A layout measured on the real object: captures brought onto one another, checked, and averaged.
+"""A layout measured on the real object: captures aligned with each other, checked, and averaged.
 
-One capture that shows something else would spoil every later reading, so it is named and nothing is enrolled.
+One capture of a different object would corrupt every later reading. It is reported by name and nothing is
+enrolled.
 """
 
 from __future__ import annotations
@@ -15,28 +16,30 @@ from tagid.errors import DataError
 from tagid.imaging.types import BasebandScans
 from tagid.tags.bodies.spectra import Spectra, centred
 from tagid.tags.enrolling.precision import position_covariances
-from tagid.tags.layouts.codebook import CENTRE_TOLERANCE_M, CONFUSABLE_M, best_pairing
+from tagid.tags.layouts.codebook import CENTRE_TOLERANCE_M, CONFUSABLE_M, Pairing, best_pairing
 from tagid.tags.layouts.layout import Layout, rotation_matrix
 from tagid.tags.reading.field import MatchedField
 from tagid.tags.reading.reflectors import FinderSettings, find_reflectors
 from tagid.tags.reading.views import fold_views
 
 STRONG_DB = -9.0
-"""Reflectors of a tag are alike: one this far under the strongest is not taken for a part of the layout."""
+"""A tag's reflectors have similar amplitudes: one weaker than this, relative to the strongest, is not counted
+as part of the layout."""
 SEARCHED_M = 0.24
-"""A reflector outside what is searched is not only missed: its echo is explained by others inside."""
+"""Radius searched by default. A reflector outside it is not only missed: its echo biases those inside."""
 MOST_SEARCHED_M = 0.4
-"""Of wider objects, with `imaging.extent_m` set: a disc of this radius has 20,000 pixels."""
+"""Largest radius searched when `imaging.extent_m` is set for a wide object: such a disc has 20,000 pixels."""
 AGREE_M = 3e-3
-"""Captures agree where every reflector lies within this of its counterpart, or within AGREE_SIGMAS of what
-noise explains: simulated captures at 36 views and 10 dB, with 3 % of wobble, differ by 3 mm at most."""
+"""Captures agree if every reflector is within this distance of its counterpart, or within AGREE_SIGMAS
+standard deviations of the noise: simulated captures at 36 views and 10 dB, with 3 % wobble, differ by at most
+3 mm."""
 AGREE_SIGMAS = 5.0
 UNKNOWN_SCATTER_M = 1e-3
-"""Scatter a coordinate that is taken for granted where fewer than three captures cannot show their own: what
-was measured at 36 views and 0 dB."""
+"""Scatter per coordinate that is assumed when there are fewer than three captures to estimate it from: the
+value measured at 36 views and 0 dB."""
 UNEXPLAINED = 0.12
-"""Share of the moving echo that sighted reflectors may leave: bare full-wave tags leave up to 7 %, tags
-on a mug's handle or a helmet shell 18 to 24 %."""
+"""Largest share of the moving echo that the reflectors may leave unexplained: bare tags simulated full-wave
+leave up to 7 %, tags on a mug's handle or a helmet shell 18 to 24 %."""
 _ROUNDS = 8
 
 
@@ -45,9 +48,9 @@ class Sighting:
     """The strong reflectors of one capture.
 
     Attributes:
-        name: of the capture, for messages.
+        name: name of the capture, used in messages.
         positions: (K, 2) m, in the turntable's frame.
-        covariances: (K, 2, 2) m^2, of the positions from noise alone.
+        covariances: (K, 2, 2) m^2, covariance of each position due to noise alone.
     """
 
     name: str
@@ -56,9 +59,9 @@ class Sighting:
 
     @classmethod
     def of(cls, scans: BasebandScans, name: str, radius_m: float = SEARCHED_M) -> Sighting:
-        """What focused scans show in a disc of that radius about the axis, m.
+        """The strong reflectors of focused scans within `radius_m` of the axis.
 
-        Raises DataError where they do not hold the object's range.
+        Raises DataError if the scans do not cover the object's range.
         """
         settings = FinderSettings(radius_m=radius_m)
         found = [r for r in find_reflectors(scans, settings) if r.amplitude_db >= STRONG_DB]
@@ -71,11 +74,11 @@ class Sighting:
 
     @property
     def sigma_m(self) -> NDArray[np.float64]:
-        """(K,) largest standard deviation of each position, m."""
+        """(K,) standard deviation of each position along its worst direction, m."""
         return np.asarray(np.sqrt(np.linalg.eigvalsh(self.covariances)[:, -1]))
 
     def mirrored(self) -> Sighting:
-        """As it looks where the object turned the other way."""
+        """The sighting that results if the object turned in the opposite direction."""
         flip = np.array([1.0, -1.0])
         return Sighting(self.name, self.positions * flip, self.covariances * np.outer(flip, flip))
 
@@ -85,12 +88,12 @@ class LayoutEstimate:
     """A layout measured on the real object.
 
     Attributes:
-        layout: mean positions with their covariance, about the object's mean axis, the outermost reflector
-            on +x.
+        layout: mean positions with their covariance, relative to the object's mean axis, with the outermost
+            reflector on +x.
         spread_m: (K,) RMS scatter of each reflector over the captures, m.
-        scatter_m: standard deviation a coordinate that the captures show beyond their noise, m.
-        rotations_deg: turn of each capture against the layout, degrees.
-        mirrored: names of the captures that had to be mirrored, the turn's direction being unknown.
+        scatter_m: standard deviation per coordinate, over the captures, in excess of noise, m.
+        rotations_deg: rotation of each capture relative to the layout, degrees.
+        mirrored: names of the captures that were mirrored because the direction of rotation is unknown.
     """
 
     layout: Layout
@@ -108,24 +111,26 @@ def average(
     *,
     direction_known: bool = True,
 ) -> LayoutEstimate:
-    """Layout from captures of one object in any turn and place.
+    """Layout from captures of one object at any rotation and position.
 
-    They are paired, turned and shifted onto their mean (generalised Procrustes analysis, Gower 1975), each
-    reflector with the inverse of its covariance in that capture plus a scatter common to all, which is what
-    the captures show beyond their noise (Paule and Mandel 1982): wobble, aspect, an axis a little off. The
-    origin is the mean place of the turntable's axis on the object: the errors of placing it average out.
+    Reflectors are paired, rotated and shifted onto their mean (generalised Procrustes analysis, Gower 1975).
+    Each is weighted by the inverse of its covariance in that capture plus a scatter common to all captures,
+    which is estimated from what noise does not explain (Paule and Mandel 1982): wobble, aspect, a displaced
+    axis. The origin is the mean position of the turntable's axis on the object, so errors in centring average
+    out.
 
     Args:
-        sightings: of three captures or more; of fewer, the scatter is taken for granted.
+        sightings: one per capture; with fewer than three, the scatter is assumed rather than estimated.
         name, kind, label: of the layout.
-        direction_known: whether every capture turned the way that is set; else mirror images agree, too.
+        direction_known: whether every capture turned in the configured direction; if not, mirror images also
+            agree.
 
     Raises:
-        DataError: fewer than two reflectors are seen, or a capture does not agree with the others; it is
-            named with what is wrong with it.
+        DataError: fewer than two reflectors are seen, or a capture does not agree with the others; the
+            message names it and the difference.
     """
     if not sightings:
-        raise DataError("no capture to take a layout from", "Give at least one capture of the object.")
+        raise DataError("no capture to measure a layout on", "Give at least one capture of the object.")
     used, heart, flipped = _agreeing(sightings, direction_known)
     mean = used[heart].positions
     axis = np.zeros(2)
@@ -135,12 +140,12 @@ def average(
     for _ in range(_ROUNDS):
         placed, weights, axes = [], [], []
         for i, one in enumerate(used):
-            # Off the axis in both captures by as much as the reader allows; more is another pairing,
-            # since two reflectors can always be exchanged by half a turn and a shift.
+            # Each capture may be off the axis by as much as the reader allows. A larger shift would permit a
+            # wrong pairing: half a turn and a shift can always exchange two reflectors.
             pair = best_pairing(one.positions, mean, 2 * CENTRE_TOLERANCE_M)
             order = np.argsort(pair.partner)
             points, noise = one.positions[order], one.covariances[order]
-            turn, shift = _placed(points, noise, mean, (pair.rotation_rad, pair.shift_m), scatter)
+            turn, shift = _placed(points, noise, mean, pair, scatter)
             rotation = rotation_matrix(turn)
             placed.append(points @ rotation.T + shift)
             weights.append(np.linalg.inv(rotation @ noise @ rotation.T + scatter * np.eye(2)))
@@ -160,7 +165,7 @@ def average(
     notes = f"Measured on {len(used)} captures, scatter up to {spread.max() * 1e3:.1f} mm."
     if len(used) < 3:
         notes = f"Measured on {len(used)} capture(s); three or more show their scatter."
-    # To 0.1 micrometres: more digits say nothing, and would be read as if they did.
+    # Rounded to 0.1 micrometres: further digits carry no information.
     places = np.round(positions @ final.T, 7) + 0.0
     layout = Layout(
         name, places, kind, notes=notes, label=label, covariance=np.round(final @ covariance @ final.T, 12)
@@ -170,14 +175,14 @@ def average(
 
 
 def trusted(sightings: Sequence[Sighting], spectra: Sequence[Spectra]) -> str:
-    """Why sighted reflectors are not to be trusted; empty where they explain what moves.
+    """The reason not to trust these reflectors; empty if they explain the moving echo.
 
-    Reflectors alone explain the moving echo of a bare tag. The echo of a body that stands off
-    the axis or is not round shows as reflectors, too, and moves those of the tag: then points leave much.
+    Points explain the moving echo of a bare tag. A body that is off the axis or not round also produces
+    apparent reflectors and shifts those of the tag; points then leave a large residual.
 
     Args:
-        sightings: of the captures.
-        spectra: of the same captures.
+        sightings: one per capture.
+        spectra: of the same captures, in the same order.
     """
     shares = []
     for one, scans in zip(sightings, spectra, strict=True):
@@ -191,15 +196,15 @@ def trusted(sightings: Sequence[Sighting], spectra: Sequence[Spectra]) -> str:
     worst = float(np.median(shares))
     if worst <= UNEXPLAINED:
         return ""
-    return f"points leave {worst:.0%} of the moving echo, which is the body's"
+    return f"point reflectors leave {worst:.0%} of the moving echo unexplained: it comes from the body"
 
 
 def _agreeing(
     sightings: Sequence[Sighting], direction_known: bool
 ) -> tuple[list[Sighting], int, tuple[str, ...]]:
-    """The sightings, turned over where need be, the one that the others agree with, and who was turned over.
+    """The sightings (mirrored where needed), the index of the one that all others agree with, mirrored names.
 
-    Raises DataError naming those that do not agree with the largest group that does.
+    Raises DataError that names the captures outside the largest group that agrees.
     """
     n = len(sightings)
     pairs = {(i, j): _misfit_m(sightings[i], sightings[j]) for i in range(n) for j in range(i)}
@@ -215,8 +220,8 @@ def _agreeing(
     if size < 2 and 2 * len(groups[heart]) > n:
         raise DataError(
             f"{len(groups[heart])} of {n} captures show {size} reflectors, a layout needs two",
-            "Check that the object is tagged and in the beam, and record more views; a reflector over the "
-            "axis is not seen.",
+            "Check that the object is tagged and in the beam, and record more views. A reflector on the axis "
+            "of rotation cannot be seen.",
         )
     if odd:
         against = {i: pairs[max(i, heart), min(i, heart)] for i in odd}
@@ -224,9 +229,9 @@ def _agreeing(
     worst = max(range(n), key=lambda i: float(sightings[i].sigma_m.max()))
     if sightings[worst].sigma_m.max() > CONFUSABLE_M / 2:
         raise DataError(
-            f"{sightings[worst].name} tells where a reflector is to "
-            f"{sightings[worst].sigma_m.max() * 1e3:.1f} mm only",
-            "Record it again with more views or nearer, or leave it out.",
+            f"{sightings[worst].name} locates a reflector only to within "
+            f"{sightings[worst].sigma_m.max() * 1e3:.1f} mm",
+            "Record it again with more views or closer to the radar, or omit it.",
         )
     over = [i for i in range(n) if i != heart and _turned_over(pairs[max(i, heart), min(i, heart)])]
     if direction_known:
@@ -241,7 +246,7 @@ def _turned_over(pair: tuple[float, float, float]) -> bool:
 
 
 def _misfit_m(a: Sighting, b: Sighting) -> tuple[float, float, float]:
-    """Worst distance of counterparts, the same with one of the two mirrored, and how much is allowed, m."""
+    """Largest distance between counterparts, the same with one sighting mirrored, and the tolerance, m."""
     if len(a.positions) != len(b.positions):
         return np.inf, np.inf, 0.0
     if len(a.positions) < 2:
@@ -259,25 +264,25 @@ def _disagreement(
     together: list[int],
     odd: dict[int, tuple[float, float, float]],
 ) -> DataError:
-    """What to tell about captures that differ from the others."""
+    """The error that names the captures that differ from the others."""
     size = len(sightings[together[0]].positions)
     if 2 * len(together) <= len(sightings):
         seen = ", ".join(f"{one.name}: {len(one.positions)} reflectors" for one in sightings)
         return DataError(
-            f"no majority of the captures agrees with one another ({seen})",
-            "Check that all show one object that turns the way that is set, record again with more views, or "
-            "give the positions as numbers.",
+            f"no majority of the captures agrees ({seen})",
+            "Check that all show the same object turning in the configured direction, record again with more "
+            "views, or enter the positions as numbers.",
         )
-    reasons, remedy = [], "Leave it out or record it again; nothing was stored."
+    reasons, remedy = [], "Omit it or record it again; nothing was stored."
     for i, (straight, mirrored, allowed) in odd.items():
         count = len(sightings[i].positions)
         if count != size:
             reason = f"shows {count} reflectors, the others {size}"
         elif mirrored <= allowed:
             reason = "is the mirror image of the others: the object turned the other way"
-            remedy += " Where the direction is not known: tagid config set tags.direction unknown."
+            remedy += " If the direction is not known: tagid config set tags.direction unknown."
         else:
-            reason = f"has a reflector {straight * 1e3:.1f} mm from where the others have it"
+            reason = f"has a reflector {straight * 1e3:.1f} mm from its position in the others"
         reasons.append(f"{sightings[i].name} {reason}")
     return DataError("; ".join(reasons), remedy)
 
@@ -286,11 +291,14 @@ def _placed(
     points: NDArray[np.float64],
     noise: NDArray[np.float64],
     mean: NDArray[np.float64],
-    start: tuple[float, NDArray[np.float64]],
+    start: Pairing,
     scatter: float,
 ) -> tuple[float, NDArray[np.float64]]:
-    """Turn and shift of points (K, 2) with noise (K, 2, 2) onto the mean, by weighted least squares."""
-    turn, shift = start[0], np.array(start[1])
+    """Rotation and shift of points (K, 2) with noise (K, 2, 2) onto the mean, by weighted least squares.
+
+    Starts at the unweighted rotation and shift of the pairing.
+    """
+    turn, shift = start.rotation_rad, np.array(start.shift_m)
     for _ in range(5):
         rotation = rotation_matrix(turn)
         weight = np.linalg.inv(rotation @ noise @ rotation.T + scatter * np.eye(2))
@@ -306,10 +314,10 @@ def _placed(
 
 
 def _excess(left: NDArray[np.float64], noise: NDArray[np.float64], k: int) -> float:
-    """Variance a coordinate, m^2, that makes the residuals (n, K, 2) of a mean as large as they should be.
+    """Variance per coordinate, m^2, for which the residuals (n, K, 2) of a mean have their expected size.
 
-    Their weighted sum of squares has (n - 1) (2 K - 3) degrees of freedom: every capture spends three on its
-    turn and shift, and the mean the rest of one capture.
+    Their weighted sum of squares has (n - 1) (2 K - 3) degrees of freedom: each capture uses three for its
+    rotation and shift, and the mean uses what remains of one capture.
     """
     expected = (len(left) - 1) * (2 * k - 3)
 

@@ -1,6 +1,7 @@
-"""Enrolling layouts: how far each is from every other, how often noise confuses them, what is refused.
+"""Enrolling layouts: distance to every other layout, rate of confusion due to noise, and reasons to refuse.
 
-Two layouts that can be confused make every later reading of either worthless, so they are refused here.
+If two enrolled layouts can be confused, no later reading of either can be relied on. Such layouts are refused
+here.
 """
 
 from __future__ import annotations
@@ -19,15 +20,16 @@ from tagid.tags.layouts.codebook import CENTRE_TOLERANCE_M, CONFUSABLE_M, Layout
 from tagid.tags.layouts.layout import Layout, rotation_matrix
 
 MAX_CONFUSION = 1e-3
-"""Rate of wrong names by one neighbour above which a layout is refused: what the reader promises."""
+"""Rate of wrong names caused by one neighbour above which a layout is refused: the reader's false-accept
+rate."""
 _TRIES = 20
 
 
 class LayoutStore(Protocol):
-    """What enrolment needs of a registry."""
+    """The part of a registry that enrolment needs."""
 
     def snapshot(self) -> tuple[int, list[Layout]]:
-        """The version, and all layouts enrolled at it."""
+        """The registry's version and the layouts enrolled at that version."""
         ...
 
     def add_all(
@@ -39,21 +41,21 @@ class LayoutStore(Protocol):
         since: int | None = None,
         signatures: Sequence[Signature] = (),
     ) -> int | None:
-        """Enrol several, all or none, and return the registry's version; None where it is not `since`."""
+        """Enrol several, all or none; return the new version, or None if the version is no longer `since`."""
         ...
 
 
 @dataclass(frozen=True)
 class Neighbour:
-    """An enrolled layout beside a new one.
+    """An enrolled layout compared with a new one.
 
     Attributes:
-        name: of the enrolled one.
-        distance: between the two.
-        confusion_rate: how often noise and what is not known of their positions makes one look nearer to the
-            other, the worse of the two ways; NaN where their numbers of reflectors differ.
-        mirrored: whether the new one's mirror image is meant, which reads alike where the direction of the
-            turn is not known.
+        name: name of the enrolled layout.
+        distance: distance between the two.
+        confusion_rate: probability that noise and the uncertainty of the positions make one look nearer to
+            the other, the larger of the two directions; NaN if their numbers of reflectors differ.
+        mirrored: whether the comparison is with the new layout's mirror image, which gives the same reading
+            if the direction of rotation is unknown.
     """
 
     name: str
@@ -63,30 +65,30 @@ class Neighbour:
 
     @property
     def confusable(self) -> bool:
-        """Whether it is too near."""
+        """Whether the two are too close to be told apart."""
         return self.distance.worst_m < CONFUSABLE_M or self.confusion_rate > MAX_CONFUSION
 
     def turned(self, name: str) -> Neighbour:
-        """The same seen from the other one, `name` being the first."""
+        """The same comparison from the other layout's side; `name` is the first layout's."""
         turn = self.distance.rotation_deg
         back = turn if self.mirrored else (360 - turn) % 360
         return replace(self, name=name, distance=replace(self.distance, rotation_deg=back))
 
     @property
     def nearness_m(self) -> float:
-        """What neighbours are sorted by: worst distance of the reflectors that both have, m."""
+        """Sorting key of neighbours: largest distance between the reflectors that both have, m."""
         return min(self.distance.worst_m, self.distance.nested_m)
 
 
 @dataclass(frozen=True)
 class Outlook:
-    """What enrolling a layout would mean, before anything is stored.
+    """Consequences of enrolling a layout, computed before anything is stored.
 
     Attributes:
         layout: new layout.
-        neighbours: every other layout, the nearest of those of its size first.
-        place: recording for which the rates are told.
-        version: the registry's version that this was worked out for.
+        neighbours: every other layout; those with as many reflectors first, each group nearest first.
+        place: recording conditions for which the rates hold.
+        version: registry version that the comparison was made against.
     """
 
     layout: Layout
@@ -102,11 +104,11 @@ class Outlook:
 
     @property
     def confusable(self) -> tuple[str, ...]:
-        """Names of the neighbours that are too near."""
+        """Names of the neighbours that are too close."""
         return tuple(sorted(n.name for n in self.neighbours if n.confusable))
 
     def conflict(self) -> LayoutConflictError | None:
-        """The error that refuses the layout, or None where it may be enrolled."""
+        """The error that refuses the layout, or None if it may be enrolled."""
         near = [n for n in self.neighbours if n.confusable]
         if not near:
             return None
@@ -114,17 +116,17 @@ class Outlook:
         image = "the mirror image of " if worst.mirrored else ""
         if worst.distance.worst_m < CONFUSABLE_M:
             return LayoutConflictError(
-                f"layout {self.layout.name} could be confused with {image}{worst.name}: its reflectors lie "
-                f"within {worst.distance.worst_m * 1e3:.1f} mm of it after a turn of "
-                f"{round(worst.distance.rotation_deg) % 360} degrees",
-                f"Move a reflector until one lies {CONFUSABLE_M * 1e3:.0f} mm away, leave one out, or "
-                "insist with --force; nothing was stored.",
+                f"layout {self.layout.name} could be confused with {image}{worst.name}: after a rotation of "
+                f"{round(worst.distance.rotation_deg) % 360} degrees their reflectors are within "
+                f"{worst.distance.worst_m * 1e3:.1f} mm of each other",
+                f"Move a reflector so that at least one is {CONFUSABLE_M * 1e3:.0f} mm away, remove one, or "
+                "override with --force; nothing was stored.",
             )
         return LayoutConflictError(
-            f"layout {self.layout.name} would be taken for {image}{worst.name}, or the other way, in "
+            f"layout {self.layout.name} would be confused with {image}{worst.name} in "
             f"{worst.confusion_rate:.2g} of readings ({worst.distance.rms_m * 1e3:.1f} mm apart, positions "
-            f"known to {self.layout.sigma_m * 1e3:.1f} mm); {MAX_CONFUSION:g} is allowed",
-            "Measure it on more captures, move a reflector, or insist with --force; nothing was stored.",
+            f"known to {self.layout.sigma_m * 1e3:.1f} mm); the limit is {MAX_CONFUSION:g}",
+            "Measure it on more captures, move a reflector, or override with --force; nothing was stored.",
         )
 
 
@@ -136,16 +138,17 @@ def outlook(
     place: Localisation | None = None,
     version: int = 0,
 ) -> Outlook:
-    """Distance and confusion of a layout with every other.
+    """Distance and rate of confusion between a layout and every other.
 
     Args:
         layout: new layout.
-        others: layouts it would stand beside; one of its own name is left out.
-        direction_known: whether the direction of the turn is; else mirror images read alike.
-        place: recording whose localisation error makes the rates; None takes the reference of the size.
-        version: of the registry, to be kept with the answer.
+        others: layouts to compare with; one of the same name is ignored.
+        direction_known: whether the direction of rotation is known; if not, mirror images are equivalent.
+        place: recording conditions whose localisation error sets the rates; None takes the reference for the
+            layout's radius.
+        version: registry version to store in the result.
 
-    Raises UsageError where a reflector lies outside what an object of the kind can be.
+    Raises UsageError if a reflector lies outside the largest object of the layout's kind.
     """
     layout.check_room()
     place = place or reference(layout.radius_m)
@@ -158,16 +161,16 @@ def outlook(
 
 
 def _by_nearness(found: Sequence[Neighbour]) -> tuple[Neighbour, ...]:
-    """Those of the layout's own size first, each the nearest first."""
+    """Neighbours with as many reflectors as the layout first, each group nearest first."""
     return tuple(sorted(found, key=lambda n: (not np.isfinite(n.distance.worst_m), n.nearness_m)))
 
 
 def neighbour(layout: Layout, other: Layout, sigma_m: float, direction_known: bool = True) -> Neighbour:
-    """Distance and confusion of two layouts; of the nearer image where the direction is not known.
+    """Distance and rate of confusion of two layouts; of the nearer mirror image if the direction is unknown.
 
-    The two differ by a vector d in the 2K coordinates together. A reading is off by sigma a coordinate, and
-    the truth by what its enrolment left open, C: one is taken for the other where both together exceed half
-    of d along d, with probability Q(|d| / 2 sqrt(sigma^2 + u' C u)), u = d / |d|.
+    The two differ by a vector d in their 2K coordinates. A reading has an error of sigma per coordinate and
+    the enrolled positions have covariance C. One is mistaken for the other if the total error along d exceeds
+    half of |d|, with probability Q(|d| / 2 sqrt(sigma^2 + u' C u)), u = d / |d|.
     """
     straight = _neighbour(layout, other, sigma_m, False)
     if direction_known:
@@ -201,11 +204,11 @@ def _variance_along(covariance: NDArray[np.float64] | None, along: NDArray[np.fl
 
 @dataclass(frozen=True)
 class Enrolment:
-    """What enrolling found and did.
+    """Result of enrolling a layout.
 
     Attributes:
-        outlook: the layout as enrolled, beside its neighbours.
-        version: the registry's version since.
+        outlook: the layout as enrolled, compared with its neighbours.
+        version: registry version after the change.
     """
 
     outlook: Outlook
@@ -226,13 +229,14 @@ def enrol(
     Args:
         store: the registry.
         layout: new layout.
-        source: where it comes from, for the history.
-        force: enrol it all the same, and over one of the same name.
-        direction_known: whether the direction of the turn is.
-        signatures: of the same object, stored with it.
+        source: origin of the layout, for the history.
+        force: enrol it despite a conflict, and replace one of the same name.
+        direction_known: whether the direction of rotation is known.
+        signatures: signatures of the same object, stored with it.
 
     Raises:
-        LayoutConflictError: it is too near to an enrolled layout. RegistryError: the name is taken.
+        LayoutConflictError: it is too close to an enrolled layout.
+        RegistryError: the name is taken.
     """
     for _ in range(_TRIES):
         version, known = store.snapshot()
@@ -249,9 +253,9 @@ def enrol(
 def family_outlooks(
     layouts: Sequence[Layout], known: Sequence[Layout], *, direction_known: bool = True, version: int = 0
 ) -> list[Outlook]:
-    """The outlook of several layouts that would be enrolled together, beside each other and those enrolled.
+    """The outlook of several layouts to be enrolled together, compared with each other and those enrolled.
 
-    Layouts of the same name stand for those enrolled. Raises UsageError as `outlook`.
+    A new layout replaces an enrolled one of the same name. Raises UsageError as `outlook` does.
     """
     names = {layout.name for layout in layouts}
     fixed = [layout for layout in known if layout.name not in names]
@@ -259,7 +263,7 @@ def family_outlooks(
         outlook(one, [*fixed, *layouts[:i]], direction_known=direction_known, version=version)
         for i, one in enumerate(layouts)
     ]
-    # What the later see of the earlier, the earlier see of them.
+    # Each layout was compared with the earlier ones only; mirror those comparisons.
     seen: dict[str, list[Neighbour]] = {layout.name: [] for layout in layouts}
     for one in found:
         for other in one.neighbours:
@@ -278,19 +282,19 @@ def merge(
     checked: int | None = None,
     signatures: Sequence[Signature] = (),
 ) -> int:
-    """Add several layouts to the store, all or none; those enrolled just so are left as they are.
+    """Add several layouts to the store, all or none; identical entries are left unchanged.
 
     Args:
         store: the registry.
-        layouts: of different names.
-        source: where they come from, for the history.
-        force: replace layouts of the same names, and accept such as could be confused.
-        direction_known: whether the direction of the turn is.
-        checked: version for which `check_merge` was asked already.
-        signatures: stored with them.
+        layouts: with unique names.
+        source: origin of the layouts, for the history.
+        force: replace layouts of the same names, and accept layouts that could be confused.
+        direction_known: whether the direction of rotation is known.
+        checked: registry version for which `check_merge` has already passed.
+        signatures: stored with the layouts.
 
     Raises:
-        LayoutConflictError: a name stands for another layout there, or two layouts could be confused.
+        LayoutConflictError: a name is taken by a different layout, or two layouts could be confused.
     """
     for _ in range(_TRIES):
         version, enrolled = store.snapshot()
@@ -304,13 +308,13 @@ def merge(
 
 
 def check_merge(outlooks: Sequence[Outlook], enrolled: Sequence[Layout]) -> None:
-    """Raises LayoutConflictError where layouts, seen by `family_outlooks`, cannot be added."""
+    """Raises LayoutConflictError if the layouts compared by `family_outlooks` cannot be added."""
     known = {layout.name: layout for layout in enrolled}
     for one in outlooks:
         same = known.get(one.layout.name)
         if same is not None and same.to_dict() != one.layout.to_dict():
             raise LayoutConflictError(
-                f"a different layout named {same.name} is enrolled already",
+                f"a different layout named {same.name} is already enrolled",
                 "Rename one of them (a design: --prefix NAME), or import with --force; nothing was stored.",
             )
     for one in reversed(outlooks):
@@ -320,6 +324,4 @@ def check_merge(outlooks: Sequence[Outlook], enrolled: Sequence[Layout]) -> None
 
 
 def _busy() -> RegistryError:
-    return RegistryError(
-        "the registry is changed by other processes all the time", "Try again when they are done."
-    )
+    return RegistryError("other processes keep changing the registry", "Try again when they have finished.")

@@ -1,6 +1,6 @@
-"""Layouts in files that people edit and exchange: TOML, one layout or many, with signatures beside them.
+"""Layout files that people edit and exchange: TOML with one or more layouts and, optionally, signatures.
 
-What was exported comes back unchanged, and a file from elsewhere is checked field by field before it is used.
+Exporting and importing preserves every value. Every field of a file is validated before it is used.
 """
 
 from __future__ import annotations
@@ -22,7 +22,8 @@ from tagid.tags.layouts.layout import Layout, layout_from_dict, read_layout
 
 FORMAT = "tagid.layouts"
 VERSION = 2
-"""Version 2 may hold signatures of bodies and objects; a file without any is written as version 1."""
+"""Version 2 may contain signatures of bodies and objects; a file without signatures is written as version
+1."""
 MAX_BYTES = 16 << 20
 MAX_LAYOUTS = 2000
 MAX_SIGNATURES = 200
@@ -30,11 +31,11 @@ MAX_SIGNATURES = 200
 
 @dataclass(frozen=True)
 class Entries:
-    """What a file holds.
+    """Contents of a layout file.
 
     Attributes:
-        layouts: of different names.
-        signatures: of different kinds or names.
+        layouts: with unique names.
+        signatures: with unique pairs of kind and name.
     """
 
     layouts: tuple[Layout, ...]
@@ -42,7 +43,7 @@ class Entries:
 
 
 def layouts_to_toml(layouts: Sequence[Layout], signatures: Sequence[Signature] = ()) -> str:
-    """TOML text of layouts and signatures; `read_entries` takes it back."""
+    """TOML text of layouts and signatures, as read by `read_entries`."""
     import tomli_w
 
     tables: list[dict[str, Any]] = []
@@ -58,21 +59,21 @@ def layouts_to_toml(layouts: Sequence[Layout], signatures: Sequence[Signature] =
 
 
 def write_layouts(layouts: Sequence[Layout], path: Path, signatures: Sequence[Signature] = ()) -> None:
-    """Write a file of layouts and signatures, whole or not at all. Raises StorageError."""
+    """Write layouts and signatures to a file, atomically. Raises StorageError."""
     write_bytes(path, layouts_to_toml(layouts, signatures).encode("utf-8"))
 
 
 def read_layouts(path: Path) -> list[Layout]:
-    """Layouts of a file; see `read_entries`."""
+    """The layouts in a file; see `read_entries`."""
     return list(read_entries(path).layouts)
 
 
 def read_entries(path: Path) -> Entries:
-    """Entries of a .toml file written by `write_layouts`, or the one layout of a .toml or .json file.
+    """Entries of a .toml file written by `write_layouts`, or the single layout of a .toml or .json file.
 
     Raises:
         StorageError: the file cannot be read.
-        FileFormatError: not such a file, a newer version, a wrong field or a name used twice.
+        FileFormatError: not a layout file, a newer version, an invalid field or a duplicate name.
     """
     if path.suffix.lower() == ".json":
         return Entries((read_layout(path),))
@@ -102,7 +103,7 @@ def read_entries(path: Path) -> Entries:
     tables = data.get("layout", [] if signatures else None)
     least = 0 if signatures else 1
     if not isinstance(tables, list) or not least <= len(tables) <= MAX_LAYOUTS:
-        raise FileFormatError(f"{path} holds no [[layout]] tables", f"Give 1 to {MAX_LAYOUTS} layouts.")
+        raise FileFormatError(f"{path} has no [[layout]] tables", f"Give 1 to {MAX_LAYOUTS} layouts.")
     found: dict[str, Layout] = {}
     for number, table in enumerate(tables, 1):
         try:
@@ -116,7 +117,7 @@ def read_entries(path: Path) -> Entries:
 
 
 def _signatures(path: Path, tables: Any) -> tuple[Signature, ...]:
-    """Signatures of the [[signature]] tables. Raises FileFormatError."""
+    """Signatures from the [[signature]] tables. Raises FileFormatError."""
     if not isinstance(tables, list) or len(tables) > MAX_SIGNATURES:
         raise FileFormatError(
             f"{path}: signature is not a list of up to {MAX_SIGNATURES} tables",

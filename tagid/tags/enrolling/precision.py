@@ -1,6 +1,6 @@
-"""How exactly one recording tells where each reflector is: the covariance of its positions.
+"""Precision of the reflector positions measured in one recording: their covariance.
 
-Captures of one object differ in views, noise and place; a mean that takes them alike wastes the good ones.
+Captures of one object differ in views, noise and position; an unweighted mean would waste the good ones.
 """
 
 from __future__ import annotations
@@ -19,13 +19,14 @@ def position_covariances(
 ) -> NDArray[np.float64]:
     """Covariance of least-squares positions with free complex amplitudes: the inverse Fisher information.
 
-    With templates S, amplitudes a and J the derivatives of S a by the coordinates, made orthogonal to S (the
-    amplitudes are fitted with them), it is (2 / v Re(J^H J))^-1 (Kay 1993, section 15.7; v is the variance of
-    a complex sample). v is that of the noise or of what the points leave unexplained, whichever is larger, so
-    that echoes of the object count as noise. Correlations between reflectors are left out of the answer.
+    Let S be the templates, a the amplitudes, and J the derivatives of S a with respect to the coordinates,
+    made orthogonal to S because the amplitudes are fitted too. The covariance is (2 / v Re(J^H J))^-1 (Kay
+    1993, section 15.7), v being the variance of a complex sample. v is the noise variance or the variance of
+    the residual, whichever is larger, so unexplained echoes of the object count as noise. Correlations
+    between reflectors are omitted from the result.
 
     Args:
-        field: of the scans.
+        field: matched field of the scans.
         positions: (K, 2) m, at the least-squares solution.
         offset_m: added to every distance, m.
 

@@ -1,6 +1,6 @@
 """The enrolled layouts, bodies and objects, and every change made to them, in one sqlite file.
 
-A reading names the registry's version, so that it can be established later what it was chosen from.
+A reading records the registry's version, so the set of entries it was compared with can be established later.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from tagid.tags.bodies.signature_file import from_bytes, to_bytes
 from tagid.tags.layouts.layout import Layout, builtin_layouts, layout_from_dict
 
 APPLICATION_ID = 0x74616764
-"""Marks the file as ours ("tagd"), sqlite header, offset 68."""
+"""Application id in the sqlite header (offset 68): "tagd"."""
 MAX_DEFINITION = 64 * 1024
 
 _MIGRATIONS = (
@@ -46,22 +46,26 @@ _SCHEMA = Schema(
 )
 
 
+_BACK = "back to version "
+_FORWARD = "forward to version "
+"""Sources of the changes that undo and redo make; the number is the version restored."""
+
 Key = tuple[str, str]
 """Kind of an entry ("layout", "body" or "object") and its name."""
 
 
 @dataclass(frozen=True)
-class Change:
+class RegistryChange:
     """One entry of the history.
 
     Attributes:
-        version: the registry's version from then on.
+        version: registry version after the change.
         time_utc: ISO 8601.
         action: "add", "replace" or "remove".
         name: of the layout, body or object.
-        source: where it came from ("built-in", a file, "captures", ...).
+        source: origin of the entry ("built-in", a file, "captures", ...).
         kind: "layout", "body" or "object".
-        entry: as it was added, or as it was when removed; None where it is damaged.
+        entry: the entry as added or as removed; None if it is damaged.
     """
 
     version: int
@@ -74,18 +78,18 @@ class Change:
 
     @property
     def layout(self) -> Layout | None:
-        """The entry, where it is a layout."""
+        """The entry if it is a layout, else None."""
         return self.entry if isinstance(self.entry, Layout) else None
 
 
 @dataclass(frozen=True)
-class Contents:
-    """What was enrolled at one version.
+class RegistryContents:
+    """Everything enrolled at one version.
 
     Attributes:
-        version: of the registry.
-        layouts: by name.
-        signatures: of bodies and objects, by kind and name.
+        version: registry version.
+        layouts: sorted by name.
+        signatures: of bodies and objects, sorted by kind and name.
     """
 
     version: int
@@ -93,10 +97,56 @@ class Contents:
     signatures: list[Signature]
 
 
-class Registry:
-    """Layouts, bodies and objects in a sqlite file, which starts with the built-in layouts.
+@dataclass(frozen=True)
+class Restored:
+    """What an undo or redo did.
 
-    Safe to use from several processes: every change is one immediate transaction.
+    Attributes:
+        version: of the registry from now on.
+        undone: source of the change that was undone, as in the history.
+        added, removed, changed: names of the entries that came back, went, or became another version again.
+    """
+
+    version: int
+    undone: str
+    added: tuple[str, ...] = ()
+    removed: tuple[str, ...] = ()
+    changed: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class _Steps:
+    """The versions that undo and redo go to, the next one last, and what made the present state."""
+
+    undo: list[int]
+    redo: list[int]
+    made_by: str
+
+    @classmethod
+    def of(cls, deeds: Sequence[tuple[int, str]]) -> _Steps:
+        """From (last version, source) of every command, as an editor keeps its two stacks."""
+        state, undo, redo = 0, list[int](), list[int]()
+        sources = dict(deeds)
+        for version, source in deeds:
+            for start, taken, kept in ((_BACK, undo, redo), (_FORWARD, redo, undo)):
+                number = source.removeprefix(start)
+                if source.startswith(start) and number.isdecimal():
+                    kept.append(state)
+                    state = int(number)
+                    if state in taken:
+                        del taken[taken.index(state) :]
+                    break
+            else:
+                undo.append(state)
+                redo.clear()
+                state = version
+        return cls(undo, redo, sources.get(state, f"the changes up to version {state}"))
+
+
+class Registry:
+    """Layouts, bodies and objects in a sqlite file. A new file contains the built-in layouts.
+
+    Several processes may use one file: every change is one immediate transaction.
 
     Raises:
         RegistryError: the file is not a registry, damaged, from a newer tagid, locked or not writable.
@@ -108,16 +158,16 @@ class Registry:
 
     @property
     def version(self) -> int:
-        """Number of changes made so far; grows by one with each."""
+        """Number of changes made so far."""
         with self._database.connection() as connection:
             return self._version(connection)
 
     def layouts(self) -> list[Layout]:
-        """All enrolled layouts, by name."""
+        """All enrolled layouts, sorted by name."""
         return self.snapshot()[1]
 
     def get(self, name: str) -> Layout:
-        """The layout of that name; RegistryError lists the names where there is none."""
+        """The layout of that name. Raises RegistryError, which lists the names, if there is none."""
         with self._database.connection() as connection:
             row = connection.execute("SELECT definition FROM layout WHERE name = ?", (name,)).fetchone()
         if row is None:
@@ -125,13 +175,13 @@ class Registry:
         return self._decode(name, row[0])
 
     def signatures(self, kind: SignatureKind | None = None) -> list[Signature]:
-        """The enrolled bodies and objects, or those of one kind, by kind and name."""
+        """The enrolled bodies and objects, or those of one kind, sorted by kind and name."""
         with self._database.connection() as connection:
             rows = connection.execute("SELECT kind, name, data FROM signature ORDER BY kind, name").fetchall()
         return [self._signature((k, name), data) for k, name, data in rows if kind in (None, k)]
 
     def signature(self, kind: SignatureKind, name: str) -> Signature:
-        """One body or object; RegistryError lists the names where there is none."""
+        """One body or object. Raises RegistryError, which lists the names, if there is none."""
         with self._database.connection() as connection:
             row = connection.execute(
                 "SELECT data FROM signature WHERE kind = ? AND name = ?", (kind, name)
@@ -140,22 +190,22 @@ class Registry:
             raise self._missing(name, kind)
         return self._signature((kind, name), row[0])
 
-    def contents(self) -> Contents:
-        """The version, and everything enrolled at it."""
+    def contents(self) -> RegistryContents:
+        """The version and everything enrolled at that version."""
         with self._database.connection() as connection:
             connection.execute("BEGIN")
             version = self._version(connection)
             layouts = connection.execute("SELECT name, definition FROM layout ORDER BY name").fetchall()
             rows = connection.execute("SELECT kind, name, data FROM signature ORDER BY kind, name").fetchall()
             connection.execute("COMMIT")
-        return Contents(
+        return RegistryContents(
             version,
             [self._decode(name, text) for name, text in layouts],
             [self._signature((kind, name), data) for kind, name, data in rows],
         )
 
     def snapshot(self) -> tuple[int, list[Layout]]:
-        """The version, and all layouts enrolled at it."""
+        """The version and the layouts enrolled at that version."""
         with self._database.connection() as connection:
             connection.execute("BEGIN")
             version = self._version(connection)
@@ -166,8 +216,8 @@ class Registry:
     def add(self, layout: Layout, source: str, *, replace: bool = False) -> int:
         """Enrol a layout and return the new version.
 
-        Raises RegistryError where the name is taken and `replace` is not set. Whether it could be confused
-        with another is for `tagid.tags.enrolling.enrolment` to say.
+        Raises RegistryError if the name is taken and `replace` is not set. Conflicts with similar layouts are
+        checked by `tagid.tags.enrolling.enrolment`, not here.
         """
         version = self.add_all([layout], source, replace=replace)
         assert version is not None
@@ -182,20 +232,20 @@ class Registry:
         since: int | None = None,
         signatures: Sequence[Signature] = (),
     ) -> int | None:
-        """Enrol layouts, bodies and objects, all or none; returns the new version.
+        """Enrol layouts, bodies and objects, all or none, and return the new version.
 
-        An entry that is enrolled just so makes no new version.
+        An entry identical to the enrolled one does not change the version.
 
         Args:
-            layouts: of different names.
-            source: where they come from, for the history.
-            replace: whether they may replace others of their names.
-            since: store only where this is still the version; else nothing is done and None returned.
-            signatures: of different kinds or names; an object may have the name of a layout, of which it is
-                the signature.
+            layouts: with unique names.
+            source: origin of the entries, for the history.
+            replace: whether they may replace entries of the same name.
+            since: store only if this is still the version; otherwise do nothing and return None.
+            signatures: with unique pairs of kind and name; the signature of an object has the name of its
+                layout.
 
-        Raises RegistryError where a name is taken and `replace` is not set, UsageError for a label or notes
-        that a spreadsheet would run as a formula.
+        Raises RegistryError if a name is taken and `replace` is not set, and UsageError for a label or notes
+        that a spreadsheet would execute as a formula.
         """
         for layout in layouts:
             _check_label(layout)
@@ -210,59 +260,90 @@ class Registry:
             for key, value in new.items():
                 if key in now and not replace:
                     raise RegistryError(
-                        f"{_article(key[0])} named {key[1]} is enrolled already",
+                        f"{_article(key[0])} named {key[1]} is already enrolled",
                         "Choose another name, remove the old one first, or replace it with --force.",
                     )
                 if now.get(key) != value:
                     self._put(connection, key, value, source)
             return self._version(connection)
 
-    def go_back(self, version: int | None = None) -> int:
-        """Restore all entries as they were at a version, by new changes; returns the new version.
+    def undo(self, to: int | None = None) -> Restored:
+        """Undo the last command that changed the registry; called again, the one before it.
+
+        Every command is one step, however many entries it changed. The steps back are changes themselves, so
+        nothing is lost from the history.
 
         Args:
-            version: None takes the one before the last command (an import is one command of many changes), so
-                that going back twice changes nothing.
+            to: restore this version instead.
 
-        Raises RegistryError where there is no such version.
+        Raises RegistryError where there is nothing to undo, or no such version.
         """
         with self._database.transaction() as connection:
             last = self._version(connection)
-            target = self._before_last_deed(connection) if version is None else version
-            if not 1 <= target < last:
+            steps = _Steps.of(self._deeds(connection))
+            if to is not None:
+                if not 1 <= to < last:
+                    raise RegistryError(
+                        f"there is no version {to} to go back to, the registry is at version {last}",
+                        "`tagid layouts --history` lists the versions.",
+                    )
+                return self._restore(connection, to, f"{_BACK}{to}", f"every change since version {to}")
+            if not steps.undo or steps.undo[-1] < 1:
                 raise RegistryError(
-                    f"there is no version {target} to go back to, the registry is at version {last}",
-                    "`tagid layouts --history` lists the versions.",
+                    "there is nothing to undo: the registry holds what it started with",
+                    "`tagid layouts --history` lists the changes.",
                 )
-            rows = connection.execute(
-                "SELECT action, kind, name, definition, data FROM change WHERE version <= ? ORDER BY version",
-                (target,),
-            )
-            then: dict[Key, str | bytes] = {}
-            for action, kind, name, definition, data in rows:
-                then.pop((kind, name), None)
-                if action != "remove":
-                    value = definition if kind == "layout" else data
-                    self._entry((kind, name), value)
-                    then[kind, name] = value
-            now = self._entries(connection)
-            source = f"back to version {target}"
-            for key in sorted(now.keys() - then.keys()):
-                self._take_out(connection, key, now[key], source)
-            for key, value in sorted(then.items(), key=lambda item: item[0]):
-                if now.get(key) != value:
-                    self._put(connection, key, value, source)
-            return self._version(connection)
+            target = steps.undo[-1]
+            return self._restore(connection, target, f"{_BACK}{target}", steps.made_by)
+
+    def redo(self) -> Restored:
+        """Take the last `undo` back. Raises RegistryError where nothing was undone since the last change."""
+        with self._database.transaction() as connection:
+            steps = _Steps.of(self._deeds(connection))
+            if not steps.redo:
+                raise RegistryError(
+                    "there is nothing to redo: the last change was not an undo",
+                    "`tagid layouts --history` lists the changes; `tagid layouts undo --to VERSION` restores "
+                    "any version.",
+                )
+            target = steps.redo[-1]
+            return self._restore(connection, target, f"{_FORWARD}{target}", "the last undo")
+
+    def _restore(self, connection: sqlite3.Connection, target: int, source: str, undone: str) -> Restored:
+        """Make all entries what they were at a version, by new changes."""
+        rows = connection.execute(
+            "SELECT action, kind, name, definition, data FROM change WHERE version <= ? ORDER BY version",
+            (target,),
+        )
+        then: dict[Key, str | bytes] = {}
+        for action, kind, name, definition, data in rows:
+            then.pop((kind, name), None)
+            if action != "remove":
+                value = definition if kind == "layout" else data
+                self._entry((kind, name), value)
+                then[kind, name] = value
+        now = self._entries(connection)
+        gone = sorted(now.keys() - then.keys())
+        put = [key for key, value in sorted(then.items(), key=lambda item: item[0]) if now.get(key) != value]
+        for key in gone:
+            self._take_out(connection, key, now[key], source)
+        for key in put:
+            self._put(connection, key, then[key], source)
+        return Restored(
+            self._version(connection),
+            undone,
+            removed=tuple(name for _, name in gone),
+            added=tuple(name for kind, name in put if (kind, name) not in now),
+            changed=tuple(name for kind, name in put if (kind, name) in now),
+        )
 
     @staticmethod
-    def _before_last_deed(connection: sqlite3.Connection) -> int:
-        rows = connection.execute("SELECT version, time_utc, source FROM change ORDER BY version DESC")
-        version, *deed = rows.fetchone()
-        for earlier, *other in rows:
-            if other != deed:
-                break
-            version = earlier
-        return int(version) - 1
+    def _deeds(connection: sqlite3.Connection) -> list[tuple[int, str]]:
+        """(last version, source) of every command that changed something, oldest first."""
+        rows = connection.execute("SELECT version, time_utc, source FROM change ORDER BY version")
+        found = [(int(version), (str(time), str(source))) for version, time, source in rows]
+        ends = [i for i, (_, deed) in enumerate(found) if i + 1 == len(found) or found[i + 1][1] != deed]
+        return [(found[i][0], found[i][1][1]) for i in ends]
 
     def _entries(self, connection: sqlite3.Connection) -> dict[Key, str | bytes]:
         found: dict[Key, str | bytes] = {
@@ -314,8 +395,8 @@ class Registry:
             raise self._missing(keys[0][1], keys[0][0])
         return version
 
-    def history(self, name: str | None = None) -> list[Change]:
-        """Every change, oldest first; of the entries of one name where it is given."""
+    def history(self, name: str | None = None) -> list[RegistryChange]:
+        """Every change, or only those to entries called `name`, oldest first."""
         query = "SELECT version, time_utc, action, name, source, kind, definition, data FROM change"
         with self._database.connection() as connection:
             if name is None:
@@ -329,7 +410,7 @@ class Registry:
                 entry = self._entry((kind, named), definition if kind == "layout" else data)
             except RegistryError:
                 entry = None
-            changes.append(Change(number, time_utc, action, named, source, kind, entry))
+            changes.append(RegistryChange(number, time_utc, action, named, source, kind, entry))
         return changes
 
     def _fill(self, connection: sqlite3.Connection) -> None:
@@ -359,7 +440,7 @@ class Registry:
                 raise ValueError("not a definition")
             layout = layout_from_dict(json.loads(text))
             if layout.name != name:
-                raise ValueError(f"it is that of {layout.name}")
+                raise ValueError(f"it belongs to {layout.name}")
             return layout
         except (ValueError, RecursionError, TagidError) as error:
             raise RegistryError(
@@ -375,7 +456,7 @@ class Registry:
                 raise ValueError("not a signature")
             signature = from_bytes(data, f"{kind} {name}")
             if (signature.kind, signature.name) != key:
-                raise ValueError(f"it is that of the {signature.kind} {signature.name}")
+                raise ValueError(f"it belongs to the {signature.kind} {signature.name}")
             return signature
         except (ValueError, TagidError) as error:
             group = "bodies --remove" if kind == "body" else "layouts --remove"
@@ -390,7 +471,7 @@ class Registry:
         with self._database.connection() as connection:
             rows = connection.execute(f"SELECT name, ?1 FROM {table} ORDER BY name", (kind,)).fetchall()
         names = ", ".join(str(row[0])[:80] for row in rows)
-        return RegistryError(f"no {kind} is named {name[:80]!r}", f"Enrolled are: {names or 'none'}.")
+        return RegistryError(f"no {kind} is named {name[:80]!r}", f"Enrolled: {names or 'none'}.")
 
 
 def _article(kind: str) -> str:
@@ -398,10 +479,10 @@ def _article(kind: str) -> str:
 
 
 def _check_label(layout: Layout) -> None:
-    """Raises UsageError for texts of a layout to enrol that a spreadsheet would run."""
+    """Raises UsageError for a label or notes that a spreadsheet would execute."""
     for name in ("label", "notes"):
         if getattr(layout, name).lstrip().startswith(FORMULA_STARTS):
             raise UsageError(
                 f"layout {layout.name}: the {name} begins with {getattr(layout, name).lstrip()[0]!r}",
-                "Begin it with a letter or digit: spreadsheets run such texts as formulas.",
+                "Begin it with a letter or digit: spreadsheets execute such text as a formula.",
             )

@@ -6,6 +6,7 @@ metres. If physics leaves too little room, `design` reports how many layouts fit
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from math import factorial
@@ -21,7 +22,7 @@ from tagid.tags.layouts.necklaces import necklaces, occupied
 from tagid.tags.layouts.objects import Row, TaggedObject
 
 REFLECTOR_M = 0.04
-"""Width of the paper's reflectors, octahedra of 20 mm radius: their centres cannot be closer."""
+"""Size (tip to tip) of the paper's reflectors, octahedra of 20 mm radius: their centres cannot be closer."""
 GHOST_M = 0.07
 """Reflectors closer than about a wavelength (7.6 cm at 3.95 GHz) modulate each other and cause a ghost."""
 MAX_SLOTS = 48
@@ -106,7 +107,8 @@ def design(
         target: object with its rows; every row is used.
         rules: reflectors, slots and physical limits.
         count: number of layouts.
-        prefix: prefix of the names; None gives the object and the rules, as in helmet-r3s12-01.
+        prefix: prefix of the names; None gives the object, the rules and three characters that tell this set
+            from others, as in helmet-r3s12-4fd-01.
         beside: layouts already in use; candidates that could be confused with them are excluded.
 
     Raises:
@@ -124,12 +126,13 @@ def design(
             f"{rules.slots} slots at {rules.spacing_m * 1e3:.0f} mm spacing"
             + (f" besides the enrolled ones, which exclude {taken}" if taken else "")
             + f", not for {count}",
-            "Ask for fewer, or increase --slots, --reflectors or --rows, or reduce --spacing.",
+            "Ask for fewer.",
         )
     distance = distance_matrix(points, rules)
     far = farthest_set(distance, count, np.random.default_rng(rules.seed))
     chosen = far.chosen
-    stem = prefix or f"{target.name}-r{rules.reflectors}s{rules.slots}"
+    set_name = _fingerprint(points[chosen], heights[chosen])
+    stem = prefix or f"{target.name}-r{rules.reflectors}s{rules.slots}-{set_name}"
     digits = max(2, len(str(count)))
     notes = f"Designed: {rules.reflectors} of {rules.slots} slots, {len(target.rows)} row(s)."
     layouts = tuple(
@@ -153,6 +156,12 @@ def design(
         rules,
         far.proven,
     )
+
+
+def _fingerprint(points: NDArray[np.float64], heights: NDArray[np.float64]) -> str:
+    """Three characters that differ between sets of layouts, so that two designs do not share names."""
+    tenths = np.rint(np.concatenate([points.ravel(), heights.ravel()]) * 1e4).astype("<i4")
+    return hashlib.sha256(tenths.tobytes()).hexdigest()[:3]
 
 
 def candidates(

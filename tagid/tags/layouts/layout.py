@@ -29,7 +29,7 @@ KIND_RADIUS_M = {"helmet": 0.2, "container": 0.35, "other": MAX_RADIUS_M}
 a radius of 0.29 m."""
 MIN_SPACING_M = 0.02
 """Reflectors closer than this are not resolved: the null of the point response J0(2kr) is at 14.5 mm, and the
-paper's octahedra have a radius of 20 mm."""
+paper's octahedra have a size of 40 mm, tip to tip."""
 SYMMETRY_TOLERANCE_M = 1e-3
 MAX_FILE_BYTES = 64 * 1024
 MAX_TEXT = 2000

@@ -141,8 +141,8 @@ class MatchedScan:
         positions, amplitudes, level = clean(disc, best.positions, best.amplitudes, settings.finder)
         apart = separate(positions, amplitudes, best.layout.size)
         positions, amplitudes = positions[apart], amplitudes[apart]
-        cleaned = (amplitudes, level)
-        evidence, measured = _evidence(disc, (best, runner_up), cleaned, self._places, settings)
+        case = _Case(disc, best, runner_up, np.abs(amplitudes), level, self._places)
+        evidence, measured = _evidence(case, settings)
         verdict = decide(evidence, settings.decision)
         status = verdict.status
         named = best.layout.size if status in ("identified", "ambiguous") else 0
@@ -201,32 +201,43 @@ def _score(matched: MatchedField, fit: Fit, signal: float) -> LayoutScore:
     )
 
 
-def _evidence(
-    disc: SearchDisc,
-    fits: tuple[Fit, Fit | None],
-    cleaned: tuple[NDArray[np.complex128], float],
-    places: float,
-    settings: ReaderSettings,
-) -> tuple[Evidence, NDArray[np.float64]]:
-    """The evidence, and where the layout's reflectors (K, 2) are when each may move freely, m."""
-    best, runner_up = fits
-    matched, decision = disc.field, settings.decision
-    amplitudes, level = np.abs(cleaned[0]), cleaned[1]
+@dataclass(frozen=True, eq=False)
+class _Case:
+    """What the decision about the best layout of one recording is computed from.
+
+    Attributes:
+        disc: search area, with the aspect of the layout's reflectors.
+        best, runner_up: fits of the two leading layouts; None if only one is enrolled.
+        magnitudes: (n,) of the points found: the layout's reflectors first, then those beyond it.
+        level: noise and clutter of the residual.
+        places: number of independent places searched, over all layouts.
+    """
+
+    disc: SearchDisc
+    best: Fit
+    runner_up: Fit | None
+    magnitudes: NDArray[np.float64]
+    level: float
+    places: float
+
+
+def _evidence(case: _Case, settings: ReaderSettings) -> tuple[Evidence, NDArray[np.float64]]:
+    """The evidence, and the positions (K, 2) of the layout's reflectors when fitted freely, m."""
+    best, runner_up, level = case.best, case.runner_up, case.level
+    matched, decision = case.disc.field, settings.decision
     size = best.layout.size
-    beyond = amplitudes[size:]
+    beyond = case.magnitudes[size:]
     noise = matched.noise_variance if matched.noise_variance > 0 else level
-    other = rivals(disc, best, noise, settings.search)
+    other = rivals(case.disc, best, noise, settings.search)
     own = other.sizes
     each = max(best.explained / level / size, 1.0)
-    missing = max(
-        decision.missing_least, decision.missing_share - decision.missing_deviations / np.sqrt(2 * each)
-    )
+    missing = decision.missing_below(each)
     lead = best.charged - (runner_up.charged if runner_up else 0.0)
     fewer = (best.layout.size - runner_up.layout.size) if runner_up else size
     evidence = Evidence(
         size=size,
         nats=best.explained / level,
-        places=places,
+        places=case.places,
         share=float(min(best.charged / _signal_energy(matched, best, level), 1.0)),
         weakest=float(own.min() / max(float(own.max()), 1e-30)),
         missing=int(np.count_nonzero(own < missing * own.max())),

@@ -23,7 +23,7 @@ SCHEMA = 1
 CELLS = GRID.pixels // 2
 CELL_M = GRID.extent / CELLS
 SEPARATION_M = 0.02
-"""Two detections nearer than this are one reflector: the paper's octahedra are 20 mm."""
+"""Two detections nearer than this are one reflector: the paper's octahedra are 40 mm tip to tip."""
 _MOST = 16
 
 
@@ -180,7 +180,7 @@ class Detector:
     """
 
     def __init__(self, model: Model) -> None:
-        """Of an opened model. Raises ModelError where its contract is another one."""
+        """Of an opened model. Raises ModelError if its contract is another one."""
         self._model = model
         self.contract = Contract.from_text(model.metadata.get(CONTRACT_KEY, ""), f"model {model.entry.name}")
         self.sha256 = model.entry.sha256

@@ -32,7 +32,7 @@ NORMALISATION = {
 def image_snr_db(scans: BasebandScans, peak: float) -> float:
     """Power of a pixel of that magnitude over that of the noise in a backprojection of the scans, dB.
 
-    60 dB, the most that is told apart, where the noise is not known.
+    60 dB, the largest distinguishable ratio, if the noise is not known.
     """
     if scans.noise_std <= 0 or peak <= 0:
         return _FULL_SNR_DB
@@ -59,7 +59,7 @@ class NetworkInput:
     def of(cls, image: Image, scans: BasebandScans) -> NetworkInput:
         """The input for an image on `GRID` and the scans that it was made from.
 
-        Raises UsageError where the image is on another grid.
+        Raises UsageError if the image is on another grid.
         """
         if image.grid != GRID:
             raise UsageError(

@@ -39,16 +39,16 @@ class Aspect:
         return self.floor >= 1.0
 
     def weight(
-        self, field: MatchedField, points: NDArray[np.float64], facing: NDArray[np.float64]
+        self, antenna: NDArray[np.float64], points: NDArray[np.float64], facing: NDArray[np.float64]
     ) -> NDArray[np.float32] | None:
         """(..., views) amplitudes of points (..., 2) with outward unit vectors (..., 2); None where uniform.
 
-        A facing of (0, 0) stands for no outward side.
+        The antenna stands at `antenna` (views, 3), m. A facing of (0, 0) stands for no outward side.
         """
         if self.uniform:
             return None
-        x = field.antenna[:, 0] - points[..., 0, None]
-        y = field.antenna[:, 1] - points[..., 1, None]
+        x = antenna[:, 0] - points[..., 0, None]
+        y = antenna[:, 1] - points[..., 1, None]
         cosine = (facing[..., 0, None] * x + facing[..., 1, None] * y) / np.sqrt(x * x + y * y)
         ramp = np.clip((cosine - self.cos_edge) / (2 * self.softness) + 0.5, 0.0, 1.0)
         seen = self.floor + (1 - self.floor) * ramp
@@ -96,5 +96,5 @@ class Appearance:
 
     def templates(self, field: MatchedField, points: NDArray[np.float64]) -> NDArray[np.complex64]:
         """(..., views * rank) templates of points (..., 2), m."""
-        weight = self.aspect.weight(field, points, outward(points, self.centre_m))
+        weight = self.aspect.weight(field.antenna, points, outward(points, self.centre_m))
         return field.templates(field.distances(points) + self.offset_m, weight)

@@ -6,6 +6,7 @@ It is formed once for each pattern and read at thousands of places: its cost doe
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,25 +20,73 @@ COARSE_NO_SIDE_M = 0.015
 """On the coarse image sides are told from the turntable's axis, which is up to 14 mm off the object's."""
 
 
-class CoarseImage:
-    """Complex image of b on a square, read by bilinear interpolation."""
+@dataclass(frozen=True, eq=False)
+class CoarseDisc:
+    """The pixels of a coarse image within a radius.
 
-    def __init__(self, field: MatchedField, radius_m: float, aspect: Aspect, offsets_m: Sequence[float]):
+    Attributes:
+        half: pixels from the middle to the edge; the image has 2 half + 1 a side.
+        inside: (side, side) which pixels are formed.
+    """
+
+    half: int
+    inside: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, radius_m: float) -> CoarseDisc:
+        """The disc of a radius, m, with what bilinear reading at its rim needs."""
         half = int(np.ceil(radius_m / IMAGE_STEP_M)) + 1
-        self.half = half
-        self.axis = np.arange(-half, half + 1) * IMAGE_STEP_M
-        x, y = np.meshgrid(self.axis, self.axis)
-        inside = x**2 + y**2 <= (radius_m + 2 * IMAGE_STEP_M) ** 2
-        points = np.stack([x[inside], y[inside]], axis=-1)
-        distances = field.distances(points)
-        weight = aspect.weight(field, points, outward(points, np.zeros(2), COARSE_NO_SIDE_M))
-        self.field = field
+        axis = np.arange(-half, half + 1) * IMAGE_STEP_M
+        x, y = np.meshgrid(axis, axis)
+        return cls(half, x**2 + y**2 <= (radius_m + 2 * IMAGE_STEP_M) ** 2)
+
+    @property
+    def points(self) -> NDArray[np.float64]:
+        """(points, 2) places of the pixels inside, m."""
+        row, column = np.nonzero(self.inside)
+        places = np.stack([column - self.half, row - self.half], axis=-1)
+        return np.asarray(places * IMAGE_STEP_M, dtype=np.float64)
+
+
+class CoarseImage:
+    """Complex image of b on a disc, read by bilinear interpolation.
+
+    Args:
+        disc: the pixels.
+        aspect: pattern of the points.
+        views: number of views.
+        static: (points, rank) mean over the views of the templates of the disc's points.
+        images: (offsets, points) b of the disc's points at every range offset.
+    """
+
+    def __init__(
+        self,
+        disc: CoarseDisc,
+        aspect: Aspect,
+        views: int,
+        static: NDArray[np.complexfloating],
+        images: NDArray[np.complexfloating],
+    ) -> None:
+        self.half = disc.half
         self.aspect = aspect
+        self.views = views
+        self.static = np.zeros((*disc.inside.shape, static.shape[-1]), dtype=np.complex64)
+        self.static[disc.inside] = static
+        self.images = np.zeros((len(images), *disc.inside.shape), dtype=np.complex64)
+        self.images[:, disc.inside] = images
+
+    @classmethod
+    def of(
+        cls, field: MatchedField, radius_m: float, aspect: Aspect, offsets_m: Sequence[float]
+    ) -> CoarseImage:
+        """The image of a matched field on the disc of a radius, m, for range offsets, m."""
+        disc = CoarseDisc.of(radius_m)
+        points = disc.points
+        distances = field.distances(points)
+        weight = aspect.weight(field.antenna, points, outward(points, np.zeros(2), COARSE_NO_SIDE_M))
         static = field.static_part(distances, weight)
-        self.static = np.zeros((*inside.shape, static.shape[-1]), dtype=np.complex64)
-        self.static[inside] = static
-        self.images = np.zeros((len(offsets_m), *inside.shape), dtype=np.complex64)
-        self.images[:, inside] = field.correlate_offsets(distances, offsets_m, weight)
+        images = field.correlate_offsets(distances, offsets_m, weight)
+        return cls(disc, aspect, field.views, static, images)
 
     def static_overlap(self, points: NDArray[np.float64]) -> NDArray[np.complex64]:
         """(..., K, K) part of the Gram matrix that is constant over views, to the nearest pixel."""
@@ -45,7 +94,7 @@ class CoarseImage:
         index = np.clip(index, 0, 2 * self.half)
         static = self.static[index[..., 1], index[..., 0]]
         overlap: NDArray[np.complex64] = np.matmul(static.conj(), np.swapaxes(static, -1, -2))
-        return overlap * self.field.views
+        return overlap * self.views
 
     def read(self, points: NDArray[np.float64]) -> NDArray[np.complex64]:
         """(offsets, ...) b at points (..., 2)."""

@@ -1,6 +1,6 @@
-"""When to say a name, and when to say that none is known: every threshold of the reader with its reason.
+"""The decision whether to name a layout: every threshold of the reader, with its justification.
 
-A wrong name costs more than a question, so each test can only take a name away.
+A wrong name costs more than a refusal, so each test can only reject a name.
 """
 
 from __future__ import annotations
@@ -12,24 +12,27 @@ from tagid.errors import UsageError
 from tagid.tags.verdicts.verdict import Code, Verdict
 
 PLACES_PER_METRE = 6500.0
-"""Independent places that the search tries per metre of path of the outermost reflector (2 pi r over the
-layout's symmetry), for all centres and range offsets together: fitted to the maxima of 720 searches of noise
-alone, at 12, 36 and 100 views, of which layouts need 500 to 6000 places. Every pattern tried counts anew."""
+"""Number of independent places searched per metre of the outermost reflector's path (2 pi r divided by the
+layout's symmetry), over all centres and range offsets. Fitted to the maxima of 720 searches in pure noise at
+12, 36 and 100 views, which correspond to 500 to 6000 places per layout. Each pattern tried adds this number
+again."""
 SEARCH_GAIN_NATS = 3.0
-"""What the best place near a further reflector gains over the reflector itself."""
+"""Gain of the best place near an additional reflector over its true place, in nats."""
 GAIN_NATS, GAIN_SPREAD_NATS, GAIN_ERROR = 6.5, 1.2, 0.01
-"""Mode and width of what one point more explains of a tag that is all there, and how both grow with the tag's
-own energy."""
+"""Mode and width of the energy that one additional point explains for a complete tag, in nats, and their
+growth with the tag's own energy."""
 ODDS_ERROR, CLEAR_NATS = 0.02, 100.0
-"""Share of the energy beyond CLEAR_NATS that the model may leave unexplained: it takes odds from every tag,
-and is nothing beside what a stranger's tag leaves there."""
+"""Share of the energy above CLEAR_NATS that the model may leave unexplained. Model error lowers the odds of
+every tag; an unenrolled tag leaves far more unexplained."""
 STRANGER_NATS, STRANGER_SLOPE, STRANGER_PLACES = 8.3, 1.6, 36600.0
-"""Preference asked at a false-accept setting of 0.001 with the paper's four layouts enrolled, and how it
-grows as the setting becomes one in e times as small; 36600 is those layouts' number of places."""
+"""Preference required at a false-accept setting of 0.001 with the paper's four layouts enrolled, and its
+increase for each factor of e by which the setting is reduced; 36600 is the number of places of those
+layouts."""
 FEW_VIEWS, FEW_VIEWS_NATS = 36, 4.0
-"""Under so many views a stranger's further reflector hides among sidelobes and aspects: down to half of them
-the preference asked rises by so much. Both from 600 readings each of tags and of strangers' tags at 12 to 36
-views and 0 to 5 dB, of seeds that no benchmark uses."""
+"""Below this number of views, an additional reflector of an unenrolled tag can hide among sidelobes and
+aspect effects. The preference required rises by FEW_VIEWS_NATS as the number of views falls to half. Both
+values come from 600 readings each of enrolled and unenrolled tags at 12 to 36 views and 0 to 5 dB, with seeds
+used by no benchmark."""
 
 
 @dataclass(frozen=True)
@@ -37,24 +40,25 @@ class DecisionSettings:
     """Thresholds of the decision.
 
     Attributes:
-        false_accept: probability of naming what is no tag, or a tag that nobody enrolled; it sets how much
-            energy over noise a tag needs, and how strong an echo must be to rule out another object.
-        explained_share: least share of the energy above noise that the layout explains.
-        gain_nats, gain_spread_nats, gain_share: one reflector more, all placed freely, may explain so many
-            noise levels plus this share of the layout's energy beyond its uneven fit. Tags in noise gain 8 in
-            the mean and 13 in one of a hundred; wobble of 3 % or hidden sectors add under 1 % of the energy,
-            other tags leave 13 % or more.
-        missing_share: a reflector weaker than this share of the strongest is missing; less
-            `missing_deviations` of a measured amplitude, but never under `missing_least`.
+        false_accept: probability of naming an object without a tag or with an unenrolled one. It sets the
+            energy over noise that a tag needs, and the echo strength needed to rule out another object.
+        explained_share: smallest share of the energy above noise that the layout must explain.
+        gain_nats, gain_spread_nats, gain_share: one additional reflector, with all of them placed freely, may
+            explain this many noise levels plus this share of the layout's energy beyond its uneven fit. Tags
+            in noise gain 8 on average and 13 in one of a hundred readings; 3 % wobble or hidden sectors add
+            less than 1 % of the energy; other tags leave 13 % or more.
+        missing_share: a reflector weaker than this share of the strongest is missing. The threshold is
+            lowered by `missing_deviations` standard deviations of a measured amplitude, but not below
+            `missing_least`.
         extra_share: an unexplained point stronger than this share of the layout's median counts as extra.
-        displacement_m: RMS distance of freely fitted reflectors from the layout's, above which it is
-            another layout; four standard deviations of a measured position are added. A quarter of the
+        displacement_m: RMS distance of freely fitted reflectors from the layout's, above which the object has
+            another layout; four standard deviations of a measured position are added. One quarter of the
             smallest distance that enrolment accepts.
-        least_outward: reflectors that shine only through the object (-0.6 to -0.8) are none of the layout's.
-        ambiguous_share: a runner-up within this share of the best's explained energy is as good, since
-            wobble, aspect and focus leave errors of that size.
-        ambiguous_nats: and so is one within this many noise levels: where the wrong layout led, in 1600 weak
-            scenes, it led by 2.5 at most.
+        least_outward: reflectors visible only through the object (-0.6 to -0.8) do not belong to the layout.
+        ambiguous_share: a runner-up within this share of the best's explained energy is equally good, because
+            wobble, aspect and focus cause errors of that size.
+        ambiguous_nats: a runner-up within this many noise levels is equally good, too. In 1600 weak scenes a
+            wrong layout led by at most 2.5.
     """
 
     false_accept: float = 1e-3
@@ -78,29 +82,37 @@ class DecisionSettings:
                 "Give 1e-9 to 0.5; the default is 0.001.",
             )
 
+    def missing_below(self, nats: float) -> float:
+        """Amplitude, over the strongest reflector's, below which a reflector of so many nats is missing.
+
+        The relative standard deviation of an amplitude that was measured with n nats is 1 / sqrt(2 n).
+        """
+        return max(self.missing_least, self.missing_share - self.missing_deviations / sqrt(2 * nats))
+
 
 @dataclass(frozen=True)
 class Evidence:
-    """What the decision is taken from.
+    """The quantities that the decision is based on.
 
     Attributes:
-        size: reflectors of the best layout.
-        nats: its explained energy over the level of noise and clutter left.
-        places: independent places that the search tried, all layouts together.
-        share: its part of the energy above noise.
-        weakest: weakest reflector's amplitude over the strongest's.
-        missing, extra: reflectors missing from and beyond the layout.
-        gain_nats: what one point more, all placed freely, explains beyond the layout, in noise levels.
-        further_nats: the same beyond the layout with reflectors that may shine unevenly.
-        odds_nats: log likelihood ratio of the layout over free points in any number.
+        size: number of reflectors of the best layout.
+        nats: its explained energy over the residual level of noise and clutter.
+        places: number of independent places searched, over all layouts.
+        share: share of the energy above noise that it explains.
+        weakest: amplitude of the weakest reflector over that of the strongest.
+        missing, extra: number of reflectors missing from the layout and found beyond it.
+        gain_nats: energy that one additional point explains beyond the layout, all points placed freely, in
+            noise levels.
+        further_nats: the same, beyond the layout with reflectors of uneven amplitude (`UnevenFit`).
+        odds_nats: log likelihood ratio of the layout over any number of free points.
         outward: -1..1, mean cosine of the angle between a reflector's outward side and the views in which it
-            shines, less that of all views: 0 is seen from all sides.
-        noise_nats: the layout's explained energy over the noise alone.
-        displacement_m: RMS distance of freely fitted reflectors from the layout's places.
+            is visible, minus the mean over all views: 0 means visible from all sides.
+        noise_nats: the layout's explained energy over noise alone.
+        displacement_m: RMS distance of freely fitted reflectors from the layout's positions.
         displacement_sigma_m: standard deviation of one measured position.
-        margin_share, margin_nats: the best's lead over the runner-up, of its energy and in noise levels.
-        views: of one recording, as many as tell anything apart.
-        scans: recordings of one object that the energies are sums of.
+        margin_share, margin_nats: lead over the runner-up, as a share of the energy and in noise levels.
+        views: number of distinct views of one recording.
+        scans: number of recordings of one object that the energies are summed over.
     """
 
     size: int
@@ -124,9 +136,10 @@ class Evidence:
 
 
 def chance(nats: float, size: int, places: float, scans: int = 1) -> float:
-    """Probability that noise alone, searched at so many places a scan, is explained so well by `size` points.
+    """Probability that `size` points explain at least `nats` of pure noise.
 
-    At one place the energy is Gamma(K) distributed: Q(K, x) = exp(-x) sum_{j<K} x^j / j!.
+    `places` is the number of independent places searched per scan. At one place the energy has a Gamma(K)
+    distribution: Q(K, x) = exp(-x) sum_{j<K} x^j / j!.
     """
     if nats <= 0:
         return 1.0
@@ -137,20 +150,34 @@ def chance(nats: float, size: int, places: float, scans: int = 1) -> float:
     return exp(min(tail, 0.0))
 
 
-def odds(e: Evidence) -> float:
-    """Nats by which the scans prefer the layout to as many points, or fewer, that lie anywhere.
+def nats_needed(size: int, places: float, false_accept: float) -> float:
+    """The nats that noise alone, searched at so many places, reaches with probability `false_accept`.
 
-    Of 690 readings of tags of every kind none fell under 5; under 0 something else lies there.
+    >>> round(chance(nats_needed(3, 36600.0, 1e-3), 3, 36600.0), 6)
+    0.001
+    """
+    low, high = 0.0, 1e3
+    while high - low > 1e-9:
+        middle = (low + high) / 2
+        low, high = (middle, high) if chance(middle, size, places) > false_accept else (low, middle)
+    return high
+
+
+def odds(e: Evidence) -> float:
+    """Nats by which the scans prefer the layout to at most as many points at arbitrary positions.
+
+    In 690 readings of tags of every kind the minimum was 5. Below 0, something else explains the echo better.
     """
     return e.odds_nats + ODDS_ERROR * max(e.noise_nats - CLEAR_NATS * e.scans, 0.0)
 
 
 def preference(e: Evidence) -> float:
-    """Nats by which the scans prefer the layout to a stranger's tag of which it is a part.
+    """Nats by which the scans prefer the layout to an unenrolled tag that contains it.
 
-    The odds against points anywhere, plus the likelihood ratio of what one point more would explain: of a tag
-    that is all there, the largest of noise and of the model's own error (Gumbel); of a stranger's, a further
-    reflector about as strong as the others, e = nats / K each, with the error of its amplitude.
+    The odds against points at arbitrary positions, plus the likelihood ratio of the energy that one
+    additional point explains. For a complete tag this is the maximum of noise and model error (Gumbel); for
+    an unenrolled tag it is an additional reflector about as strong as the others, e = nats / K each, with the
+    error of its amplitude.
     """
     each = max(e.noise_nats, 1e-9) / (e.size * e.scans)
     root = sqrt(e.scans)
@@ -165,10 +192,10 @@ def preference(e: Evidence) -> float:
 
 
 def least_preference(e: Evidence, false_accept: float) -> float:
-    """Nats of `preference` that are asked for: few strangers' tags reach them.
+    """Required `preference`, nats: few unenrolled tags reach it.
 
-    More enrolled layouts have more places to match. tests/benchmarks/identification_null.py counts by how
-    much tags and strangers' tags pass or miss it.
+    It grows with the number of enrolled layouts, which have more places to match.
+    tests/benchmarks/identification_null.py measures the margins of enrolled and unenrolled tags.
     """
     rarer = STRANGER_SLOPE * log(1e-3 / false_accept)
     enrolled = log(max(e.places, 1.0) / STRANGER_PLACES)
@@ -177,10 +204,10 @@ def least_preference(e: Evidence, false_accept: float) -> float:
 
 
 def decide(evidence: Evidence, settings: DecisionSettings) -> Verdict:
-    """The verdict on reflectors without a body."""
+    """The verdict on a reading that assumes point reflectors and no body."""
     e, s = evidence, settings
     if chance(e.nats, e.size, e.places, e.scans) > s.false_accept:
-        return Verdict("no_tag", Code.NO_ECHO, "nothing stands out of noise and clutter")
+        return Verdict("no_tag", Code.NO_ECHO, "no echo above noise and clutter")
     if e.share < s.explained_share:
         return Verdict("unknown", Code.UNEXPLAINED, f"the nearest layout explains {e.share:.0%} of the echo")
     if e.missing:
@@ -201,14 +228,14 @@ def decide(evidence: Evidence, settings: DecisionSettings) -> Verdict:
         )
     if e.outward < s.least_outward:
         return Verdict(
-            "unknown", Code.HIDDEN, "the reflectors of the nearest layout are only seen through the object"
+            "unknown", Code.HIDDEN, "the nearest layout's reflectors are visible only through the object"
         )
     if odds(e) < 0:
         return Verdict(
-            "unknown", Code.ELSEWHERE, "other places explain the echo better than the nearest layout's"
+            "unknown", Code.ELSEWHERE, "points elsewhere explain the echo better than the nearest layout"
         )
     if preference(e) < least_preference(e, s.false_accept):
-        return Verdict("unknown", Code.WEAK, "the echo is too weak to rule out that another object made it")
+        return Verdict("unknown", Code.WEAK, "the echo is too weak to rule out another object")
     if e.margin_share < s.ambiguous_share or e.margin_nats < s.ambiguous_nats:
         return Verdict("ambiguous", Code.AMBIGUOUS, "two layouts explain the echo almost equally well")
     return Verdict("identified")

@@ -5,6 +5,7 @@ each other. Every statement about reflectors is made from these two, so no image
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,65 @@ RANK_FLOOR = 1e-3
 """Range profiles of all points of an object span few dimensions (2 B L / c is 4 for 0.35 m at 1.7 GHz);
 singular values under this part of the largest are left out."""
 _BLOCK = 1 << 18
+
+
+@dataclass(frozen=True, eq=False)
+class RangeProfiles:
+    """Range profiles of all points within a radius, in an orthonormal basis; the same for every view.
+
+    Attributes:
+        keep: (bins,) which bins of a scan the radius can reach.
+        start_m: distance of the first profile, m; the next ones are FINE_STEP_M apart.
+        basis: (kept bins, rank) orthonormal.
+        profiles: (n, rank) complex64 coordinates of the profiles.
+        wavenumber: k of the carrier, rad/m.
+    """
+
+    keep: NDArray[np.bool_]
+    start_m: float
+    basis: NDArray[np.complex128]
+    profiles: NDArray[np.complex64]
+    wavenumber: float
+
+    @classmethod
+    def of(cls, scans: BasebandScans, radius_m: float) -> RangeProfiles:
+        """The profiles for the radar of some scans. Raises DataError where these miss the object's range."""
+        least, greatest = scans.aperture.span(radius_m)
+        near, far = float(least.min()), float(greatest.max())
+        width = _effective_half_width(scans)
+        ranges = scans.ranges_m
+        keep = (ranges >= near - width) & (ranges <= far + width)
+        if np.count_nonzero(keep) < 4:
+            raise DataError(
+                f"the scans cover {ranges[0]:.2f} to {ranges[-1]:.2f} m, "
+                f"the object is at {near:.2f} to {far:.2f} m",
+                "Check the axis distance, or record a range window that holds the object.",
+            )
+        start = near - 0.05
+        fine = np.arange(start, far + 0.05, FINE_STEP_M)
+        basis, profiles = _range_basis(scans.response(ranges[keep][:, None] - fine[None]))
+        return cls(keep, start, basis, profiles, scans.wavenumber)
+
+    def coordinates(self, samples: NDArray[np.complex64]) -> NDArray[np.complex64]:
+        """(views, rank) coordinates of scans (views, kept bins)."""
+        return np.asarray(samples @ self.basis.conj(), dtype=np.complex64)
+
+    def index(self, distances: NDArray[np.float64]) -> NDArray[np.int32]:
+        """Which profile belongs to each distance (...), m."""
+        position = (distances - (self.start_m - FINE_STEP_M / 2)) * (1 / FINE_STEP_M)
+        return np.clip(position.astype(np.int32), 0, len(self.profiles) - 1)
+
+    def phase(
+        self, distances: NDArray[np.float64], weight: NDArray[np.float32] | None = None
+    ) -> NDArray[np.complex64]:
+        """Weight times exp(-2jk d) in single precision; the angle, hundreds of radians, in double."""
+        angle = np.remainder(-2 * self.wavenumber * distances, 2 * np.pi).astype(np.float32)
+        out = np.empty(angle.shape, dtype=np.complex64)
+        np.cos(angle, out=out.real)
+        np.sin(angle, out=out.imag)
+        if weight is not None:
+            out *= weight
+        return out
 
 
 class MatchedField:
@@ -45,21 +105,11 @@ class MatchedField:
 
     def __init__(self, scans: BasebandScans, radius_m: float) -> None:
         self.antenna = scans.aperture.positions
+        self._antennas = scans.aperture.antennas
         self.wavenumber = scans.wavenumber
         self.radius_m = radius_m
-        reach = np.linalg.norm(self.antenna[:, :2], axis=1)
-        height = self.antenna[:, 2]
-        near = float(np.hypot(np.maximum(reach - radius_m, 0), height).min())
-        far = float(np.hypot(reach + radius_m, height).max())
-        width = _effective_half_width(scans)
-        ranges = scans.ranges_m
-        keep = (ranges >= near - width) & (ranges <= far + width)
-        if np.count_nonzero(keep) < 4:
-            raise DataError(
-                f"the scans cover {ranges[0]:.2f} to {ranges[-1]:.2f} m, "
-                f"the object is at {near:.2f} to {far:.2f} m",
-                "Check the axis distance, or record a range window that holds the object.",
-            )
+        range_profiles = RangeProfiles.of(scans, radius_m)
+        keep = range_profiles.keep
         z = scans.samples[:, keep]
         z = z - z.mean(axis=0)
         self.energy = float(np.sum(np.abs(z.astype(np.complex128)) ** 2))
@@ -70,11 +120,10 @@ class MatchedField:
         if scans.independent_samples <= 0:
             self.independent_samples = float(z.size)
         self.noise_variance = scans.noise_std**2 * z.size / self.independent_samples
-        self._start = near - 0.05
-        fine = np.arange(self._start, far + 0.05, FINE_STEP_M)
-        basis, self._profiles = _range_basis(scans.response(ranges[keep][:, None] - fine[None]))
-        coordinates = (z @ basis.conj()).astype(np.complex64)
+        self._range = range_profiles
+        coordinates = range_profiles.coordinates(z)
         self.data = coordinates.ravel()
+        self._profiles = range_profiles.profiles
         self._table = np.ascontiguousarray(coordinates @ self._profiles.conj().T)
         self.template_energy = float(self.views * np.median(np.sum(np.abs(self._profiles) ** 2, axis=1)))
 
@@ -86,12 +135,14 @@ class MatchedField:
     def distances(
         self, points: NDArray[np.floating], heights: NDArray[np.floating] | float = 0.0
     ) -> NDArray[np.float64]:
-        """(..., views) distance of points (..., 2) at heights (...) from every antenna position, m."""
+        """(..., views) one-way range of points (..., 2) at heights (...) in every view, m."""
         p = np.asarray(points, dtype=np.float64)
-        x = p[..., 0, None] - self.antenna[:, 0]
-        y = p[..., 1, None] - self.antenna[:, 1]
-        z = np.asarray(heights, dtype=np.float64)[..., None] - self.antenna[:, 2]
-        return np.asarray(np.sqrt(x * x + y * y + z * z))
+        up = np.asarray(heights, dtype=np.float64)[..., None]
+        ways = []
+        for antenna in self._antennas:
+            x, y, z = p[..., 0, None] - antenna[:, 0], p[..., 1, None] - antenna[:, 1], up - antenna[:, 2]
+            ways.append(np.sqrt(x * x + y * y + z * z))
+        return np.asarray(ways[0] if len(ways) == 1 else (ways[0] + ways[1]) / 2)
 
     def templates(
         self, distances: NDArray[np.float64], weight: NDArray[np.float32] | None = None
@@ -100,7 +151,7 @@ class MatchedField:
 
         The weight (..., views) is their amplitude in each view, 1 unless given.
         """
-        whole = self._profiles[self._index(distances)] * self._phase(distances, weight)[..., None]
+        whole = self._profiles[self._range.index(distances)] * self._range.phase(distances, weight)[..., None]
         whole -= whole.mean(axis=-2, keepdims=True)
         return np.asarray(whole.reshape(*distances.shape[:-1], self.data.size))
 
@@ -123,15 +174,15 @@ class MatchedField:
         size = max(1, _BLOCK // (self.views * rank))
         for at in range(0, len(flat), size):
             d = flat[at : at + size]
-            turn = self._phase(d, None if sides is None else sides[at : at + size])
-            out[at : at + size] = np.einsum("pvr,pv->pr", self._profiles[self._index(d)], turn)
+            turn = self._range.phase(d, None if sides is None else sides[at : at + size])
+            out[at : at + size] = np.einsum("pvr,pv->pr", self._profiles[self._range.index(d)], turn)
         return np.asarray((out / self.views).reshape(*distances.shape[:-1], rank))
 
     def full_gram(
         self, distances: NDArray[np.float64], weight: NDArray[np.float32] | None = None
     ) -> NDArray[np.complex128]:
         """(..., K, K) `gram` of points (..., K, views) before their constant parts are taken out."""
-        whole = self._profiles[self._index(distances)] * self._phase(distances, weight)[..., None]
+        whole = self._profiles[self._range.index(distances)] * self._range.phase(distances, weight)[..., None]
         return self.gram(whole.reshape(*distances.shape[:-1], self.data.size))
 
     def correlate_offsets(
@@ -152,31 +203,17 @@ class MatchedField:
         size = max(1, _BLOCK // self.views)
         for at in range(0, len(flat), size):
             d = flat[at : at + size]
-            turn = self._phase(d, None if sides is None else sides[at : at + size]).conj()
+            turn = self._range.phase(d, None if sides is None else sides[at : at + size]).conj()
             for i, offset in enumerate(offsets_m):
-                out[i, at : at + size] = np.einsum("pv,pv->p", values[self._index(d + offset) + first], turn)
+                out[i, at : at + size] = np.einsum(
+                    "pv,pv->p", values[self._range.index(d + offset) + first], turn
+                )
         out *= np.exp(2j * self.wavenumber * np.asarray(offsets_m))[:, None]
         return out.reshape(len(offsets_m), *distances.shape[:-1])
 
     def at(self, points: NDArray[np.floating]) -> NDArray[np.complex128]:
         """(...) b at points (..., 2) in the plane, m."""
         return np.asarray(self.correlate_offsets(self.distances(points), (0.0,))[0])
-
-    def _index(self, distances: NDArray[np.float64]) -> NDArray[np.int32]:
-        position = (distances - (self._start - FINE_STEP_M / 2)) * (1 / FINE_STEP_M)
-        return np.clip(position.astype(np.int32), 0, len(self._profiles) - 1)
-
-    def _phase(
-        self, distances: NDArray[np.float64], weight: NDArray[np.float32] | None = None
-    ) -> NDArray[np.complex64]:
-        """Weight times exp(-2jk d) in single precision; the angle, hundreds of radians, in double."""
-        angle = np.remainder(-2 * self.wavenumber * distances, 2 * np.pi).astype(np.float32)
-        out = np.empty(angle.shape, dtype=np.complex64)
-        np.cos(angle, out=out.real)
-        np.sin(angle, out=out.imag)
-        if weight is not None:
-            out *= weight
-        return out
 
 
 def _range_basis(

@@ -187,7 +187,7 @@ def search(field: MatchedField, layouts: Sequence[Layout], settings: SearchSetti
     All layouts are refined a little, and only those that may still win or come second to the end.
     """
     reach = max(layout.radius_m for layout in layouts) + settings.centre_range_m * np.sqrt(2)
-    images = [CoarseImage(field, reach, aspect, settings.offsets_m) for aspect in settings.aspects]
+    images = [CoarseImage.of(field, reach, aspect, settings.offsets_m) for aspect in settings.aspects]
     coarse = [[_coarse_starts(field, layout, image, settings) for image in images] for layout in layouts]
     most = max(score for found in coarse for _, score in found)
     begun: list[list[Fit]] = []
@@ -235,33 +235,70 @@ def _finished(field: MatchedField, found: list[Fit], settings: SearchSettings) -
     return min(best, moved, key=_criterion)
 
 
+@dataclass(frozen=True, eq=False)
+class CoarseGrid:
+    """The coarse hypotheses of one layout: every rotation at every place of its origin.
+
+    Attributes:
+        rotations: (A,) counter-clockwise, within the layout's symmetry, rad.
+        shifts: (S, 2) places of the layout's origin, m.
+        placed: (A, K, 2) rotated reflectors, m.
+    """
+
+    rotations: NDArray[np.float64]
+    shifts: NDArray[np.float64]
+    placed: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, layout: Layout, settings: SearchSettings) -> CoarseGrid:
+        """The grid of a layout."""
+        turn = 2 * np.pi / layout.symmetry
+        rotations = np.arange(0, turn - 1e-9, _rotation_step(layout, settings))
+        count = int(np.floor(settings.centre_range_m / settings.centre_step_m))
+        line = np.linspace(-1, 1, 2 * count + 1) * settings.centre_range_m
+        x, y = np.meshgrid(line, line)
+        shifts = np.stack([x.ravel(), y.ravel()], axis=-1)
+        shifts = shifts[np.linalg.norm(shifts, axis=1) <= settings.centre_range_m * 1.05]
+        placed = layout.positions @ np.swapaxes(rotation_matrix(rotations), -1, -2)
+        return cls(rotations, shifts, placed)
+
+    def energies(
+        self, coarse: CoarseImage, full_gram: NDArray[np.complex128], template_energy: float, balance: float
+    ) -> NDArray[np.float64]:
+        """(offsets, A, S) energy that each hypothesis explains, charged for unlike amplitudes.
+
+        Args:
+            coarse: where b is read.
+            full_gram: (A, K, K) of the templates at the turntable's axis, their constant parts included.
+            template_energy: as of `MatchedField`.
+            balance: see `SearchSettings`.
+        """
+        size = self.placed.shape[1]
+        points = self.placed[:, None] + self.shifts[None, :, None]
+        gram = full_gram[:, None] - coarse.static_overlap(points)
+        visibility = np.real(np.diagonal(gram, axis1=-2, axis2=-1)) / template_energy
+        load = 1e-2 * template_energy * np.eye(size)
+        inverse = np.moveaxis(np.linalg.inv(gram + load).astype(np.complex64), (-2, -1), (0, 1)).copy()
+        # The reflectors lead, so that sums over them run along the memory.
+        b = np.stack([coarse.read(points[..., k, :]) for k in range(size)])
+        amplitudes = np.stack([sum(inverse[k, j] * b[j] for j in range(size)) for k in range(size)])
+        explained = np.maximum(sum((b[k].conj() * amplitudes[k]).real for k in range(size)), 0)
+        trust = np.minimum(np.moveaxis(visibility, -1, 0)[:, None] / FULLY_VISIBLE, 1.0).astype(np.float32)
+        seen = np.abs(amplitudes)
+        typical = (trust * seen).sum(axis=0) / np.maximum(trust.sum(axis=0), 1e-9)
+        seen = trust * seen + (1 - trust) * typical
+        return charge(explained, seen, balance, axis=0)
+
+
 def _coarse_starts(
     field: MatchedField, layout: Layout, coarse: CoarseImage, settings: SearchSettings
 ) -> tuple[NDArray[np.float64], float]:
     """(starts, 4) rotation, x, y, offset of the best distinct places, and the charged energy of the best."""
-    turn = 2 * np.pi / layout.symmetry
-    rotations = np.arange(0, turn - 1e-9, _rotation_step(layout, settings))
-    count = int(np.floor(settings.centre_range_m / settings.centre_step_m))
-    line = np.linspace(-1, 1, 2 * count + 1) * settings.centre_range_m
-    x, y = np.meshgrid(line, line)
-    shifts = np.stack([x.ravel(), y.ravel()], axis=-1)
-    shifts = shifts[np.linalg.norm(shifts, axis=1) <= settings.centre_range_m * 1.05]
-    placed = layout.positions @ np.swapaxes(rotation_matrix(rotations), -1, -2)
-    points = placed[:, None] + shifts[None, :, None]
-    weight = coarse.aspect.weight(field, placed, outward(placed, np.zeros(2)))
-    gram = field.full_gram(field.distances(placed), weight)[:, None] - coarse.static_overlap(points)
-    visibility = np.real(np.diagonal(gram, axis1=-2, axis2=-1)) / field.template_energy
-    load = 1e-2 * field.template_energy * np.eye(layout.size)
-    inverse = np.moveaxis(np.linalg.inv(gram + load).astype(np.complex64), (-2, -1), (0, 1)).copy()
-    # The reflectors lead, so that sums over them run along the memory.
-    b = np.stack([coarse.read(points[..., k, :]) for k in range(layout.size)])
-    amplitudes = np.stack([sum(inverse[k, j] * b[j] for j in range(layout.size)) for k in range(layout.size)])
-    explained = np.maximum(sum((b[k].conj() * amplitudes[k]).real for k in range(layout.size)), 0)
-    trust = np.minimum(np.moveaxis(visibility, -1, 0)[:, None] / FULLY_VISIBLE, 1.0).astype(np.float32)
-    size = np.abs(amplitudes)
-    typical = (trust * size).sum(axis=0) / np.maximum(trust.sum(axis=0), 1e-9)
-    size = trust * size + (1 - trust) * typical
-    scores = charge(explained, size, settings.balance, axis=0)
+    grid = CoarseGrid.of(layout, settings)
+    rotations, shifts, placed = grid.rotations, grid.shifts, grid.placed
+    weight = coarse.aspect.weight(field.antenna, placed, outward(placed, np.zeros(2)))
+    gram = field.full_gram(field.distances(placed), weight)
+    scores = grid.energies(coarse, gram, field.template_energy, settings.balance)
     starts: list[tuple[float, float, float, float]] = []
     best = scores.max(axis=2)
     most = float(best.max())
@@ -287,7 +324,7 @@ def _evaluate(
     points = layout.positions @ turned + places[:, None, 1:3]
     d = field.distances(points, np.asarray(layout.heights))
     facing = outward(layout.positions, np.zeros(2)) @ turned
-    templates = field.templates(d + places[:, 3, None, None], aspect.weight(field, points, facing))
+    templates = field.templates(d + places[:, 3, None, None], aspect.weight(field.antenna, points, facing))
     b, gram = field.correlate(templates), field.gram(templates)
     amplitudes, explained = least_squares(b, gram)
     visibility = np.real(np.diagonal(gram, axis1=-2, axis2=-1)) / field.template_energy

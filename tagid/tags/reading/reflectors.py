@@ -1,7 +1,8 @@
-"""The classical reflector finder: strongest point first, its whole response subtracted before the next.
+"""The classical reflector finder: it takes the strongest point and subtracts its response before the next.
 
-A full turn's point response is J0(2kr), whose first sidelobe is only 7.9 dB down, so local maxima alone would
-report rings; subtracting templates (CLEAN, Hogbom 1974, with a joint fit after every step) leaves reflectors.
+The point response of a full turn is J0(2kr), whose first sidelobe is only 7.9 dB down, so local maxima would
+include rings. Subtracting templates (CLEAN, Hogbom 1974, with a joint fit after every step) leaves only
+reflectors.
 """
 
 from __future__ import annotations
@@ -20,12 +21,13 @@ from tagid.tags.reading.hypotheses import least_squares
 from tagid.tags.reading.views import fold_views
 
 DETECTION_NATS = 18.0
-"""|a|^2 ||s||^2 over the noise level that a peak must reach: the largest of about 1000 independent cells of
-exponential noise exceeds it with a probability of 1000 exp(-18) = 1.5e-5."""
+"""Smallest |a|^2 ||s||^2 over the noise level of a detected peak: the largest of about 1000 independent cells
+of exponential noise exceeds it with a probability of 1000 exp(-18) = 1.5e-5."""
 
 NOISE_MARGIN = 2.0
-"""The residual's level may be this much over the stated noise and still be noise (it is estimated off the
-object); what is more is echoes that nothing explains yet, which must not hide themselves."""
+"""Largest factor by which the residual's level may exceed the stated noise, which is estimated away from the
+object, and still count as noise. Anything above is unexplained echoes, which must not raise the detection
+threshold."""
 
 
 @dataclass(frozen=True)
@@ -50,14 +52,14 @@ class Reflector:
 
 @dataclass(frozen=True)
 class FinderSettings:
-    """How far and how deep the finder looks.
+    """Extent and sensitivity of the finder.
 
     Attributes:
-        radius_m: disc around the axis that is searched, m.
+        radius_m: radius of the disc around the axis that is searched, m.
         step_m: pixel of the search image, m.
         maximum: largest number of reflectors.
-        floor_db: weaker ones than this under the strongest are not reported, dB.
-        detection_nats: energy over the level of noise that a peak must reach.
+        floor_db: reflectors below this level, relative to the strongest, are not reported, dB.
+        detection_nats: smallest energy of a peak over the noise level.
     """
 
     radius_m: float = 0.16
@@ -68,7 +70,7 @@ class FinderSettings:
 
 
 class SearchDisc:
-    """b on the pixels of a disc, and what is left of it after some points have been subtracted."""
+    """b on the pixels of a disc, and its residual after some points have been subtracted."""
 
     def __init__(self, field: MatchedField, radius_m: float, step_m: float, look: Appearance) -> None:
         half = int(np.ceil(radius_m / step_m))
@@ -94,12 +96,12 @@ class SearchDisc:
         return np.asarray(self.templates.conj() @ left, dtype=np.complex128)
 
     def level(self, residual: NDArray[np.complex128]) -> float:
-        """Noise and clutter of |b|^2 / ||s||^2: the median of an exponential is ln 2 times its mean."""
+        """Level of noise and clutter in |b|^2 / ||s||^2; an exponential's median is ln 2 times its mean."""
         own = float(np.median(np.abs(residual) ** 2) / np.log(2) / self.field.template_energy)
         return float(max(own, self.field.noise_variance, 1e-12 * self.field.energy))
 
     def noise_level(self, residual: NDArray[np.complex128]) -> float:
-        """`level`, held to between the stated noise and NOISE_MARGIN times it where there is one."""
+        """`level`, limited to NOISE_MARGIN times the stated noise if that is known."""
         stated, own = self.field.noise_variance, self.level(residual)
         return min(own, NOISE_MARGIN * stated) if stated > 0 else own
 
@@ -107,9 +109,10 @@ class SearchDisc:
 def refine_positions(
     field: MatchedField, positions: NDArray[np.float64], look: Appearance, reach_m: float = 12e-3
 ) -> tuple[NDArray[np.float64], NDArray[np.complex128], float]:
-    """Free least-squares positions (K, 2), m, within +- reach of where they start; amplitudes; energy.
+    """Free least-squares positions (K, 2), m, within +- `reach_m` of the start; amplitudes; explained energy.
 
-    Parabolic steps in every coordinate at once, taken jointly where that helps and singly where it does not.
+    Takes a parabolic step in all coordinates jointly if that improves the fit, else in the single best
+    coordinate.
     """
     start = positions
     k = len(positions)
@@ -144,10 +147,10 @@ def clean(
     amplitudes: NDArray[np.complex128],
     settings: FinderSettings,
 ) -> tuple[NDArray[np.float64], NDArray[np.complex128], float]:
-    """Add points to those given until nothing significant is left.
+    """Add points to those given until no significant peak remains.
 
     Returns:
-        (K', 2) positions, those given first and unmoved; (K',) amplitudes; the level that remains.
+        (K', 2) positions, starting with those given, unmoved; (K',) amplitudes; the level of the residual.
     """
     residual = disc.residual(positions, amplitudes)
     steps = list(_added(disc, positions, amplitudes, residual, settings))
@@ -156,7 +159,7 @@ def clean(
 
 
 def clean_steps(disc: SearchDisc, settings: FinderSettings) -> list[float]:
-    """Energy that 1, 2, ... points explain, found from nothing and all moved freely after each is added."""
+    """Energy that 1, 2, ... points explain, starting from none, all refined freely after each is added."""
     empty = np.zeros((0, 2)), np.zeros(0, dtype=np.complex128)
     return [energy for *_, energy in _added(disc, *empty, disc.image.copy(), settings)]
 
@@ -168,7 +171,7 @@ def _added(
     residual: NDArray[np.complex128],
     settings: FinderSettings,
 ) -> Iterator[tuple[NDArray[np.float64], NDArray[np.complex128], NDArray[np.complex128], float]]:
-    """Positions, amplitudes, residual image and energy explained after each point that is added."""
+    """Positions, amplitudes, residual image and explained energy after each added point."""
     field, given = disc.field, len(positions)
     while len(positions) < given + settings.maximum:
         power = np.abs(residual) ** 2 / field.template_energy
@@ -189,7 +192,7 @@ def _added(
 def _polish(
     field: MatchedField, points: NDArray[np.float64], fixed: int, disc: SearchDisc
 ) -> tuple[NDArray[np.float64], NDArray[np.complex128], float]:
-    """Free refinement of all but the first `fixed` points."""
+    """Refine all but the first `fixed` points freely."""
     if fixed == 0:
         return refine_positions(field, points, disc.look)
     moved, amplitudes, energy = refine_positions(field, points, disc.look, disc.step_m)
@@ -199,9 +202,9 @@ def _polish(
 def separate(
     positions: NDArray[np.float64], amplitudes: NDArray[np.complex128], given: int
 ) -> NDArray[np.intp]:
-    """Indexes of the first `given` points and of those at least MIN_SPACING_M from every stronger one kept.
+    """Indices of the first `given` points and of those at least MIN_SPACING_M from every stronger one kept.
 
-    What a reflector's aspect pattern leaves of it looks like a second point a few millimetres away.
+    The residual that a reflector's aspect pattern leaves resembles a second point a few millimetres away.
     """
     kept = list(range(given))
     for i in given + np.argsort(-np.abs(amplitudes[given:])):
@@ -218,7 +221,7 @@ def as_reflectors(
     template_energy: float,
     matched: int = 0,
 ) -> tuple[Reflector, ...]:
-    """Points as values; the first `matched` of them belong to a layout."""
+    """Points as `Reflector` values; the first `matched` of them belong to a layout."""
     if not len(positions):
         return ()
     power = np.maximum(np.abs(amplitudes) ** 2, 1e-30)
@@ -236,9 +239,9 @@ def as_reflectors(
 
 
 def find_reflectors(scans: BasebandScans, settings: FinderSettings | None = None) -> tuple[Reflector, ...]:
-    """Reflectors in focused scans without knowledge of any layout, strongest first.
+    """Reflectors in focused scans, found without knowledge of any layout, strongest first.
 
-    Raises DataError where the scans do not hold the object's range.
+    Raises DataError if the scans do not cover the object's range.
     """
     settings = settings or FinderSettings()
     radius = settings.radius_m + 0.02

@@ -1,7 +1,7 @@
-"""What else could have made the echo: free points in any number, against the best layout in its best place.
+"""Alternative explanations of the echo: any number of free points, compared with the best layout's fit.
 
-An enrolled layout is one arrangement out of all that a stranger's tag may have; the likelihood ratio of the
-two, each averaged over where it may lie, says how much the scans prefer it.
+An enrolled layout is one of all arrangements that an unenrolled tag may have. The likelihood ratio of the
+two, each averaged over its possible positions, measures how strongly the scans prefer the layout.
 """
 
 from __future__ import annotations
@@ -21,18 +21,19 @@ from tagid.tags.reading.uneven import UnevenFit
 
 @dataclass(frozen=True)
 class Rivals:
-    """Energies against noise.
+    """Energies over noise, and the layout's reflectors when fitted freely.
 
     Attributes:
-        further_nats: what one point more than the layout's, all free, explains beyond the layout with
-            reflectors that may shine unevenly.
-        gain_nats: the same beyond the layout with even reflectors where that is the likelier.
-        odds_nats: log likelihood ratio of the layout, even or not, over the best number of free points, each
-            averaged over its places and amplitudes (Laplace's approximation).
-        displacement_m: RMS distance of the layout's reflectors, when freed, from its places.
-        sizes: (K,) magnitudes of the layout's reflectors, however unevenly they shine.
+        further_nats: energy that one more point than the layout has, all free, explains beyond the layout
+            with reflectors of uneven amplitude.
+        gain_nats: the same beyond the layout with reflectors of constant amplitude, if that fit is the
+            likelier.
+        odds_nats: log likelihood ratio of the layout, even or uneven, over the best number of free points,
+            each averaged over its positions and amplitudes (Laplace's approximation).
+        displacement_m: RMS distance of the freely fitted reflectors from the layout's positions.
+        sizes: (K,) magnitudes of the layout's reflectors, from the uneven fit.
         outward: see `Evidence`.
-        positions: (K, 2) the layout's reflectors when freed, m.
+        positions: (K, 2) freely fitted positions of the layout's reflectors, m.
     """
 
     gain_nats: float
@@ -45,22 +46,23 @@ class Rivals:
 
 
 def rivals(disc: SearchDisc, best: Fit, noise: float, search: SearchSettings) -> Rivals:
-    """Free points in every number up to one more than the layout's.
+    """Fits of up to one more free point than the layout has reflectors.
 
-    They are found in two ways: from the layout's places and the strongest peak beyond, and from nothing.
+    Points are searched in two ways: starting at the layout's positions plus the strongest other peak, and
+    starting from none.
 
     Args:
-        disc: where they may lie, seen as the layout's own reflectors are.
+        disc: search area, with the aspect of the layout's own reflectors.
         best: the best layout's fit.
         noise: variance of b / ||s|| from noise alone.
-        search: where the layout's centre may lie.
+        search: settings of the layout search, for the range of its centre.
     """
     matched, size = disc.field, best.layout.size
     uneven = UnevenFit.of(matched, best, noise)
     energy, moved = _free_energies(disc, best)
     further = _further(disc, best, uneven)
     if not best.aspect.uniform:
-        # Another object need not be opaque as well, nor have its axis where the layout would have it.
+        # Another object need not be opaque too, nor have its axis at the layout's centre.
         plain = replace(disc.look, aspect=TRANSPARENT)
         clear = SearchDisc(matched, disc.radius_m, disc.step_m, plain)
         energy = np.maximum(energy, _free_energies(clear, best)[0])
@@ -83,13 +85,13 @@ def rivals(disc: SearchDisc, best: Fit, noise: float, search: SearchSettings) ->
 
 
 def _further(disc: SearchDisc, best: Fit, uneven: UnevenFit) -> float:
-    """Largest energy of one point more than the layout's, whose reflectors may shine unevenly."""
+    """Largest energy that one additional point explains beyond the uneven fit."""
     gap = np.linalg.norm(disc.points[:, None] - best.positions[None], axis=-1).min(axis=1)
     return float(np.where(gap > MIN_SPACING_M, uneven.gains(disc.field, disc.templates), 0.0).max())
 
 
 def _free_energies(disc: SearchDisc, best: Fit) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(K + 1,) energies that 1 to K + 1 free points explain, and where the layout's go when freed (K, 2)."""
+    """(K + 1,) energies that 1 to K + 1 free points explain, and the freely fitted positions (K, 2), m."""
     matched, size = disc.field, best.layout.size
     own = disc.look.templates(matched, best.positions)
     amplitudes, _ = least_squares(matched.correlate(own), matched.gram(own))
@@ -108,24 +110,24 @@ def _free_energies(disc: SearchDisc, best: Fit) -> tuple[NDArray[np.float64], ND
 
 
 def _place_variance(matched: MatchedField, each: float) -> float:
-    """Variance, m^2, of one coordinate of a point of so many nats, seen from all round: 1 / (4 k^2 e)."""
+    """Variance, m^2, of one coordinate of a point with e = `each` nats over a full turn: 1 / (4 k^2 e)."""
     return 1 / (4 * matched.wavenumber**2 * each)
 
 
 def _amplitude_cost(each: float) -> float:
-    """Nats: an amplitude of any phase and known size to within ALIKE, against its error."""
+    """Nats: prior of an amplitude with any phase and a size known to within ALIKE, over its error."""
     return float(np.log1p(2 * np.sqrt(2 * np.pi) * ALIKE * each))
 
 
 def _point_cost(matched: MatchedField, disc: SearchDisc, each: float) -> float:
-    """Nats: the disc's area over that of a point's error, and its amplitude."""
+    """Nats: the disc's area over that of a point's error, plus the cost of its amplitude."""
     area = len(disc.points) * disc.step_m**2
     place = np.log1p(area / (2 * np.pi * _place_variance(matched, each)))
     return float(place) + _amplitude_cost(each)
 
 
 def _layout_cost(matched: MatchedField, best: Fit, each: float, search: SearchSettings) -> float:
-    """Nats: turn and centre over their errors, and the amplitudes."""
+    """Nats: the ranges of rotation and centre over their errors, plus the cost of the amplitudes."""
     variance = _place_variance(matched, each)
     lever = float(np.sum(best.layout.positions**2))
     turn = np.log1p(2 * np.pi / best.layout.symmetry / np.sqrt(2 * np.pi * variance / lever))
@@ -135,7 +137,7 @@ def _layout_cost(matched: MatchedField, best: Fit, each: float, search: SearchSe
 
 
 def rigid_distance(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
-    """RMS distance, m, of points (K, 2) paired in order after the best turn and shift (Kabsch 1976)."""
+    """RMS distance, m, of points (K, 2), paired in order, after the best rotation and shift (Kabsch 1976)."""
     a = a - a.mean(axis=0)
     b = b - b.mean(axis=0)
     turn = np.angle(np.sum((a[:, 0] + 1j * a[:, 1]).conj() * (b[:, 0] + 1j * b[:, 1])))

@@ -1,7 +1,7 @@
-"""A layout whose reflectors each shine unevenly, as no table of patterns foresees: a handle in front of one,
-a sector that a cable hides, a corner that looks askew.
+"""A layout fit in which each reflector's amplitude may vary with the view, beyond the patterns of `aspect`.
 
-What such unevenness leaves of a reflector would otherwise be taken for further reflectors.
+Causes are a handle in front of a reflector, a sector hidden by a cable, or a tilted corner reflector. Without
+this fit, the residual of such a reflector would be mistaken for additional reflectors.
 """
 
 from __future__ import annotations
@@ -16,27 +16,28 @@ from tagid.tags.reading.field import MatchedField
 from tagid.tags.reading.hypotheses import Fit
 
 ORDERS, VIEWS_PER_ORDER = 3, 8
-"""Harmonics of the view's angle that a reflector's amplitude may have: steps of some 60 degrees. A few views
-allow fewer, or three reflectors could shine so unevenly that they explain anything."""
+"""Number of harmonics of the view angle in a reflector's amplitude, a resolution of about 60 degrees, and the
+views needed for each. With few views fewer are allowed, because three reflectors with free amplitudes could
+explain any data."""
 UNEVENNESS = 0.3
-"""Prior standard deviation of each of their coefficients, of the amplitude: a sector of 120 degrees without
-any echo has 0.28 in the first."""
+"""Prior standard deviation of each coefficient relative to the amplitude: a sector of 120 degrees without any
+echo gives a first coefficient of 0.28."""
 
 
 @dataclass(frozen=True, eq=False)
 class UnevenFit:
-    """The layout with A_k(v) = a_k w_k(v) + sum_m c_km f_m(v), f_m the cosines and sines of the view's angle.
+    """The layout with A_k(v) = a_k w_k(v) + sum_m c_km f_m(v), f_m being cosines and sines of the view angle.
 
-    The c_km are drawn to zero by their prior, so an echo in the noise is fitted as if it were even.
+    The prior shrinks the c_km towards zero, so an echo close to the noise is fitted with constant amplitude.
 
     Attributes:
-        templates: (P, views * rank), of the even part first.
-        inverse: (P, P) of the Gram matrix with the prior's inverse added.
-        residual: (views * rank,) what the fit leaves of the data.
-        explained: energy that the fit takes from the data, less what the prior charges.
-        cost_nats: what the freedom to be uneven costs the evidence: log det(1 + C_prior / C_error).
+        templates: (P, views * rank), starting with those of the constant part.
+        inverse: (P, P) inverse of the Gram matrix plus the inverse of the prior covariance.
+        residual: (views * rank,) data minus the fit.
+        explained: energy explained by the fit, minus the penalty of the prior.
+        cost_nats: evidence lost to the additional freedom: log det(1 + C_prior / C_error).
         sizes: (K,) RMS of A_k over that of w_k.
-        outward: mean cosine of psi, see `Aspect`, weighted by |A_k(v)|^2, less its mean over the views.
+        outward: mean cosine of psi (see `Aspect`) weighted by |A_k(v)|^2, minus its mean over the views.
     """
 
     templates: NDArray[np.complex64]
@@ -49,17 +50,17 @@ class UnevenFit:
 
     @classmethod
     def of(cls, field: MatchedField, best: Fit, noise: float) -> UnevenFit:
-        """The uneven fit where the even one is best.
+        """The uneven fit at the place of the even fit.
 
         Args:
-            field: the scans.
+            field: matched field of the scans.
             best: the even fit.
             noise: variance of b / ||s|| from noise alone.
         """
         size = best.layout.size
         d = field.distances(best.positions, np.asarray(best.layout.heights)) + best.offset_m
         facing = outward(best.positions, best.centre_m)
-        even = best.aspect.weight(field, best.positions, facing)
+        even = best.aspect.weight(field.antenna, best.positions, facing)
         angle = np.arctan2(field.antenna[:, 1], field.antenna[:, 0])
         orders = min(ORDERS, max(field.views // VIEWS_PER_ORDER, 1))
         turns = angle * np.arange(1, orders + 1)[:, None]
@@ -67,7 +68,8 @@ class UnevenFit:
         parts = [field.templates(d, even)]
         parts += [field.templates(d, np.broadcast_to(wave, d.shape)) for wave in waves]
         templates = np.concatenate(parts)
-        # Least squares with white noise of this variance a sample, and a prior of (UNEVENNESS a)^2.
+        # Least squares with white noise of this variance per sample, and a prior variance of (UNEVENNESS
+        # a)^2.
         usual = max(float(np.mean(np.abs(best.amplitudes) ** 2)), 1e-30)
         load = np.full(len(templates), noise / (UNEVENNESS**2 * usual))
         load[:size] = 1e-2 * field.template_energy * float(np.mean(best.visibility)) + 1e-30
@@ -95,7 +97,7 @@ class UnevenFit:
         )
 
     def gains(self, field: MatchedField, others: NDArray[np.complex64]) -> NDArray[np.float64]:
-        """(N,) energy that one more template of (N, views * rank) explains beyond the uneven layout."""
+        """(N,) energy that each additional template (N, views * rank) explains beyond the uneven fit."""
         shared = others.conj() @ self.templates.T
         own = np.sum(np.abs(others) ** 2, axis=1)
         left = own - np.real(np.einsum("np,pq,nq->n", shared, self.inverse, shared.conj(), optimize=True))

@@ -1,6 +1,7 @@
-"""Many views folded into as few as the object's size needs, so that reading takes the same time for any scan.
+"""Resampling of many views to the fewest that the object's size needs.
 
-A point at radius r puts angular frequencies up to 2 k r into the scans; what lies beyond is noise.
+Reading time is then independent of the number of views. A point at radius r produces angular frequencies up
+to 2 k r in the scans; higher ones contain only noise.
 """
 
 from __future__ import annotations
@@ -9,24 +10,24 @@ from dataclasses import replace
 
 import numpy as np
 
-from tagid.geometry import Aperture
 from tagid.imaging.types import BasebandScans
 
 GUARD_ORDERS = 10
-"""Bessel functions J_m(x) fall below 1 % within about ten orders beyond m = x, for x up to 50."""
+"""Bessel functions J_m(x) fall below 1 % within about ten orders above m = x, for x up to 50."""
 BAND_MARGIN = 1.25
-"""Highest frequency of the band over the carrier: 4.8 / 3.95 GHz, rounded up."""
+"""Ratio of the highest frequency of the band to the carrier: 4.8 / 3.95 GHz, rounded up."""
 
 
 def fold_views(scans: BasebandScans, radius_m: float) -> BasebandScans:
-    """Full turns of many views as one turn of the fewest uniform views that keep a disc of that radius.
+    """Full turns with many views, resampled to one turn of the fewest uniform views that represent a disc.
 
-    An angular low-pass (flat to 2 k r plus a guard, cosine taper beyond) applied to views weighted by the gap
-    to their neighbours. Scans that are few already, have gaps or free positions come back as they are.
+    An angular low-pass filter (flat up to 2 k r plus a guard, cosine taper above) is applied to the views,
+    weighted by the gap to their neighbours. Scans with few views, gaps or free positions are returned
+    unchanged.
 
     Args:
-        scans: (views, bins) of a turntable aperture.
-        radius_m: radius of the disc around the axis that must be kept, m.
+        scans: (views, bins) scans of a turntable aperture.
+        radius_m: radius of the disc around the axis that must be preserved, m.
     """
     angles, distance = scans.aperture.angles, scans.aperture.axis_distance
     passed = int(np.ceil(2 * BAND_MARGIN * scans.wavenumber * radius_m)) + GUARD_ORDERS
@@ -51,7 +52,7 @@ def fold_views(scans: BasebandScans, radius_m: float) -> BasebandScans:
     return replace(
         scans,
         samples=(fold @ scans.samples).astype(np.complex64),
-        aperture=Aperture.turntable(new, distance, scans.aperture.height),
+        aperture=scans.aperture.turned(new, distance),
         noise_std=scans.noise_std * gain,
         independent_samples=scans.independent_samples * share,
     )

@@ -67,5 +67,5 @@ class Verdict:
 
     @property
     def advice(self) -> str:
-        """What to do next; empty where a layout is named."""
+        """What to do next; empty if a layout is named."""
         return ADVICE[self.code]

@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from imaging_scenes import record, turn
 
 from tagid.errors import DataError, StorageError
 from tagid.geometry import ImageGrid
-from tagid.imaging import metrics
+from tagid.imaging.heldout import residual
 from tagid.imaging.preprocess import PreprocessSettings, preprocess, select_views
 from tagid.imaging.types import Image
+from tests.unit.imaging_scenes import record, turn
+from train import metrics
 
 GRID = ImageGrid(0.4, 80)
 SHARED = Path(os.environ.get("TAGID_SHARED", Path(__file__).resolve().parents[2].parent / "shared"))
@@ -89,9 +90,9 @@ def test_held_out_residual_of_the_truth_is_small_and_of_nothing_is_one():
     values = np.zeros((80, 80), np.complex64)
     values[row, column] = 1j  # any scale and phase
     held = select_views(scans, slice(1, None, 2))
-    assert metrics.residual(held, Image(values, GRID)) < 1e-3
-    assert metrics.residual(held, metrics.blank(GRID)) == 1
-    assert metrics.residual(held, Image(values.T.copy(), GRID)) > 0.5
+    assert residual(held, Image(values, GRID)) < 1e-3
+    assert residual(held, metrics.blank(GRID)) == 1
+    assert residual(held, Image(values.T.copy(), GRID)) > 0.5
 
 
 @pytest.mark.skipif(not LPIPS.is_file(), reason="lpips_sq.onnx is not in the shared data folder")
@@ -106,5 +107,5 @@ def test_lpips_of_equal_images_is_zero_and_grows_with_the_error():
 
 def test_lpips_without_its_model_says_so(tmp_path):
     pytest.importorskip("onnxruntime")
-    with pytest.raises(StorageError, match="not there"):
+    with pytest.raises(StorageError, match="does not exist"):
         metrics.lpips(np.ones((64, 64)), np.ones((64, 64)), tmp_path / "none.onnx")

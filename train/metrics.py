@@ -1,7 +1,7 @@
-"""How images are scored, in one definition, so that figures of different methods mean the same.
+"""Scores of images against known points, defined once so that figures of different methods are comparable.
 
-Published figures of this field often cannot be compared because normalisation, truth and range are not said;
-here they are: peak-normalised magnitudes, points drawn as Gaussians of 1 cm, data range 1.
+Published figures often cannot be compared because normalisation, ground truth and data range are not stated.
+Here magnitudes are normalised to their peak, points are Gaussians of 1 cm, and the data range is 1.
 """
 
 from __future__ import annotations
@@ -14,12 +14,11 @@ from numpy.typing import NDArray
 
 from tagid.errors import DataError, MissingExtraError, StorageError, UsageError
 from tagid.geometry import ImageGrid
-from tagid.imaging.operator import ForwardOperator
-from tagid.imaging.types import BasebandScans, Image
+from tagid.imaging.types import Image
 from tagid.models_store import load_onnxruntime
 
 POINT_SIGMA_M = 0.01
-"""Standard deviation of the Gaussian that stands for a true point, m."""
+"""Standard deviation of the Gaussian that represents a true point, m."""
 
 MATCH_RADIUS_M = 0.02
 """An estimated point farther from every true one is a false detection, m (half a wavelength of the P440 is
@@ -31,10 +30,10 @@ class Localisation:
     """Estimated points against true ones, matched one to one at the least total distance.
 
     Attributes:
-        rmse_m: root mean square distance of the matched pairs, m; nan where none matched.
-        detected: true points that were matched.
-        missed: true points that were not.
-        false: estimated points that match no true one.
+        rmse_m: root mean square distance of the matched pairs, m; nan if none matched.
+        detected: number of true points that were matched.
+        missed: number of true points that were not.
+        false: number of estimated points that match no true one.
     """
 
     rmse_m: float
@@ -67,7 +66,7 @@ def truth_image(
 
 
 def mse(image: NDArray[np.generic], truth: NDArray[np.generic]) -> float:
-    """Mean square difference of the peak-normalised magnitudes. Raises DataError where shapes differ."""
+    """Mean square difference of the peak-normalised magnitudes. Raises DataError if shapes differ."""
     if image.shape != truth.shape:
         raise DataError(f"image has shape {image.shape}, truth {truth.shape}")
     return float(((normalised_magnitude(image) - normalised_magnitude(truth)) ** 2).mean())
@@ -90,7 +89,8 @@ def localise(
     if len(found) == 0 or len(truth) == 0:
         return Localisation(float("nan"), 0, len(truth), len(found))
     distance = np.linalg.norm(found[:, None] - truth[None], axis=2)
-    # A pair out of reach costs more than all pairs within: as many as possible are matched first.
+    # A pair beyond the radius costs more than all pairs within it, so the number of matches is maximised
+    # first.
     cost = np.where(distance <= radius_m, distance, 1e3 * radius_m * max(distance.shape))
     rows, columns = linear_sum_assignment(cost)
     pairs = distance[rows, columns]
@@ -102,10 +102,10 @@ def localise(
 def pick_peaks(
     image: Image, count: int, separation_m: float = MATCH_RADIUS_M, threshold: float = 0.3
 ) -> NDArray[np.float64]:
-    """The strongest pixels (n <= count, 2), m, none nearer to a stronger one than `separation_m`.
+    """The strongest pixels (n <= count, 2), m, none closer to a stronger one than `separation_m`.
 
-    A plain peak picker for scoring images of any method alike; pixels under `threshold` times the maximum
-    are no peaks. The place is the power-weighted mean of the 3 x 3 pixels about it.
+    A plain peak picker for scoring images of any method. Pixels below `threshold` times the maximum are not
+    peaks. The position is the power-weighted mean of the 3 x 3 pixels around the maximum.
     """
     power = np.abs(image.values).astype(np.float64) ** 2
     least = float(power.max()) * threshold**2
@@ -128,7 +128,7 @@ def peak_to_sidelobe_db(
 ) -> float:
     """Brightest magnitude within `mainlobe_m` of a true point over the brightest elsewhere, dB.
 
-    Infinite where nothing is elsewhere, minus infinity where nothing is at the points.
+    Infinite if everything else is zero, minus infinity if the image is zero at the points.
     """
     magnitude = np.abs(image.values).astype(np.float64)
     x, y = np.meshgrid(image.grid.axis, image.grid.axis)
@@ -143,26 +143,8 @@ def peak_to_sidelobe_db(
     return float(20 * np.log10(peak / side)) if side > 0 else float("inf")
 
 
-def residual(scans: BasebandScans, image: Image) -> float:
-    """||y - A x||^2 / ||y||^2 on scans that the reconstruction has not seen: 1 for a blank image.
-
-    The image's scale and phase are fitted (one complex number), so that backprojection is not punished for
-    its normalisation.
-
-    Raises:
-        DataError: the scans are all zero.
-    """
-    y = scans.samples.astype(np.complex128)
-    energy = float(np.vdot(y, y).real)
-    if energy == 0:
-        raise DataError("the held-out scans are zero")
-    fit = ForwardOperator(scans, image.grid).forward(image.values.ravel()).astype(np.complex128)
-    power = float(np.vdot(fit, fit).real)
-    return 1 - float(np.abs(np.vdot(fit, y)) ** 2) / (power * energy) if power > 0 else 1.0
-
-
 def blank(grid: ImageGrid) -> Image:
-    """The image that shows nothing, the row that every comparison must beat."""
+    """A blank image, the baseline of every comparison."""
     return Image(np.zeros((grid.pixels, grid.pixels), dtype=np.complex64), grid, {"method": "blank"})
 
 
@@ -174,7 +156,7 @@ def lpips(image: NDArray[np.generic], truth: NDArray[np.generic], model: Path) -
 
     Raises:
         MissingExtraError: onnxruntime is not installed.
-        StorageError: the model is not there.
+        StorageError: the model file does not exist.
         UsageError: the model is not of that form.
     """
     try:
@@ -184,7 +166,7 @@ def lpips(image: NDArray[np.generic], truth: NDArray[np.generic], model: Path) -
             "LPIPS needs onnxruntime", "Install it with: pip install onnxruntime"
         ) from error
     if not model.is_file():
-        raise StorageError(f"the LPIPS model {model} is not there", "Give the path of lpips_sq.onnx.")
+        raise StorageError(f"the LPIPS model {model} does not exist", "Give the path of lpips_sq.onnx.")
     session = onnxruntime.InferenceSession(str(model), providers=["CPUExecutionProvider"])
     names = [entry.name for entry in session.get_inputs()]
     if len(names) != 2:

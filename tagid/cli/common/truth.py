@@ -1,0 +1,49 @@
+"""What an emulated radar shows, for the capture of it: from the emulator's file, its URL, or the demo."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tagid.errors import DataError, FileFormatError
+
+if TYPE_CHECKING:
+    from tagid.metadata import ObjectInfo
+
+_MAX_BYTES = 64 * 1024
+
+
+def read_truth(path: Path) -> ObjectInfo:
+    """The object that `tagid emulate p440 --truth FILE` described. Raises StorageError, FileFormatError."""
+    from tagid.files import read_bytes
+    from tagid.metadata import ObjectInfo
+
+    try:
+        values = json.loads(read_bytes(path, _MAX_BYTES))
+        if not isinstance(values, dict):
+            raise ValueError("not an object")
+        return ObjectInfo.from_json(values)
+    except (ValueError, RecursionError, DataError) as error:
+        raise FileFormatError(
+            f"{path}: is not a truth file ({str(error)[:120]})",
+            "Give the file that `tagid emulate p440 --truth FILE` wrote.",
+        ) from None
+
+
+def truth_of(url: str, file: Path | None) -> ObjectInfo | None:
+    """The object that an emulated radar shows, from its file or its emulator:// URL; None for a real one."""
+    from tagid.recording.radars import emulated_object
+
+    if file is not None:
+        return read_truth(file)
+    return emulated_object(url) if url else None
+
+
+def with_truth(about: ObjectInfo, found: ObjectInfo | None) -> ObjectInfo:
+    """The operator's own remarks, and what is known of the emulated object."""
+    if found is None:
+        return about
+    own = {each.name: getattr(about, each.name) for each in fields(about) if each.name != "extra"}
+    return replace(found, **{name: value for name, value in own.items() if value not in (None, ())})

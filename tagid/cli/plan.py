@@ -1,0 +1,239 @@
+"""`tagid plan`: what a recording will be worth, before anything is glued or turned."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from tagid.cli.common import options
+from tagid.cli.common.frame import Terminal, command
+from tagid.config import load_config
+from tagid.errors import UsageError
+from tagid.result import Result
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+
+    from tagid.planning.plan import Plan, Setup, Wanted
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+
+    @command(app, "plan")
+    def plan(
+        terminal: Terminal,
+        reflector: Annotated[
+            str, typer.Option("--reflector", help="Its reflectors, size from tip to tip.")
+        ] = "octahedron:40mm",
+        body: options.Body = None,
+        distance: Annotated[
+            float | None,
+            typer.Option(
+                "--distance",
+                help="Antennas to rotation axis, metres (default: the setting, or 1).",
+                show_default=False,
+            ),
+        ] = None,
+        pii: Annotated[
+            int | None,
+            typer.Option("--pii", help="Integration index (default: radar.integration).", show_default=False),
+        ] = None,
+        gain: Annotated[
+            int | None,
+            typer.Option("--gain", help="Transmit gain, 0 to 63 (default: radar.gain).", show_default=False),
+        ] = None,
+        rpm: Annotated[float, typer.Option("--rpm", help="Turns per minute.")] = 2.0,
+        layout: Annotated[
+            str, typer.Option("--layout", "--layouts", help="Layout of the tag.")
+        ] = "container-90",
+        file: options.LayoutFile = None,
+        want: Annotated[
+            float | None,
+            typer.Option(
+                "--want",
+                help="Rate of naming to reach, e.g. 0.99: finds what reaches it.",
+                show_default=False,
+            ),
+        ] = None,
+    ) -> Result:
+        """Plan a recording: SNR, clipping, time, centring, and how surely the tag will be named.
+
+        Every number of the link budget is listed with its source.
+
+        Example: tagid plan --reflector octahedron:40mm --body can:35mm --distance 1.0 --pii 11 --rpm 2
+        Example: tagid plan --reflector octahedron:20mm --want 0.99
+        """
+        from tagid.planning.plan import invert
+        from tagid.planning.plan import plan as work_out
+
+        setup = setup_from(Asked(reflector, body, distance, pii, gain, rpm, layout, file))
+        found = work_out(setup)
+        wanted = None if want is None else invert(setup, want)
+        data = {**_data(found), "wanted": None if wanted is None else _wanted_data(wanted)}
+        return Result("plan", data, _drawn(found, wanted, want))
+
+
+class Asked:
+    """What the command line says of a setup; None where the configuration decides."""
+
+    def __init__(
+        self,
+        reflector: str,
+        body: str | None,
+        distance_m: float | None,
+        integration: int | None,
+        gain: int | None,
+        rpm: float,
+        layout: str,
+        file: Path | None,
+    ) -> None:
+        self.reflector, self.body, self.distance_m = reflector, body, distance_m
+        self.integration, self.gain, self.rpm = integration, gain, rpm
+        self.layout, self.file = layout, file
+
+
+def setup_from(asked: Asked) -> Setup:
+    """A setup of the command line and the configuration. Raises UsageError, ConfigError."""
+    from tagid.config import data_folder
+    from tagid.planning.plan import Setup
+    from tagid.simulate.budget import LinkBudget
+    from tagid.simulate.specification import parse_body, parse_reflector
+    from tagid.tags.enrolling.lookup import named_layouts
+
+    overrides: dict[str, Any] = {
+        "motion.axis_distance_m": asked.distance_m,
+        "radar.integration": asked.integration,
+        "radar.gain": asked.gain,
+    }
+    config = load_config(overrides)
+    layouts = named_layouts(asked.file, data_folder() / "registry.sqlite")
+    if asked.layout not in layouts:
+        raise UsageError(f"no layout is named {asked.layout[:80]!r}", f"Use {', '.join(sorted(layouts))}.")
+    return Setup(
+        layouts[asked.layout],
+        parse_reflector(asked.reflector),
+        parse_body(asked.body or "none"),
+        config["motion.axis_distance_m"] or 1.0,
+        asked.rpm,
+        LinkBudget(transmit_gain=config["radar.gain"], integration=config["radar.integration"]),
+        config["imaging.extent_m"],
+    )
+
+
+def _data(found: Plan) -> dict[str, Any]:
+    setup, rates = found.setup, found.rates
+    shares = {name: getattr(rates, name) for name in ("named", "refused", "wrong")}
+    return {
+        "reflector": str(setup.reflector),
+        "body": str(setup.body),
+        "layout": setup.layout.name,
+        "distance_m": setup.distance_m,
+        "integration": setup.budget.integration,
+        "rpm": setup.rpm,
+        "rcs_dbsm": found.rcs_dbsm,
+        "snr_sample_db": found.snr_sample_db,
+        "snr_view_db": found.snr_view_db,
+        "body_over_reflector_db": found.body_db,
+        "clipping_margin_db": found.margin_db,
+        "scans_per_turn": found.scans_per_turn,
+        "views": found.views,
+        "turn_s": found.turn_s,
+        "recording_s": found.recording_s,
+        "centre_m": found.centre_m,
+        "body_moves_beyond_m": found.moved_m,
+        "rates": {name: [one.value, one.low, one.high] for name, one in shares.items()},
+        "rates_source": rates.source,
+        "rates_note": rates.note,
+        "budget": [
+            {"name": t.name, "value": t.value, "unit": t.unit, "source": t.source} for t in found.terms
+        ],
+    }
+
+
+def _wanted_data(wanted: Wanted) -> dict[str, Any]:
+    return {
+        "reflector": None if wanted.plan is None else _data(wanted.plan),
+        "distance": None if wanted.distance is None else _data(wanted.distance),
+        "integration": None if wanted.integration is None else _data(wanted.integration),
+    }
+
+
+def _drawn(found: Plan, wanted: Wanted | None, want: float | None) -> RenderableType:
+    from rich.console import Group
+    from rich.table import Table
+    from rich.text import Text
+
+    def table() -> Table:
+        made = Table(box=None, show_header=False)
+        made.add_column(no_wrap=True)
+        made.add_column(overflow="fold")
+        return made
+
+    budget = table()
+    budget.add_column(overflow="fold")
+    for term in found.terms:
+        budget.add_row(term.name, f"{term.value:.4g} {term.unit}", Text(term.source, style="dim"))
+    outcome = table()
+    for name, text in _rows(found):
+        outcome.add_row(name, text)
+    parts: list[RenderableType] = [Text("link budget", "bold"), budget, Text("recording", "bold"), outcome]
+    if wanted is not None:
+        parts += [
+            Text(f"named in {want:.0%} of readings, one change at a time", "bold"),
+            _reached(wanted, table()),
+        ]
+    return Group(*parts)
+
+
+def _rows(found: Plan) -> list[tuple[str, str]]:
+    """The outcome, line by line."""
+    setup = found.setup
+    rows = [
+        (
+            "reflector",
+            f"{setup.reflector} (tip to tip), {found.rcs_dbsm:.1f} dBsm; layout {setup.layout.name}",
+        ),
+        ("SNR per sample", f"{found.snr_sample_db:.1f} dB per reflector at {setup.distance_m:g} m"),
+        ("SNR per view", f"{found.snr_view_db:.1f} dB, {found.scans_per_turn} scans in {found.views} views"),
+    ]
+    if found.body_db is not None:
+        rows.append(("body", f"{setup.body}, {found.body_db:+.1f} dB over one reflector"))
+    clip = "" if found.margin_db > 0 else ": CLIPS, lower the gain or the integration"
+    rows += [
+        ("clipping margin", f"{found.margin_db:.1f} dB{clip}"),
+        ("time", f"{found.turn_s:.1f} s per turn, {found.recording_s:.1f} s recorded"),
+        ("centring", f"within {found.centre_m * 1e3:.0f} mm of the rotation axis"),
+    ]
+    if found.moved_m is not None:
+        rows.append(
+            (
+                "",
+                f"from {found.moved_m * 1e3:.1f} mm on, the moving body exceeds a reflector",
+            )
+        )
+    rates = found.rates
+    rows += [
+        ("expected", f"named {rates.named}, refused {rates.refused}, wrong {rates.wrong}"),
+        ("", f"measured: {rates.source}" + (f"; {rates.note}" if rates.note else "")),
+    ]
+    return rows
+
+
+def _reached(wanted: Wanted, table: Any) -> RenderableType:
+    one = wanted.plan
+    table.add_row("reflector", "none of up to 60 mm" if one is None else f"{one.setup.reflector} or larger")
+    one = wanted.distance
+    table.add_row(
+        "distance", "none from 0.6 m on" if one is None else f"{one.setup.distance_m:g} m or nearer"
+    )
+    one = wanted.integration
+    told = (
+        "none"
+        if one is None
+        else (f"--pii {one.setup.budget.integration} or more: {one.views} views, {one.snr_view_db:.1f} dB")
+    )
+    table.add_row("integration", told)
+    return table  # type: ignore[no-any-return]

@@ -1,0 +1,136 @@
+"""`tagid station`: a page to work at, for a browser beside the turntable."""
+
+from __future__ import annotations
+
+import json
+import sys
+import threading
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from tagid import interrupts
+from tagid.cli.common import options
+from tagid.cli.common.frame import Output, Terminal, command
+from tagid.config import Config, load_config
+from tagid.errors import ConfigError, MissingExtraError, StorageError, UsageError
+from tagid.result import Result
+
+if TYPE_CHECKING:
+    from tagid.station.setup import ScanSetup, Source
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+
+    @command(app, "station")
+    def station(
+        terminal: Terminal,
+        bind: Annotated[
+            str, typer.Option("--bind", help="HOST:PORT to listen on; other computers need a pairing code.")
+        ] = "127.0.0.1:8440",
+        radar: options.RadarUrl = None,
+        motion: options.MotionUrl = None,
+        axis_distance: options.AxisDistance = None,
+        save_dir: Annotated[Path | None, typer.Option("--save-dir", help="Folder for the files.")] = None,
+        max_seconds: Annotated[float, typer.Option("--max-seconds", help="Longest recording.")] = 180.0,
+        demo: Annotated[bool, typer.Option("--demo", help="Use an emulated radar and helmet.")] = False,
+        demo_scene: Annotated[str, typer.Option("--demo-scene", help="What the demo turns.")] = "helmet-120",
+    ) -> Result:
+        """Serve a page with a Scan button, the live image, the answer, health and history.
+
+        Example: tagid station --demo
+        """
+        try:
+            from tagid.station.security import is_loopback
+            from tagid.station.server import Server
+            from tagid.station.station import Station
+        except ModuleNotFoundError as error:
+            raise MissingExtraError(
+                f"the station needs {error.name}", "Install it with `pip install 'tagid[station]'`."
+            ) from None
+        host, port = _address(bind)
+        overrides: dict[str, Any] = {
+            "radar.url": radar,
+            "motion.url": motion,
+            "motion.axis_distance_m": axis_distance,
+            "storage.folder": None if save_dir is None else str(save_dir),
+        }
+
+        def announce(code: str) -> None:
+            typer.echo(f"pairing code: {code}", err=True)
+
+        with ExitStack() as stack:
+            if demo:
+                from tagid.cli.common.demo import emulated_radar
+
+                overrides |= stack.enter_context(emulated_radar(demo_scene)).settings
+            source = _source(overrides, max_seconds, demo)
+            source.config()
+            work = Station(source)
+            away = None if is_loopback(host) else announce
+            server = stack.enter_context(Server(work, host, port, away))
+            _announce(terminal, server.url)
+            stop = threading.Event()
+            with interrupts.asked_to_stop(stop.set):
+                while server.running and not stop.wait(0.5):
+                    pass
+        raise typer.Exit(0)
+
+
+def _source(overrides: dict[str, Any], max_seconds: float, demo: bool) -> Source:
+    from tagid.station.setup import Source
+
+    def config() -> Config:
+        return load_config(overrides)
+
+    return Source(config, lambda note: _setup(config(), max_seconds, note, demo), demo)
+
+
+def _setup(config: Config, max_seconds: float, note: str, demo: bool) -> ScanSetup:
+    from tagid.cli.common import imaging
+    from tagid.cli.common.recording import Limits, plan_of
+    from tagid.metadata import ObjectInfo
+    from tagid.pipeline.load import LoadSettings
+    from tagid.station.setup import ScanSetup
+
+    url = config["radar.url"]
+    if not url:
+        raise ConfigError("no radar is configured", "Store it with `tagid config set radar.url udp://...`.")
+    folder = Path(config["storage.folder"] or ".")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise StorageError(f"cannot make the folder {folder}: {error.strerror}", "Choose another.") from None
+    about = ObjectInfo(note=note or None, demo=True) if demo else ObjectInfo(note=note or None)
+    plan = replace(plan_of(config, url, Limits(None, max_seconds), about), renumber=True)
+    return ScanSetup(
+        url,
+        config["radar.timeout_s"],
+        config["motion.url"],
+        plan,
+        folder,
+        LoadSettings.of(config, as_recorded=True),
+        imaging.settings_from(config),
+    )
+
+
+def _address(bind: str) -> tuple[str, int]:
+    host, _, port = bind.rpartition(":")
+    if not host or not (port.isascii() and port.isdecimal()) or int(port) > 65535:
+        raise UsageError(f"--bind is {bind!r}", "Give HOST:PORT, e.g. 127.0.0.1:8440.")
+    return host.removeprefix("[").removesuffix("]"), int(port)
+
+
+def _announce(terminal: Terminal, url: str) -> None:
+    """Tell where the page is, at once: whoever started the station must learn that while it runs."""
+    if terminal.output is Output.json:
+        sys.stdout.write(json.dumps(Result("station", {"url": url}).envelope()) + "\n")
+    else:
+        sys.stdout.write(f"{url}\n")
+    sys.stdout.flush()
+    if terminal.output is Output.human and not terminal.quiet:
+        typer.echo("open this address in a browser; stop with Ctrl-C", err=True)

@@ -1,0 +1,166 @@
+"""`tagid join`, and what `tagid reconstruct --volume` does."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from tagid.cli.common import options
+from tagid.cli.common.frame import Terminal, command
+from tagid.config import Config, load_config
+from tagid.errors import StorageError, UsageError
+from tagid.result import Result
+
+if TYPE_CHECKING:
+    from tagid.capture import Capture
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+
+    @command(app, "join")
+    def join(
+        terminal: Terminal,
+        files: options.Captures,
+        out: Annotated[Path, typer.Option("--out", "-o", help="Capture or NPZ file to write.")],
+        motion: options.MotionUrl = None,
+        axis_distance: options.AxisDistance = None,
+        antenna_separation: options.AntennaSeparation = None,
+        force: Annotated[bool, typer.Option("--force", help="Replace a file that exists.")] = False,
+    ) -> Result:
+        """Join captures of one object from several antenna heights into one of antenna positions.
+
+        Every capture must state the same object angle for the same pose, and its own antenna height.
+
+        Example: tagid join low.tagid.h5 middle.tagid.h5 high.tagid.h5 --out all.tagid.h5
+        """
+        from rich.text import Text
+
+        from tagid.pipeline.join import heights_of
+        from tagid.pipeline.join import join as joined_of
+        from tagid.pipeline.load import LoadSettings, load_capture
+        from tagid.storage.exporters import export
+
+        if out.exists() and not force:
+            raise StorageError(f"{out} exists already", "Choose another name, or add --force.")
+        config = load_config(
+            {
+                "motion.url": motion,
+                "motion.axis_distance_m": axis_distance,
+                "motion.antenna_separation_m": antenna_separation,
+            }
+        )
+        loading = LoadSettings.of(config)
+        captures = [load_capture(file, loading) for file in files]
+        joined = joined_of(captures)
+        found = heights_of(joined)
+        positions = joined.aperture().positions
+        heights = [float(positions[views, 2].mean()) for views in found]
+        export(joined, out)
+        data = {"path": str(out), "views": joined.views, "bins": joined.bins, "heights_m": heights}
+        words = ", ".join(f"{height:.3f}" for height in heights[:8]) + (" ..." if len(heights) > 8 else "")
+        line = Text(f"{out}: {joined.views} views from {len(heights)} antenna heights ({words} m)")
+        return Result("join", data, line)
+
+
+@dataclass(frozen=True)
+class Outputs:
+    """Files to write; None: not wanted."""
+
+    npz: Path | None
+    vti: Path | None
+    ply: Path | None
+    png: Path | None
+    webp: Path | None
+
+    def checked(self) -> dict[str, Path]:
+        """The files by kind. Raises UsageError where a name's ending is not that of its kind."""
+        found: dict[str, Path] = {}
+        for kind, path in vars(self).items():
+            if path is None:
+                continue
+            if kind not in ("png",) and path.suffix != f".{kind}":
+                raise UsageError(f"{path} does not end in .{kind}", f"Give a name that ends in .{kind}.")
+            found[kind] = path
+        return found
+
+
+def make_volume(
+    terminal: Terminal,
+    capture: Capture,
+    config: Config,
+    background: str,
+    shape: tuple[tuple[float, float] | None, int | None, bool],
+    outputs: Outputs,
+) -> Result:
+    """Reconstruct a volume and write it.
+
+    Args:
+        capture: loaded.
+        config: with the method, the extent and the pixels.
+        background: as `--background`.
+        shape: lowest and highest height, levels, and whether the held-out residual is wanted.
+        outputs: files to write.
+    """
+    from rich.console import Group
+    from rich.text import Text
+
+    from tagid.cli.common import imaging
+    from tagid.pipeline.volume import VolumeSettings, reconstruct_volume
+
+    files = outputs.checked()
+    method = "bp" if config["imaging.method"] == "auto" else config["imaging.method"]
+    settings = VolumeSettings(
+        method,
+        config["imaging.extent_m"],
+        config["imaging.pixels"],
+        shape[0],
+        shape[1],
+        "none" if background == "reference" else background,
+        shape[2],
+    )
+    begun = time.monotonic()
+    with terminal.progress("volume", total=1.0) as advance:
+
+        def progress(done: float, total: float, remark: str) -> None:
+            part = done / max(total, 1)
+            left = (time.monotonic() - begun) * (1 / part - 1) if part > 0 else 0.0
+            advance(part, f"{left:.0f} s left" if part < 1 else "")
+
+        made = reconstruct_volume(capture, settings, progress)
+    _write(made.volume, files)
+    facts = made.volume.settings
+    took = sum(made.seconds.values())
+    grid = made.volume.grid
+    size = f"{grid.square.pixels} x {grid.square.pixels} x {grid.levels} voxels"
+    lines = [
+        f"{method} volume of {made.views} views from {made.heights} antenna heights, {size} in {took:.2f} s",
+        f"vertical resolution {1e3 * facts['vertical_resolution_m']:.0f} mm",
+        *imaging.held_out_words(facts),
+        *(f"{kind} {path}" for kind, path in files.items()),
+    ]
+    data: dict[str, Any] = {
+        "method": method,
+        "settings": facts,
+        "files": {kind: str(path) for kind, path in files.items()},
+        "seconds": made.seconds,
+    }
+    return Result("reconstruct", data, Group(*(Text(line) for line in lines)))
+
+
+def _write(volume: Any, files: dict[str, Path]) -> None:
+    from tagid.report.volume_picture import draw_projections, write_turning
+    from tagid.storage.volume import write_volume
+
+    axes = volume.grid.square.axis, volume.grid.heights
+    for kind, path in files.items():
+        if kind == "png":
+            draw_projections(volume.values, *axes, path, f"{volume.settings['method'].upper()} volume")
+        elif kind == "webp":
+            write_turning(volume.values, *axes, path)
+        else:
+            write_volume(path, volume)

@@ -1,0 +1,92 @@
+"""The angle of each scan while the object turns, as well as it is known at that moment.
+
+They are for the view; the stored capture gets its angles from the whole recording (`tagid.pipeline.resolve`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tagid.angles.clock import fit_clock
+from tagid.angles.period import MIN_TURNS
+from tagid.errors import DataError
+from tagid.motion.device import Motion
+from tagid.radar.assembler import Scan
+
+_FEWEST_FITTED = 8
+_FEWEST_SEARCHED = 40
+_SEARCHED_TURNS = MIN_TURNS + 0.02
+"""Turns at the nominal speed after which the period is searched."""
+_MOST_SEARCHED = 1000
+"""Scans given to the search; more are thinned, so that it takes a fraction of a second."""
+
+
+class LiveAngles:
+    """Angles of the scans so far: measured, from the nominal speed, or from the period in the scans.
+
+    Args:
+        motion: what turns the object.
+    """
+
+    def __init__(self, motion: Motion) -> None:
+        self._motion = motion
+        self._period_s = motion.nominal_s
+        self._from_data = False
+        self._tried = False
+
+    def learn(self, period_s: float) -> None:
+        """Take over a period that was found in the scans, s per turn."""
+        self._period_s, self._from_data = period_s, True
+
+    def of(self, scans: Sequence[Scan]) -> NDArray[np.float64] | None:
+        """(scans,) angle relative to the first scan, rad; None while it is not known."""
+        if not scans:
+            return None
+        if self._motion.measures:
+            track = self._motion.track()
+            if track is None or len(track) < 2:
+                return None
+            arrived = np.array([scan.host_time_ns for scan in scans], dtype=np.float64)
+            angles = np.interp(arrived, track.host_time_ns.astype(np.float64), track.angles_rad)
+            return np.asarray(angles - angles[0])
+        times = _times_s(scans)
+        self._search(scans, times)
+        if self._period_s is None:
+            return None
+        return np.asarray(self._motion.direction * 2 * math.pi / self._period_s * times)
+
+    def _search(self, scans: Sequence[Scan], times: NDArray[np.float64]) -> None:
+        """Correct a nominal speed once the scans hold more than a turn.
+
+        Without a nominal speed the repetition may be a part of a turn, which only imaging can tell: the
+        recording does that, see `learn`.
+        """
+        nominal = self._motion.nominal_s
+        if nominal is None or self._from_data or self._tried or len(scans) < _FEWEST_SEARCHED:
+            return
+        if float(times[-1]) < _SEARCHED_TURNS * nominal:
+            return
+        self._tried = True
+        every = -(-len(scans) // _MOST_SEARCHED)
+        samples = np.stack([scan.samples for scan in scans[::every]])
+        try:
+            found = self._motion.resolve(samples, times[::every]).info
+        except DataError:
+            return
+        if found.source == "data" and found.period_s:
+            self.learn(found.period_s)
+
+
+def _times_s(scans: Sequence[Scan]) -> NDArray[np.float64]:
+    """(scans,) seconds since the first scan, by the radar's clock."""
+    stamps = np.array([scan.radar_time_ms for scan in scans], dtype=np.float64)
+    if len(scans) >= _FEWEST_FITTED:
+        try:
+            return fit_clock(stamps, np.array([scan.scan_id for scan in scans])).times_s
+        except DataError:
+            pass
+    return np.asarray((stamps - stamps[0]) * 1e-3)

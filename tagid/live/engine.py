@@ -1,0 +1,323 @@
+"""Makes states of the scans while they are recorded, on threads of its own.
+
+The recording only appends to a list and is never held up: a slow computer shows fewer frames, and every scan
+is still taken into the next one.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import threading
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tagid.capture import Capture
+from tagid.constants import RANGE_STEP_M
+from tagid.errors import DataError, TagidError
+from tagid.geometry import ImageGrid
+from tagid.live.angles import LiveAngles
+from tagid.live.state import LiveState, Phase, Sinogram
+from tagid.live.views import TOLERANCE_RAD, GrowingViews, whole_image
+from tagid.metadata import RadarInfo
+from tagid.motion.device import Motion
+from tagid.pipeline.settings import ImagingSettings
+from tagid.recording.inspection import noise_power_of, signal_to_noise_db
+from tagid.signal import analytic
+
+if TYPE_CHECKING:
+    from tagid.pipeline.answer import Identification
+    from tagid.radar.assembler import Scan
+    from tagid.recording.session import Session
+    from tagid.tags.bodies.signature import Signature
+    from tagid.tags.layouts.layout import Layout
+
+MAX_PIXELS = 128
+"""Pixels per side of the live image: no screen shows more beside the other figures."""
+FRAME_S = 0.12
+"""Shortest time between two frames, s."""
+_ROWS = 240
+_JUDGED_SCANS = 64
+_JOIN_S = 30.0
+
+
+@dataclass(frozen=True)
+class LiveSettings:
+    """What the live view needs beside the scans.
+
+    Attributes:
+        motion: what turns the object.
+        layouts, signatures, registry_version: the contents of the registry.
+        imaging: settings of imaging and reading.
+    """
+
+    motion: Motion
+    layouts: Sequence[Layout] = ()
+    signatures: Sequence[Signature] = ()
+    registry_version: int | None = None
+    imaging: ImagingSettings = field(default_factory=ImagingSettings)
+
+
+class LiveView:
+    """Takes scans, gives states; use it as a context manager.
+
+    `began`, `scan` and `ended` are called by the recording and return at once. States are made on a worker
+    thread; a second one reads the tag as soon as a turn is complete.
+
+    Args:
+        settings: what is needed beside the scans.
+        tell: called on a worker thread with every new state; it must not block for long.
+    """
+
+    def __init__(
+        self, settings: LiveSettings, tell: Callable[[LiveState], None] = lambda state: None
+    ) -> None:
+        self._settings = settings
+        self._tell = tell
+        self._lock = threading.Lock()
+        self._wake = threading.Event()
+        self._queue: list[Scan] = []
+        self._session: Session | None = None
+        self._closing = False
+        self._stored: Capture | None = None
+        self._state = LiveState()
+        self._last_scan_at: float | None = None
+        self._answer_at: float | None = None
+        self._no_image = False
+        self._over = False
+        grid = settings.imaging
+        self._grid = ImageGrid(grid.extent_m, min(grid.pixels, MAX_PIXELS))
+        self._scans: list[Scan] = []
+        self._angles = LiveAngles(settings.motion)
+        self._views = GrowingViews(self._grid, settings.layouts, settings.imaging)
+        self._reader: threading.Thread | None = None
+        self._read_turn: float | None = None
+        self._worker = threading.Thread(target=self._work, name="live-view", daemon=True)
+
+    def __enter__(self) -> LiveView:
+        self._worker.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    @property
+    def state(self) -> LiveState:
+        """The newest state."""
+        return self._state
+
+    def began(self, session: Session) -> None:
+        """The radar is configured; scans follow."""
+        self._session = session
+        self._publish(phase=Phase.TURNING)
+
+    def scan(self, scan: Scan) -> None:
+        """Take one scan."""
+        with self._lock:
+            self._queue.append(scan)
+            self._last_scan_at = time.monotonic()
+        self._wake.set()
+
+    def resolving(self, resolve: Callable[[Capture, str], Capture]) -> Callable[[Capture, str], Capture]:
+        """The function for `Watch.resolve` that also tells the view the period it finds."""
+
+        def told(capture: Capture, motion: str) -> Capture:
+            found = resolve(capture, motion)
+            resolved = found.motion.resolved
+            if resolved is not None and resolved.source == "data" and resolved.period_s:
+                self._angles.learn(resolved.period_s)
+            return found
+
+        return told
+
+    def ended(self) -> None:
+        """The last scan was taken; the capture file is being written."""
+        self._over = True
+        self._publish(phase=Phase.READING)
+        self._wake.set()
+
+    def settle(self, prepared: Capture, answer: Identification) -> None:
+        """The answer of the stored capture, and that capture as it was read, for the last frame."""
+        self._answered(answer)
+        self._stored = prepared
+        self._wake.set()
+
+    def note(self, text: str) -> None:
+        """Show a remark."""
+        self._publish(note=text)
+
+    def fail(self, error: TagidError) -> None:
+        """The scan ended with an error."""
+        self._publish(phase=Phase.FAILED, note=f"{error.message}. {error.remedy}".strip())
+
+    def close(self) -> None:
+        """End the threads; the state stays. After `settle` the last frame is still made."""
+        self._closing = True
+        self._wake.set()
+        for thread in (self._worker, self._reader):
+            if thread is not None and thread.is_alive() and thread is not threading.current_thread():
+                thread.join(_JOIN_S)
+
+    def _publish(self, **changes: object) -> None:
+        with self._lock:
+            state = self._change(changes)
+        self._tell(state)
+
+    def _change(self, changes: dict[str, object]) -> LiveState:
+        """The next state; the lock is held."""
+        frame = self._state.frame + 1
+        self._state = replace(self._state, frame=frame, **changes)  # type: ignore[arg-type]
+        return self._state
+
+    def _answered_ahead(self, answer: Identification) -> None:
+        """Publish the answer of the scans so far, unless that of the stored capture is there."""
+        with self._lock:
+            if self._state.final:
+                return
+            before = self._state.answer
+            if before is None or not _same(before, answer):
+                self._answer_at = time.monotonic()
+            state = self._change({"answer": answer})
+        self._tell(state)
+
+    def _answered(self, answer: Identification) -> None:
+        """Publish the answer of the stored capture."""
+        with self._lock:
+            before = self._state.answer
+            if before is None or self._answer_at is None or not _same(before, answer):
+                self._answer_at = time.monotonic()
+            after = None if self._last_scan_at is None else self._answer_at - self._last_scan_at
+            state = self._change(
+                {"answer": answer, "final": True, "answer_after_s": after, "phase": Phase.DONE}
+            )
+        self._tell(state)
+
+    def _work(self) -> None:
+        """The worker thread: until closed, take what is new and publish."""
+        try:
+            while not self._closing:
+                self._wake.wait(FRAME_S)
+                self._wake.clear()
+                if self._stored is not None:
+                    break
+                began = time.monotonic()
+                if self._take():
+                    time.sleep(max(0.0, FRAME_S - (time.monotonic() - began)))
+            if self._stored is not None:
+                self._last_frame(self._stored)
+        except TagidError as error:
+            self._publish(note=f"no live image: {error.message}")
+        except Exception:
+            # The recording must not depend on its view.
+            logging.getLogger("tagid").debug("live view", exc_info=True)
+            with contextlib.suppress(Exception):
+                self._publish(note="the live view stopped; the recording continues")
+
+    def _take(self) -> bool:
+        """Take the new scans into the views, and publish; False where nothing is new."""
+        with self._lock:
+            new, self._queue = self._queue, []
+        session = self._session
+        if not new or session is None:
+            return False
+        self._scans += new
+        angles = self._angles.of(self._scans)
+        shown: dict[str, object] = {}
+        if angles is not None:
+            shown["turned_rad"] = float(np.abs(angles).max())
+        if angles is not None and session.plan.axis_distance_m is not None and not self._no_image:
+            try:
+                self._views.update(self._so_far(session), angles, self._in_a_hurry)
+                image, evidence = self._views.image(), self._views.evidence()
+            except DataError as error:
+                self._no_image = True
+                shown["note"] = f"no live image: {error.message}"
+            else:
+                shown |= {"views": self._views.count, "image": image, "evidence": evidence}
+                self._read_ahead(session, angles)
+        sinogram, snr = self._sinogram(session)
+        seconds = (self._scans[-1].radar_time_ms - self._scans[0].radar_time_ms) * 1e-3
+        lost = session.intake.scans_lost
+        self._publish(
+            scans=len(self._scans), lost=lost, seconds=seconds, sinogram=sinogram, snr_db=snr, **shown
+        )
+        return True
+
+    def _in_a_hurry(self) -> bool:
+        """Whether the view is to end: what is left over is not shown any more."""
+        return self._closing or self._stored is not None
+
+    def _so_far(self, session: Session) -> Capture:
+        """The scans so far as a capture without angles."""
+        plan = session.plan
+        return Capture(
+            np.stack([scan.samples for scan in self._scans]),
+            session.config.range_start_m(plan.cable_delay_ps),
+            RANGE_STEP_M,
+            axis_distance_m=plan.axis_distance_m,
+            antenna_height_m=plan.antenna_height_m,
+            radar=RadarInfo(config=session.config.stored()),
+        )
+
+    def _sinogram(self, session: Session) -> tuple[Sinogram | None, float | None]:
+        if len(self._scans) < 3:
+            return None, None
+        every = -(-len(self._scans) // _ROWS)
+        samples = np.stack([scan.samples for scan in self._scans[::every]]).astype(np.float64)
+        mean = samples.mean(axis=0)
+        rows = np.abs(analytic(samples - mean)).astype(np.float32)
+        recent = np.stack([scan.samples for scan in self._scans[-_JUDGED_SCANS:]]).astype(np.float64)
+        noise = noise_power_of(analytic(recent))
+        snr, _ = signal_to_noise_db(analytic(recent - mean), noise)
+        start = session.config.range_start_m(session.plan.cable_delay_ps)
+        return Sinogram(rows, (start, start + RANGE_STEP_M * (rows.shape[1] - 1))), snr
+
+    def _read_ahead(self, session: Session, angles: NDArray[np.float64]) -> None:
+        """Read the tag when a turn is complete, while the overlap is still recorded."""
+        turned = float(np.abs(angles).max())
+        per_scan = turned / max(len(angles) - 1, 1)
+        busy = self._reader is not None and self._reader.is_alive()
+        # After the last scan the stored capture is about to be read.
+        if busy or self._over or not self._settings.layouts or turned < 2 * np.pi - 0.5 * per_scan:
+            return
+        if self._read_turn is not None and abs(per_scan / self._read_turn - 1) * 2 * np.pi < TOLERANCE_RAD:
+            return
+        self._read_turn = per_scan
+        capture = replace(self._so_far(session), angles_rad=angles.copy())
+        self._reader = threading.Thread(target=self._read, args=(capture,), name="live-reader", daemon=True)
+        self._reader.start()
+
+    def _read(self, capture: Capture) -> None:
+        from tagid.pipeline.identify import identify
+        from tagid.pipeline.prepared import prepare
+
+        settings = self._settings
+        try:
+            answer = identify(
+                prepare(capture),
+                settings.layouts,
+                settings.imaging,
+                settings.registry_version,
+                settings.signatures,
+            )
+        except TagidError as error:
+            logging.getLogger("tagid").debug("reading ahead: %s", error.message)
+            return
+        self._answered_ahead(answer)
+
+    def _last_frame(self, capture: Capture) -> None:
+        """The image of the stored capture: every view once, with its final angle."""
+        if capture.angles_rad is None or capture.axis_distance_m is None:
+            return
+        self._publish(image=whole_image(capture, self._grid, self._settings.imaging), views=capture.views)
+
+
+def _same(one: Identification, other: Identification) -> bool:
+    """Whether two answers say the same to the user."""
+    names = (one.reading and one.reading.layout, other.reading and other.reading.layout)
+    return one.status == other.status and names[0] == names[1]

@@ -1,0 +1,243 @@
+"""Why an object was not named: the likely cause in the recording, and its remedy.
+
+A verdict (`tagid.tags.verdicts`) says what the scans do not show. This looks for what makes them so: a wrong
+speed, a part of a turn, a wrong axis distance, an object that stands off the axis. A cause is stated only
+where the scans themselves bear it out; an answer is never changed by it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import permutations
+
+import numpy as np
+
+from tagid.capture import Capture
+from tagid.errors import DataError
+from tagid.geometry import ImageGrid
+from tagid.imaging.backprojection import backproject
+from tagid.imaging.preprocess import PreprocessSettings, preprocess, remove_background
+from tagid.pipeline.answer import Cause, Identification
+from tagid.pipeline.identify import identify
+from tagid.pipeline.prepared import PreparedCapture
+from tagid.pipeline.resolve import speed_contradiction
+from tagid.tags.layouts.codebook import CENTRE_TOLERANCE_M, best_places
+from tagid.tags.layouts.layout import Layout
+from tagid.tags.reading.reflectors import Reflector
+
+WHOLE_TURN = 0.97
+"""Share of a turn from which on it counts as whole: a gap of 10 degrees does not impair reading."""
+AXIS_SEARCH_M = 0.2
+"""Half width of the search for a wrong axis distance, m: a mistaken tape end or a forgotten antenna mount."""
+_AXIS_STEP_M = 5e-3
+_AXIS_NEAR_M = 0.02
+"""Errors that the reader corrects by itself are no cause."""
+_AXIS_TRIES = 3
+_AXIS_VIEWS = 90
+_GRID = ImageGrid(0.5, 72)
+"""Covers the largest built-in layout off its axis, with the pixels of the search for the axis distance."""
+_ALIKE_DB = 10.0
+"""Found reflectors within this of the strongest may be those of a tag."""
+_MOST_REFLECTORS = 6
+_FITS_M = 0.008
+"""RMS distance of found reflectors from their places in a layout, m."""
+_FARTHEST_M = 0.12
+_PLACE_TRIES = 3
+
+
+def turn_share(capture: Capture) -> float | None:
+    """Share of a turn that the views of a capture cover, up to 1; None for free antenna positions."""
+    if capture.angles_rad is None or capture.views < 2:
+        return None
+    angles = np.sort(np.mod(capture.angles_rad, 2 * np.pi))
+    gaps = np.diff(np.append(angles, angles[0] + 2 * np.pi))
+    # The widest gap less the usual step between views is what was not seen.
+    return float(np.clip(1 - (gaps.max() - np.median(gaps)) / (2 * np.pi), 0, 1))
+
+
+def recording_remarks(capture: Capture) -> tuple[str, ...]:
+    """What is wrong with a recording whatever it shows, a sentence each: its speed, and a part of a turn."""
+    remarks = []
+    if told := speed_contradiction(capture.motion.resolved):
+        remarks.append(told)
+    share = turn_share(capture)
+    if share is not None and share < WHOLE_TURN:
+        remarks.append(
+            f"the views cover {share * 360:.0f} of 360 degrees: reflectors that face away in all of them are "
+            "not seen"
+        )
+    return tuple(remarks)
+
+
+def with_causes(
+    answer: Identification, prepared: PreparedCapture, layouts: Sequence[Layout]
+) -> Identification:
+    """The answer, with the likely causes where it names nothing, most certain first.
+
+    Args:
+        answer: of `identify`.
+        prepared: the capture that it answers.
+        layouts: the enrolled ones.
+    """
+    if answer.status in ("identified", "failed") or answer.reading is None:
+        return answer
+    causes = [*_of_the_turn(prepared.given)]
+    if not any(cause.code == "speed" for cause in causes):
+        causes += _of_the_axis(prepared, layouts)
+    if not causes:
+        causes += _of_the_place(prepared, answer.reading.reflectors, layouts)
+    return replace(answer, causes=tuple(causes))
+
+
+def _of_the_turn(capture: Capture) -> list[Cause]:
+    resolved = capture.motion.resolved
+    causes = []
+    if told := speed_contradiction(resolved):
+        assert resolved is not None and resolved.measured_rpm
+        causes.append(
+            Cause(
+                "speed",
+                told,
+                f"Read it again with --motion 'free?rpm={resolved.measured_rpm:.3g}', or with --motion free, "
+                "which takes the speed from the scans.",
+            )
+        )
+    share = turn_share(capture)
+    if share is not None and share < WHOLE_TURN:
+        causes.append(
+            Cause(
+                "partial_turn",
+                f"the views cover {share * 360:.0f} of 360 degrees",
+                "Record a full turn and a little more; `tagid scan` does so where the speed is right.",
+            )
+        )
+    return causes
+
+
+def _of_the_axis(prepared: PreparedCapture, layouts: Sequence[Layout]) -> list[Cause]:
+    """Another axis distance, where the reader names the object with it."""
+    capture = prepared.given
+    given = capture.axis_distance_m
+    if given is None or capture.angles_rad is None:
+        return []
+    for offset in _bright_offsets(prepared):
+        moved = replace(capture, axis_distance_m=given + offset)
+        try:
+            found = identify(PreparedCapture(moved, prepared.settings), layouts)
+        except DataError:
+            continue
+        if found.status == "identified" and found.reading is not None:
+            best = given + offset + found.reading.offset_m
+            return [
+                Cause(
+                    "axis_distance",
+                    f"with an axis distance of {best:.2f} m instead of {given:g} m the scans show "
+                    f"{found.reading.layout}",
+                    "Measure the distance from the antennas to the rotation axis again; "
+                    f"--axis-distance {best:.2f} reads this recording with it.",
+                )
+            ]
+    return []
+
+
+def _bright_offsets(prepared: PreparedCapture) -> list[float]:
+    """Offsets of the axis distance, m, at which the image is brightest, beyond what the reader corrects.
+
+    The measure is sum |f|^8 of the backprojection, as in `tagid.imaging.autofocus`.
+    """
+    capture = prepared.given
+    wide = PreprocessSettings(
+        prepared.settings.background, matched_filter=True, extent_m=_GRID.extent, margin_m=AXIS_SEARCH_M
+    )
+    every = max(1, capture.views // _AXIS_VIEWS)
+    try:
+        scans = preprocess(capture.select(slice(None, None, every)), settings=wide)
+    except DataError:
+        return []
+    given = float(capture.axis_distance_m or 0.0)
+    steps = round(AXIS_SEARCH_M / _AXIS_STEP_M)
+    offsets = np.linspace(-AXIS_SEARCH_M, AXIS_SEARCH_M, 2 * steps + 1)
+    offsets = offsets[given + offsets > _GRID.extent / 2]
+    images = (
+        backproject(scans.with_aperture(scans.aperture.with_axis_distance(given + offset)), _GRID).values
+        for offset in offsets
+    )
+    bright = np.array([(np.abs(image).astype(np.float64) ** 8).sum() for image in images])
+    peaks = [i for i in range(1, len(bright) - 1) if bright[i] >= max(bright[i - 1], bright[i + 1])]
+    peaks = [i for i in peaks if abs(offsets[i]) > _AXIS_NEAR_M]
+    return [float(offsets[i]) for i in sorted(peaks, key=lambda i: -bright[i])[:_AXIS_TRIES]]
+
+
+def _of_the_place(
+    prepared: PreparedCapture, reflectors: Sequence[Reflector], layouts: Sequence[Layout]
+) -> list[Cause]:
+    """A place of the object off the axis, where the reader names it once the scans are moved there."""
+    if prepared.given.angles_rad is None or prepared.given.axis_distance_m is None:
+        return []
+    for centre in _other_centres(reflectors, layouts):
+        try:
+            moved = recentred(prepared.given, centre)
+            found = identify(PreparedCapture(moved, prepared.settings), layouts)
+        except DataError:
+            continue
+        if found.status == "identified" and found.reading is not None:
+            away = np.add(centre, found.reading.centre_m) * 1e3
+            return [
+                Cause(
+                    "off_centre",
+                    f"the scans show {found.reading.layout} {np.linalg.norm(away):.0f} mm off the rotation "
+                    f"axis, at ({away[0]:.0f}, {away[1]:.0f}) mm",
+                    "Place the object's own axis on the rotation axis, within 10 mm.",
+                )
+            ]
+    return []
+
+
+def _other_centres(reflectors: Sequence[Reflector], layouts: Sequence[Layout]) -> list[tuple[float, float]]:
+    """Centres, m, beyond the reader's search, at which found reflectors fit a layout; the strongest first."""
+    strong = [r for r in reflectors if r.amplitude_db > -_ALIKE_DB][:_MOST_REFLECTORS]
+    places = np.array([[r.x_m, r.y_m] for r in strong])
+    power = np.array([abs(r.amplitude) ** 2 for r in strong])
+    fits: list[tuple[float, tuple[float, float]]] = []
+    for layout in layouts:
+        if not 2 <= layout.size <= len(strong):
+            continue
+        partners = np.array(list(permutations(range(len(strong)), layout.size)), dtype=np.intp)
+        rms, _, shift = best_places(layout.positions[None], places[partners])
+        away = np.linalg.norm(shift, axis=-1)
+        for i in np.flatnonzero((rms < _FITS_M) & (away > CENTRE_TOLERANCE_M) & (away < _FARTHEST_M)):
+            centre = (float(shift[i, 0]), float(shift[i, 1]))
+            fits.append((float(power[partners[i]].sum()), centre))
+    chosen: list[tuple[float, float]] = []
+    for _, centre in sorted(fits, key=lambda fit: -fit[0]):
+        if all(np.hypot(centre[0] - x, centre[1] - y) > CENTRE_TOLERANCE_M for x, y in chosen):
+            chosen.append(centre)
+    return chosen[:_PLACE_TRIES]
+
+
+def recentred(capture: Capture, centre: tuple[float, float]) -> Capture:
+    """The scans as they would be if the point `centre` of the turntable were its axis.
+
+    Each view is moved in range by the difference of that point's distance from the axis's, and takes the
+    angle under which the antenna stands from there. The static background is subtracted before, since it
+    would no longer be static. What remains is the change of curvature, under 1 mm for an object of 0.1 m at
+    1 m.
+
+    Args:
+        capture: of a turntable, with angles and axis distance.
+        centre: (x, y), m.
+    """
+    if capture.angles_rad is None or capture.axis_distance_m is None:
+        raise DataError("only scans of a turntable can be moved to another axis")
+    distance = capture.axis_distance_m
+    x = distance * np.cos(capture.angles_rad) - centre[0]
+    y = -distance * np.sin(capture.angles_rad) - centre[1]
+    still = remove_background(capture.samples, "mean")
+    bins = still.shape[1]
+    padded = 1 << int(np.ceil(np.log2(2 * bins)))
+    cycles = np.fft.fftfreq(padded)
+    shift = (np.hypot(x, y) - distance) / capture.range_step_m
+    moved = np.fft.ifft(np.fft.fft(still, padded) * np.exp(2j * np.pi * cycles * shift[:, None]))[:, :bins]
+    samples = moved if np.iscomplexobj(still) else moved.real
+    return replace(capture, samples=samples.astype(still.dtype), angles_rad=-np.arctan2(y, x))

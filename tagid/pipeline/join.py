@@ -1,0 +1,105 @@
+"""Captures of one object from several antenna heights, joined into one capture of antenna positions.
+
+Each capture must show the object at the angles that it states: a table that is started by hand at another
+angle every time gives turned pieces, which no volume can be made of.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tagid.capture import Capture
+from tagid.errors import DataError, UsageError
+from tagid.imaging.preprocess import remove_background
+
+_SAME_M = 1e-6
+"""Range starts and steps that differ by less are equal."""
+_SAME_HEIGHT_M = 1e-4
+
+
+def join(captures: Sequence[Capture]) -> Capture:
+    """One capture with the antenna positions of all.
+
+    Args:
+        captures: prepared: angles or antenna positions known. The first one gives the band, the pulse and
+            what is known of radar and object.
+
+    Raises:
+        UsageError: fewer than two captures.
+        DataError: other range windows, bands or media, or no geometry.
+    """
+    if len(captures) < 2:
+        raise UsageError("one capture cannot be joined", "Give two or more captures of the same object.")
+    first = captures[0]
+    for number, other in enumerate(captures[1:], start=2):
+        _check(first, other, number)
+    apertures = [capture.aperture() for capture in captures]
+    pairs = any(aperture.half_baseline is not None for aperture in apertures)
+    one = np.concatenate([aperture.antennas[0] for aperture in apertures])
+    other_end = np.concatenate([aperture.antennas[-1] for aperture in apertures]) if pairs else None
+    kind = np.complex64 if np.iscomplexobj(first.samples) else np.float32
+    same = {capture.samples.dtype for capture in captures} == {first.samples.dtype}
+    parts = [capture.samples if same else capture.samples.astype(kind) for capture in captures]
+    joined = Capture(
+        np.concatenate(parts),
+        first.range_start_m,
+        first.range_step_m,
+        antenna_positions_m=one,
+        receive_positions_m=other_end,
+        center_frequency_hz=first.center_frequency_hz,
+        bandwidth_hz=first.bandwidth_hz,
+        wave_speed_m_s=first.wave_speed_m_s,
+        pulse=first.pulse,
+        radar=first.radar,
+        object=first.object,
+        complete=all(capture.complete for capture in captures),
+    )
+    flags = [capture.flags for capture in captures]
+    if all(each is not None for each in flags):
+        joined = replace(joined, flags=np.concatenate([each for each in flags if each is not None]))
+    return joined
+
+
+def heights_of(capture: Capture) -> list[NDArray[np.intp]]:
+    """Views of each antenna height, lowest first; all views as one group where a height has only one."""
+    height = capture.aperture().positions[:, 2]
+    order = np.argsort(height, kind="stable")
+    steps = np.flatnonzero(np.diff(height[order]) > _SAME_HEIGHT_M) + 1
+    groups = [np.sort(part) for part in np.split(order, steps)]
+    return groups if min(map(len, groups)) > 1 else [np.arange(capture.views)]
+
+
+def without_background_of_each_height(capture: Capture, background: str) -> Capture:
+    """The capture less what is constant over the views of each height: the room looks different from each."""
+    if background == "none":
+        return capture
+    samples = np.empty(
+        capture.samples.shape, np.complex64 if np.iscomplexobj(capture.samples) else np.float32
+    )
+    for views in heights_of(capture):
+        samples[views] = remove_background(capture.samples[views], background)  # type: ignore[arg-type]
+    return replace(capture, samples=samples)
+
+
+def _check(first: Capture, other: Capture, number: int) -> None:
+    """Raises DataError where two captures cannot stand in one."""
+    if np.iscomplexobj(first.samples) != np.iscomplexobj(other.samples):
+        raise DataError(f"capture {number} is real where the first is complex, or the other way round")
+    same = {
+        "range bins": first.bins == other.bins,
+        "the range of the first bin": abs(first.range_start_m - other.range_start_m) < _SAME_M,
+        "the step between bins": abs(first.range_step_m - other.range_step_m) < _SAME_M,
+        "the band": (first.center_frequency_hz, first.bandwidth_hz)
+        == (other.center_frequency_hz, other.bandwidth_hz),
+        "the wave speed": first.wave_speed_m_s == other.wave_speed_m_s,
+    }
+    different = [name for name, equal in same.items() if not equal]
+    if different:
+        raise DataError(
+            f"capture {number} differs from the first in {', '.join(different)}",
+            "Record all heights with the same range window and radar.",
+        )

@@ -1,0 +1,170 @@
+"""From a capture with antenna positions at several heights to a volume, without printing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from tagid import __version__
+from tagid.capture import Capture
+from tagid.errors import DataError, UsageError
+from tagid.geometry import ImageGrid, VolumeGrid
+from tagid.imaging.heldout import HeldOut, left_out
+from tagid.imaging.memory import require_memory
+from tagid.imaging.operator import ForwardOperator
+from tagid.imaging.preprocess import PreprocessSettings, preprocess, select_views
+from tagid.imaging.types import BasebandScans
+from tagid.imaging.volume import Volume, backproject_volume, sparse_volume, vertical_resolution_m
+from tagid.pipeline.join import heights_of, without_background_of_each_height
+from tagid.pipeline.settings import Progress, Stopwatch
+
+METHODS = ("bp", "sparse")
+_MOST_LEVELS = 200
+
+
+@dataclass(frozen=True)
+class VolumeSettings:
+    """What a volume is made of.
+
+    Attributes:
+        method: of `METHODS`.
+        extent_m, pixels: side of the square of a level, m and pixels.
+        heights_m: lowest and highest height, m; None: half the extent below and above the object's plane.
+        levels: number of levels; None: three to the vertical resolution, and none thinner than a pixel.
+        background: what is constant over the views of one height and subtracted: mean, median or none.
+        held_out: compute how well the volume predicts views that it was not made from.
+    """
+
+    method: str = "bp"
+    extent_m: float = 0.5
+    pixels: int = 128
+    heights_m: tuple[float, float] | None = None
+    levels: int | None = None
+    background: str = "mean"
+    held_out: bool = True
+
+    def __post_init__(self) -> None:
+        if self.method not in METHODS:
+            raise UsageError(f"there is no volume by {self.method!r}", f"Use {', '.join(METHODS)}.")
+        if self.background not in ("mean", "median", "none"):
+            raise UsageError(f"background is {self.background!r}", "Choose mean, median or none.")
+
+
+@dataclass(frozen=True, eq=False)
+class VolumeReconstruction:
+    """A volume with how it came about.
+
+    Attributes:
+        volume: complex reflectivity.
+        views, heights: numbers of views and of antenna heights.
+        seconds: of each stage.
+    """
+
+    volume: Volume
+    views: int
+    heights: int
+    seconds: dict[str, float]
+
+
+def reconstruct_volume(
+    capture: Capture, settings: VolumeSettings | None = None, progress: Progress | None = None
+) -> VolumeReconstruction:
+    """Image a capture in three dimensions.
+
+    Args:
+        capture: with antenna positions or angles; `tagid.pipeline.join` makes one of several.
+        settings: see `VolumeSettings`.
+        progress: called with (done, total, remark).
+
+    Raises:
+        DataError: all antenna positions have one height, or the scans cannot be preprocessed.
+        UsageError: a volume that would not fit into memory.
+    """
+    settings = settings or VolumeSettings()
+    watch = Stopwatch()
+    positions = capture.aperture().positions
+    if float(np.ptp(positions[:, 2])) < 1e-3:
+        raise DataError(
+            "all antenna positions have the same height, which tells no heights of the object",
+            "Join captures of several antenna heights: `tagid join A B C --out all.npz`.",
+        )
+    low, high = settings.heights_m or (-settings.extent_m / 2, settings.extent_m / 2)
+    with watch.stage("preprocess"):
+        clean = without_background_of_each_height(capture, settings.background)
+        plain = PreprocessSettings("none", False, extent_m=settings.extent_m, heights_m=(low, high))
+        unfiltered = preprocess(clean, settings=plain)
+        matched = preprocess(clean, settings=replace(plain, matched_filter=True))
+    square = ImageGrid(settings.extent_m, settings.pixels)
+    levels = settings.levels or _levels(unfiltered, square, high - low)
+    grid = VolumeGrid(square, low, high, levels)
+    with watch.stage("volume"):
+        volume = _make(settings.method, matched, unfiltered, grid, progress)
+    facts: dict[str, Any] = {
+        "tool_version": __version__,
+        "capture_uuid": capture.uuid,
+        "views": capture.views,
+        "background": settings.background,
+        "wavelength_m": unfiltered.wavelength_m,
+        "vertical_resolution_m": vertical_resolution_m(unfiltered),
+        "heights_m": [low, high],
+        "levels": levels,
+        "extent_m": settings.extent_m,
+    }
+    if settings.held_out:
+        with watch.stage("held out"):
+            predicted = _held_out(settings.method, matched, unfiltered, grid)
+        if predicted is not None:
+            facts["held_out"] = predicted.facts()
+    volume = replace(volume, settings={**volume.settings, **facts})
+    return VolumeReconstruction(volume, capture.views, len(heights_of(capture)), watch.seconds)
+
+
+def _levels(scans: BasebandScans, square: ImageGrid, rise_m: float) -> int:
+    thin = max(vertical_resolution_m(scans) / 3, square.step)
+    return int(np.clip(np.ceil(rise_m / thin), 2, _MOST_LEVELS))
+
+
+def _make(
+    method: str,
+    matched: BasebandScans,
+    unfiltered: BasebandScans,
+    grid: VolumeGrid,
+    progress: Progress | None,
+) -> Volume:
+    if method == "bp":
+        return backproject_volume(matched, grid, progress)
+    require_memory(
+        80 * grid.voxels, f"{grid.voxels:,} voxels of a fit", "Use fewer pixels (--pixels) or levels."
+    )
+    return sparse_volume(unfiltered, grid, progress=progress)
+
+
+def _held_out(
+    method: str, matched: BasebandScans, unfiltered: BasebandScans, grid: VolumeGrid
+) -> HeldOut | None:
+    """Residual on views that were left out of each volume, beside backprojection's; None with too few."""
+    unseen = left_out(unfiltered.aperture.views)
+    test = select_views(unfiltered, unseen)
+    energy = float((np.abs(test.samples) ** 2).sum())
+    if not len(unseen) or energy == 0:
+        return None
+    seen = np.setdiff1d(np.arange(unfiltered.aperture.views), unseen)
+    some, plain = select_views(matched, seen), select_views(unfiltered, seen)
+    back = _residual(test, backproject_volume(some if method == "bp" else plain, grid))
+    found = back if method == "bp" else _residual(test, _make(method, some, plain, grid, None))
+    noise = test.noise_std**2 * test.samples.size / energy if test.noise_std > 0 else float("nan")
+    return HeldOut(found, back, min(noise, 1.0), len(unseen))
+
+
+def _residual(test: BasebandScans, volume: Volume) -> float:
+    """||y - s A x||^2 / ||y||^2 with the best complex s; voxels of zero are left out of A."""
+    x = volume.values.ravel()
+    bright = np.flatnonzero(x)
+    if not len(bright):
+        return 1.0
+    fit = ForwardOperator(test, volume.grid.points()[bright]).forward(x[bright]).astype(np.complex128)
+    y = test.samples.astype(np.complex128)
+    power, energy = float(np.vdot(fit, fit).real), float(np.vdot(y, y).real)
+    return 1 - float(np.abs(np.vdot(fit, y)) ** 2) / (power * energy) if power > 0 else 1.0

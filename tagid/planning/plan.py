@@ -1,0 +1,290 @@
+"""A recording planned: how strong its echoes will be, how long it takes, how surely a tag will be named."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+
+from tagid.capture import Capture
+from tagid.constants import CENTER_FREQUENCY_HZ, SPEED_OF_LIGHT
+from tagid.errors import ConfigError, UsageError
+from tagid.motion.turntable import OVERLAP_TURNS
+from tagid.pipeline.prepared import MAX_VIEWS
+from tagid.planning.rates import Expected, expected
+from tagid.radar.settings import RadarConfig
+from tagid.recording.inspection import thinned
+from tagid.recording.plan import plan_window
+from tagid.signal import analytic
+from tagid.simulate.acquisition import Acquisition, RangeWindow
+from tagid.simulate.budget import LinkBudget, Term, effective_length_m, rcs_dbsm
+from tagid.simulate.presets import scene_on_body
+from tagid.simulate.render import PulseTable, antennas, render_bodies
+from tagid.simulate.scatterers import Octahedron, unit_of
+from tagid.simulate.snr import echo_levels
+from tagid.simulate.source import NOISE_COUNTS, NOISE_INDEX
+from tagid.simulate.specification import BodySpec, ReflectorSpec
+from tagid.tags.layouts.codebook import CENTRE_TOLERANCE_M
+from tagid.tags.layouts.layout import Layout
+
+_LEVEL_VIEWS = 72
+SIZES_M = (0.015, 0.020, 0.025, 0.030, 0.035, 0.040, 0.050, 0.060)
+"""Reflectors that are tried for `--want`."""
+DISTANCES_M = (0.6, 0.8, 1.0, 1.5, 2.0, 3.0)
+INDICES = tuple(range(9, 16))
+_LEAST_VIEWS = 72
+"""Views per turn that are asked for where the integration is chosen: the alias-free step of a helmet is 9
+degrees, and half of it leaves room for lost scans."""
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What is planned.
+
+    Attributes:
+        layout: the tag; its radius decides what a body does to its echoes.
+        reflector, body: what the tag is made of and stands on.
+        distance_m: antennas to rotation axis.
+        rpm: turns per minute.
+        budget: radar and antennas.
+        extent_m: side of the image, which decides the range window.
+    """
+
+    layout: Layout
+    reflector: ReflectorSpec
+    body: BodySpec
+    distance_m: float
+    rpm: float
+    budget: LinkBudget
+    extent_m: float = 0.5
+
+    def __post_init__(self) -> None:
+        if not 0 < self.rpm <= 1000:
+            raise UsageError(f"the table turns at {self.rpm} rpm", "Give more than 0 and up to 1000.")
+        if not 0.05 <= self.distance_m <= 20:
+            raise UsageError(f"the distance is {self.distance_m:g} m", "Give 0.05 to 20, in metres.")
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a setup comes to.
+
+    Attributes:
+        setup: what was asked for.
+        rcs_dbsm: of one reflector alone, of the pulse's peak.
+        snr_sample_db: per reflector in one sample of one scan, as `tagid.simulate.snr` defines it: the
+            strongest over a turn, on its body.
+        snr_view_db: the same after scans are averaged into views.
+        body_db: echo of the body over that of one reflector, dB; None without a body.
+        margin_db: of the strongest echo below saturation, dB; negative where it clips.
+        scans_per_turn, views: scans of a turn, and views that they are averaged into.
+        turn_s, recording_s: seconds per turn, and of the whole recording.
+        centre_m: how far the object may stand off the axis, m.
+        moved_m: distance off the axis from which on the moving echo of the body exceeds that of a reflector,
+            m; None without a body.
+        rates: what the reader did in such conditions.
+        terms: every number of the link budget.
+    """
+
+    setup: Setup
+    rcs_dbsm: float
+    snr_sample_db: float
+    snr_view_db: float
+    body_db: float | None
+    margin_db: float
+    scans_per_turn: int
+    views: int
+    turn_s: float
+    recording_s: float
+    centre_m: float
+    moved_m: float | None
+    rates: Expected
+    terms: tuple[Term, ...]
+
+
+def plan(setup: Setup) -> Plan:
+    """Work out a plan. Raises UsageError, ConfigError for a setup that cannot be recorded."""
+    scatterer = Octahedron(setup.reflector.size_m)
+    length = effective_length_m(scatterer)
+    free = setup.budget.snr_db(length, setup.distance_m)
+    mounted_db, body_db = _on_body(setup.layout, setup.reflector, setup.body, setup.distance_m)
+    sample = free + mounted_db
+    config = plan_window(
+        setup.distance_m, setup.extent_m, 0.0, RadarConfig(base_integration_index=setup.budget.integration)
+    )
+    scans = int(60 / setup.rpm / config.scan_period_s)
+    if scans < 12:
+        raise ConfigError(
+            f"at {setup.rpm:g} rpm and integration {setup.budget.integration} a turn has {scans} scans, "
+            "12 are needed",
+            "Turn slower, or lower the integration.",
+        )
+    views = min(scans, MAX_VIEWS)
+    view = sample + 10 * float(np.log10(scans / views))
+    noise = NOISE_COUNTS * 2.0 ** ((setup.budget.integration - NOISE_INDEX) / 2)
+    strongest = sample + max(0.0, body_db or 0.0)
+    return Plan(
+        setup,
+        rcs_dbsm(length),
+        sample,
+        view,
+        body_db,
+        setup.budget.clipping_margin_db(strongest, noise),
+        scans,
+        views,
+        60 / setup.rpm,
+        OVERLAP_TURNS * 60 / setup.rpm,
+        CENTRE_TOLERANCE_M,
+        None if body_db is None else moved_distance_m(body_db),
+        expected(_class_of(setup.body), views, view),
+        setup.budget.terms(),
+    )
+
+
+def moved_distance_m(body_db: float) -> float:
+    """Distance off the axis at which the moving part of a round body's echo equals that of a reflector, m.
+
+    A body d off the axis comes nearer and goes by d cos(angle): the removal of the mean leaves
+    B |exp(-2j k d cos(angle)) - mean|, about sqrt(2) B k d (rms) for 2 k d << 1.
+    """
+    wavenumber = 2 * np.pi * CENTER_FREQUENCY_HZ / SPEED_OF_LIGHT
+    return float(10 ** (-body_db / 20) / (np.sqrt(2) * wavenumber))
+
+
+def _class_of(body: BodySpec) -> str:
+    """The body of the tables that is nearest to a body."""
+    if body.kind == "cup" and "handle" in body.parts:
+        return "cup-handle"
+    return body.kind
+
+
+@lru_cache(maxsize=64)
+def _on_body(
+    layout: Layout, reflector: ReflectorSpec, body: BodySpec, distance_m: float
+) -> tuple[float, float | None]:
+    """What the body does to the strongest reflector's echo, and its own echo over that one's, dB."""
+    if body.kind == "none":
+        return 0.0, None
+    layouts = {layout.name: layout}
+    scene = scene_on_body(layout.name, body, reflector, 0, layouts=layouts)
+    acquisition = Acquisition(
+        axis_distance_m=distance_m, range_law=True, window=RangeWindow.around(distance_m)
+    )
+    angles = np.arange(_LEVEL_VIEWS) * 2 * np.pi / _LEVEL_VIEWS
+    antenna = antennas(angles, np.full(_LEVEL_VIEWS, distance_m), 0.0)
+    table = PulseTable.of(None)
+    level = echo_levels(scene, acquisition, antenna, table).reflector
+    others = tuple(one for one in scene.object if one is not scene.tag)
+    echo = np.zeros((_LEVEL_VIEWS, acquisition.range_window.bins), dtype=np.complex128)
+    render_bodies(others, acquisition.placement, antenna, acquisition, table, echo)
+    alone = effective_length_m(Octahedron(reflector.size_m))
+    unit = alone / unit_of(Octahedron(reflector.size_m))
+    mounted = 20 * float(np.log10(level / unit))
+    return mounted, 20 * float(np.log10(np.abs(echo).max() / level))
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """The least effort that reaches a rate.
+
+    Attributes:
+        plan: with the smallest reflector that reaches it at the distance and integration asked for; None
+            where none does.
+        distance: the plan with the reflector asked for at the largest distance that reaches it; None.
+        integration: the plan with the reflector and distance asked for and the least integration; None.
+    """
+
+    plan: Plan | None
+    distance: Plan | None
+    integration: Plan | None
+
+
+def invert(setup: Setup, rate: float) -> Wanted:
+    """The smallest reflector, the largest distance and the least integration that reach a rate of naming.
+
+    Raises UsageError where the rate is not between 0 and 1.
+    """
+    if not 0 < rate < 1:
+        raise UsageError(f"--want is {rate:g}", "Give a rate between 0 and 1, e.g. 0.99.")
+    sizes = [replace(setup, reflector=replace(setup.reflector, size_m=size)) for size in SIZES_M]
+    far = [replace(setup, distance_m=distance) for distance in reversed(DISTANCES_M)]
+    fast = [replace(setup, budget=replace(setup.budget, integration=index)) for index in INDICES]
+    return Wanted(_first(sizes, rate), _first(far, rate), _first(fast, rate))
+
+
+def _first(setups: Sequence[Setup], rate: float) -> Plan | None:
+    """The first of the setups that reaches a rate without clipping, with views enough."""
+    for setup in setups:
+        try:
+            found = plan(setup)
+        except (ConfigError, UsageError):
+            continue
+        if found.rates.named.value >= rate and found.margin_db > 0 and found.views >= _LEAST_VIEWS:
+            return found
+    return None
+
+
+@dataclass(frozen=True)
+class Gap:
+    """Measured and planned SNR of a recording.
+
+    Attributes:
+        measured_db, planned_db: of the strongest reflector in one sample of one scan, dB.
+        cause: likely cause of the difference; "" where it is within what the budget is good for.
+    """
+
+    measured_db: float
+    planned_db: float
+    cause: str
+
+
+def changing_peak(capture: Capture) -> float:
+    """Median over the views of the largest envelope that is not static, counts."""
+    signal = analytic(thinned(capture)[0].samples)
+    return float(np.median(np.abs(signal - signal.mean(axis=0)).max(axis=1)))
+
+
+GAP_DB = 8.0
+"""Difference that is within the budget's uncertainty (6 dB of its fitted loss) and that of adding echoes."""
+
+
+def gap(capture: Capture, noise_counts: float, changing: float, setup: Setup) -> Gap:
+    """Compare a recording with its plan.
+
+    Args:
+        capture: the recording.
+        noise_counts: standard deviation of the noise of one of its samples, counts.
+        changing: the median over its views of the largest envelope that is not static, counts.
+        setup: what was recorded.
+    """
+    index = setup.budget.integration
+    usual = NOISE_COUNTS * 2.0 ** ((index - NOISE_INDEX) / 2)
+    measured = 20 * float(np.log10(changing / noise_counts))
+    planned = plan(setup).snr_sample_db
+    difference = measured - planned
+    clip = capture.radar.clip_counts
+    cause = ""
+    if clip is not None and np.abs(capture.samples).max() >= clip:
+        cause = "samples are clipped: lower the transmit gain, or move away"
+    elif difference < -GAP_DB:
+        gain = None if capture.radar.config is None else capture.radar.config.transmit_gain
+        if noise_counts > 2 * usual:
+            cause = (
+                f"the noise is {20 * np.log10(noise_counts / usual):.0f} dB above that of others: another "
+                "transmitter in the band, or a damaged antenna cable"
+            )
+        elif gain is not None and gain < setup.budget.transmit_gain:
+            cause = f"the transmit gain was {gain} of 63"
+        else:
+            cause = (
+                "the echo is weaker than planned: antennas not pointed at the object or not at its height, "
+                "not both upright, smaller reflectors, a loose cable, or a wrong antenna mode"
+            )
+    elif difference > GAP_DB:
+        cause = (
+            "more turns than the reflectors: a body or metal that is not in the plan, "
+            "or an object off the axis"
+        )
+    return Gap(measured, planned, cause)

@@ -1,0 +1,141 @@
+"""Expected rates of the reader, interpolated from its measured tables (`rates.json`).
+
+`tests/benchmarks/planning_rates.py` writes the file from the tables of docs/results.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib import resources
+
+from tagid.errors import UsageError
+
+_Z = 1.959964
+"""Two-sided 95 % quantile of the normal distribution."""
+
+
+@dataclass(frozen=True)
+class Measured:
+    """One row of a table.
+
+    Attributes:
+        body: "none", or what carried the tag.
+        views, snr_db: of the recordings; SNR per reflector in one sample of one view.
+        scenes: number of recordings. named, wrong: how many were named rightly, wrongly.
+    """
+
+    body: str
+    views: int
+    snr_db: float
+    scenes: int
+    named: int
+    wrong: int
+
+
+@dataclass(frozen=True)
+class Rate:
+    """An expected rate with its 95 % interval (Wilson), 0 to 1."""
+
+    value: float
+    low: float
+    high: float
+
+    def __str__(self) -> str:
+        return f"{100 * self.value:.0f} % ({100 * self.low:.0f} to {100 * self.high:.0f})"
+
+
+@dataclass(frozen=True)
+class Expected:
+    """Expected rates of a recording.
+
+    Attributes:
+        named, refused, wrong: of tags that are enrolled.
+        source: the table.
+        note: where the recording lies outside the table; "" inside.
+    """
+
+    named: Rate
+    refused: Rate
+    wrong: Rate
+    source: str
+    note: str = ""
+
+
+def wilson(share: float, scenes: float) -> Rate:
+    """The 95 % interval of a share of `scenes` trials (E. B. Wilson, 1927)."""
+    centre = (share + _Z**2 / (2 * scenes)) / (1 + _Z**2 / scenes)
+    half = _Z / (1 + _Z**2 / scenes) * math.sqrt(share * (1 - share) / scenes + _Z**2 / (4 * scenes**2))
+    return Rate(share, max(0.0, centre - half), min(1.0, centre + half))
+
+
+@lru_cache(maxsize=1)
+def _table() -> tuple[tuple[Measured, ...], dict[str, str]]:
+    text = (resources.files("tagid.planning") / "rates.json").read_text("utf-8")
+    data = json.loads(text)
+    return tuple(Measured(**row) for row in data["rows"]), dict(data["sources"])
+
+
+def known_bodies() -> list[str]:
+    """Bodies of which rates were measured."""
+    return sorted({row.body for row in _table()[0]})
+
+
+def expected(body: str, views: int, snr_db: float) -> Expected:
+    """The rates of a recording, linear in SNR between the rows of the table.
+
+    More views than the table's most carry more energy: each doubling counts as 3 dB. Between numbers of views
+    the rates are linear in their logarithm. The interval is that of the row with the fewest scenes.
+
+    Args:
+        body: one of `known_bodies`.
+        views: views per turn.
+        snr_db: per reflector in one sample of one view, dB.
+
+    Raises UsageError for a body without a table.
+    """
+    rows, sources = _table()
+    rows = tuple(row for row in rows if row.body == body)
+    if not rows:
+        raise UsageError(f"no rates were measured on a {body!r}", f"Use {', '.join(known_bodies())}.")
+    numbers = sorted({row.views for row in rows})
+    note = ""
+    if views > numbers[-1]:
+        snr_db += 10 * math.log10(views / numbers[-1])
+        views = numbers[-1]
+    elif views < numbers[0]:
+        note = f"the table ends at {numbers[0]} views; with fewer, less is named"
+        views = numbers[0]
+    above = next(n for n in numbers if n >= views)
+    below = max(n for n in numbers if n <= views)
+    weight = 0.0 if above == below else math.log(views / below) / math.log(above / below)
+    first, last = _at(rows, below, snr_db), _at(rows, above, snr_db)
+    named = (1 - weight) * first[0] + weight * last[0]
+    wrong = (1 - weight) * first[1] + weight * last[1]
+    scenes = min(first[2], last[2])
+    lowest = min(row.snr_db for row in rows)
+    if snr_db < lowest:
+        note = f"the table ends at {lowest:g} dB; below, less is named"
+    return Expected(
+        wilson(named, scenes),
+        wilson(max(0.0, 1 - named - wrong), scenes),
+        wilson(wrong, scenes),
+        sources["none" if body == "none" else "bodies"],
+        note,
+    )
+
+
+def _at(rows: tuple[Measured, ...], views: int, snr_db: float) -> tuple[float, float, int]:
+    """Shares named and wrong at an SNR, and the fewest scenes of the rows used."""
+    own = sorted((row for row in rows if row.views == views), key=lambda row: row.snr_db)
+    held = min(max(snr_db, own[0].snr_db), own[-1].snr_db)
+    low = max((row for row in own if row.snr_db <= held), key=lambda row: row.snr_db)
+    high = min((row for row in own if row.snr_db >= held), key=lambda row: row.snr_db)
+    weight = 0.0 if low is high else (held - low.snr_db) / (high.snr_db - low.snr_db)
+    shares = [
+        (1 - weight) * a / low.scenes + weight * b / high.scenes
+        for a, b in ((low.named, high.named), (low.wrong, high.wrong))
+    ]
+    return shares[0], shares[1], min(low.scenes, high.scenes)

@@ -1,0 +1,130 @@
+"""The screen of a scan in progress: image, sinogram, evidence and figures, as text for any terminal.
+
+It is drawn several times per second, possibly over a slow terminal link.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from tagid.errors import visible
+from tagid.live.evidence import LayoutEvidence
+from tagid.live.state import LiveState, Phase
+from tagid.report.blocks import LEVELS, raster
+from tagid.report.colours import to_decibels
+from tagid.report.preview import resample
+
+IMAGE_DB: Final = 25.0
+SINOGRAM_DB: Final = 30.0
+_BAR: Final = 24
+_HEAD: Final = 3
+_GAP: Final = 2
+_MOST_BARS: Final = 8
+
+
+def draw(state: LiveState, title: str, size: tuple[int, int], colour: bool) -> RenderableType:
+    """The whole screen.
+
+    Args:
+        state: what to show.
+        title: first line.
+        size: columns and lines of the terminal.
+        colour: coloured half blocks, or characters.
+    """
+    columns, lines = max(size[0] - 1, 30), max(size[1], 10)
+    head = Text(no_wrap=True, overflow="crop")
+    head.append(visible(title)[:columns] + "\n", style="bold")
+    head.append_text(_figures(state)).append("\n").append_text(_answer(state))
+    bars = _bars(state.evidence, columns, colour)
+    height = lines - _HEAD - len(bars) - 1
+    parts: list[RenderableType] = [head]
+    if height >= 4:
+        width = (columns - _GAP) // 2
+        pictures = Table.grid(padding=(0, _GAP, 0, 0))
+        pictures.add_row(_image(state, width, height, colour), _sinogram(state, width, height, colour))
+        parts.append(pictures)
+    return Group(*parts, *bars)
+
+
+def _figures(s: LiveState) -> Text:
+    """Scans, angle covered, SNR and losses."""
+    text = Text(f"{s.scans} scans in {s.seconds:.1f} s  ")
+    if s.turned_rad is None:
+        text.append("angle not known yet  ")
+    else:
+        text.append(f"{np.rad2deg(s.turned_rad):.0f} of 360 deg  ")
+    text.append("SNR -  " if s.snr_db is None else f"SNR {s.snr_db:.1f} dB  ")
+    text.append(f"lost {s.lost}  ", style="bold yellow" if s.lost else "")
+    return text.append(f"{s.views} views" if s.views else "")
+
+
+def _answer(s: LiveState) -> Text:
+    """The answer so far, or what the scan is doing."""
+    if s.phase is Phase.FAILED:
+        return Text(visible(s.note), style="bold red")
+    if s.answer is not None:
+        reading = s.answer.reading
+        name = reading.layout if reading is not None and s.answer.status == "identified" else None
+        words = name or s.answer.status.replace("_", " ")
+        text = Text(visible(words).upper(), style="bold green" if name else "bold yellow")
+        if reading is not None and reading.reason:
+            text.append(f"  {reading.reason}", style="not bold")
+        return text.append("" if s.final else "  (the recording goes on)", style="dim")
+    if s.note:
+        return Text(visible(s.note), style="yellow")
+    doing = {
+        Phase.CONNECTING: "connecting to the radar",
+        Phase.TURNING: "recording; Ctrl-C stops",
+        Phase.READING: "reading",
+    }
+    return Text(doing.get(s.phase, ""))
+
+
+def _bars(evidence: tuple[LayoutEvidence, ...], columns: int, colour: bool) -> list[Text]:
+    """One line per layout, the best first: share of the echo it explains, and the least that is needed."""
+    full, empty = ("█", "░") if colour else ("#", ".")
+    best = sorted(evidence, key=lambda one: -one.share)[:_MOST_BARS]
+    width = min(max((len(one.layout) for one in best), default=0), 24)
+    lines = []
+    for one in best:
+        filled, needed = round(one.share * _BAR), round(one.needed_share * _BAR)
+        bar = [full if i < filled else empty for i in range(_BAR)]
+        bar[min(needed, _BAR - 1)] = "|"
+        line = Text(no_wrap=True, overflow="crop")
+        line.append(f"{visible(one.layout)[:width]:<{width}} ")
+        line.append("".join(bar), style="green" if one.enough else "yellow")
+        line.append(f" {one.share:4.0%} of {one.needed_share:.0%}, {one.nats:.0f} nats")
+        lines.append(line)
+    if len(evidence) > len(best):
+        lines.append(Text(f"and {len(evidence) - len(best)} more layouts", style="dim"))
+    return lines
+
+
+def _image(s: LiveState, width: int, height: int, colour: bool) -> RenderableType:
+    if s.image is None:
+        return Text("no image yet".ljust(width))
+    # A cell is about twice as high as wide.
+    side = max(min(width, 2 * height), 8)
+    return _raster(np.abs(s.image.values[::-1]).astype(np.float64), IMAGE_DB, side, side // 2, colour)
+
+
+def _sinogram(s: LiveState, width: int, height: int, colour: bool) -> RenderableType:
+    if s.sinogram is None:
+        return Text("no scans yet")
+    return _raster(s.sinogram.rows.astype(np.float64), SINOGRAM_DB, max(width, 8), height, colour)
+
+
+def _raster(
+    values: NDArray[np.float64], depth_db: float, columns: int, lines: int, colour: bool
+) -> RenderableType:
+    """Values (rows, columns) as text, the first row on top."""
+    rows = 2 * lines if colour else lines
+    decibels = to_decibels(resample(values, rows, columns), depth_db)
+    level = np.rint((decibels / depth_db + 1) * (LEVELS - 1))
+    return raster(np.clip(level, 0, LEVELS - 1).astype(np.intp), colour)

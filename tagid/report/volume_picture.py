@@ -1,0 +1,108 @@
+"""A volume as pictures: the greatest values along each axis, and a slow turn of them."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from tagid.errors import DataError
+from tagid.files import write_bytes
+from tagid.report.axes import Axes, colour_bar
+from tagid.report.canvas import Canvas
+from tagid.report.colours import colourise, to_decibels
+from tagid.report.picture import fit_text
+
+_SIDE, _GAP, _LEFT, _TOP = 380, 120, 110, 100
+_FRAMES, _FRAME_MS, _FRAME_SIDE = 48, 80, 320
+
+
+def draw_projections(
+    values: NDArray[np.inexact],
+    axis_m: NDArray[np.floating],
+    heights_m: NDArray[np.floating],
+    path: Path,
+    title: str = "",
+    dynamic_range_db: float = 25.0,
+) -> None:
+    """Write a PNG of the greatest magnitudes seen from above, from the front and from the side.
+
+    Args:
+        values: (z, y, x) reflectivity.
+        axis_m: (pixels,) centres along x and y, m.
+        heights_m: (levels,) centres along z, m.
+        path: the PNG; it appears complete or not at all.
+        title: one line above.
+        dynamic_range_db: what is further below the brightest voxel has the darkest colour.
+
+    Raises:
+        DataError: not a finite volume. StorageError, DiskFullError.
+    """
+    magnitude = _magnitude(values)
+    across, up = _limits(axis_m), _limits(heights_m)
+    views = (
+        (magnitude.max(axis=0), across, across, "x (m)", "y (m)", "from above"),
+        (magnitude.max(axis=1), across, up, "x (m)", "z (m)", "along y"),
+        (magnitude.max(axis=2), across, up, "y (m)", "z (m)", "along x"),
+    )
+    top = float(magnitude.max())
+    canvas = Canvas(_LEFT + 3 * (_SIDE + _GAP) + 40, _TOP + _SIDE + 100)
+    for number, (plane, x, y, x_label, y_label, name) in enumerate(views):
+        left = _LEFT + number * (_SIDE + _GAP)
+        scale = _SIDE / max(x[1] - x[0], y[1] - y[0])
+        box = (left, _TOP, left + (x[1] - x[0]) * scale, _TOP + (y[1] - y[0]) * scale)
+        axes = Axes(canvas, box, x, y)
+        decibels = to_decibels(plane, dynamic_range_db, top)
+        axes.raster(colourise(decibels[::-1], dynamic_range_db), smooth=True)
+        axes.frame(x_label, y_label, name)
+    right = _LEFT + 3 * (_SIDE + _GAP) - _GAP + 20
+    colour_bar(canvas, (right, _TOP, right + 26, _TOP + _SIDE), dynamic_range_db)
+    canvas.text((_LEFT, 30), fit_text(canvas, title, 1400, 28), 28)
+    canvas.save(Path(path))
+
+
+def write_turning(
+    values: NDArray[np.inexact],
+    axis_m: NDArray[np.floating],
+    heights_m: NDArray[np.floating],
+    path: Path,
+    dynamic_range_db: float = 25.0,
+) -> None:
+    """Write a WebP that turns once about z: the greatest magnitude along the line of sight in every frame.
+
+    Args and errors as `draw_projections`.
+    """
+    from scipy.ndimage import rotate, zoom
+
+    magnitude = _magnitude(values).astype(np.float32)
+    shrink = min(1.0, 96 / magnitude.shape[2])
+    small = zoom(magnitude, (1, shrink, shrink), order=1) if shrink < 1 else magnitude
+    top = float(small.max())
+    across, up = _limits(axis_m), _limits(heights_m)
+    size = (_FRAME_SIDE, max(1, round(_FRAME_SIDE * (up[1] - up[0]) / (across[1] - across[0]))))
+    frames = []
+    for angle in np.arange(_FRAMES) * 360 / _FRAMES:
+        turned = rotate(small, float(angle), axes=(1, 2), reshape=False, order=1)
+        plane = np.maximum(turned.max(axis=1), 0)
+        decibels = to_decibels(plane, dynamic_range_db, top)
+        picture = Image.fromarray(colourise(decibels[::-1], dynamic_range_db))
+        frames.append(picture.resize(size, Image.Resampling.BILINEAR))
+    buffer = io.BytesIO()
+    frames[0].save(
+        buffer, "WEBP", save_all=True, append_images=frames[1:], duration=_FRAME_MS, loop=0, quality=80
+    )
+    write_bytes(path, buffer.getvalue())
+
+
+def _magnitude(values: NDArray[np.inexact]) -> NDArray[np.float64]:
+    if values.ndim != 3 or values.size == 0 or not np.isfinite(values).all():
+        raise DataError(f"the volume has shape {values.shape}, expected (z, y, x), finite")
+    return np.asarray(np.abs(values), dtype=np.float64)
+
+
+def _limits(centres: NDArray[np.floating]) -> tuple[float, float]:
+    half = float(centres[1] - centres[0]) / 2 if len(centres) > 1 else 0.005
+    return float(centres[0]) - half, float(centres[-1]) + half

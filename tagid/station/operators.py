@@ -1,0 +1,104 @@
+"""Who may start a scan: one browser at a time, and the motion stops when it has gone.
+
+Every connection gets a key. A browser that reloads shows its key again within the grace period and is the
+same operator as before.
+"""
+
+from __future__ import annotations
+
+import secrets
+import threading
+import time
+from collections.abc import Callable
+
+from tagid.errors import UsageError
+
+GRACE_S = 5.0
+"""How long an operator may be without a connection, s: a reload takes one or two."""
+_MOST_KEYS = 256
+
+
+class NotOperatorError(UsageError):
+    """Another browser operates the station, or none does."""
+
+    code = "not_operator"
+
+
+class Operators:
+    """The connections, and which key holds the lock; safe to use from several threads.
+
+    Args:
+        clock: monotonic seconds.
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        self._lock = threading.Lock()
+        self._connections: dict[str, int] = {}
+        self._left_at: dict[str, float] = {}
+        self._operator: str | None = None
+
+    def join(self, shown: str | None = None) -> str:
+        """A connection was opened; returns its key, which is the one it showed if that is known."""
+        with self._lock:
+            known = shown is not None and shown in self._connections
+            key = str(shown) if known else secrets.token_urlsafe(18)
+            self._connections[key] = self._connections.get(key, 0) + 1
+            self._left_at.pop(key, None)
+            return key
+
+    def leave(self, key: str) -> None:
+        """A connection was closed."""
+        with self._lock:
+            count = self._connections.get(key, 0) - 1
+            if count < 0:
+                return
+            self._connections[key] = count
+            if count == 0:
+                self._left_at[key] = self._clock()
+
+    def take(self, key: str, force: bool = False) -> bool:
+        """Take the lock; False where another key that is connected has it, unless forced."""
+        with self._lock:
+            if not self._connections.get(key):
+                return False
+            if self._operator in (None, key) or force or not self._connections.get(self._operator or ""):
+                self._operator = key
+                return True
+            return False
+
+    def release(self, key: str) -> None:
+        """Give the lock back."""
+        with self._lock:
+            if self._operator == key:
+                self._operator = None
+
+    def holds(self, key: str | None) -> bool:
+        """Whether a connected key has the lock."""
+        with self._lock:
+            return key is not None and key == self._operator and self._connections.get(key, 0) > 0
+
+    @property
+    def taken(self) -> bool:
+        """Whether some key has the lock."""
+        return self._operator is not None
+
+    @property
+    def connected(self) -> int:
+        """Number of open connections."""
+        with self._lock:
+            return sum(self._connections.values())
+
+    def expire(self) -> bool:
+        """Forget the keys that left longer ago than the grace period; True where the operator was one."""
+        with self._lock:
+            now = self._clock()
+            gone = [key for key, at in self._left_at.items() if now - at >= GRACE_S]
+            oldest = sorted(self._left_at, key=self._left_at.__getitem__)
+            gone += [key for key in oldest[: max(0, len(self._connections) - _MOST_KEYS)] if key not in gone]
+            for key in gone:
+                del self._left_at[key], self._connections[key]
+            if self._operator in gone:
+                self._operator = None
+                return True
+            return False

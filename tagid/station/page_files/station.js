@@ -1,0 +1,322 @@
+"use strict";
+// Every text from the station is set as text, never as markup.
+const $ = (id) => document.getElementById(id);
+const OWN = { "tagid-station": "1" };
+const STATUS = { identified: "", unknown: "Unknown tag", ambiguous: "Ambiguous", no_tag: "No tag", failed: "Failed" };
+const SOUNDS = { identified: [880, 1320], unknown: [440, 330], ambiguous: [440, 440], no_tag: [330, 330], failed: [220, 220] };
+let palette = null;
+let socket = null;
+let wait = 250;
+let mine = false;
+let operated = false;
+let running = false;
+let sound = false;
+let audio = null;
+let told = "";
+let listed = -1;
+
+function bytes(text) {
+  const raw = atob(text);
+  const out = new Uint8Array(raw.length);
+  for (let i = 0; i < raw.length; i += 1) out[i] = raw.charCodeAt(i);
+  return out;
+}
+
+function paint(canvas, width, height, text) {
+  const levels = bytes(text);
+  if (!palette || levels.length !== width * height) return;
+  canvas.width = width;
+  canvas.height = height;
+  const context = canvas.getContext("2d");
+  const data = context.createImageData(width, height);
+  for (let i = 0; i < levels.length; i += 1) {
+    data.data.set(palette.subarray(3 * levels[i], 3 * levels[i] + 3), 4 * i);
+    data.data[4 * i + 3] = 255;
+  }
+  context.putImageData(data, 0, 0);
+}
+
+function element(tag, text, kind) {
+  const node = document.createElement(tag);
+  if (text !== undefined) node.textContent = text;
+  if (kind) node.className = kind;
+  return node;
+}
+
+function setText(id, text) {
+  if ($(id).textContent !== text) $(id).textContent = text;
+}
+
+function nameOf(answer) {
+  return answer.status === "identified" ? answer.layout : STATUS[answer.status] || answer.status;
+}
+
+function showAnswer(scan) {
+  const box = $("answer");
+  let [text, kind, reason, advice] = ["Ready", "", "", ""];
+  if (scan) {
+    const found = scan.answer;
+    if (scan.phase === "failed") {
+      [text, kind, reason] = ["Failed", "failed", scan.note];
+    } else if (found) {
+      [text, kind] = [nameOf(found), found.status];
+      [reason, advice] = [found.reason || found.label, found.advice];
+      if (!scan.final) kind += " so-far";
+    } else {
+      text = scan.phase === "connecting" ? "Connecting" : scan.phase === "turning" ? "Turning" : "Reading";
+      reason = scan.note;
+    }
+  }
+  setText("answer", text);
+  box.className = kind + (text.length > 14 ? " long" : "");
+  setText("reason", reason || "");
+  setText("advice", advice || "");
+  const ended = scan && (scan.final || scan.phase === "failed");
+  const tone = `${scan ? scan.number : 0} ${kind}`;
+  if (ended && tone !== told) {
+    if (told !== "" && sound) play(SOUNDS[kind] || SOUNDS.failed);
+    told = tone;
+  }
+}
+
+function play(tones) {
+  if (!audio) return;
+  tones.forEach((tone, i) => {
+    const at = audio.currentTime + 0.18 * i;
+    const [source, gain] = [audio.createOscillator(), audio.createGain()];
+    source.frequency.value = tone;
+    gain.gain.setValueAtTime(0.25, at);
+    gain.gain.exponentialRampToValueAtTime(0.001, at + 0.17);
+    source.connect(gain).connect(audio.destination);
+    source.start(at);
+    source.stop(at + 0.18);
+  });
+}
+
+function showScan(scan) {
+  running = Boolean(scan && scan.running);
+  showAnswer(scan);
+  $("turn").value = scan && scan.turn_share ? scan.turn_share : 0;
+  if (scan) {
+    const words = [`${scan.scans} scans in ${scan.seconds.toFixed(1)} s`];
+    words.push(scan.turned_deg === null ? "angle not known yet" : `${Math.min(scan.turned_deg, 360).toFixed(0)} of 360 degrees`);
+    words.push(scan.snr_db === null ? "SNR -" : `SNR ${scan.snr_db.toFixed(1)} dB`, `lost ${scan.lost}`);
+    if (scan.silent_s > 2) words.push(`no scan for ${scan.silent_s.toFixed(0)} s: is the radar connected?`);
+    if (scan.note && scan.answer) words.push(scan.note);
+    if (scan.remark) words.push(scan.remark);
+    setText("figures", words.join(" · "));
+    showEvidence(scan.evidence);
+    if (!running && listed !== scan.number) {
+      listed = scan.number;
+      loadHistory();
+    }
+  }
+  showButton();
+}
+
+function showButton() {
+  const button = $("scan");
+  const open = socket && socket.readyState === WebSocket.OPEN;
+  const elsewhere = operated && !mine;
+  setText("scan", running ? "Stop" : "Scan");
+  button.className = running ? "stop" : "";
+  button.disabled = !open || (!running && elsewhere);
+  $("take").hidden = !(open && elsewhere && !running);
+  setText("operator", elsewhere ? "Another browser operates the station; this one looks on." : mine ? "This browser operates the station." : "");
+}
+
+function showEvidence(items) {
+  const list = $("evidence");
+  while (list.children.length > items.length) list.lastChild.remove();
+  items.slice(0, 12).forEach((one, i) => {
+    let row = list.children[i];
+    if (!row) {
+      row = element("li");
+      row.append(element("span", "", "name"), element("span", "", "bar"), element("span", "", "number"));
+      const drawing = document.createElementNS("http://www.w3.org/2000/svg", "svg");
+      drawing.setAttribute("viewBox", "0 0 100 10");
+      drawing.setAttribute("preserveAspectRatio", "none");
+      drawing.setAttribute("aria-hidden", "true");
+      const fill = document.createElementNS("http://www.w3.org/2000/svg", "rect");
+      fill.setAttribute("class", "fill");
+      fill.setAttribute("height", "10");
+      const need = document.createElementNS("http://www.w3.org/2000/svg", "line");
+      need.setAttribute("class", "need");
+      need.setAttribute("y2", "10");
+      drawing.append(fill, need);
+      row.children[1].append(drawing);
+      list.append(row);
+    }
+    row.className = one.enough ? "enough" : "";
+    const [fill, need] = row.querySelector("svg").children;
+    fill.setAttribute("width", String(100 * one.share));
+    need.setAttribute("x1", String(100 * one.needed_share));
+    need.setAttribute("x2", String(100 * one.needed_share));
+    if (row.children[0].textContent !== one.layout) row.children[0].textContent = one.layout;
+    row.children[2].textContent = `${(100 * one.share).toFixed(0)} %`;
+  });
+}
+
+function showHealth(health) {
+  if (!health.checked) return;
+  const text = JSON.stringify(health.findings);
+  if ($("health").dataset.shown === text) return;
+  $("health").dataset.shown = text;
+  const order = { problem: 0, warning: 1, ok: 2 };
+  const rows = [...health.findings].sort((a, b) => order[a.level] - order[b.level]).map((one) => {
+    const row = element("li", undefined, one.level);
+    row.append(element("b", `${one.topic}: ${one.level}`, one.level), element("p", one.text));
+    if (one.remedy) row.append(element("p", one.remedy, "remedy"));
+    return row;
+  });
+  const fine = rows.filter((row) => row.className === "ok");
+  $("health").replaceChildren(...rows.filter((row) => row.className !== "ok"));
+  $("health-fine").replaceChildren(...fine);
+  setText("health-count", `${fine.length} of ${rows.length} checks are in order`);
+}
+
+async function loadHistory() {
+  const query = new URLSearchParams({ limit: "50" });
+  if ($("f-status").value) query.set("status", $("f-status").value);
+  if ($("f-layout").value.trim()) query.set("layout", $("f-layout").value.trim());
+  $("export").href = `api/v1/history.csv?${query}`;
+  let items;
+  try {
+    const answer = await fetch(`api/v1/history?${query}`, { cache: "no-store" });
+    const found = await answer.json();
+    if (!answer.ok) throw new Error(found.error.message);
+    items = found.items;
+  } catch (error) {
+    setText("history-note", `The history cannot be read: ${error.message}`);
+    return;
+  }
+  setText("history-note", items.length ? "" : "no entries");
+  $("history").replaceChildren(...items.map((one) => {
+    const row = element("li");
+    const when = new Date(one.time_utc);
+    row.append(element("span", Number.isNaN(when.getTime()) ? one.time_utc : when.toLocaleString()));
+    row.append(element("span", nameOf(one), `who ${one.status}`));
+    if (one.command === "station" || one.command === "scan") {
+      const button = element("button", "Picture");
+      button.type = "button";
+      button.setAttribute("aria-label", `Picture of ${nameOf(one)}, ${row.firstChild.textContent}`);
+      button.addEventListener("click", () => showPicture(one.id, nameOf(one)));
+      row.append(button);
+    }
+    return row;
+  }));
+}
+
+async function showPicture(number, name) {
+  setText("viewer-head", name);
+  const picture = $("viewer-picture");
+  const answer = await fetch(`api/v1/history/${number}/picture`);
+  if (picture.src) URL.revokeObjectURL(picture.src);
+  if (answer.ok) {
+    picture.src = URL.createObjectURL(await answer.blob());
+    picture.alt = `Radar image of ${name}`;
+  } else {
+    picture.removeAttribute("src");
+    picture.alt = (await answer.json()).error.message;
+  }
+  $("viewer").showModal();
+  $("viewer-head").focus();
+}
+
+function receive(message) {
+  if (message.type === "hello") {
+    sessionStorage.setItem("key", message.key);
+    palette = bytes(message.palette);
+    setText("mode", message.demo ? "demonstration: the radar is emulated" : "");
+  } else if (message.type === "operator") {
+    mine = message.you;
+    showButton();
+  } else if (message.type === "status") {
+    operated = message.operated;
+    showHealth(message.health);
+    showScan(message.scan);
+    if (listed < 0) {
+      listed = 0;
+      loadHistory();
+    }
+  } else if (message.type === "frame") {
+    showScan(message.scan);
+    const { image, sinogram } = message;
+    if (image) {
+      paint($("image"), image.side, image.side, image.levels);
+      setText("image-caption", `Image from above, ${image.extent_m.toFixed(2)} m wide`);
+    }
+    if (sinogram) {
+      paint($("sinogram"), sinogram.columns, sinogram.rows, sinogram.levels);
+      setText("sinogram-caption", `Sinogram: range ${sinogram.range_m[0].toFixed(2)} to ${sinogram.range_m[1].toFixed(2)} m, time downwards`);
+    }
+    document.body.dataset.frames = String(Number(document.body.dataset.frames || 0) + 1);
+  } else if (message.type === "error") {
+    setText("problem", `${message.error.message}. ${message.error.remedy}`);
+  }
+}
+
+function connect() {
+  const one = new WebSocket(`ws://${location.host}/api/v1/live`);
+  socket = one;
+  one.addEventListener("open", () => {
+    wait = 250;
+    one.send(JSON.stringify({ type: "hello", key: sessionStorage.getItem("key") }));
+    setText("link", "connected");
+    $("pairing").hidden = true;
+    showButton();
+  });
+  one.addEventListener("message", (event) => receive(JSON.parse(event.data)));
+  one.addEventListener("close", async () => {
+    setText("link", "not connected");
+    mine = false;
+    showButton();
+    // A refused connection says no reason; a request does.
+    try {
+      const answer = await fetch("api/v1/status", { cache: "no-store" });
+      if (answer.status === 401) {
+        $("pairing").hidden = false;
+        setText("link", "not paired");
+        $("code").focus();
+        return;
+      }
+    } catch (error) {
+      setText("link", "the station does not answer");
+    }
+    setTimeout(connect, wait);
+    wait = Math.min(2 * wait, 4000);
+  });
+}
+
+function send(message) {
+  setText("problem", "");
+  if (socket && socket.readyState === WebSocket.OPEN) socket.send(JSON.stringify(message));
+}
+
+$("scan").addEventListener("click", () => send(running ? { type: "stop" } : { type: "scan", note: $("note").value }));
+$("take").addEventListener("click", () => send({ type: "take" }));
+$("sound").addEventListener("click", () => {
+  sound = !sound;
+  if (sound && !audio) audio = new AudioContext();
+  $("sound").setAttribute("aria-pressed", String(sound));
+  setText("sound", sound ? "Sound on" : "Sound off");
+  if (sound) play([660]);
+});
+$("filter").addEventListener("submit", (event) => event.preventDefault());
+$("f-status").addEventListener("change", loadHistory);
+$("f-layout").addEventListener("change", loadHistory);
+$("viewer-close").addEventListener("click", () => $("viewer").close());
+$("pair-form").addEventListener("submit", async (event) => {
+  event.preventDefault();
+  setText("pair-error", "");
+  const answer = await fetch("api/v1/pair", {
+    method: "POST", headers: { ...OWN, "content-type": "application/json" }, body: JSON.stringify({ code: $("code").value }),
+  });
+  if (answer.ok) {
+    $("code").value = "";
+    connect();
+  } else {
+    setText("pair-error", (await answer.json()).error.message);
+  }
+});
+connect();

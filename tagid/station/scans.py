@@ -1,0 +1,192 @@
+"""One scan of the station on a thread of its own: record, read, draw, remember."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from tagid.capture import Capture
+from tagid.config import data_folder
+from tagid.constants import CAPTURE_SUFFIX
+from tagid.errors import TagidError
+from tagid.live.engine import LiveSettings, LiveView
+from tagid.live.state import LiveState, Phase
+from tagid.metadata import ScanGap
+from tagid.motion.device import Motion
+from tagid.motion.urls import open_motion
+from tagid.pipeline.answer import Identification
+from tagid.pipeline.identify import identify
+from tagid.pipeline.load import load_capture
+from tagid.pipeline.prepared import PreparedCapture
+from tagid.pipeline.turn import resolve_turn
+from tagid.recording.intake import notes
+from tagid.recording.plan import capture_path
+from tagid.recording.radars import open_radar
+from tagid.recording.recorder import Watch, record
+from tagid.report.picture import Marker, draw_image
+from tagid.station.setup import ScanSetup
+from tagid.storage.history import FILE_NAME, History
+from tagid.tags.enrolling.registry import Registry
+
+COMMAND = "station"
+"""Name of the station's runs in the history."""
+
+
+class ScanRun:
+    """A scan in progress or done.
+
+    Args:
+        number: counts the station's scans.
+        setup: what it needs.
+        radar: held while the radar is used, so that a health check does not disturb the scan.
+
+    Attributes:
+        number: as given.
+        motion: what turns the object.
+    """
+
+    def __init__(self, number: int, setup: ScanSetup, radar: threading.Lock) -> None:
+        self.number = number
+        self.motion: Motion = open_motion(setup.motion_url)
+        self._setup = setup
+        self._radar = radar
+        self._known = Registry(data_folder() / "registry.sqlite").contents()
+        settings = LiveSettings(
+            self.motion, self._known.layouts, self._known.signatures, self._known.version, setup.imaging
+        )
+        self._view = LiveView(settings)
+        self._stop = threading.Event()
+        self._last_scan_at: float | None = None
+        self._remark = ""
+        self._thread = threading.Thread(target=self._work, name=f"station-scan-{number}", daemon=True)
+
+    def start(self) -> None:
+        """Begin."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Ask it to end; the motion stops, and what was recorded is kept."""
+        self._stop.set()
+
+    def join(self, seconds: float) -> None:
+        """Wait for its end."""
+        if self._thread.ident is not None:
+            self._thread.join(seconds)
+
+    @property
+    def running(self) -> bool:
+        """Whether it still records, reads or writes."""
+        return self._thread.is_alive()
+
+    @property
+    def state(self) -> LiveState:
+        """The newest state."""
+        return self._view.state
+
+    @property
+    def remark(self) -> str:
+        """What was written last beside the answer, or could not be; empty otherwise."""
+        return self._remark
+
+    @property
+    def silent_s(self) -> float:
+        """Seconds since the last scan while the object turns; 0 otherwise."""
+        if self.state.phase is not Phase.TURNING or self._last_scan_at is None:
+            return 0.0
+        return time.monotonic() - self._last_scan_at
+
+    def _work(self) -> None:
+        try:
+            self._run()
+        except TagidError as error:
+            self._view.fail(error)
+        except Exception as error:
+            logging.getLogger("tagid").debug("scan of the station", exc_info=True)
+            self._view.fail(
+                TagidError(f"unexpected {type(error).__name__}: {error}", "This is a bug in tagid.")
+            )
+
+    def _run(self) -> None:
+        setup, paths = self._setup, [Path()]
+        with self._view:
+            with self._radar:
+                capture = record(
+                    open_radar(setup.radar_url, setup.radar_timeout_s),
+                    self.motion,
+                    setup.plan,
+                    capture_path(setup.folder),
+                    self._watch(paths.append),
+                )
+            try:
+                loaded = load_capture(capture, setup.loading)
+                prepared = PreparedCapture(loaded, setup.imaging)
+                answer = identify(
+                    prepared,
+                    self._known.layouts,
+                    registry_version=self._known.version,
+                    signatures=self._known.signatures,
+                )
+            except TagidError as error:
+                # The recording is safe; only what was to be read from it failed.
+                entry = {"code": error.code, "message": error.message, "remedy": error.remedy}
+                self._remember(Identification("failed", None, capture.uuid, None, error=entry), paths[-1])
+                raise
+            self._view.settle(loaded, answer)
+        self._remark = "; ".join(notes(capture.radar))
+        self._draw(answer, paths[-1])
+        self._remember(answer, paths[-1])
+
+    def _watch(self, named: Callable[[Path], None]) -> Watch:
+        view = self._view
+
+        def gap(gap: ScanGap) -> None:
+            view.note(f"the radar was gone for {gap.seconds:.1f} s; the recording goes on")
+
+        def resolve(capture: Capture, motion: str) -> Capture:
+            return resolve_turn(capture, motion)
+
+        return Watch(
+            gap=gap,
+            named=named,
+            resolve=view.resolving(resolve),
+            began=view.began,
+            scan=self._took,
+            ended=view.ended,
+            stop=self._stop.is_set,
+        )
+
+    def _took(self, scan: Any) -> None:
+        self._last_scan_at = time.monotonic()
+        self._view.scan(scan)
+
+    def _draw(self, answer: Identification, path: Path) -> None:
+        """Write the picture of the last frame beside the capture."""
+        image = self.state.image
+        if image is None:
+            return
+        reading = answer.reading
+        found = reading.reflectors if reading is not None else ()
+        markers = [Marker(p.x_m, p.y_m, str(i + 1), p.matched) for i, p in enumerate(found)]
+        title = reading.layout if reading is not None and reading.layout else answer.status.replace("_", " ")
+        try:
+            draw_image(image.values, image.grid.extent, picture_of(path), str(title), markers)
+        except TagidError as error:
+            self._remark = f"{self._remark}; no picture: {error.message}".lstrip("; ")
+
+    def _remember(self, answer: Identification, path: Path) -> None:
+        setup = self._setup
+        try:
+            history = History(data_folder() / FILE_NAME)
+            run = history.begin(COMMAND, {"radar": setup.radar_url, "motion": setup.plan.motion})
+            history.add(run, [{"file": str(path), **answer.to_dict()}])
+        except TagidError as error:
+            self._remark = f"{self._remark}; not kept in the history: {error.message}".lstrip("; ")
+
+
+def picture_of(capture: Path) -> Path:
+    """The picture beside a capture file."""
+    return capture.with_name(f"{capture.name.removesuffix(CAPTURE_SUFFIX)}.png")

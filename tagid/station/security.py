@@ -1,0 +1,250 @@
+"""Who may talk to the station: checks of every request and WebSocket before the application sees it.
+
+Threats and what meets them: another web page in the same browser (Origin, Sec-Fetch-Site, a header that forms
+cannot send), DNS rebinding (Host), a device in the network (pairing), a script in a name (content policy),
+large or strange bodies (limits).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+import json
+import secrets
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from tagid.errors import UsageError
+
+if TYPE_CHECKING:
+    from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+COOKIE = "tagid_station"
+OWN_HEADER = "tagid-station"
+"""Sent with each POST and by WebSocket clients that are no browsers: another page cannot send it without
+asking first (CORS), which is never allowed."""
+MOST_BODY_BYTES = 4096
+_CODE_LETTERS = "23456789ABCDEFGHJKMNPQRSTUVWXYZ"
+_CODE_SECONDS = 600.0
+_CODE_TRIES = 5
+_MOST_TOKENS = 32
+_LOOPBACK = ("127.0.0.1", "localhost", "[::1]")
+_OPEN_PATHS = ("/", "/station.css", "/station.js", "/station.svg", "/api/v1/pair", "/api/v1/openapi.json")
+"""Paths that need no token: they show nothing of the station."""
+_API = "/api/"
+POLICY = (
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; connect-src 'self'; "
+    "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+)
+_HEADERS = (
+    (b"content-security-policy", POLICY.encode()),
+    (b"x-content-type-options", b"nosniff"),
+    (b"x-frame-options", b"DENY"),
+    (b"referrer-policy", b"no-referrer"),
+    (b"cross-origin-opener-policy", b"same-origin"),
+    (b"cross-origin-resource-policy", b"same-origin"),
+    (b"cache-control", b"no-store"),
+)
+
+
+class Pairing:
+    """The pairing code, and the tokens made with it.
+
+    A code makes one token, is valid for ten minutes and for five tries; then a new one is announced.
+
+    Args:
+        announce: shows a new code to the person at the computer.
+        clock: monotonic seconds.
+    """
+
+    def __init__(self, announce: Callable[[str], None], clock: Callable[[], float] = time.monotonic) -> None:
+        self._announce = announce
+        self._clock = clock
+        self._tokens: list[bytes] = []
+        self._code, self._tries, self._until = "", 0, 0.0
+
+    def begin(self) -> None:
+        """Announce a new code."""
+        letters = [secrets.choice(_CODE_LETTERS) for _ in range(8)]
+        self._code = "".join(letters[:4]) + "-" + "".join(letters[4:])
+        self._tries, self._until = 0, self._clock() + _CODE_SECONDS
+        self._announce(self._code)
+
+    def pair(self, code: str) -> str | None:
+        """A token for a code; None where it is wrong or too old."""
+        late = self._clock() > self._until
+        given = code.strip().upper().encode()
+        right = hmac.compare_digest(given, self._code.encode()) and not late
+        self._tries += 1
+        if not right:
+            if late or self._tries >= _CODE_TRIES:
+                self.begin()
+            return None
+        token = secrets.token_urlsafe(32)
+        self._tokens = [*self._tokens, _digest(token)][-_MOST_TOKENS:]
+        self.begin()
+        return token
+
+    def knows(self, token: str) -> bool:
+        """Whether a token is one of those made."""
+        digest = _digest(token)
+        return any(hmac.compare_digest(digest, one) for one in self._tokens)
+
+
+def _digest(token: str) -> bytes:
+    return hashlib.sha256(token.encode("utf-8", "replace")).digest()
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """Why a request is not answered.
+
+    Attributes:
+        status: HTTP status.
+        code, message, remedy: as in every error of the API.
+    """
+
+    status: int
+    code: str
+    message: str
+    remedy: str
+
+
+class Guard:
+    """ASGI middleware: refuses what is not allowed, and puts the security headers on every response.
+
+    Args:
+        app: the application behind it.
+        host: address it listens on.
+        port: port it listens on; 0 accepts any port, for tests of the application alone.
+        pairing: None on a loopback address, where no token is asked.
+    """
+
+    def __init__(self, app: ASGIApp, host: str, port: int, pairing: Pairing | None) -> None:
+        self._app = app
+        self._pairing = pairing
+        names = {*_LOOPBACK, host if ":" not in host else f"[{host}]"}
+        self._hosts = {f"{name}:{port}" for name in names}
+        if port == 80:
+            self._hosts |= names
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Check, then hand on."""
+        if scope["type"] not in ("http", "websocket"):
+            await self._app(scope, receive, send)
+            return
+        refusal = self._refusal(scope)
+        if refusal is None:
+            await self._app(scope, receive, _with_headers(send))
+        elif scope["type"] == "websocket":
+            await send({"type": "websocket.close", "code": 1008, "reason": refusal.code})
+        else:
+            error = {"code": refusal.code, "message": refusal.message, "remedy": refusal.remedy}
+            body = json.dumps({"error": error}).encode()
+            headers = [(b"content-type", b"application/json"), (b"content-length", str(len(body)).encode())]
+            # What is left of the body is not read: the connection ends with the answer.
+            start = {
+                "type": "http.response.start",
+                "status": refusal.status,
+                "headers": [*headers, (b"connection", b"close")],
+            }
+            answer = _with_headers(send)
+            await answer(start)
+            await answer({"type": "http.response.body", "body": body})
+
+    def _refusal(self, scope: Scope) -> Refusal | None:
+        headers: dict[str, list[str]] = {}
+        for name, value in scope["headers"]:
+            headers.setdefault(name.decode("latin-1").lower(), []).append(value.decode("latin-1"))
+        hosts = headers.get("host", [])
+        if len(hosts) != 1 or hosts[0].lower() not in self._hosts:
+            return Refusal(
+                421, "wrong_host", "this is not an address of the station", "Use the address it printed."
+            )
+        path: str = scope["path"]
+        socket = scope["type"] == "websocket"
+        page = not socket and path == "/" and scope["method"] == "GET"
+        origins = headers.get("origin", [])
+        own = headers.get(OWN_HEADER) == ["1"]
+        if any(origin.lower() != f"http://{hosts[0].lower()}" for origin in origins):
+            return Refusal(
+                403, "wrong_origin", "another page sent this request", "Open the station's own page."
+            )
+        site = headers.get("sec-fetch-site", ["none"])
+        if site not in (["same-origin"], ["none"]) and not page:
+            return Refusal(
+                403, "wrong_origin", "another page sent this request", "Open the station's own page."
+            )
+        if socket:
+            if not origins and not own:
+                return Refusal(
+                    403, "no_origin", "no page sent this request", f"Scripts send {OWN_HEADER}: 1."
+                )
+        elif refusal := _of_body(scope["method"], headers, own):
+            return refusal
+        if self._pairing is not None and path not in _OPEN_PATHS and not self._paired(headers):
+            return Refusal(
+                401,
+                "not_paired",
+                "this device is not paired",
+                "Enter the pairing code that the station printed.",
+            )
+        return None
+
+    def _paired(self, headers: dict[str, list[str]]) -> bool:
+        tokens = [value[7:] for value in headers.get("authorization", []) if value.startswith("Bearer ")]
+        for line in headers.get("cookie", []):
+            for part in line.split(";"):
+                name, _, value = part.strip().partition("=")
+                if name == COOKIE:
+                    tokens.append(value)
+        return any(self._pairing is not None and self._pairing.knows(token) for token in tokens[:4])
+
+
+def _of_body(method: str, headers: dict[str, list[str]], own: bool) -> Refusal | None:
+    """Why a request's method or body is refused."""
+    length = headers.get("content-length", ["0"])
+    if method not in ("GET", "HEAD", "POST"):
+        return Refusal(405, "method", f"{method[:20]} is not a method of the station", "Use GET or POST.")
+    if "transfer-encoding" in headers or len(length) != 1 or not length[0].isdecimal():
+        return Refusal(411, "length", "the length of the body is not known", "Send Content-Length.")
+    if len(length[0]) > 9 or int(length[0]) > (MOST_BODY_BYTES if method == "POST" else 0):
+        return Refusal(413, "too_large", "the body is too large", "The station takes no uploads.")
+    if method != "POST":
+        return None
+    if headers.get("content-type", [""])[0].partition(";")[0].strip().lower() != "application/json":
+        return Refusal(415, "not_json", "the body is not JSON", "Send Content-Type: application/json.")
+    if not own:
+        return Refusal(403, "no_header", f"the header {OWN_HEADER} is missing", f"Send {OWN_HEADER}: 1.")
+    return None
+
+
+def _with_headers(send: Send) -> Send:
+    """The same, with the security headers on every response."""
+
+    async def answer(message: Message) -> None:
+        if message["type"] == "http.response.start":
+            message = {**message, "headers": [*message.get("headers", ()), *_HEADERS]}
+        await send(message)
+
+    return answer
+
+
+def is_loopback(host: str) -> bool:
+    """Whether an address reaches this computer alone.
+
+    >>> is_loopback("127.0.0.1"), is_loopback("localhost"), is_loopback("0.0.0.0")
+    (True, True, False)
+
+    Raises UsageError for what is no address.
+    """
+    import ipaddress
+
+    if host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        raise UsageError(f"the address is {host[:100]!r}", "Give an IP address, e.g. 127.0.0.1.") from None

@@ -1,0 +1,159 @@
+"""Runs the station's application on a socket, with limits on what a client may hold open."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import uvicorn
+from uvicorn.protocols.http.h11_impl import H11Protocol
+from uvicorn.protocols.websockets.wsproto_impl import WSProtocol
+
+from tagid.errors import PortInUseError, UsageError
+from tagid.station.security import MOST_BODY_BYTES, Pairing
+from tagid.station.station import Station
+from tagid.station.web import build
+
+MAX_SOCKETS = 256
+"""Open connections, WebSockets included; more are closed at once."""
+HEADER_S = 10.0
+"""A connection that sends no whole request for so long is closed, s."""
+PING_S = 4.0
+"""A WebSocket is pinged so often, and lost when the answer takes as long, s."""
+_UNSENT_BYTES = 1 << 20
+"""Bytes that a client may leave unread before it is disconnected."""
+
+
+class StationHttp(H11Protocol):
+    """HTTP with a limit on connections and on the time that a request may take to arrive."""
+
+    def connection_made(self, transport: Any) -> None:
+        """Begin, unless there are too many."""
+        if len(self.connections) >= MAX_SOCKETS:
+            transport.abort()
+            return
+        super().connection_made(transport)
+        self.loop.call_later(HEADER_S, self._expire, None)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """End; a connection that was refused never began."""
+        if self.transport is not None:
+            super().connection_lost(exc)
+
+    def on_response_complete(self) -> None:
+        """Wait for the next request as long as for the first."""
+        super().on_response_complete()
+        self.loop.call_later(HEADER_S, self._expire, self.cycle)
+
+    def _expire(self, cycle: Any) -> None:
+        """Close where no whole request came after the one of a cycle."""
+        arriving = self.cycle is not None and self.cycle.more_body
+        if self in self.connections and (self.cycle is cycle or arriving):
+            self.transport.abort()
+
+
+class StationSocket(WSProtocol):
+    """WebSockets without compression, whose client is cut off where it does not read or answer."""
+
+    def keepalive_timeout(self) -> None:
+        """No answer to a ping: closing would wait for what the client does not read."""
+        self.transport.abort()
+
+    def handle_ping(self, event: Any) -> None:
+        """Answer, unless the client reads none of the answers."""
+        if self.transport.get_write_buffer_size() > _UNSENT_BYTES:
+            self.transport.abort()
+        else:
+            super().handle_ping(event)
+
+
+class Server:
+    """The server on a thread of its own; use it as a context manager.
+
+    Args:
+        station: what is served.
+        host, port: where to listen; port 0 takes a free one.
+        announce: shows a pairing code; None on a loopback address.
+
+    Attributes:
+        url: address of the page.
+
+    Raises:
+        PortInUseError: another program listens there. UsageError: the address is not of this computer.
+    """
+
+    def __init__(
+        self, station: Station, host: str, port: int, announce: Callable[[str], None] | None = None
+    ) -> None:
+        self._station = station
+        self._socket = _listen(host, port)
+        self.port: int = self._socket.getsockname()[1]
+        shown = f"[{host}]" if ":" in host else host
+        self.url = f"http://{shown}:{self.port}"
+        self._pairing = None if announce is None else Pairing(announce)
+        config = uvicorn.Config(
+            build(station, host, self.port, self._pairing),
+            http=StationHttp,
+            ws=StationSocket,
+            ws_max_size=MOST_BODY_BYTES,
+            ws_ping_interval=PING_S,
+            ws_ping_timeout=PING_S,
+            ws_per_message_deflate=False,
+            h11_max_incomplete_event_size=16_384,
+            timeout_keep_alive=5,
+            timeout_graceful_shutdown=2,
+            log_config=None,
+            log_level="critical",
+            access_log=False,
+            server_header=False,
+            proxy_headers=False,
+            lifespan="on",
+        )
+        self._server = uvicorn.Server(config)
+        self._thread = threading.Thread(target=self._serve, name="station-web", daemon=True)
+
+    def __enter__(self) -> Server:
+        self._thread.start()
+        if self._pairing is not None:
+            self._pairing.begin()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    @property
+    def running(self) -> bool:
+        """Whether it serves."""
+        return self._thread.is_alive()
+
+    def close(self) -> None:
+        """Stop scans, close all connections, and end the thread."""
+        self._station.close()
+        self._server.should_exit = True
+        if self._thread.ident is not None:
+            self._thread.join(10.0)
+        self._socket.close()
+
+    def _serve(self) -> None:
+        asyncio.run(self._server.serve([self._socket]))
+
+
+def _listen(host: str, port: int) -> socket.socket:
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    found = socket.socket(family, socket.SOCK_STREAM)
+    found.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        found.bind((host, port))
+        found.listen(128)
+    except OSError as error:
+        found.close()
+        if isinstance(error, socket.gaierror):
+            raise UsageError(f"{host} is no address", "Give an IP address, e.g. 127.0.0.1.") from error
+        raise PortInUseError(
+            f"cannot listen on {host}:{port}: {error.strerror}",
+            "End the other program, or choose another port with --bind HOST:PORT.",
+        ) from error
+    return found

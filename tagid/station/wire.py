@@ -1,0 +1,143 @@
+"""The station's values as JSON: states, answers, health, history. Pixels are levels in base64."""
+
+from __future__ import annotations
+
+import base64
+import json
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tagid.live.state import LiveState
+from tagid.pipeline.answer import Identification
+from tagid.report.colours import to_decibels, viridis
+from tagid.report.preview import resample
+from tagid.station.scans import ScanRun
+from tagid.station.station import Health, Station
+
+IMAGE_DB = 25.0
+SINOGRAM_DB = 30.0
+_SINOGRAM_ROWS, _SINOGRAM_COLUMNS = 120, 128
+
+Json = dict[str, Any]
+
+
+def status(station: Station) -> Json:
+    """What the station is doing, without pixels."""
+    run = station.scan
+    return {
+        "type": "status",
+        "demo": station.source.demo,
+        "operated": station.operators.taken,
+        "connections": station.operators.connected,
+        "scan": None if run is None else scan(run),
+        "health": health(station.health),
+    }
+
+
+def scan(run: ScanRun) -> Json:
+    """A scan and its result so far."""
+    state = run.state
+    return {
+        "number": run.number,
+        "running": run.running,
+        "moves": run.motion.moves,
+        "phase": state.phase.value,
+        "scans": state.scans,
+        "lost": state.lost,
+        "seconds": round(state.seconds, 2),
+        "turned_deg": None if state.turned_rad is None else round(math.degrees(state.turned_rad), 1),
+        "turn_share": state.turn_share,
+        "views": state.views,
+        "snr_db": None if state.snr_db is None else round(state.snr_db, 1),
+        "silent_s": round(run.silent_s, 1),
+        "note": state.note,
+        "remark": run.remark,
+        "evidence": [
+            {
+                "layout": one.layout,
+                "share": round(one.share, 4),
+                "needed_share": one.needed_share,
+                "nats": round(float(one.nats), 1),
+                "needed_nats": round(one.needed_nats, 1),
+                "enough": one.enough,
+            }
+            for one in sorted(state.evidence, key=lambda one: -one.share)
+        ],
+        "answer": None if state.answer is None else answer(state.answer),
+        "final": state.final,
+        "answer_after_last_scan_s": state.answer_after_s,
+    }
+
+
+def answer(found: Identification) -> Json:
+    """What the page and scripts need of an answer; `tagid identify` has all fields."""
+    values = found.to_dict()
+    names = ("status", "layout", "label", "score", "margin", "reason", "reason_code", "advice")
+    return {name: values[name] for name in (*names, "capture_uuid")}
+
+
+def pictures(state: LiveState) -> Json:
+    """Image and sinogram as levels 0..255, row by row from the top; null where there is none."""
+    image, sinogram = None, None
+    if state.image is not None:
+        pixels = _levels(np.abs(state.image.values[::-1]), IMAGE_DB)
+        image = {"side": len(pixels), "extent_m": state.image.grid.extent, "levels": _packed(pixels)}
+    if state.sinogram is not None:
+        rows = state.sinogram.rows.astype(np.float64)
+        shown = resample(rows, min(_SINOGRAM_ROWS, len(rows)), min(_SINOGRAM_COLUMNS, rows.shape[1]))
+        pixels = _levels(shown, SINOGRAM_DB)
+        sinogram = {
+            "rows": len(pixels),
+            "columns": pixels.shape[1],
+            "range_m": [round(value, 3) for value in state.sinogram.range_m],
+            "levels": _packed(pixels),
+        }
+    return {"image": image, "sinogram": sinogram}
+
+
+def frame(run: ScanRun) -> Json:
+    """A scan's state with its pictures, as the page gets it several times per second."""
+    return {"type": "frame", "scan": scan(run), **pictures(run.state)}
+
+
+def health(found: Health) -> Json:
+    """The last health check."""
+    return {
+        "checked": found.checked_at is not None,
+        "findings": [
+            {"topic": one.topic, "level": one.level, "text": one.text, "remedy": one.remedy}
+            for one in found.findings
+        ],
+    }
+
+
+def palette() -> str:
+    """(256, 3) uint8 colours of the levels, in base64."""
+    return base64.b64encode(viridis(256).tobytes()).decode()
+
+
+def to_text(value: Json) -> str:
+    """JSON text; numbers that are not finite become null."""
+    return json.dumps(_finite(value), allow_nan=False, separators=(",", ":"))
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def _levels(magnitude: NDArray[np.floating], depth_db: float) -> NDArray[np.uint8]:
+    decibels = to_decibels(magnitude, depth_db)
+    return np.asarray(np.rint((decibels / depth_db + 1) * 255), dtype=np.uint8)
+
+
+def _packed(levels: NDArray[np.uint8]) -> str:
+    return base64.b64encode(levels.tobytes()).decode()

@@ -1,0 +1,151 @@
+"""Volume files for other programs: NPZ, VTK image data (.vti) and a cloud of the bright voxels (.ply).
+
+VTK: "VTK XML file formats", appended raw data with a 64-bit length. PLY: Turk, "The PLY polygon file format"
+(1994), binary little-endian.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tagid.errors import UsageError
+from tagid.files import write_bytes
+
+CLOUD_DB = 20.0
+"""Voxels up to this far below the brightest are points of the cloud, if no neighbour along an axis is
+brighter."""
+
+
+class Square(Protocol):
+    """The part of a level's grid that is needed."""
+
+    @property
+    def axis(self) -> NDArray[np.float64]:
+        """(pixels,) centres along x and y, m."""
+        ...
+
+    @property
+    def step(self) -> float:
+        """Pixel pitch, m."""
+        ...
+
+
+class Grid(Protocol):
+    """The part of a volume's grid that is needed."""
+
+    @property
+    def square(self) -> Square:
+        """Grid of a level."""
+        ...
+
+    @property
+    def heights(self) -> NDArray[np.float64]:
+        """(levels,) centres along z, m."""
+        ...
+
+    @property
+    def rise(self) -> float:
+        """Height of a voxel, m."""
+        ...
+
+
+class GriddedVolume(Protocol):
+    """The part of a volume that is needed; `tagid.imaging.volume.Volume` is one."""
+
+    @property
+    def values(self) -> NDArray[np.complex64]:
+        """(z, y, x) reflectivity."""
+        ...
+
+    @property
+    def grid(self) -> Grid:
+        """The grid of the voxels."""
+        ...
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Method and parameters."""
+        ...
+
+
+def write_volume(path: Path, volume: GriddedVolume) -> None:
+    """Write a volume in the format that the name's ending says, atomically.
+
+    .npz: `volume` complex64 (z, y, x), `x_m`, `y_m`, `z_m`, `settings` (JSON). .vti: point data `magnitude`
+    and `phase`. .ply: points with `magnitude`.
+
+    Raises:
+        UsageError: another ending. StorageError, DiskFullError.
+    """
+    writers = {".npz": _npz, ".vti": _vti, ".ply": _ply}
+    if path.suffix not in writers:
+        raise UsageError(f"{path} is no name of a volume", f"End it in {', '.join(writers)}.")
+    write_bytes(path, writers[path.suffix](volume))
+
+
+def _npz(volume: GriddedVolume) -> bytes:
+    buffer = io.BytesIO()
+    axis = volume.grid.square.axis
+    np.savez_compressed(
+        buffer,
+        volume=volume.values.astype(np.complex64),
+        x_m=axis,
+        y_m=axis,
+        z_m=volume.grid.heights,
+        settings=np.array(json.dumps(volume.settings, default=str)),
+    )
+    return buffer.getvalue()
+
+
+def _vti(volume: GriddedVolume) -> bytes:
+    levels, rows, columns = volume.values.shape
+    extent = f"0 {columns - 1} 0 {rows - 1} 0 {levels - 1}"
+    axis, step = volume.grid.square.axis, volume.grid.square.step
+    origin = " ".join(repr(float(first)) for first in (axis[0], axis[0], volume.grid.heights[0]))
+    arrays = {
+        "magnitude": np.abs(volume.values).astype("<f4"),
+        "phase": np.angle(volume.values).astype("<f4"),
+    }
+    parts, offset, lines = [], 0, []
+    for name, values in arrays.items():
+        lines.append(f'<DataArray type="Float32" Name="{name}" format="appended" offset="{offset}"/>')
+        data = np.uint64(values.nbytes).astype("<u8").tobytes() + values.tobytes()
+        parts.append(data)
+        offset += len(data)
+    head = (
+        '<?xml version="1.0"?>\n'
+        '<VTKFile type="ImageData" version="1.0" byte_order="LittleEndian" header_type="UInt64">\n'
+        f'<ImageData WholeExtent="{extent}" Origin="{origin}" '
+        f'Spacing="{float(step)!r} {float(step)!r} {float(volume.grid.rise)!r}">\n'
+        f'<Piece Extent="{extent}">\n<PointData Scalars="magnitude">\n'
+        + "\n".join(lines)
+        + "\n</PointData>\n"
+        '<CellData/>\n</Piece>\n</ImageData>\n<AppendedData encoding="raw">\n_'
+    )
+    return head.encode("ascii") + b"".join(parts) + b"\n</AppendedData>\n</VTKFile>\n"
+
+
+def _ply(volume: GriddedVolume) -> bytes:
+    magnitude = np.abs(volume.values)
+    bright = magnitude >= magnitude.max(initial=0.0) * 10 ** (-CLOUD_DB / 20)
+    bright &= magnitude > 0
+    for axis in range(3):
+        padded = np.pad(magnitude, [(1, 1) if i == axis else (0, 0) for i in range(3)])
+        before, after = (
+            np.take(padded, range(start, start + magnitude.shape[axis]), axis) for start in (0, 2)
+        )
+        bright &= (magnitude >= before) & (magnitude >= after)
+    z, y, x = np.nonzero(bright)
+    axis_m = volume.grid.square.axis
+    points = np.zeros(len(x), dtype=[(name, "<f4") for name in ("x", "y", "z", "magnitude")])
+    points["x"], points["y"], points["z"] = axis_m[x], axis_m[y], volume.grid.heights[z]
+    points["magnitude"] = magnitude[bright]
+    properties = "".join(f"property float {name}\n" for name in points.dtype.names or ())
+    head = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(points)}\n{properties}end_header\n"
+    return head.encode("ascii") + points.tobytes()

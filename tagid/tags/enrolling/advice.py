@@ -1,0 +1,84 @@
+"""What to ask of `tagid layouts design` instead, where a set cannot be made or would not be enrolled.
+
+Every suggestion was designed and checked as enrolling would check it, so following it works.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+from tagid.errors import LayoutConflictError, UsageError
+from tagid.tags.enrolling.enrolment import check_merge, family_outlooks
+from tagid.tags.layouts.design import MAX_SLOTS, DesignRules, Family, design
+from tagid.tags.layouts.layout import MAX_REFLECTORS, Layout
+from tagid.tags.layouts.objects import TaggedObject
+
+_MORE_SLOTS = (16, 18, 20, 24)
+_MOST = 2
+"""Suggestions that are enough; the search ends there."""
+
+
+def refusal(
+    family: Family, enrolled: Sequence[Layout], *, direction_known: bool
+) -> LayoutConflictError | None:
+    """Why enrolling a designed set would be refused; None where it would not."""
+    try:
+        check_merge(family_outlooks(family.layouts, enrolled, direction_known=direction_known), enrolled)
+    except LayoutConflictError as error:
+        return error
+    return None
+
+
+def alternatives(
+    target: TaggedObject,
+    rows: int,
+    rules: DesignRules,
+    count: int,
+    enrolled: Sequence[Layout] = (),
+) -> list[str]:
+    """Options that lead to a set which can be enrolled, e.g. "--rows 2" or "--count 4"; at most two.
+
+    Args:
+        target: the object with all its rows.
+        rows: number of them that were asked for.
+        rules, count: as asked for.
+        enrolled: layouts beside which the set is to stand.
+    """
+    found: list[str] = []
+    for words, used, tried, number in _variations(target, rows, rules, count):
+        if len(found) == _MOST:
+            break
+        if works(target.with_rows(used), tried, number, enrolled):
+            found.append(words)
+    return found
+
+
+def _variations(
+    target: TaggedObject, rows: int, rules: DesignRules, count: int
+) -> Iterator[tuple[str, int, DesignRules, int]]:
+    """(options, rows, rules, count) to try: what keeps the number of layouts first."""
+    for more in range(rows + 1, len(target.rows) + 1):
+        yield f"--rows {more}", more, rules, count
+    for slots in _MORE_SLOTS:
+        if rules.slots < slots <= MAX_SLOTS:
+            yield f"--slots {slots}", rows, replace(rules, slots=slots), count
+    for reflectors in (rules.reflectors + 1, rules.reflectors - 1):
+        if 2 <= reflectors <= min(MAX_REFLECTORS, rules.slots):
+            yield f"--reflectors {reflectors}", rows, replace(rules, reflectors=reflectors), count
+    for spacing in (0.06, 0.05, 0.04):
+        if spacing < rules.spacing_m:
+            yield f"--spacing {spacing:g}", rows, replace(rules, spacing_m=spacing), count
+    for fewer in range(count - 1, max(0, count - 12), -1):
+        yield f"--count {fewer}", rows, rules, fewer
+        if fewer == count // 2:
+            break
+
+
+def works(target: TaggedObject, rules: DesignRules, count: int, enrolled: Sequence[Layout]) -> bool:
+    """Whether a set can be designed, and enrolled beside the layouts that are."""
+    try:
+        family = design(target, rules, count, None, enrolled)
+    except UsageError:
+        return False
+    return refusal(family, enrolled, direction_known=rules.mirror_counts) is None

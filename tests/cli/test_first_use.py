@@ -1,0 +1,219 @@
+"""What a first-time user does and mistakes: each answer names the cause and what works.
+
+The commands run in this process, which costs a tenth of a process each.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import re
+import sqlite3
+import subprocess
+import sys
+from collections.abc import Callable
+from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tagid.cli.app import app
+from tagid.cli.common.frame import serve
+from tagid.storage.importers import read_any
+
+POINTS = ("--point", "0.1,0", "--point", "-0.05,0.03", "--point", "0.02,-0.09")
+
+
+@dataclass
+class Done:
+    code: int
+    out: str
+    err: str
+
+    @property
+    def json(self) -> dict[str, Any]:
+        return json.loads(self.out)
+
+
+@pytest.fixture
+def here(tmp_path: Path, home: dict[str, str], monkeypatch: pytest.MonkeyPatch) -> Callable[..., Done]:
+    for name, value in home.items():
+        monkeypatch.setenv(name, value)
+    monkeypatch.chdir(tmp_path)
+
+    def run(*words: object, **environment: str) -> Done:
+        out, err = io.StringIO(), io.StringIO()
+        with monkeypatch.context() as patched, redirect_stdout(out), redirect_stderr(err):
+            for name, value in environment.items():
+                patched.setenv(name, value)
+            patched.setattr(sys, "argv", ["tagid", *map(str, words)])
+            code = serve(app)
+        return Done(code, out.getvalue(), err.getvalue())
+
+    return run
+
+
+def test_a_set_that_cannot_be_enrolled_comes_with_options_that_work(
+    here: Callable[..., Done], tmp_path: Path
+) -> None:
+    words = ("layouts", "design", "--object", "mug", "--output", "json")
+    six = here(*words, "--count", 6, "--out", "six.toml").json["data"]
+    assert not six["can_be_enrolled"] and here("layouts", "import", "six.toml").code == 1
+    options = re.findall(r"--\w+ \d+(?:\.\d+)?", six["advice"])
+    assert len(options) == 2
+    for number, option in enumerate(options):
+        data = str(tmp_path / f"data{number}")
+        out = f"{number}.toml"
+        again = here(*words, "--count", 6, *option.split(), "--out", out, TAGID_DATA=data).json["data"]
+        assert again["can_be_enrolled"] and here("layouts", "import", out, TAGID_DATA=data).code == 0
+        # Sets that differ bear other names, so one can be imported beside the other.
+        names = {one["name"] for one in again["layouts"]}
+        assert not names & {one["name"] for one in six["layouts"]}
+    narrow = here(*words, "--count", 2, "--spacing", 0.07)
+    assert narrow.code == 2 and "--spacing 0.06" in narrow.json["errors"][0]["remedy"]
+
+
+def test_undo_says_what_it_undid_and_redo_takes_it_back(here: Callable[..., Done], tmp_path: Path) -> None:
+    assert here("enroll", "mine", *POINTS).code == 0
+    undone = here("layouts", "undo")
+    assert "undone: " in undone.out and "removed mine" in undone.out
+    assert "added mine" in here("layouts", "redo").out
+    nothing = here("layouts", "redo")
+    assert nothing.code == 1 and "nothing to redo" in nothing.err
+    assert here("layouts", "export", "all.toml").code == 0
+    before = (tmp_path / "all.toml").read_bytes()
+    refused = here("layouts", "export", "all.toml", "mine")
+    assert refused.code == 1 and "--force" in refused.err and (tmp_path / "all.toml").read_bytes() == before
+    assert here("layouts", "export", "all.toml", "mine", "--force").code == 0
+
+
+def test_an_own_layout_is_simulated_emulated_and_its_truth_kept(
+    here: Callable[..., Done], home: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert here("enroll", "mine", *POINTS).code == 0
+    where = ("--rotation", 30, "--centre", "0.004,-0.002", "--wobble", 0.01)
+    assert here("simulate", "mine", *where, "--views", 36, "--out", "mine.tagid.h5").code == 0
+    design = ("layouts", "design", "--object", "helmet", "--count", 2, "--out", "two.toml")
+    made = here(*design, "--output", "json")
+    name = made.json["data"]["layouts"][1]["name"]
+    assert here("simulate", name, "--file", "two.toml", "--views", 12, "--out", "two.tagid.h5").code == 0
+    unnamed = here("simulate", "--file", "two.toml", "--out", "three.tagid.h5")
+    assert unnamed.code == 2 and name in unnamed.err
+    truth = ("--truth", "truth.json")
+    process = subprocess.Popen(
+        [sys.executable, "-m", "tagid", "emulate", "p440", "--bind", "127.0.0.1:0", "--scene", "mine",
+         "--rpm", "20", "--rate", "0", *map(str, (*where, *truth))],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=home, cwd=tmp_path,
+    )  # fmt: skip
+    try:
+        assert process.stdout is not None
+        # The URL stands alone on its line, to be copied.
+        url = process.stdout.readline().strip()
+        assert re.fullmatch(r"udp://127\.0\.0\.1:\d+", url)
+        # Fewer scans per turn are enough here.
+        monkeypatch.setenv("TAGID_RADAR_INTEGRATION", "14")
+        scan = ("scan", "--radar", url, "--axis-distance", 1, "--motion", "free?rpm=20", "--method", "bp")
+        ran = here(*scan, *truth, "--note", "second", "--output", "json")
+    finally:
+        process.terminate()
+        said = process.communicate(timeout=10)[1]
+    assert f"tagid scan --radar {url}" in said
+    (item,) = ran.json["data"]["items"]
+    assert (item["status"], item["layout"]) == ("identified", "mine")
+    about = read_any(tmp_path / ran.json["data"]["files"]["capture"]).object
+    assert about.note == "second" and about.layout == "mine" and about.truth is not None
+    assert about.truth.rotation_deg == pytest.approx(30) and about.truth.wobble_speed == 0.01
+    assert about.truth.centre_m == (0.004, -0.002)
+    simulated = read_any(tmp_path / "mine.tagid.h5").object.truth
+    assert simulated is not None and simulated.centre_m == about.truth.centre_m
+
+
+def test_an_unknown_answer_names_the_nearest_layout_and_the_axis_distance_that_is_meant(
+    here: Callable[..., Done],
+) -> None:
+    words = ("--views", 24, "--axis-distance", 1.0, "--axis-error", 0.1, "--seed", 2)
+    assert here("simulate", "container-180", *words, "--out", "far.tagid.h5").code == 0
+    ran = here("identify", "far.tagid.h5")
+    assert ran.code == 3 and "nearest layout: container-180" in ran.out
+    assert "likely cause: with an axis distance of 1.00 m instead of 1.1 m" in ran.out
+    # What is advised works.
+    option = re.search(r"--axis-distance \d+\.\d+", ran.out)
+    assert option is not None
+    again = here("identify", "far.tagid.h5", *option[0].split(), "--output", "json")
+    (item,) = again.json["data"]["items"]
+    assert item["layout"] == item["nearest"]["layout"] == "container-180" and item["causes"] == []
+
+
+def test_centimetres_are_not_taken_for_metres(here: Callable[..., Done], tmp_path: Path) -> None:
+    for words in (
+        ("config", "set", "motion.axis_distance_m", 100),
+        ("identify", "x", "--axis-distance", 100),
+    ):
+        ran = here(*words)
+        assert ran.code == 2 and "100 m? Give metres" in ran.err
+    assert not (tmp_path / "home" / "config.toml").exists()
+
+
+def test_help_and_lists_can_be_read_and_copied(here: Callable[..., Done]) -> None:
+    assert "<bool>" not in here("scan", "--help").out
+    narrow = here("config", COLUMNS="80").out
+    assert "motion.antenna_height_m" in narrow and "radar.cable_delay_sigma_ps" in narrow
+    assert "…" not in narrow
+
+
+def test_serial_ports_are_listed_without_bluetooth(here: Callable[..., Done]) -> None:
+    from serial.tools import list_ports
+
+    ran = here("motion", "find", "--seconds", 0.1, "--output", "json")
+    listed = {one["where"] for one in ran.json["data"]["devices"]}
+    assert {port.device for port in list_ports.comports()} <= listed
+    if listed:
+        assert ran.code == 0
+
+
+def test_watch_makes_its_folder(here: Callable[..., Done], tmp_path: Path) -> None:
+    assert here("report", "--watch", "in/box", "--idle-stop", 0.2, "--out", "r", "--jobs", 1).code == 0
+    assert (tmp_path / "in" / "box").is_dir()
+    (tmp_path / "file").write_text("")
+    taken = here("report", "--watch", "file", "--idle-stop", 0.2, "--out", "r2")
+    assert taken.code == 2 and "is not a folder" in taken.err
+
+
+@pytest.mark.parametrize("group", ["", "layouts"])
+def test_the_list_of_commands_is_what_the_commands_say(group: str) -> None:
+    """They are imported when called; their first sentences are kept apart so that help need not."""
+    import typer.main
+
+    from tagid.cli.app import COMMANDS
+    from tagid.cli.layouts.app import COMMANDS as LAYOUTS
+
+    root = typer.main.get_group(app)
+    parent, table = (root, COMMANDS) if not group else (root.get_command(None, group), LAYOUTS)
+    assert parent.list_commands(None) == list(table)
+    for name, entry in table.items():
+        command = parent.get_command(None, name)
+        text = (command.short_help or command.help or "").split("\n\n")[0].replace("\n", " ")
+        assert entry.help == text, name
+
+
+def test_layouts_are_listed_as_the_registry_holds_them(here: Callable[..., Done], tmp_path: Path) -> None:
+    from tagid.tags.enrolling import listing, registry
+
+    assert (
+        registry.APPLICATION_ID,
+        len(registry._MIGRATIONS),
+    ) == (listing._APPLICATION_ID, listing._SCHEMA_VERSION)
+    assert here("enroll", "mine", *POINTS).code == 0
+    listed = here("layouts", "--output", "json").json["data"]
+    kept = registry.Registry(tmp_path / "home" / "registry.sqlite")
+    assert listed["layouts"] == [layout.to_dict() for layout in kept.layouts()]
+    assert listed["registry_version"] == kept.version
+    with sqlite3.connect(kept.path) as connection:
+        connection.execute(
+            "UPDATE layout SET definition = replace(definition, '0.09', '9') WHERE name = 'mine'"
+        )
+    connection.close()
+    damaged = here("layouts")
+    assert damaged.code == 1 and "damaged definition of 'mine'" in damaged.err

@@ -1,0 +1,154 @@
+"""Runs `tagid` commands in processes of their own without their imports.
+
+Imports are nine tenths of the second that a short command takes, and the tests run hundreds of commands. A
+server that has imported tagid forks for each one; the child takes the folder, environment and files that
+it is given and runs `python -m tagid` as a fresh interpreter does. Tests of the start itself, of late
+imports and of signals start an interpreter.
+
+The server is this file as a script: it takes connections on the Unix socket whose descriptor is its argument,
+and ends with its standard input.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import runpy
+import selectors
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+from contextlib import suppress
+from importlib import import_module
+from pathlib import Path
+
+IMPORTS = (
+    "tagid.cli.app", "tagid.pipeline.identify", "tagid.pipeline.load", "tagid.pipeline.reconstruct",
+    "tagid.simulate", "tagid.storage.hdf5", "tagid.storage.importers", "tagid.tags.matching.matcher",
+    "PIL.Image", "pydantic", "rich.console", "rich.progress", "rich.table", "sqlite3",
+)  # fmt: skip
+"""What most commands import. None of it starts a thread, or reads what a test changes in the environment."""
+
+
+class CommandServer:
+    """Client side; use as a context manager around the tests of one process."""
+
+    def __init__(self, folder: Path, environment: dict[str, str]) -> None:
+        self._address = str(folder / "socket")
+        self._environment = environment
+        self._process: subprocess.Popen[bytes] | None = None
+
+    def __enter__(self) -> CommandServer:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        if self._process is not None:
+            assert self._process.stdin is not None
+            self._process.stdin.close()
+            self._process.wait()
+
+    def run(
+        self, words: list[str], folder: Path, environment: dict[str, str], limit_s: float
+    ) -> subprocess.CompletedProcess[str]:
+        """`python -m tagid WORDS` in a folder, with this environment and its output captured.
+
+        Raises:
+            subprocess.TimeoutExpired: it took longer than `limit_s`, and was killed.
+        """
+        self._start()
+        request = {"words": words, "folder": str(folder), "environment": environment}
+        with (
+            socket.socket(socket.AF_UNIX) as connection,
+            tempfile.TemporaryFile() as out,
+            tempfile.TemporaryFile() as err,
+        ):
+            connection.settimeout(limit_s)
+            connection.connect(self._address)
+            socket.send_fds(connection, [b"\n"], [out.fileno(), err.fileno()])
+            connection.sendall(json.dumps(request).encode())
+            connection.shutdown(socket.SHUT_WR)
+            answer = connection.makefile("r")
+            child = int(answer.readline())
+            try:
+                code = int(answer.readline())
+            except TimeoutError:
+                os.kill(child, signal.SIGKILL)
+                raise subprocess.TimeoutExpired(words, limit_s) from None
+            texts = []
+            for file in (out, err):
+                file.seek(0)
+                texts.append(file.read().decode().replace("\r\n", "\n"))
+        return subprocess.CompletedProcess(words, code, *texts)
+
+    def _start(self) -> None:
+        if self._process is not None:
+            return
+        with socket.socket(socket.AF_UNIX) as listening:
+            listening.bind(self._address)
+            listening.listen(8)
+            self._process = subprocess.Popen(
+                [sys.executable, __file__, str(listening.fileno())],
+                stdin=subprocess.PIPE,
+                env=self._environment,
+                pass_fds=[listening.fileno()],
+            )
+
+
+def _serve(listening: socket.socket) -> list[str]:
+    """Handle connections for ever; returns the words of a command in each process that is to run one."""
+    with selectors.DefaultSelector() as ready:
+        ready.register(listening, selectors.EVENT_READ)
+        ready.register(0, selectors.EVENT_READ)
+        while True:
+            if any(key.fd == 0 for key, _ in ready.select()):
+                sys.exit()
+            connection, _ = listening.accept()
+            # A process between the two waits for the command; nobody waits for it.
+            between = os.fork()
+            if between == 0:
+                break
+            connection.close()
+            os.waitpid(between, 0)
+    if os.fork():
+        os._exit(0)
+    listening.close()
+    return _handle(connection)
+
+
+def _handle(connection: socket.socket) -> list[str]:
+    _, descriptors, _, _ = socket.recv_fds(connection, 1, 2)
+    with connection.makefile("r") as stream:
+        request = json.load(stream)
+    child = os.fork()
+    if child:
+        connection.sendall(f"{child}\n".encode())
+        status = os.waitpid(child, 0)[1]
+        connection.sendall(f"{os.waitstatus_to_exitcode(status)}\n".encode())
+        os._exit(0)
+    connection.close()
+    silent = os.open(os.devnull, os.O_RDONLY)
+    for source, target in zip((silent, *descriptors), (0, 1, 2), strict=True):
+        os.dup2(source, target)
+        os.close(source)
+    os.chdir(request["folder"])
+    os.environ.clear()
+    os.environ.update(request["environment"])
+    return [str(word) for word in request["words"]]
+
+
+def main() -> None:
+    listening = socket.socket(fileno=int(sys.argv[1]))
+    for name in IMPORTS:
+        with suppress(ImportError):  # those of other packages are theirs to change
+            import_module(name)
+    words = _serve(listening)
+    # As `python -m tagid` has it: the current folder, not this file's, is where modules are found first.
+    sys.path[0] = ""
+    sys.argv = ["tagid", *words]
+    runpy.run_module("tagid", run_name="__main__", alter_sys=True)
+
+
+if __name__ == "__main__":
+    main()

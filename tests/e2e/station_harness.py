@@ -1,0 +1,205 @@
+"""A station on a real socket with a radar in memory, and a WebSocket client that can misbehave."""
+
+from __future__ import annotations
+
+import base64
+import json
+import os
+import socket
+import struct
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from http.client import HTTPConnection
+from pathlib import Path
+from typing import Any, ClassVar
+
+from tagid.config import load_config
+from tagid.doctor import Finding
+from tagid.pipeline.load import LoadSettings
+from tagid.pipeline.settings import ImagingSettings
+from tagid.radar.settings import RadarConfig
+from tagid.recording.plan import RecordingPlan, plan_window
+from tagid.station.setup import ScanSetup, Source
+
+FAST = "emulator://helmet-120?rpm=20&seed=2"
+"""As fast as the scans are taken: a turn within a second."""
+ENDLESS = "emulator://helmet-120?rpm=0.5&seed=2&rate=1"
+"""In real time, two minutes and a half for a turn and its overlap: it is stopped long before."""
+WAIT_S = 60.0
+
+
+def source(folder: Path, radar: str = FAST) -> Source:
+    """Scans of an emulated helmet into a folder."""
+    motion = "free?rpm=20" if radar == FAST else "free?rpm=0.5"
+    config = plan_window(1.0, 0.5, 0.0, RadarConfig(base_integration_index=15))
+    imaging = ImagingSettings(method="bp", pixels=64)
+
+    def setup(note: str) -> ScanSetup:
+        plan = RecordingPlan(config, 1.0, motion=motion, renumber=True)
+        return ScanSetup(radar, 2.0, motion, plan, folder, LoadSettings(as_recorded=True), imaging)
+
+    return Source(load_config, setup)
+
+
+def healthy(config: object) -> list[Finding]:
+    return [Finding("radar", "problem", "no answer <b>", "Check the cable.")]
+
+
+def wait(condition: Callable[[], Any], seconds: float = WAIT_S) -> Any:
+    """The first true value; generous, for a machine that is busy."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        if found := condition():
+            return found
+        time.sleep(0.1)
+    raise AssertionError("it did not happen")
+
+
+@dataclass
+class Answer:
+    status: int
+    headers: dict[str, str]
+    content: bytes
+
+    @property
+    def text(self) -> str:
+        return self.content.decode()
+
+    def json(self) -> Any:
+        return json.loads(self.content)
+
+
+class Asks:
+    """Requests to a station, each over a connection of its own."""
+
+    def __init__(self, url: str, headers: dict[str, str]) -> None:
+        self._host, self._headers = url.removeprefix("http://"), headers
+
+    def get(self, path: str) -> Answer:
+        return self._ask("GET", path, None, {})
+
+    def post(self, path: str, **values: Any) -> Answer:
+        body = json.dumps(values).encode()
+        return self._ask("POST", path, body, {"content-type": "application/json"})
+
+    def _ask(self, method: str, path: str, body: bytes | None, headers: dict[str, str]) -> Answer:
+        connection = HTTPConnection(self._host, timeout=WAIT_S)
+        try:
+            connection.request(method, path, body, {**headers, **self._headers})
+            found = connection.getresponse()
+            return Answer(found.status, {k.lower(): v for k, v in found.getheaders()}, found.read())
+        finally:
+            connection.close()
+
+
+class Raw:
+    """A WebSocket client of a few lines over a plain socket, which can misbehave."""
+
+    opened: ClassVar[list[Raw]] = []
+
+    def __init__(
+        self, port: int, headers: dict[str, str] | None = None, receive_bytes: int | None = None
+    ) -> None:
+        self.socket = socket.socket()
+        self.opened.append(self)
+        if receive_bytes:
+            self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, receive_bytes)
+        self.socket.settimeout(WAIT_S)
+        self.socket.connect(("127.0.0.1", port))
+        words = {
+            "Host": f"127.0.0.1:{port}",
+            "Upgrade": "websocket",
+            "Connection": "Upgrade",
+            "Sec-WebSocket-Version": "13",
+            "Sec-WebSocket-Key": base64.b64encode(os.urandom(16)).decode(),
+            "Origin": f"http://127.0.0.1:{port}",
+            **(headers or {}),
+        }
+        lines = [f"{name}: {value}" for name, value in words.items() if value]
+        self.socket.sendall(("GET /api/v1/live HTTP/1.1\r\n" + "\r\n".join(lines) + "\r\n\r\n").encode())
+        self.buffer = b""
+        while b"\r\n\r\n" not in self.buffer:
+            part = self.socket.recv(4096)
+            if not part:
+                break
+            self.buffer += part
+        head, _, self.buffer = self.buffer.partition(b"\r\n\r\n")
+        self.status = int(head.split()[1]) if head else 0
+
+    def frame(self, payload: bytes, opcode: int = 1, masked: bool = True) -> None:
+        """Send one frame."""
+        size = len(payload)
+        bit = 0x80 if masked else 0
+        head = bytes([0x80 | opcode])
+        head += (
+            bytes([bit | size])
+            if size < 126
+            else bytes([bit | 126]) + struct.pack("!H", size)
+            if size < 1 << 16
+            else bytes([bit | 127]) + struct.pack("!Q", size)
+        )
+        mask = os.urandom(4) if masked else b""
+        body = bytes(b ^ mask[i % 4] for i, b in enumerate(payload)) if masked else payload
+        self.socket.sendall(head + mask + body)
+
+    def say(self, **message: Any) -> None:
+        """Send a JSON message."""
+        self.frame(json.dumps(message).encode())
+
+    def read(self) -> tuple[int, bytes]:
+        """(opcode, payload) of the next frame; (8, b"") where the connection ended."""
+        need = self._take(2)
+        if need is None:
+            return 8, b""
+        opcode, size = need[0] & 15, need[1] & 127
+        if size in (126, 127):
+            more = self._take(2 if size == 126 else 8) or b"\0\0"
+            size = int.from_bytes(more, "big")
+        return opcode, self._take(size) or b""
+
+    def _take(self, count: int) -> bytes | None:
+        while len(self.buffer) < count:
+            try:
+                part = self.socket.recv(65536)
+            except OSError:
+                return None
+            if not part:
+                return None
+            self.buffer += part
+        found, self.buffer = self.buffer[:count], self.buffer[count:]
+        return found
+
+    def until(self, kind: str, test: Callable[[dict[str, Any]], Any] = bool) -> dict[str, Any]:
+        """The next message of a type that passes a test; pings are answered."""
+        while True:
+            opcode, payload = self.read()
+            if opcode == 8:
+                raise AssertionError(f"closed before {kind}")
+            if opcode == 9:
+                self.frame(payload, 10)
+            elif opcode == 1:
+                message = json.loads(payload)
+                if message["type"] == kind and test(message):
+                    return message
+
+    def closed(self) -> int:
+        """The code with which the station closes; 1006 where it just ended."""
+        while True:
+            opcode, payload = self.read()
+            if opcode == 8:
+                return int.from_bytes(payload[:2], "big") if len(payload) >= 2 else 1006
+
+    def close(self) -> None:
+        """End without a word, as a tablet that loses its network."""
+        with suppress(OSError):
+            self.socket.close()
+
+
+def joined(port: int, key: str | None = None, **headers: str) -> tuple[Raw, str]:
+    """A connection that said hello, and its key."""
+    client = Raw(port, headers)
+    assert client.status == 101
+    client.say(type="hello", key=key)
+    return client, client.until("hello")["key"]

@@ -1,0 +1,462 @@
+"""The station over real sockets: the main road, what an attacker would try, and what goes wrong."""
+
+from __future__ import annotations
+
+import json
+import resource
+import signal
+import socket
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("starlette")
+from station_harness import ENDLESS, FAST, Asks, Raw, healthy, joined, source, wait
+
+from tagid.motion.device import MotionStoppedError
+from tagid.motion.turntable import FreeTurntable
+from tagid.station import operators, scans, server, web
+from tagid.station.openapi import document
+from tagid.station.security import COOKIE
+from tagid.station.server import Server
+from tagid.station.station import Station
+from tagid.storage.importers import read_any
+
+OWN = {"tagid-station": "1"}
+
+
+@pytest.fixture(autouse=True)
+def close_all() -> Iterator[None]:
+    yield
+    while Raw.opened:
+        Raw.opened.pop().close()
+
+
+@pytest.fixture
+def serve(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., Server]]:
+    """Starts stations; afterwards none of their threads may be left."""
+    monkeypatch.setenv("TAGID_DATA", str(tmp_path / "data"))
+    monkeypatch.setenv("TAGID_CONFIG", str(tmp_path / "c.toml"))
+    monkeypatch.setattr(web, "PAIR_PAUSE_S", 0.0)
+    monkeypatch.setattr(server, "PING_S", 120.0)  # the clients here answer a ping when they next read
+    (tmp_path / "out").mkdir()
+    open_ones: list[Server] = []
+    before = set(threading.enumerate())
+
+    def start(radar: str = FAST, announce: Callable[[str], None] | None = None) -> Server:
+        station = Station(source(tmp_path / "out", radar), healthy)
+        one = Server(station, "127.0.0.1", 0, announce)
+        one.__enter__()
+        open_ones.append(one)
+        wait(lambda: asks(one).get("/").status == 200)
+        return one
+
+    yield start
+    for one in open_ones:
+        one.close()
+    left = {t for t in set(threading.enumerate()) - before if t.name.startswith(("station-", "live-"))}
+    assert left == set()
+
+
+def asks(one: Server, **headers: str) -> Asks:
+    return Asks(one.url, headers)
+
+
+def ended(one: Server) -> dict[str, Any]:
+    """The newest scan when it has ended."""
+    client = asks(one)
+    return wait(lambda: (s := client.get("/api/v1/scan").json()) and not s.get("running", True) and s)
+
+
+def test_a_script_starts_follows_and_reads_a_scan(serve, tmp_path: Path) -> None:
+    one = serve()
+    client = asks(one, **OWN)
+    assert client.get("/api/v1/scan").status == 404
+    assert client.post("/api/v1/scan", note="gate 4").json() == {"number": 1}
+    scan = ended(one)
+    assert scan["phase"] == "done" and scan["final"] and scan["remark"] == ""
+    assert (scan["answer"]["status"], scan["answer"]["layout"]) == ("identified", "helmet-120")
+    (entry,) = client.get("/api/v1/history?layout=helmet-120").json()["items"]
+    assert entry["command"] == "station" and Path(entry["file"]).exists()
+    assert client.get(f"/api/v1/history/{entry['id']}/picture").content.startswith(b"\x89PNG")
+    assert client.get("/api/v1/history?status=failed").json()["items"] == []
+    rows = client.get("/api/v1/history.csv").text.splitlines()
+    assert len(rows) == 2 and "helmet-120" in rows[1]
+    # The document describes what is really answered.
+    schemas = document()["components"]["schemas"]
+    assert sorted(scan) == schemas["Scan"]["required"]
+    assert sorted(scan["answer"]) == schemas["Answer"]["required"]
+    assert sorted(client.get("/api/v1/status").json()) == schemas["Status"]["required"]
+    assert sorted(entry) == schemas["History"]["properties"]["items"]["items"]["required"]
+    assert client.get("/api/v1/openapi.json").json() == json.loads(json.dumps(document()))
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "headers", "body", "status"),
+    [
+        ("GET", "/", {"host": "evil.example:80"}, None, 421),
+        ("GET", "/", {"host": ""}, None, 421),
+        ("GET", "/api/v1/status", {"origin": "http://evil.example"}, None, 403),
+        ("GET", "/api/v1/status", {"origin": "null"}, None, 403),
+        ("GET", "/api/v1/status", {"sec-fetch-site": "cross-site"}, None, 403),
+        ("GET", "/api/v1/status", {"sec-fetch-site": "same-site"}, None, 403),
+        ("GET", "/", {"sec-fetch-site": "cross-site"}, None, 200),
+        ("POST", "/api/v1/scan", {}, b"{}", 415),
+        ("POST", "/api/v1/scan", {"content-type": "application/json"}, b"{}", 403),
+        ("POST", "/api/v1/scan", {"content-type": "text/plain", **OWN}, b"{}", 415),
+        ("POST", "/api/v1/scan", {"content-type": "multipart/form-data; boundary=x", **OWN}, b"--x--", 415),
+        ("POST", "/api/v1/scan", {"content-type": "application/json", **OWN}, b"[" * 4000, 400),
+        ("POST", "/api/v1/scan", {"content-type": "application/json", **OWN}, b"[1]", 400),
+        ("POST", "/api/v1/scan", {"content-type": "application/json", **OWN}, b'{"note": 1}', 400),
+        ("POST", "/api/v1/scan", {"content-type": "application/json", **OWN}, b" " * 5000, 413),
+        ("POST", "/api/v1/pair", {"content-type": "application/json", **OWN}, b'{"code": "1"}', 400),
+        ("PUT", "/api/v1/scan", OWN, b"x", 405),
+        ("DELETE", "/api/v1/history/1/picture", OWN, None, 405),
+        ("OPTIONS", "/api/v1/scan", {"origin": "http://evil.example"}, None, 403),
+        ("GET", "/api/v1/history/..%2f..%2f..%2fetc%2fpasswd/picture", {}, None, 404),
+        ("GET", "/../../etc/passwd", {}, None, 404),
+        ("GET", "/%2e%2e/station.py", {}, None, 404),
+        ("GET", "/api/v1/history/-1/picture", {}, None, 404),
+        ("GET", "/api/v1/history/99999999999999999999/picture", {}, None, 404),
+        ("GET", "/api/v1/history?limit=100000", {}, None, 400),
+        ("GET", "/api/v1/history?since=yesterday", {}, None, 400),
+        ("GET", "/api/v1/history?path=/etc/passwd", {}, None, 400),
+        ("GET", "/api/v1/history?file=%27%20OR%201=1%20--", {}, None, 200),
+    ],
+)  # fmt: skip
+def test_what_another_page_or_a_stranger_sends_is_refused(
+    station_alone: Server, method: str, path: str, headers: dict[str, str], body: bytes | None, status: int
+) -> None:
+    one = station_alone
+    lines = {"host": f"127.0.0.1:{one.port}", **headers}
+    if body is not None:
+        lines["content-length"] = str(len(body))
+    text = f"{method} {path} HTTP/1.1\r\n" + "".join(f"{k}: {v}\r\n" for k, v in lines.items()) + "\r\n"
+    with socket.create_connection(("127.0.0.1", one.port), timeout=60) as wire:
+        wire.sendall(text.encode() + (body or b""))
+        answer = b""
+        while b"\r\n\r\n" not in answer:
+            part = wire.recv(65536)
+            assert part, answer
+            answer += part
+    head = answer.partition(b"\r\n\r\n")[0].decode().lower()
+    assert int(head.split()[1]) == status, head
+    if status != 421 or headers["host"]:
+        assert "content-security-policy: default-src 'none'" in head
+        assert "access-control-allow-origin" not in head
+        assert "x-content-type-options: nosniff" in head
+    assert asks(one).get("/api/v1/status").json()["scan"] is None, "nothing was started"
+
+
+@pytest.fixture(scope="module")
+def station_alone(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
+    """One station for the requests that must change nothing."""
+    place = tmp_path_factory.mktemp("alone")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("TAGID_DATA", str(place / "data"))
+        patch.setenv("TAGID_CONFIG", str(place / "c.toml"))
+        patch.setattr(server, "PING_S", 120.0)
+        with Server(Station(source(place), healthy), "127.0.0.1", 0) as one:
+            wait(lambda: asks(one).get("/").status == 200)
+            yield one
+
+
+def test_a_chunked_upload_is_refused_before_it_arrives(station_alone: Server) -> None:
+    head = (
+        f"POST /api/v1/scan HTTP/1.1\r\nhost: 127.0.0.1:{station_alone.port}\r\ntagid-station: 1\r\n"
+        "content-type: application/json\r\ntransfer-encoding: chunked\r\n\r\n"
+    )
+    with socket.create_connection(("127.0.0.1", station_alone.port), timeout=60) as wire:
+        wire.sendall(head.encode())
+        assert wire.recv(100).startswith(b"HTTP/1.1 411")
+
+
+@pytest.mark.parametrize(
+    "headers",
+    [{"Origin": "http://evil.example"}, {"Origin": "null"}, {"Origin": ""}, {"Host": "evil.example"}],
+)
+def test_a_websocket_of_another_page_is_refused(station_alone: Server, headers: dict[str, str]) -> None:
+    assert Raw(station_alone.port, headers).status == 403
+
+
+@pytest.mark.parametrize(
+    "attack",
+    [
+        lambda c: c.frame(b"\xff\xfe\x00", 2),
+        lambda c: c.frame(b"no json"),
+        lambda c: c.frame(b"[1, 2]"),
+        lambda c: c.frame(b"[" * 3000),
+        lambda c: c.say(type="open", path="/etc/passwd"),
+        lambda c: c.say(type="scan", note={"a": 1}),
+        lambda c: c.frame(b"x" * 100_000),
+        lambda c: c.frame(b"{}", masked=False),
+        lambda c: c.frame(b"\xc3\x28"),
+        lambda c: c.socket.sendall(b"\xff" * 200),
+        lambda c: [c.say(type="stop") for _ in range(60)],
+    ],
+    ids=["binary", "text", "list", "deep", "unknown", "note", "large", "unmasked", "utf-8", "noise", "flood"],
+)  # fmt: skip
+def test_a_bad_frame_closes_its_connection_and_no_other(
+    station_alone: Server, attack: Callable[[Raw], Any]
+) -> None:
+    good, _ = joined(station_alone.port)
+    bad, _ = joined(station_alone.port)
+    attack(bad)
+    assert bad.closed() in (1002, 1003, 1006, 1007, 1008, 1009)
+    good.until("status")
+    good.close()
+    bad.close()
+    assert asks(station_alone).get("/api/v1/status").json()["scan"] is None
+
+
+def test_a_device_needs_a_token_on_every_request_and_gets_it_with_the_code(serve) -> None:
+    codes: list[str] = []
+    one = serve(announce=codes.append)
+    client = asks(one, **OWN)
+    for path in ("status", "scan", "history", "history.csv", "history/1/picture", "nothing"):
+        assert client.get(f"/api/v1/{path}").status == 401, path
+    for path in ("scan", "scan/stop"):
+        assert client.post(f"/api/v1/{path}").status == 401
+    assert Raw(one.port).status == 403
+    assert Raw(one.port, {"Cookie": f"{COOKIE}=guess"}).status == 403
+    # Five wrong tries make the code worthless.
+    assert len(codes) == 1
+    for _ in range(5):
+        assert client.post("/api/v1/pair", code="AAAA-AAAA").status == 403
+    assert len(codes) == 2 and codes[0] != codes[1]
+    assert client.post("/api/v1/pair", code=codes[0]).status == 403
+    paired = client.post("/api/v1/pair", code=codes[1].lower())
+    cookie = paired.headers["set-cookie"].lower()
+    assert "httponly" in cookie and "samesite=strict" in cookie
+    token = paired.json()["token"]
+    assert len(codes) == 3, "a code makes one token"
+    fresh = asks(one, **OWN, authorization=f"Bearer {token}")
+    assert fresh.get("/api/v1/status").status == 200
+    assert asks(one, authorization=f"Bearer {token[:-1]}").get("/api/v1/status").status == 401
+    raw, _ = joined(one.port, Cookie=f"{COOKIE}={token}")
+    raw.close()
+
+
+class Table(FreeTurntable):
+    """A table that moves on command, and tells whether it was stopped."""
+
+    moves = True
+    breaks_after: int | None = None
+
+    def __init__(self) -> None:
+        super().__init__(rpm=0.5)
+        self.turning = threading.Event()
+        self.stopped = threading.Event()
+        self.checks = self.starts = 0
+
+    def start(self) -> None:
+        self.starts += 1
+        self.stopped.clear()
+        self.turning.set()
+
+    def check(self) -> None:
+        self.checks += 1
+        if self.breaks_after is not None and self.checks > self.breaks_after:
+            raise MotionStoppedError("the table stopped", "Switch it on.")
+
+    def stop(self) -> None:
+        self.turning.clear()
+        self.stopped.set()
+
+
+@pytest.fixture
+def table(monkeypatch: pytest.MonkeyPatch) -> Table:
+    one = Table()
+    monkeypatch.setattr(scans, "open_motion", lambda url: one)
+    return one
+
+
+def test_only_the_operator_moves_the_table_and_losing_the_operator_stops_it(
+    serve, table: Table, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(operators, "GRACE_S", 0.5)
+    one = serve(ENDLESS)
+    refused = asks(one, **OWN).post("/api/v1/scan")
+    assert (refused.status, refused.json()["error"]["code"]) == (403, "not_operator")
+    assert asks(one, **OWN).post("/api/v1/scan", key="made-up").status == 403
+    assert not table.turning.is_set()
+    first, key = joined(one.port)
+    second, _ = joined(one.port)
+    first.say(type="scan", note="")
+    first.until("operator", lambda m: m["you"])
+    first.until("frame", lambda m: m["scan"]["scans"] > 5)
+    assert table.turning.is_set()
+    second.say(type="scan")
+    assert second.until("error")["error"]["code"] == "busy"
+    second.say(type="take")
+    assert second.until("error")["error"]["code"] == "busy"
+    # A reload: the same browser is back within the grace period, and the scan goes on.
+    first.close()
+    first, again = joined(one.port, key)
+    assert again == key
+    seen = first.until("frame")["scan"]["scans"]
+    first.until("frame", lambda m: m["scan"]["scans"] > seen + 20)
+    assert table.turning.is_set()
+    # The operator is gone for good; the one who looks on does not keep the table turning.
+    first.close()
+    second.until("frame", lambda m: not m["scan"]["running"])
+    assert table.stopped.is_set() and not table.turning.is_set()
+    scan = asks(one).get("/api/v1/scan").json()
+    assert scan["phase"] == "failed" and "stopped after" in scan["note"]
+    (capture,) = (tmp_path / "out").glob("*.tagid.h5")
+    assert not read_any(capture).complete, "what was recorded is kept"
+    second.say(type="take")
+    second.until("operator", lambda m: m["you"])
+    second.close()
+
+
+def test_of_two_that_press_at_once_one_scans(serve) -> None:
+    one = serve(ENDLESS)
+    answers: list[int] = []
+    threads = [
+        threading.Thread(target=lambda: answers.append(asks(one, **OWN).post("/api/v1/scan").status))
+        for _ in range(4)
+    ]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert sorted(answers) == [202, 409, 409, 409]
+    asks(one, **OWN).post("/api/v1/scan/stop")
+    assert ended(one)["number"] == 1
+
+
+def test_a_table_does_not_start_when_its_scan_was_stopped_before(serve, table: Table) -> None:
+    one = serve(ENDLESS)
+    first, _ = joined(one.port)
+    with one._station._radar:  # a health check is talking to the radar
+        first.say(type="scan")
+        wait(lambda: asks(one).get("/api/v1/scan").status == 200)
+        first.say(type="stop")
+        first.until("status")
+    scan = first.until("frame", lambda m: not m["scan"]["running"])["scan"]
+    assert scan["phase"] == "failed" and "before the first scan" in scan["note"]
+    assert table.starts == 0
+    first.close()
+
+
+def test_anybody_stops_a_scan_and_a_table_that_stops_half_way_is_told(serve, table: Table) -> None:
+    one = serve(ENDLESS)
+    first, _ = joined(one.port)
+    first.say(type="scan")
+    first.until("frame", lambda m: m["scan"]["scans"] > 5)
+    assert asks(one, **OWN).post("/api/v1/scan/stop").status == 202
+    assert "stopped after" in ended(one)["note"]
+    table.breaks_after = table.checks + 10
+    first.say(type="scan")
+    scan = first.until("frame", lambda m: m["scan"]["number"] == 2 and not m["scan"]["running"])["scan"]
+    assert scan["phase"] == "failed" and scan["note"].startswith("the table stopped")
+    first.close()
+
+
+def test_a_client_that_never_reads_is_cut_off_and_holds_up_nobody(
+    serve, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(server, "PING_S", 3.0)
+    one = serve(ENDLESS)
+    deaf = Raw(one.port, receive_bytes=4096)
+    deaf.say(type="hello")
+    good, _ = joined(one.port)
+    good.say(type="scan")
+    good.until("frame", lambda m: m["scan"]["scans"] > 20)
+    good.until("status", lambda m: m["connections"] == 1)
+    good.say(type="stop")
+    good.close()
+    deaf.close()
+
+
+def test_many_connections_leave_room_for_the_page(serve) -> None:
+    one = serve()
+    many = [Raw(one.port) for _ in range(web.MAX_CONNECTIONS)]
+    for client in many:
+        assert client.status == 101
+        client.say(type="hello")
+        client.until("hello")
+    idle = [socket.create_connection(("127.0.0.1", one.port)) for _ in range(60)]
+    over = [Raw(one.port) for _ in range(20)]
+    assert {client.status for client in over} == {403}
+    assert asks(one).get("/api/v1/status").json()["connections"] == web.MAX_CONNECTIONS
+    for client in [*many, *over]:
+        client.close()
+    wait(lambda: asks(one).get("/api/v1/status").json()["connections"] == 0)
+    last, _ = joined(one.port)
+    last.close()
+    for wire in idle:
+        wire.close()
+
+
+def test_a_connection_without_a_request_is_closed(serve, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(server, "HEADER_S", 0.2)
+    one = serve()
+    for before in (b"", f"GET / HTTP/1.1\r\nhost: 127.0.0.1:{one.port}\r\n\r\n".encode()):
+        slow_request(one, before)
+
+
+def slow_request(one: Server, before: bytes) -> None:
+    """A request that never ends, perhaps after one that did."""
+    with socket.create_connection(("127.0.0.1", one.port), timeout=60) as wire:
+        if before:
+            wire.sendall(before)
+            assert wire.recv(65536).startswith(b"HTTP/1.1 200")
+        wire.sendall(b"GET / HTTP/1.1\r\nho")
+        with suppress(ConnectionResetError):
+            while wire.recv(65536):
+                pass  # the rest of the page
+
+
+def test_a_full_disk_is_told_and_the_next_scan_works(serve, tmp_path: Path) -> None:
+    one = serve()
+    client = asks(one, **OWN)
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (30_000, hard))
+    try:
+        assert client.post("/api/v1/scan").status == 202
+        scan = ended(one)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert scan["phase"] == "failed" and "tagid recover" in scan["note"], scan
+    (journal,) = (tmp_path / "out").glob("*.journal")
+    assert journal.stat().st_size > 10_000
+    assert client.post("/api/v1/scan").status == 202
+    assert client.post("/api/v1/scan/stop").status == 202
+    assert "tagid recover" not in ended(one)["note"]
+
+
+def test_the_command_serves_until_it_is_stopped(home: dict[str, str], tmp_path: Path) -> None:
+    run = [sys.executable, "-m", "tagid", "station"]
+    taken = subprocess.Popen(
+        [*run, "--demo", "--bind", "127.0.0.1:0", "--save-dir", str(tmp_path / "out"), "--output", "json"],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=home,
+    )  # fmt: skip
+    try:
+        assert taken.stdout is not None
+        url = json.loads(taken.stdout.readline())["data"]["url"]
+        client = Asks(url, OWN)
+        assert client.get("/api/v1/status").json()["demo"]
+        busy = subprocess.run(
+            [*run, "--bind", url.removeprefix("http://"), "--output", "json"],
+            capture_output=True, text=True, env=home, timeout=120,
+        )  # fmt: skip
+        assert (busy.returncode, json.loads(busy.stdout)["errors"][0]["code"]) == (4, "port_in_use")
+        client.post("/api/v1/scan")
+        wait(lambda: client.get("/api/v1/scan").json()["scans"] > 10)
+        taken.send_signal(signal.SIGTERM)
+        _, err = taken.communicate(timeout=120)
+    finally:
+        if taken.poll() is None:
+            taken.kill()
+    assert (taken.returncode, "Traceback" in err) == (0, False), err
+    (capture,) = (tmp_path / "out").glob("*.tagid.h5")
+    assert read_any(capture).views > 5, "the scan that was running is kept"
+    assert [path.name for path in (tmp_path / "out").iterdir()] == [capture.name]

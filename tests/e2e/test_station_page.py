@@ -1,0 +1,204 @@
+"""The station's page in a real browser: keyboard, two browsers, a reload, both themes, phone and tablet."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from importlib import util
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from chromium import size, start, theme, wait
+
+pytest.importorskip("starlette")
+from selenium.webdriver.common.by import By
+from selenium.webdriver.common.keys import Keys
+from station_harness import ENDLESS, FAST, Asks, healthy, source
+from station_harness import wait as until
+
+from tagid.station import server, web
+from tagid.station.server import Server
+from tagid.station.station import Station
+
+PIXELS = """
+const canvas = document.getElementById(arguments[0]);
+const data = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height).data;
+return Array.from(data).filter((v, i) => i % 4 === 1);
+"""
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    one = start(tmp_path_factory.mktemp("profile"))
+    yield one
+    one.quit()
+
+
+@pytest.fixture(scope="module")
+def station_alone(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
+    """A station for the tests that need one scan."""
+    place = tmp_path_factory.mktemp("shown")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("TAGID_DATA", str(place / "data"))
+        patch.setenv("TAGID_CONFIG", str(place / "c.toml"))
+        patch.setattr(server, "PING_S", 120.0)
+        with Server(Station(source(place), healthy), "127.0.0.1", 0) as one:
+            yield one
+
+
+@pytest.fixture
+def station_with_history(station_alone: Server) -> Server:
+    """The same after a scan."""
+    asks = Asks(station_alone.url, {"tagid-station": "1"})
+    if asks.get("/api/v1/scan").status == 404:
+        asks.post("/api/v1/scan")
+        until(lambda: not asks.get("/api/v1/scan").json()["running"])
+    return station_alone
+
+
+@pytest.fixture
+def serve(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., Server]]:
+    monkeypatch.setenv("TAGID_DATA", str(tmp_path / "data"))
+    monkeypatch.setenv("TAGID_CONFIG", str(tmp_path / "c.toml"))
+    monkeypatch.setattr(web, "PAIR_PAUSE_S", 0.0)
+    monkeypatch.setattr(server, "PING_S", 120.0)  # on a busy machine a browser answers late
+    open_ones: list[Server] = []
+
+    def begin(radar: str = FAST, announce: Callable[[str], None] | None = None, port: int = 0) -> Server:
+        (tmp_path / "out").mkdir(exist_ok=True)
+        one = Server(Station(source(tmp_path / "out", radar), healthy), "127.0.0.1", port, announce)
+        open_ones.append(one)
+        return one.__enter__()
+
+    yield begin
+    for one in open_ones:
+        one.close()
+
+
+def text(page: Any, identity: str) -> str:
+    return page.find_element(By.ID, identity).text
+
+
+def test_the_main_road_by_keyboard_alone(browser: Any, station_alone: Server) -> None:
+    size(browser, 1180, 820)
+    browser.get(station_alone.url)
+    wait(browser, lambda: browser.find_element(By.ID, "scan").is_enabled())
+    for _ in range(10):
+        browser.switch_to.active_element.send_keys(Keys.TAB)
+        if browser.switch_to.active_element.get_attribute("id") == "scan":
+            break
+    browser.switch_to.active_element.send_keys(Keys.ENTER)
+    wait(browser, lambda: text(browser, "answer") == "helmet-120" and text(browser, "scan") == "Scan")
+    letters = browser.execute_script(
+        "return parseFloat(getComputedStyle(document.getElementById('answer')).fontSize)"
+    )
+    assert letters > 100, "to be read from three metres"
+    wait(browser, lambda: "360 of 360 degrees" in text(browser, "figures"))
+    image = np.array(browser.execute_script(PIXELS, "image"))
+    assert len(image) == 64 * 64 and len(np.unique(image)) > 20, "the image is not drawn"
+    assert len(np.unique(browser.execute_script(PIXELS, "sinogram"))) > 20
+    bars = browser.find_elements(By.CSS_SELECTOR, "#evidence li")
+    assert bars[0].text.startswith("helmet-120") and "enough" in bars[0].get_attribute("class")
+    # What the health check says is text, whatever it says.
+    wait(browser, lambda: "radar: problem" in text(browser, "health"))
+    assert "no answer <b>" in text(browser, "health") and "Check the cable." in text(browser, "health")
+    # The picture of the entry in the history opens and closes by keyboard.
+    wait(browser, lambda: browser.find_elements(By.CSS_SELECTOR, "#history button"))
+    button = browser.find_element(By.CSS_SELECTOR, "#history button")
+    button.send_keys(Keys.ENTER)
+    picture = browser.find_element(By.ID, "viewer-picture")
+    wait(browser, lambda: browser.execute_script("return arguments[0].naturalWidth", picture) == 940)
+    browser.switch_to.active_element.send_keys(Keys.ESCAPE)
+    wait(browser, lambda: not browser.find_element(By.ID, "viewer").is_displayed())
+    assert browser.switch_to.active_element == button
+    assert [entry["message"] for entry in browser.get_log("browser")] == []
+
+
+@pytest.mark.parametrize("shape", [(390, 844, True), (1180, 820, False)], ids=["phone", "tablet"])
+@pytest.mark.parametrize("name", ["light", "dark"])
+def test_accessibility_and_fit(
+    browser: Any, station_with_history: Server, shape: tuple[int, int, bool], name: str
+) -> None:
+    spec = util.find_spec("axe_core_python")
+    if spec is None or spec.origin is None:
+        pytest.skip("no axe-core: pip install axe-core-python")
+    size(browser, *shape)
+    theme(browser, name)
+    browser.get(station_with_history.url)
+    wait(browser, lambda: text(browser, "answer") == "helmet-120")
+    wait(browser, lambda: browser.find_elements(By.CSS_SELECTOR, "#history button"))
+    assert browser.execute_script("return document.documentElement.scrollWidth") <= shape[0]
+    background = browser.execute_script("return getComputedStyle(document.body).backgroundColor")
+    assert (sum(map(int, background[4:-1].split(","))) < 300) == (name == "dark")
+    scan = browser.find_element(By.ID, "scan").rect
+    assert scan["height"] >= 80 and scan["width"] >= 250, "a thumb hits it"
+    browser.execute_script((Path(spec.origin).parent / "axe.min.js").read_text("utf-8"))
+    found = browser.execute_async_script(
+        "const done = arguments[0]; axe.run().then((r) => done(r.violations.map((v) =>"
+        " [v.id, v.nodes.map((n) => n.html.slice(0, 90))])));"
+    )
+    assert found == []
+
+
+def test_two_browsers_a_reload_and_a_restart_of_the_station(
+    browser: Any, serve: Callable[..., Server], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one = serve(ENDLESS)
+    browser.get(one.url)
+    wait(browser, lambda: browser.find_element(By.ID, "scan").is_enabled())
+    browser.find_element(By.ID, "scan").click()
+    wait(browser, lambda: text(browser, "scan") == "Stop" and "operates" in text(browser, "operator"))
+    first = browser.current_window_handle
+    browser.switch_to.new_window("window")
+    second = browser.current_window_handle
+    browser.get(one.url)
+    wait(browser, lambda: text(browser, "operator").startswith("Another browser"))
+    assert text(browser, "scan") == "Stop", "anybody may stop"
+    frames = "return Number(document.body.dataset.frames || 0)"
+    seen = browser.execute_script(frames)
+    wait(browser, lambda: browser.execute_script(frames) > seen + 5)
+    browser.switch_to.window(first)
+    browser.refresh()
+    wait(browser, lambda: text(browser, "operator") == "This browser operates the station.")
+    assert Asks(one.url, {}).get("/api/v1/scan").json()["running"]
+    browser.switch_to.window(second)
+    browser.find_element(By.ID, "scan").click()
+    wait(browser, lambda: text(browser, "answer") == "Failed")
+    assert "stopped after" in text(browser, "reason") and "are in" in text(browser, "reason")
+    assert not browser.find_element(By.ID, "scan").is_enabled()
+    browser.find_element(By.ID, "take").click()
+    wait(browser, lambda: browser.find_element(By.ID, "scan").is_enabled())
+    one.close()
+    wait(browser, lambda: text(browser, "link") in ("the station does not answer", "not connected"))
+    assert not browser.find_element(By.ID, "scan").is_enabled()
+    serve(port=one.port)
+    wait(browser, lambda: text(browser, "link") == "connected")
+    browser.close()
+    browser.switch_to.window(first)
+    browser.get("about:blank")
+    browser.get_log("browser")  # the lost connections are in it
+
+
+def test_a_device_pairs_on_the_page(browser: Any, serve: Callable[..., Server]) -> None:
+    codes: list[str] = []
+    told = threading.Event()
+
+    def announce(code: str) -> None:
+        codes.append(code)
+        told.set()
+
+    one = serve(announce=announce)
+    browser.delete_all_cookies()
+    browser.get(one.url)
+    wait(browser, lambda: browser.find_element(By.ID, "pairing").is_displayed())
+    field = browser.find_element(By.ID, "code")
+    field.send_keys("WRONG-ONE", Keys.ENTER)
+    wait(browser, lambda: "not the pairing code" in text(browser, "pair-error"))
+    field.clear()
+    field.send_keys(codes[-1], Keys.ENTER)
+    wait(browser, lambda: text(browser, "link") == "connected")
+    assert browser.execute_script("return document.cookie") == "", "no script reads the token"
+    browser.get("about:blank")
+    browser.get_log("browser")

@@ -1,0 +1,119 @@
+"""The working file of a report: what a resumed run may take over, and what it must do again."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tagid.batch.job import Outcome
+from tagid.batch.spool import Spool
+from tagid.errors import StorageError
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "spool.sqlite"
+
+
+@pytest.fixture
+def spool(path: Path) -> Iterator[Spool]:
+    with Spool(path, fresh=True) as opened:
+        yield opened
+
+
+def answered(name: str, content: str | None, status: str = "identified", **more: object) -> Outcome:
+    record = {"file": name, "content_sha256": content, "status": status, "error": None, **more}
+    return Outcome(record, image=b"image " + name.encode(), sinogram=b"s", drawing={"of": name})
+
+
+def failed(name: str, content: str | None, code: str) -> Outcome:
+    error = {"code": code, "message": f"{name}: no", "remedy": "none"}
+    return answered(name, content, "failed", error=error, reason=f"{name}: no")
+
+
+def reused(content: str) -> Outcome:
+    return Outcome({"file": "x", "content_sha256": content}, reused=True)
+
+
+def test_what_is_put_is_read_in_the_order_of_the_inputs(spool: Spool) -> None:
+    for position, name in ((7, "c"), (0, "a"), (3, "b")):
+        assert spool.put(position, name, "job", answered(name, name * 64))["file"] == name
+    assert [record["file"] for record in spool.records()] == ["a", "b", "c"]
+    assert [(p, drawing, size) for p, _, drawing, size in spool.items()] == [
+        (0, {"of": "a"}, 8), (3, {"of": "b"}, 8), (7, {"of": "c"}, 8)
+    ]  # fmt: skip
+    assert spool.pictures(3) == (b"image b", b"s")
+    assert spool.count() == 3
+    spool.put(3, "b", "job", answered("b", "f" * 64, "no_tag"))  # a watched file that changed
+    assert spool.count() == 3
+    assert [record["status"] for record in spool.records()] == ["identified", "no_tag", "identified"]
+
+
+def test_answers_of_the_same_content_and_job_are_taken_over(spool: Spool) -> None:
+    spool.put(0, "a", "job", answered("a", "A"))
+    spool.put(1, "other", "another job", answered("other", "B"))
+    spool.put(2, "unread", "job", answered("unread", None, "failed", error={"code": "storage"}))
+    assert spool.take_over("job") == {"A"}
+    assert spool.count() == 0
+    record = spool.put(5, "moved", "job", reused("A"))
+    assert (record["file"], record["status"]) == ("moved", "identified")
+    assert spool.pictures(5) == (b"image a", b"s")
+    assert [(p, r["file"], d) for p, r, d, _ in spool.items()] == [(5, "moved", {"of": "a"})]
+    # The answer is kept for the run after the next one, too; that of the other job is gone.
+    assert spool.take_over("job") == {"A"}
+    assert spool.take_over("another job") == frozenset()
+    assert spool.take_over("job") == frozenset()
+
+
+def test_the_newest_answer_of_a_content_is_the_one_that_stays(spool: Spool) -> None:
+    spool.put(0, "a", "job", answered("a", "A", "unknown"))
+    spool.take_over("job")
+    spool.put(0, "a", "job", answered("a", "A", "identified"))
+    assert spool.take_over("job") == {"A"}
+    assert spool.put(0, "a", "job", reused("A"))["status"] == "identified"
+
+
+@pytest.mark.parametrize(
+    ("code", "kept"), [("bad_file", True), ("bad_data", True), ("storage", False), ("lost_worker", False)]
+)
+def test_failures_that_another_try_may_mend_are_tried_again(spool: Spool, code: str, kept: bool) -> None:
+    spool.put(0, "old", "job", failed("old", "A", code))
+    assert spool.take_over("job") == ({"A"} if kept else frozenset())
+    if kept:
+        record = spool.put(0, "new", "job", reused("A"))
+        assert record["error"]["message"] == record["reason"] == "new: no"
+
+
+def test_a_run_goes_on_in_the_file_unless_it_is_to_be_fresh(path: Path) -> None:
+    with Spool(path, fresh=True) as spool:
+        spool.put(0, "a", "job", answered("a", "A"))
+    with Spool(path, fresh=False) as spool:
+        assert spool.count() == 1
+    with Spool(path, fresh=True) as spool:
+        assert spool.count() == 0 and spool.take_over("job") == frozenset()
+        spool.put(0, "a", "job", answered("a", "A"))
+        with pytest.raises(StorageError, match="another tagid report"):
+            Spool(path, fresh=False)
+    with sqlite3.connect(path) as db:
+        assert db.execute("PRAGMA application_id").fetchone() == (0x74616773,)
+        assert db.execute("PRAGMA user_version").fetchone() == (1,)
+        db.execute("PRAGMA user_version = 9")
+    db.close()
+    with Spool(path, fresh=False) as spool:  # of another version: nothing can be taken over
+        assert spool.count() == 0
+    with sqlite3.connect(path) as db:
+        db.execute("PRAGMA application_id = 7")
+    db.close()
+    with pytest.raises(StorageError, match="another program"):
+        Spool(path, fresh=True)
+
+
+def test_what_is_put_is_on_disk_at_once(path: Path) -> None:
+    """`synchronous = EXTRA` with the log: every answer costs one sync, and none is lost."""
+    with Spool(path, fresh=True) as spool:
+        assert spool._db.execute("PRAGMA synchronous").fetchone() == (3,)
+        assert spool._db.execute("PRAGMA journal_mode").fetchone() == ("wal",)
+        assert spool._db.isolation_level is None  # every statement is its own transaction

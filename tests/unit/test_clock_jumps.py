@@ -1,0 +1,110 @@
+"""The clock of the computer is set while a program runs: by an hour, forwards and backwards."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+import time
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tagid import hostclock
+from tagid.angles.align import align
+from tagid.angles.clock import fit_clock
+from tagid.errors import DataError
+from tagid.metadata import Track
+from tagid.storage import history as history_module
+from tagid.storage.history import Filter, History
+
+EPOCH_NS = 1_750_000_000_000_000_000
+RECORDING = """
+import sys, time
+real_ns, reads, imported = time.time_ns, 0, False
+def set_twice():
+    global reads
+    reads += imported
+    return real_ns() + (0 if reads <= 20 else -HOUR if reads <= 40 else HOUR)
+HOUR = 3600 * 10**9
+time.time_ns, time.time = set_twice, lambda: set_twice() * 1e-9  # before anything keeps a reference
+
+from pathlib import Path
+import numpy as np
+from tagid.motion.urls import open_motion
+from tagid.recording.plan import RecordingPlan
+from tagid.recording.radars import open_radar
+from tagid.recording.recorder import record
+
+imported = True
+began, wall = time.monotonic_ns(), real_ns()
+plan = RecordingPlan(None, 1.0, scans=60, max_seconds=60.0)
+capture = record(open_radar("emulator://points-3"), open_motion("free?rpm=6"), plan, Path(sys.argv[1]))
+assert capture.complete and capture.views == 60
+assert np.diff(capture.host_time_ns).min() >= 0, np.diff(capture.host_time_ns)
+assert np.ptp(capture.host_time_ns) <= time.monotonic_ns() - began
+assert abs(int(capture.host_time_ns[0]) - wall) < 60 * 10**9
+"""
+
+
+def test_a_recording_does_not_notice(tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", RECORDING, str(tmp_path / "a.tagid.h5")],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[2]), "OMP_NUM_THREADS": "1"},
+    )
+    assert done.returncode == 0, done.stderr
+
+
+def test_it_runs_as_real_time_does_from_the_epoch() -> None:
+    before, monotonic = hostclock.now_ns(), time.monotonic_ns()
+    time.sleep(0.02)
+    elapsed = hostclock.now_ns() - before
+    assert 0.02e9 <= elapsed <= time.monotonic_ns() - monotonic + 1e6
+    assert abs(before - time.time_ns()) < 3600e9
+
+
+def test_angles_of_a_recording_whose_clock_was_set_are_refused() -> None:
+    rng = np.random.default_rng(1)
+    scans, readings = np.arange(0, 20, 0.02), np.arange(-0.5, 21, 0.05)
+
+    def stamped(times: np.ndarray, step_s: float) -> np.ndarray:
+        late = rng.exponential(0.004, len(times)) + np.where(times > 9, step_s, 0.0)
+        return EPOCH_NS + ((times + late) * 1e9).astype(np.int64)
+
+    def angles_with(step_s: float, stall_s: float = 0.0) -> np.ndarray:
+        arrivals = stamped(scans, step_s)
+        stalled = (scans > 12) & (scans < 12 + stall_s)
+        arrivals[stalled] = EPOCH_NS + int((12 + stall_s) * 1e9)
+        track = Track(stamped(readings, step_s), 0.6 * readings, np.full(len(readings), 1e-3), {})
+        return align(fit_clock(np.floor(scans * 1e3)), arrivals, track).angles_rad
+
+    for step_s in (-1.0, 1.0, 3600.0, -3600.0):
+        with pytest.raises(DataError, match=re.escape(f"set by about {step_s:+.1f} s")):
+            angles_with(step_s)
+    # A network that holds everything back for three seconds is no step of the clock.
+    assert np.abs(angles_with(0.0, stall_s=3.0) - 0.6 * scans).max() < 0.02
+
+
+def test_the_history_stays_in_order(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    now = datetime(2026, 11, 22, 12, tzinfo=UTC)
+
+    class Set(datetime):
+        @classmethod
+        def now(cls, tz: object = None) -> datetime:
+            return now
+
+    monkeypatch.setattr(history_module, "datetime", Set)
+    history = History(tmp_path / "history.sqlite")
+    run = history.begin("identify", {})
+    record = dict.fromkeys(("file", "label", "reason"), "x") | {"status": "unknown", "tool_version": "1"}
+    numbers = dict.fromkeys(("score", "margin", "missing", "extra"), 0)
+    for number, shift in enumerate((0, -1, 1)):
+        now += timedelta(hours=shift)
+        history.add(run, [record | numbers | {"file": str(number)}])
+    assert [row["file"] for row in history.find()] == ["2", "1", "0"]
+    assert [row["file"] for row in history.find(Filter(limit=1))] == ["2"]

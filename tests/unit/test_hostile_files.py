@@ -1,0 +1,233 @@
+"""What attackers once broke: each has a test of its own."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import io
+import json
+import os
+import sqlite3
+import subprocess
+import sys
+import tracemalloc
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hostile_files import REFUSED, ZEROS_BYTES, unknown_dataset
+from storage_samples import assert_equal, capture
+
+from tagid.batch.spool import Spool
+from tagid.errors import FileFormatError, ModelError, RegistryError, StorageError, UsageError
+from tagid.models_store import OPSET, open_model
+from tagid.result import Result, render
+from tagid.storage.history import FIELDS, FILE_NAME, Filter, History
+from tagid.storage.history_export import export
+from tagid.storage.importers import read_any
+from tagid.tags.enrolling.registry import Registry
+from tagid.tags.layouts.layout import Layout
+
+ROOT = Path(__file__).resolve().parents[2]
+POINTS = np.array([[0.1, 0.0], [-0.02, 0.06], [-0.05, -0.04]])
+ENDLESS = "WITH RECURSIVE n (x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM n) SELECT"
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_a_hostile_file_is_refused_in_little_memory(tmp_path: Path, name: str) -> None:
+    path = tmp_path / name
+    REFUSED[name](path)
+    tracemalloc.start()
+    try:
+        with pytest.raises(FileFormatError, match=name):
+            read_any(path)
+        assert tracemalloc.get_traced_memory()[1] < ZEROS_BYTES / 10
+    finally:
+        tracemalloc.stop()
+
+
+def test_a_dataset_that_is_not_known_is_not_read(tmp_path: Path) -> None:
+    unknown_dataset(tmp_path / "a.tagid.h5")
+    tracemalloc.start()
+    try:
+        found = read_any(tmp_path / "a.tagid.h5")
+        assert tracemalloc.get_traced_memory()[1] < ZEROS_BYTES / 10
+    finally:
+        tracemalloc.stop()
+    expected = capture(radar=found.radar, pulse=found.pulse, uuid=found.uuid, created_utc=found.created_utc)
+    np.testing.assert_array_equal(found.samples, expected.samples)
+    assert_equal(found, found)
+
+
+@pytest.mark.parametrize("start", ["=", "+", "-", "@", " =", "\t=", "\t", "\r"])
+def test_every_csv_neutralises_what_a_spreadsheet_runs(tmp_path: Path, start: str) -> None:
+    history = History(tmp_path / FILE_NAME)
+    text = f"{start}1+1"
+    record = dict.fromkeys(("label", "reason", "layout", "file"), text)
+    numbers = dict.fromkeys(("score", "margin", "missing", "extra"), 0)
+    history.add(history.begin(text, {}), [record | numbers | {"status": "unknown", "tool_version": "1"}])
+    export(history, Filter(), tmp_path / "a.csv")
+    with (tmp_path / "a.csv").open(newline="") as file:
+        (row,) = csv.DictReader(file)
+    assert set(row) == set(FIELDS)
+    for value in row.values():
+        assert not value.lstrip().startswith(("=", "+", "-", "@")), value
+        assert value.isprintable()
+
+
+@pytest.mark.parametrize("text", ["=1+1", " -1", "@x", "+1", "a\tb", "a\x1b[31m", "a\x00", "\u202eabc"])
+@pytest.mark.parametrize("field", ["label", "notes"])
+def test_such_texts_are_refused_at_enrolment(tmp_path: Path, text: str, field: str) -> None:
+    registry = Registry(tmp_path / "r.sqlite")
+    before = registry.version
+    with pytest.raises(UsageError, match=field):
+        registry.add(Layout("mine", POINTS, **{field: text}), "a test")
+    assert registry.version == before
+
+
+def test_no_control_character_reaches_the_terminal(capsys: pytest.CaptureFixture[str]) -> None:
+    from rich.table import Table
+
+    hostile = "\x1b]0;evil\x07\x1b[2J\x9b31m\u202e"
+    table = Table(hostile)
+    table.add_row(hostile)
+    errors = ({"code": "x", "message": hostile, "remedy": hostile},)
+    render(Result("show", {}, table, messages=(hostile,), errors=errors), "human")
+    printed = capsys.readouterr()
+    for stream in (printed.out, printed.err):
+        assert "evil" in stream
+        assert not set(stream) & set("\x1b\x07\x9b\u202e")
+    render(Result("show", {"path": hostile}, table, messages=(hostile,), errors=errors), "json")
+    printed = capsys.readouterr()
+    assert not set(printed.out) & set("\x1b\x07\x9b\u202e")
+    assert json.loads(printed.out)["data"]["path"] == hostile
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="the system has no /dev/full")
+@pytest.mark.parametrize("words", [("--help",), ("layouts", "--output", "json")])
+def test_an_output_that_takes_nothing_is_one_error(words: tuple[str, ...], home: dict[str, str]) -> None:
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            [sys.executable, "-m", "tagid", *words], stdout=full, stderr=subprocess.PIPE, text=True, env=home
+        )
+    assert done.returncode == 1
+    assert done.stderr.count("error:") == 1 and "Traceback" not in done.stderr
+    assert "Exception ignored" not in done.stderr
+
+
+def test_a_registry_of_endless_views_is_refused(tmp_path: Path) -> None:
+    for name in ("registry.sqlite", FILE_NAME):
+        opened: type[Registry] | type[History] = Registry if name == "registry.sqlite" else History
+        error = RegistryError if opened is Registry else StorageError
+        path = tmp_path / name
+        opened(path)
+        table = "layout" if opened is Registry else "identification"
+        with sqlite3.connect(path, isolation_level=None) as connection:
+            connection.execute("PRAGMA foreign_keys = OFF")
+            columns = [row[1] for row in connection.execute(f"PRAGMA table_info ({table})")]
+            connection.execute(f"DROP TABLE {table}")
+            connection.execute(
+                f"CREATE VIEW {table} AS {ENDLESS} {', '.join(f'x AS {column}' for column in columns)} FROM n"
+            )
+        connection.close()
+        with pytest.raises(error, match="holds a view or trigger") as caught:
+            opened(path)
+        assert caught.value.remedy
+
+
+def test_a_report_does_not_go_on_with_endless_views(tmp_path: Path) -> None:
+    path = tmp_path / "spool.sqlite"
+    with Spool(path, fresh=True):
+        pass
+    with sqlite3.connect(path, isolation_level=None) as connection:
+        columns = [row[1] for row in connection.execute("PRAGMA table_info (item)")]
+        connection.execute("DROP TABLE item")
+        connection.execute(
+            f"CREATE VIEW item AS {ENDLESS} {', '.join(f'x AS {column}' for column in columns)} FROM n"
+        )
+    connection.close()
+    for fresh in (False, True):
+        with pytest.raises(StorageError, match="view or trigger"):
+            Spool(path, fresh)
+
+
+def model_with_data_elsewhere(location: str, nested: bool) -> bytes:
+    """An ONNX graph that adds four numbers which another file holds."""
+    from onnx import TensorProto, helper
+
+    tensor = helper.make_tensor("w", TensorProto.FLOAT, [4], bytes(16), raw=True)
+    tensor.ClearField("raw_data")
+    tensor.data_location = TensorProto.EXTERNAL
+    for key, value in (("location", location), ("offset", "0"), ("length", "16")):
+        entry = tensor.external_data.add()
+        entry.key, entry.value = key, value
+    node = helper.make_node("Add", ["x", "w"], ["y"])
+    nodes = [helper.make_node("Constant", [], ["w"], value=tensor), node] if nested else [node]
+    ends = [helper.make_tensor_value_info(name, TensorProto.FLOAT, [4]) for name in "xy"]
+    graph = helper.make_graph(nodes, "g", ends[:1], ends[1:], [] if nested else [tensor])
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=10)
+    content: bytes = model.SerializeToString()
+    return content
+
+
+@pytest.mark.parametrize("nested", [False, True])
+@pytest.mark.parametrize("location", ["data.bin", "../data.bin", "/etc/hostname"])
+def test_a_model_whose_data_lie_elsewhere_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, location: str, nested: bool
+) -> None:
+    folder = tmp_path / "models"
+    folder.mkdir()
+    for place in (tmp_path, folder):
+        (place / "data.bin").write_bytes(np.arange(4, dtype=np.float32).tobytes())
+    content = model_with_data_elsewhere(location, nested)
+    (folder / "a.onnx").write_bytes(content)
+    tensor = {"dtype": "float32", "shape": [4]}
+    entry = {
+        "file": "a.onnx",
+        "sha256": hashlib.sha256(content).hexdigest(),
+        "size": len(content),
+        "opset": OPSET,
+        "inputs": {"x": tensor},
+        "outputs": {"y": tensor},
+    }
+    (folder / "manifest.json").write_text(json.dumps({"manifest_version": 1, "models": {"a": entry}}))
+    monkeypatch.chdir(folder)
+    with pytest.raises(ModelError, match="other files"):
+        open_model("a", folder=folder)
+
+
+RUN_A_MODEL = """
+import numpy as np
+from tagid.models_store import manifest, open_model
+name = sorted(manifest())[0]
+model = open_model(name)
+assert model.metadata is not None
+import os, time
+time.sleep(0.3)  # a background thread writes, too
+"""
+
+
+def test_onnxruntime_writes_nothing_into_the_users_folders(tmp_path: Path) -> None:
+    own: dict[str, Any] = {name: value for name, value in os.environ.items() if "TELEMETRY" not in name}
+    folders = ("HOME", "XDG_CACHE_HOME", "XDG_CONFIG_HOME", "XDG_DATA_HOME", "XDG_STATE_HOME", "TMPDIR")
+    for name in folders:
+        (tmp_path / name).mkdir()
+        own[name] = str(tmp_path / name)
+    own |= {"PYTHONPATH": str(ROOT), "PYTHONDONTWRITEBYTECODE": "1", "OMP_NUM_THREADS": "1"}
+    done = subprocess.run(
+        [sys.executable, "-c", RUN_A_MODEL], env=own, cwd=tmp_path / "HOME", capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    assert [path for path in tmp_path.rglob("*") if path.name not in folders] == []
+
+
+def test_a_csv_of_the_terminal_is_neutral(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    from tagid.report.tables import CSV_COLUMNS, write_csv
+
+    record: dict[str, Any] = dict.fromkeys(CSV_COLUMNS, "=1+1")
+    record |= {"centre_m": None, "reflectors": [], "error": None, "seconds": {}, "correct": None}
+    write_csv(tmp_path / "items.csv", [record])
+    rows = list(csv.reader(io.StringIO((tmp_path / "items.csv").read_text())))
+    assert rows[0] == list(CSV_COLUMNS)
+    assert all(not value.startswith(("=", "+", "-", "@")) for value in rows[1])

@@ -1,0 +1,53 @@
+"""What turns with the object but lies outside the image is fitted there, not along the image's edge."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tagid.geometry import ImageGrid
+from tagid.imaging.outside import find_outside
+from tagid.imaging.preprocess import PreprocessSettings, preprocess
+from tagid.pipeline.reconstruct import reconstruct
+from tagid.pipeline.settings import ImagingSettings
+from tests.unit.imaging_scenes import record, turn
+
+INSIDE = [[0.05, 0.02], [-0.08, 0.06]]
+GRID = ImageGrid(0.4, 64)
+
+
+def share_at_the_edge(values: np.ndarray) -> float:
+    """Energy of the image within four pixels of its edge, over all of it."""
+    power = np.abs(values) ** 2
+    return float(1 - power[4:-4, 4:-4].sum() / power.sum())
+
+
+@pytest.mark.parametrize("method", ["sparse", "ats"])
+@pytest.mark.parametrize("place", [[0.33, 0.05], [0.27, 0.25]])
+def test_a_strong_reflector_outside_leaves_the_edge_dark(method: str, place: list[float]) -> None:
+    capture = record([*INSIDE, place], [1, 0.8, 3], turn(48), noise=0.05, bins=180)
+    settings = ImagingSettings(method=method, extent_m=0.4, pixels=64, focus_m=0.0, restore=False)
+    image = reconstruct(capture, settings).image
+    assert share_at_the_edge(image.values) < 0.01
+    assert image.settings["outside"]["share"] > 0.5
+    assert image.settings["held_out"]["residual"] < 0.3
+    brightest = GRID.points[np.argsort(-np.abs(image.values).ravel())[:4]]
+    assert np.hypot(*(brightest[:, None] - np.array(INSIDE)).T).min(axis=0).max() < 0.02
+
+
+def test_the_place_and_strength_outside_are_found() -> None:
+    capture = record([*INSIDE, [0.33, 0.05]], [1, 0.8, 3], turn(48), noise=0.05, bins=180)
+    found = find_outside(preprocess(capture, settings=PreprocessSettings("none", False, extent_m=0.4)), GRID)
+    assert found is not None
+    assert np.hypot(*(found.points - [0.33, 0.05]).T).max() < 0.015
+    assert abs(found.amplitudes.sum()) == pytest.approx(3, rel=0.15)
+
+
+@pytest.mark.parametrize("views", [12, 36, 120])
+def test_sidelobes_of_the_inside_are_no_reflector_outside(views: int) -> None:
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        points, amplitudes = rng.uniform(-0.15, 0.15, (8, 2)), rng.uniform(0.3, 1, 8)
+        capture = record(points, amplitudes, turn(views), noise=0.1, seed=seed)
+        scans = preprocess(capture, settings=PreprocessSettings("mean", False, extent_m=0.4))
+        assert find_outside(scans, GRID) is None

@@ -1,0 +1,251 @@
+"""The live view: sums that grow by one view are those of the whole, and a recording never waits for them."""
+
+from __future__ import annotations
+
+import io
+import threading
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from tagid.capture import Capture
+from tagid.errors import CaptureInterrupted, DataError
+from tagid.geometry import ImageGrid
+from tagid.imaging.backprojection import backproject
+from tagid.imaging.preprocess import PreprocessSettings, preprocess
+from tagid.live.angles import LiveAngles
+from tagid.live.engine import LiveSettings, LiveView
+from tagid.live.evidence import GrowingEvidence
+from tagid.live.image import GrowingImage
+from tagid.live.state import LiveState, Phase
+from tagid.live.views import GrowingViews
+from tagid.motion.urls import open_motion
+from tagid.pipeline.identify import identify
+from tagid.pipeline.load import load_capture
+from tagid.pipeline.prepared import PreparedCapture
+from tagid.pipeline.settings import ImagingSettings
+from tagid.pipeline.turn import resolve_turn
+from tagid.radar.assembler import Scan
+from tagid.radar.settings import RadarConfig
+from tagid.recording.plan import RecordingPlan, plan_window
+from tagid.recording.radars import open_radar
+from tagid.recording.recorder import Watch, record
+from tagid.report.live_screen import draw
+from tagid.simulate.acquisition import Acquisition
+from tagid.simulate.capture import simulate_capture
+from tagid.simulate.presets import scene_from_name
+from tagid.tags.layouts.layout import Layout, builtin_layouts
+from tagid.tags.reading.coarse import CoarseImage
+from tagid.tags.reading.field import MatchedField
+from tagid.tags.reading.hypotheses import SearchSettings
+
+GRID = ImageGrid(0.4, 48)
+RAW = PreprocessSettings(background="none", extent_m=0.4)
+UNMATCHED = replace(RAW, matched_filter=False)
+
+
+def a_capture(views: int = 40, layout: str = "helmet-120", snr_db: float = 15.0, seed: int = 3) -> Capture:
+    capture, _ = simulate_capture(
+        scene_from_name(layout, seed), Acquisition(views=views, snr_db=snr_db), seed
+    )
+    return capture
+
+
+@pytest.fixture(scope="module")
+def layouts() -> list[Layout]:
+    return list(builtin_layouts().values())
+
+
+@pytest.mark.parametrize("parts", [(1,) * 40, (3, 17, 20), (40,)], ids=["singly", "in parts", "at once"])
+def test_the_growing_image_is_the_batch_image_to_rounding(parts: tuple[int, ...]) -> None:
+    """Also over static clutter a thousand times the echo, which the mean removes only at the end."""
+    capture = a_capture()
+    clutter = 1e3 * np.abs(capture.samples).max() * np.sin(0.7 * np.arange(capture.bins))
+    capture = replace(capture, samples=(capture.samples + clutter).astype(np.float32))
+    growing = GrowingImage(GRID)
+    at = 0
+    for count in parts:
+        growing.add(preprocess(capture.select(slice(at, at + count)), settings=RAW))
+        at += count
+    whole = backproject(preprocess(capture, settings=replace(RAW, background="mean")), GRID).values
+    assert growing.views == 40
+    assert np.abs(growing.image().values - whole).max() < 2e-3 * np.abs(whole).max()
+    clean = a_capture()
+    growing = GrowingImage(GRID)
+    growing.add(preprocess(clean, settings=RAW))
+    whole = backproject(preprocess(clean, settings=replace(RAW, background="mean")), GRID).values
+    assert np.abs(growing.image().values - whole).max() < 2e-6 * np.abs(whole).max()
+
+
+def test_an_image_in_the_middle_of_the_turn_is_that_of_the_views_so_far() -> None:
+    capture = a_capture()
+    growing = GrowingImage(GRID)
+    assert not growing.image().values.any()
+    growing.add(preprocess(capture.select(slice(0, 13)), settings=RAW))
+    part = capture.select(slice(0, 13))
+    whole = backproject(preprocess(part, settings=replace(RAW, background="mean")), GRID).values
+    assert np.abs(growing.image().values - whole).max() < 2e-6 * np.abs(whole).max()
+    moved = replace(capture, range_start_m=capture.range_start_m + 0.05)
+    with pytest.raises(DataError, match="do not continue"):
+        growing.add(preprocess(moved.select(slice(13, 14)), settings=RAW))
+
+
+def test_growing_evidence_is_that_of_the_readers_coarse_search(layouts: list[Layout]) -> None:
+    capture = a_capture()
+    growing = GrowingEvidence(layouts)
+    for at in range(0, 40, 4):
+        growing.add(preprocess(capture.select(slice(at, at + 4)), settings=UNMATCHED))
+    search = SearchSettings()
+    radius = max(one.radius_m for one in layouts) + search.centre_range_m * np.sqrt(2)
+    scans = preprocess(capture, settings=replace(UNMATCHED, background="mean"))
+    matched = MatchedField(scans, radius + 0.02)
+    for sums, aspect in zip(growing._sums, search.aspects, strict=True):
+        mine = sums.image(40, growing._scan_sum / 40)
+        reader = CoarseImage.of(matched, radius, aspect, search.offsets_m)
+        assert np.abs(mine.images - reader.images).max() < 1e-4 * np.abs(reader.images).max()
+        assert np.abs(mine.static - reader.static).max() < 1e-4 * np.abs(reader.static).max()
+    found = {one.layout: one for one in growing.judged(scans)}
+    best = max(found.values(), key=lambda one: one.share)
+    assert best.layout == "helmet-120" and best.enough and best.share > 0.7
+    assert all(one.share < 0.35 for name, one in found.items() if name != "helmet-120")
+
+
+def test_noise_alone_reaches_no_threshold(layouts: list[Layout]) -> None:
+    noise = np.random.default_rng(5).normal(0, 100, (40, a_capture().bins)).astype(np.float32)
+    capture = replace(a_capture(), samples=noise)
+    growing = GrowingEvidence(layouts)
+    growing.add(preprocess(capture, settings=UNMATCHED))
+    judged = growing.judged(preprocess(capture, settings=replace(UNMATCHED, background="mean")))
+    assert len(judged) == len(layouts)
+    assert not any(one.nats > one.needed_nats for one in judged)
+    few = GrowingEvidence(layouts)
+    few.add(preprocess(capture.select(slice(0, 3)), settings=UNMATCHED))
+    assert few.judged(preprocess(capture.select(slice(0, 3)), settings=UNMATCHED)) == ()
+
+
+def test_views_are_formed_again_when_the_angles_turn_out_otherwise() -> None:
+    """A nominal speed 5 % wrong, corrected in the middle: the image is that of the right angles alone."""
+    capture = a_capture(60)
+    plain = replace(capture, angles_rad=None, angle_sigma_rad=None)
+    right = capture.angles_rad - capture.angles_rad[0]
+    views = GrowingViews(GRID, (), ImagingSettings(extent_m=0.4))
+    views.update(plain.select(slice(0, 30)), 1.05 * right[:30])
+    wrong = views.image()
+    views.update(plain.select(slice(0, 50)), right[:50])
+    assert wrong is not None
+    exact = GrowingViews(GRID, (), ImagingSettings(extent_m=0.4))
+    exact.update(plain.select(slice(0, 50)), right[:50])
+    a, b = views.image(), exact.image()
+    assert a is not None and b is not None
+    np.testing.assert_allclose(a.values, b.values, atol=1e-6 * np.abs(b.values).max())
+    assert views.count == exact.count == 49  # the last one is still open
+
+
+def scan_of(number: int, time_ms: int, samples: np.ndarray | None = None) -> Scan:
+    values = np.zeros(8, dtype=np.int32) if samples is None else samples
+    return Scan(number, time_ms, time_ms * 1_000_000, values, 0, 1, 2)
+
+
+def test_the_angle_comes_from_the_speed_and_its_sign_from_the_direction() -> None:
+    scans = [scan_of(i, 100 * i) for i in range(20)]
+    ccw = LiveAngles(open_motion("free?rpm=6")).of(scans)
+    cw = LiveAngles(open_motion("free?rpm=6&direction=cw")).of(scans)
+    assert ccw is not None and cw is not None
+    np.testing.assert_allclose(ccw, 2 * np.pi * 0.01 * np.arange(20), atol=1e-6)
+    np.testing.assert_allclose(cw, -ccw)
+    unknown = LiveAngles(open_motion("free"))
+    assert unknown.of(scans) is None
+    unknown.learn(20.0)
+    found = unknown.of(scans)
+    assert found is not None
+    np.testing.assert_allclose(found, ccw / 2, atol=1e-6)
+
+
+def recorded(folder: Path, view: LiveView, seconds: float = 60.0, **more: object) -> Capture:
+    """A turn of an emulated helmet in memory, as fast as it goes, with a live view."""
+    config = plan_window(1.0, 0.5, 0.0, RadarConfig(base_integration_index=15))
+    url = "free?rpm=20"
+    plan = RecordingPlan(config, 1.0, motion=url, max_seconds=seconds)
+    watch = Watch(resolve=view.resolving(resolve_turn), began=view.began, scan=view.scan, ended=view.ended)
+    radar = open_radar("emulator://helmet-120?rpm=20&seed=2")
+    return record(radar, open_motion(url), plan, folder / "x.tagid.h5", replace(watch, **more))
+
+
+def test_a_recording_is_shown_to_its_last_frame(tmp_path: Path, layouts: list[Layout]) -> None:
+    states: list[LiveState] = []
+    motion = open_motion("free?rpm=20")
+    imaging = ImagingSettings(pixels=48)
+    with LiveView(LiveSettings(motion, layouts, imaging=imaging), states.append) as view:
+        capture = recorded(tmp_path, view)
+        prepared = PreparedCapture(load_capture(capture), imaging)
+        answer = identify(prepared, layouts)
+        view.settle(prepared.given, answer)
+    last = view.state
+    assert [one.frame for one in states] == sorted(one.frame for one in states)
+    assert last.phase is Phase.DONE and last.final
+    assert last.answer is not None and last.answer.reading is not None
+    assert last.answer.reading.layout == "helmet-120"
+    assert last.views == prepared.given.views
+    whole = backproject(prepared.scans(imaging.preprocessing(matched_filter=True)), ImageGrid(0.5, 48))
+    assert last.image is not None
+    assert np.abs(last.image.values - whole.values).max() < 1e-5 * np.abs(whole.values).max()
+    assert [t.name for t in threading.enumerate() if t.name.startswith("live-")] == []
+
+
+def test_a_view_that_fails_or_hangs_costs_no_scan(tmp_path: Path) -> None:
+    motion = open_motion("free?rpm=20")
+    held = threading.Event()
+
+    def hang(state: LiveState) -> None:
+        if threading.current_thread().name == "live-view":
+            held.wait(60)
+
+    with LiveView(LiveSettings(motion), hang) as view:
+        capture = recorded(tmp_path, view)
+        held.set()
+    assert capture.complete and capture.radar.scans_lost == 0 == capture.radar.scans_dropped
+
+    def fail(state: LiveState) -> None:
+        if threading.current_thread().name == "live-view":
+            raise RuntimeError("a fault in the view")
+
+    (tmp_path / "x.tagid.h5").unlink()
+    with LiveView(LiveSettings(motion), fail) as view:
+        assert recorded(tmp_path, view).complete
+
+
+def test_stop_ends_a_recording_and_keeps_its_scans(tmp_path: Path) -> None:
+    taken: list[Scan] = []
+    with (
+        LiveView(LiveSettings(open_motion("free?rpm=20"))) as view,
+        pytest.raises(CaptureInterrupted, match="stopped after") as stopped,
+    ):
+        recorded(tmp_path, view, scan=taken.append, stop=lambda: len(taken) >= 10)
+    assert str(tmp_path / "x.tagid.h5") in stopped.value.remedy
+    assert len(taken) >= 10
+
+
+@pytest.mark.parametrize("size", [(80, 24), (200, 60), (20, 5)])
+@pytest.mark.parametrize("colour", [True, False])
+def test_the_screen_fits_any_terminal_and_hides_no_control_character(
+    size: tuple[int, int], colour: bool, layouts: list[Layout]
+) -> None:
+    capture = a_capture(20)
+    growing = GrowingEvidence(layouts)
+    growing.add(preprocess(capture, settings=UNMATCHED))
+    evidence = growing.judged(preprocess(capture, settings=replace(UNMATCHED, background="mean")))
+    views = GrowingViews(GRID, (), ImagingSettings(extent_m=0.4))
+    views.update(replace(capture, angles_rad=None), capture.angles_rad - capture.angles_rad[0])
+    hostile = (replace(evidence[0], layout="a\x1b[31m"), *evidence[1:])
+    state = LiveState(Phase.TURNING, scans=20, turned_rad=3.0, image=views.image(), evidence=hostile)
+    out = io.StringIO()
+    console = Console(file=out, width=size[0], height=size[1], force_terminal=colour, no_color=not colour)
+    console.print(draw(state, "tagid scan \x1b[2J", size, colour))
+    text = out.getvalue()
+    assert "\x1b[2J" not in text and "a\x1b[31m" not in text
+    if size[0] >= 80:
+        assert "172 of 360 deg" in text and "helmet-120" in text
+        assert len(text.splitlines()) <= size[1]

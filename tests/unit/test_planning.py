@@ -1,0 +1,136 @@
+"""The link budget against emulated scans, the rates against their tables, and the plan turned round."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tagid.errors import UsageError
+from tagid.planning.plan import GAP_DB, Setup, gap, invert, moved_distance_m, plan
+from tagid.planning.rates import expected, wilson
+from tagid.radar.settings import RadarConfig
+from tagid.recording.plan import plan_window
+from tagid.recording.sources import emulated_scene
+from tagid.signal import analytic
+from tagid.simulate import Acquisition, BodySpec, ReflectorSpec, parse_body, scene_on_body, simulate_capture
+from tagid.simulate.budget import LinkBudget, effective_length_m, rcs_dbsm
+from tagid.simulate.scatterers import Octahedron
+from tagid.tags.layouts.layout import builtin_layouts
+
+LAYOUT = builtin_layouts()["container-180"]
+
+
+def setup(size_m: float = 0.04, body: str = "none", distance_m: float = 1.0, index: int = 11) -> Setup:
+    return Setup(
+        LAYOUT, ReflectorSpec("octahedron", size_m), parse_body(body), distance_m, 2.0,
+        LinkBudget(integration=index),
+    )  # fmt: skip
+
+
+def emulated_peak_db(size_mm: int, distance_m: float, index: int, body: str = "") -> float:
+    """SNR of one reflector as an emulated radar's scans show it: peak envelope over the noise of a sample."""
+    options = {"reflector": f"octahedron:{size_mm}mm", "axis_distance": str(distance_m), "budget": "1"}
+    source = emulated_scene("container-180", {**options, "rpm": "6", **({"body": body} if body else {})})
+    config = plan_window(distance_m, 0.5, 0.0, RadarConfig(base_integration_index=index))
+    times = np.arange(48) / 48 * 10.0
+    scans = np.stack([source.scan(i, float(t), config) for i, t in enumerate(times)]).astype(float)
+    still = np.stack([source.scan(100 + i, 0.0, config) for i in range(2)]).astype(float)
+    noise = float(np.std(still[0] - still[1]) / np.sqrt(2))
+    moving = np.abs(analytic(scans - scans.mean(axis=0)))
+    # Two reflectors opposite each other do not overlap where one is nearest: its peak is the first one.
+    return float(20 * np.log10(np.quantile(moving.max(axis=1), 0.5) / noise))
+
+
+@pytest.mark.parametrize(
+    ("size_mm", "distance_m", "index"), [(40, 1.0, 11), (40, 2.0, 13), (20, 1.0, 14), (30, 0.7, 11)]
+)
+def test_the_plan_and_emulated_scans_agree_within_a_decibel(
+    size_mm: int, distance_m: float, index: int
+) -> None:
+    planned = plan(setup(size_mm * 1e-3, "none", distance_m, index)).snr_sample_db
+    assert emulated_peak_db(size_mm, distance_m, index) == pytest.approx(planned, abs=1.0)
+
+
+def test_the_radar_equation() -> None:
+    budget = LinkBudget()
+    one = budget.snr_db(0.01, 1.0)
+    assert budget.snr_db(0.01, 2.0) == pytest.approx(one - 40 * np.log10(2))
+    assert budget.snr_db(0.02, 1.0) == pytest.approx(one + 20 * np.log10(2))
+    assert replace(budget, integration=12).snr_db(0.01, 1.0) == pytest.approx(one + 10 * np.log10(2))
+    assert replace(budget, transmit_gain=53).snr_db(0.01, 1.0) == pytest.approx(one - 3)
+    # What the losses were fitted on: a trihedral of 0.3 m (4 pi a^4 / 3 lambda^2) at 10 m, with 33 dB.
+    wavelength = 299_792_458 / 3.95e9
+    corner = np.sqrt(0.3**4 / (3 * wavelength**2))
+    assert budget.snr_db(float(corner), 10.0) == pytest.approx(33, abs=0.2)
+    assert all(term.source and np.isfinite(term.value) for term in budget.terms())
+
+
+@pytest.mark.parametrize(("size_m", "dbsm"), [(0.02, -40.5), (0.04, -25.1)])
+def test_reflectors_have_the_solved_cross_section(size_m: float, dbsm: float) -> None:
+    assert rcs_dbsm(effective_length_m(Octahedron(size_m))) == pytest.approx(dbsm, abs=1.0)
+
+
+def test_a_body_weighs_on_the_plan() -> None:
+    bare, can = plan(setup()), plan(setup(body="can:35mm"))
+    assert bare.body_db is None and can.body_db is not None
+    assert (
+        plan(setup(0.02, "can:35mm")).body_db > 15
+    )  # over 20 dB above it at 4 GHz, with the wall's help less
+    assert can.margin_db < bare.margin_db
+    # The solved can of 35 mm leaves -15 / +5 dB of a 20 mm octahedron at 0.1 / 1 mm off the axis.
+    assert 0.1e-3 < moved_distance_m(26.4) < 1e-3
+
+
+def test_rates_are_those_of_the_tables_and_between_them() -> None:
+    at_18 = [expected("none", 18, snr).named.value for snr in (0, 2.5, 5)]
+    assert at_18[0] < at_18[1] < at_18[2] == 1.0
+    assert at_18[1] == pytest.approx((at_18[0] + 1) / 2)
+    assert expected("none", 12, 0).named.value < expected("none", 15, 0).named.value < at_18[0]
+    assert expected("none", 72, -3.0103).named.value == pytest.approx(
+        expected("none", 36, 0).named.value, abs=1e-3
+    )
+    assert expected("none", 36, -20).note and not expected("none", 36, 10).note
+    low = expected("none", 36, 0)
+    assert low.named.value + low.refused.value + low.wrong.value == pytest.approx(1)
+    assert low.named.low < low.named.value < low.named.high and "identification" in low.source
+    assert expected("can", 36, 10).source != low.source
+    with pytest.raises(UsageError, match="no rates"):
+        expected("teapot", 36, 10)
+    assert (wilson(0.5, 100).low, wilson(0.5, 100).high) == pytest.approx((0.4038, 0.5962), abs=1e-4)
+
+
+def test_what_is_wanted_is_reached_by_the_least_effort() -> None:
+    far = setup(0.02, distance_m=3.0, index=6)
+    wanted = invert(far, 0.99)
+    for found in (wanted.plan, wanted.distance, wanted.integration):
+        assert found is not None and found.rates.named.value >= 0.99 and found.margin_db > 0
+    assert wanted.distance.setup.reflector == far.reflector
+    with pytest.raises(UsageError, match="--want"):
+        invert(far, 1.0)
+
+
+def test_a_gap_between_plan_and_recording_has_a_cause() -> None:
+    one = setup()
+    scene = scene_on_body("container-180", BodySpec(), one.reflector, 1)
+    capture, _ = simulate_capture(scene, Acquisition(views=12, snr_db=30), 1)
+    planned = plan(one).snr_sample_db
+    noise = 120.0
+    level = noise * 10 ** (planned / 20)
+    assert gap(capture, noise, level, one).cause == ""
+    assert "weaker" in gap(capture, noise, level / 10, one).cause
+    assert "noise is 12 dB above" in gap(capture, 4 * noise, level / 10, one).cause
+    assert "more turns" in gap(capture, noise, level * 10, one).cause
+    assert abs(gap(capture, noise, level, one).measured_db - planned) < 1e-6 < GAP_DB
+
+
+def test_the_command(tagid: Callable[..., object], tmp_path: Path) -> None:
+    words = ("plan", "--reflector", "octahedron:40mm", "--body", "can:35mm", "--distance", 1.0, "--pii", 11)
+    data = tagid(*words, "--rpm", 2, "--output", "json").json["data"]
+    assert data["snr_sample_db"] > 30 and data["recording_s"] == pytest.approx(39)
+    assert len(data["budget"]) == 9 and all(term["source"] for term in data["budget"])
+    refused = tagid("plan", "--layout", "nobody")
+    assert refused.code == 2 and "container-90" in refused.err

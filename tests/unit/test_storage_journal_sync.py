@@ -1,0 +1,250 @@
+"""The journal's durability policy, stated in the calls that implement it.
+
+A journal's name and header are on disk before the first scan is taken. Everything that was written is there
+after every `sync_every` records, but not more often than every `sync_seconds`, and at the end.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import stat
+import threading
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from tagid import files, interrupts
+from tagid.errors import DiskFullError, StorageError
+from tagid.storage import journal as journal_module
+from tagid.storage.journal import JournalScan, JournalWriter, read_journal
+from tagid.storage.journal_queue import JournalQueue
+
+HEADER = {"range_start_m": 0.0, "range_step_m": 0.01}
+SAMPLES = np.arange(4, dtype=np.int32)
+
+
+class Syncs:
+    """Every `os.fsync`: what was synced, and how large it was then. The real call is made, too."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.seen: list[tuple[str, int]] = []
+        self._real = os.fsync
+        monkeypatch.setattr(os, "fsync", self._sync)
+
+    def _sync(self, descriptor: int) -> None:
+        assert interrupts._state.depth, "a stop signal may interrupt the sync"
+        facts = os.fstat(descriptor)
+        self.seen.append(("folder", 0) if stat.S_ISDIR(facts.st_mode) else ("file", facts.st_size))
+        self._real(descriptor)
+
+    def take(self) -> list[tuple[str, int]]:
+        """What came since the last call."""
+        seen, self.seen = self.seen, []
+        return seen
+
+
+@pytest.fixture
+def syncs(monkeypatch: pytest.MonkeyPatch) -> Syncs:
+    return Syncs(monkeypatch)
+
+
+def append(journal: JournalWriter, count: int, at_once: bool = False) -> None:
+    first = journal.scans
+    scans = [JournalScan(first + i, 0, 0.0, 0, SAMPLES) for i in range(count)]
+    for batch in [scans] if at_once else [[one] for one in scans]:
+        journal.append_all(batch)
+
+
+def test_the_header_and_then_the_name_are_on_disk_before_the_first_scan(tmp_path: Path, syncs: Syncs) -> None:
+    journal = JournalWriter(tmp_path / "j", HEADER)
+    size = (tmp_path / "j").stat().st_size
+    assert size > 12
+    assert syncs.take() == [("file", size), ("folder", 0)]
+    journal.close()
+
+
+def test_every_so_many_records_are_synced_with_all_before_them(tmp_path: Path, syncs: Syncs) -> None:
+    with JournalWriter(tmp_path / "j", HEADER, sync_every=3) as journal:
+        syncs.take()
+        for count in range(1, 10):
+            append(journal, 1)
+            assert syncs.take() == ([("file", journal.size)] if count % 3 == 0 else []), count
+        append(journal, 2)
+        append(journal, 5, at_once=True)  # 7 since the last: one sync for all of them
+        assert syncs.take() == [("file", journal.size)]
+        append(journal, 2)
+        assert syncs.take() == []  # counted again from the last sync
+
+
+def test_fifty_records_are_the_most_that_a_power_cut_takes(tmp_path: Path, syncs: Syncs) -> None:
+    with JournalWriter(tmp_path / "j", HEADER) as journal:
+        syncs.take()
+        append(journal, 49)
+        assert syncs.take() == []
+        append(journal, 1)
+        assert syncs.take() == [("file", journal.size)]
+
+
+def test_without_a_number_only_the_end_is_synced(tmp_path: Path, syncs: Syncs) -> None:
+    with JournalWriter(tmp_path / "j", HEADER, sync_every=0) as journal:
+        syncs.take()
+        append(journal, 200)
+        assert syncs.take() == []
+        journal.close({"turns": 1})
+        assert syncs.take() == [("file", (tmp_path / "j").stat().st_size)]
+    assert syncs.take() == []  # it is closed already
+
+
+def test_a_recording_that_ends_without_its_end_record_is_synced_too(tmp_path: Path, syncs: Syncs) -> None:
+    with pytest.raises(RuntimeError, match="fault"), JournalWriter(tmp_path / "j", HEADER) as journal:
+        append(journal, 2)
+        syncs.take()
+        raise RuntimeError("fault")
+    assert syncs.take() == [("file", (tmp_path / "j").stat().st_size)]
+    assert read_journal(tmp_path / "j").summary is None
+
+
+def test_syncs_are_at_least_so_many_seconds_apart(
+    tmp_path: Path, syncs: Syncs, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now = 100.0
+    monkeypatch.setattr(journal_module, "time", SimpleNamespace(monotonic=lambda: now))
+    with JournalWriter(tmp_path / "j", HEADER, sync_every=1, sync_seconds=2.0) as journal:
+        syncs.take()
+        seen = []
+        for at in (100.0, 101.0, 101.9, 102.0, 103.9, 104.1):
+            now = at
+            append(journal, 1)
+            seen.append(len(syncs.take()))
+    assert seen == [1, 0, 0, 1, 0, 1]
+
+
+def test_a_failing_sync_is_said_with_its_place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The disk may report a fault of earlier writes at the sync only."""
+
+    def broken(descriptor: int) -> None:
+        raise OSError(errno.EIO, "Input/output error")
+
+    with JournalWriter(tmp_path / "j", HEADER, sync_every=2) as journal:
+        append(journal, 1)
+        with monkeypatch.context() as patch:
+            patch.setattr(os, "fsync", broken)
+            with pytest.raises(StorageError, match="syncing the journal") as caught:
+                append(journal, 1)
+            assert str(tmp_path / "j") in caught.value.message
+    with pytest.raises(StorageError, match="syncing"), JournalWriter(tmp_path / "k", HEADER) as journal:
+        monkeypatch.setattr(os, "fsync", broken)
+    # What is already being raised is not replaced by the sync's own error.
+    monkeypatch.undo()
+    with pytest.raises(RuntimeError, match="first"), JournalWriter(tmp_path / "l", HEADER) as journal:
+        monkeypatch.setattr(os, "fsync", broken)
+        raise RuntimeError("first")
+
+
+def test_a_journal_that_cannot_be_begun_leaves_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(folder: Path) -> None:
+        raise OSError(errno.EIO, "Input/output error")
+
+    before = len(list(Path("/proc/self/fd").iterdir()))
+    monkeypatch.setattr(files, "sync_folder", broken)
+    with pytest.raises(OSError, match="Input/output"):
+        JournalWriter(tmp_path / "j", HEADER)
+    assert list(tmp_path.iterdir()) == []
+    assert len(list(Path("/proc/self/fd").iterdir())) == before
+
+
+def test_records_that_still_fit_are_kept_where_the_batch_does_not(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A disk with room for 2.5 records: the third is removed again, and the first two are counted."""
+    with JournalWriter(tmp_path / "j", HEADER) as journal:
+        append(journal, 1)
+        start = journal.size
+        record = 16 + 32 + SAMPLES.nbytes
+        room = start + int(2.5 * record)
+        real = os.write
+
+        def write(descriptor: int, data: memoryview) -> int:
+            free = room - os.fstat(descriptor).st_size
+            if free <= 0:
+                raise OSError(errno.ENOSPC, "No space left on device")
+            return real(descriptor, data[:free])
+
+        with monkeypatch.context() as patch:
+            patch.setattr(os, "write", write)
+            with pytest.raises(DiskFullError):
+                append(journal, 4, at_once=True)
+        assert (journal.scans, journal.size) == (3, start + 2 * record)
+        assert (tmp_path / "j").stat().st_size == journal.size
+    journal_read = read_journal(tmp_path / "j")
+    assert [scan.scan_id for scan in journal_read.scans] == [0, 1, 2]
+    assert journal_read.bytes_dropped == 0
+
+
+def test_the_last_scan_does_not_wait_for_another_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    synced = threading.Event()
+    real = os.fsync
+
+    def sync(descriptor: int) -> None:
+        real(descriptor)
+        if started:
+            synced.set()
+
+    started = False
+    monkeypatch.setattr(os, "fsync", sync)
+    with JournalWriter(tmp_path / "j", HEADER, sync_every=1, sync_seconds=0.1) as journal:
+        append(journal, 1)
+        started = True
+        with JournalQueue(journal) as queue:
+            queue.put(JournalScan(1, 0, 0.0, 0, SAMPLES))
+            assert synced.wait(60), "the radar fell silent, and its last scans were never synced"
+            assert journal.seconds_to_sync() is None
+
+
+def test_readings_of_the_motion_count_as_records(tmp_path: Path, syncs: Syncs) -> None:
+    readings = {"host_time_ns": [1], "angle_rad": [0.5], "sigma_rad": [0.1], "info": {"kind": "turntable"}}
+    with JournalWriter(tmp_path / "j", HEADER, sync_every=3) as journal:
+        syncs.take()
+        append(journal, 2)
+        journal.append_motion(readings)
+        assert syncs.take() == [("file", journal.size)]
+        journal.append_motion({**readings, "host_time_ns": [2], "info": {}})
+    read = read_journal(tmp_path / "j")
+    assert read.motion == {
+        "host_time_ns": [1, 2],
+        "angle_rad": [0.5, 0.5],
+        "sigma_rad": [0.1, 0.1],
+        "info": {},
+    }
+    assert len(read.scans) == 2
+
+
+def test_the_time_until_the_next_sync_is_told(
+    tmp_path: Path, syncs: Syncs, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now = 50.0
+    monkeypatch.setattr(journal_module, "time", SimpleNamespace(monotonic=lambda: now))
+    with JournalWriter(tmp_path / "j", HEADER, sync_every=1, sync_seconds=2.0) as journal:
+        assert journal.seconds_to_sync() is None  # nothing waits
+        append(journal, 1)
+        assert journal.seconds_to_sync() is None  # synced at once, the first
+        now = 50.5
+        append(journal, 1)
+        assert journal.seconds_to_sync() == pytest.approx(1.5)
+        now = 53.0
+        assert journal.seconds_to_sync() == 0.0
+        syncs.take()
+        journal.sync()
+        assert syncs.take() == [("file", journal.size)]
+        assert journal.seconds_to_sync() is None
+        append(journal, 1)
+        assert journal.seconds_to_sync() == pytest.approx(2.0)  # from the sync that was asked for
+    assert journal.seconds_to_sync() is None  # closed
+    with JournalWriter(tmp_path / "k", HEADER, sync_every=0) as journal:
+        append(journal, 1)
+        assert journal.seconds_to_sync() is None  # left to the operating system
