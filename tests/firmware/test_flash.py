@@ -131,7 +131,7 @@ def test_the_hash_decides(flash, tmp_path: Path, monkeypatch, capsys) -> None:  
     code, _, text = flash(image(), "/dev/null", digest="0" * 64)
     assert code == 1 and "is not the expected image" in text
     code, _, text = flash(image(), "/dev/null", digest="abc")
-    assert code == 2 and "no SHA-256" in text
+    assert code == 2 and "not a SHA-256" in text
     path = tmp_path / "image.bin"
     code, document = run(monkeypatch, capsys, "flash", str(path), "--port", "/dev/null")
     assert code == 2 and hashlib.sha256(image()).hexdigest() in document["errors"][0]["message"]  # type: ignore[index]
