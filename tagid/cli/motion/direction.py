@@ -31,7 +31,7 @@ def chirality_m(layout: Layout) -> float:
 
 
 def turned_the_other_way(capture: Capture, layout: Layout) -> bool:
-    """Whether the object rotated against its capture's angles, so that it reads as its mirror image.
+    """Whether the object rotated opposite to its capture's angles (its mirror image is read).
 
     Args:
         capture: prepared, with angles in the commanded direction.
@@ -54,6 +54,6 @@ def turned_the_other_way(capture: Capture, layout: Layout) -> bool:
     if read not in (layout.name, mirror.name):
         raise DataError(
             f"neither layout {layout.name} nor its mirror image was read ({answer.status})",
-            "Check --layout and the axis distance, and record a full revolution with a clear view of the object.",
+            "Check --layout and the axis distance, and record a full turn with a clear view of the object.",
         )
     return read == mirror.name
