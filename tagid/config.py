@@ -25,8 +25,8 @@ METHODS = ("auto", "bp", "bp-raw", "range-doppler", "polar", "sparse", "omp", "a
 
 
 IMPLAUSIBLE_AXIS_M = 20.0
-"""Axis distances above this were probably given in centimetres or millimetres: at 20 m an echo is 52 dB weaker
-than at 1 m, which no P440 receives from a tag."""
+"""Axis distances above this were probably given in centimetres or millimetres: at 20 m an echo is 52 dB
+weaker than at 1 m, which no P440 receives from a tag."""
 
 
 @dataclass(frozen=True)

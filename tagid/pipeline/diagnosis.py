@@ -195,7 +195,7 @@ def _of_the_place(
 
 
 def _other_centres(reflectors: Sequence[Reflector], layouts: Sequence[Layout]) -> list[tuple[float, float]]:
-    """Centres, m, outside the reader's search range where detected reflectors fit a layout, strongest first."""
+    """Centres, m, outside the reader's search range where reflectors fit a layout, strongest first."""
     strong = [r for r in reflectors if r.amplitude_db > -_ALIKE_DB][:_MOST_REFLECTORS]
     places = np.array([[r.x_m, r.y_m] for r in strong])
     power = np.array([abs(r.amplitude) ** 2 for r in strong])

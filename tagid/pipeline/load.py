@@ -42,7 +42,7 @@ class LoadSettings:
         node: number of the radar to read, if a log holds several.
         axis_distance_m, antenna_height_m, antenna_separation_m: geometry for captures that lack it, m.
         motion: URL of the device that rotated the object.
-        motion_is_default: whether `motion` is only the built-in default; a capture's URL then takes precedence.
+        motion_is_default: whether `motion` is the built-in default; a capture's URL then takes precedence.
         as_recorded: keep the angles of a capture even if the command line gives the motion, because the
             capture was recorded with it.
         wave_speed_m_s: replaces the wave speed of the capture, m/s.

@@ -71,7 +71,7 @@ def preview(
 
 
 def resample(magnitude: NDArray[np.float64], rows: int, columns: int) -> NDArray[np.float64]:
-    """(rows, columns) of (y, x) values: each cell is the largest pixel it overlaps, so no reflector is lost."""
+    """(rows, columns) of (y, x) values: each cell is its largest pixel, so that no reflector is lost."""
     for axis, size in ((0, rows), (1, columns)):
         old = magnitude.shape[axis]
         first = (np.arange(size) * old) // size
