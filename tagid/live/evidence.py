@@ -27,7 +27,7 @@ _MARGIN_M = 0.02
 
 @dataclass(frozen=True)
 class LayoutEvidence:
-    """How well one layout explains the scans so far, at the best position of the coarse search.
+    """Evidence for one layout in the scans so far, at the best position of the coarse search.
 
     Attributes:
         layout: its name.

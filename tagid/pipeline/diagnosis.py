@@ -1,4 +1,4 @@
-"""Why an object was not named: the likely cause in the recording, and its remedy.
+"""Diagnosis of objects that were not named: the likely cause in the recording, and its remedy.
 
 A verdict (`tagid.tags.verdicts`) states which test failed. This module searches for the cause: a wrong
 speed, a partial revolution, a wrong axis distance, an object off the axis. A cause is stated only if the

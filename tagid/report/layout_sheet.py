@@ -1,6 +1,6 @@
 """Layout drawings: dimensioned plan, terminal plan, and 1:1 reflector template.
 
-The plan is seen from above with the axis in the middle, x to the right, as in layout files.
+The plan is seen from above with the axis in the centre, x to the right, as in layout files.
 """
 
 from __future__ import annotations

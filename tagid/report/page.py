@@ -49,7 +49,7 @@ class PageSettings:
 
 
 class Items(Protocol):
-    """Where records and pictures come from, e.g. `tagid.batch.spool.Spool`."""
+    """Source of records and pictures, e.g. `tagid.batch.spool.Spool`."""
 
     def items(self) -> Iterator[tuple[int, Record, dict[str, Any], int]]:
         """(position, record, drawing, bytes of its pictures) in the order of the inputs."""

@@ -14,7 +14,7 @@ from collections.abc import Callable
 from tagid.errors import UsageError
 
 GRACE_S = 5.0
-"""How long an operator may be without a connection, s: a reload takes one or two."""
+"""Time that an operator may be disconnected, s: a reload takes one or two."""
 _MOST_KEYS = 256
 
 
