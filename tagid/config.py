@@ -21,12 +21,12 @@ KIT_ADDRESSES = "192.168.1.100,192.168.1.101,192.168.1.102,192.168.1.103"
 """Addresses of the units of a P440 kit at delivery (P440 MRM documents)."""
 
 METHODS = ("auto", "bp", "bp-raw", "range-doppler", "polar", "sparse", "omp", "ats")
-"""Names in `tagid.pipeline.methods`, repeated here so that help needs no numpy."""
+"""Names in `tagid.pipeline.methods`, repeated here so that help does not import numpy."""
 
 
 IMPLAUSIBLE_AXIS_M = 20.0
-"""An axis distance from which on centimetres or millimetres were meant: at 20 m an echo is 52 dB weaker than
-at 1 m, which no P440 receives from a tag."""
+"""Axis distances above this were probably given in centimetres or millimetres: at 20 m an echo is 52 dB
+weaker than at 1 m, which no P440 receives from a tag."""
 
 
 @dataclass(frozen=True)
@@ -63,15 +63,19 @@ SETTINGS: tuple[Setting, ...] = (
         "radar.cable_delay_sigma_ps", float, None, "its standard deviation, ps (radar calibrate)", 0, 1e5
     ),
     Setting("radar.background", str, None, "capture of the empty scene (radar calibrate)"),
-    Setting("radar.timeout_s", float, 2.0, "silence after which the radar counts as lost, s", 0.05, 60),
-    Setting("radar.resume_s", float, 20.0, "longest wait for a lost radar, s", 0, 3600),
-    Setting("motion.url", str, "free", "what turns the object, e.g. free?rpm=2"),
-    Setting("motion.passkey", str, None, "six digits that pair with the Bluetooth bridge"),
+    Setting(
+        "radar.timeout_s", float, 2.0, "time without data after which the radar counts as lost, s", 0.05, 60
+    ),
+    Setting("radar.resume_s", float, 20.0, "longest time to wait for a lost radar, s", 0, 3600),
+    Setting("motion.url", str, "free", "device that rotates the object, e.g. free?rpm=2"),
+    Setting("motion.passkey", str, None, "six-digit pass-key of the Bluetooth bridge"),
     Setting("motion.axis_distance_m", float, None, "radar to rotation axis, m", 1e-3, 1e4),
     Setting("motion.antenna_height_m", float, 0.0, "antenna above the object's plane, m", -10, 10),
-    Setting("motion.antenna_separation_m", float, 0.0, "between transmit and receive antenna, m", 0, 10),
+    Setting(
+        "motion.antenna_separation_m", float, 0.0, "distance between transmit and receive antenna, m", 0, 10
+    ),
     Setting("imaging.method", str, "auto", "bp, sparse, ats, auto and more", choices=METHODS),
-    Setting("imaging.extent_m", float, 0.5, "side of the image, m", 1e-3, 1e4),
+    Setting("imaging.extent_m", float, 0.5, "width of the image, m", 1e-3, 1e4),
     Setting("imaging.ats", str, "", "settings of ats, e.g. robust=3,calibrate=axis+wobble"),
     Setting(
         "imaging.pulse",
@@ -82,7 +86,7 @@ SETTINGS: tuple[Setting, ...] = (
     ),
     Setting("imaging.pixels", int, 128, "pixels per side", 16, 1024),
     Setting(
-        "tags.false_accept", float, 1e-3, "chance of naming an object without an enrolled tag", 1e-9, 0.5
+        "tags.false_accept", float, 1e-3, "probability of naming an object without an enrolled tag", 1e-9, 0.5
     ),
     Setting(
         "tags.direction",
@@ -166,7 +170,7 @@ def parse_value(name: str, raw: Any, where: str) -> Any:
     if name == "motion.axis_distance_m" and value >= IMPLAUSIBLE_AXIS_M:
         raise ConfigError(
             f"{where}: {name} is {value:g}. {value:g} m? Give metres",
-            f"e.g. {value / 100:g} for {value:g} cm; a turntable stands about 1 m from the antennas.",
+            f"e.g. {value / 100:g} for {value:g} cm; a turntable is usually about 1 m from the antennas.",
         )
     if setting.choices and value not in setting.choices:
         raise ConfigError(f"{where}: {name} is {value!r}, expected one of {', '.join(setting.choices)}")
@@ -261,5 +265,5 @@ def _write(path: Path, found: Mapping[str, Any]) -> None:
         files.make_folder(path.parent)
     except OSError as error:
         raise files.storage_error(error, path, "making its folder") from error
-    # It may hold a bridge's pass-key, which is for its owner alone.
+    # It may contain a bridge's pass-key, which only its owner may read.
     files.write_bytes(path, tomli_w.dumps(tables).encode(), private=True)

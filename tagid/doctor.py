@@ -27,7 +27,7 @@ class Finding:
     Attributes:
         topic: subject of the check.
         level: "ok", "warning" (not essential) or "problem".
-        text: what was found.
+        text: the finding.
         remedy: what to do; empty if there is no problem.
     """
 
@@ -81,9 +81,7 @@ def _disk(folder: Path) -> Finding:
     while not place.exists() and place != place.parent:
         place = place.parent
     if not os.access(place, os.W_OK):
-        return Finding(
-            "disk", "problem", f"{place} cannot be written to", "Set storage.folder to another folder."
-        )
+        return Finding("disk", "problem", f"{place} is not writable", "Set storage.folder to another folder.")
     free = shutil.disk_usage(place).free
     text = f"{free / 2**30:.1f} GiB free for captures in {folder.resolve()}"
     if free < _LOW_DISK_BYTES:
@@ -115,7 +113,7 @@ def _ports() -> Finding:
 
 
 def _system() -> list[Finding]:
-    """The udev rule and the systemd unit that come with the package, and how to install them; Linux only."""
+    """The udev rule and the systemd unit of the package, and how to install them; Linux only."""
     if platform.system() != "Linux":
         return []
     folder = Path(__file__).resolve().parent / "system"
@@ -128,7 +126,7 @@ def _system() -> list[Finding]:
         access = Finding("device access", "warning", f"{found} is of another version", _install_rule(rule))
     else:
         access = Finding(
-            "device access", "ok", "no udev rule, needed if ports are forbidden", _install_rule(rule)
+            "device access", "ok", "no udev rule, needed if access to ports is denied", _install_rule(rule)
         )
     home = Path(os.environ.get("XDG_CONFIG_HOME") or Path.home() / ".config") / "systemd" / "user"
     if (home / unit.name).exists():
@@ -139,7 +137,7 @@ def _system() -> list[Finding]:
             "systemctl --user enable --now tagid-station"
         )
         service = Finding(
-            "service", "ok", "no systemd unit, needed if the station is to start by itself", remedy
+            "service", "ok", "no systemd unit, needed to start the station automatically", remedy
         )
     return [access, service]
 

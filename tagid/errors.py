@@ -1,7 +1,7 @@
-"""The exceptions that a user can meet, in one hierarchy.
+"""All exceptions shown to users, in one hierarchy.
 
 Every class has a stable code (part of the JSON contract) and the exit code of the process. Every instance
-says what happened and what to do next, so that no command ever shows a traceback.
+states the cause and the remedy, so that no command shows a traceback.
 """
 
 from __future__ import annotations
@@ -33,10 +33,10 @@ def displayable(text: str) -> str:
 
 
 def visible(text: str) -> str:
-    """Text that cannot steer a terminal: control characters but the line feed stand as \\xNN or \\uNNNN.
+    """Text without terminal control: control characters except the line feed appear as \\xNN or \\uNNNN.
 
     C0, DEL and C1 controls begin escape sequences; line separators and the marks that change the direction of
-    writing let one text pass for another (Unicode Technical Report 36).
+    writing can disguise a text (Unicode Technical Report 36).
 
     >>> visible("red \\x1b[31m")
     'red \\\\x1b[31m'
@@ -139,7 +139,7 @@ class DeviceError(TagidError):
 
 
 class DeviceTimeoutError(DeviceError):
-    """A device did not answer, or stopped answering, within its timeout."""
+    """A device did not reply, or stopped replying, within its timeout."""
 
     code = "device_timeout"
 
@@ -151,13 +151,13 @@ class DeviceGoneError(DeviceError):
 
 
 class DeviceRestartedError(DeviceError):
-    """A device restarted by itself during work; it answers again after booting."""
+    """A device restarted unexpectedly; it responds again after booting."""
 
     code = "device_restarted"
 
 
 class DeviceRejectedError(DeviceError):
-    """A device answered a request with an error status."""
+    """A device replied to a request with an error status."""
 
     code = "device_rejected"
 
@@ -175,7 +175,7 @@ class ClusterError(TagidError):
 
 
 class CaptureInterrupted(TagidError):  # noqa: N818 - it is an event, not a fault
-    """The user stopped the work (Ctrl-C); everything recorded until then is kept."""
+    """The user stopped the command (Ctrl-C); data recorded until then are kept."""
 
     code = "interrupted"
     exit_code = EXIT_INTERRUPTED

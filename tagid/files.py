@@ -90,7 +90,7 @@ def open_regular(path: Path) -> Iterator[tuple[BinaryIO, int]]:
 
 
 def write_bytes(path: Path, data: bytes | memoryview, private: bool = False) -> None:
-    """Write a file so that its final name holds all of `data` or what it held before; see `replacing`."""
+    """Write a file so that its final name holds all of `data` or its previous content; see `replacing`."""
     with replacing(path, private=private) as stream:
         stream.write(data)
 
@@ -175,7 +175,7 @@ class PatientFile(io.RawIOBase):
 def replacing(
     path: Path, verify: Callable[[Path], None] | None = None, private: bool = False
 ) -> Iterator[PatientFile]:
-    """A file to fill, whose final name holds all of it or what it held before, even after a power cut.
+    """A file to write, whose final name holds all of it or its previous content, even after a power cut.
 
     The bytes go to a temporary file in the same folder, are synced, and the file is renamed over the final
     name. If anything is raised, the temporary file is removed and the final name is unchanged. Stop signals
@@ -183,7 +183,7 @@ def replacing(
 
     Args:
         path: the final name.
-        verify: called with the path of the synced temporary file; what it raises stops the replacement.
+        verify: called with the path of the synced temporary file; an exception prevents the replacement.
         private: whether only the owner may read the file.
 
     Raises:
@@ -221,7 +221,7 @@ def replacing(
 
 
 def _open_temporary(target: Path, path: Path) -> tuple[Path, PatientFile]:
-    """A new locked file beside `target`: its lock, held until the process ends, marks it as in use."""
+    """A new locked file next to `target`: its lock, held until the process ends, marks it as in use."""
     while True:
         temporary = target.with_name(f".{target.name[:80]}.{secrets.token_hex(6)}{_TEMPORARY}")
         try:
@@ -238,7 +238,7 @@ def _open_temporary(target: Path, path: Path) -> tuple[Path, PatientFile]:
 def clear_abandoned(folder: Path) -> None:
     """Remove the temporary files in a folder that `replacing` made in processes that were killed.
 
-    Files locked by a running process stay, as do those that cannot be locked or removed.
+    Files locked by a running process are kept, as are those that cannot be locked or removed.
     """
     try:
         found = [path for path in folder.iterdir() if path.name[0] == "." and path.name.endswith(_TEMPORARY)]

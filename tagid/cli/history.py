@@ -18,7 +18,7 @@ _SHOWN = 20
 
 
 class HistoryOutput(StrEnum):
-    """How the list is written."""
+    """Output format of the list."""
 
     human = "human"
     json = "json"

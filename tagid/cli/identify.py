@@ -66,7 +66,7 @@ def register(app: typer.Typer) -> None:
 
 @dataclass(frozen=True)
 class View:
-    """What to subtract before reading, and what to draw.
+    """Background subtraction and drawing options.
 
     Attributes:
         background: "mean", "median", "reference" or "none".

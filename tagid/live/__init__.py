@@ -1,1 +1,1 @@
-"""What a recording shows while it runs: the growing image, the evidence for each layout, the answer."""
+"""Live view of a recording: the growing image, the evidence for each layout, the answer."""

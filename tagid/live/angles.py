@@ -1,6 +1,6 @@
-"""The angle of each scan while the object turns, as well as it is known at that moment.
+"""The angle of each scan during the recording, as far as known.
 
-They are for the view; the stored capture gets its angles from the whole recording (`tagid.pipeline.resolve`).
+They are for display; the stored capture gets its angles from the whole recording (`tagid.pipeline.resolve`).
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ from tagid.radar.assembler import Scan
 _FEWEST_FITTED = 8
 _FEWEST_SEARCHED = 40
 _SEARCHED_TURNS = MIN_TURNS + 0.02
-"""Turns at the nominal speed after which the period is searched."""
+"""Turns at the nominal speed after which the period is estimated."""
 _MOST_SEARCHED = 1000
-"""Scans given to the search; more are thinned, so that it takes a fraction of a second."""
+"""Maximum number of scans of the search; more are decimated, to keep it within a fraction of a second."""
 
 
 class LiveAngles:
     """Angles of the scans so far: measured, from the nominal speed, or from the period in the scans.
 
     Args:
-        motion: what turns the object.
+        motion: the device that rotates the object.
     """
 
     def __init__(self, motion: Motion) -> None:
@@ -39,11 +39,11 @@ class LiveAngles:
         self._tried = False
 
     def learn(self, period_s: float) -> None:
-        """Take over a period that was found in the scans, s per turn."""
+        """Use a period that was found in the scans, s per turn."""
         self._period_s, self._from_data = period_s, True
 
     def of(self, scans: Sequence[Scan]) -> NDArray[np.float64] | None:
-        """(scans,) angle relative to the first scan, rad; None while it is not known."""
+        """(scans,) angle relative to the first scan, rad; None while unknown."""
         if not scans:
             return None
         if self._motion.measures:
@@ -60,9 +60,9 @@ class LiveAngles:
         return np.asarray(self._motion.direction * 2 * math.pi / self._period_s * times)
 
     def _search(self, scans: Sequence[Scan], times: NDArray[np.float64]) -> None:
-        """Correct a nominal speed once the scans hold more than a turn.
+        """Correct a nominal speed once the scans cover more than one turn.
 
-        Without a nominal speed the repetition may be a part of a turn, which only imaging can tell: the
+        Without nominal speed the repetition may be a fraction of a turn, which only imaging can resolve; the
         recording does that, see `learn`.
         """
         nominal = self._motion.nominal_s

@@ -1,7 +1,7 @@
-"""Makes states of the scans while they are recorded, on threads of its own.
+"""Computes states from the scans during recording, in separate threads.
 
-The recording only appends to a list and is never held up: a slow computer shows fewer frames, and every scan
-is still taken into the next one.
+The recording only appends to a list and is never blocked: a slow computer shows fewer frames, but every scan
+is included in the next one.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from tagid.tags.layouts.layout import Layout
 
 MAX_PIXELS = 128
-"""Pixels per side of the live image: no screen shows more beside the other figures."""
+"""Pixels per side of the live image: screens show no more next to the other figures."""
 FRAME_S = 0.12
 """Shortest time between two frames, s."""
 _ROWS = 240
@@ -48,10 +48,10 @@ _JOIN_S = 30.0
 
 @dataclass(frozen=True)
 class LiveSettings:
-    """What the live view needs beside the scans.
+    """Inputs of the live view other than the scans.
 
     Attributes:
-        motion: what turns the object.
+        motion: the device that rotates the object.
         layouts, signatures, registry_version: the contents of the registry.
         imaging: settings of imaging and reading.
     """
@@ -64,13 +64,13 @@ class LiveSettings:
 
 
 class LiveView:
-    """Takes scans, gives states; use it as a context manager.
+    """Computes states from scans; use it as a context manager.
 
     `began`, `scan` and `ended` are called by the recording and return at once. States are made on a worker
     thread; a second one reads the tag as soon as a turn is complete.
 
     Args:
-        settings: what is needed beside the scans.
+        settings: inputs other than the scans.
         tell: called on a worker thread with every new state; it must not block for long.
     """
 
@@ -112,19 +112,19 @@ class LiveView:
         return self._state
 
     def began(self, session: Session) -> None:
-        """The radar is configured; scans follow."""
+        """Called when the radar is configured, before the first scan."""
         self._session = session
         self._publish(phase=Phase.TURNING)
 
     def scan(self, scan: Scan) -> None:
-        """Take one scan."""
+        """Add one scan."""
         with self._lock:
             self._queue.append(scan)
             self._last_scan_at = time.monotonic()
         self._wake.set()
 
     def resolving(self, resolve: Callable[[Capture, str], Capture]) -> Callable[[Capture, str], Capture]:
-        """The function for `Watch.resolve` that also tells the view the period it finds."""
+        """The function for `Watch.resolve` that also passes the estimated period to the view."""
 
         def told(capture: Capture, motion: str) -> Capture:
             found = resolve(capture, motion)
@@ -136,13 +136,13 @@ class LiveView:
         return told
 
     def ended(self) -> None:
-        """The last scan was taken; the capture file is being written."""
+        """Called after the last scan, while the capture file is being written."""
         self._over = True
         self._publish(phase=Phase.READING)
         self._wake.set()
 
     def settle(self, prepared: Capture, answer: Identification) -> None:
-        """The answer of the stored capture, and that capture as it was read, for the last frame."""
+        """Set the answer of the stored capture, and the prepared capture for the last frame."""
         self._answered(answer)
         self._stored = prepared
         self._wake.set()
@@ -152,11 +152,11 @@ class LiveView:
         self._publish(note=text)
 
     def fail(self, error: TagidError) -> None:
-        """The scan ended with an error."""
+        """Report that the scan ended with an error."""
         self._publish(phase=Phase.FAILED, note=f"{error.message}. {error.remedy}".strip())
 
     def close(self) -> None:
-        """End the threads; the state stays. After `settle` the last frame is still made."""
+        """End the threads; the state is kept. After `settle` the last frame is still computed."""
         self._closing = True
         self._wake.set()
         for thread in (self._worker, self._reader):
@@ -175,7 +175,7 @@ class LiveView:
         return self._state
 
     def _answered_ahead(self, answer: Identification) -> None:
-        """Publish the answer of the scans so far, unless that of the stored capture is there."""
+        """Publish the answer of the scans so far, unless that of the stored capture is available."""
         with self._lock:
             if self._state.final:
                 return
@@ -198,7 +198,7 @@ class LiveView:
         self._tell(state)
 
     def _work(self) -> None:
-        """The worker thread: until closed, take what is new and publish."""
+        """The worker thread: until closed, process new scans and publish."""
         try:
             while not self._closing:
                 self._wake.wait(FRAME_S)
@@ -219,7 +219,7 @@ class LiveView:
                 self._publish(note="the live view stopped; the recording continues")
 
     def _take(self) -> bool:
-        """Take the new scans into the views, and publish; False where nothing is new."""
+        """Add the new scans to the views, and publish; False if there are none."""
         with self._lock:
             new, self._queue = self._queue, []
         session = self._session
@@ -249,7 +249,7 @@ class LiveView:
         return True
 
     def _in_a_hurry(self) -> bool:
-        """Whether the view is to end: what is left over is not shown any more."""
+        """Whether the view is to end; remaining scans are then not shown."""
         return self._closing or self._stored is not None
 
     def _so_far(self, session: Session) -> Capture:
@@ -278,7 +278,7 @@ class LiveView:
         return Sinogram(rows, (start, start + RANGE_STEP_M * (rows.shape[1] - 1))), snr
 
     def _read_ahead(self, session: Session, angles: NDArray[np.float64]) -> None:
-        """Read the tag when a turn is complete, while the overlap is still recorded."""
+        """Read the tag when a turn is complete, while the overlap is still being recorded."""
         turned = float(np.abs(angles).max())
         per_scan = turned / max(len(angles) - 1, 1)
         busy = self._reader is not None and self._reader.is_alive()
@@ -318,6 +318,6 @@ class LiveView:
 
 
 def _same(one: Identification, other: Identification) -> bool:
-    """Whether two answers say the same to the user."""
+    """Whether two answers are the same for the user."""
     names = (one.reading and one.reading.layout, other.reading and other.reading.layout)
     return one.status == other.status and names[0] == names[1]

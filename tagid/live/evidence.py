@@ -1,7 +1,7 @@
 """Evidence for each layout while the views arrive: every template is evaluated once for each new view.
 
 The sums are those of the reader's coarse search (`tagid.tags.reading`): the same patterns, range offsets and
-hypotheses, so a bar shows what the final reading will begin with. The refinement is left to the reader.
+hypotheses, so a bar shows the starting point of the final reading. The reader does the refinement.
 """
 
 from __future__ import annotations
@@ -21,20 +21,21 @@ from tagid.tags.reading.field import RangeProfiles
 from tagid.tags.reading.hypotheses import CoarseGrid, SearchSettings
 
 FEWEST_VIEWS = 6
-"""Fewer views are explained by any layout."""
+"""With fewer views, every layout explains the scans."""
 _MARGIN_M = 0.02
 
 
 @dataclass(frozen=True)
 class LayoutEvidence:
-    """How well one layout explains the scans so far, at its best place of the coarse search.
+    """Evidence for one layout in the scans so far, at the best position of the coarse search.
 
     Attributes:
         layout: its name.
         share: 0..1, part of the moving echo's energy above noise that it explains.
-        needed_share: the least share with which the reader names a layout.
-        nats: explained energy over the noise.
-        needed_nats: what noise alone, searched at as many places, reaches with the false-accept probability.
+        needed_share: smallest share with which the reader names a layout.
+        nats: explained energy divided by the noise energy.
+        needed_nats: value that noise alone, over all positions of the search, reaches with the false-accept
+        probability.
     """
 
     layout: str
@@ -45,12 +46,12 @@ class LayoutEvidence:
 
     @property
     def enough(self) -> bool:
-        """Whether both thresholds are reached; a name needs more tests than these two."""
+        """Whether both thresholds are reached; an identification requires further tests."""
         return self.share >= self.needed_share and self.nats >= self.needed_nats
 
 
 class GrowingEvidence:
-    """Sums over the views from which the evidence for every layout follows.
+    """Sums over the views from which the evidence for every layout is computed.
 
     Args:
         layouts: the enrolled ones, at least one.
@@ -105,7 +106,7 @@ class GrowingEvidence:
         self.views += len(coordinates)
 
     def judged(self, scans: BasebandScans) -> tuple[LayoutEvidence, ...]:
-        """The evidence for each layout, in the order given; empty with too few views.
+        """The evidence for each layout, in the given order; empty with too few views.
 
         Args:
             scans: all views so far, from `preprocess` without the matched filter: their energy and noise.

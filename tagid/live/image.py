@@ -46,7 +46,7 @@ class GrowingImage:
             scans: from `preprocess` with the matched filter and without background removal.
 
         Raises:
-            DataError: the scans cover other ranges than the first ones.
+            DataError: the ranges of the scans differ from those of the first ones.
         """
         first = self._first
         if first is None:
@@ -67,7 +67,7 @@ class GrowingImage:
         self.views += len(rows)
 
     def image(self) -> Image:
-        """The image of the views so far; zero before the second view, as there is nothing that changes."""
+        """The image of the views so far; zero before the second view, because nothing has changed yet."""
         pixels = self.grid.pixels
         first = self._first
         if first is None or self.views < 2:

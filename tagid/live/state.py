@@ -1,4 +1,4 @@
-"""One moment of a recording, as the terminal and the page draw it."""
+"""The state of a recording at one time, as drawn by the terminal and the page."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class Phase(StrEnum):
-    """Where a scan stands."""
+    """Phase of a scan."""
 
     CONNECTING = "connecting"
     TURNING = "turning"
@@ -41,24 +41,24 @@ class Sinogram:
 
 @dataclass(frozen=True, eq=False)
 class LiveState:
-    """One moment of a recording.
+    """State of a recording at one time.
 
     Attributes:
-        phase: where the scan stands.
-        frame: number of the state, rising.
+        phase: phase of the scan.
+        frame: number of the state, increasing.
         scans, lost: complete scans and lost ones.
         seconds: from the first scan to the last, by the radar's clock, s.
-        turned_rad: angle covered, not negative; None while neither the motion nor the scans tell it.
+        turned_rad: angle covered, not negative; None while neither the motion nor the scans determine it.
         views: views in the image.
-        snr_db: moving echo over the noise in one scan; None where nothing stands out.
+        snr_db: ratio of moving echo to noise in one scan, dB; None if no echo exceeds the noise.
         sinogram: of the scans so far; None before two of them.
         image: backprojection of the views so far; None before there is one.
         evidence: for each layout; empty with too few views.
         answer: the newest answer; None before there is one.
         final: whether the answer is that of the stored capture; until then it is read from the scans so far.
-        answer_after_s: host time from the last scan to the moment this answer was first there, s; negative
-            where it was read ahead of the last scan. None before the final answer.
-        note: what happened last, for the user; empty otherwise.
+        answer_after_s: host time from the last scan until this answer was first available, s; negative if
+            it was available before the last scan. None before the final answer.
+        note: most recent remark for the user; empty if none.
     """
 
     phase: Phase = Phase.CONNECTING
@@ -79,5 +79,5 @@ class LiveState:
 
     @property
     def turn_share(self) -> float | None:
-        """The part of a turn that is covered, 0..1; None where the angle is not known."""
+        """The covered fraction of a turn, 0..1; None if the angle is unknown."""
         return None if self.turned_rad is None else min(self.turned_rad / (2 * np.pi), 1.0)

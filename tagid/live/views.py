@@ -1,4 +1,4 @@
-"""Views of the first turn, formed as the scans arrive, with their image and evidence."""
+"""Views of the first turn, formed during the recording, with their image and evidence."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from tagid.tags.layouts.layout import Layout
 from tagid.tags.reading.decision import DecisionSettings
 
 MAX_VIEWS = 180
-"""Views per turn while the object turns, 2 degrees each: a reflector at 0.15 m is smeared over 5 mm, which
-costs it 0.1 dB. The last frame has all views of the stored capture."""
+"""Views per turn during the recording, 2 degrees each: a reflector at 0.15 m is smeared over 5 mm, which
+reduces it by 0.1 dB. The last frame has all views of the stored capture."""
 TOLERANCE_RAD = float(np.deg2rad(0.3))
-"""Change of an angle from which the views are formed again: 0.3 degrees move a reflector at 0.25 m by
+"""Smallest change of an angle for which the views are recomputed: 0.3 degrees move a reflector at 0.25 m by
 1.3 mm."""
 _EVIDENCE_SHARE = 0.3
-"""Largest part of the time spent on judging layouts: with many enrolled ones the bars move less often."""
+"""Largest share of time for computing evidence: with many enrolled layouts the bars update less often."""
 _CHUNK = 8
 
 
@@ -65,13 +65,13 @@ class GrowingViews:
     def update(
         self, scans: Capture, angles_rad: NDArray[np.float64], hurry: Callable[[], bool] = lambda: False
     ) -> None:
-        """Add what is new.
+        """Add new scans.
 
         Args:
             scans: all scans so far, without angles.
-            angles_rad: (scans,) their angles as known now; where they differ from those the views were formed
-                with, all views are formed again.
-            hurry: asked between views; True leaves the rest for later.
+            angles_rad: (scans,) their current angles; if they differ from those used for the views, all
+                views are recomputed.
+            hurry: called between views; True postpones the remaining ones.
 
         Raises:
             DataError: the scans cannot be imaged.
@@ -125,7 +125,7 @@ class GrowingViews:
         return self._image.image() if self._image.views > 1 else None
 
     def evidence(self) -> tuple[LayoutEvidence, ...]:
-        """The evidence for each layout, formed anew at most a part of the time."""
+        """The evidence for each layout, recomputed within its share of the time."""
         now = time.monotonic()
         if self._evidence is None or self._capture is None or now < self._judge_at:
             return self._judged
@@ -143,7 +143,7 @@ class GrowingViews:
 def whole_image(capture: Capture, grid: ImageGrid, imaging: ImagingSettings) -> Image:
     """The image of a prepared capture, as `GrowingViews` makes it: backprojection of every view.
 
-    Raises DataError where it cannot be imaged.
+    Raises DataError if it cannot be imaged.
     """
     image = GrowingImage(grid)
     settings = replace(imaging.preprocessing(matched_filter=True), background="none")

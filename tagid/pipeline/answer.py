@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Cause:
-    """A likely cause of an answer that names nothing.
+    """A likely cause of a failed identification.
 
     Attributes:
         code: "speed", "partial_turn", "axis_distance" or "off_centre"; stable, for programs.
@@ -35,14 +35,14 @@ class Identification:
     """The answer to "what is this object" (contract: Identification).
 
     Attributes:
-        reading: result of reading the scans; None where status is "failed".
+        reading: result of reading the scans; None if status is "failed".
         status: "identified", "unknown", "ambiguous", "no_tag" or "failed".
         capture_uuid, registry_version, label: provenance and readable name.
         seconds: seconds per stage.
-        error: {code, message, remedy} where status is "failed".
-        second: the network's result for the image; None for free antenna positions and where status is
+        error: {code, message, remedy} if status is "failed".
+        second: the network's result for the image; None for free antenna positions and if status is
             "failed".
-        causes: likely causes where nothing is named, most certain first.
+        causes: likely causes if nothing is named, most certain first.
     """
 
     status: str
@@ -90,16 +90,16 @@ class Identification:
         }
 
     def _nearest_share(self) -> float | None:
-        """Share of the energy above noise that the nearest layout explains; None where unknown."""
+        """Share of the energy above noise that the nearest layout explains; None if unknown."""
         scores = self.reading.scores if self.reading else ()
         return next((s.share for s in scores if self.reading and s.name == self.reading.nearest), None)
 
     def _won(self) -> str | None:
-        """The kind of the hypothesis that the answer rests on; None if nothing was read."""
+        """The kind of the selected hypothesis; None if nothing was read."""
         return self.reading.kind.value if self.reading else None
 
     def _bound(self) -> dict[str, Any] | None:
-        """What the false-accept setting rests on; None if no calibration was asked."""
+        """Basis of the false-accept bound; None if no calibration was used."""
         bound = self.reading.bound if self.reading else None
         if bound is None:
             return None
@@ -112,7 +112,7 @@ class Identification:
         }
 
     def _hypotheses(self) -> list[dict[str, Any]]:
-        """Every hypothesis that was fitted, with what it leaves unexplained and where it puts the body."""
+        """Every fitted hypothesis, with its residual and its position of the body."""
         return [
             {
                 "kind": one.kind.value,

@@ -1,8 +1,8 @@
-"""Why an object was not named: the likely cause in the recording, and its remedy.
+"""Diagnosis of objects that were not named: the likely cause in the recording, and its remedy.
 
-A verdict (`tagid.tags.verdicts`) says what the scans do not show. This looks for what makes them so: a wrong
-speed, a part of a turn, a wrong axis distance, an object that stands off the axis. A cause is stated only
-where the scans themselves bear it out; an answer is never changed by it.
+A verdict (`tagid.tags.verdicts`) states which test failed. This module searches for the cause: a wrong
+speed, a partial revolution, a wrong axis distance, an object off the axis. A cause is stated only if the
+scans confirm it; it never changes the answer.
 """
 
 from __future__ import annotations
@@ -27,21 +27,21 @@ from tagid.tags.layouts.layout import Layout
 from tagid.tags.reading.reflectors import Reflector
 
 WHOLE_TURN = 0.97
-"""Share of a turn from which on it counts as whole: a gap of 10 degrees does not impair reading."""
+"""Smallest share of a revolution that counts as complete: a gap of 10 degrees does not impair reading."""
 AXIS_SEARCH_M = 0.2
-"""Half width of the search for a wrong axis distance, m: a mistaken tape end or a forgotten antenna mount."""
+"""Half-width of the search for a wrong axis distance, m: misread tape, or antenna mount not included."""
 _AXIS_STEP_M = 5e-3
 _AXIS_NEAR_M = 0.02
-"""Errors that the reader corrects by itself are no cause."""
+"""Errors that the reader corrects are not reported as causes."""
 _AXIS_TRIES = 3
 _AXIS_VIEWS = 90
 _GRID = ImageGrid(0.5, 72)
-"""Covers the largest built-in layout off its axis, with the pixels of the search for the axis distance."""
+"""Covers the largest built-in layout off the axis, with the pixel size of the axis-distance search."""
 _ALIKE_DB = 10.0
-"""Found reflectors within this of the strongest may be those of a tag."""
+"""Detected reflectors within this level of the strongest may belong to a tag."""
 _MOST_REFLECTORS = 6
 _FITS_M = 0.008
-"""RMS distance of found reflectors from their places in a layout, m."""
+"""RMS distance of detected reflectors from their positions in a layout, m."""
 _FARTHEST_M = 0.12
 _PLACE_TRIES = 3
 
@@ -52,12 +52,12 @@ def turn_share(capture: Capture) -> float | None:
         return None
     angles = np.sort(np.mod(capture.angles_rad, 2 * np.pi))
     gaps = np.diff(np.append(angles, angles[0] + 2 * np.pi))
-    # The widest gap less the usual step between views is what was not seen.
+    # The uncovered part is the widest gap minus the usual step between views.
     return float(np.clip(1 - (gaps.max() - np.median(gaps)) / (2 * np.pi), 0, 1))
 
 
 def recording_remarks(capture: Capture) -> tuple[str, ...]:
-    """What is wrong with a recording whatever it shows, a sentence each: its speed, and a part of a turn."""
+    """Problems of a recording, one sentence each: a wrong speed, a partial revolution."""
     remarks = []
     if told := speed_contradiction(capture.motion.resolved):
         remarks.append(told)
@@ -73,11 +73,11 @@ def recording_remarks(capture: Capture) -> tuple[str, ...]:
 def with_causes(
     answer: Identification, prepared: PreparedCapture, layouts: Sequence[Layout]
 ) -> Identification:
-    """The answer, with the likely causes where it names nothing, most certain first.
+    """The answer, with the likely causes if nothing is named, most certain first.
 
     Args:
         answer: of `identify`.
-        prepared: the capture that it answers.
+        prepared: the capture of the answer.
         layouts: the enrolled ones.
     """
     if answer.status in ("identified", "failed") or answer.reading is None:
@@ -100,7 +100,7 @@ def _of_the_turn(capture: Capture) -> list[Cause]:
                 "speed",
                 told,
                 f"Read it again with --motion 'free?rpm={resolved.measured_rpm:.3g}', or with --motion free, "
-                "which takes the speed from the scans.",
+                "which estimates the speed from the scans.",
             )
         )
     share = turn_share(capture)
@@ -109,14 +109,14 @@ def _of_the_turn(capture: Capture) -> list[Cause]:
             Cause(
                 "partial_turn",
                 f"the views cover {share * 360:.0f} of 360 degrees",
-                "Record a full turn and a little more; `tagid scan` does so where the speed is right.",
+                "Record slightly more than one full turn; `tagid scan` does so if the speed is right.",
             )
         )
     return causes
 
 
 def _of_the_axis(prepared: PreparedCapture, layouts: Sequence[Layout]) -> list[Cause]:
-    """Another axis distance, where the reader names the object with it."""
+    """A different axis distance, if the reader names the object with it."""
     capture = prepared.given
     given = capture.axis_distance_m
     if given is None or capture.angles_rad is None:
@@ -135,14 +135,14 @@ def _of_the_axis(prepared: PreparedCapture, layouts: Sequence[Layout]) -> list[C
                     f"with an axis distance of {best:.2f} m instead of {given:g} m the scans show "
                     f"{found.reading.layout}",
                     "Measure the distance from the antennas to the rotation axis again; "
-                    f"--axis-distance {best:.2f} reads this recording with it.",
+                    f"--axis-distance {best:.2f} applies it to this recording.",
                 )
             ]
     return []
 
 
 def _bright_offsets(prepared: PreparedCapture) -> list[float]:
-    """Offsets of the axis distance, m, at which the image is brightest, beyond what the reader corrects.
+    """Offsets of the axis distance, m, with the brightest image, outside the reader's own search range.
 
     The measure is sum |f|^8 of the backprojection, as in `tagid.imaging.autofocus`.
     """
@@ -172,7 +172,7 @@ def _bright_offsets(prepared: PreparedCapture) -> list[float]:
 def _of_the_place(
     prepared: PreparedCapture, reflectors: Sequence[Reflector], layouts: Sequence[Layout]
 ) -> list[Cause]:
-    """A place of the object off the axis, where the reader names it once the scans are moved there."""
+    """A position of the object off the axis, if the reader names it after the scans are moved there."""
     if prepared.given.angles_rad is None or prepared.given.axis_distance_m is None:
         return []
     for centre in _other_centres(reflectors, layouts):
@@ -188,14 +188,14 @@ def _of_the_place(
                     "off_centre",
                     f"the scans show {found.reading.layout} {np.linalg.norm(away):.0f} mm off the rotation "
                     f"axis, at ({away[0]:.0f}, {away[1]:.0f}) mm",
-                    "Place the object's own axis on the rotation axis, within 10 mm.",
+                    "Place the object's axis within 10 mm of the rotation axis.",
                 )
             ]
     return []
 
 
 def _other_centres(reflectors: Sequence[Reflector], layouts: Sequence[Layout]) -> list[tuple[float, float]]:
-    """Centres, m, beyond the reader's search, at which found reflectors fit a layout; the strongest first."""
+    """Centres, m, outside the reader's search range where reflectors fit a layout, strongest first."""
     strong = [r for r in reflectors if r.amplitude_db > -_ALIKE_DB][:_MOST_REFLECTORS]
     places = np.array([[r.x_m, r.y_m] for r in strong])
     power = np.array([abs(r.amplitude) ** 2 for r in strong])
@@ -219,10 +219,10 @@ def _other_centres(reflectors: Sequence[Reflector], layouts: Sequence[Layout]) -
 def recentred(capture: Capture, centre: tuple[float, float]) -> Capture:
     """The scans as they would be if the point `centre` of the turntable were its axis.
 
-    Each view is moved in range by the difference of that point's distance from the axis's, and takes the
-    angle under which the antenna stands from there. The static background is subtracted before, since it
-    would no longer be static. What remains is the change of curvature, under 1 mm for an object of 0.1 m at
-    1 m.
+    Each view is shifted in range by the difference between the distances of that point and of the axis, and
+    its angle becomes the direction of the antenna from that point. The static background is subtracted
+    first, because it would no longer be static. The remaining error is the change of curvature, under 1 mm
+    for an object of 0.1 m at 1 m.
 
     Args:
         capture: of a turntable, with angles and axis distance.

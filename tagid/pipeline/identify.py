@@ -28,8 +28,8 @@ if TYPE_CHECKING:
 
 _FEWEST_VIEWS = 3
 MIN_SIGNATURE_VIEWS = 24
-"""Views of a capture that a signature is made of: two per harmonic of a cup, one per two of a helmet; three
-captures share the rest."""
+"""Views per capture for a signature: two per harmonic of a cup, one per two harmonics of a helmet, for which
+three captures together provide enough."""
 
 
 def identify(
@@ -45,10 +45,10 @@ def identify(
     finds an error of the axis distance, as a range offset.
 
     Args:
-        capture: the result of `prepare`, or a `PreparedCapture`, which brings its settings.
+        capture: the result of `prepare`, or a `PreparedCapture`, which has its own settings.
         layouts: the candidates.
         settings: only with a plain capture.
-        registry_version: noted in the answer.
+        registry_version: stored in the answer.
         signatures: enrolled bodies and objects.
 
     Raises:
@@ -75,9 +75,9 @@ def identify(
 
 
 def without_body(prepared: PreparedCapture, answer: Identification) -> PreparedCapture:
-    """The prepared capture minus the echo of the body that its reading found, for a picture of the tag.
+    """The prepared capture minus the echo of the body found by the reader, for a picture of the tag.
 
-    The same capture where no body won.
+    Returns the capture unchanged if no body hypothesis was selected.
     """
     from tagid.tags.bodies import subtract
     from tagid.tags.bodies.hypothesis import Kind
@@ -148,8 +148,8 @@ def aspect_spectra(capture: Capture, settings: ImagingSettings | None = None) ->
     settings = settings or ImagingSettings()
     if capture.angles_rad is None:
         raise DataError(
-            "the signature of an object needs it on a turntable, this capture has free antenna positions",
-            "Record the object turning, or enrol its reflectors with --point.",
+            "the signature of an object requires a turntable, but this capture has free antenna positions",
+            "Record the object on a turntable, or enrol its reflectors with --point.",
         )
     if capture.views < MIN_SIGNATURE_VIEWS:
         raise DataError(
@@ -161,8 +161,8 @@ def aspect_spectra(capture: Capture, settings: ImagingSettings | None = None) ->
     wavenumbers = signature_wavenumbers(capture.center_frequency_hz, capture.bandwidth_hz)
     if len(wavenumbers) < 3:
         raise DataError(
-            f"a band of {capture.bandwidth_hz / 1e6:.0f} MHz holds {len(wavenumbers)} frequencies of a "
-            "signature, 3 are needed",
+            f"a band of {capture.bandwidth_hz / 1e6:.0f} MHz contains {len(wavenumbers)} frequencies of a "
+            "signature, but 3 are needed",
             "Correct the capture's bandwidth_hz.",
         )
     return Spectra.of(fold_views(scans, MAX_RADIUS_M), wavenumbers=wavenumbers)
@@ -194,7 +194,7 @@ def _check_views(prepared: PreparedCapture) -> None:
 
 
 def _second_look(prepared: PreparedCapture, reading: Reading) -> SecondLook | None:
-    """The network's opinion of the backprojection, on its own grid; None for free antenna positions."""
+    """The network's result for the backprojection, on its own grid; None for free antenna positions."""
     from tagid.tags.network.planes import GRID
     from tagid.tags.network.second_look import look_again
 

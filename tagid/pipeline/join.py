@@ -1,7 +1,7 @@
 """Captures of one object from several antenna heights, joined into one capture of antenna positions.
 
-Each capture must show the object at the angles that it states: a table that is started by hand at another
-angle every time gives turned pieces, which no volume can be made of.
+Each capture must state the true angles of the object. A table started by hand at a different angle each time
+gives captures that are rotated relative to each other, from which no volume can be formed.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ def join(captures: Sequence[Capture]) -> Capture:
 
     Args:
         captures: prepared: angles or antenna positions known. The first one gives the band, the pulse and
-            what is known of radar and object.
+            the metadata of radar and object.
 
     Raises:
         UsageError: fewer than two captures.
-        DataError: other range windows, bands or media, or no geometry.
+        DataError: different range windows, bands or media, or no geometry.
     """
     if len(captures) < 2:
         raise UsageError("one capture cannot be joined", "Give two or more captures of the same object.")
@@ -65,7 +65,7 @@ def join(captures: Sequence[Capture]) -> Capture:
 
 
 def heights_of(capture: Capture) -> list[NDArray[np.intp]]:
-    """Views of each antenna height, lowest first; all views as one group where a height has only one."""
+    """Views of each antenna height, lowest first; all views as one group if a height has only one."""
     height = capture.aperture().positions[:, 2]
     order = np.argsort(height, kind="stable")
     steps = np.flatnonzero(np.diff(height[order]) > _SAME_HEIGHT_M) + 1
@@ -74,7 +74,7 @@ def heights_of(capture: Capture) -> list[NDArray[np.intp]]:
 
 
 def without_background_of_each_height(capture: Capture, background: str) -> Capture:
-    """The capture less what is constant over the views of each height: the room looks different from each."""
+    """The capture minus the mean over the views of each height, as the room's echo depends on the height."""
     if background == "none":
         return capture
     samples = np.empty(
@@ -86,9 +86,9 @@ def without_background_of_each_height(capture: Capture, background: str) -> Capt
 
 
 def _check(first: Capture, other: Capture, number: int) -> None:
-    """Raises DataError where two captures cannot stand in one."""
+    """Raises DataError if two captures cannot be joined."""
     if np.iscomplexobj(first.samples) != np.iscomplexobj(other.samples):
-        raise DataError(f"capture {number} is real where the first is complex, or the other way round")
+        raise DataError(f"capture {number} is real and the first is complex, or vice versa")
     same = {
         "range bins": first.bins == other.bins,
         "the range of the first bin": abs(first.range_start_m - other.range_start_m) < _SAME_M,

@@ -1,4 +1,4 @@
-"""Loads any recording as a capture that is ready for imaging and reading.
+"""Loads any recording as a capture prepared for imaging and reading.
 
 read -> missing geometry -> reference background -> angles -> one turn. All commands and batch workers use
 `load_capture`, so that a shared option has the same effect everywhere.
@@ -41,12 +41,12 @@ class LoadSettings:
         cable_delay_ps: two-way cable delay to subtract from the ranges of raw recordings, ps.
         node: number of the radar to read, if a log holds several.
         axis_distance_m, antenna_height_m, antenna_separation_m: geometry for captures that lack it, m.
-        motion: device URL of what turned the object.
-        motion_is_default: whether `motion` is only the built-in default; a capture's own URL then wins.
-        as_recorded: keep the angles of a capture, even where the command line names the motion: it was
-            recorded with this very motion.
+        motion: URL of the device that rotated the object.
+        motion_is_default: whether `motion` is the built-in default; a capture's URL then takes precedence.
+        as_recorded: keep the angles of a capture even if the command line gives the motion, because the
+            capture was recorded with it.
         wave_speed_m_s: replaces the wave speed of the capture, m/s.
-        reference: recording of the empty scene to subtract; None if none is wanted.
+        reference: recording of the empty scene to subtract; None for no subtraction.
     """
 
     cable_delay_ps: float = 0.0
@@ -91,7 +91,7 @@ class LoadSettings:
         )
 
     def described(self) -> dict[str, Any]:
-        """All settings that an answer depends on, as plain JSON values."""
+        """All settings that affect an answer, as JSON values."""
         given = {
             "motion.url": self.motion,
             "motion.axis_distance_m": self.axis_distance_m,
@@ -127,11 +127,11 @@ class LoadSettings:
 
 
 def load_capture(source: Path | Capture, settings: LoadSettings | None = None, turn: bool = True) -> Capture:
-    """A recording, ready for imaging and reading.
+    """A recording, prepared for imaging and reading.
 
     Args:
-        source: a file in any format that `tagid` reads, or a capture in memory.
-        settings: settings to apply; by default only what the file holds.
+        source: a file in any supported format, or a capture in memory.
+        settings: settings to apply; by default only the contents of the file are used.
         turn: resolve the angles and reduce the scans to one turn of views; False keeps every scan, for
             inspection.
 

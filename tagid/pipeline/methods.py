@@ -19,10 +19,10 @@ Progress = Callable[[float, float, str], None]
 """Called with (done, total, remark)."""
 
 OMP_POINTS = 32
-"""Maximum number of points of matching pursuit: two or three times the reflectors of any tag."""
+"""Maximum number of points of matching pursuit: two to three times the number of reflectors of a tag."""
 OMP_STOP = 4.5
-"""It stops when no correlation exceeds this many standard deviations of noise: the largest of 10^4 pixels of
-pure noise reaches 3.5 to 4."""
+"""Matching pursuit stops when no correlation exceeds this number of noise standard deviations: the largest
+of 10^4 pixels of pure noise reaches 3.5 to 4."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""A capture made ready for imaging and reading; each derived quantity is computed once and shared.
+"""A capture prepared for imaging and reading; each derived quantity is computed once and shared.
 
 Imaging, reading and the network share its baseband scans and pulse.
 """
@@ -21,11 +21,11 @@ MAX_VIEWS = 360
 """Scans are averaged into at most this many views per turn: 1 degree, the paper's step, displaces a reflector
 at a radius of 0.25 m by 4.4 mm, less than an eighth of a wavelength."""
 MAX_POSITIONS = 2000
-"""Free antenna positions are thinned, not averaged, to this number."""
+"""Views of free antenna positions are decimated, not averaged, to this number."""
 
 
 def prepare(capture: Capture, motion: str | None = None) -> Capture:
-    """The capture as imaging needs it: known angles, one turn, at most 360 views.
+    """The capture as required by imaging: known angles, one revolution, at most 360 views.
 
     Args:
         capture: any capture.
@@ -109,5 +109,7 @@ def as_prepared(capture: Capture | PreparedCapture, settings: ImagingSettings | 
     if isinstance(capture, Capture):
         return PreparedCapture(capture, settings)
     if settings is not None and settings != capture.settings:
-        raise UsageError("a PreparedCapture has its own settings", "Make a new one with other settings.")
+        raise UsageError(
+            "a PreparedCapture has its own settings", "Create a new one with different settings."
+        )
     return capture

@@ -31,14 +31,14 @@ from tagid.pipeline.settings import MOST_FREE_PIXELS, ImagingSettings, Progress,
 
 @dataclass(frozen=True, eq=False)
 class Reconstruction:
-    """An image with how it came about.
+    """An image and how it was computed.
 
     Attributes:
         image: complex reflectivity.
         method: the method used, never "auto".
         focus: result of the search for the axis distance; None if there was none.
-        region: path delay and place of the image for free antenna positions; None for a turntable.
-        pulse: result of the estimate of the pulse; None if none was asked for.
+        region: path delay and position of the image for free antenna positions; None for a turntable.
+        pulse: result of the pulse estimate; None if not requested.
         views: number of views imaged, after averaging.
         seconds: of each stage.
     """
@@ -60,13 +60,13 @@ def reconstruct(
     """Image a prepared capture.
 
     Args:
-        capture: the result of `prepare`, or a `PreparedCapture`, which brings its settings.
-        settings: how to image it; only with a plain capture.
-        progress: called with (done, total, remark) by the methods that iterate.
+        capture: the result of `prepare`, or a `PreparedCapture`, which has its own settings.
+        settings: imaging settings; only with a plain capture.
+        progress: called with (done, total, remark) by iterative methods.
 
     Raises:
         DataError: too few views or bins, or the object lies outside the range window.
-        MissingExtraError: the engine asked for is not installed.
+        MissingExtraError: the requested engine is not installed.
     """
     prepared = as_prepared(capture, settings)
     settings = prepared.settings
@@ -153,7 +153,7 @@ def reconstruct(
 
 
 _NO_PREDICTION = ("range-doppler",)
-"""Methods whose image has no phase, and predicts no scan."""
+"""Methods whose image has no phase and therefore predicts no scans."""
 
 
 def _held_out(
@@ -165,7 +165,7 @@ def _held_out(
     made: Image,
     outside: bool,
 ) -> HeldOut | None:
-    """Prediction of unseen views by this method, with the priors that the image was made with.
+    """Prediction of held-out views by this method, with the priors of the image.
 
     Echoes from outside the image, found in the other views alone, are subtracted from all if `outside`.
     """
@@ -202,7 +202,7 @@ def _held_out(
 
 
 def _check_extent(capture: Capture, grid: ImageGrid) -> None:
-    """Refuse a square that reaches beyond all recorded ranges. Raises UsageError."""
+    """Raise UsageError if the image area reaches beyond all recorded ranges."""
     antenna = capture.aperture().positions
     reach = float(np.linalg.norm(antenna, axis=1).max()) + float(capture.ranges_m[-1])
     if grid.extent > 2 * reach:
@@ -222,6 +222,6 @@ def _pulse_facts(prepared: PreparedCapture) -> dict[str, Any]:
     told = {name: value if np.isfinite(value) else None for name, value in numbers.items()}
     if not estimate.taken:
         return {"kind": "assumed", **told}
-    # Enough for whoever wants to keep it in an NPZ file: `pulse` and `pulse_step_s`.
+    # The values needed to store it in an NPZ file: `pulse` and `pulse_step_s`.
     samples = [round(float(v), 6) for v in estimate.pulse.samples]
     return {"kind": "estimated", **told, "pulse": samples, "pulse_step_s": estimate.pulse.step}

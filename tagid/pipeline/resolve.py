@@ -1,6 +1,6 @@
-"""From a recording without angles to one turn of views with angles, as imaging needs it.
+"""From a recording without angles to one revolution of views with angles, as required by imaging.
 
-It combines clock, motion device and thinning of views; live scans and files use the same code.
+It combines clock, motion device and decimation of views; live scans and files use the same code.
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ def turn_line(resolved: ResolvedMotion | None) -> str:
 
 
 def speed_contradiction(resolved: ResolvedMotion | None) -> str:
-    """One sentence with both speeds where the scans contradict the stated one; else "".
+    """One sentence with both speeds if the scans contradict the stated one; otherwise "".
 
     >>> speed_contradiction(ResolvedMotion(nominal_rpm=6.0, measured_rpm=10.02))
     'the stated speed of 6 rpm (10.0 s per turn) is not that of the scans: they show 10 rpm (6.0 s per turn)'
@@ -117,7 +117,7 @@ def one_turn(capture: Capture, max_views: int) -> Capture:
     """At most `max_views` views, evenly spaced over one turn.
 
     Denser scans are averaged into views, which lowers the noise; otherwise the scans of the first turn are
-    kept. A capture of free antenna positions is thinned only.
+    kept. A capture with free antenna positions is only decimated.
     """
     if capture.angles_rad is None:
         every = -(-capture.views // max_views)

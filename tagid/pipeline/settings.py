@@ -22,7 +22,7 @@ Progress = Callable[[float, float, str], None]
 PULSES = ("auto", "nominal", "estimate")
 PRESETS = ("field", "paper")
 MOST_FREE_PIXELS = 512
-"""Pixels per side, where none are asked for, that a short wavelength may ask for."""
+"""Largest default number of pixels per side, used for short wavelengths."""
 
 
 @dataclass(frozen=True)
@@ -31,22 +31,22 @@ class ImagingSettings:
 
     Attributes:
         method: a name of `tagid.pipeline.methods.METHODS`, or "auto", which is ats.
-        ats: how ats with the preset "field" fits; the seed is the one of these settings.
-        extent_m, pixels: the image's side, m and pixels.
+        ats: settings of ats with the preset "field"; its seed is `seed`.
+        extent_m, pixels: width of the image, m and pixels.
         background: static background that is removed, "mean", "median" or "none".
-        focus_m: half width of the search for the axis distance, m; 0 takes it as given, None: from the
+        focus_m: half-width of the axis-distance search, m; 0 uses the given value, None: from the
             wavelength.
         seed: random seed.
-        preset: what ats is: "field", or "paper", the published method to the letter.
-        centre_m: (x, y) of the image's middle, m; None is the rotation axis or, for free antenna positions,
-            wherever the strong echoes lie.
-        delay_m: half width of the search for the path delay of free antenna positions, one-way m; 0 takes the
+        preset: variant of ats: "field", or "paper", the method exactly as published.
+        centre_m: (x, y) of the image centre, m; None: the rotation axis or, for free antenna positions,
+            the position of the strong echoes.
+        delay_m: half-width of the path-delay search for free antenna positions, one-way m; 0 uses the
             ranges as given, None: from the wavelength.
-        towards_m: a point (x, y) on the side of a straight path that is wanted, m.
-        restore: show sparse images at the resolution of the data (`tagid.imaging.restore`), or bare pixels.
-        held_out: compute how well the image predicts views that it was not made from
+        towards_m: a point (x, y) on the side of a straight path to be imaged, m.
+        restore: show sparse images at the resolution of the data (`tagid.imaging.restore`), or single pixels.
+        held_out: compute how well the image predicts held-out views
             (`tagid.imaging.heldout`).
-        free_size: whether extent and pixels may follow the echoes of free antenna positions.
+        free_size: whether extent and pixels may be adapted to the echoes of free antenna positions.
         pulse: "auto", the pulse of the capture or else the nominal one of its band; "nominal"; or "estimate",
             estimated from the scans if that fits them better (`tagid.imaging.pulsefit`).
         false_accept: probability of identifying an object without an enrolled tag.

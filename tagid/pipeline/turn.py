@@ -1,7 +1,7 @@
-"""Selects the multiple of the shortest repetition that is a full turn, by imaging, and checks a stated speed.
+"""Selects by imaging the multiple of the shortest repetition that is a full turn, and checks a stated speed.
 
 An object with n-fold symmetry repeats n times per turn, which autocorrelation cannot distinguish from a
-faster table. Only at the true speed do a few fixed points explain how the echoes move.
+faster table. Only at the true speed do a few fixed points explain the motion of the echoes.
 """
 
 from __future__ import annotations
@@ -30,18 +30,18 @@ _GRID = ImageGrid(0.3, 60)
 _VIEWS = 90
 _BETTER = 0.7
 """A multiple is accepted if its residual is below this fraction of the shortest repetition's: on
-the four layouts at 10 and 20 dB the true one has 0.05 to 0.4."""
+the four layouts at 10 and 20 dB the true multiple has 0.05 to 0.4."""
 _EXPLAINED = 0.05
 """A stated speed that leaves less than this unexplained needs no check: on the four layouts and three points
 at 15 dB, wrong speeds leave 0.14 to 0.8, the true one 0.02 to 0.1."""
 
 
 def resolve_turn(capture: Capture, motion: str | None = None) -> Capture:
-    """The capture with angles; a period from the data alone is checked for being a fraction of a turn.
+    """The capture with angles; a period estimated from the data is checked for being a fraction of a turn.
 
     Args:
         capture: any capture; existing angles and positions are kept unless a motion is given.
-        motion: device URL; None takes the period from the data.
+        motion: device URL; None estimates the period from the data.
 
     Raises:
         DataError: no times, or no period. UsageError: a bad URL.
@@ -88,9 +88,9 @@ def resolve_turn(capture: Capture, motion: str | None = None) -> Capture:
 
 
 def _with_checked_speed(capture: Capture, told: Capture, nominal_s: float) -> Capture:
-    """The capture with its stated speed, and beside it the speed that its scans show where the two differ.
+    """The capture with its stated speed, and the speed measured in its scans if the two differ.
 
-    A stated speed is contradicted where the scans repeat after another period, and six fixed points explain
+    A stated speed is contradicted if the scans repeat with a different period, and six fixed points explain
     them clearly better (`_BETTER`) at a multiple of that period than at the stated one.
     """
     resolved = told.motion.resolved

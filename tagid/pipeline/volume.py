@@ -26,15 +26,15 @@ _MOST_LEVELS = 200
 
 @dataclass(frozen=True)
 class VolumeSettings:
-    """What a volume is made of.
+    """Settings of a volume.
 
     Attributes:
         method: of `METHODS`.
-        extent_m, pixels: side of the square of a level, m and pixels.
+        extent_m, pixels: width of each level, m and pixels.
         heights_m: lowest and highest height, m; None: half the extent below and above the object's plane.
-        levels: number of levels; None: three to the vertical resolution, and none thinner than a pixel.
-        background: what is constant over the views of one height and subtracted: mean, median or none.
-        held_out: compute how well the volume predicts views that it was not made from.
+        levels: number of levels; None: three per vertical resolution, but none thinner than a pixel.
+        background: static part to subtract from the views of each height: mean, median or none.
+        held_out: compute how well the volume predicts held-out views.
     """
 
     method: str = "bp"
@@ -54,7 +54,7 @@ class VolumeSettings:
 
 @dataclass(frozen=True, eq=False)
 class VolumeReconstruction:
-    """A volume with how it came about.
+    """A volume and how it was computed.
 
     Attributes:
         volume: complex reflectivity.
@@ -74,7 +74,7 @@ def reconstruct_volume(
     """Image a capture in three dimensions.
 
     Args:
-        capture: with antenna positions or angles; `tagid.pipeline.join` makes one of several.
+        capture: with antenna positions or angles; `tagid.pipeline.join` joins several into one.
         settings: see `VolumeSettings`.
         progress: called with (done, total, remark).
 
@@ -87,7 +87,7 @@ def reconstruct_volume(
     positions = capture.aperture().positions
     if float(np.ptp(positions[:, 2])) < 1e-3:
         raise DataError(
-            "all antenna positions have the same height, which tells no heights of the object",
+            "all antenna positions have the same height, so the heights of the object cannot be resolved",
             "Join captures of several antenna heights: `tagid join A B C --out all.npz`.",
         )
     low, high = settings.heights_m or (-settings.extent_m / 2, settings.extent_m / 2)
@@ -144,7 +144,7 @@ def _make(
 def _held_out(
     method: str, matched: BasebandScans, unfiltered: BasebandScans, grid: VolumeGrid
 ) -> HeldOut | None:
-    """Residual on views that were left out of each volume, beside backprojection's; None with too few."""
+    """Residual on views held out from the volume, and that of backprojection; None with too few views."""
     unseen = left_out(unfiltered.aperture.views)
     test = select_views(unfiltered, unseen)
     energy = float((np.abs(test.samples) ** 2).sum())
@@ -159,7 +159,7 @@ def _held_out(
 
 
 def _residual(test: BasebandScans, volume: Volume) -> float:
-    """||y - s A x||^2 / ||y||^2 with the best complex s; voxels of zero are left out of A."""
+    """||y - s A x||^2 / ||y||^2 with the best complex s; zero voxels are omitted from A."""
     x = volume.values.ravel()
     bright = np.flatnonzero(x)
     if not len(bright):

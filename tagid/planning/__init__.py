@@ -1,1 +1,1 @@
-"""What a recording will be worth before it is made: link budget, expected rates, and what to change."""
+"""Planning of a recording: link budget, expected rates, and possible improvements."""

@@ -1,4 +1,4 @@
-"""A recording planned: how strong its echoes will be, how long it takes, how surely a tag will be named."""
+"""Planning of a recording: echo strength, duration, and probability that the tag is named."""
 
 from __future__ import annotations
 
@@ -31,25 +31,25 @@ from tagid.tags.layouts.layout import Layout
 
 _LEVEL_VIEWS = 72
 SIZES_M = (0.015, 0.020, 0.025, 0.030, 0.035, 0.040, 0.050, 0.060)
-"""Reflectors that are tried for `--want`."""
+"""Reflectors considered by `--want`."""
 DISTANCES_M = (0.6, 0.8, 1.0, 1.5, 2.0, 3.0)
 INDICES = tuple(range(9, 16))
 _LEAST_VIEWS = 72
-"""Views per turn that are asked for where the integration is chosen: the alias-free step of a helmet is 9
-degrees, and half of it leaves room for lost scans."""
+"""Required views per turn when the integration is selected: the alias-free step of a helmet is 9
+degrees, and half of it leaves a margin for lost scans."""
 
 
 @dataclass(frozen=True)
 class Setup:
-    """What is planned.
+    """A planned recording.
 
     Attributes:
-        layout: the tag; its radius decides what a body does to its echoes.
-        reflector, body: what the tag is made of and stands on.
+        layout: the tag; its radius determines the effect of a body on its echoes.
+        reflector, body: reflectors of the tag, and the body on which it is mounted.
         distance_m: antennas to rotation axis.
         rpm: turns per minute.
         budget: radar and antennas.
-        extent_m: side of the image, which decides the range window.
+        extent_m: width of the image, which determines the range window.
     """
 
     layout: Layout
@@ -62,29 +62,29 @@ class Setup:
 
     def __post_init__(self) -> None:
         if not 0 < self.rpm <= 1000:
-            raise UsageError(f"the table turns at {self.rpm} rpm", "Give more than 0 and up to 1000.")
+            raise UsageError(f"the speed of the table is {self.rpm} rpm", "Give more than 0 and up to 1000.")
         if not 0.05 <= self.distance_m <= 20:
             raise UsageError(f"the distance is {self.distance_m:g} m", "Give 0.05 to 20, in metres.")
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What a setup comes to.
+    """The predicted performance of a setup.
 
     Attributes:
-        setup: what was asked for.
+        setup: the requested setup.
         rcs_dbsm: of one reflector alone, of the pulse's peak.
-        snr_sample_db: per reflector in one sample of one scan, as `tagid.simulate.snr` defines it: the
-            strongest over a turn, on its body.
+        snr_sample_db: per reflector in one sample of one scan, as defined in `tagid.simulate.snr`: the
+            largest over a turn, on its body.
         snr_view_db: the same after scans are averaged into views.
         body_db: echo of the body over that of one reflector, dB; None without a body.
         margin_db: of the strongest echo below saturation, dB; negative where it clips.
         scans_per_turn, views: scans of a turn, and views that they are averaged into.
         turn_s, recording_s: seconds per turn, and of the whole recording.
-        centre_m: how far the object may stand off the axis, m.
-        moved_m: distance off the axis from which on the moving echo of the body exceeds that of a reflector,
+        centre_m: allowed offset of the object from the axis, m.
+        moved_m: offset from the axis beyond which the moving echo of the body exceeds that of a reflector,
             m; None without a body.
-        rates: what the reader did in such conditions.
+        rates: measured rates of the reader under such conditions.
         terms: every number of the link budget.
     """
 
@@ -105,7 +105,7 @@ class Plan:
 
 
 def plan(setup: Setup) -> Plan:
-    """Work out a plan. Raises UsageError, ConfigError for a setup that cannot be recorded."""
+    """Compute a plan. Raises UsageError, ConfigError for a setup that cannot be recorded."""
     scatterer = Octahedron(setup.reflector.size_m)
     length = effective_length_m(scatterer)
     free = setup.budget.snr_db(length, setup.distance_m)
@@ -117,9 +117,9 @@ def plan(setup: Setup) -> Plan:
     scans = int(60 / setup.rpm / config.scan_period_s)
     if scans < 12:
         raise ConfigError(
-            f"at {setup.rpm:g} rpm and integration {setup.budget.integration} a turn has {scans} scans, "
+            f"at {setup.rpm:g} rpm and integration {setup.budget.integration} a turn has {scans} scans, but "
             "12 are needed",
-            "Turn slower, or lower the integration.",
+            "Reduce the speed or the integration.",
         )
     views = min(scans, MAX_VIEWS)
     view = sample + 10 * float(np.log10(scans / views))
@@ -144,9 +144,9 @@ def plan(setup: Setup) -> Plan:
 
 
 def moved_distance_m(body_db: float) -> float:
-    """Distance off the axis at which the moving part of a round body's echo equals that of a reflector, m.
+    """Offset from the axis at which the moving part of a round body's echo equals that of a reflector, m.
 
-    A body d off the axis comes nearer and goes by d cos(angle): the removal of the mean leaves
+    The range of a body at offset d varies by d cos(angle): subtracting the mean leaves
     B |exp(-2j k d cos(angle)) - mean|, about sqrt(2) B k d (rms) for 2 k d << 1.
     """
     wavenumber = 2 * np.pi * CENTER_FREQUENCY_HZ / SPEED_OF_LIGHT
@@ -154,7 +154,7 @@ def moved_distance_m(body_db: float) -> float:
 
 
 def _class_of(body: BodySpec) -> str:
-    """The body of the tables that is nearest to a body."""
+    """The body in the tables that is closest to a given body."""
     if body.kind == "cup" and "handle" in body.parts:
         return "cup-handle"
     return body.kind
@@ -164,7 +164,7 @@ def _class_of(body: BodySpec) -> str:
 def _on_body(
     layout: Layout, reflector: ReflectorSpec, body: BodySpec, distance_m: float
 ) -> tuple[float, float | None]:
-    """What the body does to the strongest reflector's echo, and its own echo over that one's, dB."""
+    """Effect of the body on the strongest reflector's echo, and the body's echo relative to it, dB."""
     if body.kind == "none":
         return 0.0, None
     layouts = {layout.name: layout}
@@ -190,10 +190,10 @@ class Wanted:
     """The least effort that reaches a rate.
 
     Attributes:
-        plan: with the smallest reflector that reaches it at the distance and integration asked for; None
-            where none does.
-        distance: the plan with the reflector asked for at the largest distance that reaches it; None.
-        integration: the plan with the reflector and distance asked for and the least integration; None.
+        plan: with the smallest reflector that reaches it at the requested distance and integration; None
+            if none does.
+        distance: the plan with the requested reflector at the largest distance that reaches it, or None.
+        integration: the plan with the requested reflector and distance and the least integration, or None.
     """
 
     plan: Plan | None
@@ -204,7 +204,7 @@ class Wanted:
 def invert(setup: Setup, rate: float) -> Wanted:
     """The smallest reflector, the largest distance and the least integration that reach a rate of naming.
 
-    Raises UsageError where the rate is not between 0 and 1.
+    Raises UsageError if the rate is not between 0 and 1.
     """
     if not 0 < rate < 1:
         raise UsageError(f"--want is {rate:g}", "Give a rate between 0 and 1, e.g. 0.99.")
@@ -215,7 +215,7 @@ def invert(setup: Setup, rate: float) -> Wanted:
 
 
 def _first(setups: Sequence[Setup], rate: float) -> Plan | None:
-    """The first of the setups that reaches a rate without clipping, with views enough."""
+    """The first setup that reaches a rate without clipping and with enough views."""
     for setup in setups:
         try:
             found = plan(setup)
@@ -232,7 +232,7 @@ class Gap:
 
     Attributes:
         measured_db, planned_db: of the strongest reflector in one sample of one scan, dB.
-        cause: likely cause of the difference; "" where it is within what the budget is good for.
+        cause: likely cause of the difference; "" if it is within the budget's uncertainty.
     """
 
     measured_db: float
@@ -247,7 +247,7 @@ def changing_peak(capture: Capture) -> float:
 
 
 GAP_DB = 8.0
-"""Difference that is within the budget's uncertainty (6 dB of its fitted loss) and that of adding echoes."""
+"""Difference within the budget's uncertainty (6 dB of its fitted loss) and that of interfering echoes."""
 
 
 def gap(capture: Capture, noise_counts: float, changing: float, setup: Setup) -> Gap:
@@ -257,7 +257,7 @@ def gap(capture: Capture, noise_counts: float, changing: float, setup: Setup) ->
         capture: the recording.
         noise_counts: standard deviation of the noise of one of its samples, counts.
         changing: the median over its views of the largest envelope that is not static, counts.
-        setup: what was recorded.
+        setup: the recorded setup.
     """
     index = setup.budget.integration
     usual = NOISE_COUNTS * 2.0 ** ((index - NOISE_INDEX) / 2)
@@ -267,24 +267,24 @@ def gap(capture: Capture, noise_counts: float, changing: float, setup: Setup) ->
     clip = capture.radar.clip_counts
     cause = ""
     if clip is not None and np.abs(capture.samples).max() >= clip:
-        cause = "samples are clipped: lower the transmit gain, or move away"
+        cause = "samples are clipped: lower the transmit gain, or increase the distance"
     elif difference < -GAP_DB:
         gain = None if capture.radar.config is None else capture.radar.config.transmit_gain
         if noise_counts > 2 * usual:
             cause = (
-                f"the noise is {20 * np.log10(noise_counts / usual):.0f} dB above that of others: another "
-                "transmitter in the band, or a damaged antenna cable"
+                f"the noise is {20 * np.log10(noise_counts / usual):.0f} dB above that of other recordings: "
+                "another transmitter in the band, or a damaged antenna cable"
             )
         elif gain is not None and gain < setup.budget.transmit_gain:
             cause = f"the transmit gain was {gain} of 63"
         else:
             cause = (
                 "the echo is weaker than planned: antennas not pointed at the object or not at its height, "
-                "not both upright, smaller reflectors, a loose cable, or a wrong antenna mode"
+                "not both vertical, smaller reflectors, a loose cable, or a wrong antenna mode"
             )
     elif difference > GAP_DB:
         cause = (
-            "more turns than the reflectors: a body or metal that is not in the plan, "
+            "more rotates than the reflectors: a body or metal that is not in the plan, "
             "or an object off the axis"
         )
     return Gap(measured, planned, cause)

@@ -22,9 +22,9 @@ class Measured:
     """One row of a table.
 
     Attributes:
-        body: "none", or what carried the tag.
+        body: "none", or the body that carried the tag.
         views, snr_db: of the recordings; SNR per reflector in one sample of one view.
-        scenes: number of recordings. named, wrong: how many were named rightly, wrongly.
+        scenes: number of recordings. named, wrong: number named correctly and wrongly.
     """
 
     body: str
@@ -54,7 +54,7 @@ class Expected:
     Attributes:
         named, refused, wrong: of tags that are enrolled.
         source: the table.
-        note: where the recording lies outside the table; "" inside.
+        note: how the recording lies outside the table; "" if inside.
     """
 
     named: Rate
@@ -79,15 +79,15 @@ def _table() -> tuple[tuple[Measured, ...], dict[str, str]]:
 
 
 def known_bodies() -> list[str]:
-    """Bodies of which rates were measured."""
+    """Bodies with measured rates."""
     return sorted({row.body for row in _table()[0]})
 
 
 def expected(body: str, views: int, snr_db: float) -> Expected:
     """The rates of a recording, linear in SNR between the rows of the table.
 
-    More views than the table's most carry more energy: each doubling counts as 3 dB. Between numbers of views
-    the rates are linear in their logarithm. The interval is that of the row with the fewest scenes.
+    Views beyond the largest number in the table add energy: each doubling counts as 3 dB. Between numbers of
+    views the rates are linear in their logarithm. The interval is that of the row with the fewest scenes.
 
     Args:
         body: one of `known_bodies`.
@@ -106,7 +106,7 @@ def expected(body: str, views: int, snr_db: float) -> Expected:
         snr_db += 10 * math.log10(views / numbers[-1])
         views = numbers[-1]
     elif views < numbers[0]:
-        note = f"the table ends at {numbers[0]} views; with fewer, less is named"
+        note = f"the table ends at {numbers[0]} views; with fewer views, fewer tags are named"
         views = numbers[0]
     above = next(n for n in numbers if n >= views)
     below = max(n for n in numbers if n <= views)
@@ -117,7 +117,7 @@ def expected(body: str, views: int, snr_db: float) -> Expected:
     scenes = min(first[2], last[2])
     lowest = min(row.snr_db for row in rows)
     if snr_db < lowest:
-        note = f"the table ends at {lowest:g} dB; below, less is named"
+        note = f"the table ends at {lowest:g} dB; below it, fewer tags are named"
     return Expected(
         wilson(named, scenes),
         wilson(max(0.0, 1 - named - wrong), scenes),

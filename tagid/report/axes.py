@@ -1,6 +1,6 @@
-"""A frame with ticks and units, in which curves and rasters are drawn by their physical coordinates.
+"""A frame with ticks and units, for curves and rasters in physical coordinates.
 
-One small class serves the image, the range profile, the sinogram and the spectrum, so that all look alike.
+One class serves the image, the range profile, the sinogram and the spectrum, so that all have the same style.
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ class Axes:
             self.canvas.line([(left, px), (right, px)], GRID, 1)
 
     def frame(self, x_label: str, y_label: str, title: str = "") -> None:
-        """Frame, ticks, numbers and labels; drawn after the contents, which it trims."""
+        """Frame, ticks, numbers and labels; drawn after the contents, which it clips."""
         left, top, right, bottom = self.box
         canvas = self.canvas
         canvas.line([(left, top), (right, top), (right, bottom), (left, bottom), (left, top)], INK, 1.5)

@@ -1,7 +1,7 @@
-"""A raster as text that a terminal redraws many times per second: coloured half blocks, or characters.
+"""A raster as text, redrawn many times per second in a terminal: coloured half blocks, or characters.
 
-Few colours are used and equal neighbours share one escape sequence, as the terminal may be at the end of a
-slow line.
+Few colours are used and equal neighbours share one escape sequence, because the terminal may be behind a slow
+connection.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _COLOURS: Final = [f"#{r:02x}{g:02x}{b:02x}" for r, g, b in viridis(LEVELS).toli
 
 
 class Blocks:
-    """Coloured half blocks for rich, as segments: texts with a thousand styles take too long to draw.
+    """Coloured half blocks for rich, as segments: texts with a thousand styles are too slow to draw.
 
     Args:
         levels: (2 * lines, columns) of 0..LEVELS - 1.

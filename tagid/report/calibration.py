@@ -21,7 +21,7 @@ def calibration_table(
         table.add_row(
             "", f"subtracts {_metres(e.delay_ps):.4f} m +- {_metres(e.sigma_ps):.4f} m from every range"
         )
-        table.add_row("echo", f"at {e.echo_ps / 1e3:.3f} ns, {e.snr_db:.1f} dB over the rest")
+        table.add_row("echo", f"at {e.echo_ps / 1e3:.3f} ns, {e.snr_db:.1f} dB above the rest")
         parts = f"tape {e.tape_ps:.0f}, noise {e.noise_ps:.1f}, pulse shape {e.shape_ps:.0f} ps"
         table.add_row("of which", parts)
     if reference is not None:

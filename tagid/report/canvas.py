@@ -1,7 +1,7 @@
-"""A white sheet to draw on, with text, lines and rasters, saved as PNG in one step.
+"""A white canvas with text, lines and rasters, saved as PNG atomically.
 
-Drawing happens at twice the size and is reduced at the end, which smooths lines and letters; Pillow has no
-anti-aliasing of its own.
+Drawing is done at twice the size and reduced at the end, which smooths lines and letters, because Pillow has
+no anti-aliasing.
 """
 
 from __future__ import annotations
@@ -108,7 +108,7 @@ class Canvas:
         return buffer.getvalue()
 
     def save(self, path: Path) -> None:
-        """Writes the PNG under its name in one step: a reader sees the old file or the whole new one.
+        """Write the PNG atomically: a reader sees the old file or the complete new one.
 
         Raises:
             DiskFullError: the disk is full.

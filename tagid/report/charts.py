@@ -1,6 +1,6 @@
-"""A recording on one sheet: range profile, sinogram and spectrum, one above the other.
+"""A recording in one picture: range profile, sinogram and spectrum.
 
-It answers, before anything is reconstructed, whether the radar saw the object and the scans are sound.
+It shows, before reconstruction, whether the radar detects the object and the scans are valid.
 """
 
 from __future__ import annotations
@@ -38,10 +38,10 @@ def draw_recording(
 
     Args:
         capture: the recording.
-        path: the PNG; it appears complete or not at all.
-        title: one line above the charts, cut where it is too long.
-        changing_only: draw the scans without the mean scan; leakage and room hide a turning tag otherwise.
-        turning: whether something turns, so that the scans over time are a sinogram.
+        path: the PNG; written atomically.
+        title: one line above the charts, truncated if too long.
+        changing_only: draw the scans without the mean scan; otherwise leakage and room hide a rotating tag.
+        turning: whether the object rotates, so that the scans over time are a sinogram.
 
     Raises:
         StorageError, DiskFullError: the file cannot be written.
@@ -61,7 +61,7 @@ def draw_recording(
 def resample_views(
     envelope: NDArray[np.float32], position: NDArray[np.float64], rows: int, columns: int
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """The sinogram on a raster: the largest envelope that falls on each cell, so that nothing narrow is lost.
+    """The sinogram on a raster: the largest envelope in each cell, so that narrow echoes are kept.
 
     Args:
         envelope: (views, bins).
@@ -107,7 +107,7 @@ def _draw_sinogram(canvas: Canvas, capture: Capture, curves: RecordingCurves, ti
     rows, columns = _SINOGRAM[3] - _SINOGRAM[1], _SINOGRAM[2] - _SINOGRAM[0]
     picture, gaps = resample_views(curves.envelope, position, rows, columns)
     reference = float(np.percentile(curves.envelope, 99.9)) or None
-    # The colours end a little under the middle of the noise: they are for the echoes.
+    # The colour scale ends slightly below the median of the noise, because it is meant for echoes.
     middle = float(to_decibels(np.median(picture, keepdims=True), 80.0, reference).item())
     depth_db = float(min(max(10 * math.ceil((3 - middle) / 10), 20), 60))
     colours = colourise(to_decibels(picture, depth_db, reference), depth_db)
@@ -126,7 +126,7 @@ def _draw_spectrum(canvas: Canvas, capture: Capture, curves: RecordingCurves) ->
     high = capture.center_frequency_hz + capture.bandwidth_hz / 2
     last = float(curves.frequency_hz[-1])
     shown = min(max(_HIGHEST_SHOWN_HZ, 1.3 * high), last) if last > 0 else 1e9
-    # Zero frequency is the offset of the converter, no echo: it must not set the scale.
+    # Zero frequency is the offset of the converter, not an echo: it must not set the scale.
     echo = curves.spectrum[1:] if len(curves.spectrum) > 1 else curves.spectrum
     decibels = to_decibels(curves.spectrum, 120.0, float(echo.max()))
     inside = curves.frequency_hz <= shown
@@ -139,7 +139,7 @@ def _draw_spectrum(canvas: Canvas, capture: Capture, curves: RecordingCurves) ->
 
 
 def _floor(decibels: NDArray[np.float64]) -> float:
-    """Lower limit that shows the noise floor with some air under it: a multiple of 10 dB, less 5."""
+    """Lower limit that leaves a margin below the noise floor: a multiple of 10 dB, minus 5."""
     quiet = float(np.percentile(decibels, 2))
     return -10 * math.ceil(min(max(-quiet, 15.0), 85.0) / 10) - 5
 

@@ -1,6 +1,6 @@
 """Colour tables for pictures and terminal previews.
 
-They are computed from a few anchors, so that magnitude reads as lightness without a plotting library.
+They are computed from a few anchors, so that magnitude maps to lightness, without a plotting library.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ def to_decibels(
 ) -> NDArray[np.float64]:
     """Magnitude (any shape) in dB below `reference` (the largest value if None), in [-dynamic_range_db, 0].
 
-    An all-zero array, which has no largest value to refer to, lies at the floor everywhere.
+    An all-zero array, which has no reference value, is at the floor everywhere.
     """
     size = np.asarray(magnitude, dtype=np.float64)
     top = float(size.max(initial=0.0)) if reference is None else reference

@@ -1,6 +1,6 @@
 """Technical drawings in millimetres: one list of lines, circles and texts, written as SVG, PNG or 1:1 PDF.
 
-A print template is only useful at true scale, so millimetres go all the way to the printer.
+A print template is only useful at true scale, so all coordinates are in millimetres.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ MARGIN_MM = 10.0
 MAX_SIDE_MM = 10_000.0
 MAX_PAGES = 60
 HALO_MM = 0.8
-"""White around letters, so that a line behind them does not strike them out."""
+"""White margin around letters, so that lines behind them do not make them illegible."""
 DASH_MM, GAP_MM = 2.0, 1.5
 
 
@@ -77,7 +77,7 @@ class Drawing:
         self.marks.extend(marks)
 
     def cross(self, at: tuple[float, float], half: float) -> None:
-        """An upright cross that marks a place."""
+        """An upright cross that marks a position."""
         x, y = at
         self.add(Line((x - half, y), (x + half, y)), Line((x, y - half), (x, y + half)))
 
@@ -131,7 +131,7 @@ def to_pdf(drawings: list[Drawing], paper: str) -> bytes:
     """The drawings at 1:1 on as many sheets of paper as they need.
 
     Args:
-        drawings: each begins on a sheet of its own.
+        drawings: each begins on a new sheet.
         paper: "a4", "a3" or "letter".
 
     Raises UsageError for another paper, or more than MAX_PAGES sheets.
@@ -173,7 +173,7 @@ def room(paper: str) -> tuple[float, float]:
 def page_tiles(drawing: Drawing, paper: str) -> tuple[list[Tile], tuple[float, float]]:
     """Parts of the drawing that fit on a sheet each, upper left first, and the sheet's width and height, mm.
 
-    The sheet stands upright or lies, whichever takes fewer; parts with nothing on them are left out.
+    Portrait or landscape, whichever needs fewer sheets; empty parts are omitted.
     """
     room(paper)
     upright = PAPERS_MM[paper]

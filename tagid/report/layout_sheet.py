@@ -1,6 +1,6 @@
 """Layout drawings: dimensioned plan, terminal plan, and 1:1 reflector template.
 
-The plan is seen from above with the axis in the middle, x to the right, as in layout files.
+The plan is seen from above with the axis in the centre, x to the right, as in layout files.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ EDGE_MM = 28.0
 CUT_MM = 6.0
 """Space for the letter at a cut."""
 SPOT_MM = 23.0
-"""Half of what a reflector and its figures take on the strip: no cut goes there if there is a choice."""
+"""Half the width of a reflector and its labels on the strip; cuts avoid this area if possible."""
 STRIP_FOOT_MM = 22.0
 CHECK_MM = 100.0
-"""Length of the bar by which a print is measured."""
+"""Length of the scale bar for checking a print."""
 
 
 def plan(layout: Layout) -> Drawing:
@@ -47,7 +47,7 @@ def plan(layout: Layout) -> Drawing:
     for i, j in _sides(layout):
         a, b = places[i], places[j]
         if (np.linalg.norm(places - (a + b) / 2, axis=1) < 10).any():
-            continue  # another reflector sits where the figure would
+            continue  # another reflector is at the position of the label
         middle = (a + b) / 2
         sheet.add(
             Line((cx + a[0], cy + a[1]), (cx + b[0], cy + b[1]), 0.15, True),
@@ -81,19 +81,19 @@ def plan(layout: Layout) -> Drawing:
     for line, text in enumerate(rows):
         sheet.add(Text((8, foot - 6.0 * (line + 1)), text, 3.8, "start"))
     check_bar(sheet, (8.0, 7.0))
-    sheet.marks.sort(key=lambda mark: isinstance(mark, Text))  # no line goes over a figure
+    sheet.marks.sort(key=lambda mark: isinstance(mark, Text))  # no line crosses a label
     return sheet
 
 
 def strip(layout: Layout, surface_radius_m: float | None = None) -> Drawing:
-    """The object's side unrolled at 1:1: a strip to wrap round it, with a cross for every reflector.
+    """The object's side unrolled at 1:1: a strip to wrap around it, with a cross for every reflector.
 
     Args:
-        layout: its reflectors sit on circles around the axis.
-        surface_radius_m: radius at which the strip lies on the object, m; None takes that of the outermost
+        layout: its reflectors lie on circles around the axis.
+        surface_radius_m: radius of the surface under the strip, m; None uses that of the outermost
             reflectors' centres.
 
-    Raises UsageError if a reflector sits on the axis: there is no side to unroll.
+    Raises UsageError if a reflector is on the axis, where no surface can be unrolled.
     """
     radii = np.linalg.norm(layout.positions, axis=1)
     if radii.min() < 0.01:
@@ -150,12 +150,12 @@ def strip(layout: Layout, surface_radius_m: float | None = None) -> Drawing:
 def template(
     layout: Layout, surface_radius_m: float | None = None, paper: str | None = None
 ) -> list[Drawing]:
-    """What to print for a layout: the plan, and the strip where it can be unrolled.
+    """The drawings of a layout: the plan, and the strip if it can be unrolled.
 
     Args:
         layout: to be printed.
         surface_radius_m: see `strip`.
-        paper: cut the strip into bands that fit on it, upright; None leaves it whole.
+        paper: cut the strip into bands that fit on it in portrait; None does not cut it.
     """
     if np.linalg.norm(layout.positions, axis=1).min() < 0.01:
         return [plan(layout)]
@@ -164,7 +164,7 @@ def template(
 
 
 def bands(sheet: Drawing, width: float, height: float) -> list[Drawing]:
-    """A drawing that is too wide, cut upright between its circles and laid one part below the other.
+    """A drawing that is too wide, cut vertically between its circles, with the parts below each other.
 
     Each cut has one letter on both its sides; parts fill drawings of up to the width and height, mm.
     """
@@ -186,7 +186,7 @@ def bands(sheet: Drawing, width: float, height: float) -> list[Drawing]:
 
 
 def _between(sheet: Drawing, left: float, right: float, number: int) -> Drawing:
-    """The part of a drawing between two upright cuts, with letters at those that are not its ends."""
+    """The part of a drawing between two vertical cuts, with letters at cuts other than its ends."""
     part = Drawing(right - left + 2 * CUT_MM, sheet.height)
     shift = CUT_MM - left
     for mark in sheet.marks:
@@ -211,7 +211,7 @@ def _between(sheet: Drawing, left: float, right: float, number: int) -> Drawing:
 
 
 def stacked(drawings: list[Drawing]) -> Drawing:
-    """Several drawings one below the other as one, the first on top."""
+    """Several drawings combined vertically, the first on top."""
     sheet = Drawing(max(d.width for d in drawings), sum(d.height for d in drawings))
     bottom = sheet.height
     for drawing in drawings:
@@ -249,7 +249,7 @@ def in_terminal(layout: Layout, width: int = 45) -> str:
 
 
 def _widest_gap_deg(angles: NDArray[np.float64]) -> int:
-    """The middle of the widest gap between angles, deg, to ten degrees: where a strip is best cut."""
+    """The middle of the widest gap between angles, deg, to ten degrees: the best place to cut a strip."""
     order = np.sort(angles)
     gap = np.diff(np.append(order, order[0] + 360))
     i = int(np.argmax(gap))
@@ -257,7 +257,7 @@ def _widest_gap_deg(angles: NDArray[np.float64]) -> int:
 
 
 def _sides(layout: Layout) -> list[tuple[int, int]]:
-    """Pairs of reflectors next to each other around the layout's middle, whose distance is drawn."""
+    """Pairs of reflectors adjacent around the layout's centre, whose distance is drawn."""
     offset = layout.positions - layout.positions.mean(axis=0)
     order = np.argsort(np.arctan2(offset[:, 1], offset[:, 0]))
     pairs = list(zip(order, np.roll(order, -1), strict=True))
@@ -265,7 +265,7 @@ def _sides(layout: Layout) -> list[tuple[int, int]]:
 
 
 def check_bar(sheet: Drawing, at: tuple[float, float]) -> None:
-    """The bar of 100 mm by which a print is measured, its left end at a point, mm."""
+    """The 100 mm scale bar for checking a print, its left end at a point, mm."""
     x, y = at
     sheet.add(Line((x, y), (x + CHECK_MM, y), 0.4), Line((x, y - 2), (x, y + 2)))
     sheet.add(Line((x + CHECK_MM, y - 2), (x + CHECK_MM, y + 2)))

@@ -25,7 +25,7 @@ class GrowingLines:
         self._open(os.O_TRUNC)
 
     def reopen(self) -> None:
-        """Continue at the end of the file that now has the name, e.g. after a replacement."""
+        """Reopen the path for appending, e.g. after the file was replaced."""
         self._open(0)
 
     def add(self, line: str) -> None:

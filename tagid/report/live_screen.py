@@ -1,6 +1,6 @@
 """The screen of a scan in progress: image, sinogram, evidence and figures, as text for any terminal.
 
-It is drawn several times per second, possibly over a slow terminal link.
+It is drawn several times per second, possibly over a slow connection.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ def _figures(s: LiveState) -> Text:
 
 
 def _answer(s: LiveState) -> Text:
-    """The answer so far, or what the scan is doing."""
+    """The answer so far, or the state of the scan."""
     if s.phase is Phase.FAILED:
         return Text(visible(s.note), style="bold red")
     if s.answer is not None:
@@ -75,7 +75,7 @@ def _answer(s: LiveState) -> Text:
         text = Text(visible(words).upper(), style="bold green" if name else "bold yellow")
         if reading is not None and reading.reason:
             text.append(f"  {reading.reason}", style="not bold")
-        return text.append("" if s.final else "  (the recording goes on)", style="dim")
+        return text.append("" if s.final else "  (the recording continues)", style="dim")
     if s.note:
         return Text(visible(s.note), style="yellow")
     doing = {
@@ -87,7 +87,7 @@ def _answer(s: LiveState) -> Text:
 
 
 def _bars(evidence: tuple[LayoutEvidence, ...], columns: int, colour: bool) -> list[Text]:
-    """One line per layout, the best first: share of the echo it explains, and the least that is needed."""
+    """One line per layout, the best first: share of the echo it explains, and the required minimum."""
     full, empty = ("█", "░") if colour else ("#", ".")
     best = sorted(evidence, key=lambda one: -one.share)[:_MOST_BARS]
     width = min(max((len(one.layout) for one in best), default=0), 24)
@@ -109,7 +109,7 @@ def _bars(evidence: tuple[LayoutEvidence, ...], columns: int, colour: bool) -> l
 def _image(s: LiveState, width: int, height: int, colour: bool) -> RenderableType:
     if s.image is None:
         return Text("no image yet".ljust(width))
-    # A cell is about twice as high as wide.
+    # A character cell is about twice as high as wide.
     side = max(min(width, 2 * height), 8)
     return _raster(np.abs(s.image.values[::-1]).astype(np.float64), IMAGE_DB, side, side // 2, colour)
 

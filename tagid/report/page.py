@@ -36,8 +36,8 @@ class PageSettings:
     """Settings of the page.
 
     Attributes:
-        title: title of the page.
-        megabytes: size limit of all pictures together.
+            title: title of the page.
+            megabytes: size limit of all pictures together.
     """
 
     title: str = "Radar tag identification"
@@ -49,7 +49,7 @@ class PageSettings:
 
 
 class Items(Protocol):
-    """Where records and pictures come from, e.g. `tagid.batch.spool.Spool`."""
+    """Source of records and pictures, e.g. `tagid.batch.spool.Spool`."""
 
     def items(self) -> Iterator[tuple[int, Record, dict[str, Any], int]]:
         """(position, record, drawing, bytes of its pictures) in the order of the inputs."""
@@ -67,7 +67,7 @@ def write_page(
     summary: Mapping[str, Any],
     settings: PageSettings,
 ) -> None:
-    """Write report.html, whole or not at all.
+    """Write report.html atomically.
 
     Args:
         path: the file.
@@ -147,7 +147,7 @@ class _Content:
 
 
 def _allot(items: Iterator[tuple[int, Record, int]], megabytes: float) -> dict[int, int]:
-    """Position -> 2 full pictures, 1 a small one, 0 none, by who will be looked at first; only those that
+    """Position -> 2 full pictures, 1 a small one, 0 none, by expected interest; only those that
     have pictures."""
     wanted = [(_interest(record), position, size) for position, record, size in items if size]
     wanted.sort()
@@ -176,14 +176,14 @@ def _interest(record: Record) -> tuple[int, float]:
 
 
 def _verbatim(text: str) -> Markup:
-    """A file of the package for a style or script element, as it is."""
+    """A package file for a style or script element, unchanged."""
     from markupsafe import Markup
 
     return Markup(text)
 
 
 def _hash(text: str) -> str:
-    """How a content security policy names an inline style or script (W3C CSP 3, section 2.3.1)."""
+    """Hash source of an inline style or script for a content security policy (W3C CSP 3, section 2.3.1)."""
     return "sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
 
 

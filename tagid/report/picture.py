@@ -1,4 +1,4 @@
-"""The reconstructed image as a picture: dB, metres, and the reflectors that were found.
+"""The reconstructed image as a picture: dB, metres, and the detected reflectors.
 
 Large letters on white, readable in sunlight and in printed reports.
 """
@@ -46,12 +46,12 @@ def draw_image(
     Args:
         values: (y, x) complex or real reflectivity; row 0 is the lowest y, which is drawn at the bottom.
         extent_m: side of the image along x, m; the pixels are square.
-        path: the PNG; it appears complete or not at all.
-        title: one line above the image, cut where it is too long.
-        reflectors: markers, drawn as a circle if matched, else as a cross. Those outside the image are not
-            drawn.
+        path: the PNG; written atomically.
+        title: one line above the image, truncated if too long.
+        reflectors: markers, drawn as a circle if matched, otherwise as a cross. Those outside the image are
+            omitted.
         dynamic_range_db: pixels further below the brightest one have the darkest colour.
-        centre_m: (x, y) of the image's middle, m; the rotation axis is the origin.
+        centre_m: (x, y) of the image centre, m; the rotation axis is the origin.
 
     Raises:
         DataError: the image is empty, not two-dimensional or not finite.
@@ -80,13 +80,13 @@ def draw_image(
 def checked_magnitude(
     values: NDArray[np.inexact], extent_m: float, dynamic_range_db: float
 ) -> NDArray[np.float64]:
-    """|values| as (y, x) float64; raises DataError or UsageError for what cannot be drawn."""
+    """|values| as (y, x) float64; raises DataError or UsageError if it cannot be drawn."""
     if values.ndim != 2 or values.size == 0:
         raise DataError(f"the image has shape {values.shape}, expected (y, x)")
     magnitude: NDArray[np.float64] = np.abs(values).astype(np.float64)
     if not np.isfinite(magnitude).all():
         raise DataError(
-            "the image holds values that are not finite", "Reconstruct it again from the capture."
+            "the image contains values that are not finite", "Reconstruct it again from the capture."
         )
     if not (np.isfinite(extent_m) and extent_m > 0):
         raise UsageError(f"image extent is {extent_m} m", "Give a positive number of metres.")
@@ -96,7 +96,7 @@ def checked_magnitude(
 
 
 def fit_text(canvas: Canvas, text: str, width: float, size: int) -> str:
-    """The text on one line, cut with an ellipsis where it is wider than `width` px."""
+    """The text on one line, truncated with an ellipsis if wider than `width` px."""
     line = " ".join(text.split())[:400]
     if canvas.text_width(line, size) <= width:
         return line

@@ -1,6 +1,6 @@
 """The image drawn with characters in the terminal, for use over ssh without graphics.
 
-Two pixels share a cell by a half block in 24-bit colour; without colour, ten characters stand for lightness.
+Two pixels share a cell by a half block in 24-bit colour; without colour, ten characters represent lightness.
 """
 
 from __future__ import annotations
@@ -38,11 +38,12 @@ def preview(
     Args:
         values: (y, x) complex or real, row 0 the lowest y.
         extent_m: side of the image along x, m.
-        width: columns of the terminal to use, labels included; a cell is taken as twice as high as wide.
+        width: columns of the terminal to use, labels included; character cells are assumed to be twice as
+            high as wide.
         dynamic_range_db: pixels further below the brightest one are darkest.
         colour: half blocks in colour, or characters; None decides by the environment (NO_COLOR, TERM).
             Commands pass `colour_wanted(console)`.
-        centre_m: (x, y) of the image's middle, m.
+        centre_m: (x, y) of the image centre, m.
 
     Raises:
         DataError: the image is empty, not two-dimensional or not finite.
@@ -70,7 +71,7 @@ def preview(
 
 
 def resample(magnitude: NDArray[np.float64], rows: int, columns: int) -> NDArray[np.float64]:
-    """(rows, columns) of (y, x) values: each cell the largest pixel it overlaps, so no reflector is lost."""
+    """(rows, columns) of (y, x) values: each cell is its largest pixel, so that no reflector is lost."""
     for axis, size in ((0, rows), (1, columns)):
         old = magnitude.shape[axis]
         first = (np.arange(size) * old) // size

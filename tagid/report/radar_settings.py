@@ -18,7 +18,7 @@ _MEANING = {
     "transmit_gain": "0 to 63",
     "antenna_mode": "0 A/A, 1 B/B, 2 TxA-RxB, 3 TxB-RxA",
     "code_channel": "0 to 10, different for neighbouring radars",
-    "node_id": "the radar's number",
+    "node_id": "node id of the radar",
     "persist": "1: stored in flash",
 }
 

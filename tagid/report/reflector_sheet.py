@@ -26,18 +26,18 @@ from tagid.simulate.response import Ring
 Floats = NDArray[np.float64]
 
 SIZES_M = (0.010, 0.080)
-"""Sizes that are made, m: less cannot be folded, more is no small reflector."""
+"""Supported sizes, m: smaller ones cannot be folded, larger ones are not small reflectors."""
 TAB_MM = 6.0
 """Width of a glue tab."""
 _EDGE_MM = 12.0
 _FOOT_MM = 58.0
 _PIECES = 5
-"""Mesh edges per edge of the solved octahedron: within 0.1 dB of seven (40 mm, 3.1 to 4.9 GHz)."""
+"""Mesh elements per edge of the octahedron: within 0.1 dB of seven (40 mm, 3.1 to 4.9 GHz)."""
 _ASPECTS = 24
 
 
 def check_size(size_m: float) -> None:
-    """Raise UsageError for a size that is not made."""
+    """Raise UsageError for an unsupported size."""
     low, high = SIZES_M
     if not low <= size_m <= high:
         raise UsageError(
@@ -113,7 +113,7 @@ def net(size_m: float) -> Net:
 
 
 def sheet(size_m: float) -> Drawing:
-    """The net at 1:1 with the bar of 100 mm, and a drawing that shows which length the size is."""
+    """The net at 1:1 with a 100 mm scale bar, and a drawing that shows the definition of the size."""
     one = net(size_m)
     low, high = one.points.min(axis=0), one.points.max(axis=0)
     room = TAB_MM + _EDGE_MM
@@ -136,7 +136,7 @@ def sheet(size_m: float) -> Drawing:
     rows = (
         f"Octahedron, size {size:g} mm from tip to tip, edge {size / np.sqrt(2):.1f} mm. Scale 1:1.",
         "Cut along solid lines, fold backwards along dashed ones, glue the tabs inside.",
-        "Use foil-covered card, foil outside: all eight faces must be metal, gaps up to 2 mm do no harm.",
+        "Use foil-covered card, foil outside: all eight faces must be metal, gaps up to 2 mm are harmless.",
     )
     for line, text in enumerate(rows):
         drawing.add(Text((8.0, 25.0 - 6.0 * line), text, 3.6, "start"))
@@ -173,7 +173,7 @@ def _dimension(drawing: Drawing, at: tuple[float, float], size: float) -> None:
 
 @dataclass(frozen=True, eq=False)
 class CrossSection:
-    """Solved radar cross-section of an octahedron with metal faces, a tip up.
+    """Computed radar cross-section of an octahedron with metal faces, one tip up.
 
     Attributes:
         size_m: tip to tip.
@@ -192,7 +192,7 @@ class CrossSection:
 
 
 def cross_section(size_m: float, frequencies: int = 7) -> CrossSection:
-    """Solve the octahedron from 3.1 to 4.9 GHz over a quarter turn; it repeats after 90 degrees."""
+    """Solve the octahedron from 3.1 to 4.9 GHz over 90 degrees of aspect; the pattern repeats after that."""
     check_size(size_m)
     sweep = Sweep(3.1e9, 4.9e9, frequencies, _ASPECTS, (Ring(1.0, "V"), Ring(1.0, "H")))
     solved = solve_response("octahedron", shapes.closed_octahedron(size_m, _PIECES), sweep)
@@ -203,7 +203,7 @@ def cross_section(size_m: float, frequencies: int = 7) -> CrossSection:
 
 
 def to_csv(solved: CrossSection) -> str:
-    """The table: a line per frequency, polarisation and aspect, dBsm."""
+    """The table: one line per frequency, polarisation and aspect, dBsm."""
     rows = [f"# octahedron, {solved.size_m * 1e3:g} mm from tip to tip; {solved.source}"]
     rows.append("frequency_ghz,polarisation," + ",".join(f"{a:g}_deg" for a in solved.aspect_deg))
     for name, table in (("V", solved.vertical), ("H", solved.horizontal)):

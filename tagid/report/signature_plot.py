@@ -1,4 +1,4 @@
-"""A signature as a polar plot: the level of the echo over aspect at the band's ends and middle."""
+"""A signature as a polar plot: the level of the echo over aspect at the ends and the centre of the band."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ ASPECTS = 360
 def pattern_db(signature: Signature, aspects: int = ASPECTS) -> NDArray[np.float64]:
     """(F, aspects) level of the echo over azimuth in the object's frame, dB of each frequency's largest.
 
-    The pulse's spectrum is a part of every signature, so levels at different frequencies are not comparable.
+    The pulse's spectrum is part of every signature, so levels at different frequencies are not comparable.
     """
     azimuth = 2 * np.pi * np.arange(aspects) / aspects
     echo = np.abs(signature.harmonics @ angular(azimuth, signature.order).T)

@@ -26,7 +26,7 @@ CSV_COLUMNS = (
     *(f"{stage}_s" for stage in STAGES), "total_s", "time_utc",
 )  # fmt: skip
 """Columns of items.csv; names include units."""
-# What XML 1.0 cannot hold, not even escaped (section 2.2).
+# Characters not allowed in XML 1.0, even escaped (section 2.2).
 _NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
@@ -104,7 +104,7 @@ def write_junit(path: Path, records: Iterable[Record], summary: Mapping[str, Any
 
 
 def verdict(record: Record) -> tuple[str, str] | None:
-    """("error" or "failure", why) of an item; None if it passes."""
+    """("error" or "failure", reason) of an item; None if it passes."""
     if record["status"] == "failed":
         return "error", record["reason"]
     expected = record.get("expected")

@@ -1,4 +1,4 @@
-"""The small pictures of a report's page: bare rasters, a few kilobytes each.
+"""The small pictures of a report page: rasters without axes, a few kilobytes each.
 
 Axes, scale bar and markers are drawn by the page itself, so that one raster serves all sizes.
 """
@@ -22,7 +22,7 @@ from tagid.report.colours import to_decibels, viridis
 from tagid.tags.layouts.layout import Layout
 
 IMAGE_SIDE = 96
-"""Pixels of an image's side: 5 mm for the usual 0.5 m, a quarter of what the method resolves."""
+"""Pixels of an image's side: 5 mm for the usual 0.5 m, a quarter of the method's resolution."""
 SINOGRAM_ROWS, SINOGRAM_COLUMNS = 72, 128
 IMAGE_DB, SINOGRAM_DB = 30.0, 30.0
 LEVELS = 32
@@ -32,7 +32,7 @@ LEVELS = 32
 def draw_pictures(
     capture: Capture, result: Reconstruction, answer: Identification, layout: Layout | None
 ) -> tuple[bytes, bytes, dict[str, Any]]:
-    """Image and sinogram as PNG, and what the page needs to draw around them.
+    """Image and sinogram as PNG, and the data for drawing around them.
 
     Args:
         capture: prepared, as it was identified.
@@ -42,8 +42,8 @@ def draw_pictures(
 
     Returns:
         (image, sinogram, drawing): drawing has `method`, `extent_m`, `centre_m`, `image_db`, `layout_m`
-        (places of the layout's reflectors), `range_m` (first, last), `angle_deg` (first, last; None without
-        angles), `views`, `sinogram_db`.
+        (positions of the layout's reflectors), `range_m` (first, last), `angle_deg` (first, last; None
+        without angles), `views`, `sinogram_db`.
     """
     image = _png(to_decibels(_fitted(np.abs(result.image.values)), IMAGE_DB)[::-1], IMAGE_DB)
     sinogram = _png(_sinogram(capture), SINOGRAM_DB)

@@ -1,4 +1,4 @@
-"""A volume as pictures: the greatest values along each axis, and a slow turn of them."""
+"""A volume as pictures: maximum projections along each axis, and a rotating animation."""
 
 from __future__ import annotations
 
@@ -28,15 +28,15 @@ def draw_projections(
     title: str = "",
     dynamic_range_db: float = 25.0,
 ) -> None:
-    """Write a PNG of the greatest magnitudes seen from above, from the front and from the side.
+    """Write a PNG of the maximum projections from above, from the front and from the side.
 
     Args:
         values: (z, y, x) reflectivity.
         axis_m: (pixels,) centres along x and y, m.
         heights_m: (levels,) centres along z, m.
-        path: the PNG; it appears complete or not at all.
+        path: the PNG; written atomically.
         title: one line above.
-        dynamic_range_db: what is further below the brightest voxel has the darkest colour.
+        dynamic_range_db: voxels further below the brightest one have the darkest colour.
 
     Raises:
         DataError: not a finite volume. StorageError, DiskFullError.
@@ -71,7 +71,7 @@ def write_turning(
     path: Path,
     dynamic_range_db: float = 25.0,
 ) -> None:
-    """Write a WebP that turns once about z: the greatest magnitude along the line of sight in every frame.
+    """Write a WebP of one rotation about z, with the maximum projection along the line of sight per frame.
 
     Args and errors as `draw_projections`.
     """

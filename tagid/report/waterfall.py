@@ -1,6 +1,6 @@
 """The monitor's screen: range to the right, time downwards, and the figures above it, as text.
 
-It is drawn a dozen times per second, possibly over a slow terminal link.
+It is drawn a dozen times per second, possibly over a slow connection.
 """
 
 from __future__ import annotations

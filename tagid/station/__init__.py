@@ -1,1 +1,1 @@
-"""A page to work at: scans, health and history over HTTP and a WebSocket, for a browser beside the table."""
+"""Web page for operators: scans, health and history over HTTP and a WebSocket."""

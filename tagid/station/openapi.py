@@ -18,19 +18,19 @@ def document() -> dict[str, Any]:
         "info": {
             "title": "tagid station",
             "version": __version__,
-            "description": "Start a scan, follow it, read its result, and list the history. "
-            f"Each POST needs the header `{OWN_HEADER}: 1`. On another address than this computer's own, "
-            "each request needs a token, which POST /api/v1/pair makes from the pairing code.",
+            "description": "Start a scan, monitor it, read its result, and list the history. "
+            f"Each POST needs the header `{OWN_HEADER}: 1`. On an address other than loopback, "
+            "each request needs a token, which POST /api/v1/pair creates from the pairing code.",
         },
         "security": [{}, {"bearer": []}, {"cookie": []}],
         "paths": {
-            "/api/v1/pair": {"post": _post("Make a token from the pairing code", "Pairing", 200, "Token")},
-            "/api/v1/status": {"get": _get("What the station is doing", "Status")},
+            "/api/v1/pair": {"post": _post("Create a token from the pairing code", "Pairing", 200, "Token")},
+            "/api/v1/status": {"get": _get("State of the station", "Status")},
             "/api/v1/scan": {
                 "get": _get("The newest scan with its result so far", "Scan", missing=True),
                 "post": _post("Start a scan", "Start", 202, "Started"),
             },
-            "/api/v1/scan/stop": {"post": _post("Stop the scan; its capture is kept", "Empty", 202, "Empty")},
+            "/api/v1/scan/stop": {"post": _post("Stop the scan and keep its capture", "Empty", 202, "Empty")},
             "/api/v1/history": {"get": {**_get("Identifications, newest first", "History"), **_filters()}},
             "/api/v1/history.csv": {
                 "get": {
@@ -132,10 +132,10 @@ def _schemas() -> dict[str, Any]:
         "Start": {
             "type": "object",
             "properties": {
-                "note": {**text, "description": "Kept with the capture."},
+                "note": {**text, "description": "Text stored with the capture."},
                 "key": {
                     **text,
-                    "description": "Of a WebSocket connection; needed where the scan moves something.",
+                    "description": "Key of a WebSocket connection; required if the scan moves a device.",
                 },
             },
         },

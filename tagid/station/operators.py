@@ -1,7 +1,7 @@
-"""Who may start a scan: one browser at a time, and the motion stops when it has gone.
+"""Access to the scan: one browser at a time, and the motion stops when it disconnects.
 
-Every connection gets a key. A browser that reloads shows its key again within the grace period and is the
-same operator as before.
+Every connection gets a key. A browser that reloads presents its key again within the grace period and remains
+the operator.
 """
 
 from __future__ import annotations
@@ -14,18 +14,18 @@ from collections.abc import Callable
 from tagid.errors import UsageError
 
 GRACE_S = 5.0
-"""How long an operator may be without a connection, s: a reload takes one or two."""
+"""Time that an operator may be disconnected, s: a reload takes one or two."""
 _MOST_KEYS = 256
 
 
 class NotOperatorError(UsageError):
-    """Another browser operates the station, or none does."""
+    """Another browser operates the station, or no browser does."""
 
     code = "not_operator"
 
 
 class Operators:
-    """The connections, and which key holds the lock; safe to use from several threads.
+    """The connections and the key that holds the lock; thread-safe.
 
     Args:
         clock: monotonic seconds.
@@ -39,7 +39,7 @@ class Operators:
         self._operator: str | None = None
 
     def join(self, shown: str | None = None) -> str:
-        """A connection was opened; returns its key, which is the one it showed if that is known."""
+        """Register an opened connection; returns its key, which is the presented one if known."""
         with self._lock:
             known = shown is not None and shown in self._connections
             key = str(shown) if known else secrets.token_urlsafe(18)
@@ -48,7 +48,7 @@ class Operators:
             return key
 
     def leave(self, key: str) -> None:
-        """A connection was closed."""
+        """Register a closed connection."""
         with self._lock:
             count = self._connections.get(key, 0) - 1
             if count < 0:
@@ -58,7 +58,7 @@ class Operators:
                 self._left_at[key] = self._clock()
 
     def take(self, key: str, force: bool = False) -> bool:
-        """Take the lock; False where another key that is connected has it, unless forced."""
+        """Take the lock; False if another connected key has it, unless forced."""
         with self._lock:
             if not self._connections.get(key):
                 return False
@@ -68,7 +68,7 @@ class Operators:
             return False
 
     def release(self, key: str) -> None:
-        """Give the lock back."""
+        """Release the lock."""
         with self._lock:
             if self._operator == key:
                 self._operator = None
@@ -90,7 +90,7 @@ class Operators:
             return sum(self._connections.values())
 
     def expire(self) -> bool:
-        """Forget the keys that left longer ago than the grace period; True where the operator was one."""
+        """Remove keys disconnected for longer than the grace period; True if the operator was one."""
         with self._lock:
             now = self._clock()
             gone = [key for key, at in self._left_at.items() if now - at >= GRACE_S]

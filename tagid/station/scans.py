@@ -1,4 +1,4 @@
-"""One scan of the station on a thread of its own: record, read, draw, remember."""
+"""One scan of the station in a separate thread: record, read, draw, store."""
 
 from __future__ import annotations
 
@@ -37,16 +37,16 @@ COMMAND = "station"
 
 
 class ScanRun:
-    """A scan in progress or done.
+    """A running or finished scan.
 
     Args:
         number: counts the station's scans.
-        setup: what it needs.
+        setup: settings of the scan.
         radar: held while the radar is used, so that a health check does not disturb the scan.
 
     Attributes:
         number: as given.
-        motion: what turns the object.
+        motion: the device that rotates the object.
     """
 
     def __init__(self, number: int, setup: ScanSetup, radar: threading.Lock) -> None:
@@ -69,7 +69,7 @@ class ScanRun:
         self._thread.start()
 
     def stop(self) -> None:
-        """Ask it to end; the motion stops, and what was recorded is kept."""
+        """Request its end; the motion stops, and the recorded scans are kept."""
         self._stop.set()
 
     def join(self, seconds: float) -> None:
@@ -89,12 +89,12 @@ class ScanRun:
 
     @property
     def remark(self) -> str:
-        """What was written last beside the answer, or could not be; empty otherwise."""
+        """Remark on files that could not be written; empty if none."""
         return self._remark
 
     @property
     def silent_s(self) -> float:
-        """Seconds since the last scan while the object turns; 0 otherwise."""
+        """Seconds since the last scan during the recording; 0 otherwise."""
         if self.state.phase is not Phase.TURNING or self._last_scan_at is None:
             return 0.0
         return time.monotonic() - self._last_scan_at
@@ -131,7 +131,7 @@ class ScanRun:
                     signatures=self._known.signatures,
                 )
             except TagidError as error:
-                # The recording is safe; only what was to be read from it failed.
+                # The recording is stored; only the reading failed.
                 entry = {"code": error.code, "message": error.message, "remedy": error.remedy}
                 self._remember(Identification("failed", None, capture.uuid, None, error=entry), paths[-1])
                 raise
@@ -144,7 +144,7 @@ class ScanRun:
         view = self._view
 
         def gap(gap: ScanGap) -> None:
-            view.note(f"the radar was gone for {gap.seconds:.1f} s; the recording goes on")
+            view.note(f"the radar was disconnected for {gap.seconds:.1f} s; the recording continues")
 
         def resolve(capture: Capture, motion: str) -> Capture:
             return resolve_turn(capture, motion)
@@ -164,7 +164,7 @@ class ScanRun:
         self._view.scan(scan)
 
     def _draw(self, answer: Identification, path: Path) -> None:
-        """Write the picture of the last frame beside the capture."""
+        """Write the picture of the last frame next to the capture."""
         image = self.state.image
         if image is None:
             return
@@ -184,9 +184,9 @@ class ScanRun:
             run = history.begin(COMMAND, {"radar": setup.radar_url, "motion": setup.plan.motion})
             history.add(run, [{"file": str(path), **answer.to_dict()}])
         except TagidError as error:
-            self._remark = f"{self._remark}; not kept in the history: {error.message}".lstrip("; ")
+            self._remark = f"{self._remark}; not stored in the history: {error.message}".lstrip("; ")
 
 
 def picture_of(capture: Path) -> Path:
-    """The picture beside a capture file."""
+    """The picture that belongs to a capture file."""
     return capture.with_name(f"{capture.name.removesuffix(CAPTURE_SUFFIX)}.png")

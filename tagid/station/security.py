@@ -1,8 +1,8 @@
-"""Who may talk to the station: checks of every request and WebSocket before the application sees it.
+"""Access control: checks every request and WebSocket before it reaches the application.
 
-Threats and what meets them: another web page in the same browser (Origin, Sec-Fetch-Site, a header that forms
+Threats and countermeasures: another web page in the same browser (Origin, Sec-Fetch-Site, a header that forms
 cannot send), DNS rebinding (Host), a device in the network (pairing), a script in a name (content policy),
-large or strange bodies (limits).
+large or malformed bodies (limits).
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 
 COOKIE = "tagid_station"
 OWN_HEADER = "tagid-station"
-"""Sent with each POST and by WebSocket clients that are no browsers: another page cannot send it without
-asking first (CORS), which is never allowed."""
+"""Sent with each POST and by WebSocket clients other than browsers: another page cannot send it without a
+CORS preflight request, which is never allowed."""
 MOST_BODY_BYTES = 4096
 _CODE_LETTERS = "23456789ABCDEFGHJKMNPQRSTUVWXYZ"
 _CODE_SECONDS = 600.0
@@ -32,7 +32,7 @@ _CODE_TRIES = 5
 _MOST_TOKENS = 32
 _LOOPBACK = ("127.0.0.1", "localhost", "[::1]")
 _OPEN_PATHS = ("/", "/station.css", "/station.js", "/station.svg", "/api/v1/pair", "/api/v1/openapi.json")
-"""Paths that need no token: they show nothing of the station."""
+"""Paths that need no token, because they reveal nothing about the station."""
 _API = "/api/"
 POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; connect-src 'self'; "
@@ -50,12 +50,12 @@ _HEADERS = (
 
 
 class Pairing:
-    """The pairing code, and the tokens made with it.
+    """The pairing code, and the tokens created with it.
 
-    A code makes one token, is valid for ten minutes and for five tries; then a new one is announced.
+    A code creates one token and is valid for ten minutes and five attempts; then a new one is announced.
 
     Args:
-        announce: shows a new code to the person at the computer.
+        announce: shows a new code at the computer.
         clock: monotonic seconds.
     """
 
@@ -73,7 +73,7 @@ class Pairing:
         self._announce(self._code)
 
     def pair(self, code: str) -> str | None:
-        """A token for a code; None where it is wrong or too old."""
+        """A token for a code; None if it is wrong or expired."""
         late = self._clock() > self._until
         given = code.strip().upper().encode()
         right = hmac.compare_digest(given, self._code.encode()) and not late
@@ -88,7 +88,7 @@ class Pairing:
         return token
 
     def knows(self, token: str) -> bool:
-        """Whether a token is one of those made."""
+        """Whether a token is valid."""
         digest = _digest(token)
         return any(hmac.compare_digest(digest, one) for one in self._tokens)
 
@@ -99,7 +99,7 @@ def _digest(token: str) -> bytes:
 
 @dataclass(frozen=True)
 class Refusal:
-    """Why a request is not answered.
+    """Reason for refusing a request.
 
     Attributes:
         status: HTTP status.
@@ -113,13 +113,13 @@ class Refusal:
 
 
 class Guard:
-    """ASGI middleware: refuses what is not allowed, and puts the security headers on every response.
+    """ASGI middleware: refuses disallowed requests, and adds the security headers to every response.
 
     Args:
         app: the application behind it.
         host: address it listens on.
-        port: port it listens on; 0 accepts any port, for tests of the application alone.
-        pairing: None on a loopback address, where no token is asked.
+        port: port it listens on; 0 accepts any port, for tests of the application only.
+        pairing: None on a loopback address, where no token is required.
     """
 
     def __init__(self, app: ASGIApp, host: str, port: int, pairing: Pairing | None) -> None:
@@ -131,7 +131,7 @@ class Guard:
             self._hosts |= names
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Check, then hand on."""
+        """Check a request, then pass it on."""
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
             return
@@ -144,7 +144,7 @@ class Guard:
             error = {"code": refusal.code, "message": refusal.message, "remedy": refusal.remedy}
             body = json.dumps({"error": error}).encode()
             headers = [(b"content-type", b"application/json"), (b"content-length", str(len(body)).encode())]
-            # What is left of the body is not read: the connection ends with the answer.
+            # The rest of the body is not read: the connection ends with the response.
             start = {
                 "type": "http.response.start",
                 "status": refusal.status,
@@ -180,7 +180,7 @@ class Guard:
         if socket:
             if not origins and not own:
                 return Refusal(
-                    403, "no_origin", "no page sent this request", f"Scripts send {OWN_HEADER}: 1."
+                    403, "no_origin", "this request was not sent by a page", f"Scripts send {OWN_HEADER}: 1."
                 )
         elif refusal := _of_body(scope["method"], headers, own):
             return refusal
@@ -204,14 +204,14 @@ class Guard:
 
 
 def _of_body(method: str, headers: dict[str, list[str]], own: bool) -> Refusal | None:
-    """Why a request's method or body is refused."""
+    """Reason for refusing a request's method or body."""
     length = headers.get("content-length", ["0"])
     if method not in ("GET", "HEAD", "POST"):
-        return Refusal(405, "method", f"{method[:20]} is not a method of the station", "Use GET or POST.")
+        return Refusal(405, "method", f"{method[:20]} is not a supported method", "Use GET or POST.")
     if "transfer-encoding" in headers or len(length) != 1 or not length[0].isdecimal():
-        return Refusal(411, "length", "the length of the body is not known", "Send Content-Length.")
+        return Refusal(411, "length", "the length of the body is unknown", "Send Content-Length.")
     if len(length[0]) > 9 or int(length[0]) > (MOST_BODY_BYTES if method == "POST" else 0):
-        return Refusal(413, "too_large", "the body is too large", "The station takes no uploads.")
+        return Refusal(413, "too_large", "the body is too large", "The station accepts no uploads.")
     if method != "POST":
         return None
     if headers.get("content-type", [""])[0].partition(";")[0].strip().lower() != "application/json":
@@ -233,12 +233,12 @@ def _with_headers(send: Send) -> Send:
 
 
 def is_loopback(host: str) -> bool:
-    """Whether an address reaches this computer alone.
+    """Whether an address is reachable from this computer only.
 
     >>> is_loopback("127.0.0.1"), is_loopback("localhost"), is_loopback("0.0.0.0")
     (True, True, False)
 
-    Raises UsageError for what is no address.
+    Raises UsageError for an invalid address.
     """
     import ipaddress
 

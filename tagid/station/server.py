@@ -1,4 +1,4 @@
-"""Runs the station's application on a socket, with limits on what a client may hold open."""
+"""Runs the station's application on a socket, with limits on connections and buffers of clients."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ from tagid.station.web import build
 MAX_SOCKETS = 256
 """Open connections, WebSockets included; more are closed at once."""
 HEADER_S = 10.0
-"""A connection that sends no whole request for so long is closed, s."""
+"""Time after which a connection without a complete request is closed, s."""
 PING_S = 4.0
-"""A WebSocket is pinged so often, and lost when the answer takes as long, s."""
+"""Interval of WebSocket pings, and the time limit for the reply, s."""
 _UNSENT_BYTES = 1 << 20
 """Bytes that a client may leave unread before it is disconnected."""
 
 
 class StationHttp(H11Protocol):
-    """HTTP with a limit on connections and on the time that a request may take to arrive."""
+    """HTTP with limits on the number of connections and on the arrival time of a request."""
 
     def connection_made(self, transport: Any) -> None:
-        """Begin, unless there are too many."""
+        """Accept the connection, unless there are too many."""
         if len(self.connections) >= MAX_SOCKETS:
             transport.abort()
             return
@@ -39,7 +39,7 @@ class StationHttp(H11Protocol):
         self.loop.call_later(HEADER_S, self._expire, None)
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """End; a connection that was refused never began."""
+        """End the connection; one that was refused was never counted."""
         if self.transport is not None:
             super().connection_lost(exc)
 
@@ -56,14 +56,14 @@ class StationHttp(H11Protocol):
 
 
 class StationSocket(WSProtocol):
-    """WebSockets without compression, whose client is cut off where it does not read or answer."""
+    """WebSockets without compression; clients that do not read or reply are disconnected."""
 
     def keepalive_timeout(self) -> None:
-        """No answer to a ping: closing would wait for what the client does not read."""
+        """Abort without reply to a ping: a regular close would wait for the client to read."""
         self.transport.abort()
 
     def handle_ping(self, event: Any) -> None:
-        """Answer, unless the client reads none of the answers."""
+        """Reply, unless the client does not read the replies."""
         if self.transport.get_write_buffer_size() > _UNSENT_BYTES:
             self.transport.abort()
         else:
@@ -71,11 +71,11 @@ class StationSocket(WSProtocol):
 
 
 class Server:
-    """The server on a thread of its own; use it as a context manager.
+    """The server in a separate thread; use it as a context manager.
 
     Args:
-        station: what is served.
-        host, port: where to listen; port 0 takes a free one.
+        station: the station to serve.
+        host, port: where to listen; port 0: any free port.
         announce: shows a pairing code; None on a loopback address.
 
     Attributes:
@@ -151,7 +151,7 @@ def _listen(host: str, port: int) -> socket.socket:
     except OSError as error:
         found.close()
         if isinstance(error, socket.gaierror):
-            raise UsageError(f"{host} is no address", "Give an IP address, e.g. 127.0.0.1.") from error
+            raise UsageError(f"{host} is not an address", "Give an IP address, e.g. 127.0.0.1.") from error
         raise PortInUseError(
             f"cannot listen on {host}:{port}: {error.strerror}",
             "End the other program, or choose another port with --bind HOST:PORT.",

@@ -1,4 +1,4 @@
-"""What one scan of the station needs, as the configuration stands when it begins."""
+"""Settings of one scan of the station, from the configuration at its start."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from tagid.recording.plan import RecordingPlan
 
 @dataclass(frozen=True, eq=False)
 class ScanSetup:
-    """What one scan needs.
+    """Settings of one scan.
 
     Attributes:
-        radar_url, radar_timeout_s: the radar, and the silence after which it counts as lost.
-        motion_url: what turns the object.
+        radar_url, radar_timeout_s: the radar, and the time without data after which it counts as lost.
+        motion_url: the device that rotates the object.
         plan: the recording plan.
         folder: where captures are written.
         loading, imaging: settings of reading and imaging.
@@ -35,10 +35,10 @@ class ScanSetup:
 
 @dataclass(frozen=True)
 class Source:
-    """Where the station gets its settings from; asked anew for each scan.
+    """Source of the station's settings; queried for each scan.
 
     Attributes:
-        config: the configuration as it stands.
+        config: the current configuration.
         setup: the setup of a scan with a note for its capture. Raises ConfigError, UsageError, StorageError.
         demo: whether an emulated radar is used.
     """

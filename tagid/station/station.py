@@ -1,6 +1,6 @@
-"""The station without its web page: scans one after the other, the operator's lock, health, history.
+"""The station without its web page: sequential scans, the operator's lock, health, history.
 
-Everything here is called from the web server's thread; scans and health checks have threads of their own.
+All methods are called from the web server's thread; scans and health checks run in separate threads.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from tagid.station.setup import Source
 from tagid.storage.history import FILE_NAME, Filter, History
 
 HEALTH_EVERY_S = 20.0
-"""Time between two health checks while a browser looks on, s."""
+"""Time between two health checks while a browser is connected, s."""
 HISTORY_LIMIT = 200
 _PICTURE_BYTES = 4 << 20
 _STOP_S = 30.0
@@ -59,7 +59,7 @@ class Station:
     """The station.
 
     Args:
-        source: where settings come from.
+        source: source of the settings.
         check: the health check.
     """
 
@@ -89,12 +89,12 @@ class Station:
         """Start a scan; returns its number.
 
         Args:
-            key: of the browser that asks; None for a script without a connection.
-            note: kept with the capture.
+            key: of the requesting browser; None for a script without a connection.
+            note: text stored with the capture.
 
         Raises:
             BusyError: a scan is running.
-            NotOperatorError: another browser operates, or the motion would move and the key has no lock.
+            NotOperatorError: another browser operates, or the scan moves a device and the key has no lock.
             ConfigError, UsageError, StorageError: see `Source.setup`.
         """
         with self._starting:
@@ -113,8 +113,8 @@ class Station:
         run = ScanRun(self._count + 1, setup, self._radar)
         if run.motion.moves and not self.operators.holds(key):
             raise NotOperatorError(
-                "the scan would move the table or robot, and nobody operates the station",
-                "Start it on the page, or over a WebSocket connection that stays open and sends its key.",
+                "the scan would move the table or robot, and no browser operates the station",
+                "Start it on the page, or send the key of an open WebSocket connection.",
             )
         self._count = run.number
         run.start()
@@ -122,7 +122,7 @@ class Station:
         return run.number
 
     def stop(self) -> None:
-        """Stop the scan that is running; anybody may. Its capture is kept."""
+        """Stop the running scan; every connection may. Its capture is kept."""
         if self._scan is not None:
             self._scan.stop()
 
@@ -132,13 +132,13 @@ class Station:
         return self.operators.take(key, force=not busy)
 
     def release(self, key: str) -> None:
-        """Take the lock back from a connection. Raises BusyError while a scan is running."""
+        """Release the lock of a connection. Raises BusyError while a scan is running."""
         if self._scan is not None and self._scan.running:
             raise BusyError("a scan is running", "Wait for its end, or stop it.")
         self.operators.release(key)
 
     def tick(self) -> None:
-        """What is due: called a few times per second."""
+        """Periodic work: called a few times per second."""
         run = self._scan if self._scan is not None and self._scan.running else None
         if self.operators.expire() and run is not None and run.motion.moves:
             run.stop()
@@ -168,7 +168,7 @@ class Station:
     def picture(self, number: int) -> bytes:
         """The picture of an entry of the history, PNG.
 
-        The path comes from the history and must be a picture that the station wrote beside its captures.
+        The path comes from the history and must be a picture that the station wrote next to its captures.
 
         Raises NoSuchItemError.
         """
@@ -185,7 +185,7 @@ class Station:
             raise NoSuchItemError(f"there is no picture of entry {number}") from error
 
     def close(self) -> None:
-        """Stop what is running, and wait for it."""
+        """Stop a running scan, and wait for its end."""
         self.stop()
         if self._scan is not None:
             self._scan.join(_STOP_S)

@@ -30,28 +30,28 @@ from tagid.storage.history import FIELDS, Filter
 from tagid.storage.spreadsheet import cell
 
 MAX_CONNECTIONS = 32
-"""WebSocket connections at a time."""
+"""Maximum number of WebSocket connections."""
 FRAME_S = 0.1
 _STATUS_S = 1.0
 _SEND_S = 10.0
-"""A client that takes a frame no sooner is disconnected."""
+"""Time after which a client that does not accept a frame is disconnected, s."""
 _MESSAGES_PER_SECOND = 20
 PAIR_PAUSE_S = 1.0
-"""Wait after a wrong pairing code, s."""
+"""Delay after a wrong pairing code, s."""
 _PAGE_FILES = {
     "/": ("index.html", "text/html; charset=utf-8"),
     "/station.css": ("station.css", "text/css; charset=utf-8"),
     "/station.js": ("station.js", "text/javascript; charset=utf-8"),
     "/station.svg": ("station.svg", "image/svg+xml"),
 }
-"""The page: path of a request -> file of the package. No path is ever made of a request."""
+"""The page: path of a request -> file of the package. File paths are never derived from requests."""
 
 
 class Hub:
-    """Sends what is new to every connection; each holds at most one unsent frame and one unsent status.
+    """Sends new states to every connection; each has at most one unsent frame and one unsent status.
 
     Args:
-        station: what is shown.
+        station: the station to show.
     """
 
     def __init__(self, station: Station) -> None:
@@ -64,14 +64,14 @@ class Hub:
         return len(self._clients)
 
     def add(self, client: Client) -> None:
-        """Show everything to a new connection."""
+        """Send the complete state to a new connection."""
         self._clients.add(client)
         self._post(client, "status", wire.to_text(wire.status(self._station)))
         if (run := self._station.scan) is not None:
             self._post(client, "frame", wire.to_text(wire.frame(run)))
 
     def remove(self, client: Client) -> None:
-        """Forget a connection."""
+        """Remove a connection."""
         self._clients.discard(client)
 
     def refresh(self) -> None:
@@ -81,7 +81,7 @@ class Hub:
             self._post(client, "status", text)
 
     async def run(self) -> None:
-        """Look for news until cancelled."""
+        """Poll for new states until cancelled."""
         shown: tuple[int, int, bool] | None = None
         status_at = 0.0
         loop = asyncio.get_running_loop()
@@ -111,7 +111,7 @@ class Client:
 
     Attributes:
         key: of its operator's lock.
-        unsent: the newest text of each kind that was not sent yet.
+        unsent: the newest unsent text of each kind.
         news: set when there is something to send.
     """
 
@@ -125,7 +125,7 @@ def build(station: Station, host: str, port: int, pairing: Pairing | None) -> Gu
     """The guarded application.
 
     Args:
-        station: what it shows and operates.
+        station: the station to show and operate.
         host, port: where it listens.
         pairing: None on a loopback address.
     """
@@ -182,7 +182,7 @@ class _Handlers:
         token = self._pairing.pair(code) if isinstance(code, str) and len(code) <= 40 else None
         if token is None:
             await asyncio.sleep(PAIR_PAUSE_S)
-            return _refused(403, "wrong_code", "this is not the pairing code", "Enter the code shown last.")
+            return _refused(403, "wrong_code", "this is not the pairing code", "Enter the most recent code.")
         response = JSONResponse({"token": token})
         response.set_cookie(COOKIE, token, httponly=True, samesite="strict", path="/")
         return response
@@ -200,7 +200,7 @@ class _Handlers:
         asked = await _body(request)
         key, note = asked.get("key"), asked.get("note", "")
         if not (key is None or isinstance(key, str)) or not isinstance(note, str):
-            raise UsageError("key and note are texts")
+            raise UsageError("key and note must be strings")
         number = await run_in_threadpool(self._station.start, key, note)
         return JSONResponse({"number": number}, status_code=202)
 
@@ -287,7 +287,7 @@ class _Handlers:
             await self._act(client, message)
 
     async def _act(self, client: Client, message: dict[str, Any]) -> None:
-        """Do what a message asks; a refusal is told to its sender."""
+        """Execute a message; a refusal is reported to its sender."""
         station, kind = self._station, message.get("type")
         try:
             if kind == "scan":
@@ -310,11 +310,11 @@ class _Handlers:
 
 
 class _BadMessageError(Exception):
-    """A client sent what is no message of the protocol."""
+    """A client sent an invalid message."""
 
 
 async def _hello(socket: WebSocket) -> str | None:
-    """The key that a connection shows in its first message. Raises _BadMessageError, TimeoutError."""
+    """The key in the first message of a connection. Raises _BadMessageError, TimeoutError."""
     async with asyncio.timeout(_SEND_S):
         message = _message(await socket.receive())
     key = message.get("key")
@@ -355,7 +355,7 @@ async def _body(request: Request) -> dict[str, Any]:
     except (ValueError, RecursionError):
         raise UsageError("the body is not JSON") from None
     if not isinstance(found, dict):
-        raise UsageError("the body is no JSON object")
+        raise UsageError("the body is not a JSON object")
     return found
 
 
@@ -394,7 +394,7 @@ def _refused(status: int, code: str, message: str, remedy: str) -> Response:
 async def _error(request: Request, error: Exception) -> Response:
     if not isinstance(error, TagidError):
         logging.getLogger("tagid").error("%s: %s: %s", request.url.path, type(error).__name__, error)
-        return _refused(500, "failed", "the station failed to answer", "Its log says why.")
+        return _refused(500, "failed", "the station failed to answer", "See its log for the reason.")
     statuses: tuple[tuple[type[TagidError], int], ...] = (
         (BusyError, 409),
         (NotOperatorError, 403),

@@ -25,7 +25,7 @@ Json = dict[str, Any]
 
 
 def status(station: Station) -> Json:
-    """What the station is doing, without pixels."""
+    """State of the station, without pixels."""
     run = station.scan
     return {
         "type": "status",
@@ -73,14 +73,14 @@ def scan(run: ScanRun) -> Json:
 
 
 def answer(found: Identification) -> Json:
-    """What the page and scripts need of an answer; `tagid identify` has all fields."""
+    """Fields of an answer for the page and scripts; `tagid identify` has all fields."""
     values = found.to_dict()
     names = ("status", "layout", "label", "score", "margin", "reason", "reason_code", "advice")
     return {name: values[name] for name in (*names, "capture_uuid")}
 
 
 def pictures(state: LiveState) -> Json:
-    """Image and sinogram as levels 0..255, row by row from the top; null where there is none."""
+    """Image and sinogram as levels 0..255, row by row from the top; null if there is none."""
     image, sinogram = None, None
     if state.image is not None:
         pixels = _levels(np.abs(state.image.values[::-1]), IMAGE_DB)
@@ -99,7 +99,7 @@ def pictures(state: LiveState) -> Json:
 
 
 def frame(run: ScanRun) -> Json:
-    """A scan's state with its pictures, as the page gets it several times per second."""
+    """A scan's state with its pictures, as sent to the page several times per second."""
     return {"type": "frame", "scan": scan(run), **pictures(run.state)}
 
 

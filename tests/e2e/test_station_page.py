@@ -171,7 +171,7 @@ def test_two_browsers_a_reload_and_a_restart_of_the_station(
     browser.find_element(By.ID, "take").click()
     wait(browser, lambda: browser.find_element(By.ID, "scan").is_enabled())
     one.close()
-    wait(browser, lambda: text(browser, "link") in ("the station does not answer", "not connected"))
+    wait(browser, lambda: text(browser, "link") in ("the station does not respond", "not connected"))
     assert not browser.find_element(By.ID, "scan").is_enabled()
     serve(port=one.port)
     wait(browser, lambda: text(browser, "link") == "connected")

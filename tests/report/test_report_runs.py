@@ -176,7 +176,7 @@ def test_scans_and_a_report_at_once_lose_nothing(home, tagid, captures: Path, tm
     ]
     for process in processes:
         _, err = process.communicate(timeout=120)
-        assert "not kept in the history" not in err
+        assert "not stored in the history" not in err
         assert process.returncode in (0, 1, 3, 5), err
     rows = tagid("history", "--output", "json").json["data"]["items"]
     assert sorted(row["command"] for row in rows) == ["report"] * 5 + ["scan"] * 2

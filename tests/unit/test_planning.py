@@ -123,7 +123,7 @@ def test_a_gap_between_plan_and_recording_has_a_cause() -> None:
     assert gap(capture, noise, level, one).cause == ""
     assert "weaker" in gap(capture, noise, level / 10, one).cause
     assert "noise is 12 dB above" in gap(capture, 4 * noise, level / 10, one).cause
-    assert "more turns" in gap(capture, noise, level * 10, one).cause
+    assert "more rotates" in gap(capture, noise, level * 10, one).cause
     assert abs(gap(capture, noise, level, one).measured_db - planned) < 1e-6 < GAP_DB
 
 

@@ -146,7 +146,7 @@ def agree(terminal: Terminal, shown: RenderableType, question: str, yes: bool) -
 
 @dataclass(frozen=True)
 class Wish:
-    """How to store layouts: overriding conflicts, without a prompt, or not at all."""
+    """Options for storing layouts: override conflicts, skip the prompt, or store nothing."""
 
     force: bool = False
     yes: bool = False

@@ -35,7 +35,7 @@ from tagid.result import Result, render
 
 
 class Output(StrEnum):
-    """How a result is printed."""
+    """Output format of a result."""
 
     human = "human"
     json = "json"

@@ -55,7 +55,9 @@ def register(app: typer.Typer) -> None:
         else:
             found = {one.name: one for one in read_layouts(file)}
             if name not in found:
-                raise UsageError(f"{file} holds no layout {name[:80]!r}", f"It holds {', '.join(found)}.")
+                raise UsageError(
+                    f"{file} contains no layout {name[:80]!r}", f"It contains {', '.join(found)}."
+                )
             layout = found[name]
         if template is not None and template.suffix.lower() not in (".pdf", ".svg"):
             raise UsageError(

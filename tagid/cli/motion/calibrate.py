@@ -110,8 +110,8 @@ def _direction(capture: Capture, name: str) -> Result:
     else:
         clockwise = (told == "clockwise") != other
         lesson = f"its --motion URL needs direction={'cw' if clockwise else 'ccw'}"
-    way = "the other" if other else "that"
-    text = f"{device or 'the table'} was stated to rotate {told} and rotated {way} way; "
+    measured = "opposite to" if other else "in"
+    text = f"{device or 'the table'} was stated to rotate {told} and rotated {measured} that direction; "
     data = {"device": device, "told": told, "other_way": other, "reversed": is_reversed}
     return Result(
         "motion calibrate", {**data, "path": None if path is None else str(path)}, Text(text + lesson)

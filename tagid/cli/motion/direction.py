@@ -31,7 +31,7 @@ def chirality_m(layout: Layout) -> float:
 
 
 def turned_the_other_way(capture: Capture, layout: Layout) -> bool:
-    """Whether the object rotated against its capture's angles, so that it reads as its mirror image.
+    """Whether the object rotated opposite to its capture's angles (its mirror image is read).
 
     Args:
         capture: prepared, with angles in the commanded direction.

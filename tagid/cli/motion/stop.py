@@ -22,4 +22,4 @@ def register(group: typer.Typer) -> None:
 
         device, _ = driven(url)
         device.halt_now()
-        return Result("motion stop", {"stopped": True}, Text(f"{device.name} stands"))
+        return Result("motion stop", {"stopped": True}, Text(f"{device.name} has stopped"))

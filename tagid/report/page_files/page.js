@@ -206,7 +206,7 @@
     ["others", item.scores.slice(0, 5).map((s) => `${s.layout} ${s.share.toFixed(2)}`).join(", ")],
     ["timings, s", seconds(item)], ["capture uuid", item.capture_uuid], ["content, sha256", item.content_sha256],
     ["size", item.size_bytes === null ? "" : item.size_bytes + " bytes"], ["tool version", item.tool_version],
-    ["model, sha256", item.model_sha256 || "none had a part"], ["registry version", item.registry_version],
+    ["model, sha256", item.model_sha256 || "none used"], ["registry version", item.registry_version],
     ["identified", item.time_utc],
   ];
   const viewer = byId("viewer");
@@ -220,7 +220,7 @@
     line.className = "s-" + item.status;
     const [big, wave] = [picture("i", row[POSITION]), picture("s", row[POSITION])];
     byId("v-image").replaceChildren(...(big ? image(item, big) : [make("figcaption", {},
-      row[PICTURE] === 0 ? "No room for this picture on the page; tagid reconstruct draws it from the file." : "No picture.")]));
+      row[PICTURE] === 0 ? "Picture omitted because of the size limit; tagid reconstruct draws it from the file." : "No picture.")]));
     byId("v-sinogram").replaceChildren(...(wave ? sinogram(item, wave) : []));
     byId("v-facts").replaceChildren(...facts(item).filter(([, value]) => value !== null && value !== undefined && value !== "")
       .flatMap(([name, value]) => [make("dt", {}, name), make("dd", {}, String(value))]));

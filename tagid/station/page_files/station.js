@@ -122,7 +122,7 @@ function showButton() {
   button.className = running ? "stop" : "";
   button.disabled = !open || (!running && elsewhere);
   $("take").hidden = !(open && elsewhere && !running);
-  setText("operator", elsewhere ? "Another browser operates the station; this one looks on." : mine ? "This browser operates the station." : "");
+  setText("operator", elsewhere ? "Another browser operates the station; this one only watches." : mine ? "This browser operates the station." : "");
 }
 
 function showEvidence(items) {
@@ -172,7 +172,7 @@ function showHealth(health) {
   const fine = rows.filter((row) => row.className === "ok");
   $("health").replaceChildren(...rows.filter((row) => row.className !== "ok"));
   $("health-fine").replaceChildren(...fine);
-  setText("health-count", `${fine.length} of ${rows.length} checks are in order`);
+  setText("health-count", `${fine.length} of ${rows.length} checks passed`);
 }
 
 async function loadHistory() {
@@ -271,7 +271,7 @@ function connect() {
     setText("link", "not connected");
     mine = false;
     showButton();
-    // A refused connection says no reason; a request does.
+    // A refused WebSocket gives no reason, but a request does.
     try {
       const answer = await fetch("api/v1/status", { cache: "no-store" });
       if (answer.status === 401) {
@@ -281,7 +281,7 @@ function connect() {
         return;
       }
     } catch (error) {
-      setText("link", "the station does not answer");
+      setText("link", "the station does not respond");
     }
     setTimeout(connect, wait);
     wait = Math.min(2 * wait, 4000);
