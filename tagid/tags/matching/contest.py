@@ -27,9 +27,6 @@ from tagid.tags.matching.reading import Reading
 from tagid.tags.reading.reflectors import Reflector
 from tagid.tags.verdicts.verdict import Code, Verdict
 
-LOOSEST = 1e-3
-"""False-accept probability down to which the tests of the decision are taken for enough where nothing was
-calibrated; a smaller one is asked for by those who need a bound."""
 EXPLAINED_OBJECTS = 3
 """Enrolled objects reported among the hypotheses, the best ones."""
 
@@ -51,8 +48,6 @@ class ContestSettings:
             full-wave tags reach 0.3, tags on full-wave cans have 0.64 or more.
         false_accept: probability of naming an object of the calibration's population.
         calibrated: by which; None for the package's own.
-        unbounded: whether a tag whose reflectors need more pattern terms than the calibration's is named,
-            without a bound, where false_accept is not under `LOOSEST`.
         better: a hypothesis that leaves so many times less contradicts one that names another layout.
         objects: tests on enrolled objects.
     """
@@ -68,7 +63,6 @@ class ContestSettings:
     objects: ObjectDecision = field(default_factory=ObjectDecision)
     false_accept: float = 1e-3
     calibrated: Calibration | None = None
-    unbounded: bool = True
 
     def calibration(self) -> Calibration:
         """The calibration in force. Raises ModelError where the package's file is damaged."""
@@ -352,14 +346,8 @@ def _calibrated(reading: BodyReading, verdict: Verdict, settings: ContestSetting
     """The verdict, taken back where objects without the tag were as convincing."""
     bound = _bound(reading, settings)
     if bound is None:
-        if settings.unbounded and settings.false_accept >= LOOSEST * (1 - 1e-9):
-            return verdict
-        return Verdict(
-            "unknown",
-            Code.UNCALIBRATED,
-            f"no calibration objects were read on a body that the wave passes through: a false-accept "
-            f"probability of {settings.false_accept:g} is not borne out",
-        )
+        terms = int(reading.layouts[0].batch.terms[0])
+        return _kept(Bound(1.0, settings.false_accept, 0, f"patterns of {terms} terms", ""))
     kept = _kept(bound)
     return verdict if kept.status == "identified" else kept
 
