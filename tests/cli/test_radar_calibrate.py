@@ -80,7 +80,7 @@ def test_on_a_terminal_it_waits_for_the_user(home: dict[str, str], tmp_path: Pat
     )  # fmt: skip
     os.close(slave)
     seen = b""
-    for prompt in (b"Take the target out", b"Put the target at 2 m"):
+    for prompt in (b"Remove the target from the beam", b"Put the target at 2 m"):
         while prompt not in seen:
             seen += os.read(master, 4096)
         os.write(master, b"\n")
