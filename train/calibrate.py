@@ -34,6 +34,8 @@ SEALED = 9_000_000
 """Seeds from here on are drawn once, for the report."""
 VIEWS = (12, 24, 361)
 SNRS_DB = (-np.inf, np.inf)
+LONGEST_GAP = 1000
+"""Seeds farther apart belong to two runs."""
 KEPT = 60
 """Scores kept of each stratum: p-values up to 60 / n are exact."""
 
@@ -75,6 +77,12 @@ def strata(rows: list[dict[str, float | int | str]], views: list[int]) -> tuple[
     return tuple(found)
 
 
+def ranges(seeds: list[int]) -> tuple[tuple[int, int], ...]:
+    """[first, last) of every run of seeds, which --fewest thins."""
+    starts = [0, *(i for i, (a, b) in enumerate(pairwise(seeds), 1) if b - a > LONGEST_GAP), len(seeds)]
+    return tuple((seeds[a], seeds[b - 1] + 1) for a, b in pairwise(starts))
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("files", nargs="*", type=Path, help="scores to make the calibration of")
@@ -107,9 +115,8 @@ def main() -> None:
             for line in path.read_text().splitlines():
                 row = json.loads(line)
                 rows[row["seed"]] = row
-        known = sorted(rows)
         drawn = strata(list(rows.values()), arguments.views)
-        made = Calibration(STATEMENT, drawn, ((known[0], known[-1] + 1),))
+        made = Calibration(STATEMENT, drawn, ranges(sorted(rows)))
         arguments.write.write_text(made.to_json())
 
 

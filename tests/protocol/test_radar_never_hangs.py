@@ -81,7 +81,7 @@ def test_a_radar_that_comes_back_without_a_whole_scan_is_given_up() -> None:
         radar.set_config(THREE_FRAGMENTS)
         run = steady_scans(radar, resume_s=0.5)
         assert len([next(run) for _ in range(50)]) == 50
-        with pytest.raises(DeviceTimeoutError, match="no whole scan"):
+        with pytest.raises(DeviceTimeoutError, match="no complete scan: fragments are missing"):
             list(run)
 
 
