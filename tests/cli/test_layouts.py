@@ -72,7 +72,7 @@ def test_neighbours_and_confusion_are_told_before_anything_is_stored(
     assert [one["layout"] for one in enrolled["confusion"]] == [one["name"] for one in enrolled["layouts"]]
     assert enrolled["confusion"][0]["nearest"] and enrolled["registry_version"] == 8
     refused = tagid(*design, "--alone").json
-    assert refused["exit_code"] == 1 and "already enrolled" in refused["errors"][0]["message"]
+    assert refused["exit_code"] == 1 and "could be confused with" in refused["errors"][0]["message"]
 
 
 def test_a_person_is_asked_and_may_refuse(tagid: Callable[..., Any], home: dict[str, str]) -> None:

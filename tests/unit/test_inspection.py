@@ -138,7 +138,7 @@ def test_the_period_of_a_turning_object_is_found() -> None:
     assert summary.period_s == pytest.approx(6.0, rel=5e-3)
     assert summary.period_sigma_s is not None
     assert abs(summary.period_s - 6.0) < 5 * max(summary.period_sigma_s, 0.005)
-    assert "1/n" in summary.period_note  # without a nominal speed the ambiguity is reported
+    assert "n-fold" in summary.period_note  # without a nominal speed the ambiguity is reported
     assert summary.changing_range_m == pytest.approx(2.0 + 350 * RANGE_STEP_M, abs=15 * RANGE_STEP_M)
     assert summary.strongest is not None
     assert summary.strongest.bin == pytest.approx(80, abs=1)
@@ -159,7 +159,7 @@ def test_a_known_speed_takes_the_doubt_away(known: dict[str, object]) -> None:
         known = {"angles_rad": 2 * np.pi * capture.radar_time_ms / 6e3, "axis_distance_m": 5.0}
     summary = inspect(replace(capture, **known))  # type: ignore[arg-type]
     assert summary.period_s == pytest.approx(6.0, rel=5e-3)
-    assert "1/n" not in summary.period_note
+    assert "n-fold" not in summary.period_note
 
 
 def test_a_period_found_in_the_same_scans_is_no_second_witness() -> None:
@@ -169,10 +169,10 @@ def test_a_period_found_in_the_same_scans_is_no_second_witness() -> None:
     found = ResolvedMotion(source="data", period_s=6.0)
     motion = MotionInfo(resolved=found)
     summary = inspect(replace(capture, motion=motion, angles_rad=angles, axis_distance_m=5.0))
-    assert "1/n" in summary.period_note
+    assert "n-fold" in summary.period_note
     told = inspect(replace(capture, motion=MotionInfo(resolved=replace(found, nominal_rpm=10.0))))
     assert told.period_s == pytest.approx(6.0, rel=5e-3)
-    assert "1/n" not in told.period_note
+    assert "n-fold" not in told.period_note
 
 
 @pytest.mark.parametrize("broken", [-3.0, 0.0, 1e9])

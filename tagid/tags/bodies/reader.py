@@ -283,7 +283,8 @@ class _Reader:
     ) -> tuple[list[_Row], Batch, NDArray[np.float64]]:
         """Arrangements fitted to the end: with few terms, and with many where there are views for them."""
         batch, left = self.fitter.fitted(few, 4)
-        if self.spectra.views < self.settings.through_views:
+        # On an enrolled body that turns, five terms held arrangements that few terms tell from the layout.
+        if self.spectra.views < self.settings.through_views or self.body.turns:
             return [*rows, *rows], batch, left
         at = batch.at[: len(rows)].copy()
         mean = (wide.radii * wide.present).sum(axis=1) / wide.present.sum(axis=1)
