@@ -30,8 +30,8 @@ class BodySettings:
         centres: centres tried in full for a weak body.
         arrangements: kinds of arrangements that are fitted, beside those with free angles.
         finished: layouts fitted to the end.
-        through_views: fewest views at which patterns of 5 terms are fitted, on round bodies. At 18 and 24 views,
-            five of 1,600 untagged or foreign boxes, shells and ovals passed for tags in this way.
+        through_views: fewest views at which patterns of 5 terms are fitted, on round bodies. At 18 and 24
+            views, five of 1,600 untagged or foreign boxes, shells and ovals passed for tags in this way.
         through_m: apparent radius at which their fit begins, m.
         hopeless: where no arrangement explains this share of what the body leaves, none is fitted to the end.
         turn_step_rad: of the search for the turn of a body below a tag that is louder.
