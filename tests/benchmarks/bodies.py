@@ -43,6 +43,8 @@ SEALED = ROOT / "tests" / "data" / "sealed_population.json"
 LAYOUTS = list(builtin_layouts().values())
 GRID_VIEWS = (12, 18, 36, 72)
 GRID_SNRS_DB = (0.0, 5.0, 10.0, 20.0, 30.0)
+FIRST_SEALED = 11
+"""First seed of the reported full-wave scenes. Seed 1 was reported once, and a fault was then mended."""
 DRAWN_FROM = {True: 0, False: 500_000}
 """First number of the drawn full-wave scenes: of development, and reported."""
 
@@ -226,7 +228,7 @@ def named(answers: list[Answer]) -> str:
 
 def fullwave(run: Run, number: int) -> list[str]:
     """Named and refused full-wave scenes."""
-    seeds = [2 * i + (0 if run.development else 1) for i in range(number)]
+    seeds = [2 * i + (0 if run.development else FIRST_SEALED) for i in range(number)]
     grid = [(how, seed) for seed in seeds for how in range(len(RECORDINGS))]
     own = answered([Task("tagged", (i, *g)) for g in grid for i in range(len(tagged()))], run)
     wrong = sum(a.outcome == "wrong" for a in own)
@@ -246,7 +248,7 @@ def fullwave(run: Run, number: int) -> list[str]:
 
 def foreign(run: Run, number: int) -> list[str]:
     """Full-wave objects that carry no enrolled tag: fixed ones, and drawn ones."""
-    seed = 0 if run.development else 1
+    seed = 0 if run.development else FIRST_SEALED
     grid = [(how, seed) for how in range(len(RECORDINGS))]
     fixed = answered([Task("unnamed", (i, *g)) for i in range(len(unnamed())) for g in grid], run)
     first = DRAWN_FROM[run.development]
@@ -341,7 +343,7 @@ def main() -> None:
     lines += [
         f"Machine: {platform.machine()}, {os.cpu_count()} cores, one thread per scene, Python "
         f"{platform.python_version()}, numpy {np.__version__}. Date: {datetime.now(UTC):%Y-%m-%d}.",
-        f"Seeds: {'even, of development' if arguments.development else 'odd; nothing was chosen on them'}.",
+        f"Seeds: {'even, of development' if arguments.development else f'odd from {FIRST_SEALED}; nothing was chosen on them'}.",
         f"Full-wave responses: {'../shared/fullwave and ' if FULLWAVE.is_dir() else ''}tests/data/responses.",
         "",
     ]
