@@ -338,12 +338,14 @@ def main() -> None:
         "monotone": arguments.grid,
     }
     words = " ".join(["python", *sys.argv])
+    reported = f"odd from {FIRST_SEALED}; nothing was chosen on them"
+    seeds = "even, of development" if arguments.development else reported
     lines = ["# Tags on bodies, read blind", ""]
     lines += [f"Command: `{words}`.", f"Commit: {commit()}. Reader: {reader_hash()}."]
     lines += [
         f"Machine: {platform.machine()}, {os.cpu_count()} cores, one thread per scene, Python "
         f"{platform.python_version()}, numpy {np.__version__}. Date: {datetime.now(UTC):%Y-%m-%d}.",
-        f"Seeds: {'even, of development' if arguments.development else f'odd from {FIRST_SEALED}; nothing was chosen on them'}.",
+        f"Seeds: {seeds}.",
         f"Full-wave responses: {'../shared/fullwave and ' if FULLWAVE.is_dir() else ''}tests/data/responses.",
         "",
     ]
