@@ -29,7 +29,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import numpy as np
-from bodies_scenes import FULLWAVE, OWN, RECORDINGS, ROOT, captured, drawn, tagged, unnamed
+from bodies_scenes import FULLWAVE, OWN, RECORDINGS, ROOT, Scene, captured, drawn, tagged, unnamed
 from reading_bodies import commit, wilson
 from scipy.stats import beta
 
@@ -112,17 +112,22 @@ def read(capture: Capture, truth: str | None, row: tuple[str, str, str]) -> Answ
     return Answer(*row, outcome, str(reading.kind), reading.reason, seconds)
 
 
+def degrees(scene: Scene) -> str:
+    """Angles of the reflectors, for people."""
+    return "" if scene.angles_deg is None else f"({', '.join(f'{angle:.0f}' for angle in scene.angles_deg)})"
+
+
 def one(task: Task) -> tuple[str, Answer]:
     """One scene, made and read."""
     numbers = [int(v) for v in task.values]
     if task.part in ("tagged", "unnamed"):
         which, how, seed = numbers
         scene, recording = (tagged() if task.part == "tagged" else unnamed())[which], RECORDINGS[how]
-        row = (scene.group, recording.label, f"{scene.name} {scene.angles_deg or ''}")
+        row = (scene.group, recording.label, f"{scene.name} {degrees(scene)}")
         return task.key, read(captured(scene, recording, seed), scene.truth, row)
     if task.part == "drawn":
         scene, recording = drawn(numbers[0])
-        row = (scene.group, "all", f"{scene.name} {scene.angles_deg} {recording.label}")
+        row = (scene.group, "all", f"{scene.name} {degrees(scene)} {recording.label}")
         return task.key, read(captured(scene, recording, numbers[0]), None, row)
     if task.part == "null":
         specimen = draw(numbers[0])

@@ -192,7 +192,7 @@ def test_the_serial_port_s_path_is_printed_and_the_emulator_runs_until_it_is_sto
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     assert process.stdout is not None
-    assert process.stdout.readline() == f"{name}\n"
+    assert process.stdout.readline() == f"serial://{name}\n"
     client = Serial(str(name), uart=False)
     ask(client, 0xF004, 0xF104, 8)
     time.sleep(0.2)

@@ -96,7 +96,7 @@ def test_the_whole_way(tagid, captures: Path, tmp_path: Path) -> None:
         (("report", "captures", "--expect", "captures/notes.txt"), 2, "a file and its expected layout"),
         (("report", "captures", "--page-megabytes", -1), 2, "picture limit"),
         (("report", "captures", "--out", "captures/notes.txt"), 1, "already exists"),
-        (("report", "--watch", "none"), 2, "is not a folder"),
+        (("report", "--watch", "captures/notes.txt"), 2, "is not a folder"),
         (("history", "export"), 2, "export needs a file"),
         (("history", "export", "a.xls"), 2, "format"),
         (("history", "--since", "yesterday"), 2, "not a date"),
