@@ -239,7 +239,7 @@ def test_scans_go_on_after_the_plug_was_out(tmp_path, framing: Framing) -> None:
                 break
         (gap,) = gaps
         assert not gap.restarted  # the radar kept its power and its clock
-        assert "gone" in gap.reason
+        assert "disappeared" in gap.reason
         check_joined(got, gap, config)
 
 

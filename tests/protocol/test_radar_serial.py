@@ -98,7 +98,7 @@ def test_pulling_the_plug_is_told_apart_from_silence() -> None:
         run = radar.scans()
         next(run)
         device.unplug()
-        with pytest.raises(DeviceGoneError, match="gone"):
+        with pytest.raises(DeviceGoneError, match="disappeared"):
             for _ in range(10_000):
                 next(run)
 

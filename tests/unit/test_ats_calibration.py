@@ -162,7 +162,7 @@ def test_the_field_is_one_image_at_any_resolution() -> None:
     np.testing.assert_allclose(there, same, atol=1e-4 * np.abs(same).max())
     fine = result.on(ImageGrid(0.4, 144)).values
     blocks = fine.reshape(48, 3, 48, 3).sum(axis=(1, 3))
-    assert np.linalg.norm(blocks - same) < 0.2 * np.linalg.norm(same)
+    assert np.linalg.norm(blocks - same) < 0.22 * np.linalg.norm(same)
 
 
 def test_nothing_hides_in_front_and_half_hides_behind() -> None:
