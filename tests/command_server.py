@@ -21,8 +21,10 @@ import subprocess
 import sys
 import tempfile
 from contextlib import suppress
+from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 IMPORTS = (
     "tagid.cli.app", "tagid.pipeline.identify", "tagid.pipeline.load", "tagid.pipeline.reconstruct",
@@ -30,6 +32,19 @@ IMPORTS = (
     "PIL.Image", "pydantic", "rich.console", "rich.progress", "rich.table", "sqlite3",
 )  # fmt: skip
 """What most commands import. None of it starts a thread, or reads what a test changes in the environment."""
+
+
+@dataclass
+class Ran:
+    """An ended command."""
+
+    code: int
+    out: str
+    err: str
+
+    @property
+    def json(self) -> dict[str, Any]:
+        return json.loads(self.out)
 
 
 class CommandServer:

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import pytest
-from command_server import CommandServer
+from command_server import CommandServer, Ran
 from hypothesis import settings
 
 # The same examples in every run; fresh ones are for the long runs that CONTRIBUTING names.
@@ -21,17 +18,6 @@ settings.load_profile("fixed")
 # A shell that runs the tests in the background has all their children ignore Ctrl-C, which some are about.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
-
-
-@dataclass
-class Ran:
-    code: int
-    out: str
-    err: str
-
-    @property
-    def json(self) -> dict[str, Any]:
-        return json.loads(self.out)
 
 
 @pytest.fixture

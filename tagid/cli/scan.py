@@ -13,12 +13,11 @@ from tagid import interrupts
 from tagid.cli.common import options
 from tagid.cli.common.consent import Yes, agree_to
 from tagid.cli.common.frame import Terminal, command
-from tagid.cli.common.recording import Limits, plan_of
+from tagid.cli.common.recording import Limits, capture_folder, plan_of
 from tagid.cli.common.truth import truth_of, with_truth
 from tagid.config import Config, load_config
 from tagid.constants import CAPTURE_SUFFIX
-from tagid.errors import ConfigError, DataError, StorageError, TagidError
-from tagid.files import make_folder
+from tagid.errors import ConfigError, DataError, TagidError
 from tagid.result import Result
 
 if TYPE_CHECKING:
@@ -190,11 +189,7 @@ def _scan(
             "Give --radar udp://192.168.1.100, or store it with `tagid config set radar.url udp://...`; "
             "`tagid scan --demo` shows a scan without a radar.",
         )
-    folder = Path(config["storage.folder"] or ".")
-    try:
-        make_folder(folder)
-    except OSError as error:
-        raise StorageError(f"cannot make the folder {folder}: {error.strerror}", "Choose another.") from None
+    folder = capture_folder(config)
     plan = replace(plan_of(config, url, limits, about), renumber=True)
     settings = imaging.settings_from(config)
     turn = _record_and_read(terminal, config, plan, settings, folder, view)

@@ -16,7 +16,7 @@ from tagid import interrupts
 from tagid.cli.common import options
 from tagid.cli.common.frame import Output, Terminal, command
 from tagid.config import Config, load_config
-from tagid.errors import ConfigError, MissingExtraError, StorageError, UsageError
+from tagid.errors import ConfigError, MissingExtraError, UsageError
 from tagid.result import Result
 
 if TYPE_CHECKING:
@@ -92,7 +92,7 @@ def _source(overrides: dict[str, Any], max_seconds: float, demo: bool) -> Source
 
 def _setup(config: Config, max_seconds: float, note: str, demo: bool) -> ScanSetup:
     from tagid.cli.common import imaging
-    from tagid.cli.common.recording import Limits, plan_of
+    from tagid.cli.common.recording import Limits, capture_folder, plan_of
     from tagid.metadata import ObjectInfo
     from tagid.pipeline.load import LoadSettings
     from tagid.station.setup import ScanSetup
@@ -100,11 +100,7 @@ def _setup(config: Config, max_seconds: float, note: str, demo: bool) -> ScanSet
     url = config["radar.url"]
     if not url:
         raise ConfigError("no radar is configured", "Store it with `tagid config set radar.url udp://...`.")
-    folder = Path(config["storage.folder"] or ".")
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise StorageError(f"cannot make the folder {folder}: {error.strerror}", "Choose another.") from None
+    folder = capture_folder(config)
     about = ObjectInfo(note=note or None, demo=True) if demo else ObjectInfo(note=note or None)
     plan = replace(plan_of(config, url, Limits(None, max_seconds), about), renumber=True)
     return ScanSetup(

@@ -6,18 +6,16 @@ The commands run in this process, which costs a tenth of a process each.
 from __future__ import annotations
 
 import io
-import json
 import re
 import sqlite3
 import subprocess
 import sys
 from collections.abc import Callable
 from contextlib import redirect_stderr, redirect_stdout
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import pytest
+from command_server import Ran
 
 from tagid.cli.app import app
 from tagid.cli.common.frame import serve
@@ -26,37 +24,26 @@ from tagid.storage.importers import read_any
 POINTS = ("--point", "0.1,0", "--point", "-0.05,0.03", "--point", "0.02,-0.09")
 
 
-@dataclass
-class Done:
-    code: int
-    out: str
-    err: str
-
-    @property
-    def json(self) -> dict[str, Any]:
-        return json.loads(self.out)
-
-
 @pytest.fixture
-def here(tmp_path: Path, home: dict[str, str], monkeypatch: pytest.MonkeyPatch) -> Callable[..., Done]:
+def here(tmp_path: Path, home: dict[str, str], monkeypatch: pytest.MonkeyPatch) -> Callable[..., Ran]:
     for name, value in home.items():
         monkeypatch.setenv(name, value)
     monkeypatch.chdir(tmp_path)
 
-    def run(*words: object, **environment: str) -> Done:
+    def run(*words: object, **environment: str) -> Ran:
         out, err = io.StringIO(), io.StringIO()
         with monkeypatch.context() as patched, redirect_stdout(out), redirect_stderr(err):
             for name, value in environment.items():
                 patched.setenv(name, value)
             patched.setattr(sys, "argv", ["tagid", *map(str, words)])
             code = serve(app)
-        return Done(code, out.getvalue(), err.getvalue())
+        return Ran(code, out.getvalue(), err.getvalue())
 
     return run
 
 
 def test_a_set_that_cannot_be_enrolled_comes_with_options_that_work(
-    here: Callable[..., Done], tmp_path: Path
+    here: Callable[..., Ran], tmp_path: Path
 ) -> None:
     words = ("layouts", "design", "--object", "mug", "--output", "json")
     six = here(*words, "--count", 6, "--out", "six.toml").json["data"]
@@ -75,7 +62,7 @@ def test_a_set_that_cannot_be_enrolled_comes_with_options_that_work(
     assert narrow.code == 2 and "--spacing 0.06" in narrow.json["errors"][0]["remedy"]
 
 
-def test_undo_says_what_it_undid_and_redo_takes_it_back(here: Callable[..., Done], tmp_path: Path) -> None:
+def test_undo_says_what_it_undid_and_redo_takes_it_back(here: Callable[..., Ran], tmp_path: Path) -> None:
     assert here("enroll", "mine", *POINTS).code == 0
     undone = here("layouts", "undo")
     assert "undone: " in undone.out and "removed mine" in undone.out
@@ -90,7 +77,7 @@ def test_undo_says_what_it_undid_and_redo_takes_it_back(here: Callable[..., Done
 
 
 def test_an_own_layout_is_simulated_emulated_and_its_truth_kept(
-    here: Callable[..., Done], home: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    here: Callable[..., Ran], home: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert here("enroll", "mine", *POINTS).code == 0
     where = ("--rotation", 30, "--centre", "0.004,-0.002", "--wobble", 0.01)
@@ -131,7 +118,7 @@ def test_an_own_layout_is_simulated_emulated_and_its_truth_kept(
 
 
 def test_an_unknown_answer_names_the_nearest_layout_and_the_axis_distance_that_is_meant(
-    here: Callable[..., Done],
+    here: Callable[..., Ran],
 ) -> None:
     words = ("--views", 24, "--axis-distance", 1.0, "--axis-error", 0.1, "--seed", 2)
     assert here("simulate", "helmet-120", *words, "--out", "far.tagid.h5").code == 0
@@ -146,7 +133,7 @@ def test_an_unknown_answer_names_the_nearest_layout_and_the_axis_distance_that_i
     assert item["layout"] == item["nearest"]["layout"] == "helmet-120" and item["causes"] == []
 
 
-def test_centimetres_are_not_taken_for_metres(here: Callable[..., Done], tmp_path: Path) -> None:
+def test_centimetres_are_not_taken_for_metres(here: Callable[..., Ran], tmp_path: Path) -> None:
     for words in (
         ("config", "set", "motion.axis_distance_m", 100),
         ("identify", "x", "--axis-distance", 100),
@@ -156,14 +143,14 @@ def test_centimetres_are_not_taken_for_metres(here: Callable[..., Done], tmp_pat
     assert not (tmp_path / "home" / "config.toml").exists()
 
 
-def test_help_and_lists_can_be_read_and_copied(here: Callable[..., Done]) -> None:
+def test_help_and_lists_can_be_read_and_copied(here: Callable[..., Ran]) -> None:
     assert "<bool>" not in here("scan", "--help").out
     narrow = here("config", COLUMNS="80").out
     assert "motion.antenna_height_m" in narrow and "radar.cable_delay_sigma_ps" in narrow
     assert "…" not in narrow
 
 
-def test_serial_ports_are_listed_without_bluetooth(here: Callable[..., Done]) -> None:
+def test_serial_ports_are_listed_without_bluetooth(here: Callable[..., Ran]) -> None:
     from serial.tools import list_ports
 
     ran = here("motion", "find", "--seconds", 0.1, "--output", "json")
@@ -173,7 +160,7 @@ def test_serial_ports_are_listed_without_bluetooth(here: Callable[..., Done]) ->
         assert ran.code == 0
 
 
-def test_watch_makes_its_folder(here: Callable[..., Done], tmp_path: Path) -> None:
+def test_watch_makes_its_folder(here: Callable[..., Ran], tmp_path: Path) -> None:
     assert here("report", "--watch", "in/box", "--idle-stop", 0.2, "--out", "r", "--jobs", 1).code == 0
     assert (tmp_path / "in" / "box").is_dir()
     (tmp_path / "file").write_text("")
@@ -198,7 +185,7 @@ def test_the_list_of_commands_is_what_the_commands_say(group: str) -> None:
         assert entry.help == text, name
 
 
-def test_layouts_are_listed_as_the_registry_holds_them(here: Callable[..., Done], tmp_path: Path) -> None:
+def test_layouts_are_listed_as_the_registry_holds_them(here: Callable[..., Ran], tmp_path: Path) -> None:
     from tagid.tags.enrolling import listing, registry
 
     assert (

@@ -370,7 +370,7 @@ def test_a_client_that_never_reads_is_cut_off_and_holds_up_nobody(
     good, _ = joined(one.port)
     good.say(type="scan")
     good.until("frame", lambda m: m["scan"]["scans"] > 20)
-    good.until("status", lambda m: m["connections"] == 1)
+    assert good.until("status", lambda m: m["connections"] == 1)["connections"] == 1, "the deaf one is gone"
     good.say(type="stop")
     good.close()
     deaf.close()

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tagid.config import Config
-from tagid.errors import ConfigError
+from tagid.errors import ConfigError, StorageError
+from tagid.files import make_folder
 
 if TYPE_CHECKING:
     from tagid.metadata import ObjectInfo
@@ -25,6 +27,16 @@ class Limits:
 
     scans: int | None
     max_seconds: float
+
+
+def capture_folder(config: Config) -> Path:
+    """The folder of the captures, created durably if it is missing. Raises StorageError."""
+    folder = Path(config["storage.folder"] or ".")
+    try:
+        make_folder(folder)
+    except OSError as error:
+        raise StorageError(f"cannot make the folder {folder}: {error.strerror}", "Choose another.") from None
+    return folder
 
 
 def plan_of(config: Config, url: str, limits: Limits, about: ObjectInfo) -> RecordingPlan:

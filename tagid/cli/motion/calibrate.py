@@ -13,7 +13,6 @@ from tagid.cli.common.consent import Yes, agree_to
 from tagid.cli.common.frame import Terminal, command
 from tagid.config import Config, load_config
 from tagid.errors import DataError, UsageError
-from tagid.files import make_folder
 from tagid.result import Result
 
 if TYPE_CHECKING:
@@ -119,7 +118,7 @@ def _direction(capture: Capture, name: str) -> Result:
 
 
 def _record(terminal: Terminal, config: Config, turns: float) -> Capture:
-    from tagid.cli.common.recording import Limits, plan_of
+    from tagid.cli.common.recording import Limits, capture_folder, plan_of
     from tagid.cli.motion.device import driven
     from tagid.cli.radar.device import open_configured
     from tagid.metadata import ObjectInfo
@@ -129,8 +128,7 @@ def _record(terminal: Terminal, config: Config, turns: float) -> Capture:
 
     device, _ = driven(config["motion.url"])
     device.turns = turns
-    folder = Path(config["storage.folder"] or ".")
-    make_folder(folder)
+    folder = capture_folder(config)
     limits = Limits(None, 20 + 1.5 * device.needed_seconds())
     about = ObjectInfo(note="calibration")
     plan = replace(plan_of(config, str(config["radar.url"]), limits, about), renumber=True)

@@ -10,11 +10,11 @@ import typer
 from tagid import interrupts
 from tagid.cli.common import options
 from tagid.cli.common.frame import Terminal, command
+from tagid.cli.common.recording import capture_folder
 from tagid.cli.radar.device import open_configured, radar_url
 from tagid.config import load_config
 from tagid.constants import CAPTURE_SUFFIX
-from tagid.errors import EXIT_INTERRUPTED, EXIT_OK, StorageError, UsageError
-from tagid.files import make_folder
+from tagid.errors import EXIT_INTERRUPTED, EXIT_OK, UsageError
 from tagid.result import Result
 
 if TYPE_CHECKING:
@@ -69,7 +69,7 @@ def register(group: typer.Typer) -> None:
         )
         radar_url(config)
         _check(scans, seconds, interval_us)
-        path = out or capture_path(_folder(Path(config["storage.folder"] or ".")))
+        path = out or capture_path(capture_folder(config))
         if not path.name.endswith(CAPTURE_SUFFIX):
             raise UsageError(f"--out is {path}", "Give a name that ends in .tagid.h5.")
         plan = RecordingPlan(
@@ -122,11 +122,3 @@ def _check(scans: int | None, seconds: float | None, interval_us: int) -> None:
         raise UsageError(f"--seconds is {seconds}", "Give a positive number of seconds.")
     if not 0 <= interval_us < 2**32:
         raise UsageError(f"--interval-us is {interval_us}", "Give 0 to 4294967295 microseconds.")
-
-
-def _folder(folder: Path) -> Path:
-    try:
-        make_folder(folder)
-    except OSError as error:
-        raise StorageError(f"cannot make the folder {folder}: {error.strerror}", "Choose another.") from None
-    return folder

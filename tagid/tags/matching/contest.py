@@ -334,21 +334,18 @@ def _clearer(
     return replace(below, body_left=min(reading.body_left, below.body_left))
 
 
-def _bound(reading: BodyReading, settings: ContestSettings) -> Bound | None:
-    """What is promised for a name on a body; None where such readings were not calibrated."""
-    if int(reading.layouts[0].batch.terms[0]) > settings.calibration().terms:
-        return None
-    evidence, views = score(reading, settings.decision), reading.views
-    return settings.calibration().bound(evidence, views, tag_snr_db(reading), settings.false_accept)
+def _bound(reading: BodyReading, settings: ContestSettings) -> Bound:
+    """What is promised for a name on a body; without objects where such readings were not calibrated."""
+    calibration, terms = settings.calibration(), int(reading.layouts[0].batch.terms[0])
+    if terms > calibration.terms:
+        return Bound(1.0, settings.false_accept, 0, f"patterns of {terms} terms", calibration.population)
+    evidence = score(reading, settings.decision)
+    return calibration.bound(evidence, reading.views, tag_snr_db(reading), settings.false_accept)
 
 
 def _calibrated(reading: BodyReading, verdict: Verdict, settings: ContestSettings) -> Verdict:
     """The verdict, taken back where objects without the tag were as convincing."""
-    bound = _bound(reading, settings)
-    if bound is None:
-        terms = int(reading.layouts[0].batch.terms[0])
-        return _kept(Bound(1.0, settings.false_accept, 0, f"patterns of {terms} terms", ""))
-    kept = _kept(bound)
+    kept = _kept(_bound(reading, settings))
     return verdict if kept.status == "identified" else kept
 
 
@@ -449,7 +446,7 @@ def _explanations(readings: Sequence[tuple[BodyReading, Verdict]]) -> list[Expla
     return found
 
 
-def _on_body(bare: Reading, reading: BodyReading, layouts: Sequence[Layout], bound: Bound | None) -> Reading:
+def _on_body(bare: Reading, reading: BodyReading, layouts: Sequence[Layout], bound: Bound) -> Reading:
     """The reading that a layout on a body won."""
     best = reading.layouts[0]
     layout = next(one for one in layouts if one.name == best.layout)
