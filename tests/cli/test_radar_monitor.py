@@ -2,22 +2,14 @@
 
 from __future__ import annotations
 
-import fcntl
 import json
-import os
-import pty
 import re
-import signal
-import struct
-import subprocess
-import sys
-import termios
-import threading
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from on_a_terminal import run
 from rich.console import Console
 
 from tagid.radar.assembler import Scan, Statistics
@@ -50,35 +42,10 @@ def watch_on_a_terminal(
     **environment: str,
 ) -> tuple[dict, bytes]:
     """(the JSON result, everything that the terminal was sent); Ctrl-C is sent once that is `enough`."""
-    master, slave = pty.openpty()
-    fcntl.ioctl(slave, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))
-    child = subprocess.Popen(
-        [sys.executable, "-m", "tagid", "radar", "monitor", "--radar", url, "--output", "json", *words],
-        stdin=slave, stdout=subprocess.PIPE, stderr=slave,
-        env={**{k: v for k, v in home.items() if k not in ("COLUMNS", "NO_COLOR")},
-             "TERM": "xterm-256color", "COLORTERM": "truecolor", "PYTHONUTF8": "1", **environment},
-    )  # fmt: skip
-    os.close(slave)
-    sent = bytearray()
-    asked: list[int] = []
-
-    def read() -> None:
-        try:
-            while data := os.read(master, 65536):
-                sent.extend(data)
-                if enough is not None and not asked and enough(bytes(sent)):
-                    asked.append(1)
-                    child.send_signal(signal.SIGINT)
-        except OSError:  # the other end is closed
-            return
-
-    reader = threading.Thread(target=read)
-    reader.start()
-    out, _ = child.communicate(timeout=120)
-    reader.join(timeout=30)
-    os.close(master)
-    assert child.returncode == 0, bytes(sent[-2000:])
-    return json.loads(out)["data"], bytes(sent)
+    everything = ["radar", "monitor", "--radar", url, "--output", "json", *words]
+    drawn = run(home, everything, (24, 80), enough, **environment)
+    assert drawn.code == 0, drawn.sent[-2000:]
+    return json.loads(drawn.out)["data"], drawn.sent
 
 
 def device(**faults: float) -> UdpEmulator:

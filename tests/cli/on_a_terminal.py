@@ -1,0 +1,68 @@
+"""Runs `tagid` on a pseudo-terminal and keeps what it draws there."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import pty
+import signal
+import struct
+import subprocess
+import sys
+import termios
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """An ended command.
+
+    Attributes:
+        code: exit status.
+        out: its standard output, which is a pipe.
+        sent: everything that the terminal was sent.
+    """
+
+    code: int
+    out: bytes
+    sent: bytes
+
+
+def run(
+    home: dict[str, str],
+    words: list[str],
+    size: tuple[int, int],
+    enough: Callable[[bytes], bool] | None = None,
+    **environment: str,
+) -> Drawn:
+    """`tagid WORDS` on a colour terminal of (lines, columns); Ctrl-C is sent once what came is `enough`."""
+    master, slave = pty.openpty()
+    fcntl.ioctl(slave, termios.TIOCSWINSZ, struct.pack("HHHH", *size, 0, 0))
+    child = subprocess.Popen(
+        [sys.executable, "-m", "tagid", *words],
+        stdin=slave, stdout=subprocess.PIPE, stderr=slave,
+        env={**{k: v for k, v in home.items() if k not in ("COLUMNS", "NO_COLOR")},
+             "TERM": "xterm-256color", "COLORTERM": "truecolor", "PYTHONUTF8": "1", **environment},
+    )  # fmt: skip
+    os.close(slave)
+    sent = bytearray()
+    asked: list[int] = []
+
+    def read() -> None:
+        try:
+            while data := os.read(master, 65536):
+                sent.extend(data)
+                if enough is not None and not asked and enough(bytes(sent)):
+                    asked.append(1)
+                    child.send_signal(signal.SIGINT)
+        except OSError:  # the other end is closed
+            return
+
+    reader = threading.Thread(target=read)
+    reader.start()
+    out, _ = child.communicate(timeout=120)
+    reader.join(timeout=30)
+    os.close(master)
+    return Drawn(child.returncode, out, bytes(sent))
