@@ -8,12 +8,14 @@ import os
 import socket
 import struct
 import time
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from http.client import HTTPConnection
 from pathlib import Path
 from typing import Any, ClassVar
+
+import pytest
 
 from tagid.config import load_config
 from tagid.doctor import Finding
@@ -21,7 +23,10 @@ from tagid.pipeline.load import LoadSettings
 from tagid.pipeline.settings import ImagingSettings
 from tagid.radar.settings import RadarConfig
 from tagid.recording.plan import RecordingPlan, plan_window
+from tagid.station import server
+from tagid.station.server import Server
 from tagid.station.setup import ScanSetup, Source
+from tagid.station.station import Station
 
 FAST = "emulator://helmet-120?rpm=20&seed=2"
 """As fast as the scans are taken: a turn within a second."""
@@ -92,6 +97,18 @@ class Asks:
             return Answer(found.status, {k.lower(): v for k, v in found.getheaders()}, found.read())
         finally:
             connection.close()
+
+
+@contextmanager
+def alone(place: Path) -> Iterator[Server]:
+    """One station for the tests of a file, with folders of its own."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("TAGID_DATA", str(place / "data"))
+        patch.setenv("TAGID_CONFIG", str(place / "c.toml"))
+        patch.setattr(server, "PING_S", 120.0)
+        with Server(Station(source(place), healthy), "127.0.0.1", 0) as one:
+            wait(lambda: Asks(one.url, {}).get("/").status == 200)
+            yield one
 
 
 class Raw:

@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 
 pytest.importorskip("starlette")
-from station_harness import ENDLESS, FAST, Asks, Raw, healthy, joined, source, wait
+from station_harness import ENDLESS, FAST, Asks, Raw, alone, healthy, joined, source, wait
 
 from tagid.motion.device import MotionStoppedError
 from tagid.motion.turntable import FreeTurntable
@@ -157,14 +157,8 @@ def test_what_another_page_or_a_stranger_sends_is_refused(
 @pytest.fixture(scope="module")
 def station_alone(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
     """One station for the requests that must change nothing."""
-    place = tmp_path_factory.mktemp("alone")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("TAGID_DATA", str(place / "data"))
-        patch.setenv("TAGID_CONFIG", str(place / "c.toml"))
-        patch.setattr(server, "PING_S", 120.0)
-        with Server(Station(source(place), healthy), "127.0.0.1", 0) as one:
-            wait(lambda: asks(one).get("/").status == 200)
-            yield one
+    with alone(tmp_path_factory.mktemp("alone")) as one:
+        yield one
 
 
 def test_a_chunked_upload_is_refused_before_it_arrives(station_alone: Server) -> None:

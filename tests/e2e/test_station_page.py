@@ -15,7 +15,7 @@ from chromium import size, start, theme, wait
 pytest.importorskip("starlette")
 from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
-from station_harness import ENDLESS, FAST, Asks, healthy, source
+from station_harness import ENDLESS, FAST, Asks, alone, healthy, source
 from station_harness import wait as until
 
 from tagid.station import server, web
@@ -39,13 +39,8 @@ def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
 @pytest.fixture(scope="module")
 def station_alone(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
     """A station for the tests that need one scan."""
-    place = tmp_path_factory.mktemp("shown")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("TAGID_DATA", str(place / "data"))
-        patch.setenv("TAGID_CONFIG", str(place / "c.toml"))
-        patch.setattr(server, "PING_S", 120.0)
-        with Server(Station(source(place), healthy), "127.0.0.1", 0) as one:
-            yield one
+    with alone(tmp_path_factory.mktemp("shown")) as one:
+        yield one
 
 
 @pytest.fixture
