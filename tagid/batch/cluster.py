@@ -14,7 +14,7 @@ from typing import Any
 from tagid import __version__
 from tagid.batch.inputs import Source
 from tagid.batch.job import Job, Outcome
-from tagid.batch.local import TICK_S, Results, Tasks
+from tagid.batch.local import TICK_S, Done, Results, Task, Tasks
 from tagid.batch.work import failed_record, unexpected, work
 from tagid.errors import ClusterError, MissingExtraError, TagidError
 
@@ -98,7 +98,7 @@ class _Remote:
     def __init__(self, distributed: Any, client: Any, address: str) -> None:
         self._distributed, self._client, self._address = distributed, client, address
         self._finished: queue.SimpleQueue[Any] = queue.SimpleQueue()
-        self._under_way: dict[Any, tuple[int, Source, Any]] = {}
+        self._under_way: dict[Any, tuple[Task, Any]] = {}
         self._count, self._count_until = 1, 0.0
 
     def run(self, tasks: Tasks, job: Job) -> Results:
@@ -112,7 +112,7 @@ class _Remote:
                 task = next(tasks, _END)
                 more = task is not _END
                 idle = task is None
-                if isinstance(task, tuple):
+                if isinstance(task, Task):
                     self._submit(task, shared)
             if not more and not self._under_way:
                 return
@@ -122,8 +122,8 @@ class _Remote:
                 self._check()
                 yield None
                 continue
-            position, source, future = self._under_way.pop(key)
-            yield position, source, self._outcome(source, future)
+            task, future = self._under_way.pop(key)
+            yield Done(task, self._outcome(task.source, future))
 
     def _threads(self) -> int:
         """Number of threads of all workers, refreshed every few seconds because workers join and leave."""
@@ -133,9 +133,9 @@ class _Remote:
             self._count_until = time.monotonic() + WORKERS_EVERY_S
         return self._count
 
-    def _submit(self, task: tuple[int, Source], shared: Any) -> None:
-        future = self._client.submit(_work, task[1], shared, pure=False)
-        self._under_way[future.key] = (*task, future)
+    def _submit(self, task: Task, shared: Any) -> None:
+        future = self._client.submit(_work, task.source, shared, pure=False)
+        self._under_way[future.key] = (task, future)
         future.add_done_callback(lambda done: self._finished.put(done.key))
 
     def _outcome(self, source: Source, future: Any) -> Outcome:

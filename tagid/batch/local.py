@@ -14,6 +14,7 @@ import time
 from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
 from multiprocessing import resource_tracker
 from multiprocessing.connection import wait as wait_for
 
@@ -35,9 +36,26 @@ _THREADS = (
     "VECLIB_MAXIMUM_THREADS",
 )
 
-Tasks = Iterator[tuple[int, Source] | None]
-"""Positions and inputs; None if there is none at the moment but more may arrive (a watched folder)."""
-Results = Generator[tuple[int, Source, Outcome] | None, None, None]
+
+@dataclass(frozen=True)
+class Task:
+    """An input and its position among the items of the report."""
+
+    position: int
+    source: Source
+
+
+@dataclass(frozen=True)
+class Done:
+    """A task and its outcome."""
+
+    task: Task
+    outcome: Outcome
+
+
+Tasks = Iterator[Task | None]
+"""None if there is no task at the moment but more may arrive (a watched folder)."""
+Results = Generator[Done | None, None, None]
 """Result of each item, in any order; None about every `TICK_S` while there is no result."""
 
 _job: Job | None = None
@@ -68,7 +86,7 @@ class _Pool:
         self._job = job
         self._workers = workers
         self._executor: ProcessPoolExecutor | None = None
-        self._under_way: dict[Future[Outcome], tuple[int, Source]] = {}
+        self._under_way: dict[Future[Outcome], Task] = {}
 
     def run(self, tasks: Tasks) -> Results:
         more = True
@@ -78,7 +96,7 @@ class _Pool:
                 task = next(tasks, _END)
                 more = task is not _END
                 idle = task is None
-                if isinstance(task, tuple):
+                if isinstance(task, Task):
                     self._submit(task)
             done, _ = wait(self._under_way, timeout=TICK_S, return_when=FIRST_COMPLETED)
             if not done:
@@ -89,15 +107,15 @@ class _Pool:
                 yield from self._after_a_death(done)
             else:
                 for future in done:
-                    position, source = self._under_way.pop(future)
-                    yield position, source, _outcome(source, future)
+                    task = self._under_way.pop(future)
+                    yield Done(task, _outcome(task.source, future))
 
-    def _submit(self, task: tuple[int, Source]) -> None:
+    def _submit(self, task: Task) -> None:
         with _no_interrupt():
             if self._executor is None:
                 self._executor = _executor(self._job, self._workers)
             try:
-                self._under_way[self._executor.submit(_work, task[1])] = task
+                self._under_way[self._executor.submit(_work, task.source)] = task
             except BrokenProcessPool as error:
                 # It died between two items; the items in progress will raise the same error.
                 future: Future[Outcome] = Future()
@@ -109,25 +127,25 @@ class _Pool:
         left = []
         for future, task in list(self._under_way.items()):
             if future in done and not isinstance(future.exception(), BrokenProcessPool):
-                yield *task, _outcome(task[1], future)
+                yield Done(task, _outcome(task.source, future))
             else:
                 left.append(task)
         self._under_way.clear()
         self.stop()
-        for position, source in left:
+        for task in left:
             with _no_interrupt():
                 alone = _executor(self._job, 1)
-                future = alone.submit(_work, source)
+                future = alone.submit(_work, task.source)
             try:
                 while not wait([future], timeout=TICK_S).done:
                     yield None
-                yield position, source, _outcome(source, future)
+                yield Done(task, _outcome(task.source, future))
             except BrokenProcessPool:
                 error = TagidError(
                     "the process that worked on this file died (out of memory, or a fault in a library)",
                     "Inspect the file with `tagid show`; other files are not affected.",
                 )
-                yield position, source, Outcome(failed_record(source, error))
+                yield Done(task, Outcome(failed_record(task.source, error)))
             finally:
                 _stop(alone)
 

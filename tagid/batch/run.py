@@ -16,7 +16,7 @@ from tagid import files, interrupts
 from tagid.batch.expected import Comparison, Expectations, answer_of
 from tagid.batch.inputs import Collected, Source
 from tagid.batch.job import Job
-from tagid.batch.local import Runner, Tasks
+from tagid.batch.local import Runner, Task, Tasks
 from tagid.batch.spool import FILE_NAME, Spool
 from tagid.batch.tally import SUMMARY_VERSION, Tally
 from tagid.batch.watch import FolderWatch
@@ -126,10 +126,10 @@ class _Run:
         with closing(lines), closing(runner(self._tasks(), self._job)) as results:
             for result in results:
                 if result is not None:
-                    position, source, outcome = result
+                    task, outcome = result.task, result.outcome
                     with interrupts.deferred():
-                        record = self._spool.put(position, source.name, self._fingerprint, outcome)
-                        lines.add(line_of(self._judged(record, position)))
+                        record = self._spool.put(task.position, task.source.name, self._fingerprint, outcome)
+                        lines.add(line_of(self._judged(record, task.position)))
                         self._keep(record, outcome.reused)
                         done += 1
                     self._tell(done)
@@ -150,7 +150,7 @@ class _Run:
         watch = self._plan.watch
         # Made before the first input is read: one that changes while it is read comes again.
         arrivals = iter(()) if watch is None else watch.arrivals(self._sources)
-        yield from enumerate(list(self._sources))
+        yield from (Task(position, source) for position, source in enumerate(list(self._sources)))
         places = {source.location: position for position, source in enumerate(self._sources)}
         for source in arrivals:
             if source is None:
@@ -160,7 +160,7 @@ class _Run:
             position = places.setdefault(source.location, len(self._sources))
             if position == len(self._sources):
                 self._sources.append(source)
-            yield position, source
+            yield Task(position, source)
 
     def _keep(self, record: dict[str, Any], reused: bool) -> None:
         if reused:

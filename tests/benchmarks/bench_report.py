@@ -91,7 +91,7 @@ class Meter:
             if result is None:
                 continue
             done += 1
-            cpu += result[2].cpu_s
+            cpu += result.outcome.cpu_s
             if done % (self.items // PARTS) == 0:
                 part = self.items // PARTS
                 self.rates.append((part / (time.perf_counter() - clock), part / cpu))

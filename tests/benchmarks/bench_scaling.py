@@ -32,7 +32,7 @@ import numpy as np
 from tagid.batch.cluster import run_cluster
 from tagid.batch.inputs import Source
 from tagid.batch.job import Job
-from tagid.batch.local import Results, Tasks, run_local
+from tagid.batch.local import Results, Task, Tasks, run_local
 from tagid.config import load_config
 from tagid.pipeline.load import LoadSettings
 from tagid.pipeline.settings import ImagingSettings
@@ -79,10 +79,10 @@ def cluster(workers: int, folder: Path) -> Iterator[Runner]:
 def rate(runner: Runner, sources: list[Source], job: Job) -> tuple[float, float]:
     """(items a second from the first result to the last, processor seconds of the work of an item)."""
     times, cpu = [], 0.0
-    for result in runner(iter(list(enumerate(sources))), job):
+    for result in runner(iter([Task(i, source) for i, source in enumerate(sources)]), job):
         if result is not None:
             times.append(time.perf_counter())
-            cpu += result[2].cpu_s
+            cpu += result.outcome.cpu_s
     # The first results of all workers come together; the clock runs from a moment when all are at work.
     start = len(times) // 10
     return (len(times) - 1 - start) / (times[-1] - times[start]), cpu / len(times)

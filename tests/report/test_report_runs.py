@@ -18,7 +18,7 @@ import pytest
 from report_batches import a_job
 
 from tagid.batch.inputs import Source
-from tagid.batch.local import run_local
+from tagid.batch.local import Task, run_local
 from tagid.batch.run import FILES
 from tagid.cli.app import main
 
@@ -209,7 +209,7 @@ def test_one_thread_each_and_tasks_only_as_needed(captures: Path) -> None:
     def tasks():
         for number in range(100):
             taken.append(number)
-            yield number, Source.of(str(captures / "bad.tagid.h5"))
+            yield Task(number, Source.of(str(captures / "bad.tagid.h5")))
 
     results = run_local(tasks(), a_job(), 1)
     while next(results) is None:
