@@ -22,7 +22,7 @@ from syscalls import Close, Operation, Recording, Sync, Write, record
 
 from tagid.batch.inputs import Source, collect
 from tagid.batch.job import Job, Outcome
-from tagid.batch.local import Results, Tasks
+from tagid.batch.local import Done, Results, Tasks
 from tagid.batch.run import FILES, Plan, run_batch
 from tagid.batch.work import content_sha256, make_record
 from tagid.capture import Capture
@@ -348,7 +348,7 @@ def _answers(again: list[str], tell: bool) -> Callable[[Tasks, Job], Results]:
     def runner(tasks: Tasks, job: Job) -> Results:
         for task in tasks:
             assert task is not None
-            position, source = task
+            source = task.source
             digest, size = content_sha256(Path(source.location))
             if digest in job.known:
                 outcome = Outcome({"file": source.name, "content_sha256": digest}, reused=True)
@@ -357,7 +357,7 @@ def _answers(again: list[str], tell: bool) -> Callable[[Tasks, Job], Results]:
                 answer = Identification("no_tag", None, f"uuid-{digest[:8]}", 4)
                 record = make_record(source, answer, {"load": 0.1}, digest, size)
                 outcome = Outcome(record, image=bytes.fromhex(digest) * 200)
-            yield position, source, outcome
+            yield Done(task, outcome)
             if tell:
                 _tell(_DONE)
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from tagid.batch.job import Job
-from tagid.batch.local import Results, Tasks
+from tagid.batch.local import Done, Results, Tasks
 from tagid.batch.work import work
 from tagid.config import load_config
 from tagid.pipeline.load import LoadSettings
@@ -35,7 +35,7 @@ def copy_captures(recorded: Path, folder: Path) -> Path:
 
 def in_this_process(tasks: Tasks, job: Job) -> Results:
     for task in tasks:
-        yield None if task is None else (*task, work(task[1], job))
+        yield None if task is None else Done(task, work(task.source, job))
 
 
 def a_job() -> Job:
