@@ -17,6 +17,7 @@ from tagid import files
 from tagid.constants import CAPTURE_SUFFIX
 from tagid.errors import DataError, MissingExtraError, StorageError, displayable
 from tagid.storage import mrm_ret, npz
+from tagid.storage.journal_lock import being_recorded
 
 SUFFIXES = (CAPTURE_SUFFIX, ".h5", ".hdf5", ".npz", ".prd", ".out", ".csv", ".tagid.journal", ".journal")
 """File suffixes of recordings, in lower case."""
@@ -54,11 +55,13 @@ class Collected:
     Attributes:
         sources: the items, each once, those of a folder sorted by name.
         passed_over: names of files that are not recordings.
+        being_recorded: names of journals that a recording is writing at the moment.
         unreadable: folders that could not be listed, with the reason.
     """
 
     sources: tuple[Source, ...]
     passed_over: tuple[str, ...] = ()
+    being_recorded: tuple[str, ...] = ()
     unreadable: tuple[str, ...] = ()
 
 
@@ -83,6 +86,7 @@ def collect(words: Sequence[str], outside: Path | None = None) -> Collected:
     """
     found: dict[str, Source] = {}
     passed_over: list[str] = []
+    recording: list[str] = []
     unreadable: list[str] = []
     for word in words:
         if is_url(word):
@@ -102,11 +106,13 @@ def collect(words: Sequence[str], outside: Path | None = None) -> Collected:
         for file in files_below(path, unreadable, outside):
             if is_recording(file):
                 found.setdefault(str(file), Source.of(str(file)))
+            elif _journal_under_way(file):
+                recording.append(displayable(str(file)))
             else:
                 passed_over.append(displayable(str(file)))
     if not found:
-        raise _nothing(words, passed_over, unreadable)
-    return Collected(tuple(found.values()), tuple(passed_over), tuple(unreadable))
+        raise _nothing(words, passed_over, recording, unreadable)
+    return Collected(tuple(found.values()), tuple(passed_over), tuple(recording), tuple(unreadable))
 
 
 def files_below(folder: Path, unreadable: list[str], outside: Path | None = None) -> Iterable[Path]:
@@ -149,7 +155,8 @@ def is_recording(path: Path) -> bool:
         if name.endswith(".journal"):
             # `tagid scan` writes the recording next to its journal once it is complete.
             stem = path.name[: -len(".journal")].removesuffix(".tagid")
-            return not path.with_name(f"{stem}{CAPTURE_SUFFIX}").exists()
+            # Looked for after the lock, because the capture is there before the lock is released.
+            return not _journal_under_way(path) and not path.with_name(f"{stem}{CAPTURE_SUFFIX}").exists()
         head = files.read_head(path, _HEAD)
         if name.endswith(".csv"):
             return mrm_ret.is_mrm_ret(head)
@@ -158,6 +165,10 @@ def is_recording(path: Path) -> bool:
     except (OSError, StorageError):
         return True
     return True
+
+
+def _journal_under_way(path: Path) -> bool:
+    return path.name.lower().endswith(".journal") and being_recorded(path)
 
 
 def _is_image(path: Path) -> bool:
@@ -170,12 +181,15 @@ def _is_image(path: Path) -> bool:
     return "image.npy" in names and "samples.npy" not in names
 
 
-def _nothing(words: Sequence[str], passed_over: Sequence[str], unreadable: Sequence[str]) -> DataError:
+def _nothing(
+    words: Sequence[str], passed_over: Sequence[str], recording: Sequence[str], unreadable: Sequence[str]
+) -> DataError:
     where = ", ".join(displayable(word) for word in words[:3])
     seen = f"; {len(passed_over)} other file(s) are not recordings" if passed_over else ""
+    under_way = f"; {recording[0]} is still being recorded" if recording else ""
     closed = f"; could not open {unreadable[0]}" if unreadable else ""
     return DataError(
-        f"no captures in {where}{seen}{closed}",
+        f"no captures in {where}{seen}{under_way}{closed}",
         f"Captures end in {', '.join(SUFFIXES)}; a file with any other name must be named explicitly.",
     )
 

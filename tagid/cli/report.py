@@ -246,6 +246,10 @@ def _remarks(plan: Plan, finished: Finished) -> list[str]:
         remarks.append(f"{more} more captures are in several files; summary.json lists them")
     if plan.inputs.passed_over:
         remarks.append(f"{len(plan.inputs.passed_over)} files in the folders are not recordings")
+    under_way = plan.inputs.being_recorded
+    if under_way:
+        others = f" and {len(under_way) - 1} more" if len(under_way) > 1 else ""
+        remarks.append(f"{under_way[0]}{others}: still being recorded, left out; add it later with --resume")
     remarks += [f"cannot read folder {folder}" for folder in plan.inputs.unreadable[:5]]
     expected = finished.summary["expected"]
     if expected and expected["not_in_manifest"]:

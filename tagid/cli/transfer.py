@@ -109,7 +109,13 @@ def register(app: typer.Typer) -> None:
 
         from tagid.recording.long_recording import part_path
         from tagid.storage.journal_capture import write_captures
+        from tagid.storage.journal_lock import being_recorded
 
+        if being_recorded(journal):
+            raise StorageError(
+                f"{journal} is still being recorded by another process",
+                "That process writes the capture file when it ends.",
+            )
         target = _target(journal, out, CAPTURE_SUFFIX, force)
         written = write_captures(journal, lambda part: part_path(target, part))
         if written.has_track and len(written.paths) == 1:

@@ -23,6 +23,7 @@ from tagid.recording.intake import Intake
 from tagid.recording.plan import RecordingPlan, capture_beside, journal_beside
 from tagid.storage.journal import SUFFIX as JOURNAL_SUFFIX
 from tagid.storage.journal import JournalWriter
+from tagid.storage.journal_lock import being_recorded
 from tagid.storage.journal_queue import JournalQueue
 from tagid.storage.metadata import VERSION_KEY
 
@@ -133,12 +134,13 @@ def run_recording(radar: P440, plan: RecordingPlan, path: Path, steps: Steps[_Re
         journal_beside(path)
     taken = [path]
     try:
-        with interrupts.deferred() as signals:
+        with interrupts.deferred() as signals, ExitStack() as marked:
             with ExitStack() as connected:
                 with signals.listening():
                     connected.enter_context(radar)
                     header = _configure(radar, plan)
                 with start_journal(path, header, plan.renumber) as journal:
+                    marked.enter_context(journal.locked())
                     taken.append(capture_beside(journal.path))
                     told.named(taken[-1])
                     recorded = _fill(journal, radar, plan, steps.receive, told, signals)
@@ -227,9 +229,13 @@ def start_journal(path: Path, header: dict[str, Any], renumber: bool = False) ->
                 raise
             if renumber:
                 continue
+            if being_recorded(journal_path):
+                raise StorageError(
+                    f"{journal_path} exists: another recording is writing it", "Choose another name."
+                ) from error
             raise StorageError(
-                f"{journal_path} exists: another recording is writing it, or one was interrupted",
-                f"Choose another name; if no recording runs, `tagid recover {journal_path}`.",
+                f"{journal_path} exists: a recording was interrupted",
+                f"`tagid recover {journal_path}` writes its capture file; or choose another name.",
             ) from error
         if not wanted.exists():
             return journal

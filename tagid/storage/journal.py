@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 from tagid import files, interrupts
 from tagid.errors import DataError, DiskFullError, FileFormatError, StorageError
 from tagid.storage.assembly import decode_settings, encode_settings
+from tagid.storage.journal_lock import lock
 from tagid.storage.journal_records import MAX_PAYLOAD, PREAMBLE, intact_records, pack_record, record_bytes
 
 MAGIC = b"TAGIDJNL"
@@ -92,6 +93,7 @@ class JournalWriter:
             self._descriptor = os.open(self.path, flags | exclusive, 0o666)
         except OSError as error:
             raise files.storage_error(error, self.path, "creating the journal") from error
+        lock(self._descriptor)
         try:
             first = pack_record(_HEADER, encode_settings(header).encode())
             self._write(PREAMBLE.pack(MAGIC, VERSION) + first)
@@ -157,6 +159,15 @@ class JournalWriter:
             if now - self._synced_at >= self._sync_seconds:
                 self._sync()
                 self._synced_at = now
+
+    @contextmanager
+    def locked(self) -> Iterator[None]:
+        """Keep the journal marked as being recorded after it is closed, to the end of the block."""
+        descriptor = os.dup(self._descriptor)
+        try:
+            yield
+        finally:
+            os.close(descriptor)
 
     def seconds_to_sync(self) -> float | None:
         """Seconds until the records written so far are to be synced; None if they are, or need not be."""

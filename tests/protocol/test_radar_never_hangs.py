@@ -232,11 +232,14 @@ def test_two_recordings_that_start_in_one_second_get_two_names(tmp_path: Path) -
     for thread in threads:
         thread.join()
     assert len({journal.path for journal in journals}) == 20
-    for journal in journals:
-        journal.close()
     with pytest.raises(StorageError, match="another recording is writing it") as caught:
         start_journal(path, header)
-    assert "move" not in caught.value.remedy
+    assert "recover" not in caught.value.remedy, "it would take a live recording"
+    for journal in journals:
+        journal.close()
+    with pytest.raises(StorageError, match="a recording was interrupted") as caught:
+        start_journal(path, header)
+    assert "tagid recover" in caught.value.remedy and "move" not in caught.value.remedy
 
 
 @pytest.mark.parametrize("fate", ["vanish", "shrink", "folder"])
