@@ -4,7 +4,7 @@
 
 Ten processes keep the cores busy while `tagid scan --demo` runs, which emulates its radar over UDP in real
 time. Exit code, answer and seconds of each run are printed. The exit code is 1 where fewer than --aim percent
-name the object.
+name the object. With --log, a run goes on where an earlier one ended.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -97,13 +97,18 @@ def main() -> int:
     parser.add_argument("--runs", type=int, default=20)
     parser.add_argument("--busy", type=int, default=10, help="processes that keep the cores busy")
     parser.add_argument("--aim", type=float, default=95.0, help="percent that must name the object")
+    parser.add_argument("--log", type=Path, help="a line for each run; those in it are not repeated")
     parser.add_argument("--page", action="store_true", help="write the section of docs/results/robustness.md")
     given = parser.parse_args()
-    outcomes = []
-    with busy(given.busy):
-        for number in range(given.runs):
+    log = given.log or Path(os.devnull)
+    before = log.read_text().splitlines() if log.is_file() else []
+    outcomes = [Outcome(**json.loads(line)) for line in before]
+    with busy(given.busy), log.open("a") as lines:
+        for number in range(len(outcomes), given.runs):
             outcomes.append(run_demo())
             print(number + 1, outcomes[-1], flush=True)
+            lines.write(json.dumps(asdict(outcomes[-1])) + "\n")
+            lines.flush()
     named = sum(outcome.named for outcome in outcomes)
     took = sorted(outcome.seconds for outcome in outcomes)
     print(f"{named} of {len(outcomes)} named {OBJECT}, median {took[len(took) // 2]:.0f} s")
