@@ -40,5 +40,8 @@ SAMPLES_PER_BLOCK = 96
 CLIP_COUNTS_PER_INTEGRATION = 127
 """A sample saturates at 127 * 2^PII counts (measured on recordings)."""
 
+BLAS_THREADS: Final = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
+"""Environment variables that limit the threads of numpy's linear algebra; read when numpy is imported."""
+
 CAPTURE_SUFFIX: Final = ".tagid.h5"
 """Usual ending of a capture file's name."""

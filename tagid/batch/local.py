@@ -21,6 +21,7 @@ from multiprocessing.connection import wait as wait_for
 from tagid.batch.inputs import Source
 from tagid.batch.job import Job, Outcome
 from tagid.batch.work import failed_record, unexpected, work
+from tagid.constants import BLAS_THREADS
 from tagid.errors import TagidError
 
 AHEAD = 2
@@ -28,13 +29,7 @@ AHEAD = 2
 bounded."""
 TICK_S = 0.25
 """Interval at which a waiting runner lets its caller stop it, s."""
-_THREADS = (
-    "OMP_NUM_THREADS",
-    "OPENBLAS_NUM_THREADS",
-    "MKL_NUM_THREADS",
-    "NUMEXPR_NUM_THREADS",
-    "VECLIB_MAXIMUM_THREADS",
-)
+_THREADS = ("OMP_NUM_THREADS", "NUMEXPR_NUM_THREADS", *BLAS_THREADS)
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ It imports no numerics, so that `tagid --help` is fast.
 from __future__ import annotations
 
 import gc
+import os
 import sys
 from typing import Annotated
 
@@ -14,6 +15,7 @@ import typer
 from tagid import __version__
 from tagid.cli.common.frame import serve
 from tagid.cli.common.lazy import Entry, lazy_group
+from tagid.constants import BLAS_THREADS
 
 COMMANDS = {
     "plan": Entry(
@@ -107,4 +109,8 @@ def main() -> None:
     # Importing makes tens of thousands of objects that all stay: looking through them for garbage again and
     # again costs a tenth of a short command.
     gc.set_threshold(20_000, 20, 20)
+    # The matrices are small, the compiled kernel has threads of its own, and a BLAS thread that waits for
+    # another keeps its core busy: on a busy computer two of them made a command five times slower.
+    for name in BLAS_THREADS:
+        os.environ.setdefault(name, "1")
     sys.exit(serve(app))

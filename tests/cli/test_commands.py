@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -51,6 +54,29 @@ def test_simulate_identify_and_reconstruct(tagid, tmp_path: Path) -> None:
         radius = np.hypot(file["x_m"][x], file["y_m"][y])
     assert radius == pytest.approx(0.11, abs=0.01)
     assert (tmp_path / "i.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_command_has_one_thread_of_linear_algebra_unless_told_otherwise() -> None:
+    """On a busy computer, BLAS threads that wait for each other take all of its time."""
+    code = (
+        "import sys, tagid.cli.app\n"
+        "sys.argv = ['tagid', '--version']\n"
+        "try: tagid.cli.app.main()\n"
+        "except SystemExit: pass\n"
+        "import numpy\n"
+        "a = numpy.ones((600, 600), numpy.float32) @ numpy.ones((600, 600), numpy.float32)\n"
+        "print([line.split()[1] for line in open('/proc/self/status') if line.startswith('Threads')][0])\n"
+    )
+    own = {name: value for name, value in os.environ.items() if not name.endswith("_NUM_THREADS")}
+
+    def threads(**more: str) -> int:
+        done = subprocess.run([sys.executable, "-c", code], env=own | more, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+        return int(done.stdout.split()[-1])
+
+    assert threads() == 1
+    if (os.cpu_count() or 1) > 1:
+        assert threads(OPENBLAS_NUM_THREADS="2") == 2
 
 
 def test_uncertain_answers_and_failed_items_have_their_exit_codes(tagid, tmp_path: Path) -> None:
