@@ -137,6 +137,18 @@ def test_times_are_worst_known_far_from_the_stamps_that_were_used() -> None:
     assert clock.sigma_s == pytest.approx(np.hypot(rounding_s / np.sqrt(35), period * (39 - used.mean())))
 
 
+def test_times_are_worst_known_before_the_stamps_that_were_used() -> None:
+    """As above, with the first five stamps wrong: now the first time is the one that is worst known."""
+    times = np.arange(40) * 20.0
+    times[:5] -= 50.0
+    clock = fit_clock(times, np.arange(40))
+    used = np.arange(5, 40)
+    rounding_s = 1e-3 / np.sqrt(12)
+    period = rounding_s / np.sqrt(np.sum((used - used.mean()) ** 2))
+    assert clock.outliers == 5
+    assert clock.sigma_s == pytest.approx(np.hypot(rounding_s / np.sqrt(35), period * used.mean()))
+
+
 def test_a_gap_longer_than_half_the_counter_is_still_a_wrap_and_a_shorter_step_back_is_none() -> None:
     step = 2.0**31 - 1000
     wrapped = (np.arange(4) * step) % 2**32
@@ -148,8 +160,9 @@ def test_a_gap_longer_than_half_the_counter_is_still_a_wrap_and_a_shorter_step_b
 
 
 def test_scan_numbers_of_another_length_are_refused() -> None:
-    with pytest.raises(DataError, match="scan numbers"):
-        fit_clock(np.arange(5) * 20.0, np.arange(4))
+    for ids in (np.arange(4), np.arange(6), np.array([0, 1, 3, 2, 4])):
+        with pytest.raises(DataError, match="scan numbers"):
+            fit_clock(np.arange(5) * 20.0, ids)
     with pytest.raises(DataError, match="cannot be fitted through 6"):
         fit_clock(np.ones((2, 3)))
 
