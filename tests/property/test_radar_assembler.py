@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
+
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -309,3 +311,20 @@ def test_the_clock_of_scans_out_of_order_goes_back_without_a_wrap() -> None:
 def test_the_bounds_are_those_that_are_documented() -> None:
     assert (WINDOW, HOLD_MS, MAX_PENDING, MAX_READY) == (8, 100, 512, 512)
     assert MAX_PENDING * MAX_SAMPLES_PER_SCAN * 4 < 17.3e6
+
+
+def test_a_radar_that_paused_for_weeks_goes_on_on_the_same_clock() -> None:
+    """Half of the 32-bit clock, 24.8 days, is the longest pause that is told from a step back."""
+    pause = 2**30 + 5000
+    packets = [
+        *scan_packets(samples_of(0), CONFIG, 3, 1000),
+        *scan_packets(samples_of(1), CONFIG, 4, 1000 + pause),
+    ]
+    assert [scan.radar_time_ms for scan in feed(ScanAssembler(3), packets)] == [1000, 1000 + pause]
+
+
+def test_counters_begin_at_zero_and_an_empty_run_has_lost_nothing() -> None:
+    assembler = ScanAssembler(3)
+    assembler.give_up_until(3)
+    assert set(asdict(assembler.statistics).values()) == {0}
+    assert [scan.node_id for scan in feed(ScanAssembler(0), packets_of(1, 0)[0])] == [0]

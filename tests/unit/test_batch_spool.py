@@ -117,3 +117,54 @@ def test_what_is_put_is_on_disk_at_once(path: Path) -> None:
         assert spool._db.execute("PRAGMA synchronous").fetchone() == (3,)
         assert spool._db.execute("PRAGMA journal_mode").fetchone() == ("wal",)
         assert spool._db.isolation_level is None  # every statement is its own transaction
+
+
+def test_a_view_in_the_file_is_never_read(path: Path) -> None:
+    with Spool(path, fresh=True):
+        pass
+    with sqlite3.connect(path) as db:
+        db.execute(
+            "CREATE VIEW endless AS WITH RECURSIVE n AS (SELECT 1 UNION ALL SELECT 1 FROM n) SELECT * FROM n"
+        )
+    db.close()
+    with pytest.raises(StorageError, match="holds a view or trigger, 'endless'") as caught:
+        Spool(path, fresh=False)
+    assert "Remove the file" in caught.value.remedy
+
+
+def test_a_record_keeps_the_order_of_its_fields_and_no_number_that_json_lacks(spool: Spool) -> None:
+    spool.put(0, "a", "job", answered("a", "A", zone=1, area=2))
+    (record,) = spool.records()
+    assert list(record) == ["file", "content_sha256", "status", "error", "zone", "area"]
+    with pytest.raises(ValueError, match="JSON"):
+        spool.put(1, "b", "job", answered("b", "B", score=float("nan")))
+
+
+@pytest.mark.parametrize(
+    ("primary", "message", "remedy"),
+    [
+        (sqlite3.SQLITE_FULL, "disk is full", "--resume"),
+        (sqlite3.SQLITE_LOCKED, "another tagid report", "Wait"),
+        (sqlite3.SQLITE_READONLY, "cannot be written", "permissions"),
+        (sqlite3.SQLITE_CANTOPEN, "cannot be written", "permissions"),
+        (sqlite3.SQLITE_CORRUPT, "malformed", "Remove the file"),
+    ],
+)
+def test_each_failure_of_the_file_says_what_to_do(
+    spool: Spool, monkeypatch: pytest.MonkeyPatch, primary: int, message: str, remedy: str
+) -> None:
+    class Failing:
+        def execute(self, *words: object) -> None:
+            error = sqlite3.DatabaseError("malformed")
+            error.sqlite_errorcode = primary | 5 << 8  # an extended code has its details above the byte
+            raise error
+
+        def close(self) -> None:
+            pass
+
+    real = spool._db
+    monkeypatch.setattr(spool, "_db", Failing())
+    with pytest.raises(StorageError, match=message) as caught:
+        spool.count()
+    assert remedy in caught.value.remedy
+    real.close()
