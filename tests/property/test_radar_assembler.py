@@ -327,4 +327,3 @@ def test_counters_begin_at_zero_and_an_empty_run_has_lost_nothing() -> None:
     assembler = ScanAssembler(3)
     assembler.give_up_until(3)
     assert set(asdict(assembler.statistics).values()) == {0}
-    assert [scan.node_id for scan in feed(ScanAssembler(0), packets_of(1, 0)[0])] == [0]
