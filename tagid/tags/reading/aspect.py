@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tagid.tags.reading.field import MatchedField
+from tagid.tags.reading.field import FixedPoints, MatchedField
 
 NO_SIDE_M = 0.01
 """A reflector nearer than this to the object's axis has no outward side: it stands on top, or in a glass."""
@@ -98,3 +98,8 @@ class Appearance:
         """(..., views * rank) templates of points (..., 2), m."""
         weight = self.aspect.weight(field.antenna, points, outward(points, self.centre_m))
         return field.templates(field.distances(points) + self.offset_m, weight)
+
+    def fixed(self, field: MatchedField, points: NDArray[np.float64]) -> FixedPoints:
+        """The templates of many points (N, 2), m, in a form that needs little memory."""
+        weight = self.aspect.weight(field.antenna, points, outward(points, self.centre_m))
+        return field.fixed(field.distances(points) + self.offset_m, weight)

@@ -16,6 +16,8 @@ from tagid.tags.reading.field import MatchedField
 
 IMAGE_STEP_M = 3e-3
 """Pixel of the coarse image; its finest fringe is lambda_min / 2 = 31 mm: bilinear reading errs by < 5 %."""
+_BLOCK = 1 << 16
+"""Pairs of point and view that are formed at a time: half a megabyte of distances."""
 COARSE_NO_SIDE_M = 0.015
 """On the coarse image sides are told from the turntable's axis, which is up to 14 mm off the object's."""
 
@@ -82,11 +84,16 @@ class CoarseImage:
         """The image of a matched field on the disc of a radius, m, for range offsets, m."""
         disc = CoarseDisc.of(radius_m)
         points = disc.points
-        distances = field.distances(points)
-        weight = aspect.weight(field.antenna, points, outward(points, np.zeros(2), COARSE_NO_SIDE_M))
-        static = field.static_part(distances, weight)
-        images = field.correlate_offsets(distances, offsets_m, weight)
-        return cls(disc, aspect, field.views, static, images)
+        static, images = [], []
+        size = max(1, _BLOCK // field.views)
+        for at in range(0, len(points), size):
+            some = points[at : at + size]
+            distances = field.distances(some)
+            facing = outward(some, np.zeros(2), COARSE_NO_SIDE_M)
+            weight = aspect.weight(field.antenna, some, facing)
+            static.append(field.static_part(distances, weight))
+            images.append(field.correlate_offsets(distances, offsets_m, weight))
+        return cls(disc, aspect, field.views, np.concatenate(static), np.concatenate(images, axis=1))
 
     def static_overlap(self, points: NDArray[np.float64]) -> NDArray[np.complex64]:
         """(..., K, K) part of the Gram matrix that is constant over views, to the nearest pixel."""

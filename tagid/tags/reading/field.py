@@ -4,7 +4,7 @@ each other. Every statement about reflectors is made from these two, so no image
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -65,8 +65,10 @@ class RangeProfiles:
 
     def index(self, distances: NDArray[np.float64]) -> NDArray[np.int32]:
         """Which profile belongs to each distance (...), m."""
-        position = (distances - (self.start_m - FINE_STEP_M / 2)) * (1 / FINE_STEP_M)
-        return np.clip(position.astype(np.int32), 0, len(self.profiles) - 1)
+        position = distances - (self.start_m - FINE_STEP_M / 2)
+        position *= 1 / FINE_STEP_M
+        index = position.astype(np.int32)
+        return np.clip(index, 0, len(self.profiles) - 1, out=index)
 
     def phase(
         self, distances: NDArray[np.float64], weight: NDArray[np.float32] | None = None
@@ -151,13 +153,23 @@ class MatchedField:
 
         The weight (..., views) is their amplitude in each view, 1 unless given.
         """
-        whole = self._profiles[self._range.index(distances)] * self._range.phase(distances, weight)[..., None]
+        whole = self._whole(distances, weight)
         whole -= whole.mean(axis=-2, keepdims=True)
-        return np.asarray(whole.reshape(*distances.shape[:-1], self.data.size))
+        return whole.reshape(*distances.shape[:-1], self.data.size)
+
+    def _whole(
+        self, distances: NDArray[np.float64], weight: NDArray[np.float32] | None
+    ) -> NDArray[np.complex64]:
+        """(..., views, rank) templates with their constant parts."""
+        # The index is within bounds already; "clip" reads without a check and without a buffer.
+        whole = self._profiles.take(self._range.index(distances), axis=0, mode="clip")
+        whole *= self._range.phase(distances, weight)[..., None]
+        return whole
 
     def correlate(self, templates: NDArray[np.complex64]) -> NDArray[np.complex128]:
         """(...) b of templates (..., views * rank): the data against each."""
-        return np.asarray(templates.conj() @ self.data, dtype=np.complex128)
+        # <s, z> = conj(<z, s>): the data is conjugated instead of the far larger templates.
+        return np.asarray((templates @ self.data.conj()).conj(), dtype=np.complex128)
 
     def gram(self, templates: NDArray[np.complex64]) -> NDArray[np.complex128]:
         """(..., K, K) G[k, l] = <s_k, s_l> of groups of K templates (..., K, views * rank)."""
@@ -182,7 +194,7 @@ class MatchedField:
         self, distances: NDArray[np.float64], weight: NDArray[np.float32] | None = None
     ) -> NDArray[np.complex128]:
         """(..., K, K) `gram` of points (..., K, views) before their constant parts are taken out."""
-        whole = self._profiles[self._range.index(distances)] * self._range.phase(distances, weight)[..., None]
+        whole = self._whole(distances, weight)
         return self.gram(whole.reshape(*distances.shape[:-1], self.data.size))
 
     def correlate_offsets(
@@ -198,22 +210,71 @@ class MatchedField:
         flat = distances.reshape(-1, self.views)
         sides = None if weight is None else weight.reshape(-1, self.views)
         out = np.empty((len(offsets_m), len(flat)), dtype=np.complex128)
-        first = np.arange(self.views, dtype=np.int32) * self._table.shape[1]
-        values = self._table.ravel()
         size = max(1, _BLOCK // self.views)
         for at in range(0, len(flat), size):
             d = flat[at : at + size]
             turn = self._range.phase(d, None if sides is None else sides[at : at + size]).conj()
             for i, offset in enumerate(offsets_m):
-                out[i, at : at + size] = np.einsum(
-                    "pv,pv->p", values[self._range.index(d + offset) + first], turn
-                )
+                out[i, at : at + size] = _looked_up(self._table, self._range.index(d + offset), turn)
         out *= np.exp(2j * self.wavenumber * np.asarray(offsets_m))[:, None]
         return out.reshape(len(offsets_m), *distances.shape[:-1])
+
+    def fixed(self, distances: NDArray[np.float64], weight: NDArray[np.float32] | None = None) -> FixedPoints:
+        """Points (N, views) whose templates are needed again and again, without the memory of all of them."""
+        return FixedPoints(self, self._range.index(distances), self._range.phase(distances, weight))
 
     def at(self, points: NDArray[np.floating]) -> NDArray[np.complex128]:
         """(...) b at points (..., 2) in the plane, m."""
         return np.asarray(self.correlate_offsets(self.distances(points), (0.0,))[0])
+
+
+class FixedPoints:
+    """Templates of many points (see `MatchedField`), kept as the range profile and the phase in every view.
+
+    That is an eighth of the templates' memory, and a correlation reads a table instead of all of them.
+
+    Args:
+        field: the matched field.
+        index: (N, views) profile of every point in every view.
+        turn: (N, views) phase and weight.
+    """
+
+    def __init__(self, field: MatchedField, index: NDArray[np.int32], turn: NDArray[np.complex64]) -> None:
+        self._field = field
+        self._index = index
+        self._turn = turn
+
+    def correlate(self, data: NDArray[np.complex64]) -> NDArray[np.complex128]:
+        """(N,) <s_p, data> of data (views * rank,)."""
+        # Without what is constant over the views: then the templates' constant parts need not be formed.
+        rows = data.reshape(self._field.views, -1)
+        rows = rows - rows.mean(axis=0)
+        table = np.ascontiguousarray(rows @ self._field._profiles.conj().T)
+        out = np.empty(len(self._index), dtype=np.complex128)
+        size = max(1, _BLOCK // self._field.views)
+        for at in range(0, len(out), size):
+            here = slice(at, at + size)
+            out[here] = _looked_up(table, self._index[here], self._turn[here].conj())
+        return out
+
+    def templates(self) -> Iterator[NDArray[np.complex64]]:
+        """(n, views * rank) templates of a part of the points after another."""
+        profiles = self._field._profiles
+        size = max(1, _BLOCK // self._field.data.size)
+        for at in range(0, len(self._index), size):
+            whole = profiles.take(self._index[at : at + size], axis=0, mode="clip")
+            whole *= self._turn[at : at + size, :, None]
+            whole -= whole.mean(axis=-2, keepdims=True)
+            yield whole.reshape(len(whole), -1)
+
+
+def _looked_up(
+    table: NDArray[np.complex64], index: NDArray[np.int32], turn: NDArray[np.complex64]
+) -> NDArray[np.complex64]:
+    """(N,) sum over the views v of table (views, profiles) at index (N, views), times turn (N, views)."""
+    views, width = table.shape
+    at = index + np.arange(views, dtype=np.int32) * np.int32(width)
+    return np.asarray(np.einsum("pv,pv->p", table.ravel().take(at, mode="clip"), turn))
 
 
 def _range_basis(

@@ -82,8 +82,8 @@ class SearchDisc:
         self.step_m = step_m
         self.look = look
         self.points = np.stack([x[inside], y[inside]], axis=-1)
-        self.templates = look.templates(field, self.points)
-        self.image = field.correlate(self.templates)
+        self.fixed = look.fixed(field, self.points)
+        self.image = self.fixed.correlate(field.data)
 
     def residual(
         self, positions: NDArray[np.float64], amplitudes: NDArray[np.complex128]
@@ -93,7 +93,7 @@ class SearchDisc:
             return self.image.copy()
         own = self.look.templates(self.field, positions)
         left = self.field.data - amplitudes.astype(np.complex64) @ own
-        return np.asarray(self.templates.conj() @ left, dtype=np.complex128)
+        return self.fixed.correlate(left)
 
     def level(self, residual: NDArray[np.complex128]) -> float:
         """Level of noise and clutter in |b|^2 / ||s||^2; an exponential's median is ln 2 times its mean."""
