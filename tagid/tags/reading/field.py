@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from tagid.errors import DataError
 from tagid.imaging.types import BasebandScans
+from tagid.signal import median
 
 FINE_STEP_M = 5e-4
 """Range step of the tables, read at the nearest entry: baseband varies over c / B = 176 mm, so half a step is
@@ -127,7 +128,7 @@ class MatchedField:
         self.data = coordinates.ravel()
         self._profiles = range_profiles.profiles
         self._table = np.ascontiguousarray(coordinates @ self._profiles.conj().T)
-        self.template_energy = float(self.views * np.median(np.sum(np.abs(self._profiles) ** 2, axis=1)))
+        self.template_energy = float(self.views * median(np.sum(np.abs(self._profiles) ** 2, axis=1)))
 
     @property
     def views(self) -> int:

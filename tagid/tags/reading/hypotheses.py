@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tagid.signal import median
 from tagid.tags.layouts.layout import Layout, rotation_matrix
 from tagid.tags.reading.aspect import PATTERNS, ROUND, TRANSPARENT, Appearance, Aspect, outward
 from tagid.tags.reading.coarse import CoarseImage
@@ -161,7 +162,7 @@ def likeness(size: NDArray[np.float64], each: NDArray[np.float64]) -> NDArray[np
     because a damaged one says nothing about where the others are.
     """
     logarithm = np.log(np.maximum(size, 1e-6 * size.max(axis=-1, keepdims=True) + 1e-30))
-    off = logarithm - np.median(logarithm, axis=-1, keepdims=True)
+    off = logarithm - median(logarithm, axis=-1, keepdims=True)
     spread = ALIKE**2 + 0.5 / np.maximum(each, 0.5)
     return np.asarray(np.minimum(off**2 / (2 * spread[..., None]), ODD_NATS).sum(axis=-1))
 

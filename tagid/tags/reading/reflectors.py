@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.imaging.types import BasebandScans
+from tagid.signal import median
 from tagid.tags.layouts.layout import MIN_SPACING_M
 from tagid.tags.reading.aspect import TRANSPARENT, Appearance
 from tagid.tags.reading.field import MatchedField
@@ -97,7 +98,7 @@ class SearchDisc:
 
     def level(self, residual: NDArray[np.complex128]) -> float:
         """Level of noise and clutter in |b|^2 / ||s||^2; an exponential's median is ln 2 times its mean."""
-        own = float(np.median(np.abs(residual) ** 2) / np.log(2) / self.field.template_energy)
+        own = float(median(np.abs(residual) ** 2) / np.log(2) / self.field.template_energy)
         return float(max(own, self.field.noise_variance, 1e-12 * self.field.energy))
 
     def noise_level(self, residual: NDArray[np.complex128]) -> float:
