@@ -108,7 +108,8 @@ class UnevenFit:
 
     def _gains(self, field: MatchedField, others: NDArray[np.complex64]) -> NDArray[np.float64]:
         shared = (others @ self.templates.conj().T).conj()
-        own = np.sum(np.abs(others) ** 2, axis=1)
+        parts = others.view(np.float32)
+        own = np.einsum("np,np->n", parts, parts)
         left = own - np.real(np.sum((shared @ self.inverse) * shared.conj(), axis=1))
         power = np.abs(others @ self.residual.conj()) ** 2
         return np.asarray(power / np.maximum(left, 0.05 * field.template_energy), dtype=np.float64)
