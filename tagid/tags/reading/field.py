@@ -69,7 +69,8 @@ class RangeProfiles:
         position = distances - (self.start_m - FINE_STEP_M / 2)
         position *= 1 / FINE_STEP_M
         index = position.astype(np.int32)
-        return np.clip(index, 0, len(self.profiles) - 1, out=index)
+        np.maximum(index, 0, out=index)
+        return np.minimum(index, len(self.profiles) - 1, out=index)
 
     def phase(
         self, distances: NDArray[np.float64], weight: NDArray[np.float32] | None = None
@@ -85,6 +86,19 @@ class RangeProfiles:
         if weight is not None:
             out *= weight
         return out
+
+
+@dataclass(frozen=True, eq=False)
+class CoarseParts:
+    """Many points, for a coarse image.
+
+    Attributes:
+        static: (points, rank) mean over the views of the whole template, which `templates` takes out.
+        images: (offsets, points) b.
+    """
+
+    static: NDArray[np.complex64]
+    images: NDArray[np.complex128]
 
 
 class MatchedField:
@@ -179,22 +193,6 @@ class MatchedField:
         """(..., K, K) G[k, l] = <s_k, s_l> of groups of K templates (..., K, views * rank)."""
         return np.asarray(np.matmul(templates.conj(), np.swapaxes(templates, -1, -2)), dtype=np.complex128)
 
-    def static_part(
-        self, distances: NDArray[np.float64], weight: NDArray[np.float32] | None = None
-    ) -> NDArray[np.complex64]:
-        """(..., rank) mean over the views of the whole template, which `templates` takes out."""
-        flat = distances.reshape(-1, self.views)
-        sides = None if weight is None else weight.reshape(-1, self.views)
-        rank = self._profiles.shape[1]
-        out = np.empty((len(flat), rank), dtype=np.complex64)
-        size = max(1, _BLOCK // (self.views * rank))
-        for at in range(0, len(flat), size):
-            d = flat[at : at + size]
-            turn = self._range.phase(d, None if sides is None else sides[at : at + size])
-            profiles = self._profiles.take(self._range.index(d), axis=0, mode="clip")
-            out[at : at + size] = np.matmul(turn[:, None], profiles)[:, 0]
-        return np.asarray((out / self.views).reshape(*distances.shape[:-1], rank))
-
     def full_gram(
         self, distances: NDArray[np.float64], weight: NDArray[np.float32] | None = None
     ) -> NDArray[np.complex128]:
@@ -202,27 +200,47 @@ class MatchedField:
         whole = self._whole(distances, weight)
         return self.gram(whole.reshape(*distances.shape[:-1], self.data.size))
 
-    def correlate_offsets(
+    def coarse_parts(
         self,
         distances: NDArray[np.float64],
+        weights: Sequence[NDArray[np.float32] | None],
         offsets_m: Sequence[float],
-        weight: NDArray[np.float32] | None = None,
-    ) -> NDArray[np.complex128]:
-        """(offsets, ...) b for points whose distances (..., views) are all longer by each offset, m.
+    ) -> list[CoarseParts]:
+        """What a coarse image is made of, for the same points with each of several weights.
 
         For many points: no template is formed, and the phase of an offset is common to all views.
+
+        Args:
+            distances: (N, views) of the points, m.
+            weights: (N, views) amplitudes in each view, or None for 1.
+            offsets_m: the distances are longer by each of them.
         """
-        flat = distances.reshape(-1, self.views)
-        sides = None if weight is None else weight.reshape(-1, self.views)
-        out = np.empty((len(offsets_m), len(flat)), dtype=np.complex128)
-        size = max(1, _BLOCK // self.views)
-        for at in range(0, len(flat), size):
-            d = flat[at : at + size]
-            turn = self._range.phase(d, None if sides is None else sides[at : at + size])
+        rank, count = self._profiles.shape[1], len(distances)
+        found = [
+            CoarseParts(
+                np.empty((count, rank), dtype=np.complex64),
+                np.empty((len(offsets_m), count), dtype=np.complex128),
+            )
+            for _ in weights
+        ]
+        size = max(1, _BLOCK // (4 * self.views))
+        for at in range(0, count, size):
+            here = slice(at, at + size)
+            d = distances[here]
+            turn = self._range.phase(d)
+            turns = [turn if weight is None else turn * weight[here] for weight in weights]
+            profiles = self._profiles.take(self._range.index(d), axis=0, mode="clip")
+            for parts, each in zip(found, turns, strict=True):
+                parts.static[here] = np.matmul(each[:, None], profiles)[:, 0]
             for i, offset in enumerate(offsets_m):
-                out[i, at : at + size] = _looked_up(self._table, self._range.index(d + offset), turn)
-        out *= np.exp(2j * self.wavenumber * np.asarray(offsets_m))[:, None]
-        return out.reshape(len(offsets_m), *distances.shape[:-1])
+                seen = _read(self._table, self._range.index(d + offset))
+                for parts, each in zip(found, turns, strict=True):
+                    parts.images[i, here] = np.vecdot(each, seen)
+        turned = np.exp(2j * self.wavenumber * np.asarray(offsets_m))[:, None]
+        for parts in found:
+            parts.static[:] /= self.views
+            parts.images[:] *= turned
+        return found
 
     def fixed(self, distances: NDArray[np.float64], weight: NDArray[np.float32] | None = None) -> FixedPoints:
         """Points (N, views) whose templates are needed again and again, without the memory of all of them."""
@@ -230,7 +248,9 @@ class MatchedField:
 
     def at(self, points: NDArray[np.floating]) -> NDArray[np.complex128]:
         """(...) b at points (..., 2) in the plane, m."""
-        return np.asarray(self.correlate_offsets(self.distances(points), (0.0,))[0])
+        distances = self.distances(points)
+        fixed = self.fixed(distances.reshape(-1, self.views))
+        return fixed.correlate(self.data).reshape(distances.shape[:-1])
 
 
 class FixedPoints:
@@ -259,7 +279,7 @@ class FixedPoints:
         size = max(1, _BLOCK // self._field.views)
         for at in range(0, len(out), size):
             here = slice(at, at + size)
-            out[here] = _looked_up(table, self._index[here], self._turn[here])
+            out[here] = np.vecdot(self._turn[here], _read(table, self._index[here]))
         return out
 
     def templates(self) -> Iterator[NDArray[np.complex64]]:
@@ -273,19 +293,16 @@ class FixedPoints:
             yield whole.reshape(len(whole), -1)
 
 
-def _looked_up(
-    table: NDArray[np.complex64], index: NDArray[np.int32], turn: NDArray[np.complex64]
-) -> NDArray[np.complex64]:
-    """(N,) sum over the views of table (views, profiles) at index (N, views), times conj(turn) (N, views)."""
+def _read(table: NDArray[np.complex64], index: NDArray[np.int32]) -> NDArray[np.complex64]:
+    """(N, views) values of a table (views, profiles) at the profile of every point and view."""
     views, width = table.shape
-    at = index + np.arange(views, dtype=np.intp) * width
-    return np.asarray(np.vecdot(turn, table.ravel().take(at, mode="clip")))
+    return np.asarray(table.ravel().take(index + np.arange(views, dtype=np.intp) * width, mode="clip"))
 
 
 def _mean_over_views(templates: NDArray[np.complex64]) -> NDArray[np.complex64]:
-    """(..., 1, rank) mean of templates (..., views, rank): a product is faster than a sum along this axis."""
-    views = templates.shape[-2]
-    return np.asarray(np.matmul(np.full((1, views), 1 / views, dtype=np.complex64), templates))
+    """(..., 1, rank) mean of templates (..., views, rank), summed as real numbers, which is faster."""
+    total = np.add.reduce(templates.view(np.float32), axis=-2, keepdims=True)
+    return (total / np.float32(templates.shape[-2])).view(np.complex64)
 
 
 def _range_basis(

@@ -188,7 +188,7 @@ def search(field: MatchedField, layouts: Sequence[Layout], settings: SearchSetti
     All layouts are refined a little, and only those that may still win or come second to the end.
     """
     reach = max(layout.radius_m for layout in layouts) + settings.centre_range_m * np.sqrt(2)
-    images = [CoarseImage.of(field, reach, aspect, settings.offsets_m) for aspect in settings.aspects]
+    images = CoarseImage.of_each(field, reach, settings.aspects, settings.offsets_m)
     coarse = [[_coarse_starts(field, layout, image, settings) for image in images] for layout in layouts]
     most = max(score for found in coarse for _, score in found)
     begun: list[list[Fit]] = []
