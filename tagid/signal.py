@@ -52,6 +52,21 @@ def analytic(samples: NDArray[np.generic]) -> NDArray[np.complex64]:
     return result
 
 
+def median(
+    values: NDArray[np.floating], axis: int | None = None, keepdims: bool = False
+) -> NDArray[np.floating]:
+    """The median along an axis, or of all values, none of which is NaN.
+
+    `np.median` gives the same, but loads `numpy.ma` for its test for NaN, which takes 20 ms.
+    """
+    given = np.ravel(values) if axis is None else np.asarray(values)
+    along = -1 if axis is None else axis
+    count = given.shape[along]
+    middle = [count // 2] if count % 2 else [count // 2 - 1, count // 2]
+    pair = np.take(np.partition(given, middle, axis=along), middle, axis=along)
+    return np.asarray(pair.mean(axis=along, keepdims=keepdims))
+
+
 def vertex(before: float, at: float, after: float) -> float:
     """Vertex of the parabola through three samples, in samples from the middle one.
 

@@ -1,7 +1,7 @@
 """Range profiles read at the distance of every point, and the exact transpose, as fast as the machine can.
 
 Backprojection, the forward operator and the tag reader are all these two sums; a small C extension does them
-where a compiler was present at installation, numpy and scipy with the same arithmetic where not.
+where a compiler was present at installation, numpy with the same arithmetic where not.
 """
 
 from __future__ import annotations
@@ -33,18 +33,15 @@ MAX_THREADS = 8
 MAX_BINS = 1 << 24
 """Range bins of one row: single precision counts no further."""
 
-VIEWS_PER_BLOCK = 16
-"""Views in one sparse block of the fallback: their rows (some 1000 bins each) stay in a core's cache."""
-
 _PAIRS_PER_THREAD = 100_000
 """Pairs of view and point that repay the start of another thread (50 us)."""
 
-_BYTES_PER_PAIR = 16
-"""Two single-precision weights and two indices of the fallback's stored matrix."""
+_BYTES_PER_PAIR = 8
+"""Index and single-precision weight of the fallback."""
 
 
 def is_compiled() -> bool:
-    """True if the C extension runs; False where numpy and scipy stand in for it."""
+    """True if the C extension runs; False where numpy stands in for it."""
     return _compiled is not None
 
 
@@ -130,77 +127,69 @@ class RangeGeometry:
             place = (self.antenna, self.second, self.x, self.y, self.z)
             _compiled.gather(*place, z, out, self.bins, self.start, self._threads(self.points))
             return out
-        parts = _as_pairs(z).reshape(self.views, self.bins, 2)
-        total = np.zeros((self.points, 2), dtype=np.float32)
-        for at, block in self._blocks():
-            views = block.shape[0] // self.bins
-            total += block.T @ parts[at : at + views].reshape(-1, 2)
-        return np.ascontiguousarray(total).view(np.complex64).ravel()
+        for row, (bin_, part) in zip(z, self._places(), strict=True):
+            left = row.take(bin_)
+            out += left + part * (row.take(bin_ + 1) - left)
+        return out
 
     def scatter(self, values: NDArray[np.complexfloating]) -> NDArray[np.complex64]:
         """The exact transpose of `gather`: (points,) complex -> (views, bins) complex64."""
         x = np.ascontiguousarray(values, dtype=np.complex64).reshape(self.points)
-        out = np.empty((self.views, self.bins), dtype=np.complex64)
+        out = np.zeros((self.views, self.bins), dtype=np.complex64)
         if _compiled is not None:
             place = (self.antenna, self.second, self.x, self.y, self.z)
             _compiled.scatter(*place, x, out, self.bins, self.start, self._threads(self.views))
             return out
-        for at, block in self._blocks():
-            rows = np.ascontiguousarray(block @ _as_pairs(x)).view(np.complex64)
-            out[at : at + block.shape[0] // self.bins] = rows.reshape(-1, self.bins)
+        for row, (bin_, part) in zip(out, self._places(), strict=True):
+            for weight, first in ((1 - part, 0), (part, 1)):
+                for side, target in ((x.real, row.real), (x.imag, row.imag)):
+                    target[first : first + self.bins - 1] += np.bincount(bin_, weight * side, self.bins - 1)
         return out
 
     def matrix(self) -> sparse.csc_array[np.float32]:
         """`scatter` as a sparse matrix, CSC float32 (views * bins, points) with two entries a view and point.
 
-        Raises:
-            UsageError: it would not fit in memory.
+        For checks; it needs scipy. Raises UsageError if it would not fit in memory.
         """
         from scipy import sparse
 
-        return sparse.csc_array(sparse.vstack([block for _, block in self._blocks()], format="csc"))
+        index = np.empty((self.points, self.views, 2), dtype=np.int32)
+        weight = np.empty((self.points, self.views, 2), dtype=np.float32)
+        for v, (bin_, part) in enumerate(self._places()):
+            index[:, v, 0] = bin_ + v * self.bins
+            weight[:, v, 1] = part
+        np.add(index[..., 0], 1, out=index[..., 1])
+        np.subtract(np.float32(1), weight[..., 1], out=weight[..., 0])
+        starts = np.arange(0, index.size + 1, 2 * self.views, dtype=np.int32)
+        parts: Any = (weight.ravel(), index.ravel(), starts)
+        return sparse.csc_array(parts, shape=(self.views * self.bins, self.points))
 
     def _threads(self, parts: int) -> int:
         worth = self.views * self.points // _PAIRS_PER_THREAD + 1
         return max(1, min(cores(), worth, parts))
 
-    def _blocks(self) -> list[tuple[int, sparse.csc_array[np.float32]]]:
-        """First view and matrix of every block of the fallback."""
+    def _places(self) -> list[tuple[NDArray[np.int32], NDArray[np.float32]]]:
+        """Bin (points,) before every point, and its place between that and the next, for each view."""
         return self._stored
 
     @cached_property
-    def _stored(self) -> list[tuple[int, sparse.csc_array[np.float32]]]:
+    def _stored(self) -> list[tuple[NDArray[np.int32], NDArray[np.float32]]]:
         require_memory(
             self.views * self.points * _BYTES_PER_PAIR,
             f"{self.views} views of {self.points} points",
             "Use fewer pixels or fewer views, or install a C compiler and tagid again: "
             "its compiled kernel stores nothing.",
         )
-        starts = range(0, self.views, VIEWS_PER_BLOCK)
-        return [(at, self._block(slice(at, at + VIEWS_PER_BLOCK))) for at in starts]
+        return [self._place(view) for view in range(self.views)]
 
-    def _block(self, some: slice) -> sparse.csc_array[np.float32]:
-        """Matrix of some views; by columns, so that nothing needs sorting."""
-        from scipy import sparse
-
-        antenna, second = self.antenna[some], self.second[some]
-        views, points = len(antenna), self.points
-        index = np.empty((points, views, 2), dtype=np.int32)
-        weight = np.empty((points, views, 2), dtype=np.float32)
-        for v in range(views):
-            t = self._ranges(antenna[v])
-            if len(second):
-                t = np.float32(0.5) * (t + self._ranges(second[v]))
-            t -= np.float32(self.start)
-            np.clip(t, np.float32(0), np.float32(self.bins - 1), out=t)
-            whole = np.minimum(t, np.float32(self.bins - 2)).astype(np.int32)
-            index[:, v, 0] = whole + v * self.bins
-            weight[:, v, 1] = t - whole.astype(np.float32)
-        np.add(index[..., 0], 1, out=index[..., 1])
-        np.subtract(np.float32(1), weight[..., 1], out=weight[..., 0])
-        starts = np.arange(0, index.size + 1, 2 * views, dtype=np.int32)
-        parts: Any = (weight.ravel(), index.ravel(), starts)
-        return sparse.csc_array(parts, shape=(views * self.bins, points))
+    def _place(self, view: int) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+        t = self._ranges(self.antenna[view])
+        if len(self.second):
+            t = np.float32(0.5) * (t + self._ranges(self.second[view]))
+        t -= np.float32(self.start)
+        np.clip(t, np.float32(0), np.float32(self.bins - 1), out=t)
+        whole = np.minimum(t, np.float32(self.bins - 2)).astype(np.int32)
+        return whole, t - whole.astype(np.float32)
 
     def _ranges(self, antenna: NDArray[np.float32]) -> NDArray[np.float32]:
         """(points,) distance from one antenna position (3,)."""
@@ -216,8 +205,3 @@ def cores() -> int:
     except AttributeError:  # not on every system
         available = os.cpu_count() or 1
     return min(available, MAX_THREADS)
-
-
-def _as_pairs(values: NDArray[np.complex64]) -> NDArray[np.float32]:
-    """Complex values as (n, 2) real ones, without a copy."""
-    return values.reshape(-1, 1).view(np.float32)

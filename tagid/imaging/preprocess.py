@@ -19,6 +19,7 @@ from tagid.geometry import Aperture
 from tagid.imaging.lengths import SEARCH_WAVELENGTHS
 from tagid.imaging.rangefilter import BandFilter, design_filter
 from tagid.imaging.types import BasebandScans
+from tagid.signal import median
 from tagid.waveform import nominal_pulse
 
 MIN_BINS = 8
@@ -153,9 +154,9 @@ def remove_background(samples: NDArray[Any], background: Background) -> NDArray[
     if background == "mean":
         static = samples.mean(axis=0, dtype=np.complex128 if dtype is np.complex64 else np.float64)
     elif np.iscomplexobj(samples):
-        static = np.median(samples.real, axis=0) + 1j * np.median(samples.imag, axis=0)
+        static = median(samples.real, axis=0) + 1j * median(samples.imag, axis=0)
     else:
-        static = np.median(samples, axis=0)
+        static = median(samples, axis=0)
     return np.asarray(samples - static, dtype=dtype)
 
 
@@ -224,10 +225,10 @@ def _gate(
     kept = MARGIN_WAVELENGTHS * wavelength if settings.margin_m is None else settings.margin_m
     # Free positions may be imaged anywhere, and the margin says how far the ranges may be off.
     slack = kept + settings.extent_m / 2 if aperture.axis_distance is None else 0.0
-    if np.median(axis) < first - slack or np.median(axis) > last + slack:
+    if median(axis) < first - slack or median(axis) > last + slack:
         what = "antenna to the origin" if aperture.axis_distance is None else "rotation axis"
         raise DataError(
-            f"the recorded range is {first:.3f} to {last:.3f} m, the {what} is at {np.median(axis):.3f} m: "
+            f"the recorded range is {first:.3f} to {last:.3f} m, the {what} is at {median(axis):.3f} m: "
             "the object lies outside the data",
             "Correct the axis distance (--axis-distance METRES) or the radar's range window.",
         )
@@ -257,7 +258,7 @@ def _raised(noise: _Noise, early: NDArray[np.complex64], band: BandFilter) -> _N
     values = early.size * band.bandwidth_hz / band.rate_hz
     if noise.variance <= 0 or values < MIN_EARLY_VALUES:
         return noise
-    seen = float(np.median(early.real**2 + early.imag**2)) / _LN2
+    seen = float(median(early.real**2 + early.imag**2)) / _LN2
     # The median of n exponential variables has the relative standard deviation 1 / (ln 2 sqrt n).
     if seen < (1 + 4 / (_LN2 * np.sqrt(values))) * noise.variance:
         return noise
@@ -280,7 +281,7 @@ def _noise(
     flat = float(power[inside].mean())
     white = flat * band.decimated_bins / float(power.sum())
     if off.size * band.bandwidth_hz / band.rate_hz >= MIN_NOISE_VALUES:
-        variance = float(np.median(off.real**2 + off.imag**2)) / _LN2
+        variance = float(median(off.real**2 + off.imag**2)) / _LN2
         return _Noise(variance, _band_density(sides, band) or variance * white)
     window = np.hanning(samples.shape[1] + 2)[1:-1].astype(np.float32)
     n = samples.shape[1]
@@ -297,7 +298,7 @@ def _noise(
     values = spectrum[:, outside]
     if values.size < MIN_NOISE_VALUES:
         return _Noise()
-    density = float(np.median(values.real**2 + values.imag**2)) / _LN2 / float((window**2).sum())
+    density = float(median(values.real**2 + values.imag**2)) / _LN2 / float((window**2).sum())
     variance = density * float(power.sum()) / band.fft_bins
     return _Noise(variance, variance * white)
 
@@ -320,7 +321,7 @@ def _band_density(sides: Sequence[NDArray[np.complex64]], band: BandFilter) -> f
         kernel = np.exp(-2j * np.pi * np.arange(bins)[:, None] * offsets) * window[:, None]
         values = side @ kernel
         # Over the views alone: of noise that is coloured, every frequency has its own mean.
-        power = np.median(values.real**2 + values.imag**2, axis=0) / _median_of(len(side))
+        power = median(values.real**2 + values.imag**2, axis=0) / _median_of(len(side))
         total += bins * float(power.mean()) / float((window**2).sum())
         weight += bins
     return total / weight if weight else 0.0

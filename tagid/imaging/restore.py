@@ -9,9 +9,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tagid.imaging.types import Image
 
+_TRUNCATED = 4.0
+"""Standard deviations at which the Gaussian is cut off."""
 _HALF_HEIGHT = 1.5211
 """Where J0 is a half: the point response of a full turn is close to J0(2 k r) (k of the carrier)."""
 
@@ -33,16 +36,25 @@ def restore(image: Image, wavenumber: float) -> Image:
             the width of the data already.
         wavenumber: k of the carrier, rad/m.
     """
-    from scipy.ndimage import gaussian_filter
-
     width = beam_sigma_m(wavenumber) / image.grid.step
-    kernel_peak = float(gaussian_filter(_unit(image.values.shape), width).max())
-    parts = [
-        gaussian_filter(part.astype(np.float64), width) for part in (image.values.real, image.values.imag)
-    ]
+    kernel_peak = float(_blurred(_unit(image.values.shape), width).max())
+    parts = [_blurred(part.astype(np.float64), width) for part in (image.values.real, image.values.imag)]
     values = ((parts[0] + 1j * parts[1]) / kernel_peak).astype(np.complex64)
     settings = {**image.settings, "restoring_beam_m": beam_sigma_m(wavenumber)}
     return replace(image, values=values, settings=settings)
+
+
+def _blurred(values: NDArray[np.float64], sigma: float) -> NDArray[np.float64]:
+    """An image (rows, columns) convolved with a Gaussian of this many pixels, mirrored at its edges."""
+    reach = int(_TRUNCATED * sigma + 0.5)
+    kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
+    kernel /= kernel.sum()
+    for axis in (0, 1):
+        wide = np.pad(values, [(reach, reach) if one == axis else (0, 0) for one in (0, 1)], "symmetric")
+        length = values.shape[axis]
+        parts = [wide[i : i + length] if axis == 0 else wide[:, i : i + length] for i in range(len(kernel))]
+        values = np.sum([weight * part for weight, part in zip(kernel, parts, strict=True)], axis=0)
+    return values
 
 
 def _unit(shape: tuple[int, ...]) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:

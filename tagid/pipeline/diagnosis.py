@@ -22,7 +22,7 @@ from tagid.pipeline.answer import Cause, Identification
 from tagid.pipeline.identify import identify
 from tagid.pipeline.prepared import PreparedCapture
 from tagid.pipeline.resolve import speed_contradiction
-from tagid.tags.layouts.codebook import CENTRE_TOLERANCE_M, best_places
+from tagid.signal import median
 from tagid.tags.layouts.layout import Layout
 from tagid.tags.reading.reflectors import Reflector
 
@@ -53,7 +53,7 @@ def turn_share(capture: Capture) -> float | None:
     angles = np.sort(np.mod(capture.angles_rad, 2 * np.pi))
     gaps = np.diff(np.append(angles, angles[0] + 2 * np.pi))
     # The uncovered part is the widest gap minus the usual step between views.
-    return float(np.clip(1 - (gaps.max() - np.median(gaps)) / (2 * np.pi), 0, 1))
+    return float(np.clip(1 - (gaps.max() - median(gaps)) / (2 * np.pi), 0, 1))
 
 
 def recording_remarks(capture: Capture) -> tuple[str, ...]:
@@ -196,6 +196,8 @@ def _of_the_place(
 
 def _other_centres(reflectors: Sequence[Reflector], layouts: Sequence[Layout]) -> list[tuple[float, float]]:
     """Centres, m, outside the reader's search range where reflectors fit a layout, strongest first."""
+    from tagid.tags.layouts.codebook import CENTRE_TOLERANCE_M, best_places
+
     strong = [r for r in reflectors if r.amplitude_db > -_ALIKE_DB][:_MOST_REFLECTORS]
     places = np.array([[r.x_m, r.y_m] for r in strong])
     power = np.array([abs(r.amplitude) ** 2 for r in strong])

@@ -10,7 +10,6 @@ import numpy as np
 from tagid.capture import Capture
 from tagid.errors import DataError
 from tagid.geometry import ImageGrid
-from tagid.imaging.autofocus import focus_axis_distance
 from tagid.imaging.preprocess import PreprocessSettings
 from tagid.pipeline.answer import Identification
 from tagid.pipeline.prepared import PreparedCapture, as_prepared
@@ -173,6 +172,7 @@ def sight_reflectors(capture: Capture, name: str, settings: ImagingSettings | No
 
     Raises DataError as `identify` does.
     """
+    from tagid.imaging.autofocus import focus_axis_distance
     from tagid.tags.enrolling.averaging import MOST_SEARCHED_M, SEARCHED_M, Sighting
 
     prepared = PreparedCapture(capture, settings)

@@ -14,7 +14,6 @@ from tagid.capture import Capture
 from tagid.config import Config
 from tagid.errors import ConfigError, UsageError
 from tagid.pipeline.prepared import prepare
-from tagid.recording.calibration import without_background
 from tagid.storage.importers import read_any
 
 BACKGROUNDS = ("mean", "median", "reference", "none")
@@ -154,6 +153,8 @@ def load_capture(source: Path | Capture, settings: LoadSettings | None = None, t
     if settings.wave_speed_m_s is not None:
         capture = replace(capture, wave_speed_m_s=settings.wave_speed_m_s)
     if settings.reference is not None:
+        from tagid.recording.calibration import without_background
+
         capture = without_background(capture, settings.reference)
     return prepare(capture, settings.motion_for(capture)) if turn else capture
 

@@ -6,16 +6,18 @@ Imaging, reading and the network share its baseband scans and pulse.
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 from tagid.capture import Capture
 from tagid.errors import UsageError
 from tagid.geometry import ImageGrid
 from tagid.imaging.preprocess import PreprocessSettings, nominal, preprocess
-from tagid.imaging.pulsefit import PulseEstimate, estimate_pulse
 from tagid.imaging.types import BasebandScans
-from tagid.pipeline.resolve import one_turn
+from tagid.pipeline.resolve import has_angles, one_turn
 from tagid.pipeline.settings import ImagingSettings, Stopwatch
-from tagid.pipeline.turn import resolve_turn
+
+if TYPE_CHECKING:
+    from tagid.imaging.pulsefit import PulseEstimate
 
 MAX_VIEWS = 360
 """Scans are averaged into at most this many views per turn: 1 degree, the paper's step, displaces a reflector
@@ -35,8 +37,11 @@ def prepare(capture: Capture, motion: str | None = None) -> Capture:
     Raises:
         DataError: the angles are neither known nor found in the data.
     """
-    turned = resolve_turn(capture, motion)
-    return one_turn(turned, MAX_VIEWS if turned.antenna_positions_m is None else MAX_POSITIONS)
+    if motion is not None or not has_angles(capture):
+        from tagid.pipeline.turn import resolve_turn
+
+        capture = resolve_turn(capture, motion)
+    return one_turn(capture, MAX_VIEWS if capture.antenna_positions_m is None else MAX_POSITIONS)
 
 
 class PreparedCapture:
@@ -94,6 +99,8 @@ class PreparedCapture:
             return replace(self._given, pulse=nominal(self._given))
         if settings.pulse == "auto":
             return self._given
+        from tagid.imaging.pulsefit import estimate_pulse
+
         with self.watch.stage("pulse"):
             grid = ImageGrid(settings.extent_m, settings.pixels)
             found = estimate_pulse(self._given, grid, settings.background, settings.focus_m)

@@ -6,14 +6,15 @@ It combines clock, motion device and decimation of views; live scans and files u
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
-from tagid.angles.clock import UniformClock, fit_clock
-from tagid.angles.measured import measured_angles
 from tagid.angles.views import average_into_views, select_views
 from tagid.capture import Capture
 from tagid.errors import DataError
 from tagid.metadata import ResolvedMotion
-from tagid.motion.urls import open_motion
+
+if TYPE_CHECKING:
+    from tagid.angles.clock import UniformClock
 
 
 def clock_of(capture: Capture) -> UniformClock:
@@ -22,6 +23,8 @@ def clock_of(capture: Capture) -> UniformClock:
     Raises:
         DataError: neither is known, or they do not advance.
     """
+    from tagid.angles.clock import fit_clock
+
     if capture.radar_time_ms is not None:
         return fit_clock(capture.radar_time_ms, capture.scan_id)
     if capture.host_time_ns is not None:
@@ -44,9 +47,12 @@ def with_angles(capture: Capture, motion: str | None = None) -> Capture:
     Raises:
         UsageError: invalid URL. DataError: no times, or no period in the data and no speed given.
     """
-    known = capture.angles_rad is not None or capture.antenna_positions_m is not None
+    known = has_angles(capture)
     if motion is None and known:
         return capture
+    from tagid.angles.measured import measured_angles
+    from tagid.motion.urls import open_motion
+
     device = open_motion(motion or "free")
     track = capture.motion.track
     if device.measures and track is None and known:
@@ -66,6 +72,11 @@ def with_angles(capture: Capture, motion: str | None = None) -> Capture:
         receive_positions_m=None,
         motion=capture.motion.without_track(url=motion or "free", resolved=found),
     )
+
+
+def has_angles(capture: Capture) -> bool:
+    """Whether a capture knows where the antenna was in each view."""
+    return capture.angles_rad is not None or capture.antenna_positions_m is not None
 
 
 def with_measured_angles(capture: Capture) -> Capture:

@@ -18,7 +18,7 @@ from tagid.imaging.operator import ForwardOperator
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.imaging.sparse import omp
 from tagid.motion.urls import open_motion
-from tagid.pipeline.resolve import one_turn, with_angles
+from tagid.pipeline.resolve import has_angles, one_turn, with_angles
 
 MULTIPLES = (1, 2, 3, 4)
 """Symmetries that are tested: a tag of four reflectors can repeat four times per turn."""
@@ -46,8 +46,7 @@ def resolve_turn(capture: Capture, motion: str | None = None) -> Capture:
     Raises:
         DataError: no times, or no period. UsageError: a bad URL.
     """
-    known = capture.angles_rad is not None or capture.antenna_positions_m is not None
-    if motion is None and known:
+    if motion is None and has_angles(capture):
         return capture
     first = with_angles(capture, motion)
     resolved = first.motion.resolved

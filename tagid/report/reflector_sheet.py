@@ -13,14 +13,12 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from tagid.errors import UsageError
+from tagid.errors import MissingExtraError, UsageError
 from tagid.report.axes import Axes
 from tagid.report.canvas import Canvas
 from tagid.report.colours import BLUE, ORANGE
 from tagid.report.drafting import Drawing, Line, Text
 from tagid.report.layout_sheet import check_bar
-from tagid.simulate.fullwave import shapes
-from tagid.simulate.fullwave.sweep import Sweep, solve_response
 from tagid.simulate.response import Ring
 
 Floats = NDArray[np.float64]
@@ -192,8 +190,22 @@ class CrossSection:
 
 
 def cross_section(size_m: float, frequencies: int = 7) -> CrossSection:
-    """Solve the octahedron from 3.1 to 4.9 GHz over 90 degrees of aspect; the pattern repeats after that."""
+    """Solve the octahedron from 3.1 to 4.9 GHz over 90 degrees of aspect; the pattern repeats after that.
+
+    Raises:
+        UsageError: an unsupported size. MissingExtraError: scipy is not installed.
+    """
     check_size(size_m)
+    try:
+        from tagid.simulate.fullwave import shapes
+        from tagid.simulate.fullwave.sweep import Sweep, solve_response
+    except ImportError as error:
+        if (error.name or "").partition(".")[0] != "scipy":
+            raise
+        raise MissingExtraError(
+            "the radar cross-section is solved with scipy, which is not installed",
+            "Install it with `pip install 'tagid[science]'`, or omit --rcs.",
+        ) from None
     sweep = Sweep(3.1e9, 4.9e9, frequencies, _ASPECTS, (Ring(1.0, "V"), Ring(1.0, "H")))
     solved = solve_response("octahedron", shapes.closed_octahedron(size_m, _PIECES), sweep)
     quarter = _ASPECTS // 4 + 1

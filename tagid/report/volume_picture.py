@@ -11,6 +11,7 @@ from PIL import Image
 
 from tagid.errors import DataError
 from tagid.files import write_bytes
+from tagid.imaging.bilinear import bilinear
 from tagid.report.axes import Axes, colour_bar
 from tagid.report.canvas import Canvas
 from tagid.report.colours import colourise, to_decibels
@@ -75,17 +76,22 @@ def write_turning(
 
     Args and errors as `draw_projections`.
     """
-    from scipy.ndimage import rotate, zoom
-
     magnitude = _magnitude(values).astype(np.float32)
     shrink = min(1.0, 96 / magnitude.shape[2])
-    small = zoom(magnitude, (1, shrink, shrink), order=1) if shrink < 1 else magnitude
+    sides = [round(side * shrink) for side in magnitude.shape[1:]]
+    lines = [np.linspace(0, side - 1, count) for side, count in zip(magnitude.shape[1:], sides, strict=True)]
+    rows, columns = np.meshgrid(*lines, indexing="ij")
+    small = bilinear(magnitude, rows, columns) if shrink < 1 else magnitude
+    y, x = (index - (side - 1) / 2 for index, side in zip(np.indices(sides), sides, strict=True))
     top = float(small.max())
     across, up = _limits(axis_m), _limits(heights_m)
     size = (_FRAME_SIDE, max(1, round(_FRAME_SIDE * (up[1] - up[0]) / (across[1] - across[0]))))
     frames = []
     for angle in np.arange(_FRAMES) * 360 / _FRAMES:
-        turned = rotate(small, float(angle), axes=(1, 2), reshape=False, order=1)
+        cos, sin = np.cos(np.deg2rad(angle)), np.sin(np.deg2rad(angle))
+        turned = bilinear(
+            small, cos * y + sin * x + (sides[0] - 1) / 2, cos * x - sin * y + (sides[1] - 1) / 2
+        )
         plane = np.maximum(turned.max(axis=1), 0)
         decibels = to_decibels(plane, dynamic_range_db, top)
         picture = Image.fromarray(colourise(decibels[::-1], dynamic_range_db))

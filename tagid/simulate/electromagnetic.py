@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from tagid.constants import SPEED_OF_LIGHT
 from tagid.errors import DataError
+from tagid.simulate.bessel import bessel
 from tagid.simulate.scattering import Floats, Returns
 from tagid.simulate.taps import BAND_HZ, fit_taps, tap_offsets
 
@@ -38,8 +39,6 @@ def cylinder_series(ka: Floats, polarisation: str = "TM") -> NDArray[np.complex1
     Raises:
         DataError: ka is not positive, or the polarisation is neither TM nor TE.
     """
-    from scipy.special import h2vp, hankel2, jv, jvp
-
     ka = np.asarray(ka, dtype=np.float64)
     if not (np.isfinite(ka).all() and (ka > 0).all()):
         raise DataError("ka of a cylinder is not positive")
@@ -48,9 +47,10 @@ def cylinder_series(ka: Floats, polarisation: str = "TM") -> NDArray[np.complex1
     # The terms fall faster than exponentially for n > ka.
     most = int(np.ceil(ka.max() + 6 * ka.max() ** (1 / 3) + 8))
     total = np.zeros(ka.shape, dtype=np.complex128)
+    found = bessel(most, ka)
     for n in range(most + 1):
-        top, bottom = (jv(n, ka), hankel2(n, ka)) if polarisation == "TM" else (jvp(n, ka), h2vp(n, ka))
-        total -= (1 if n == 0 else 2) * (-1) ** n * top / bottom
+        top, bottom = (found.j, found.h2) if polarisation == "TM" else (found.dj, found.dh2)
+        total -= (1 if n == 0 else 2) * (-1) ** n * top[..., n] / bottom[..., n]
     return total
 
 

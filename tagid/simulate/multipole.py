@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.errors import DataError
+from tagid.simulate.bessel import bessel, first_kind
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -97,32 +98,32 @@ class Multipoles:
         Raises:
             DataError: no layer, radii that do not increase, or metal outside the innermost layer.
         """
-        from scipy.special import h2vp, hankel2, jv, jvp, yv, yvp
-
         radii = [layer.radius_m for layer in layers]
         if not layers or radii != sorted(set(radii)) or any(layer.metal for layer in layers[1:]):
             raise DataError("layers of a round body need increasing radii, and metal only as the innermost")
         k = np.asarray(wavenumber, dtype=np.float64)[:, None]
-        n = np.arange(orders(float(k.max()) * radii[-1]) + 1)[None]
+        most = orders(float(k.max()) * radii[-1])
         core = layers[0]
-        shape = (len(k), n.shape[1])
+        shape = (len(k), most + 1)
         field, slope, scale = np.zeros(shape, complex), np.ones(shape, complex), np.ones(shape)
         if not core.metal:
             q = k * _index(core)
-            field, slope = jv(n, q * core.radius_m), q * jvp(n, q * core.radius_m)
+            within = bessel(most, (q * core.radius_m)[:, 0])
+            field, slope = within.j, q * within.dj
             # Only the ratio matters; at high orders both are very small.
             scale = np.maximum(np.maximum(np.abs(field), np.abs(slope / q)), 1e-250)
             field, slope = field / scale, slope / scale
         for inner, layer in pairwise(layers):
             q = k * _index(layer)
-            a, b = q * inner.radius_m, q * layer.radius_m
+            a = q * inner.radius_m
+            at_a, at_b = (bessel(most, (q * each.radius_m)[:, 0]) for each in (inner, layer))
             # E = c J + d Y, with J Y' - Y J' = 2 / (pi x).
-            c = np.pi * a / 2 * (field * yvp(n, a) - slope / q * yv(n, a))
-            d = np.pi * a / 2 * (slope / q * jv(n, a) - field * jvp(n, a))
-            field, slope = c * jv(n, b) + d * yv(n, b), q * (c * jvp(n, b) + d * yvp(n, b))
-        x = k * radii[-1]
-        below = slope * hankel2(n, x) - k * field * h2vp(n, x)
-        reflected = -(slope * jv(n, x) - k * field * jvp(n, x)) / below
+            c = np.pi * a / 2 * (field * at_a.dy - slope / q * at_a.y)
+            d = np.pi * a / 2 * (slope / q * at_a.j - field * at_a.dj)
+            field, slope = c * at_b.j + d * at_b.y, q * (c * at_b.dj + d * at_b.dy)
+        free = bessel(most, (k * radii[-1])[:, 0])
+        below = slope * free.h2 - k * field * free.dh2
+        reflected = -(slope * free.j - k * field * free.dj) / below
         # J + R H = (2j / (pi r)) field / below, again by the Wronskian; the core's part is 1 / (field scale).
         inside = 0j if core.metal else 2j / (np.pi * radii[-1])
         transmitted: Complex = np.asarray(inside / below / scale, dtype=np.complex128)
@@ -150,8 +151,6 @@ class Multipoles:
         Raises:
             DataError: the points are inside metal or a wall.
         """
-        from scipy.special import hankel2, jv
-
         outside = radius_m >= self.layers[-1].radius_m
         core = self.layers[0]
         if not outside and (core.metal or radius_m > core.radius_m):
@@ -160,12 +159,12 @@ class Multipoles:
         own = np.arange(self.reflected.shape[1])[None]
         if outside:
             n = np.arange(max(own.size, orders(float(x.max())) + 1))[None]
-            radial = jv(n, x).astype(np.complex128)
+            radial = first_kind(n.size - 1, x[:, 0]).astype(np.complex128)
             # Beyond the body's own orders R_n vanishes while the Hankel function overflows.
-            radial[:, : own.size] += self.reflected * hankel2(own, x)
+            radial[:, : own.size] += self.reflected * bessel(own.size - 1, x[:, 0]).h2
         else:
             n = own
-            radial = self.transmitted * jv(n, x * _index(core))
+            radial = self.transmitted * first_kind(n.size - 1, (x * _index(core))[:, 0])
         weight = np.where(n == 0, 1, 2) * np.array([1, 1j, -1, -1j])[n % 4]
         return np.asarray((radial * weight) @ np.cos(n.T * np.asarray(angle_rad)[None]), dtype=np.complex128)
 

@@ -10,8 +10,7 @@ from pathlib import Path
 from tagid import files
 from tagid.capture import Capture
 from tagid.errors import FileFormatError
-from tagid.storage import hdf5, journal, journal_capture, mat, mrm_ret, npz, recordings
-from tagid.storage.p440 import choose_node
+from tagid.storage import hdf5
 
 _KNOWN = (
     "Expected a capture (.tagid.h5), a journal, a generic NPZ file, a MATLAB file that tagid wrote, a P440 "
@@ -37,22 +36,30 @@ def read_any(path: Path, cable_delay_ps: float = 0.0, node: int | None = None) -
     head = files.read_head(path, _HEAD)
     if not head:
         raise FileFormatError(f"{path}: the file is empty", _KNOWN)
-    if not head.startswith((hdf5.MAGIC, journal.MAGIC, npz.MAGIC, mat.MAGIC)):
-        if recordings.is_recording(head):
-            return recordings.read_recording(path, cable_delay_ps, node)
-        if mrm_ret.is_mrm_ret(head):
-            return mrm_ret.read_mrm_ret(path, cable_delay_ps, node)
-        raise FileFormatError(f"{path}: unknown file format", _KNOWN)
     if head.startswith(hdf5.MAGIC):
-        capture = hdf5.read_capture(path)
-    elif head.startswith(journal.MAGIC):
-        capture = journal_capture.read_journal_capture(path)
-    elif head.startswith(mat.MAGIC):
-        capture = mat.read_mat(path)
-    else:
-        capture = npz.read_npz(path)
+        return _of_node(path, hdf5.read_capture(path), node)
+    # The other formats are imported where one of them is read.
+    from tagid.storage import journal, journal_capture, mat, mrm_ret, npz, recordings
+
+    if head.startswith(journal.MAGIC):
+        return _of_node(path, journal_capture.read_journal_capture(path), node)
+    if head.startswith(mat.MAGIC):
+        return _of_node(path, mat.read_mat(path), node)
+    if head.startswith(npz.MAGIC):
+        return _of_node(path, npz.read_npz(path), node)
+    if recordings.is_recording(head):
+        return recordings.read_recording(path, cable_delay_ps, node)
+    if mrm_ret.is_mrm_ret(head):
+        return mrm_ret.read_mrm_ret(path, cable_delay_ps, node)
+    raise FileFormatError(f"{path}: unknown file format", _KNOWN)
+
+
+def _of_node(path: Path, capture: Capture, node: int | None) -> Capture:
+    """The capture; raises UsageError if it is known to be of another radar than `node`."""
     known = capture.radar.node_id
     if node is not None and known is not None and known != node:
+        from tagid.storage.p440 import choose_node
+
         choose_node(path, {known: capture.views}, node)
     return capture
 

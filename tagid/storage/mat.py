@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from tagid import files
 from tagid.capture import Capture, Pulse
-from tagid.errors import DataError, FileFormatError
+from tagid.errors import DataError, FileFormatError, MissingExtraError
 from tagid.metadata import METADATA_VERSION
 from tagid.storage import hdf5
 from tagid.storage.assembly import (
@@ -73,8 +73,7 @@ def encode_mat(capture: Capture) -> bytes:
     pulse_step_s; radar, motion, object as JSON text with metadata_version; uuid, created_utc, tool_version,
     complete, format.
     """
-    from scipy.io import savemat  # imported late: it takes 100 ms
-
+    savemat = _scipy_io().savemat
     variables: dict[str, NDArray[Any] | str | float] = {
         "format": hdf5.FORMAT,
         "complete": np.asarray(capture.complete),
@@ -94,6 +93,18 @@ def encode_mat(capture: Capture) -> bytes:
     buffer = io.BytesIO()
     savemat(cast(Any, buffer), variables, oned_as="column", do_compression=True)
     return buffer.getvalue()
+
+
+def _scipy_io() -> Any:
+    """The package that reads and writes MATLAB files. Raises MissingExtraError if it is not installed."""
+    try:
+        import scipy.io
+    except ImportError:
+        raise MissingExtraError(
+            "MATLAB files need scipy, which is not installed",
+            "Install it with `pip install 'tagid[science]'`, or use NPZ or HDF5.",
+        ) from None
+    return scipy.io
 
 
 def read_mat(path: Path) -> Capture:
@@ -150,15 +161,13 @@ def read_mat(path: Path) -> Capture:
 
 def _load(path: Path, data: bytes) -> dict[str, NDArray[Any]]:
     """The variables used by tagid; declared sizes are checked before memory is allocated."""
-    from scipy.io import loadmat, whosmat
-    from scipy.io.matlab import MatReadError
-
+    io_ = _scipy_io()
     limit = max(_SMALL_BYTES, _MAX_EXPANSION * len(data))
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # scipy warns about variables that it reads only partly
             claimed = 0
-            for name, shape, kind in whosmat(cast(Any, io.BytesIO(data))):
+            for name, shape, kind in io_.whosmat(cast(Any, io.BytesIO(data))):
                 size = _ITEM_BYTES
                 for length in shape:
                     size *= int(length)
@@ -167,11 +176,11 @@ def _load(path: Path, data: bytes) -> dict[str, NDArray[Any]]:
                     raise FileFormatError(f"{path}: {name} is a {kind}, expected numbers or text")
             if not 0 <= claimed <= limit:
                 raise FileFormatError(f"{path}: the variables claim {claimed} bytes, which is not plausible")
-            found = loadmat(cast(Any, io.BytesIO(data)), variable_names=sorted(_NAMES))
+            found = io_.loadmat(cast(Any, io.BytesIO(data)), variable_names=sorted(_NAMES))
     # scipy raises any of these on damaged files, depending on the location of the damage.
     except (
-        MatReadError, OSError, EOFError, ValueError, TypeError, LookupError, MemoryError, OverflowError,
-        NotImplementedError, AttributeError, RuntimeError, zlib.error,
+        io_.matlab.MatReadError, OSError, EOFError, ValueError, TypeError, LookupError, MemoryError,
+        OverflowError, NotImplementedError, AttributeError, RuntimeError, zlib.error,
     ) as error:  # fmt: skip
         raise FileFormatError(f"{path}: the MATLAB file is damaged ({str(error)[:120]})") from error
     return {name: value for name, value in found.items() if name in _NAMES and isinstance(value, np.ndarray)}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -25,7 +26,7 @@ LAYERS = (
     {"imaging"},
     {"angles", "motion", "radar", "storage"},
     {"capture", "metadata", "geometry", "waveform", "signal", "files", "config", "result", "ports"}
-    | {"models_store", "interrupts", "hostclock", "onnx_files"},
+    | {"models_store", "interrupts", "hostclock", "onnx_files", "onnx_graph"},
     {"constants", "errors", "__init__"},
 )
 """The layers of docs/architecture.md, from the top; a room imports from its own layer and those below."""
@@ -200,11 +201,37 @@ def test_help_loads_nothing_heavy() -> None:
         "from tagid.cli.app import main\n"
         "try: main()\n"
         "except SystemExit: pass\n"
-        "heavy = {'torch', 'scipy.signal', 'matplotlib', 'onnxruntime', 'numpy', 'h5py'} & set(sys.modules)\n"
+        "heavy = {'torch', 'scipy', 'matplotlib', 'onnxruntime', 'numpy', 'h5py', 'pydantic'} & set(sys.modules)\n"
         "sys.exit(','.join(sorted(heavy)) or 0)\n"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
+
+
+def test_identify_loads_only_what_it_uses(tmp_path: Path) -> None:
+    """The command's time is mostly that of its imports; each of these takes 20 ms or more, or megabytes."""
+    code = (
+        "import sys\n"
+        "from tagid.cli.app import main\n"
+        "def run(*words):\n"
+        "    sys.argv = ['tagid', *words, '-q']\n"
+        "    try: main()\n"
+        "    except SystemExit as end: assert not end.code, end.code\n"
+        "unused = {'torch', 'scipy', 'onnxruntime', 'pydantic', 'numpy.ma', 'PIL', 'jinja2', 'asyncio',\n"
+        "          'tagid.radar', 'tagid.recording', 'tagid.motion', 'tagid.simulate', 'tagid.storage.npz',\n"
+        "          'tagid.storage.journal', 'tagid.imaging.sparse', 'tagid.imaging.ats.problem'}\n"
+        "run('identify', sys.argv[1])\n"
+        "print(','.join(sorted(unused & set(sys.modules))), file=sys.stderr, end='')\n"
+    )
+    path = tmp_path / "a.tagid.h5"
+    environment = {**os.environ, "TAGID_DATA": str(tmp_path), "TAGID_CONFIG": str(tmp_path / "config.toml")}
+    words = [sys.executable, "-m", "tagid", "simulate", "helmet-120", "--views", "36", "--out", str(path)]
+    subprocess.run(words, check=True, capture_output=True, env=environment)
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(path)], capture_output=True, text=True, env=environment
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(ROOT)))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tagid.signal import fitted_peak, vertex
+from tagid.signal import fitted_peak, median, vertex
 
 
 @pytest.mark.parametrize("top", [-0.4, 0.0, 0.23])
@@ -38,3 +38,11 @@ def test_without_a_maximum_the_best_sample_is_the_answer() -> None:
     at = np.linspace(0.0, 1.0, 9)
     assert fitted_peak(at, at**2, 8, 3) == 1.0
     assert fitted_peak(at, -((at - 2.0) ** 2), 8, 3) == 1.0  # never beyond the samples used
+
+
+@pytest.mark.parametrize(("axis", "keepdims"), [(None, False), (0, False), (-1, True)])
+@pytest.mark.parametrize("shape", [(5, 4), (6, 7)])
+def test_the_median_is_numpys(shape: tuple[int, int], axis: int | None, keepdims: bool) -> None:
+    values = np.random.default_rng(3).standard_normal(shape).astype(np.float32)
+    wanted = np.median(values, axis=axis, keepdims=keepdims and axis is not None)
+    assert np.array_equal(median(values, axis=axis, keepdims=keepdims), wanted)

@@ -15,6 +15,8 @@ from tagid.imaging.types import BasebandScans
 from tagid.tags.layouts.layout import Layout, builtin_layouts
 from tagid.tags.matching.matcher import ReaderSettings, read_tag
 from tagid.tags.matching.reading import Reading
+from tagid.tags.reading.aspect import ROUND, TRANSPARENT, Appearance, outward
+from tagid.tags.reading.coarse import COARSE_NO_SIDE_M, CoarseImage
 from tagid.tags.reading.field import MatchedField
 from tagid.tags.reading.reflectors import find_reflectors
 from tagid.tags.reading.views import fold_views
@@ -252,3 +254,34 @@ def test_a_reflector_behind_a_handle_takes_no_name_away() -> None:
     hidden = seen(points[2:], np.array([100.0]), 120.0)
     scans.samples[:] += hidden.samples
     assert read_tag(scans, ALL).layout == "helmet-120"
+
+
+def test_fixed_points_are_their_templates() -> None:
+    """With an aspect that weighs the views, so that the templates' means over the views are not small."""
+    points = np.random.default_rng(1).uniform(-0.12, 0.12, (40, 2))
+    field = MatchedField(synthetic_scans(np.array([[0.05, 0.02], [-0.03, 0.06]]), noise=0.1, seed=2), 0.15)
+    look = Appearance(ROUND, np.array([0.01, 0.0]), 0.003)
+    templates, fixed = look.templates(field, points), look.fixed(field, points)
+    assert np.allclose(np.concatenate(list(fixed.templates())), templates, atol=1e-6)
+    wanted = field.correlate(templates)
+    assert np.abs(fixed.correlate(field.data) - wanted).max() < 1e-5 * np.abs(wanted).max()
+    # What is constant over the views does not count, though the points have such a part.
+    constant = np.tile(np.arange(field.data.size // field.views) + 1j, field.views).astype(np.complex64)
+    assert np.abs(fixed.correlate(field.data + constant) - wanted).max() < 1e-4 * np.abs(wanted).max()
+
+
+def test_coarse_images_of_several_patterns_are_those_of_each() -> None:
+    field = MatchedField(synthetic_scans(np.array([[0.05, 0.02], [-0.03, 0.06]]), noise=0.1, seed=2), 0.15)
+    offsets = (-0.008, 0.0, 0.008)
+    for image in CoarseImage.of_each(field, 0.1, (TRANSPARENT, ROUND), offsets):
+        alone = CoarseImage.of(field, 0.1, image.aspect, offsets)
+        assert np.array_equal(image.images, alone.images)
+        assert np.array_equal(image.static, alone.static)
+        # The pixel at (30, -60) mm, by the definition.
+        point = np.array([[0.03, -0.06]])
+        facing = outward(point, np.zeros(2), COARSE_NO_SIDE_M)
+        weight = image.aspect.weight(field.antenna, point, facing)
+        row, column = image.half - 20, image.half + 10
+        for k, offset in enumerate(offsets):
+            b = field.correlate(field.templates(field.distances(point) + offset, weight))[0]
+            assert abs(image.images[k, row, column] - b) < 1e-3 * np.abs(image.images).max()

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import typer
 
+from tagid.cli.common.plain_values import PlainGroup
 from tagid.cli.motion import calibrate, find, info, spin, stop
 
 PARTS = (find, info, spin, stop, calibrate)
@@ -16,7 +17,9 @@ PARTS = (find, info, spin, stop, calibrate)
 def register(app: typer.Typer) -> None:
     """Add the group."""
     group = typer.Typer(
-        help="Find, query, rotate, stop and calibrate robots and turntables.", no_args_is_help=True
+        cls=PlainGroup,
+        help="Find, query, rotate, stop and calibrate robots and turntables.",
+        no_args_is_help=True,
     )
     app.add_typer(group, name="motion")
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.geometry import ImageGrid
+from tagid.imaging.bilinear import bilinear
 
 
 def transmission(
@@ -28,8 +29,6 @@ def transmission(
     Returns:
         (views, pixels^2) float32 in 0..1, row-major pixels.
     """
-    from scipy.ndimage import map_coordinates
-
     top = float(magnitude.max(initial=0))
     out = np.ones((len(positions), grid.pixels**2), dtype=np.float32)
     if top == 0 or nepers == 0:
@@ -45,11 +44,11 @@ def transmission(
         px = x + ranges * np.cos(bearing + angles[:, None])
         py = y + ranges * np.sin(bearing + angles[:, None])
         at = [(v / grid.extent + 0.5) * grid.pixels - 0.5 for v in (py, px)]
-        crossed = np.cumsum(map_coordinates(density, at, order=1, mode="constant"), axis=1)
+        crossed = np.cumsum(bilinear(density, *at), axis=1)
         dx, dy = grid.points[:, 0] - x, grid.points[:, 1] - y
         turned = (np.arctan2(dy, dx) - bearing + np.pi) % (2 * np.pi) - np.pi
         # A point is itself spread over two range steps: what counts lies at least two before it.
         place = (np.hypot(dx, dy) - near) / grid.step - 2
         line = (turned + half) / (2 * half) * (len(angles) - 1)
-        row[:] = np.exp(-map_coordinates(crossed, [line, place], order=1, mode="nearest") * (place > -1))
+        row[:] = np.exp(-bilinear(crossed, line, place, held=True) * (place > -1))
     return out

@@ -7,16 +7,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tagid.errors import UsageError
 from tagid.geometry import ImageGrid
-from tagid.imaging.ats.problem import FieldShape, FieldWeights
 from tagid.imaging.lengths import finest_cell_m
 from tagid.imaging.types import Image
+
+if TYPE_CHECKING:
+    from tagid.imaging.ats.problem import FieldShape, FieldWeights
 
 Progress = Callable[[int, int, float], None]
 """Called after every step with (steps done, steps at most, loss)."""
@@ -133,6 +135,8 @@ class AtsSettings:
 
     def shape(self, grid: ImageGrid, wavelength_m: float) -> FieldShape:
         """Sizes of the field for a grid: the finest cell is `finest_m`, or a pixel where that is larger."""
+        from tagid.imaging.ats.problem import FieldShape
+
         cell = self.finest_m or finest_cell_m(wavelength_m)
         finest = min(grid.pixels, max(self.coarsest, round(grid.extent / cell)))
         coarsest = min(self.coarsest, finest)

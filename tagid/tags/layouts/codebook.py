@@ -13,6 +13,7 @@ from math import perm
 import numpy as np
 from numpy.typing import NDArray
 
+from tagid.tags.layouts.assignment import least_assignment
 from tagid.tags.layouts.layout import Layout, rotation_matrix
 
 CONFUSABLE_M = 12e-3
@@ -255,15 +256,13 @@ def all_distances(
 
 
 def _nearest_pairing(small: NDArray[np.float64], large: NDArray[np.float64], tolerance_m: float) -> Pairing:
-    from scipy.optimize import linear_sum_assignment
-
     best: Pairing | None = None
     for rotation in np.arange(0, 2 * np.pi, _ROTATION_STEP_RAD):
         angle, shift = float(rotation), np.zeros(2)
         for _ in range(4):
             turned = small @ rotation_matrix(angle).T
             gap = np.linalg.norm(turned[:, None] + shift - large[None], axis=2)
-            columns = np.asarray(linear_sum_assignment(gap**2)[1])
+            columns = least_assignment(gap**2)
             rms, angles, shifts = best_places(small, large[columns], tolerance_m)
             angle, shift = float(angles), shifts
         if best is None or rms < best.rms_m:

@@ -20,7 +20,6 @@ from tagid.tags.bodies.decide import BodyDecision, decide_on_body, score, tag_sn
 from tagid.tags.bodies.hypothesis import Enrolled, Explanation, Kind, Pose, plausible
 from tagid.tags.bodies.objects import ObjectDecision, ObjectReading, decide_object, read_objects
 from tagid.tags.bodies.points import Place, PointReading, PointSettings, read_points
-from tagid.tags.bodies.reader import read_below, read_on_body
 from tagid.tags.bodies.spectra import Spectra
 from tagid.tags.layouts.layout import Layout
 from tagid.tags.matching.reading import Reading
@@ -234,6 +233,8 @@ def _against_bodies(
     settings: ContestSettings,
 ) -> Reading:
     """The bare reading against layouts on bodies, and enrolled objects."""
+    from tagid.tags.bodies.reader import read_on_body
+
     bare, own, opaque = known.reading, known.own, known.opaque
     named = bare.status in ("identified", "ambiguous")
     # Points cannot explain the echo, and the reflectors are not merely seen from one side only.
@@ -325,6 +326,8 @@ def _clearer(
         first: on a round body.
         spectra, layouts, settings: of the contest.
     """
+    from tagid.tags.bodies.reader import read_below
+
     if reading.unexplained <= settings.decision.unexplained:
         return reading
     below = read_below(first.pose.centre, spectra, layouts, reading.body, settings.body)

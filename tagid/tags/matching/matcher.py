@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from tagid.errors import RegistryError
 from tagid.imaging.types import BasebandScans
+from tagid.signal import median
 from tagid.tags.bodies.hypothesis import Enrolled
 from tagid.tags.layouts.layout import Layout
 from tagid.tags.matching.contest import ContestSettings, bare_evidence, settle
@@ -241,7 +242,7 @@ def _evidence(case: _Case, settings: ReaderSettings) -> tuple[Evidence, NDArray[
         share=float(min(best.charged / _signal_energy(matched, best, level), 1.0)),
         weakest=float(own.min() / max(float(own.max()), 1e-30)),
         missing=int(np.count_nonzero(own < missing * own.max())),
-        extra=int(np.count_nonzero(beyond > decision.extra_share * np.median(own))),
+        extra=int(np.count_nonzero(beyond > decision.extra_share * median(own))),
         gain_nats=other.gain_nats,
         further_nats=other.further_nats,
         odds_nats=other.odds_nats,

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tagid.tags.reading.field import MatchedField
+from tagid.tags.reading.field import FixedPoints, MatchedField
 
 NO_SIDE_M = 0.01
 """A reflector nearer than this to the object's axis has no outward side: it stands on top, or in a glass."""
@@ -50,7 +50,7 @@ class Aspect:
         x = antenna[:, 0] - points[..., 0, None]
         y = antenna[:, 1] - points[..., 1, None]
         cosine = (facing[..., 0, None] * x + facing[..., 1, None] * y) / np.sqrt(x * x + y * y)
-        ramp = np.clip((cosine - self.cos_edge) / (2 * self.softness) + 0.5, 0.0, 1.0)
+        ramp = np.minimum(np.maximum((cosine - self.cos_edge) / (2 * self.softness) + 0.5, 0.0), 1.0)
         seen = self.floor + (1 - self.floor) * ramp
         sided = (facing != 0).any(axis=-1)[..., None]
         return np.asarray(np.where(sided, seen, 1.0), dtype=np.float32)
@@ -76,7 +76,7 @@ def outward(
 ) -> NDArray[np.float64]:
     """(..., 2) unit vectors from the centre to points (..., 2), zero where nearer than `no_side_m`."""
     away = points - np.asarray(centre)
-    gap = np.linalg.norm(away, axis=-1, keepdims=True)
+    gap = np.sqrt(away[..., :1] ** 2 + away[..., 1:] ** 2)
     return np.asarray(np.where(gap < no_side_m, 0.0, away / np.maximum(gap, 1e-12)))
 
 
@@ -98,3 +98,8 @@ class Appearance:
         """(..., views * rank) templates of points (..., 2), m."""
         weight = self.aspect.weight(field.antenna, points, outward(points, self.centre_m))
         return field.templates(field.distances(points) + self.offset_m, weight)
+
+    def fixed(self, field: MatchedField, points: NDArray[np.float64]) -> FixedPoints:
+        """The templates of many points (N, 2), m, in a form that needs little memory."""
+        weight = self.aspect.weight(field.antenna, points, outward(points, self.centre_m))
+        return field.fixed(field.distances(points) + self.offset_m, weight)

@@ -12,10 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.tags.reading.aspect import Aspect, outward
-from tagid.tags.reading.field import MatchedField
+from tagid.tags.reading.field import CoarseParts, MatchedField
 
 IMAGE_STEP_M = 3e-3
 """Pixel of the coarse image; its finest fringe is lambda_min / 2 = 31 mm: bilinear reading errs by < 5 %."""
+_BLOCK = 1 << 16
+"""Pairs of point and view that are formed at a time: half a megabyte of distances."""
 COARSE_NO_SIDE_M = 0.015
 """On the coarse image sides are told from the turntable's axis, which is up to 14 mm off the object's."""
 
@@ -80,13 +82,32 @@ class CoarseImage:
         cls, field: MatchedField, radius_m: float, aspect: Aspect, offsets_m: Sequence[float]
     ) -> CoarseImage:
         """The image of a matched field on the disc of a radius, m, for range offsets, m."""
+        return cls.of_each(field, radius_m, (aspect,), offsets_m)[0]
+
+    @classmethod
+    def of_each(
+        cls, field: MatchedField, radius_m: float, aspects: Sequence[Aspect], offsets_m: Sequence[float]
+    ) -> list[CoarseImage]:
+        """The images for several patterns, which share the distances."""
         disc = CoarseDisc.of(radius_m)
         points = disc.points
-        distances = field.distances(points)
-        weight = aspect.weight(field.antenna, points, outward(points, np.zeros(2), COARSE_NO_SIDE_M))
-        static = field.static_part(distances, weight)
-        images = field.correlate_offsets(distances, offsets_m, weight)
-        return cls(disc, aspect, field.views, static, images)
+        parts: list[list[CoarseParts]] = []
+        size = max(1, _BLOCK // field.views)
+        for at in range(0, len(points), size):
+            some = points[at : at + size]
+            facing = outward(some, np.zeros(2), COARSE_NO_SIDE_M)
+            weights = [aspect.weight(field.antenna, some, facing) for aspect in aspects]
+            parts.append(field.coarse_parts(field.distances(some), weights, offsets_m))
+        return [
+            cls(
+                disc,
+                aspect,
+                field.views,
+                np.concatenate([part.static for part in own]),
+                np.concatenate([part.images for part in own], axis=1),
+            )
+            for aspect, own in zip(aspects, zip(*parts, strict=True), strict=True)
+        ]
 
     def static_overlap(self, points: NDArray[np.float64]) -> NDArray[np.complex64]:
         """(..., K, K) part of the Gram matrix that is constant over views, to the nearest pixel."""

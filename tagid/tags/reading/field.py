@@ -4,7 +4,7 @@ each other. Every statement about reflectors is made from these two, so no image
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from tagid.errors import DataError
 from tagid.imaging.types import BasebandScans
+from tagid.signal import median
 
 FINE_STEP_M = 5e-4
 """Range step of the tables, read at the nearest entry: baseband varies over c / B = 176 mm, so half a step is
@@ -65,20 +66,39 @@ class RangeProfiles:
 
     def index(self, distances: NDArray[np.float64]) -> NDArray[np.int32]:
         """Which profile belongs to each distance (...), m."""
-        position = (distances - (self.start_m - FINE_STEP_M / 2)) * (1 / FINE_STEP_M)
-        return np.clip(position.astype(np.int32), 0, len(self.profiles) - 1)
+        position = distances - (self.start_m - FINE_STEP_M / 2)
+        position *= 1 / FINE_STEP_M
+        index = position.astype(np.int32)
+        np.maximum(index, 0, out=index)
+        return np.minimum(index, len(self.profiles) - 1, out=index)
 
     def phase(
         self, distances: NDArray[np.float64], weight: NDArray[np.float32] | None = None
     ) -> NDArray[np.complex64]:
         """Weight times exp(-2jk d) in single precision; the angle, hundreds of radians, in double."""
-        angle = np.remainder(-2 * self.wavenumber * distances, 2 * np.pi).astype(np.float32)
+        cycles = distances * (-self.wavenumber / np.pi)
+        cycles -= np.floor(cycles)
+        cycles *= 2 * np.pi
+        angle = cycles.astype(np.float32)
         out = np.empty(angle.shape, dtype=np.complex64)
         np.cos(angle, out=out.real)
         np.sin(angle, out=out.imag)
         if weight is not None:
             out *= weight
         return out
+
+
+@dataclass(frozen=True, eq=False)
+class CoarseParts:
+    """Many points, for a coarse image.
+
+    Attributes:
+        static: (points, rank) mean over the views of the whole template, which `templates` takes out.
+        images: (offsets, points) b.
+    """
+
+    static: NDArray[np.complex64]
+    images: NDArray[np.complex128]
 
 
 class MatchedField:
@@ -125,7 +145,7 @@ class MatchedField:
         self.data = coordinates.ravel()
         self._profiles = range_profiles.profiles
         self._table = np.ascontiguousarray(coordinates @ self._profiles.conj().T)
-        self.template_energy = float(self.views * np.median(np.sum(np.abs(self._profiles) ** 2, axis=1)))
+        self.template_energy = float(self.views * median(np.sum(np.abs(self._profiles) ** 2, axis=1)))
 
     @property
     def views(self) -> int:
@@ -151,69 +171,138 @@ class MatchedField:
 
         The weight (..., views) is their amplitude in each view, 1 unless given.
         """
-        whole = self._profiles[self._range.index(distances)] * self._range.phase(distances, weight)[..., None]
-        whole -= whole.mean(axis=-2, keepdims=True)
-        return np.asarray(whole.reshape(*distances.shape[:-1], self.data.size))
+        whole = self._whole(distances, weight)
+        whole -= _mean_over_views(whole)
+        return whole.reshape(*distances.shape[:-1], self.data.size)
+
+    def _whole(
+        self, distances: NDArray[np.float64], weight: NDArray[np.float32] | None
+    ) -> NDArray[np.complex64]:
+        """(..., views, rank) templates with their constant parts."""
+        # The index is within bounds already; "clip" reads without a check and without a buffer.
+        whole = self._profiles.take(self._range.index(distances), axis=0, mode="clip")
+        whole *= self._range.phase(distances, weight)[..., None]
+        return whole
 
     def correlate(self, templates: NDArray[np.complex64]) -> NDArray[np.complex128]:
         """(...) b of templates (..., views * rank): the data against each."""
-        return np.asarray(templates.conj() @ self.data, dtype=np.complex128)
+        # <s, z> = conj(<z, s>): the data is conjugated instead of the far larger templates.
+        return np.asarray((templates @ self.data.conj()).conj(), dtype=np.complex128)
 
     def gram(self, templates: NDArray[np.complex64]) -> NDArray[np.complex128]:
         """(..., K, K) G[k, l] = <s_k, s_l> of groups of K templates (..., K, views * rank)."""
         return np.asarray(np.matmul(templates.conj(), np.swapaxes(templates, -1, -2)), dtype=np.complex128)
 
-    def static_part(
-        self, distances: NDArray[np.float64], weight: NDArray[np.float32] | None = None
-    ) -> NDArray[np.complex64]:
-        """(..., rank) mean over the views of the whole template, which `templates` takes out."""
-        flat = distances.reshape(-1, self.views)
-        sides = None if weight is None else weight.reshape(-1, self.views)
-        rank = self._profiles.shape[1]
-        out = np.empty((len(flat), rank), dtype=np.complex64)
-        size = max(1, _BLOCK // (self.views * rank))
-        for at in range(0, len(flat), size):
-            d = flat[at : at + size]
-            turn = self._range.phase(d, None if sides is None else sides[at : at + size])
-            out[at : at + size] = np.einsum("pvr,pv->pr", self._profiles[self._range.index(d)], turn)
-        return np.asarray((out / self.views).reshape(*distances.shape[:-1], rank))
-
     def full_gram(
         self, distances: NDArray[np.float64], weight: NDArray[np.float32] | None = None
     ) -> NDArray[np.complex128]:
         """(..., K, K) `gram` of points (..., K, views) before their constant parts are taken out."""
-        whole = self._profiles[self._range.index(distances)] * self._range.phase(distances, weight)[..., None]
+        whole = self._whole(distances, weight)
         return self.gram(whole.reshape(*distances.shape[:-1], self.data.size))
 
-    def correlate_offsets(
+    def coarse_parts(
         self,
         distances: NDArray[np.float64],
+        weights: Sequence[NDArray[np.float32] | None],
         offsets_m: Sequence[float],
-        weight: NDArray[np.float32] | None = None,
-    ) -> NDArray[np.complex128]:
-        """(offsets, ...) b for points whose distances (..., views) are all longer by each offset, m.
+    ) -> list[CoarseParts]:
+        """What a coarse image is made of, for the same points with each of several weights.
 
         For many points: no template is formed, and the phase of an offset is common to all views.
+
+        Args:
+            distances: (N, views) of the points, m.
+            weights: (N, views) amplitudes in each view, or None for 1.
+            offsets_m: the distances are longer by each of them.
         """
-        flat = distances.reshape(-1, self.views)
-        sides = None if weight is None else weight.reshape(-1, self.views)
-        out = np.empty((len(offsets_m), len(flat)), dtype=np.complex128)
-        first = np.arange(self.views, dtype=np.int32) * self._table.shape[1]
-        values = self._table.ravel()
-        size = max(1, _BLOCK // self.views)
-        for at in range(0, len(flat), size):
-            d = flat[at : at + size]
-            turn = self._range.phase(d, None if sides is None else sides[at : at + size]).conj()
+        rank, count = self._profiles.shape[1], len(distances)
+        found = [
+            CoarseParts(
+                np.empty((count, rank), dtype=np.complex64),
+                np.empty((len(offsets_m), count), dtype=np.complex128),
+            )
+            for _ in weights
+        ]
+        size = max(1, _BLOCK // (4 * self.views))
+        for at in range(0, count, size):
+            here = slice(at, at + size)
+            d = distances[here]
+            turn = self._range.phase(d)
+            turns = [turn if weight is None else turn * weight[here] for weight in weights]
+            profiles = self._profiles.take(self._range.index(d), axis=0, mode="clip")
+            for parts, each in zip(found, turns, strict=True):
+                parts.static[here] = np.matmul(each[:, None], profiles)[:, 0]
             for i, offset in enumerate(offsets_m):
-                out[i, at : at + size] = np.einsum(
-                    "pv,pv->p", values[self._range.index(d + offset) + first], turn
-                )
-        out *= np.exp(2j * self.wavenumber * np.asarray(offsets_m))[:, None]
-        return out.reshape(len(offsets_m), *distances.shape[:-1])
+                seen = _read(self._table, self._range.index(d + offset))
+                for parts, each in zip(found, turns, strict=True):
+                    parts.images[i, here] = np.vecdot(each, seen)
+        turned = np.exp(2j * self.wavenumber * np.asarray(offsets_m))[:, None]
+        for parts in found:
+            parts.static[:] /= self.views
+            parts.images[:] *= turned
+        return found
+
+    def fixed(self, distances: NDArray[np.float64], weight: NDArray[np.float32] | None = None) -> FixedPoints:
+        """Points (N, views) whose templates are needed again and again, without the memory of all of them."""
+        return FixedPoints(self, self._range.index(distances), self._range.phase(distances, weight))
 
     def at(self, points: NDArray[np.floating]) -> NDArray[np.complex128]:
         """(...) b at points (..., 2) in the plane, m."""
-        return np.asarray(self.correlate_offsets(self.distances(points), (0.0,))[0])
+        distances = self.distances(points)
+        fixed = self.fixed(distances.reshape(-1, self.views))
+        return fixed.correlate(self.data).reshape(distances.shape[:-1])
+
+
+class FixedPoints:
+    """Templates of many points (see `MatchedField`), kept as the range profile and the phase in every view.
+
+    That is an eighth of the templates' memory, and a correlation reads a table instead of all of them.
+
+    Args:
+        field: the matched field.
+        index: (N, views) profile of every point in every view.
+        turn: (N, views) phase and weight.
+    """
+
+    def __init__(self, field: MatchedField, index: NDArray[np.int32], turn: NDArray[np.complex64]) -> None:
+        self._field = field
+        self._index = index
+        self._turn = turn
+
+    def correlate(self, data: NDArray[np.complex64]) -> NDArray[np.complex128]:
+        """(N,) <s_p, data> of data (views * rank,)."""
+        # Without what is constant over the views: then the templates' constant parts need not be formed.
+        rows = data.reshape(self._field.views, -1)
+        rows = rows - rows.mean(axis=0)
+        table = np.ascontiguousarray(rows @ self._field._profiles.conj().T)
+        out = np.empty(len(self._index), dtype=np.complex128)
+        size = max(1, _BLOCK // self._field.views)
+        for at in range(0, len(out), size):
+            here = slice(at, at + size)
+            out[here] = np.vecdot(self._turn[here], _read(table, self._index[here]))
+        return out
+
+    def templates(self) -> Iterator[NDArray[np.complex64]]:
+        """(n, views * rank) templates of a part of the points after another."""
+        profiles = self._field._profiles
+        size = max(1, _BLOCK // self._field.data.size)
+        for at in range(0, len(self._index), size):
+            whole = profiles.take(self._index[at : at + size], axis=0, mode="clip")
+            whole *= self._turn[at : at + size, :, None]
+            whole -= _mean_over_views(whole)
+            yield whole.reshape(len(whole), -1)
+
+
+def _read(table: NDArray[np.complex64], index: NDArray[np.int32]) -> NDArray[np.complex64]:
+    """(N, views) values of a table (views, profiles) at the profile of every point and view."""
+    views, width = table.shape
+    return np.asarray(table.ravel().take(index + np.arange(views, dtype=np.intp) * width, mode="clip"))
+
+
+def _mean_over_views(templates: NDArray[np.complex64]) -> NDArray[np.complex64]:
+    """(..., 1, rank) mean of templates (..., views, rank), summed as real numbers, which is faster."""
+    total = np.add.reduce(templates.view(np.float32), axis=-2, keepdims=True)
+    return (total / np.float32(templates.shape[-2])).view(np.complex64)
 
 
 def _range_basis(

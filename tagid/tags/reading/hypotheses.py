@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tagid.signal import median
 from tagid.tags.layouts.layout import Layout, rotation_matrix
 from tagid.tags.reading.aspect import PATTERNS, ROUND, TRANSPARENT, Appearance, Aspect, outward
 from tagid.tags.reading.coarse import CoarseImage
@@ -161,7 +162,7 @@ def likeness(size: NDArray[np.float64], each: NDArray[np.float64]) -> NDArray[np
     because a damaged one says nothing about where the others are.
     """
     logarithm = np.log(np.maximum(size, 1e-6 * size.max(axis=-1, keepdims=True) + 1e-30))
-    off = logarithm - np.median(logarithm, axis=-1, keepdims=True)
+    off = logarithm - median(logarithm, axis=-1, keepdims=True)
     spread = ALIKE**2 + 0.5 / np.maximum(each, 0.5)
     return np.asarray(np.minimum(off**2 / (2 * spread[..., None]), ODD_NATS).sum(axis=-1))
 
@@ -187,7 +188,7 @@ def search(field: MatchedField, layouts: Sequence[Layout], settings: SearchSetti
     All layouts are refined a little, and only those that may still win or come second to the end.
     """
     reach = max(layout.radius_m for layout in layouts) + settings.centre_range_m * np.sqrt(2)
-    images = [CoarseImage.of(field, reach, aspect, settings.offsets_m) for aspect in settings.aspects]
+    images = CoarseImage.of_each(field, reach, settings.aspects, settings.offsets_m)
     coarse = [[_coarse_starts(field, layout, image, settings) for image in images] for layout in layouts]
     most = max(score for found in coarse for _, score in found)
     begun: list[list[Fit]] = []

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.imaging.types import BasebandScans
+from tagid.signal import median
 from tagid.tags.layouts.layout import MIN_SPACING_M
 from tagid.tags.reading.aspect import TRANSPARENT, Appearance
 from tagid.tags.reading.field import MatchedField
@@ -82,8 +83,8 @@ class SearchDisc:
         self.step_m = step_m
         self.look = look
         self.points = np.stack([x[inside], y[inside]], axis=-1)
-        self.templates = look.templates(field, self.points)
-        self.image = field.correlate(self.templates)
+        self.fixed = look.fixed(field, self.points)
+        self.image = self.fixed.correlate(field.data)
 
     def residual(
         self, positions: NDArray[np.float64], amplitudes: NDArray[np.complex128]
@@ -93,11 +94,11 @@ class SearchDisc:
             return self.image.copy()
         own = self.look.templates(self.field, positions)
         left = self.field.data - amplitudes.astype(np.complex64) @ own
-        return np.asarray(self.templates.conj() @ left, dtype=np.complex128)
+        return self.fixed.correlate(left)
 
     def level(self, residual: NDArray[np.complex128]) -> float:
         """Level of noise and clutter in |b|^2 / ||s||^2; an exponential's median is ln 2 times its mean."""
-        own = float(np.median(np.abs(residual) ** 2) / np.log(2) / self.field.template_energy)
+        own = float(median(np.abs(residual) ** 2) / np.log(2) / self.field.template_energy)
         return float(max(own, self.field.noise_variance, 1e-12 * self.field.energy))
 
     def noise_level(self, residual: NDArray[np.complex128]) -> float:

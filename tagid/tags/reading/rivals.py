@@ -87,7 +87,7 @@ def rivals(disc: SearchDisc, best: Fit, noise: float, search: SearchSettings) ->
 def _further(disc: SearchDisc, best: Fit, uneven: UnevenFit) -> float:
     """Largest energy that one additional point explains beyond the uneven fit."""
     gap = np.linalg.norm(disc.points[:, None] - best.positions[None], axis=-1).min(axis=1)
-    return float(np.where(gap > MIN_SPACING_M, uneven.gains(disc.field, disc.templates), 0.0).max())
+    return float(np.where(gap > MIN_SPACING_M, uneven.gains(disc.field, disc.fixed.templates()), 0.0).max())
 
 
 def _free_energies(disc: SearchDisc, best: Fit) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

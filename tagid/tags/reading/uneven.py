@@ -6,6 +6,7 @@ this fit, the residual of such a reflector would be mistaken for additional refl
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -96,10 +97,19 @@ class UnevenFit:
             ),
         )
 
-    def gains(self, field: MatchedField, others: NDArray[np.complex64]) -> NDArray[np.float64]:
-        """(N,) energy that each additional template (N, views * rank) explains beyond the uneven fit."""
-        shared = others.conj() @ self.templates.T
-        own = np.sum(np.abs(others) ** 2, axis=1)
-        left = own - np.real(np.einsum("np,pq,nq->n", shared, self.inverse, shared.conj(), optimize=True))
-        power = np.abs(others.conj() @ self.residual) ** 2
+    def gains(self, field: MatchedField, others: Iterable[NDArray[np.complex64]]) -> NDArray[np.float64]:
+        """(N,) energy that each additional template explains beyond the uneven fit.
+
+        Args:
+            field: matched field of the scans.
+            others: the templates in parts (n, views * rank).
+        """
+        return np.concatenate([self._gains(field, part) for part in others])
+
+    def _gains(self, field: MatchedField, others: NDArray[np.complex64]) -> NDArray[np.float64]:
+        shared = (others @ self.templates.conj().T).conj()
+        parts = others.view(np.float32)
+        own = np.einsum("np,np->n", parts, parts)
+        left = own - np.real(np.sum((shared @ self.inverse) * shared.conj(), axis=1))
+        power = np.abs(others @ self.residual.conj()) ** 2
         return np.asarray(power / np.maximum(left, 0.05 * field.template_energy), dtype=np.float64)
