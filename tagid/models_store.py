@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -95,19 +95,17 @@ class Model:
 
     Attributes:
         entry: its manifest entry.
-        metadata: the file's metadata_props, by key.
     """
 
-    def __init__(
-        self,
-        entry: Entry,
-        run: Callable[[list[str], dict[str, NDArray[Any]]], Sequence[Any]],
-        metadata: Mapping[str, str],
-    ) -> None:
+    def __init__(self, entry: Entry, session: Any) -> None:
         self.entry = entry
-        self.metadata = metadata
-        self._run = run
+        self._session = session
         self._outputs = list(entry.outputs)
+
+    @property
+    def metadata(self) -> Mapping[str, str]:
+        """The file's metadata_props, by key."""
+        return dict(self._session.get_modelmeta().custom_metadata_map)
 
     def check(self, feeds: Mapping[str, NDArray[Any]]) -> None:
         """Compare inputs with the manifest.
@@ -137,7 +135,7 @@ class Model:
 
     def run(self, feeds: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
         """Outputs by name. Inputs are not checked again here: see `check`."""
-        return dict(zip(self._outputs, self._run(self._outputs, dict(feeds)), strict=True))
+        return dict(zip(self._outputs, self._session.run(self._outputs, dict(feeds)), strict=True))
 
 
 @cache
@@ -224,40 +222,15 @@ def open_model(name: str, threads: int = 1, folder: Path = FOLDER) -> Model:
     except Exception as error:  # onnxruntime's exceptions have no common base
         raise ModelError(f"onnxruntime cannot run model {name}: {error}", _REINSTALL) from None
     for side, wanted in ((session.get_inputs(), entry.inputs), (session.get_outputs(), entry.outputs)):
-        _compare(name, {item.name: (item.type, _shape(item.shape)) for item in side}, wanted)
-    return Model(entry, session.run, dict(session.get_modelmeta().custom_metadata_map))
-
-
-def open_small_model(name: str, folder: Path = FOLDER) -> Model:
-    """A model of few convolutions, run by numpy: it needs no onnxruntime (see `tagid.onnx_graph`).
-
-    Raises:
-        ModelError: as `open_model`, or an operator that numpy does not run here.
-        StorageError: the file is missing.
-    """
-    from tagid.onnx_graph import Graph
-
-    content, entry = model_bytes(name, folder)
-    try:
-        graph = Graph(content)
-    except ModelError as error:
-        raise ModelError(f"model {name}: {error.message}", _REINSTALL) from None
-    except (IndexError, KeyError, ValueError) as error:
-        raise ModelError(f"model {name} cannot be read: {error!r}", _REINSTALL) from None
-    for side, wanted in ((graph.inputs, entry.inputs), (graph.outputs, entry.outputs)):
-        _compare(name, {p.name: (_DTYPES.get(p.dtype, p.dtype), _shape(p.shape)) for p in side}, wanted)
-    return Model(entry, graph.run, graph.metadata)
-
-
-def _compare(name: str, found: Mapping[str, tuple[str, Shape]], wanted: Mapping[str, Tensor]) -> None:
-    """Raises ModelError where inputs or outputs (type, shape) are not those of the manifest."""
-    said = {n: (_DTYPES.get(tensor.dtype, tensor.dtype), tensor.shape) for n, tensor in wanted.items()}
-    odd = [n for n in {**found, **said} if found.get(n) != said.get(n)]
-    if odd:
-        raise ModelError(
-            f"model {name}: {odd[0]} is {found.get(odd[0])}, the manifest says {said.get(odd[0])}",
-            _REINSTALL,
-        )
+        found = {item.name: (item.type, _shape(item.shape)) for item in side}
+        said = {n: (_DTYPES.get(tensor.dtype, tensor.dtype), tensor.shape) for n, tensor in wanted.items()}
+        odd = [n for n in {**found, **said} if found.get(n) != said.get(n)]
+        if odd:
+            raise ModelError(
+                f"model {name}: {odd[0]} is {found.get(odd[0])}, the manifest says {said.get(odd[0])}",
+                _REINSTALL,
+            )
+    return Model(entry, session)
 
 
 def check_all(folder: Path = FOLDER) -> None:

@@ -1,4 +1,4 @@
-"""Reads the protocol buffers of an ONNX file without the onnx package, and finds references to other files.
+"""Whether an ONNX file keeps tensors in other files, found without the onnx package.
 
 onnxruntime reads such files relative to the working folder. What they hold is not covered by the hash of the
 model.
@@ -35,7 +35,7 @@ def refers_to_files(content: bytes) -> bool:
     try:
         while waiting:
             kind, message = waiting.pop()
-            for number, value in message_fields(message):
+            for number, value in _fields(message):
                 if kind == "tensor":
                     if number == _EXTERNAL_DATA or (number == _DATA_LOCATION and value != 0):
                         return True
@@ -46,7 +46,7 @@ def refers_to_files(content: bytes) -> bool:
     return False
 
 
-def message_fields(message: memoryview) -> Iterator[tuple[int, int | memoryview]]:
+def _fields(message: memoryview) -> Iterator[tuple[int, int | memoryview]]:
     """(field number, value) of a message: a varint as a number, anything else as its bytes.
 
     Raises IndexError or ValueError where the message is cut off or damaged.

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.errors import ModelError
-from tagid.models_store import Model, open_small_model
+from tagid.models_store import Model, open_model
 from tagid.tags.network.planes import GRID, NORMALISATION, PLANES, NetworkInput
 
 MODEL = "reflector_detector"
@@ -186,9 +186,9 @@ class Detector:
         self.sha256 = model.entry.sha256
 
     @classmethod
-    def shipped(cls) -> Detector:
-        """The shipped one. Raises ModelError or StorageError as `open_small_model` does."""
-        return cls(open_small_model(MODEL))
+    def shipped(cls, threads: int = 1) -> Detector:
+        """The one that came with the package. Raises ModelError or StorageError as `open_model` does."""
+        return cls(open_model(MODEL, threads))
 
     def run(self, seen: NetworkInput) -> tuple[NDArray[np.float32], float]:
         """The network's cells (5, 48, 48) and the presence logit of one image."""
