@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from tagid.cli.common.frame import Terminal, command, group_command
-from tagid.cli.common.plain_values import PlainGroup
 from tagid.errors import LayoutConflictError
 from tagid.result import Result
 
@@ -19,7 +18,7 @@ if TYPE_CHECKING:
 
 def register(app: typer.Typer) -> None:
     """Add the group."""
-    group = typer.Typer(cls=PlainGroup)
+    group = typer.Typer()
     app.add_typer(group, name="bodies")
 
     @group_command(group, "bodies")

@@ -21,7 +21,6 @@ from typing import Annotated, Any
 import typer
 
 from tagid import interrupts
-from tagid.cli.common.plain_values import PlainCommand
 from tagid.errors import (
     EXIT_FAILED,
     EXIT_INTERRUPTED,
@@ -97,7 +96,7 @@ def command(
 
     def decorate(function: Callable[..., Result]) -> Callable[..., Result]:
         first, text = help_of(function)
-        register = app.command(name.rpartition(" ")[2], cls=PlainCommand, help=text, short_help=first)
+        register = app.command(name.rpartition(" ")[2], help=text, short_help=first)
         register(_with_common_options(name, function, formats))
         return function
 

@@ -14,8 +14,6 @@ import typer
 import typer.core
 import typer.main
 
-from tagid.cli.common.plain_values import PlainGroup
-
 
 @dataclass(frozen=True)
 class Entry:
@@ -33,7 +31,7 @@ class Entry:
 def lazy_group(entries: Mapping[str, Entry]) -> type[typer.core.TyperGroup]:
     """A group class with the commands of a table, in its order."""
 
-    class Lazy(PlainGroup):
+    class Lazy(typer.core.TyperGroup):
         def list_commands(self, ctx: Any) -> list[str]:
             return list(entries)
 

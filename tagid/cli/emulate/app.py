@@ -12,7 +12,6 @@ import typer
 from tagid import interrupts
 from tagid.cli.common import options, response_options
 from tagid.cli.common.frame import Terminal, command
-from tagid.cli.common.plain_values import PlainGroup
 from tagid.cli.emulate import motion as emulate_motion
 from tagid.errors import UsageError
 from tagid.result import Result
@@ -26,9 +25,7 @@ if TYPE_CHECKING:
 def register(app: typer.Typer) -> None:
     """Add the commands."""
     group = typer.Typer(
-        cls=PlainGroup,
-        help="Emulate a device on a real network, serial or Bluetooth interface.",
-        no_args_is_help=True,
+        help="Emulate a device on a real network, serial or Bluetooth interface.", no_args_is_help=True
     )
     app.add_typer(group, name="emulate")
 

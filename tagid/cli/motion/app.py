@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import typer
 
-from tagid.cli.common.plain_values import PlainGroup
 from tagid.cli.motion import calibrate, find, info, spin, stop
 
 PARTS = (find, info, spin, stop, calibrate)
@@ -17,9 +16,7 @@ PARTS = (find, info, spin, stop, calibrate)
 def register(app: typer.Typer) -> None:
     """Add the group."""
     group = typer.Typer(
-        cls=PlainGroup,
-        help="Find, query, rotate, stop and calibrate robots and turntables.",
-        no_args_is_help=True,
+        help="Find, query, rotate, stop and calibrate robots and turntables.", no_args_is_help=True
     )
     app.add_typer(group, name="motion")
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import typer
 
-from tagid.cli.common.plain_values import PlainGroup
 from tagid.cli.radar import calibrate, config, find, info, monitor, reboot, record
 
 PARTS = (find, info, config, monitor, record, calibrate, reboot)
@@ -17,7 +16,6 @@ PARTS = (find, info, config, monitor, record, calibrate, reboot)
 def register(app: typer.Typer) -> None:
     """Add the group."""
     group = typer.Typer(
-        cls=PlainGroup,
         help="Find, query, configure, monitor and calibrate the radar, and record scans.",
         no_args_is_help=True,
     )
