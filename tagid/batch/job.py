@@ -8,7 +8,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 from tagid import __version__
@@ -17,6 +17,7 @@ from tagid.pipeline.load import LoadSettings
 from tagid.pipeline.settings import ImagingSettings
 from tagid.tags.bodies.signature import Signature
 from tagid.tags.bodies.signature_file import to_bytes
+from tagid.tags.enrolling.registry import RegistryContents
 from tagid.tags.layouts.layout import Layout
 
 MAX_CAPTURE_BYTES = 512 << 20
@@ -43,6 +44,28 @@ class Job:
     pictures: bool = True
     known: frozenset[str] = field(default_factory=frozenset)
     signatures: tuple[Signature, ...] = ()
+
+    @classmethod
+    def of(
+        cls,
+        settings: ImagingSettings,
+        contents: RegistryContents,
+        load: LoadSettings,
+        pictures: bool = True,
+    ) -> Job:
+        """The job for the contents of a registry; the method "auto" becomes backprojection.
+
+        One picture by a slower method takes as long as ten identifications: use them only on request.
+        """
+        method = "bp" if settings.method == "auto" else settings.method
+        return cls(
+            replace(settings, method=method),
+            tuple(contents.layouts),
+            contents.version,
+            load,
+            pictures,
+            signatures=tuple(contents.signatures),
+        )
 
     def described(self) -> dict[str, Any]:
         """Everything that an answer depends on except the capture, as plain JSON values."""

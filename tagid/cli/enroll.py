@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,13 +13,16 @@ from tagid.cli.common import enrolling, options
 from tagid.cli.common.frame import Terminal, command
 from tagid.cli.common.points import parse_point
 from tagid.config import load_config
-from tagid.errors import LayoutConflictError, RegistryError, UsageError
-from tagid.result import Result
+from tagid.errors import RegistryError, UsageError
+from tagid.result import Result, Status
 
 if TYPE_CHECKING:
-    from tagid.cli.common.enroll_measured import Measured
+    from rich.console import Group, RenderableType
+
+    from tagid.config import Config
+    from tagid.pipeline.enrolment import LayoutProposal
+    from tagid.pipeline.measuring import Measured
     from tagid.tags.bodies.joint import Joint
-    from tagid.tags.enrolling.enrolment import Outlook
     from tagid.tags.layouts.layout import Layout
 
 
@@ -134,21 +138,15 @@ def register(app: typer.Typer) -> None:
         config = load_config({"motion.url": motion, "motion.axis_distance_m": axis_distance})
         given = Given(str(name), label, enrolling.Wish(force, yes, dry_run))
         if body:
-            from tagid.cli.common.enroll_measured import prepared, signature
-            from tagid.cli.common.imaging import settings_from
-
             if kind is not None or notes is not None:
                 raise UsageError("--kind and --notes apply to layouts only", "Omit them with --body.")
-            settings = settings_from(config)
-            joint = signature(given.name, "body", prepared(captures, config), settings, terminal)
+            joint = _body_signature(terminal, given.name, captures, config)
             return _enrol_signature(terminal, given, joint, f"{len(captures)} captures", ())
         measured = None
         if file is not None:
             layout, source = _from_file(file), f"file {file.name}"
         elif captures:
-            from tagid.cli.common.enroll_measured import measure
-
-            measured = measure(given.name, captures, config, terminal)
+            measured = _measure(terminal, given.name, captures, config)
             source = f"{len(captures)} captures"
             if measured.estimate is None:
                 assert measured.joint is not None
@@ -161,36 +159,62 @@ def register(app: typer.Typer) -> None:
         return _enrol_layout(terminal, layout, measured, source, given.wish)
 
 
+def _body_signature(terminal: Terminal, name: str, paths: list[Path], config: Config) -> Joint:
+    from tagid.cli.common.imaging import settings_from
+    from tagid.pipeline.load import LoadSettings
+    from tagid.pipeline.measuring import prepare_files, signature
+
+    captures = prepare_files(paths, LoadSettings.of(config))
+    with terminal.progress("signature", total=len(captures) + 1) as advance:
+        done = count(1)
+        return signature(
+            name,
+            "body",
+            captures,
+            settings_from(config),
+            lambda what: advance(next(done), Path(what).name),
+        )
+
+
+def _measure(terminal: Terminal, name: str, paths: list[Path], config: Config) -> Measured:
+    from tagid.cli.common.imaging import settings_from
+    from tagid.pipeline.load import LoadSettings
+    from tagid.pipeline.measuring import measure, prepare_files, sight
+
+    imaging = settings_from(config)
+    captures = prepare_files(paths, LoadSettings.of(config))
+    with terminal.progress("measuring", total=2 * len(captures) + 1) as advance:
+        done = count(1)
+
+        def progress(what: str) -> None:
+            advance(next(done), Path(what).name)
+
+        sighted = []
+        for one in captures:
+            sighted.append(sight(one, imaging))
+            progress(one.name)
+        return measure(name, sighted, imaging, progress)
+
+
 def _enrol_layout(
     terminal: Terminal, layout: Layout, measured: Measured | None, source: str, wish: enrolling.Wish
 ) -> Result:
     """Show the outcome of enrolling a layout, ask for confirmation, and store it with its signature."""
     from tagid.cli.common.imaging import open_registry
-    from tagid.tags.enrolling.enrolment import enrol
-    from tagid.tags.enrolling.enrolment import outlook as look
+    from tagid.pipeline.enrolment import propose_layout
 
     registry = open_registry()
-    contents = registry.contents()
-    known_direction = enrolling.direction_known()
-    found = look(layout, contents.layouts, direction_known=known_direction, version=contents.version)
-    if any(other.name == layout.name for other in contents.layouts) and not wish.force:
-        raise RegistryError(
-            f"a layout named {layout.name} is already enrolled",
-            "Choose another name, remove it with `tagid layouts --remove`, or replace it with --force.",
-        )
-    conflict = None if wish.force else found.conflict()
+    proposal = propose_layout(registry.contents(), layout, measured, enrolling.direction_known())
+    if proposal.taken is not None and not wish.force:
+        raise proposal.taken
+    conflict = None if wish.force else proposal.conflict
     if conflict is not None or wish.dry_run:
         error = () if conflict is None else (conflict,)
-        return _result(found, measured, None, False, errors=error)
+        return _result(proposal, measured, None, False, errors=error)
     question = f"Enrol {layout.name} ({layout.size} reflectors)?"
-    shown = enrolling.agree(terminal, _shown(found, measured), question, wish.yes)
-    own = (
-        (replace(measured.joint.signature, name=layout.name, label=layout.label[:200]),)
-        if (measured and measured.joint)
-        else ()
-    )
-    done = enrol(registry, layout, source, force=wish.force, direction_known=known_direction, signatures=own)
-    return _result(done.outlook, measured, done.version, shown)
+    shown = enrolling.agree(terminal, _shown(proposal, measured), question, wish.yes)
+    done = proposal.store(registry, source, wish.force)
+    return _result(done.proposal, measured, done.version, shown)
 
 
 def _enrol_signature(
@@ -200,55 +224,44 @@ def _enrol_signature(
     from rich.console import Group
     from rich.text import Text
 
-    from tagid.cli.common.enroll_measured import joint_data, joint_words
     from tagid.cli.common.imaging import open_registry
-    from tagid.tags.bodies.likeness import compare, least_tag
+    from tagid.pipeline.enrolment import propose_signature
+    from tagid.pipeline.measuring import joint_data, joint_words
+    from tagid.tags.bodies.likeness import least_tag
 
     registry = open_registry()
     one = replace(joint.signature, label=given.label or "")
-    contents = registry.contents()
-    taken = [other for other in contents.signatures if (other.kind, other.name) == (one.kind, one.name)]
-    names = {layout.name for layout in contents.layouts} if one.kind == "object" else set()
-    if (taken or one.name in names) and not given.wish.force:
-        raise RegistryError(
-            f"{'an object' if one.kind == 'object' else 'a body'} named {one.name} is already enrolled",
-            "Choose another name, remove it with `tagid "
-            f"{'layouts' if one.kind == 'object' else 'bodies'} --remove`, or replace it with --force.",
-        )
-    others = [other for other in contents.signatures if other.kind == one.kind and other.name != one.name]
-    pairs = sorted((compare(one, other) for other in others), key=lambda pair: pair.left)
-    alike = [pair.second for pair in pairs if pair.alike]
+    proposal = propose_signature(registry.contents(), one)
+    if proposal.taken is not None and not given.wish.force:
+        raise proposal.taken
     lines = joint_words(joint)
     lines += [
         f"  difference from {p.second}: {p.left:.1%} of the angle-dependent echo"
-        for p in pairs[: enrolling.SHOWN]
+        for p in proposal.likenesses[: enrolling.SHOWN]
     ]
     notes = list(remarks)
     if one.kind == "body":
         lines.append(f"  a tag on it must return more than {10 * _log10(least_tag(one)):.0f} dB of its echo")
-        if alike:
-            notes.append(f"it is similar to {', '.join(alike)}: a tag on one may be read as on the other")
+        if proposal.alike:
+            alike = ", ".join(proposal.alike)
+            notes.append(f"it is similar to {alike}: a tag on one may be read as on the other")
     shown = Group(*(Text(line) for line in lines))
     data: dict[str, Any] = {
         "layout": None,
         "signature": joint_data(joint),
-        "alike": alike,
+        "alike": list(proposal.alike),
         "stored": False,
-        "registry_version": contents.version,
+        "registry_version": proposal.version,
     }
-    if one.kind == "object" and alike and not given.wish.force:
-        error = LayoutConflictError(
-            f"object {one.name} could be confused with {alike[0]}: {pairs[0].left:.1%} of its "
-            "angle-dependent echo distinguishes them",
-            "Change its tag, remove the other, or override with --force; nothing was stored.",
-        )
+    error = proposal.conflict
+    if error is not None and not given.wish.force:
         entry = {"code": error.code, "message": error.message, "remedy": error.remedy}
         return Result("enroll", data, shown, "error", error.exit_code, tuple(notes), (entry,))
     if given.wish.dry_run:
         human = Group(shown, Text(f"{one.name} not stored"))
         return Result("enroll", data, human, messages=tuple(notes))
     asked = enrolling.agree(terminal, shown, f"Enrol the {one.kind} {one.name}?", given.wish.yes)
-    data["registry_version"] = registry.add_all([], source, replace=given.wish.force, signatures=[one])
+    data["registry_version"] = proposal.store(registry, source, given.wish.force)
     data["stored"] = True
     line = Text(f"{one.kind} {one.name} enrolled, registry version {data['registry_version']}")
     return Result("enroll", data, line if asked else Group(shown, line), messages=tuple(notes))
@@ -260,16 +273,16 @@ def _log10(value: float) -> float:
     return log10(max(value, 1e-12))
 
 
-def _shown(found: Outlook, measured: Measured | None):  # type: ignore[no-untyped-def]
+def _shown(proposal: LayoutProposal, measured: Measured | None) -> Group:
     """Text shown before the confirmation."""
     from rich.console import Group
     from rich.text import Text
 
-    from tagid.cli.common.enroll_measured import joint_words
+    from tagid.pipeline.measuring import joint_words
     from tagid.report.layout_sheet import in_terminal
 
-    layout = found.layout
-    lines: list[object] = [Text(in_terminal(layout, 33))]
+    layout = proposal.layout
+    lines: list[RenderableType] = [Text(in_terminal(layout, 33))]
     for number, (x, y) in enumerate(layout.positions, 1):
         spread = "" if layout.covariance is None else "  +- " + _sigmas(layout, number - 1)
         lines.append(Text(f"  {number}  x {x * 1e3:7.1f}  y {y * 1e3:7.1f} mm{spread}"))
@@ -282,7 +295,7 @@ def _shown(found: Outlook, measured: Measured | None):  # type: ignore[no-untype
             lines.append(Text(f"taken as mirror images: {', '.join(estimate.mirrored)}"))
     if measured is not None and measured.joint is not None:
         lines += [Text(line) for line in joint_words(measured.joint)]
-    return Group(*lines, enrolling.neighbours(found))  # type: ignore[arg-type]
+    return Group(*lines, enrolling.neighbours(proposal.outlook))
 
 
 def _sigmas(layout: Layout, index: int) -> str:
@@ -292,7 +305,7 @@ def _sigmas(layout: Layout, index: int) -> str:
 
 
 def _result(
-    found: Outlook,
+    proposal: LayoutProposal,
     measured: Measured | None,
     version: int | None,
     shown: bool,
@@ -301,9 +314,9 @@ def _result(
     from rich.console import Group
     from rich.text import Text
 
-    from tagid.cli.common.enroll_measured import joint_data
+    from tagid.pipeline.measuring import joint_data
 
-    layout = found.layout
+    layout, found = proposal.layout, proposal.outlook
     estimate = measured.estimate if measured else None
     entries = tuple({"code": e.code, "message": e.message, "remedy": e.remedy} for e in errors)
     messages = list(measured.remarks) if measured else []
@@ -330,9 +343,10 @@ def _result(
     line = Text(f"{layout.name} not stored")
     if version is not None:
         line = Text(f"{layout.name} enrolled: {layout.size} reflectors, registry version {version}")
-    human = line if shown else Group(_shown(found, measured), line)
-    status, code = ("error", errors[0].exit_code) if errors else ("success", 0)
-    return Result("enroll", data, human, status, code, tuple(messages), entries)  # type: ignore[arg-type]
+    human = line if shown else Group(_shown(proposal, measured), line)
+    status: Status = "error" if errors else "success"
+    code = errors[0].exit_code if errors else 0
+    return Result("enroll", data, human, status, code, tuple(messages), entries)
 
 
 def _from_points(name: str, points: list[str], sigma: float | None) -> Layout:

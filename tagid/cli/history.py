@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
@@ -93,18 +91,13 @@ def _list(terminal: Terminal, store: Any, wanted: Any) -> Result:
     from rich.table import Table
     from rich.text import Text
 
-    from tagid.storage.history import FIELDS
-    from tagid.storage.spreadsheet import cell
+    from tagid.storage.history import csv_text
 
     total = store.count(wanted)
     if terminal.output == "human" and wanted.limit is None:
         wanted = replace(wanted, limit=_SHOWN)
     rows = list(store.find(wanted))
     data = {"history": str(store.path), "total": total, "items": rows}
-    text = io.StringIO()
-    table = csv.DictWriter(text, FIELDS)
-    table.writeheader()
-    table.writerows({name: cell(value) for name, value in row.items()} for row in rows)
     shown = Table("time (UTC)", "file", "answer", "score", "margin", "by", box=None)
     colours = {"identified": "green", "failed": "red"}
     for row in rows:
@@ -120,4 +113,4 @@ def _list(terminal: Terminal, store: Any, wanted: Any) -> Result:
     notes = (f"the newest {len(rows)} of {total}; --limit shows more",) if total > len(rows) else ()
     if not total:
         notes = ("no matching entries",)
-    return Result("history", data, shown, messages=notes, csv=text.getvalue())
+    return Result("history", data, shown, messages=notes, csv=csv_text(rows))

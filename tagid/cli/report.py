@@ -115,23 +115,15 @@ def _runner(terminal: Terminal, jobs: int, dask: str | None) -> Runner:
 
 
 def _job(config: Config, background: str, pictures: bool) -> Job:
-    from dataclasses import replace
-
     from tagid.batch.job import Job
     from tagid.cli.common import imaging
     from tagid.pipeline.load import LoadSettings
 
-    settings = imaging.settings_from(config, background)
-    # One picture by a slower method takes as long as ten identifications: use them only on request.
-    method = "bp" if settings.method == "auto" else settings.method
-    enrolled = imaging.open_registry().contents()
-    return Job(
-        replace(settings, method=method),
-        tuple(enrolled.layouts),
-        enrolled.version,
+    return Job.of(
+        imaging.settings_from(config, background),
+        imaging.open_registry().contents(),
         LoadSettings.of(config, background),
         pictures,
-        signatures=tuple(enrolled.signatures),
     )
 
 

@@ -20,7 +20,7 @@ from tagid.errors import ConfigError, MissingExtraError, UsageError
 from tagid.result import Result
 
 if TYPE_CHECKING:
-    from tagid.station.setup import ScanSetup, Source
+    from tagid.station.setup import ReadingSetup, ScanSetup, Source
 
 
 def register(app: typer.Typer) -> None:
@@ -87,31 +87,37 @@ def _source(overrides: dict[str, Any], max_seconds: float, demo: bool) -> Source
     def config() -> Config:
         return load_config(overrides)
 
-    return Source(config, lambda note: _setup(config(), max_seconds, note, demo), demo)
+    return Source(
+        config,
+        lambda: _reading(config()),
+        lambda note: _scan(config(), max_seconds, note, demo),
+        demo,
+    )
 
 
-def _setup(config: Config, max_seconds: float, note: str, demo: bool) -> ScanSetup:
+def _reading(config: Config) -> ReadingSetup:
     from tagid.cli.common import imaging
-    from tagid.cli.common.recording import Limits, capture_folder, plan_of
-    from tagid.metadata import ObjectInfo
+    from tagid.cli.common.recording import capture_folder
     from tagid.pipeline.load import LoadSettings
+    from tagid.station.setup import ReadingSetup
+
+    return ReadingSetup(
+        capture_folder(config), LoadSettings.of(config, as_recorded=True), imaging.settings_from(config)
+    )
+
+
+def _scan(config: Config, max_seconds: float, note: str, demo: bool) -> ScanSetup:
+    from tagid.cli.common.recording import Limits, plan_of
+    from tagid.metadata import ObjectInfo
     from tagid.station.setup import ScanSetup
 
     url = config["radar.url"]
     if not url:
         raise ConfigError("no radar is configured", "Store it with `tagid config set radar.url udp://...`.")
-    folder = capture_folder(config)
+    reading = _reading(config)
     about = ObjectInfo(note=note or None, demo=True) if demo else ObjectInfo(note=note or None)
     plan = replace(plan_of(config, url, Limits(None, max_seconds), about), renumber=True)
-    return ScanSetup(
-        url,
-        config["radar.timeout_s"],
-        config["motion.url"],
-        plan,
-        folder,
-        LoadSettings.of(config, as_recorded=True),
-        imaging.settings_from(config),
-    )
+    return ScanSetup(url, config["radar.timeout_s"], config["motion.url"], plan, reading)
 
 
 def _address(bind: str) -> tuple[str, int]:

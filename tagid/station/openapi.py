@@ -5,8 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 from tagid import __version__
+from tagid.report.drafting import PAPERS_MM
+from tagid.station.reports import MEDIA
 from tagid.station.security import COOKIE, OWN_HEADER
+from tagid.station.station import HISTORY_LIMIT
 from tagid.storage.history import FIELDS, STATUSES, TYPES
+from tagid.tags.layouts.layout import KINDS
 
 _KINDS = {str: "string", int: "integer", float: "number"}
 
@@ -18,7 +22,8 @@ def document() -> dict[str, Any]:
         "info": {
             "title": "tagid station",
             "version": __version__,
-            "description": "Start a scan, monitor it, read its result, and list the history. "
+            "description": "Start a scan, monitor it, read its result, enrol an object, list and export the "
+            "history, and write reports over it. "
             f"Each POST needs the header `{OWN_HEADER}: 1`. On an address other than loopback, "
             "each request needs a token, which POST /api/v1/pair creates from the pairing code.",
         },
@@ -31,26 +36,9 @@ def document() -> dict[str, Any]:
                 "post": _post("Start a scan", "Start", 202, "Started"),
             },
             "/api/v1/scan/stop": {"post": _post("Stop the scan and keep its capture", "Empty", 202, "Empty")},
-            "/api/v1/history": {"get": {**_get("Identifications, newest first", "History"), **_filters()}},
-            "/api/v1/history.csv": {
-                "get": {
-                    "summary": "The same as a table",
-                    **_filters(),
-                    "responses": {"200": {"description": "CSV", "content": {"text/csv": {}}}},
-                }
-            },
-            "/api/v1/history/{number}/picture": {
-                "get": {
-                    "summary": "The picture of an identification",
-                    "parameters": [
-                        {"name": "number", "in": "path", "required": True, "schema": {"type": "integer"}}
-                    ],
-                    "responses": {
-                        "200": {"description": "PNG", "content": {"image/png": {}}},
-                        "404": _error(),
-                    },
-                }
-            },
+            **_history(),
+            **_reports(),
+            **_enrolment(),
         },
         "components": {
             "schemas": _schemas(),
@@ -60,6 +48,108 @@ def document() -> dict[str, Any]:
             },
         },
     }
+
+
+def _history() -> dict[str, Any]:
+    return {
+        "/api/v1/history": {"get": {**_get("Identifications, newest first", "History"), **_filters()}},
+        "/api/v1/history.csv": {"get": {**_file("The same as a table", "text/csv"), **_filters()}},
+        "/api/v1/history.json": {
+            "get": {**_file("The same as a JSON file", "application/json"), **_filters()}
+        },
+        "/api/v1/history/captures.zip": {
+            "get": {
+                **_file("The captures of the same entries with their table", "application/zip", missing=True),
+                **_filters(),
+            }
+        },
+        "/api/v1/history/{number}/picture": {
+            "get": {**_file("The picture of an identification", "image/png", missing=True), **_number()}
+        },
+        "/api/v1/history/{number}/capture": {
+            "get": {
+                **_file("The capture of an identification", "application/x-hdf5", missing=True),
+                **_number(),
+            }
+        },
+    }
+
+
+def _reports() -> dict[str, Any]:
+    files = {
+        f"/api/v1/reports/{{number}}/{name}": {
+            "get": {
+                **_file(f"{name} of a complete report", media.partition(";")[0], missing=True),
+                **_number(),
+            }
+        }
+        for name, media in MEDIA.items()
+    }
+    return {
+        "/api/v1/reports": {
+            "post": _post("Begin a report over entries of the history", "ReportStart", 202, "Started")
+        },
+        "/api/v1/reports/stop": {
+            "post": _post("Stop the report; finished captures are in it", "Keyed", 202, "Empty")
+        },
+        "/api/v1/reports/{number}": {
+            "get": {**_get("Progress of a report", "Report", missing=True), **_number()}
+        },
+        **files,
+    }
+
+
+def _enrolment() -> dict[str, Any]:
+    place = "/api/v1/enrolment"
+    paper = [
+        {"name": "paper", "in": "query", "schema": {"enum": list(PAPERS_MM), "default": "a4"}},
+        {
+            "name": "surface_radius_m",
+            "in": "query",
+            "schema": {"type": "number"},
+            "description": "Radius of the surface that the strip wraps around.",
+        },
+    ]
+    name = {"name": "name", "in": "path", "required": True, "schema": {"type": "string"}}
+
+    def act(summary: str, asked: str = "Keyed") -> dict[str, Any]:
+        return {"post": _post(summary, asked, 200, "Enrolment")}
+
+    return {
+        place: {
+            "get": _get("State of the enrolment", "Enrolment"),
+            **act("Begin an enrolment, or change the name of the current one", "Subject"),
+        },
+        f"{place}/capture": {
+            "post": _post("Start a scan whose capture is added to the enrolment", "Keyed", 202, "Started")
+        },
+        f"{place}/drop": act("Remove a capture from the enrolment; its file is kept", "Drop"),
+        f"{place}/store": act("Enrol the object"),
+        f"{place}/undo": act("Undo the last enrolment of the station"),
+        f"{place}/cancel": act("End the enrolment without storing anything"),
+        f"{place}/template.pdf": {
+            "get": {
+                **_file("Template at 1:1 of the measured layout", "application/pdf", missing=True),
+                "parameters": paper,
+            }
+        },
+        "/api/v1/layouts": {"get": _get("The enrolled layouts", "Layouts")},
+        "/api/v1/layouts/{name}/template.pdf": {
+            "get": {
+                **_file("Template at 1:1 of an enrolled layout", "application/pdf", missing=True),
+                "parameters": [name, *paper],
+            }
+        },
+    }
+
+
+def _file(summary: str, media: str, missing: bool = False) -> dict[str, Any]:
+    found = {"200": {"description": "The file", "content": {media: {}}}, "401": _error()}
+    return {"summary": summary, "responses": {**found, **({"404": _error()} if missing else {})}}
+
+
+def _number() -> dict[str, Any]:
+    return {"parameters": [{"name": "number", "in": "path", "required": True, "schema": {"type": "integer"}}]}
 
 
 def _get(summary: str, schema: str, missing: bool = False) -> dict[str, Any]:
@@ -86,7 +176,14 @@ def _filters() -> dict[str, Any]:
     parameters: list[dict[str, Any]] = [
         {"name": name, "in": "query", "schema": {"type": "string"}} for name in texts
     ]
-    return {"parameters": [*parameters, {"name": "limit", "in": "query", "schema": {"type": "integer"}}]}
+    entries = {
+        "name": "entries",
+        "in": "query",
+        "schema": {"type": "string"},
+        "description": "Numbers of entries, separated by commas.",
+    }
+    limit = {"name": "limit", "in": "query", "schema": {"type": "integer"}}
+    return {"parameters": [*parameters, limit, entries]}
 
 
 def _ref(name: str) -> dict[str, str]:
@@ -105,10 +202,19 @@ def _object(**properties: Any) -> dict[str, Any]:
     return {"type": "object", "properties": properties, "required": sorted(properties)}
 
 
+def _or_null(schema: dict[str, Any]) -> dict[str, Any]:
+    return {"oneOf": [schema, {"type": "null"}]}
+
+
 def _schemas() -> dict[str, Any]:
     text, number, whole = {"type": "string"}, {"type": "number"}, {"type": "integer"}
     maybe_number = {"type": ["number", "null"]}
     yes_no = {"type": "boolean"}
+    key = {
+        **text,
+        "description": "Key of a WebSocket connection; required if a browser operates the station, or if "
+        "the scan moves a device.",
+    }
     entry = {name: {"type": [_KINDS[TYPES[name]], "null"]} for name in FIELDS}
     answer = _object(
         status={"enum": list(STATUSES)},
@@ -127,16 +233,32 @@ def _schemas() -> dict[str, Any]:
     phases = ["connecting", "turning", "reading", "done", "failed"]
     return {
         "Empty": {"type": "object"},
+        "Keyed": {"type": "object", "properties": {"key": key}},
+        "Drop": {
+            "type": "object",
+            "properties": {"number": whole, "key": key},
+            "required": ["number"],
+        },
+        "Subject": {
+            "type": "object",
+            "properties": {"name": text, "kind": {"enum": list(KINDS)}, "label": text, "key": key},
+            "required": ["name"],
+        },
+        "ReportStart": {
+            "type": "object",
+            "properties": {
+                "entries": {"type": "array", "items": whole, "minItems": 1, "maxItems": HISTORY_LIMIT},
+                "key": key,
+            },
+            "required": ["entries"],
+        },
         "Pairing": _object(code=text),
         "Token": _object(token=text),
         "Start": {
             "type": "object",
             "properties": {
                 "note": {**text, "description": "Text stored with the capture."},
-                "key": {
-                    **text,
-                    "description": "Key of a WebSocket connection; required if the scan moves a device.",
-                },
+                "key": key,
             },
         },
         "Started": _object(number=whole),
@@ -157,7 +279,7 @@ def _schemas() -> dict[str, Any]:
             note=text,
             remark=text,
             evidence={"type": "array", "items": evidence},
-            answer={"oneOf": [_ref("Answer"), {"type": "null"}]},
+            answer=_or_null(_ref("Answer")),
             final=yes_no,
             answer_after_last_scan_s=maybe_number,
         ),
@@ -166,7 +288,8 @@ def _schemas() -> dict[str, Any]:
             demo=yes_no,
             operated=yes_no,
             connections=whole,
-            scan={"oneOf": [_ref("Scan"), {"type": "null"}]},
+            full=yes_no,
+            scan=_or_null(_ref("Scan")),
             health=_object(
                 checked=yes_no,
                 findings={
@@ -175,8 +298,63 @@ def _schemas() -> dict[str, Any]:
                         topic=text, level={"enum": ["ok", "warning", "problem"]}, text=text, remedy=text
                     ),
                 },
+                wiring=_or_null(
+                    _object(
+                        cable={"enum": ["ethernet", "usb", "uart", "none"]},
+                        url=text,
+                        steps={"type": "array", "items": text},
+                    )
+                ),
             ),
+            enrolment=_ref("Enrolment"),
+            report=_or_null(_ref("Report")),
+        ),
+        "Report": _object(
+            number=whole,
+            running=yes_no,
+            done=whole,
+            total=whole,
+            complete=yes_no,
+            folder=text,
+            error=_or_null(_ref("Problem")),
+        ),
+        "Enrolment": _object(
+            subject=_or_null(_object(name=text, kind=text, label=text)),
+            needed=whole,
+            captures={
+                "type": "array",
+                "items": _object(
+                    number=whole,
+                    file=text,
+                    reflectors={"type": ["integer", "null"]},
+                    status={"enum": list(STATUSES)},
+                    layout={"type": ["string", "null"]},
+                    error=_or_null(_ref("Problem")),
+                ),
+            },
+            measuring=yes_no,
+            trouble=_or_null(_ref("Problem")),
+            remarks={"type": "array", "items": text},
+            proposal=_or_null(_ref("Proposal")),
+            stored=_or_null(_object(name=text, registry_version=whole, has_layout=yes_no)),
+            undone=text,
+        ),
+        "Proposal": _object(
+            ready=yes_no,
+            reflectors={"type": "array", "items": _object(x_m=number, y_m=number)},
+            spread_m={"type": "array", "items": number},
+            signature=yes_no,
+            confusion_rate=maybe_number,
+            reference=_or_null(_object(views=whole, snr_db=number)),
+            nearest={
+                "type": "array",
+                "items": _object(name=text, worst_m=maybe_number, difference=maybe_number, confusable=yes_no),
+            },
+        ),
+        "Layouts": _object(
+            items={"type": "array", "items": _object(name=text, kind=text, label=text, size=whole)}
         ),
         "History": _object(items={"type": "array", "items": _object(**entry)}),
-        "Error": _object(error=_object(code=text, message=text, remedy=text)),
+        "Problem": _object(code=text, message=text, remedy=text),
+        "Error": _object(error=_ref("Problem")),
     }

@@ -11,17 +11,9 @@ import threading
 import time
 from collections.abc import Callable
 
-from tagid.errors import UsageError
-
 GRACE_S = 5.0
 """Time that an operator may be disconnected, s: a reload takes one or two."""
 _MOST_KEYS = 256
-
-
-class NotOperatorError(UsageError):
-    """Another browser operates the station, or no browser does."""
-
-    code = "not_operator"
 
 
 class Operators:

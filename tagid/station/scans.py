@@ -12,7 +12,7 @@ from typing import Any
 from tagid.capture import Capture
 from tagid.config import data_folder
 from tagid.constants import CAPTURE_SUFFIX
-from tagid.errors import TagidError
+from tagid.errors import DeviceError, TagidError
 from tagid.live.engine import LiveSettings, LiveView
 from tagid.live.state import LiveState, Phase
 from tagid.metadata import ScanGap
@@ -32,6 +32,7 @@ from tagid.station.setup import ScanSetup
 from tagid.storage.history import FILE_NAME, History
 from tagid.tags.enrolling.registry import Registry
 
+Then = Callable[[Path, Capture, Identification], None]
 COMMAND = "station"
 """Name of the station's runs in the history."""
 
@@ -43,25 +44,35 @@ class ScanRun:
         number: counts the station's scans.
         setup: settings of the scan.
         radar: held while the radar is used, so that a health check does not disturb the scan.
+        then: called on the scan's thread with the capture's file, the capture with angles, and its answer, if
+            neither the recording nor the reading failed.
 
     Attributes:
         number: as given.
         motion: the device that rotates the object.
     """
 
-    def __init__(self, number: int, setup: ScanSetup, radar: threading.Lock) -> None:
+    def __init__(
+        self, number: int, setup: ScanSetup, radar: threading.Lock, then: Then | None = None
+    ) -> None:
         self.number = number
+        self._then = then
         self.motion: Motion = open_motion(setup.motion_url)
         self._setup = setup
         self._radar = radar
         self._known = Registry(data_folder() / "registry.sqlite").contents()
         settings = LiveSettings(
-            self.motion, self._known.layouts, self._known.signatures, self._known.version, setup.imaging
+            self.motion,
+            self._known.layouts,
+            self._known.signatures,
+            self._known.version,
+            setup.reading.imaging,
         )
         self._view = LiveView(settings)
         self._stop = threading.Event()
         self._last_scan_at: float | None = None
         self._remark = ""
+        self._device_failed = False
         self._thread = threading.Thread(target=self._work, name=f"station-scan-{number}", daemon=True)
 
     def start(self) -> None:
@@ -93,6 +104,11 @@ class ScanRun:
         return self._remark
 
     @property
+    def device_failed(self) -> bool:
+        """Whether the radar or the motion failed."""
+        return self._device_failed
+
+    @property
     def silent_s(self) -> float:
         """Seconds since the last scan during the recording; 0 otherwise."""
         if self.state.phase is not Phase.TURNING or self._last_scan_at is None:
@@ -103,6 +119,7 @@ class ScanRun:
         try:
             self._run()
         except TagidError as error:
+            self._device_failed = isinstance(error, DeviceError)
             self._view.fail(error)
         except Exception as error:
             logging.getLogger("tagid").debug("scan of the station", exc_info=True)
@@ -118,12 +135,12 @@ class ScanRun:
                     open_radar(setup.radar_url, setup.radar_timeout_s),
                     self.motion,
                     setup.plan,
-                    capture_path(setup.folder),
+                    capture_path(setup.reading.folder),
                     self._watch(paths.append),
                 )
             try:
-                loaded = load_capture(capture, setup.loading)
-                prepared = PreparedCapture(loaded, setup.imaging)
+                loaded = load_capture(capture, setup.reading.loading)
+                prepared = PreparedCapture(loaded, setup.reading.imaging)
                 answer = identify(
                     prepared,
                     self._known.layouts,
@@ -139,6 +156,8 @@ class ScanRun:
         self._remark = "; ".join(notes(capture.radar))
         self._draw(answer, paths[-1])
         self._remember(answer, paths[-1])
+        if self._then is not None:
+            self._then(paths[-1], loaded, answer)
 
     def _watch(self, named: Callable[[Path], None]) -> Watch:
         view = self._view

@@ -31,15 +31,24 @@ _CODE_SECONDS = 600.0
 _CODE_TRIES = 5
 _MOST_TOKENS = 32
 _LOOPBACK = ("127.0.0.1", "localhost", "[::1]")
-_OPEN_PATHS = ("/", "/station.css", "/station.js", "/station.svg", "/api/v1/pair", "/api/v1/openapi.json")
+_OPEN_PATHS = (
+    "/",
+    "/station.css",
+    "/station.js",
+    "/enrol.js",
+    "/history.js",
+    "/station.svg",
+    "/api/v1/pair",
+    "/api/v1/openapi.json",
+)
 """Paths that need no token, because they reveal nothing about the station."""
 _API = "/api/"
 POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; connect-src 'self'; "
     "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
+_POLICY_HEADER = (b"content-security-policy", POLICY.encode())
 _HEADERS = (
-    (b"content-security-policy", POLICY.encode()),
     (b"x-content-type-options", b"nosniff"),
     (b"x-frame-options", b"DENY"),
     (b"referrer-policy", b"no-referrer"),
@@ -222,11 +231,14 @@ def _of_body(method: str, headers: dict[str, list[str]], own: bool) -> Refusal |
 
 
 def _with_headers(send: Send) -> Send:
-    """The same, with the security headers on every response."""
+    """The same, with the security headers on every response; one may have a content policy of its own."""
 
     async def answer(message: Message) -> None:
-        if message["type"] == "http.response.start":
-            message = {**message, "headers": [*message.get("headers", ()), *_HEADERS]}
+        if message["type"] in ("http.response.start", "websocket.http.response.start"):
+            headers = list(message.get("headers", ()))
+            if not any(name.lower() == _POLICY_HEADER[0] for name, _ in headers):
+                headers.append(_POLICY_HEADER)
+            message = {**message, "headers": [*headers, *_HEADERS]}
         await send(message)
 
     return answer

@@ -24,11 +24,15 @@ HEADER_S = 10.0
 PING_S = 4.0
 """Interval of WebSocket pings, and the time limit for the reply, s."""
 _UNSENT_BYTES = 1 << 20
-"""Bytes that a client may leave unread before it is disconnected."""
+"""Bytes that a WebSocket client may leave unread before it is disconnected."""
+STALL_S = 20.0
+"""Time after which a client that does not read its response is disconnected, s."""
 
 
 class StationHttp(H11Protocol):
-    """HTTP with limits on the number of connections and on the arrival time of a request."""
+    """HTTP with limits on connections, on the arrival of a request, and on the reading of a response."""
+
+    _stalled: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: Any) -> None:
         """Accept the connection, unless there are too many."""
@@ -40,8 +44,24 @@ class StationHttp(H11Protocol):
 
     def connection_lost(self, exc: Exception | None) -> None:
         """End the connection; one that was refused was never counted."""
+        self._read_again()
         if self.transport is not None:
             super().connection_lost(exc)
+
+    def pause_writing(self) -> None:
+        """Wait for a client that does not read, but not for ever: its file and its place are needed."""
+        super().pause_writing()
+        self._stalled = self.loop.call_later(STALL_S, self.transport.abort)
+
+    def resume_writing(self) -> None:
+        """The client reads again."""
+        super().resume_writing()
+        self._read_again()
+
+    def _read_again(self) -> None:
+        if self._stalled is not None:
+            self._stalled.cancel()
+            self._stalled = None
 
     def on_response_complete(self) -> None:
         """Wait for the next request as long as for the first."""

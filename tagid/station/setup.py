@@ -1,4 +1,4 @@
-"""Settings of one scan of the station, from the configuration at its start."""
+"""Settings of the station, from the configuration at the start of each scan, report or enrolment."""
 
 from __future__ import annotations
 
@@ -13,6 +13,20 @@ from tagid.recording.plan import RecordingPlan
 
 
 @dataclass(frozen=True, eq=False)
+class ReadingSetup:
+    """Settings of reading captures.
+
+    Attributes:
+        folder: where captures and reports are written.
+        loading, imaging: settings of reading and imaging.
+    """
+
+    folder: Path
+    loading: LoadSettings
+    imaging: ImagingSettings
+
+
+@dataclass(frozen=True, eq=False)
 class ScanSetup:
     """Settings of one scan.
 
@@ -20,29 +34,29 @@ class ScanSetup:
         radar_url, radar_timeout_s: the radar, and the time without data after which it counts as lost.
         motion_url: the device that rotates the object.
         plan: the recording plan.
-        folder: where captures are written.
-        loading, imaging: settings of reading and imaging.
+        reading: settings of reading the capture.
     """
 
     radar_url: str
     radar_timeout_s: float
     motion_url: str
     plan: RecordingPlan
-    folder: Path
-    loading: LoadSettings
-    imaging: ImagingSettings
+    reading: ReadingSetup
 
 
 @dataclass(frozen=True)
 class Source:
-    """Source of the station's settings; queried for each scan.
+    """Source of the station's settings; queried whenever they are needed.
 
     Attributes:
         config: the current configuration.
-        setup: the setup of a scan with a note for its capture. Raises ConfigError, UsageError, StorageError.
+        reading: settings of reading captures; available without a radar. Raises ConfigError, UsageError,
+            StorageError.
+        scan: settings of a scan with a note for its capture. Raises as `reading` does.
         demo: whether an emulated radar is used.
     """
 
     config: Callable[[], Config]
-    setup: Callable[[str], ScanSetup]
+    reading: Callable[[], ReadingSetup]
+    scan: Callable[[str], ScanSetup]
     demo: bool = False

@@ -15,31 +15,29 @@ from typing import Any
 
 from tagid.config import data_folder
 from tagid.doctor import Finding, examine
-from tagid.errors import StorageError, TagidError, UsageError
+from tagid.errors import StorageError, TagidError
 from tagid.files import read_bytes
-from tagid.station.operators import NotOperatorError, Operators
-from tagid.station.scans import COMMAND, ScanRun, picture_of
+from tagid.station.enrolling import Enrolling, Subject
+from tagid.station.errors import BusyError, NoSuchItemError, NotOperatorError
+from tagid.station.operators import Operators
+from tagid.station.reports import ReportRun, Reports
+from tagid.station.scans import COMMAND, ScanRun, Then, picture_of
 from tagid.station.setup import Source
+from tagid.station.wiring import Wiring, wiring
 from tagid.storage.history import FILE_NAME, Filter, History
+from tagid.tags.enrolling.registry import Registry
+from tagid.tags.layouts.layout import Layout
 
 HEALTH_EVERY_S = 20.0
 """Time between two health checks while a browser is connected, s."""
+MISSING_EVERY_S = 4.0
+"""The same while the radar is missing: the page shows soon that it is back."""
 HISTORY_LIMIT = 200
+MAX_CONNECTIONS = 32
+"""Maximum number of WebSocket connections."""
 _PICTURE_BYTES = 4 << 20
 _STOP_S = 30.0
 _NOTE_LENGTH = 200
-
-
-class BusyError(UsageError):
-    """A scan is running."""
-
-    code = "busy"
-
-
-class NoSuchItemError(UsageError):
-    """The history has no such entry, or it has no picture."""
-
-    code = "not_found"
 
 
 @dataclass(frozen=True)
@@ -49,10 +47,12 @@ class Health:
     Attributes:
         findings: of `tagid.doctor`.
         checked_at: monotonic seconds; None before the first one.
+        wiring: how to connect the radar; None if it answers.
     """
 
     findings: tuple[Finding, ...] = ()
     checked_at: float | None = None
+    wiring: Wiring | None = None
 
 
 class Station:
@@ -61,11 +61,19 @@ class Station:
     Args:
         source: source of the settings.
         check: the health check.
+
+    Attributes:
+        source: as given.
+        operators: connections and the lock.
+        enrolling: the enrolment.
+        reports: the reports.
     """
 
     def __init__(self, source: Source, check: Callable[..., list[Finding]] = examine) -> None:
         self.source = source
         self.operators = Operators()
+        self.enrolling = Enrolling(registry, lambda: source.reading().imaging)
+        self.reports = Reports()
         self._check = check
         self._radar = threading.Lock()
         self._starting = threading.Lock()
@@ -74,6 +82,7 @@ class Station:
         self._health = Health()
         self._health_thread: threading.Thread | None = None
         self._health_due = 0.0
+        self._failed_seen = 0
 
     @property
     def scan(self) -> ScanRun | None:
@@ -84,6 +93,11 @@ class Station:
     def health(self) -> Health:
         """The newest health check."""
         return self._health
+
+    @property
+    def full(self) -> bool:
+        """Whether no other WebSocket connection is accepted."""
+        return self.operators.connected >= MAX_CONNECTIONS
 
     def start(self, key: str | None, note: str = "") -> int:
         """Start a scan; returns its number.
@@ -100,17 +114,20 @@ class Station:
         with self._starting:
             return self._start(key, note)
 
-    def _start(self, key: str | None, note: str) -> int:
+    def start_capture(self, key: str | None) -> int:
+        """Start a scan whose capture is added to the enrolment; returns its number.
+
+        Raises as `start`, and EnrolmentError if the enrolment takes no capture.
+        """
+        with self._starting:
+            return self._start(key, self.enrolling.next_note(), self.enrolling.add)
+
+    def _start(self, key: str | None, note: str, then: Then | None = None) -> int:
         if self._scan is not None and self._scan.running:
             raise BusyError("a scan is running", "Wait for its end, or stop it.")
-        if key is not None:
-            self.operators.take(key)
-        if self.operators.taken and not self.operators.holds(key):
-            raise NotOperatorError(
-                "another browser operates the station", "Take over there, or wait until it is closed."
-            )
-        setup = self.source.setup(note[:_NOTE_LENGTH])
-        run = ScanRun(self._count + 1, setup, self._radar)
+        self.operate(key)
+        setup = self.source.scan(note[:_NOTE_LENGTH])
+        run = ScanRun(self._count + 1, setup, self._radar, then)
         if run.motion.moves and not self.operators.holds(key):
             raise NotOperatorError(
                 "the scan would move the table or robot, and no browser operates the station",
@@ -120,6 +137,37 @@ class Station:
         run.start()
         self._scan = run
         return run.number
+
+    def operate(self, key: str | None) -> None:
+        """Take the lock for a browser if it is free.
+
+        Args:
+            key: of the requesting browser; None for a script without a connection, which may act while no
+                browser operates.
+
+        Raises NotOperatorError if another browser operates.
+        """
+        if key is not None:
+            self.operators.take(key)
+        if self.operators.taken and not self.operators.holds(key):
+            raise NotOperatorError(
+                "another browser operates the station", "Take over there, or wait until it is closed."
+            )
+
+    def describe(self, key: str | None, subject: Subject) -> None:
+        """Begin an enrolment, or change the name of the current one. Raises as `Enrolling.describe`."""
+        self.operate(key)
+        self.enrolling.describe(subject)
+
+    def start_report(self, key: str | None, entries: tuple[int, ...]) -> ReportRun:
+        """Begin a report over entries of the history.
+
+        Captures that are no longer on the disk are left out.
+
+        Raises NotOperatorError, BusyError, UsageError, StorageError.
+        """
+        self.operate(key)
+        return self.reports.start(self.captures(entries), self.source.reading(), registry().contents())
 
     def stop(self) -> None:
         """Stop the running scan; every connection may. Its capture is kept."""
@@ -145,49 +193,85 @@ class Station:
         now = time.monotonic()
         idle = run is None
         waiting = self._health_thread is None or not self._health_thread.is_alive()
+        if idle and self._scan is not None and self._scan.device_failed and self._failed_seen != self._count:
+            self._failed_seen, self._health_due = self._count, now
         if self.operators.connected and idle and waiting and now >= self._health_due:
-            self._health_due = now + HEALTH_EVERY_S
+            self._health_due = now + (MISSING_EVERY_S if self._health.wiring else HEALTH_EVERY_S)
             self._health_thread = threading.Thread(target=self._examine, name="station-health", daemon=True)
             self._health_thread.start()
 
     def _examine(self) -> None:
+        url: str | None = None
         with self._radar:
             try:
-                findings = tuple(self._check(self.source.config()))
+                config = self.source.config()
+                url = config["radar.url"]
+                findings = tuple(self._check(config))
             except TagidError as error:
                 findings = (Finding("configuration", "problem", error.message, error.remedy),)
             except Exception:
                 logging.getLogger("tagid").debug("health check", exc_info=True)
                 return
-        self._health = Health(findings, time.monotonic())
+        missing = any(one.topic == "radar" and one.level != "ok" for one in findings)
+        self._health = Health(findings, time.monotonic(), wiring(url) if missing else None)
+        if missing:
+            self._health_due = min(self._health_due, time.monotonic() + MISSING_EVERY_S)
 
     def history(self, wanted: Filter) -> list[dict[str, Any]]:
         """Entries of the history, newest first, at most `HISTORY_LIMIT`. Raises StorageError."""
         return list(History(data_folder() / FILE_NAME).find(wanted))
 
     def picture(self, number: int) -> bytes:
-        """The picture of an entry of the history, PNG.
-
-        The path comes from the history and must be a picture that the station wrote next to its captures.
-
-        Raises NoSuchItemError.
-        """
-        rows = self.history(Filter(number=number, limit=1))
-        if not rows or rows[0]["command"] not in (COMMAND, "scan"):
-            raise NoSuchItemError(f"there is no picture of entry {number}")
-        path = picture_of(Path(rows[0]["file"]))
-        folder = self.source.setup("").folder.resolve()
-        if path.resolve().parent != folder:
-            raise NoSuchItemError(f"the picture of entry {number} is in another folder")
+        """The picture of an entry of the history, PNG. Raises NoSuchItemError."""
         try:
-            return read_bytes(path, _PICTURE_BYTES)
+            return read_bytes(picture_of(self._capture(number)), _PICTURE_BYTES)
         except StorageError as error:
             raise NoSuchItemError(f"there is no picture of entry {number}") from error
 
+    def capture(self, number: int) -> Path:
+        """The capture file of an entry of the history. Raises NoSuchItemError."""
+        path = self._capture(number)
+        if not path.is_file():
+            raise NoSuchItemError(f"the capture of entry {number} is no longer on the disk")
+        return path
+
+    def captures(self, entries: tuple[int, ...]) -> list[Path]:
+        """The capture files of entries of the history, each once, without those no longer on the disk."""
+        found: dict[Path, None] = {}
+        for number in entries:
+            try:
+                found[self.capture(number)] = None
+            except NoSuchItemError:
+                continue
+        return list(found)
+
+    def _capture(self, number: int) -> Path:
+        """The file of an entry of the history.
+
+        The path comes from the history, and must be that of a scan in the station's folder.
+        """
+        rows = self.history(Filter(number=number, limit=1))
+        if not rows or rows[0]["command"] not in (COMMAND, "scan"):
+            raise NoSuchItemError(f"there is no capture of entry {number}")
+        path = Path(rows[0]["file"])
+        if path.resolve().parent != self.source.reading().folder.resolve():
+            raise NoSuchItemError(f"the capture of entry {number} is in another folder")
+        return path
+
+    def layouts(self) -> list[Layout]:
+        """The enrolled layouts. Raises RegistryError."""
+        return registry().layouts()
+
     def close(self) -> None:
-        """Stop a running scan, and wait for its end."""
+        """Stop a running scan and a running report, and wait for their ends."""
         self.stop()
+        self.reports.close(_STOP_S)
         if self._scan is not None:
             self._scan.join(_STOP_S)
         if self._health_thread is not None:
             self._health_thread.join(_STOP_S)
+
+
+def registry() -> Registry:
+    """The registry of this computer."""
+    return Registry(data_folder() / "registry.sqlite")

@@ -10,16 +10,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tagid.errors import TagidError
 from tagid.live.state import LiveState
 from tagid.pipeline.answer import Identification
+from tagid.pipeline.enrolment import LayoutProposal, SignatureProposal
+from tagid.pipeline.measuring import Measured
 from tagid.report.colours import to_decibels, viridis
 from tagid.report.preview import resample
+from tagid.station.enrolling import NEEDED, EnrolmentState, Taken
+from tagid.station.reports import ReportRun
 from tagid.station.scans import ScanRun
 from tagid.station.station import Health, Station
 
 IMAGE_DB = 25.0
 SINOGRAM_DB = 30.0
 _SINOGRAM_ROWS, _SINOGRAM_COLUMNS = 120, 128
+_NEAREST = 6
+"""Neighbours of a new layout that are shown."""
 
 Json = dict[str, Any]
 
@@ -32,8 +39,11 @@ def status(station: Station) -> Json:
         "demo": station.source.demo,
         "operated": station.operators.taken,
         "connections": station.operators.connected,
+        "full": station.full,
         "scan": None if run is None else scan(run),
         "health": health(station.health),
+        "enrolment": enrolment(station.enrolling.state),
+        "report": None if station.reports.newest is None else report(station.reports.newest),
     }
 
 
@@ -111,7 +121,97 @@ def health(found: Health) -> Json:
             {"topic": one.topic, "level": one.level, "text": one.text, "remedy": one.remedy}
             for one in found.findings
         ],
+        "wiring": None
+        if found.wiring is None
+        else {"cable": found.wiring.cable, "url": found.wiring.url, "steps": list(found.wiring.steps)},
     }
+
+
+def enrolment(state: EnrolmentState) -> Json:
+    """The enrolment."""
+    subject, stored = state.subject, state.stored
+    return {
+        "subject": None
+        if subject is None
+        else {"name": subject.name, "kind": subject.kind, "label": subject.label},
+        "needed": NEEDED,
+        "captures": [_taken(one) for one in state.captures],
+        "measuring": state.measuring,
+        "trouble": None if state.trouble is None else error_entry(state.trouble),
+        "remarks": [] if state.measured is None else list(state.measured.remarks),
+        "proposal": None if state.proposal is None else proposal(state.proposal, state.measured),
+        "stored": None
+        if stored is None
+        else {"name": stored.name, "registry_version": stored.version, "has_layout": stored.has_layout},
+        "undone": state.undone,
+    }
+
+
+def _taken(one: Taken) -> Json:
+    reading = one.answer.reading
+    return {
+        "number": one.number,
+        "file": one.path.name,
+        "reflectors": None if one.sighted is None else len(one.sighted.sighting.positions),
+        "status": one.answer.status,
+        "layout": None if reading is None else reading.layout,
+        "error": None if one.error is None else error_entry(one.error),
+    }
+
+
+def proposal(found: LayoutProposal | SignatureProposal, measured: Measured | None) -> Json:
+    """What an enrolment would store, compared with its neighbours."""
+    can_store = found.taken is None and found.conflict is None
+    if isinstance(found, SignatureProposal):
+        return {
+            "ready": can_store,
+            "reflectors": [],
+            "spread_m": [],
+            "signature": True,
+            "confusion_rate": None,
+            "reference": None,
+            "nearest": [
+                {"name": one.second, "worst_m": None, "difference": one.left, "confusable": one.alike}
+                for one in found.likenesses[:_NEAREST]
+            ],
+        }
+    estimate = None if measured is None else measured.estimate
+    layout, outlook = found.layout, found.outlook
+    return {
+        "ready": can_store,
+        "reflectors": [{"x_m": float(x), "y_m": float(y)} for x, y in layout.positions],
+        "spread_m": [] if estimate is None else [float(value) for value in estimate.spread_m],
+        "signature": found.signature is not None,
+        "confusion_rate": outlook.confusion_rate,
+        "reference": {"views": outlook.place.views, "snr_db": outlook.place.snr_db},
+        "nearest": [
+            {
+                "name": one.name,
+                "worst_m": one.distance.worst_m,
+                "difference": None,
+                "confusable": one.confusable,
+            }
+            for one in outlook.neighbours[:_NEAREST]
+        ],
+    }
+
+
+def report(run: ReportRun) -> Json:
+    """A report over a selection of the history."""
+    return {
+        "number": run.number,
+        "running": run.running,
+        "done": run.done,
+        "total": run.total,
+        "complete": run.complete,
+        "folder": str(run.folder),
+        "error": None if run.error is None else error_entry(run.error),
+    }
+
+
+def error_entry(error: TagidError) -> Json:
+    """An error: code, message and remedy."""
+    return {"code": error.code, "message": error.message, "remedy": error.remedy}
 
 
 def palette() -> str:

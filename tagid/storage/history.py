@@ -5,6 +5,8 @@ Each one is stored with its settings, the registry version and the tool version.
 
 from __future__ import annotations
 
+import csv
+import io
 import json
 import platform
 import sqlite3
@@ -17,6 +19,7 @@ from typing import Any
 from tagid import __version__
 from tagid.errors import StorageError, UsageError
 from tagid.storage.database import Database, Schema
+from tagid.storage.spreadsheet import cell
 
 FILE_NAME = "history.sqlite"
 STATUSES = ("identified", "unknown", "ambiguous", "no_tag", "failed")
@@ -89,6 +92,7 @@ class Filter:
         since, until: ISO 8601 date or time, UTC if no zone is given; from `since` on, before `until`.
         limit: maximum number.
         number: of one identification.
+        numbers: of several identifications.
     """
 
     status: str | None = None
@@ -100,6 +104,7 @@ class Filter:
     until: str | None = None
     limit: int | None = None
     number: int | None = None
+    numbers: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         if self.status and self.status not in STATUSES:
@@ -189,6 +194,15 @@ class History:
         return [{"x_m": x, "y_m": y, "amplitude_db": db, "matched": bool(m)} for x, y, db, m in rows]
 
 
+def csv_text(rows: Iterable[Mapping[str, Any]]) -> str:
+    """Rows of `History.find` as CSV, safe to open in a spreadsheet."""
+    text = io.StringIO()
+    table = csv.DictWriter(text, FIELDS)
+    table.writeheader()
+    table.writerows({name: cell(value) for name, value in row.items()} for row in rows)
+    return text.getvalue()
+
+
 def _row(record: Mapping[str, Any]) -> tuple[Any, ...]:
     centre = record.get("centre_m") or (None, None)
     error = record.get("error") or {}
@@ -223,6 +237,9 @@ def _conditions(wanted: Filter) -> tuple[str, list[Any]]:
     if wanted.number is not None:
         tests.append("i.id = ?")
         values.append(wanted.number)
+    if wanted.numbers:
+        tests.append(f"i.id IN ({', '.join('?' for _ in wanted.numbers)})")
+        values += wanted.numbers
     if wanted.file:
         tests.append("instr(i.file, ?) > 0")
         values.append(wanted.file)

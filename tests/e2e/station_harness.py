@@ -7,6 +7,7 @@ import json
 import os
 import socket
 import struct
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -15,17 +16,19 @@ from http.client import HTTPConnection
 from pathlib import Path
 from typing import Any, ClassVar
 
+import numpy as np
 import pytest
 
 from tagid.config import load_config
 from tagid.doctor import Finding
+from tagid.metadata import ObjectInfo
 from tagid.pipeline.load import LoadSettings
 from tagid.pipeline.settings import ImagingSettings
 from tagid.radar.settings import RadarConfig
 from tagid.recording.plan import RecordingPlan, plan_window
-from tagid.station import server
+from tagid.station import server, web
 from tagid.station.server import Server
-from tagid.station.setup import ScanSetup, Source
+from tagid.station.setup import ReadingSetup, ScanSetup, Source
 from tagid.station.station import Station
 
 FAST = "emulator://helmet-120?rpm=20&seed=2"
@@ -35,17 +38,22 @@ ENDLESS = "emulator://helmet-120?rpm=0.5&seed=2&rate=1"
 WAIT_S = 60.0
 
 
-def source(folder: Path, radar: str = FAST) -> Source:
-    """Scans of an emulated helmet into a folder."""
-    motion = "free?rpm=20" if radar == FAST else "free?rpm=0.5"
+def source(
+    folder: Path, radar: str | Callable[[], str] = FAST, rpm: float | None = None, resume_s: float = 20.0
+) -> Source:
+    """Scans of an emulated helmet into a folder; a function gives each scan its own radar."""
     config = plan_window(1.0, 0.5, 0.0, RadarConfig(base_integration_index=15))
-    imaging = ImagingSettings(method="bp", pixels=64)
+    reading = ReadingSetup(folder, LoadSettings(as_recorded=True), ImagingSettings(method="bp", pixels=64))
+    motion = f"free?rpm={rpm or (0.5 if radar == ENDLESS else 20 if isinstance(radar, str) else POSED_RPM):g}"
 
     def setup(note: str) -> ScanSetup:
-        plan = RecordingPlan(config, 1.0, motion=motion, renumber=True)
-        return ScanSetup(radar, 2.0, motion, plan, folder, LoadSettings(as_recorded=True), imaging)
+        url = radar if isinstance(radar, str) else radar()
+        about = ObjectInfo(note=note or None)
+        plan = RecordingPlan(config, 1.0, motion=motion, renumber=True, resume_s=resume_s, object=about)
+        return ScanSetup(url, 2.0, motion, plan, reading)
 
-    return Source(load_config, setup)
+    known = {"radar.url": radar} if isinstance(radar, str) else {}
+    return Source(lambda: load_config(known), lambda: reading, setup)
 
 
 def healthy(config: object) -> list[Finding]:
@@ -111,6 +119,69 @@ def alone(place: Path) -> Iterator[Server]:
             yield one
 
 
+PLACES = np.array([(0.11, 0.0), (-0.02, 0.09), (-0.05, -0.07)])
+"""Reflectors of `own_object`, m."""
+POSES = ((0.006, -0.002, 10.0), (-0.004, 0.005, 130.0), (0.001, 0.008, 250.0))
+"""Centre (m) and rotation (degrees) of the object in one capture after the other."""
+
+
+POSED_RPM = 20
+"""Speed of the objects of `poses`, for two views in every five degrees."""
+
+
+def own_object(folder: Path) -> str:
+    """Options of the emulator for the object `mine`, which is not enrolled."""
+    rows = ", ".join(f"[{x}, {y}]" for x, y in PLACES)
+    (folder / "mine.toml").write_text(f'name = "mine"\nkind = "other"\npositions_m = [{rows}]\n')
+    return f"file={folder / 'mine.toml'}&reflector=octahedron"
+
+
+def poses(scene: str, options: str = "", seed: int = 1) -> Iterator[str]:
+    """Radars of a scene in one pose after the other."""
+    while True:
+        for x, y, turn in POSES:
+            seed += 1
+            yield f"emulator://{scene}?rpm={POSED_RPM}&seed={seed}&centre={x},{y}&rotation={turn}&{options}".rstrip(
+                "&"
+            )
+
+
+def stations(place: Path, patch: pytest.MonkeyPatch) -> Iterator[Callable[..., Server]]:
+    """For a fixture: a function that starts stations; afterwards none of their threads may be left."""
+    patch.setenv("TAGID_DATA", str(place / "data"))
+    patch.setenv("TAGID_CONFIG", str(place / "c.toml"))
+    patch.setattr(web, "PAIR_PAUSE_S", 0.0)
+    patch.setattr(server, "PING_S", 120.0)  # clients here answer a ping when they next read
+    (place / "out").mkdir()
+    open_ones: list[Server] = []
+    before = set(threading.enumerate())
+
+    def start(
+        radar: str | Callable[[], str] = FAST,
+        announce: Callable[[str], None] | None = None,
+        port: int = 0,
+        check: Callable[..., list[Finding]] = healthy,
+        **more: float,
+    ) -> Server:
+        one = Server(Station(source(place / "out", radar, **more), check), "127.0.0.1", port, announce)
+        one.__enter__()
+        open_ones.append(one)
+        wait(lambda: Asks(one.url, {}).get("/").status == 200)
+        return one
+
+    yield start
+    for one in open_ones:
+        one.close()
+    left = {t for t in set(threading.enumerate()) - before if t.name.startswith(("station-", "live-"))}
+    assert left == set()
+
+
+def ended(one: Server) -> dict[str, Any]:
+    """The newest scan when it has ended."""
+    client = Asks(one.url, {})
+    return wait(lambda: (s := client.get("/api/v1/scan").json()) and not s.get("running", True) and s)
+
+
 class Raw:
     """A WebSocket client of a few lines over a plain socket, which can misbehave."""
 
@@ -142,8 +213,14 @@ class Raw:
             if not part:
                 break
             self.buffer += part
-        head, _, self.buffer = self.buffer.partition(b"\r\n\r\n")
-        self.status = int(head.split()[1]) if head else 0
+        self.head, _, self.buffer = self.buffer.partition(b"\r\n\r\n")
+        self.status = int(self.head.split()[1]) if self.head else 0
+
+    def body(self) -> str:
+        """The text of a response that refuses the WebSocket."""
+        lines = self.head.decode().lower().splitlines()
+        size = next(int(line.partition(":")[2]) for line in lines if line.startswith("content-length:"))
+        return (self._take(size) or b"").decode()
 
     def frame(self, payload: bytes, opcode: int = 1, masked: bool = True) -> None:
         """Send one frame."""

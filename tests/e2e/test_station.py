@@ -17,15 +17,14 @@ from typing import Any
 import pytest
 
 pytest.importorskip("starlette")
-from station_harness import ENDLESS, FAST, Asks, Raw, alone, healthy, joined, source, wait
+from station_harness import ENDLESS, Asks, Raw, alone, ended, joined, stations, wait
 
 from tagid.motion.device import MotionStoppedError
 from tagid.motion.turntable import FreeTurntable
-from tagid.station import operators, scans, server, web
+from tagid.station import operators, scans, server
 from tagid.station.openapi import document
 from tagid.station.security import COOKIE
 from tagid.station.server import Server
-from tagid.station.station import Station
 from tagid.storage.importers import read_any
 
 OWN = {"tagid-station": "1"}
@@ -40,38 +39,11 @@ def close_all() -> Iterator[None]:
 
 @pytest.fixture
 def serve(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., Server]]:
-    """Starts stations; afterwards none of their threads may be left."""
-    monkeypatch.setenv("TAGID_DATA", str(tmp_path / "data"))
-    monkeypatch.setenv("TAGID_CONFIG", str(tmp_path / "c.toml"))
-    monkeypatch.setattr(web, "PAIR_PAUSE_S", 0.0)
-    monkeypatch.setattr(server, "PING_S", 120.0)  # the clients here answer a ping when they next read
-    (tmp_path / "out").mkdir()
-    open_ones: list[Server] = []
-    before = set(threading.enumerate())
-
-    def start(radar: str = FAST, announce: Callable[[str], None] | None = None) -> Server:
-        station = Station(source(tmp_path / "out", radar), healthy)
-        one = Server(station, "127.0.0.1", 0, announce)
-        one.__enter__()
-        open_ones.append(one)
-        wait(lambda: asks(one).get("/").status == 200)
-        return one
-
-    yield start
-    for one in open_ones:
-        one.close()
-    left = {t for t in set(threading.enumerate()) - before if t.name.startswith(("station-", "live-"))}
-    assert left == set()
+    yield from stations(tmp_path, monkeypatch)
 
 
 def asks(one: Server, **headers: str) -> Asks:
     return Asks(one.url, headers)
-
-
-def ended(one: Server) -> dict[str, Any]:
-    """The newest scan when it has ended."""
-    client = asks(one)
-    return wait(lambda: (s := client.get("/api/v1/scan").json()) and not s.get("running", True) and s)
 
 
 def test_a_script_starts_follows_and_reads_a_scan(serve, tmp_path: Path) -> None:
@@ -340,7 +312,9 @@ def test_a_table_does_not_start_when_its_scan_was_stopped_before(serve, table: T
     first.close()
 
 
-def test_anybody_stops_a_scan_and_a_table_that_stops_half_way_is_told(serve, table: Table) -> None:
+def test_anybody_stops_a_scan_and_a_table_that_stops_half_way_is_told(
+    serve, table: Table, tmp_path: Path
+) -> None:
     one = serve(ENDLESS)
     first, _ = joined(one.port)
     first.say(type="scan")
@@ -351,6 +325,14 @@ def test_anybody_stops_a_scan_and_a_table_that_stops_half_way_is_told(serve, tab
     first.say(type="scan")
     scan = first.until("frame", lambda m: m["scan"]["number"] == 2 and not m["scan"]["running"])["scan"]
     assert scan["phase"] == "failed" and scan["note"].startswith("the table stopped")
+    assert table.stopped.is_set()
+    kept = [read_any(path) for path in sorted((tmp_path / "out").glob("*.tagid.h5"))]
+    assert len(kept) == 2 and not any(capture.complete for capture in kept)
+    assert kept[1].views >= 10, "what was recorded is kept"
+    table.breaks_after = None
+    first.say(type="scan")
+    first.until("frame", lambda m: m["scan"]["number"] == 3 and m["scan"]["scans"] > 3)
+    first.say(type="stop")
     first.close()
 
 
@@ -368,26 +350,6 @@ def test_a_client_that_never_reads_is_cut_off_and_holds_up_nobody(
     good.say(type="stop")
     good.close()
     deaf.close()
-
-
-def test_many_connections_leave_room_for_the_page(serve) -> None:
-    one = serve()
-    many = [Raw(one.port) for _ in range(web.MAX_CONNECTIONS)]
-    for client in many:
-        assert client.status == 101
-        client.say(type="hello")
-        client.until("hello")
-    idle = [socket.create_connection(("127.0.0.1", one.port)) for _ in range(60)]
-    over = [Raw(one.port) for _ in range(20)]
-    assert {client.status for client in over} == {403}
-    assert asks(one).get("/api/v1/status").json()["connections"] == web.MAX_CONNECTIONS
-    for client in [*many, *over]:
-        client.close()
-    wait(lambda: asks(one).get("/api/v1/status").json()["connections"] == 0)
-    last, _ = joined(one.port)
-    last.close()
-    for wire in idle:
-        wire.close()
 
 
 def test_a_connection_without_a_request_is_closed(serve, monkeypatch: pytest.MonkeyPatch) -> None:

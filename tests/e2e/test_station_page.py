@@ -15,12 +15,10 @@ from chromium import size, start, theme, wait
 pytest.importorskip("starlette")
 from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
-from station_harness import ENDLESS, FAST, Asks, alone, healthy, source
+from station_harness import ENDLESS, Asks, alone, stations
 from station_harness import wait as until
 
-from tagid.station import server, web
 from tagid.station.server import Server
-from tagid.station.station import Station
 
 PIXELS = """
 const canvas = document.getElementById(arguments[0]);
@@ -55,35 +53,45 @@ def station_with_history(station_alone: Server) -> Server:
 
 @pytest.fixture
 def serve(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., Server]]:
-    monkeypatch.setenv("TAGID_DATA", str(tmp_path / "data"))
-    monkeypatch.setenv("TAGID_CONFIG", str(tmp_path / "c.toml"))
-    monkeypatch.setattr(web, "PAIR_PAUSE_S", 0.0)
-    monkeypatch.setattr(server, "PING_S", 120.0)  # on a busy machine a browser answers late
-    open_ones: list[Server] = []
-
-    def begin(radar: str = FAST, announce: Callable[[str], None] | None = None, port: int = 0) -> Server:
-        (tmp_path / "out").mkdir(exist_ok=True)
-        one = Server(Station(source(tmp_path / "out", radar), healthy), "127.0.0.1", port, announce)
-        open_ones.append(one)
-        return one.__enter__()
-
-    yield begin
-    for one in open_ones:
-        one.close()
+    yield from stations(tmp_path, monkeypatch)
 
 
 def text(page: Any, identity: str) -> str:
     return page.find_element(By.ID, identity).text
 
 
+def by_keyboard(page: Any, identity: str, most: int = 40) -> None:
+    """Reach an element with the Tab key alone."""
+    for _ in range(most):
+        if page.switch_to.active_element.get_attribute("id") == identity:
+            return
+        page.switch_to.active_element.send_keys(Keys.TAB)
+    raise AssertionError(f"{identity} is not reached with the Tab key")
+
+
+def view(page: Any, name: str) -> None:
+    """Open a view by its link, with the keyboard."""
+    page.find_element(By.CSS_SELECTOR, f"nav a[href='#view-{name}']").send_keys(Keys.ENTER)
+    wait(page, lambda: page.execute_script("return document.body.dataset.view") == name)
+
+
+def problems(page: Any) -> list[Any]:
+    """What axe-core finds in the view that is open."""
+    spec = util.find_spec("axe_core_python")
+    if spec is None or spec.origin is None:
+        pytest.skip("no axe-core: pip install axe-core-python")
+    page.execute_script((Path(spec.origin).parent / "axe.min.js").read_text("utf-8"))
+    return page.execute_async_script(
+        "const done = arguments[0]; axe.run().then((r) => done(r.violations.map((v) =>"
+        " [v.id, v.nodes.map((n) => n.html.slice(0, 90))])));"
+    )
+
+
 def test_the_main_road_by_keyboard_alone(browser: Any, station_alone: Server) -> None:
     size(browser, 1180, 820)
     browser.get(station_alone.url)
     wait(browser, lambda: browser.find_element(By.ID, "scan").is_enabled())
-    for _ in range(10):
-        browser.switch_to.active_element.send_keys(Keys.TAB)
-        if browser.switch_to.active_element.get_attribute("id") == "scan":
-            break
+    by_keyboard(browser, "scan")
     browser.switch_to.active_element.send_keys(Keys.ENTER)
     wait(browser, lambda: text(browser, "answer") == "helmet-120" and text(browser, "scan") == "Scan")
     letters = browser.execute_script(
@@ -96,10 +104,15 @@ def test_the_main_road_by_keyboard_alone(browser: Any, station_alone: Server) ->
     assert len(np.unique(browser.execute_script(PIXELS, "sinogram"))) > 20
     bars = browser.find_elements(By.CSS_SELECTOR, "#evidence li")
     assert bars[0].text.startswith("helmet-120") and "enough" in bars[0].get_attribute("class")
-    # What the health check says is text, whatever it says.
+    # What the health check says is text, whatever it says; a problem shows on the view to scan, too.
+    assert "no answer <b>" in text(browser, "alert")
+    view(browser, "health")
+    assert "No radar answers at emulator://" in text(browser, "wiring-found")
+    assert "tagid radar find" in text(browser, "wiring-steps")
     wait(browser, lambda: "radar: problem" in text(browser, "health"))
     assert "no answer <b>" in text(browser, "health") and "Check the cable." in text(browser, "health")
     # The picture of the entry in the history opens and closes by keyboard.
+    view(browser, "history")
     wait(browser, lambda: browser.find_elements(By.CSS_SELECTOR, "#history button"))
     button = browser.find_element(By.CSS_SELECTOR, "#history button")
     button.send_keys(Keys.ENTER)
@@ -116,25 +129,24 @@ def test_the_main_road_by_keyboard_alone(browser: Any, station_alone: Server) ->
 def test_accessibility_and_fit(
     browser: Any, station_with_history: Server, shape: tuple[int, int, bool], name: str
 ) -> None:
-    spec = util.find_spec("axe_core_python")
-    if spec is None or spec.origin is None:
-        pytest.skip("no axe-core: pip install axe-core-python")
     size(browser, *shape)
     theme(browser, name)
     browser.get(station_with_history.url)
     wait(browser, lambda: text(browser, "answer") == "helmet-120")
-    wait(browser, lambda: browser.find_elements(By.CSS_SELECTOR, "#history button"))
-    assert browser.execute_script("return document.documentElement.scrollWidth") <= shape[0]
     background = browser.execute_script("return getComputedStyle(document.body).backgroundColor")
     assert (sum(map(int, background[4:-1].split(","))) < 300) == (name == "dark")
     scan = browser.find_element(By.ID, "scan").rect
     assert scan["height"] >= 80 and scan["width"] >= 250, "a thumb hits it"
-    browser.execute_script((Path(spec.origin).parent / "axe.min.js").read_text("utf-8"))
-    found = browser.execute_async_script(
-        "const done = arguments[0]; axe.run().then((r) => done(r.violations.map((v) =>"
-        " [v.id, v.nodes.map((n) => n.html.slice(0, 90))])));"
-    )
-    assert found == []
+    assert scan["y"] + scan["height"] <= shape[1], "without scrolling"
+    for shown in ("scan", "health", "history", "enrol"):
+        view(browser, shown)
+        if shown == "history":
+            wait(browser, lambda: browser.find_elements(By.CSS_SELECTOR, "#history button"))
+        if shown == "enrol":
+            browser.find_element(By.CSS_SELECTOR, "#templates summary").click()
+            wait(browser, lambda: browser.find_elements(By.CSS_SELECTOR, "#t-layout option"))
+        assert browser.execute_script("return document.documentElement.scrollWidth") <= shape[0], shown
+        assert problems(browser) == [], shown
 
 
 def test_two_browsers_a_reload_and_a_restart_of_the_station(

@@ -14,6 +14,25 @@ let sound = false;
 let audio = null;
 let told = "";
 let listed = -1;
+const VIEWS = ["scan", "enrol", "history", "health"];
+
+// One view at a time; the address keeps it over a reload.
+function showView() {
+  const found = VIEWS.find((name) => location.hash === `#view-${name}`);
+  if (!found && document.body.dataset.view) return;
+  const view = found || "scan";
+  document.body.dataset.view = view;
+  for (const part of document.querySelectorAll("[data-views]")) {
+    part.hidden = !part.dataset.views.split(" ").includes(view) || (part.id === "wiring" && !part.dataset.wanted);
+  }
+  for (const link of document.querySelectorAll("nav a")) {
+    if (link.hash === `#view-${view}`) link.setAttribute("aria-current", "page");
+    else link.removeAttribute("aria-current");
+  }
+  if (view === "history") loadHistory();
+  if (view === "enrol") loadLayouts();
+  window.scrollTo(0, 0);
+}
 
 function bytes(text) {
   const raw = atob(text);
@@ -66,6 +85,11 @@ function showAnswer(scan) {
       text = scan.phase === "connecting" ? "Connecting" : scan.phase === "turning" ? "Turning" : "Reading";
       reason = scan.note;
     }
+    if (scan.running && scan.silent_s > 2) {
+      [text, kind] = ["No signal", "failed"];
+      reason = `No scan for ${scan.silent_s.toFixed(0)} s. Scans so far are stored.`;
+      advice = "Check the radar's cable and power; the scan goes on when it answers.";
+    }
   }
   setText("answer", text);
   box.className = kind + (text.length > 14 ? " long" : "");
@@ -101,14 +125,13 @@ function showScan(scan) {
     const words = [`${scan.scans} scans in ${scan.seconds.toFixed(1)} s`];
     words.push(scan.turned_deg === null ? "angle not known yet" : `${Math.min(scan.turned_deg, 360).toFixed(0)} of 360 degrees`);
     words.push(scan.snr_db === null ? "SNR -" : `SNR ${scan.snr_db.toFixed(1)} dB`, `lost ${scan.lost}`);
-    if (scan.silent_s > 2) words.push(`no scan for ${scan.silent_s.toFixed(0)} s: is the radar connected?`);
     if (scan.note && scan.answer) words.push(scan.note);
     if (scan.remark) words.push(scan.remark);
     setText("figures", words.join(" · "));
     showEvidence(scan.evidence);
     if (!running && listed !== scan.number) {
       listed = scan.number;
-      loadHistory();
+      if (document.body.dataset.view === "history") loadHistory();
     }
   }
   showButton();
@@ -119,10 +142,17 @@ function showButton() {
   const open = socket && socket.readyState === WebSocket.OPEN;
   const elsewhere = operated && !mine;
   setText("scan", running ? "Stop" : "Scan");
-  button.className = running ? "stop" : "";
+  button.className = running ? "big stop" : "big";
   button.disabled = !open || (!running && elsewhere);
   $("take").hidden = !(open && elsewhere && !running);
   setText("operator", elsewhere ? "Another browser operates the station; this one only watches." : mine ? "This browser operates the station." : "");
+  showEnrolment();
+  showReport();
+}
+
+// May this browser act? Anybody may stop a scan.
+function mayAct() {
+  return Boolean(socket && socket.readyState === WebSocket.OPEN) && !(operated && !mine);
 }
 
 function showEvidence(items) {
@@ -173,54 +203,29 @@ function showHealth(health) {
   $("health").replaceChildren(...rows.filter((row) => row.className !== "ok"));
   $("health-fine").replaceChildren(...fine);
   setText("health-count", `${fine.length} of ${rows.length} checks passed`);
+  showAlert(health);
 }
 
-async function loadHistory() {
-  const query = new URLSearchParams({ limit: "50" });
-  if ($("f-status").value) query.set("status", $("f-status").value);
-  if ($("f-layout").value.trim()) query.set("layout", $("f-layout").value.trim());
-  $("export").href = `api/v1/history.csv?${query}`;
-  let items;
-  try {
-    const answer = await fetch(`api/v1/history?${query}`, { cache: "no-store" });
-    const found = await answer.json();
-    if (!answer.ok) throw new Error(found.error.message);
-    items = found.items;
-  } catch (error) {
-    setText("history-note", `The history cannot be read: ${error.message}`);
-    return;
-  }
-  setText("history-note", items.length ? "" : "no entries");
-  $("history").replaceChildren(...items.map((one) => {
-    const row = element("li");
-    const when = new Date(one.time_utc);
-    row.append(element("span", Number.isNaN(when.getTime()) ? one.time_utc : when.toLocaleString()));
-    row.append(element("span", nameOf(one), `who ${one.status}`));
-    if (one.command === "station" || one.command === "scan") {
-      const button = element("button", "Picture");
-      button.type = "button";
-      button.setAttribute("aria-label", `Picture of ${nameOf(one)}, ${row.firstChild.textContent}`);
-      button.addEventListener("click", () => showPicture(one.id, nameOf(one)));
-      row.append(button);
-    }
-    return row;
-  }));
+// What hinders a scan, on every view, with the way to its remedy.
+function showAlert(health) {
+  const bad = health.findings.filter((one) => one.level === "problem");
+  $("health-mark").hidden = bad.length === 0;
+  $("alert").hidden = bad.length === 0;
+  setText("alert-text", bad.map((one) => `${one.topic}: ${one.text}.`).join(" "));
 }
 
-async function showPicture(number, name) {
-  setText("viewer-head", name);
-  const picture = $("viewer-picture");
-  const answer = await fetch(`api/v1/history/${number}/picture`);
-  if (picture.src) URL.revokeObjectURL(picture.src);
-  if (answer.ok) {
-    picture.src = URL.createObjectURL(await answer.blob());
-    picture.alt = `Radar image of ${name}`;
-  } else {
-    picture.removeAttribute("src");
-    picture.alt = (await answer.json()).error.message;
-  }
-  $("viewer").showModal();
-  $("viewer-head").focus();
+function showWiring(wiring) {
+  const part = $("wiring");
+  part.dataset.wanted = wiring ? "yes" : "";
+  part.hidden = !wiring || document.body.dataset.view !== "health";
+  if (!wiring) return;
+  const names = { ethernet: "network cable", usb: "USB cable", uart: "serial adapter", none: "which cable?" };
+  setText("wiring-name", names[wiring.cable]);
+  setText("wiring-found", wiring.url ? `No radar answers at ${wiring.url}.` : "No radar is configured.");
+  const list = $("wiring-steps");
+  if (list.dataset.shown === wiring.steps.join("\n")) return;
+  list.dataset.shown = wiring.steps.join("\n");
+  list.replaceChildren(...wiring.steps.map((one) => element("li", one)));
 }
 
 function receive(message) {
@@ -233,12 +238,11 @@ function receive(message) {
     showButton();
   } else if (message.type === "status") {
     operated = message.operated;
+    enrolment = message.enrolment;
+    report = message.report;
     showHealth(message.health);
+    showWiring(message.health.wiring);
     showScan(message.scan);
-    if (listed < 0) {
-      listed = 0;
-      loadHistory();
-    }
   } else if (message.type === "frame") {
     showScan(message.scan);
     const { image, sinogram } = message;
@@ -252,7 +256,7 @@ function receive(message) {
     }
     document.body.dataset.frames = String(Number(document.body.dataset.frames || 0) + 1);
   } else if (message.type === "error") {
-    setText("problem", `${message.error.message}. ${message.error.remedy}`);
+    showProblem(message.error);
   }
 }
 
@@ -274,6 +278,7 @@ function connect() {
     // A refused WebSocket gives no reason, but a request does.
     try {
       const answer = await fetch("api/v1/status", { cache: "no-store" });
+      if (answer.ok && (await answer.json()).full) setText("link", "too many pages are connected: close one");
       if (answer.status === 401) {
         $("pairing").hidden = false;
         setText("link", "not paired");
@@ -288,8 +293,29 @@ function connect() {
   });
 }
 
+function showProblem(error) {
+  setText("problem", error ? `${error.message}. ${error.remedy}` : "");
+}
+
+// A request that changes something; the answer, or null after showing the refusal.
+async function post(path, values) {
+  showProblem(null);
+  try {
+    const answer = await fetch(`api/v1/${path}`, {
+      method: "POST", headers: { ...OWN, "content-type": "application/json" },
+      body: JSON.stringify({ ...values, key: sessionStorage.getItem("key") }),
+    });
+    const found = await answer.json();
+    if (answer.ok) return found;
+    showProblem(found.error);
+  } catch (error) {
+    showProblem({ message: "The station does not respond", remedy: "" });
+  }
+  return null;
+}
+
 function send(message) {
-  setText("problem", "");
+  showProblem(null);
   if (socket && socket.readyState === WebSocket.OPEN) socket.send(JSON.stringify(message));
 }
 
@@ -302,10 +328,6 @@ $("sound").addEventListener("click", () => {
   setText("sound", sound ? "Sound on" : "Sound off");
   if (sound) play([660]);
 });
-$("filter").addEventListener("submit", (event) => event.preventDefault());
-$("f-status").addEventListener("change", loadHistory);
-$("f-layout").addEventListener("change", loadHistory);
-$("viewer-close").addEventListener("click", () => $("viewer").close());
 $("pair-form").addEventListener("submit", async (event) => {
   event.preventDefault();
   setText("pair-error", "");
@@ -319,4 +341,9 @@ $("pair-form").addEventListener("submit", async (event) => {
     setText("pair-error", (await answer.json()).error.message);
   }
 });
-connect();
+window.addEventListener("hashchange", showView);
+// The other scripts of the page are loaded by then.
+document.addEventListener("DOMContentLoaded", () => {
+  showView();
+  connect();
+});

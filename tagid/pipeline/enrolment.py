@@ -1,0 +1,169 @@
+"""An identity or a body that is ready to be enrolled, compared with everything enrolled before it is stored.
+
+`tagid enroll` and the station show a proposal, ask for confirmation, and store it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from tagid.errors import LayoutConflictError, RegistryError
+
+if TYPE_CHECKING:
+    from tagid.pipeline.measuring import Measured
+    from tagid.tags.bodies.likeness import Likeness
+    from tagid.tags.bodies.signature import Signature
+    from tagid.tags.enrolling.enrolment import Outlook
+    from tagid.tags.enrolling.registry import Registry, RegistryContents
+    from tagid.tags.layouts.layout import Layout
+
+
+@dataclass(frozen=True, eq=False)
+class LayoutProposal:
+    """A layout to enrol, perhaps with the signature of its object.
+
+    Attributes:
+        layout: new layout.
+        signature: of the same object; None if there is none.
+        outlook: the layout compared with its neighbours.
+        taken: the error if the name is already enrolled.
+        direction_known: whether the direction of rotation is known.
+    """
+
+    layout: Layout
+    signature: Signature | None
+    outlook: Outlook
+    taken: RegistryError | None
+    direction_known: bool
+
+    @property
+    def conflict(self) -> LayoutConflictError | None:
+        """The error if the layout could be confused with another."""
+        return self.outlook.conflict()
+
+    def store(self, registry: Registry, source: str, force: bool = False) -> StoredLayout:
+        """Enrol it, after comparing it with the registry as it is now.
+
+        Args:
+            registry: where to store it.
+            source: origin of the layout, for the history.
+            force: store it despite a conflict, and replace an entry of the same name.
+
+        Raises LayoutConflictError, RegistryError.
+        """
+        from tagid.tags.enrolling.enrolment import enrol
+
+        signatures = () if self.signature is None else (self.signature,)
+        done = enrol(
+            registry,
+            self.layout,
+            source,
+            force=force,
+            direction_known=self.direction_known,
+            signatures=signatures,
+        )
+        return StoredLayout(replace(self, outlook=done.outlook), done.version)
+
+
+@dataclass(frozen=True, eq=False)
+class StoredLayout:
+    """An enrolled layout.
+
+    Attributes:
+        proposal: as stored, compared with the registry at that moment.
+        version: registry version after the change.
+    """
+
+    proposal: LayoutProposal
+    version: int
+
+
+@dataclass(frozen=True, eq=False)
+class SignatureProposal:
+    """A body, or an object whose reflectors are not visible, to enrol by its signature.
+
+    Attributes:
+        signature: new signature.
+        likenesses: compared with those enrolled of the same kind, the most similar first.
+        version: registry version that the comparison was made against.
+        taken: the error if the name is already enrolled.
+    """
+
+    signature: Signature
+    likenesses: tuple[Likeness, ...]
+    version: int
+    taken: RegistryError | None
+
+    @property
+    def alike(self) -> tuple[str, ...]:
+        """Names of the entries that it could be taken for."""
+        return tuple(pair.second for pair in self.likenesses if pair.alike)
+
+    @property
+    def conflict(self) -> LayoutConflictError | None:
+        """The error if an object could be confused with another; similar bodies may be enrolled."""
+        if self.signature.kind != "object" or not self.alike:
+            return None
+        return LayoutConflictError(
+            f"object {self.signature.name} could be confused with {self.alike[0]}: "
+            f"{self.likenesses[0].left:.1%} of its angle-dependent echo distinguishes them",
+            "Change its tag, remove the other, or override with --force; nothing was stored.",
+        )
+
+    def store(self, registry: Registry, source: str, force: bool = False) -> int:
+        """Enrol it, replacing an entry of the same name if `force`; returns the new registry version.
+
+        Raises RegistryError.
+        """
+        version = registry.add_all([], source, replace=force, signatures=[self.signature])
+        assert version is not None
+        return version
+
+
+def propose_layout(
+    contents: RegistryContents, layout: Layout, measured: Measured | None, direction_known: bool
+) -> LayoutProposal:
+    """A layout compared with the enrolled ones.
+
+    Args:
+        contents: of the registry.
+        layout: new layout.
+        measured: the captures it was measured on; None for given positions.
+        direction_known: whether the direction of rotation is known.
+
+    Raises UsageError if a reflector lies outside the largest object of the layout's kind.
+    """
+    from tagid.tags.enrolling.enrolment import outlook
+
+    found = outlook(layout, contents.layouts, direction_known=direction_known, version=contents.version)
+    taken = None
+    if any(other.name == layout.name for other in contents.layouts):
+        taken = RegistryError(
+            f"a layout named {layout.name} is already enrolled",
+            "Choose another name, remove it with `tagid layouts --remove`, or replace it with --force.",
+        )
+    own = None
+    if measured is not None and measured.joint is not None:
+        own = replace(measured.joint.signature, name=layout.name, label=layout.label[:200])
+    return LayoutProposal(layout, own, found, taken, direction_known)
+
+
+def propose_signature(contents: RegistryContents, signature: Signature) -> SignatureProposal:
+    """A signature compared with those enrolled of the same kind."""
+    from tagid.tags.bodies.likeness import compare
+
+    one = signature
+    names = {other.name for other in contents.signatures if other.kind == one.kind}
+    if one.kind == "object":
+        names |= {layout.name for layout in contents.layouts}
+    taken = None
+    if one.name in names:
+        taken = RegistryError(
+            f"{'an object' if one.kind == 'object' else 'a body'} named {one.name} is already enrolled",
+            "Choose another name, remove it with `tagid "
+            f"{'layouts' if one.kind == 'object' else 'bodies'} --remove`, or replace it with --force.",
+        )
+    others = [other for other in contents.signatures if other.kind == one.kind and other.name != one.name]
+    pairs = sorted((compare(one, other) for other in others), key=lambda pair: pair.left)
+    return SignatureProposal(one, tuple(pairs), contents.version, taken)

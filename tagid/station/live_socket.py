@@ -1,0 +1,239 @@
+"""The station's WebSocket: states for every page, and the actions of the page that operates."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from contextlib import suppress
+from typing import Any
+
+from starlette.concurrency import run_in_threadpool
+from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
+
+from tagid import __version__
+from tagid.errors import TagidError
+from tagid.station import wire
+from tagid.station.errors import BusyError
+from tagid.station.requests import refused
+from tagid.station.station import MAX_CONNECTIONS, Station
+
+FRAME_S = 0.1
+_STATUS_S = 1.0
+_SEND_S = 10.0
+"""Time after which a client that does not accept a frame is disconnected, s."""
+_MESSAGES_PER_SECOND = 20
+
+
+class Hub:
+    """Sends new states to every connection; each has at most one unsent frame and one unsent status.
+
+    Args:
+        station: the station to show.
+    """
+
+    def __init__(self, station: Station) -> None:
+        self._station = station
+        self._clients: set[Client] = set()
+
+    @property
+    def count(self) -> int:
+        """Number of connections."""
+        return len(self._clients)
+
+    def add(self, client: Client) -> None:
+        """Send the complete state to a new connection."""
+        self._clients.add(client)
+        self._post(client, "status", wire.to_text(wire.status(self._station)))
+        if (run := self._station.scan) is not None:
+            self._post(client, "frame", wire.to_text(wire.frame(run)))
+
+    def remove(self, client: Client) -> None:
+        """Remove a connection."""
+        self._clients.discard(client)
+
+    def refresh(self) -> None:
+        """Send the status to all now."""
+        text = wire.to_text(wire.status(self._station))
+        for client in self._clients:
+            self._post(client, "status", text)
+
+    async def run(self) -> None:
+        """Poll for new states until cancelled."""
+        shown: tuple[int, int, bool] | None = None
+        work: tuple[object, ...] = ()
+        status_at = 0.0
+        loop = asyncio.get_running_loop()
+        while True:
+            await asyncio.sleep(FRAME_S)
+            self._station.tick()
+            run = self._station.scan
+            now = loop.time()
+            seen = None if run is None else (run.number, run.state.frame, run.running)
+            if run is not None and seen != shown and self._clients:
+                text = wire.to_text(wire.frame(run))
+                for client in self._clients:
+                    self._post(client, "frame", text)
+            report = self._station.reports.newest
+            done = None if report is None else (report.number, report.done, report.running)
+            before, work = work, (self._station.enrolling.state, done)
+            if now >= status_at or work != before or (shown and seen and shown[2] != seen[2]):
+                status_at = now + _STATUS_S
+                self.refresh()
+            shown = seen
+
+    @staticmethod
+    def _post(client: Client, kind: str, text: str) -> None:
+        client.unsent[kind] = text
+        client.news.set()
+
+
+class Client:
+    """One WebSocket connection.
+
+    Attributes:
+        key: of its operator's lock.
+        unsent: the newest unsent text of each kind.
+        news: set when there is something to send.
+    """
+
+    def __init__(self, key: str) -> None:
+        self.key = key
+        self.unsent: dict[str, str] = {}
+        self.news = asyncio.Event()
+
+
+class LiveSocket:
+    """The WebSocket connections.
+
+    Args:
+        station: the station to show and operate.
+        hub: sends the states.
+    """
+
+    def __init__(self, station: Station, hub: Hub) -> None:
+        self._station, self._hub = station, hub
+        self._open = 0
+
+    async def serve(self, socket: WebSocket) -> None:
+        """Serve one connection until it ends."""
+        if self._open >= MAX_CONNECTIONS:
+            full = f"{MAX_CONNECTIONS} pages are connected to the station"
+            refusal = refused(503, "too_many_connections", full, "Close one of them.")
+            await socket.send_denial_response(refusal)
+            return
+        self._open += 1
+        try:
+            await socket.accept()
+            await self._serve(socket)
+        finally:
+            self._open -= 1
+
+    async def _serve(self, socket: WebSocket) -> None:
+        operators = self._station.operators
+        try:
+            key = operators.join(await _hello(socket))
+        except (WebSocketDisconnect, _BadMessageError, TimeoutError):
+            await _close(socket, 1008)
+            return
+        client = Client(key)
+        hello = {"type": "hello", "key": key, "version": __version__, "palette": wire.palette()}
+        client.unsent["hello"] = wire.to_text({**hello, "demo": self._station.source.demo})
+        self._hub.add(client)
+        tasks = [
+            asyncio.create_task(self._send(socket, client)),
+            asyncio.create_task(self._receive(socket, client)),
+        ]
+        try:
+            await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            self._hub.remove(client)
+            operators.leave(key)
+            for task in tasks:
+                task.cancel()
+            done = await asyncio.gather(*tasks, return_exceptions=True)
+            bad = any(isinstance(one, _BadMessageError) for one in done)
+            await _close(socket, 1008 if bad else 1011)
+
+    async def _send(self, socket: WebSocket, client: Client) -> None:
+        mine: bool | None = None
+        while True:
+            await client.news.wait()
+            client.news.clear()
+            holds = self._station.operators.holds(client.key)
+            if holds != mine:
+                mine = holds
+                client.unsent["operator"] = wire.to_text({"type": "operator", "you": holds})
+            while client.unsent:
+                kind = next(iter(client.unsent))
+                text = client.unsent.pop(kind)
+                # Not wait_for: before Python 3.12 it swallows a cancellation when the send is just done.
+                async with asyncio.timeout(_SEND_S):
+                    await socket.send_text(text)
+
+    async def _receive(self, socket: WebSocket, client: Client) -> None:
+        loop = asyncio.get_running_loop()
+        window, count = loop.time(), 0
+        while True:
+            message = _message(await socket.receive())
+            if loop.time() - window > 1.0:
+                window, count = loop.time(), 0
+            count += 1
+            if count > _MESSAGES_PER_SECOND:
+                raise _BadMessageError
+            await self._act(client, message)
+
+    async def _act(self, client: Client, message: dict[str, Any]) -> None:
+        """Execute a message; a refusal is reported to its sender."""
+        station, kind = self._station, message.get("type")
+        try:
+            if kind == "scan":
+                note = message.get("note", "")
+                if not isinstance(note, str):
+                    raise _BadMessageError
+                await run_in_threadpool(station.start, client.key, note)
+            elif kind == "stop":
+                station.stop()
+            elif kind == "take":
+                if not station.take_over(client.key):
+                    raise BusyError("another browser operates the scan that is running", "Wait for its end.")
+            elif kind == "release":
+                station.release(client.key)
+            else:
+                raise _BadMessageError
+        except TagidError as error:
+            client.unsent["error"] = wire.to_text({"type": "error", "error": wire.error_entry(error)})
+        self._hub.refresh()
+
+
+class _BadMessageError(Exception):
+    """A client sent an invalid message."""
+
+
+async def _hello(socket: WebSocket) -> str | None:
+    """The key in the first message of a connection. Raises _BadMessageError, TimeoutError."""
+    async with asyncio.timeout(_SEND_S):
+        message = _message(await socket.receive())
+    key = message.get("key")
+    if message.get("type") != "hello" or not (key is None or isinstance(key, str)):
+        raise _BadMessageError
+    return key
+
+
+def _message(received: Any) -> dict[str, Any]:
+    """The JSON object of a text frame. Raises _BadMessageError, WebSocketDisconnect."""
+    if received["type"] == "websocket.disconnect":
+        raise WebSocketDisconnect(received.get("code", 1005))
+    try:
+        found = json.loads(received.get("text") or "")
+    except (ValueError, RecursionError):
+        raise _BadMessageError from None
+    if not isinstance(found, dict):
+        raise _BadMessageError
+    return found
+
+
+async def _close(socket: WebSocket, code: int) -> None:
+    if socket.application_state is WebSocketState.CONNECTED:
+        with suppress(Exception):
+            async with asyncio.timeout(1.0):
+                await socket.close(code)

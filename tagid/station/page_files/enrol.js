@@ -1,0 +1,165 @@
+"use strict";
+// Enrolling an object: name it, record three captures, check, store; and templates to print.
+let enrolment = null;
+
+function millimetres(metres) {
+  return `${(1000 * metres).toFixed(1)} mm`;
+}
+
+function showEnrolment() {
+  if (!enrolment) return;
+  const { subject, captures, needed, measuring, trouble, proposal, stored } = enrolment;
+  const step = proposal && proposal.ready ? "check" : subject ? "record" : stored ? "done" : "name";
+  for (const name of ["name", "record", "check", "done"]) {
+    if (name === step) $(`step-${name}`).setAttribute("aria-current", "step");
+    else $(`step-${name}`).removeAttribute("aria-current");
+  }
+  $("done-part").hidden = Boolean(subject) || !(stored || enrolment.undone);
+  if (stored) {
+    setText("done-text", `${stored.name} is enrolled. The next scan of it shows its name.`);
+    $("done-template").href = `api/v1/layouts/${encodeURIComponent(stored.name)}/template.pdf`;
+  } else if (enrolment.undone) {
+    setText("done-text", `${enrolment.undone} is no longer enrolled.`);
+  }
+  $("done-template").hidden = !(stored && stored.has_layout);
+  $("undo").hidden = !stored;
+  $("undo").disabled = !mayAct();
+  showSubject(subject);
+  $("record-part").hidden = !subject;
+  $("cancel").hidden = !subject;
+  $("cancel").disabled = !mayAct() || measuring || running;
+  $("check-part").hidden = !proposal;
+  if (!subject) return;
+  showCaptures(captures, needed, measuring);
+  const words = trouble ? [element("p", `${trouble.message}.`)] : [];
+  if (trouble) words.push(element("p", captures.length < needed && captures.length > 1 ? "Go on with the next capture: it shows which one is wrong." : pageRemedy(trouble)));
+  fill("trouble", JSON.stringify(trouble) + captures.length, words);
+  fill("remarks", JSON.stringify(enrolment.remarks), enrolment.remarks.map((one) => element("li", one)));
+  if (proposal) showProposal(subject, captures, proposal);
+}
+
+// The command's remedies name its options; the page has other ways.
+function pageRemedy(error) {
+  if (error.code === "layout_conflict") return "Move a reflector of the object, and record it again.";
+  if (error.code === "registry") return "Enter another name above.";
+  return error.remedy;
+}
+
+function fill(id, shown, nodes) {
+  if ($(id).dataset.shown === shown) return;
+  $(id).dataset.shown = shown;
+  $(id).replaceChildren(...nodes);
+}
+
+function showSubject(subject) {
+  const shown = subject ? JSON.stringify(subject) : "";
+  if ($("subject-form").dataset.shown !== shown) {
+    $("subject-form").dataset.shown = shown;
+    $("e-name").value = subject ? subject.name : "";
+    $("e-label").value = subject ? subject.label : "";
+    if (subject) $("e-kind").value = subject.kind;
+  }
+  setText("e-begin", subject ? "Change" : "Begin");
+  $("e-begin").disabled = !mayAct() || enrolment.measuring;
+}
+
+function showCaptures(captures, needed, measuring) {
+  const next = captures.length + 1;
+  let text = "Put the object on the table, within a centimetre of the middle, and record it.";
+  if (next > 1 && next <= needed) text = "Turn the object by about a third of a turn, move it by a centimetre, and record it again.";
+  if (next > needed) text = enrolment.trouble ? "Remove the capture that disagrees, or record another." : "Enough captures. More make the positions more accurate.";
+  setText("instruction", text);
+  const button = $("capture");
+  setText("capture", running ? "Stop" : next <= needed ? `Record ${next} of ${needed}` : "Record another");
+  button.className = running ? "big stop" : "big";
+  button.disabled = running ? false : !mayAct() || measuring;
+  setText("measuring", measuring ? "Measuring the reflectors…" : "");
+  fill("captures", JSON.stringify([captures, mayAct(), measuring, running]), captures.map((one) => {
+    const row = element("li");
+    const seen = one.error ? one.error.message : `${one.reflectors} reflectors`;
+    const known = one.status === "identified" ? `, read as ${one.layout}: is it enrolled already?` : "";
+    row.append(element("b", `Capture ${one.number}`), element("span", `${seen}${known}`, one.error || known ? "what bad" : "what"));
+    const button = element("button", "Remove");
+    button.type = "button";
+    button.setAttribute("aria-label", `Remove capture ${one.number}`);
+    button.disabled = !mayAct() || measuring || running;
+    button.addEventListener("click", () => post("enrolment/drop", { number: one.number }).then(received));
+    row.append(button);
+    return row;
+  }));
+}
+
+function showProposal(subject, captures, proposal) {
+  const spread = proposal.spread_m.length ? `, the same to ${millimetres(Math.max(...proposal.spread_m))} in all captures` : "";
+  const what = proposal.reflectors.length ? `${proposal.reflectors.length} reflectors${spread}.` : "The body hides the reflectors: the object is enrolled by its whole echo.";
+  setText("measured-text", what);
+  $("plan").toggleAttribute("hidden", proposal.reflectors.length === 0);
+  $("own-template").hidden = proposal.reflectors.length === 0;
+  fill("plan", JSON.stringify(proposal.reflectors), drawn(proposal.reflectors));
+  fill("nearest", JSON.stringify(proposal.nearest), proposal.nearest.length ? proposal.nearest.map((one) => {
+    const apart = one.worst_m !== null ? `${millimetres(one.worst_m)} apart` : one.difference !== null ? `differs by ${(100 * one.difference).toFixed(0)} %` : "another number of reflectors";
+    return element("li", `${one.name}: ${apart}${one.confusable ? ", could be confused" : ""}`, one.confusable ? "bad" : "");
+  }) : [element("li", "no other layout is enrolled")]);
+  const rate = proposal.confusion_rate;
+  setText("confusion", rate === null ? "" : `Expected wrong names at ${proposal.reference.views} views and ${proposal.reference.snr_db} dB: ${rate < 1e-12 ? "fewer than 1 in 10¹²" : rate.toExponential(0)} of readings.`);
+  setText("store", `Enrol ${subject.name}`);
+  $("store").disabled = !mayAct() || running || enrolment.measuring || !proposal.ready;
+}
+
+// Seen from above, x to the right and y up, as in layout files; 1 unit is what fits the outermost on 90.
+function drawn(reflectors) {
+  const make = (tag, values, text) => {
+    const node = document.createElementNS("http://www.w3.org/2000/svg", tag);
+    for (const [name, value] of Object.entries(values)) node.setAttribute(name, String(value));
+    if (text) node.textContent = text;
+    return node;
+  };
+  const scale = 90 / Math.max(0.01, ...reflectors.map((one) => Math.hypot(one.x_m, one.y_m)));
+  const nodes = [
+    make("line", { class: "axis", x1: -105, x2: 105, y1: 0, y2: 0 }), make("line", { class: "axis", x1: 0, x2: 0, y1: -105, y2: 105 }),
+  ];
+  reflectors.forEach((one, i) => {
+    nodes.push(make("circle", { class: "spot", cx: scale * one.x_m, cy: -scale * one.y_m, r: 9 }));
+    nodes.push(make("text", { x: scale * one.x_m, y: 3 - scale * one.y_m }, String(i + 1)));
+  });
+  return nodes;
+}
+
+function received(found) {
+  if (!found) return;
+  enrolment = found;
+  showEnrolment();
+}
+
+async function loadLayouts() {
+  let items = [];
+  try {
+    const answer = await fetch("api/v1/layouts", { cache: "no-store" });
+    if (answer.ok) items = (await answer.json()).items;
+  } catch (error) {
+    return;
+  }
+  const before = $("t-layout").value;
+  $("t-layout").replaceChildren(...items.map((one) => element("option", one.name)));
+  if (items.some((one) => one.name === before)) $("t-layout").value = before;
+  showTemplate();
+}
+
+function showTemplate() {
+  const name = $("t-layout").value;
+  $("template").hidden = !name;
+  $("template").href = `api/v1/layouts/${encodeURIComponent(name)}/template.pdf?paper=${$("t-paper").value}`;
+}
+
+$("subject-form").addEventListener("submit", async (event) => {
+  event.preventDefault();
+  const values = { name: $("e-name").value.trim(), kind: $("e-kind").value, label: $("e-label").value.trim() };
+  received(await post("enrolment", values));
+  if (enrolment && enrolment.subject) $("capture").focus();
+});
+$("capture").addEventListener("click", () => (running ? send({ type: "stop" }) : post("enrolment/capture", {})));
+$("store").addEventListener("click", () => post("enrolment/store", {}).then((found) => { received(found); loadLayouts(); }));
+$("undo").addEventListener("click", () => post("enrolment/undo", {}).then((found) => { received(found); loadLayouts(); }));
+$("cancel").addEventListener("click", () => post("enrolment/cancel", {}).then(received));
+$("template-form").addEventListener("submit", (event) => event.preventDefault());
+for (const id of ["t-layout", "t-paper"]) $(id).addEventListener("change", showTemplate);

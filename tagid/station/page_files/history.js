@@ -1,0 +1,124 @@
+"use strict";
+// The history: filters, a selection, its export and its report.
+let report = null;
+const picked = new Set();
+let rows = [];
+
+async function loadHistory() {
+  const query = new URLSearchParams({ limit: "50" });
+  if ($("f-status").value) query.set("status", $("f-status").value);
+  if ($("f-layout").value.trim()) query.set("layout", $("f-layout").value.trim());
+  if ($("f-since").value) query.set("since", $("f-since").value);
+  try {
+    const answer = await fetch(`api/v1/history?${query}`, { cache: "no-store" });
+    const found = await answer.json();
+    if (!answer.ok) throw new Error(found.error.message);
+    rows = found.items;
+  } catch (error) {
+    setText("history-note", `The history cannot be read: ${error.message}`);
+    return;
+  }
+  for (const number of picked) {
+    if (!rows.some((one) => one.id === number)) picked.delete(number);
+  }
+  setText("history-note", rows.length ? "" : "no entries");
+  $("history").replaceChildren(...rows.map(historyRow));
+  showSelection();
+}
+
+function historyRow(one) {
+  const row = element("li");
+  const when = new Date(one.time_utc);
+  const time = Number.isNaN(when.getTime()) ? one.time_utc : when.toLocaleString();
+  const scanned = one.command === "station" || one.command === "scan";
+  if (scanned) {
+    const label = element("label", undefined, "check");
+    const box = element("input");
+    box.type = "checkbox";
+    box.checked = picked.has(one.id);
+    box.setAttribute("aria-label", `Select ${nameOf(one)}, ${time}`);
+    row.className = box.checked ? "picked" : "";
+    box.addEventListener("change", () => {
+      if (box.checked) picked.add(one.id);
+      else picked.delete(one.id);
+      row.className = box.checked ? "picked" : "";
+      showSelection();
+    });
+    label.append(box);
+    row.append(label);
+  }
+  row.append(element("span", nameOf(one), `who ${one.status}`), element("span", time));
+  if (scanned) {
+    const button = element("button", "Picture");
+    button.type = "button";
+    button.setAttribute("aria-label", `Picture of ${nameOf(one)}, ${time}`);
+    button.addEventListener("click", () => showPicture(one.id, nameOf(one)));
+    row.append(button);
+  }
+  return row;
+}
+
+// The picked entries, or all that are shown.
+function chosen() {
+  return picked.size ? [...picked] : rows.map((one) => one.id);
+}
+
+function showSelection() {
+  const entries = chosen();
+  setText("selected", picked.size ? `${picked.size} selected` : `all ${rows.length} shown`);
+  $("select-all").checked = picked.size > 0;
+  $("select-all").indeterminate = picked.size > 0 && picked.size < rows.length;
+  const query = entries.length ? `?entries=${entries.join(",")}` : "?limit=1";
+  $("export").href = `api/v1/history.csv${query}`;
+  $("export-json").href = `api/v1/history.json${query}`;
+  $("export-captures").href = `api/v1/history/captures.zip${query}`;
+  showReport();
+}
+
+function showReport() {
+  const busy = Boolean(report && report.running);
+  $("report").disabled = !mayAct() || busy || rows.length === 0;
+  $("report-part").hidden = !report;
+  if (!report) return;
+  let text = `Report ${report.number}: ${report.done} of ${report.total} captures read.`;
+  if (report.error) text = `The report failed: ${report.error.message}. ${report.error.remedy}`;
+  else if (report.complete) text = `Report ${report.number}: ${report.done} captures, stored in ${report.folder}.`;
+  setText("report-text", text);
+  $("report-bar").hidden = !busy;
+  $("report-bar").value = report.total ? report.done / report.total : 0;
+  $("report-stop").hidden = !busy || !mayAct();
+  for (const [id, name] of [["report-page", "report.html"], ["report-csv", "items.csv"]]) {
+    $(id).hidden = !report.complete;
+    if (report.complete) $(id).href = `api/v1/reports/${report.number}/${name}`;
+  }
+}
+
+async function showPicture(number, name) {
+  setText("viewer-head", name);
+  const picture = $("viewer-picture");
+  $("viewer-capture").href = `api/v1/history/${number}/capture`;
+  const answer = await fetch(`api/v1/history/${number}/picture`);
+  if (picture.src) URL.revokeObjectURL(picture.src);
+  if (answer.ok) {
+    picture.src = URL.createObjectURL(await answer.blob());
+    picture.alt = `Radar image of ${name}`;
+  } else {
+    picture.removeAttribute("src");
+    picture.alt = (await answer.json()).error.message;
+  }
+  $("viewer").showModal();
+  $("viewer-head").focus();
+}
+
+$("filter").addEventListener("submit", (event) => event.preventDefault());
+for (const id of ["f-status", "f-layout", "f-since"]) $(id).addEventListener("change", loadHistory);
+$("select-all").addEventListener("change", () => {
+  const all = $("select-all").checked;
+  picked.clear();
+  if (all) rows.filter((one) => one.command === "station" || one.command === "scan").forEach((one) => picked.add(one.id));
+  $("history").replaceChildren(...rows.map(historyRow));
+  showSelection();
+});
+$("report").addEventListener("click", () => post("reports", { entries: chosen() }));
+$("report-stop").addEventListener("click", () => post("reports/stop", {}));
+$("viewer-close").addEventListener("click", () => $("viewer").close());

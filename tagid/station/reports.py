@@ -1,0 +1,162 @@
+"""Reports over captures of the history, one at a time, each in a separate thread with a worker process."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+
+from tagid.batch.inputs import Collected, Source
+from tagid.batch.job import Job
+from tagid.batch.local import run_local
+from tagid.batch.run import FILES, Hooks, Plan, run_batch
+from tagid.errors import TagidError, UsageError
+from tagid.report.page import PageSettings
+from tagid.station.errors import BusyError
+from tagid.station.setup import ReadingSetup
+from tagid.tags.enrolling.registry import RegistryContents
+
+MOST_CAPTURES = 200
+_KEPT = 20
+"""Reports that can be opened on the page; the folders of older ones stay on the disk."""
+_PAGE_MEGABYTES = 8.0
+"""Pictures of a report's page: a tablet opens it."""
+
+
+class ReportRun:
+    """A running or finished report.
+
+    Args:
+        number: counts the station's reports.
+        folder: where it is written; new.
+        captures: files to identify.
+        job: settings of the batch.
+
+    Attributes:
+        number, folder: as given.
+        total: number of captures.
+        done: number of finished captures.
+        error: why it failed; None if it did not.
+        complete: whether all its files are written.
+    """
+
+    def __init__(self, number: int, folder: Path, captures: Sequence[Path], job: Job) -> None:
+        self.number = number
+        self.folder = folder
+        self.total = len(captures)
+        self.done = 0
+        self.error: TagidError | None = None
+        self.complete = False
+        self._captures = [str(path) for path in captures]
+        self._job = job
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._work, name=f"station-report-{number}", daemon=True)
+
+    def start(self) -> None:
+        """Begin."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Request its end; the finished captures are in the report."""
+        self._stop.set()
+
+    def join(self, seconds: float) -> None:
+        """Wait for its end."""
+        self._thread.join(seconds)
+
+    @property
+    def running(self) -> bool:
+        """Whether it still identifies or writes."""
+        return self._thread.is_alive()
+
+    def _work(self) -> None:
+        sources = tuple(Source(path, Path(path).name) for path in self._captures)
+        page = PageSettings("Captures of the station", _PAGE_MEGABYTES)
+        hooks = Hooks(self._progress, self._stop.is_set)
+        try:
+            run_batch(
+                Plan(Collected(sources), self.folder, page=page),
+                self._job,
+                partial(run_local, workers=1),
+                hooks,
+            )
+            self.complete = True
+        except TagidError as error:
+            self.error = error
+        except Exception as error:
+            logging.getLogger("tagid").debug("report of the station", exc_info=True)
+            self.error = TagidError(f"unexpected {type(error).__name__}: {error}", "This is a bug in tagid.")
+
+    def _progress(self, done: int, total: int, rate: float, left: float | None) -> None:
+        self.done = done
+
+
+class Reports:
+    """The station's reports."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._runs: dict[int, ReportRun] = {}
+        self._count = 0
+
+    @property
+    def newest(self) -> ReportRun | None:
+        """The newest report; None before the first one."""
+        return self._runs.get(self._count)
+
+    def get(self, number: int) -> ReportRun | None:
+        """A report by its number; None if there is none, or no longer."""
+        return self._runs.get(number)
+
+    def start(self, captures: Sequence[Path], setup: ReadingSetup, contents: RegistryContents) -> ReportRun:
+        """Begin a report over captures.
+
+        Raises BusyError if one is running, UsageError if there are no captures or too many.
+        """
+        if not 1 <= len(captures) <= MOST_CAPTURES:
+            raise UsageError(
+                f"{len(captures)} captures are selected",
+                f"Select 1 to {MOST_CAPTURES} that are on this computer.",
+            )
+        with self._lock:
+            if self.newest is not None and self.newest.running:
+                raise BusyError("a report is being written", "Wait for its end, or stop it.")
+            number = self._count + 1
+            job = Job.of(setup.imaging, contents, setup.loading)
+            run = ReportRun(number, _new_folder(setup.folder), captures, job)
+            run.start()
+            self._runs[number] = run
+            self._count = number
+            for old in [one for one in self._runs if one <= number - _KEPT]:
+                del self._runs[old]
+            return run
+
+    def close(self, seconds: float) -> None:
+        """Stop a running report, and wait for its end."""
+        if self.newest is not None:
+            self.newest.stop()
+            self.newest.join(seconds)
+
+
+def _new_folder(folder: Path) -> Path:
+    """A path for a report, named after the second, that does not exist."""
+    stem = time.strftime("report-%Y%m%d-%H%M%S")
+    number, path = 1, folder / stem
+    while path.exists():
+        number += 1
+        path = folder / f"{stem}-{number}"
+    return path
+
+
+MEDIA = {
+    "report.html": "text/html; charset=utf-8",
+    "items.csv": "text/csv; charset=utf-8",
+    "items.jsonl": "application/x-ndjson",
+    "junit.xml": "application/xml",
+    "summary.json": "application/json",
+}
+"""Files of a report that can be requested, with their media types."""
+assert set(MEDIA) == set(FILES)

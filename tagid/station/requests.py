@@ -1,0 +1,142 @@
+"""What the HTTP handlers share: bodies, query parameters, responses and errors."""
+
+from __future__ import annotations
+
+import json
+import logging
+from typing import Any
+
+from starlette.requests import Request
+from starlette.responses import JSONResponse, Response
+
+from tagid.errors import DataError, DeviceError, RegistryError, StorageError, TagidError, UsageError
+from tagid.station import wire
+from tagid.station.errors import BusyError, EnrolmentError, NoSuchItemError, NotOperatorError
+from tagid.station.security import MOST_BODY_BYTES
+from tagid.station.station import HISTORY_LIMIT
+from tagid.storage.history import Filter
+
+_MOST_DIGITS = 18
+"""Digits of a number in a request: it fits into a 64-bit integer."""
+
+
+async def body(request: Request) -> dict[str, Any]:
+    """The JSON object of a request; empty without a body. Raises UsageError."""
+    content = b""
+    async for part in request.stream():
+        content += part
+        if len(content) > MOST_BODY_BYTES:
+            raise UsageError("the body is too large")
+    try:
+        found = json.loads(content or b"{}")
+    except (ValueError, RecursionError):
+        raise UsageError("the body is not JSON") from None
+    if not isinstance(found, dict):
+        raise UsageError("the body is not a JSON object")
+    return found
+
+
+def text_of(asked: dict[str, Any], name: str, default: str | None = "") -> str:
+    """A text in a body. Raises UsageError if it is not a text, or missing without a default."""
+    found = asked.get(name, default)
+    if not isinstance(found, str):
+        raise UsageError(f"{name} must be a string")
+    return found
+
+
+def key_of(asked: dict[str, Any]) -> str | None:
+    """The key of a WebSocket connection in a body; None if there is none. Raises UsageError."""
+    found = asked.get("key")
+    if not (found is None or isinstance(found, str)):
+        raise UsageError("key must be a string")
+    return found
+
+
+def entries_of(numbers: Any) -> tuple[int, ...]:
+    """Numbers of entries of the history. Raises UsageError."""
+    right = isinstance(numbers, list) and all(
+        isinstance(one, int) and not isinstance(one, bool) and 0 < one < 10**_MOST_DIGITS for one in numbers
+    )
+    if not right or not 1 <= len(numbers) <= HISTORY_LIMIT:
+        raise UsageError(
+            "entries is not a list of numbers of the history", f"Give 1 to {HISTORY_LIMIT} numbers."
+        )
+    return tuple(numbers)
+
+
+def filter_of(request: Request) -> Filter:
+    """The filter of a query. Raises UsageError."""
+    asked = request.query_params
+    known = {"status", "layout", "file", "since", "until", "limit", "entries"}
+    if unknown := set(asked) - known:
+        raise UsageError(f"unknown filter {min(unknown)[:40]!r}", f"Use {', '.join(sorted(known))}.")
+    limit = _whole(asked.get("limit", "50"))
+    if limit is None or not 1 <= limit <= HISTORY_LIMIT:
+        raise UsageError("the limit is out of range", f"Give 1 to {HISTORY_LIMIT}.")
+    numbers: tuple[int, ...] = ()
+    if "entries" in asked:
+        numbers = entries_of([_whole(text) for text in asked["entries"].split(",", HISTORY_LIMIT + 1)])
+        limit = HISTORY_LIMIT
+    return Filter(
+        status=asked.get("status") or None,
+        layout=asked.get("layout") or None,
+        file=asked.get("file") or None,
+        since=asked.get("since") or None,
+        until=asked.get("until") or None,
+        limit=limit,
+        numbers=numbers,
+    )
+
+
+def _whole(text: str) -> int | None:
+    """A number of digits only; None for another text."""
+    return int(text) if text.isascii() and text.isdecimal() and len(text) <= _MOST_DIGITS else None
+
+
+def number_in(request: Request) -> int:
+    """The number in the path of a request. Raises NoSuchItemError if it is too large for the history."""
+    number = int(request.path_params["number"])
+    if number >= 10**_MOST_DIGITS:
+        raise NoSuchItemError("there is no such entry")
+    return number
+
+
+def as_json(value: dict[str, Any], status: int = 200) -> Response:
+    """A JSON response; numbers that are not finite become null."""
+    return Response(wire.to_text(value), status, media_type="application/json")
+
+
+def attached(content: bytes | str, media_type: str, name: str) -> Response:
+    """A file to be stored by the browser; the name is a constant or a validated slug."""
+    headers = {"content-disposition": f'attachment; filename="{name}"'}
+    return Response(content, media_type=media_type, headers=headers)
+
+
+def refused(status: int, code: str, message: str, remedy: str) -> Response:
+    """An error response."""
+    return JSONResponse({"error": {"code": code, "message": message, "remedy": remedy}}, status_code=status)
+
+
+async def on_error(request: Request, error: Exception) -> Response:
+    """The response for an exception of a handler."""
+    if not isinstance(error, TagidError):
+        logging.getLogger("tagid").error("%s: %s: %s", request.url.path, type(error).__name__, error)
+        return refused(500, "failed", "the station failed to answer", "See its log for the reason.")
+    statuses: tuple[tuple[type[TagidError], int], ...] = (
+        (BusyError, 409),
+        (EnrolmentError, 409),
+        (NotOperatorError, 403),
+        (NoSuchItemError, 404),
+        (UsageError, 400),
+        (RegistryError, 409),
+        (DataError, 422),
+        (DeviceError, 503),
+        (StorageError, 507),
+    )
+    status = next((code for kind, code in statuses if isinstance(error, kind)), 500)
+    return refused(status, error.code, error.message, error.remedy)
+
+
+async def on_missing(request: Request, error: Exception) -> Response:
+    """The response for a path or method that does not exist."""
+    return refused(404, "not_found", "there is no such address", "See /api/v1/openapi.json.")

@@ -1,0 +1,174 @@
+"""The station while things go wrong: the radar's cable, the clock, two hundred connections, a full disk."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("starlette")
+from station_harness import Asks, Raw, ended, joined, stations, wait
+
+from tagid.doctor import examine
+from tagid.radar.emulation.core import EmulatorCore
+from tagid.radar.emulation.emulator import SerialEmulator, ServeOptions, UdpEmulator
+from tagid.radar.settings import RadarConfig
+from tagid.recording.sources import emulated_scene
+from tagid.station.server import Server
+from tagid.station.station import MAX_CONNECTIONS
+from tagid.station.wiring import wiring
+from tagid.storage.importers import read_any
+
+OWN = {"tagid-station": "1"}
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture
+def serve(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., Server]]:
+    yield from stations(tmp_path, monkeypatch)
+    while Raw.opened:
+        Raw.opened.pop().close()
+
+
+def core(rpm: float = 20) -> EmulatorCore:
+    return EmulatorCore(emulated_scene("helmet-120", {"rpm": f"{rpm:g}", "seed": "2"}), RadarConfig())
+
+
+def test_a_radar_that_is_gone_is_told_with_its_wiring_and_the_next_scan_works(serve, tmp_path: Path) -> None:
+    with UdpEmulator(core(2), ServeOptions(port=0)) as radar:
+        one = serve(radar.url, check=examine, rpm=2, resume_s=0.0)
+        page, _ = joined(one.port)
+        first = page.until("status", lambda m: m["health"]["checked"])["health"]
+        assert first["wiring"] is None
+        page.say(type="scan")
+        page.until("frame", lambda m: m["scan"]["scans"] > 10)
+    assert page.until("status", lambda m: m["scan"]["silent_s"] > 1)["scan"]["running"]
+    scan = page.until("frame", lambda m: not m["scan"]["running"])["scan"]
+    assert scan["phase"] == "failed" and "complete scans are in" in scan["note"], scan["note"]
+    (capture,) = (tmp_path / "out").glob("*.tagid.h5")
+    assert read_any(capture).views > 10 and not read_any(capture).complete
+    help_ = page.until("status", lambda m: m["health"]["wiring"])["health"]
+    assert help_["wiring"]["cable"] == "ethernet" and "127.0.0.1" in " ".join(help_["wiring"]["steps"])
+    assert any(one["topic"] == "radar" and one["level"] == "problem" for one in help_["findings"])
+    with UdpEmulator(core(), ServeOptions(port=int(radar.url.rpartition(":")[2]), rate=0)):
+        page.until("status", lambda m: m["health"]["wiring"] is None)
+        page.say(type="scan")
+        page.until("frame", lambda m: m["scan"]["number"] == 2 and not m["scan"]["running"])
+        assert Asks(one.url, {}).get("/api/v1/scan").json()["phase"] == "done"
+    page.close()
+
+
+def test_a_cable_that_is_replugged_during_the_scan_costs_only_a_gap(serve, tmp_path: Path) -> None:
+    with SerialEmulator(core(6), ServeOptions(), link=tmp_path / "port") as radar:
+        one = serve(radar.url, rpm=6)
+        page, _ = joined(one.port)
+        page.say(type="scan")
+        page.until("frame", lambda m: m["scan"]["scans"] > 20)
+        radar.unplug()
+        page.until("status", lambda m: m["scan"]["silent_s"] > 0.5)
+        radar.plug()
+        assert page.until("frame", lambda m: m["scan"]["note"])["scan"]["note"].startswith(
+            "the radar was disco"
+        )
+        scan = ended(one)
+        assert (scan["phase"], scan["answer"]["layout"]) == ("done", "helmet-120")
+        page.close()
+
+
+@pytest.mark.parametrize(
+    ("url", "cable", "words"),
+    [
+        (None, "none", "tagid radar find"),
+        ("udp://192.168.1.100", "ethernet", "192.168.1.100"),
+        ("serial:///dev/ttyACM0", "usb", "/dev/ttyACM0"),
+        ("serial:///dev/ttyUSB0?framing=uart&baud=115200", "uart", "baud"),
+        ("emulator://helmet-120", "none", "not a device"),
+        ("nonsense", "none", "is not a URL"),
+    ],
+)
+def test_the_wiring_help_fits_the_cable(url: str | None, cable: str, words: str) -> None:
+    found = wiring(url)
+    assert found.cable == cable and words in " ".join(found.steps)
+
+
+CLOCK = """
+import os, sys, time
+real_s, real_local, shift = time.time, time.localtime, 0.0
+time.time = lambda: real_s() + shift
+time.time_ns = lambda: int((real_s() + shift) * 1e9)
+time.localtime = lambda s=None: real_local(time.time() if s is None else s)
+
+sys.path.insert(0, "tests/e2e")
+from pathlib import Path
+import station_harness as h
+from tagid.storage.importers import read_any
+
+def main(place):
+    global shift
+    codes = []
+    station = h.Station(h.source(place, "emulator://helmet-120?rpm=20&seed=2&rate=2"), h.healthy)
+    with h.Server(station, "127.0.0.1", 0, codes.append) as one:
+        own = {"tagid-station": "1"}
+        token = h.Asks(one.url, own).post("/api/v1/pair", code=codes[-1]).json()["token"]
+        ask = h.Asks(one.url, {**own, "authorization": "Bearer " + token})
+        began = time.time()
+        for jump in (3600.0, -7200.0):
+            shift += began - time.time()  # the same second of the day: the same name for the file
+            ask.post("/api/v1/scan")
+            h.wait(lambda: ask.get("/api/v1/scan").json()["scans"] > 5)
+            shift += jump
+            assert ask.get("/api/v1/scan").json()["silent_s"] < 60
+            scan = h.wait(lambda: (s := ask.get("/api/v1/scan").json()) and not s["running"] and s)
+            assert (scan["phase"], scan["answer"]["layout"]) == ("done", "helmet-120"), scan
+            assert 0 < scan["seconds"] < 60 and scan["remark"] == "", scan
+        rows = ask.get("/api/v1/history").json()["items"]
+        captures = sorted(place.glob("*.tagid.h5"))
+        assert len(rows) == 2 and sorted(row["file"] for row in rows) == [str(path) for path in captures]
+        assert rows[0]["id"] > rows[1]["id"]
+        assert all(read_any(path).complete for path in captures)
+        assert all(ask.get(f"/api/v1/history/{row['id']}/picture").status == 200 for row in rows)
+
+main(Path(sys.argv[1]))
+"""
+
+
+def test_a_clock_that_jumps_loses_nothing(tmp_path: Path) -> None:
+    (tmp_path / "out").mkdir()
+    own = {"TAGID_DATA": str(tmp_path / "data"), "TAGID_CONFIG": str(tmp_path / "c.toml")}
+    done = subprocess.run(
+        [sys.executable, "-c", CLOCK, str(tmp_path / "out")],
+        capture_output=True, text=True, cwd=ROOT,
+        env={**os.environ, **own, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+
+
+def test_of_two_hundred_connections_a_bounded_number_is_served(serve) -> None:
+    one = serve()
+    threads = threading.active_count()
+    many = [Raw(one.port) for _ in range(200)]
+    served = [client for client in many if client.status == 101]
+    refused = [client for client in many if client.status != 101]
+    assert len(served) == MAX_CONNECTIONS and {client.status for client in refused} == {503}
+    error = refused[0].body()
+    assert "too_many_connections" in error and "Close one of them" in error
+    for client in served:
+        client.say(type="hello")
+        client.until("hello")
+    ask = Asks(one.url, OWN)
+    status = ask.get("/api/v1/status").json()
+    assert status["connections"] == MAX_CONNECTIONS and status["full"], "the page says that it is full"
+    assert ask.post("/api/v1/scan").status == 202, "a gate goes on working"
+    served[0].until("frame", lambda m: m["scan"]["phase"] == "done" and not m["scan"]["running"])
+    for client in many:
+        client.close()
+    wait(lambda: not ask.get("/api/v1/status").json()["connections"])
+    assert threading.active_count() <= threads + 2, "workers of the web server, not one per connection"
+    last, _ = joined(one.port)
+    assert not last.until("status")["full"]
+    last.close()

@@ -1,0 +1,169 @@
+"""The station's history: export that is safe to open, captures, and a report over a selection."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import socket
+import zipfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("starlette")
+from station_harness import Asks, Raw, ended, joined, stations, wait
+
+from tagid.config import data_folder
+from tagid.station import server
+from tagid.station.server import Server
+from tagid.storage.history import FILE_NAME, History
+
+OWN = {"tagid-station": "1"}
+
+
+@pytest.fixture
+def serve(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., Server]]:
+    yield from stations(tmp_path, monkeypatch)
+    while Raw.opened:
+        Raw.opened.pop().close()
+
+
+def scanned(one: Server) -> int:
+    """Scan once; the entry in the history."""
+    client = Asks(one.url, OWN)
+    assert client.post("/api/v1/scan").status == 202
+    assert ended(one)["phase"] == "done"
+    return int(client.get("/api/v1/history?limit=1").json()["items"][0]["id"])
+
+
+def entry(file: Path, command: str = "station", **values: Any) -> int:
+    """An entry of the history made by hand."""
+    history = History(data_folder() / FILE_NAME)
+    record: dict[str, Any] = dict.fromkeys(("label", "reason"), "") | {
+        "status": "unknown",
+        "tool_version": "1",
+    }
+    record |= dict.fromkeys(("score", "margin", "missing", "extra"), 0)
+    return history.add(history.begin(command, {}), [record | {"file": str(file)} | values])[0]
+
+
+def test_a_report_over_a_selection(serve, tmp_path: Path) -> None:
+    one = serve()
+    client = Asks(one.url, OWN)
+    first, second = scanned(one), scanned(one)
+    gone = entry(tmp_path / "out" / "gone.tagid.h5")
+    for wrong in (None, [], ["1"], [True], [0], [-1], [10**19], list(range(1, 300)), {"a": 1}):
+        assert client.post("/api/v1/reports", entries=wrong).status == 400, wrong
+    assert client.post("/api/v1/reports", entries=[gone]).status == 400, "its capture is gone"
+    assert client.post("/api/v1/reports", entries=[first, gone, second]).json() == {"number": 1}
+    assert client.post("/api/v1/reports", entries=[first]).json()["error"]["code"] == "busy"
+    assert client.get("/api/v1/reports/1/report.html").status == 404, "it is not complete"
+    found = wait(lambda: (r := client.get("/api/v1/reports/1").json())["running"] is False and r)
+    assert (found["complete"], found["done"], found["total"], found["error"]) == (True, 2, 2, None)
+    page = client.get("/api/v1/reports/1/report.html")
+    policy = page.headers["content-security-policy"]
+    assert policy.startswith("sandbox allow-scripts;") and "allow-same-origin" not in policy
+    assert "helmet-120" in page.text and "attachment" not in page.headers.get("content-disposition", "")
+    rows = list(csv.DictReader(io.StringIO(client.get("/api/v1/reports/1/items.csv").text)))
+    assert [row["layout"] for row in rows] == ["helmet-120"] * 2
+    assert client.get("/api/v1/reports/1/summary.json").json()["inputs"] == 2
+    for path in ("2", "1/spool.sqlite", "1/..%2f..%2fhistory.sqlite", "9" * 30, "-1"):
+        assert client.get(f"/api/v1/reports/{path}").status == 404, path
+    assert len(client.get("/api/v1/history").json()["items"]) == 3, "a report adds nothing to the history"
+
+
+def test_only_the_operator_begins_a_report_and_it_can_be_stopped(serve) -> None:
+    one = serve()
+    number = scanned(one)
+    operator, key = joined(one.port)
+    client = Asks(one.url, OWN)
+    operator.say(type="take")
+    operator.until("operator", lambda m: m["you"])
+    for path in ("reports", "reports/stop"):
+        assert client.post(f"/api/v1/{path}", entries=[number]).status == 403
+    assert client.post("/api/v1/reports", entries=[number], key=key).status == 202
+    assert client.post("/api/v1/reports/stop", key=key).status == 202
+    found = operator.until("status", lambda m: m["report"] and not m["report"]["running"])["report"]
+    assert found["number"] == 1 and found["error"] is None
+    operator.close()
+
+
+def test_export_is_safe_to_open_and_holds_the_captures(serve, tmp_path: Path) -> None:
+    one = serve()
+    client = Asks(one.url, OWN)
+    real = scanned(one)
+    wild = entry(tmp_path / "out" / "=cmd.tagid.h5", label="=1+1", reason="@SUM(A1)\x1b[31m")
+    query = f"?entries={real},{wild}"
+    text = client.get(f"/api/v1/history.csv{query}").text
+    row = next(row for row in csv.DictReader(io.StringIO(text)) if row["id"] == str(wild))
+    assert row["label"] == "'=1+1" and row["reason"].startswith("'@SUM") and "\x1b" not in text
+    answer = client.get(f"/api/v1/history.json{query}")
+    assert answer.headers["content-disposition"] == 'attachment; filename="tagid-history.json"'
+    assert [row["id"] for row in answer.json()["items"]] == [wild, real] and "\x1b" not in answer.text
+    for wrong in ("", "1,", "x", "0", "1;2", "1" * 30, ",".join(["1"] * 300)):
+        assert client.get(f"/api/v1/history.csv?entries={wrong}").status == 400, wrong
+    packed = zipfile.ZipFile(io.BytesIO(client.get(f"/api/v1/history/captures.zip{query}").content))
+    (capture,) = (tmp_path / "out").glob("scan-*.tagid.h5")
+    assert sorted(packed.namelist()) == ["history.csv", "history.json", capture.name]
+    assert packed.testzip() is None and packed.read(capture.name) == capture.read_bytes()
+    assert len(json.loads(packed.read("history.json"))["items"]) == 2
+    assert client.get(f"/api/v1/history/{real}/capture").content == capture.read_bytes()
+    assert client.get(f"/api/v1/history/captures.zip?entries={wild}").status == 404
+
+
+def test_no_file_outside_the_folder_is_given_out(serve, tmp_path: Path) -> None:
+    one = serve()
+    client = Asks(one.url, OWN)
+    secret = tmp_path / "secret.tagid.h5"
+    secret.write_bytes(b"secret")
+    link = tmp_path / "out" / "link.tagid.h5"
+    link.symlink_to(secret)
+    inside = tmp_path / "out" / "inside.tagid.h5"
+    inside.write_bytes(b"no scan of the station")
+    numbers = [
+        entry(secret),
+        entry(tmp_path / "out" / ".." / "secret.tagid.h5"),
+        entry(link),
+        entry(inside, command="identify"),
+        entry(Path("/etc/passwd")),
+    ]
+    for number in numbers:
+        for what in ("capture", "picture"):
+            assert client.get(f"/api/v1/history/{number}/{what}").status == 404, number
+    chosen = ",".join(map(str, numbers))
+    assert client.get(f"/api/v1/history/captures.zip?entries={chosen}").status == 404
+    assert client.post("/api/v1/reports", entries=numbers).status == 400
+
+
+def test_a_client_that_does_not_read_its_download_is_disconnected(
+    serve, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(server, "STALL_S", 0.5)
+    one = serve()
+    large = tmp_path / "out" / "large.tagid.h5"
+    with large.open("wb") as file:
+        file.truncate(64 << 20)
+    number = entry(large)
+    for path in (f"/api/v1/history/{number}/capture", f"/api/v1/history/captures.zip?entries={number}"):
+        wire = socket.socket()
+        wire.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        wire.connect(("127.0.0.1", one.port))
+        wire.sendall(f"GET {path} HTTP/1.1\r\nhost: 127.0.0.1:{one.port}\r\n\r\n".encode())
+        wait(lambda: str(large) in open_files())
+        wait(lambda: str(large) not in open_files())
+        wire.close()
+    assert Asks(one.url, {}).get("/api/v1/status").status == 200
+
+
+def open_files() -> list[str]:
+    """Names of the files that this process holds open."""
+    found = []
+    for link in Path("/proc/self/fd").iterdir():
+        try:
+            found.append(str(link.readlink()))
+        except OSError:
+            continue  # it was closed meanwhile
+    return found

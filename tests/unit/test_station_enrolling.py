@@ -1,0 +1,179 @@
+"""The steps of an enrolment at the station on simulated captures: disagreement, conflict, undo, full disk."""
+
+from __future__ import annotations
+
+import math
+import resource
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tagid.errors import LayoutConflictError, TagidError, UsageError
+from tagid.pipeline.answer import Identification
+from tagid.pipeline.enrolment import LayoutProposal
+from tagid.pipeline.prepared import prepare
+from tagid.pipeline.settings import ImagingSettings
+from tagid.simulate import (
+    Acquisition,
+    Placement,
+    parse_body,
+    parse_reflector,
+    scene_on_body,
+    simulate_capture,
+)
+from tagid.station.enrolling import Enrolling, EnrolmentState, Subject
+from tagid.station.errors import EnrolmentError
+from tagid.tags.enrolling.registry import Registry
+from tagid.tags.layouts.layout import Layout, builtin_layouts
+
+MINE = Layout("mine", np.array([(0.11, 0.0), (-0.02, 0.09), (-0.05, -0.07)]))
+POSES = ((0.006, -0.002, 10.0), (-0.004, 0.005, 130.0), (0.001, 0.008, 250.0))
+
+
+def capture(layout: Layout, pose: Sequence[float]):
+    scene = scene_on_body(
+        layout.name, parse_body("none"), parse_reflector("octahedron"), 1, layouts={layout.name: layout}
+    )
+    x, y, turn = pose
+    placement = Placement((x, y), math.radians(turn))
+    acquisition = Acquisition(views=72, snr_db=20.0, placement=placement)
+    return prepare(simulate_capture(scene, acquisition, seed=int(turn))[0])
+
+
+@pytest.fixture(scope="module")
+def captures():
+    """Three captures of an object that is not enrolled, and one of helmet-120."""
+    other = capture(builtin_layouts()["helmet-120"], POSES[1])
+    return [*(capture(MINE, pose) for pose in POSES), other]
+
+
+@pytest.fixture
+def registry(tmp_path: Path) -> Registry:
+    return Registry(tmp_path / "registry.sqlite")
+
+
+@pytest.fixture
+def enrolling(registry: Registry) -> Enrolling:
+    return Enrolling(lambda: registry, ImagingSettings)
+
+
+def add(enrolling: Enrolling, *captures) -> EnrolmentState:
+    for one in captures:
+        enrolling.add(Path("a.tagid.h5"), one, Identification("unknown", None, one.uuid, None))
+    return enrolling.state
+
+
+def test_a_capture_of_another_object_is_named_and_replaced(
+    enrolling: Enrolling, registry: Registry, captures
+) -> None:
+    first, second, third, other = captures
+    with pytest.raises(EnrolmentError):
+        enrolling.next_note()
+    enrolling.describe(Subject("gate-4", "helmet", "The blue one"))
+    assert enrolling.next_note() == "enrolling gate-4, capture 1"
+    assert "no majority" in str(add(enrolling, first, other).trouble)
+    state = add(enrolling, second)
+    assert str(state.trouble).startswith("capture 2 has a reflector") and state.proposal is None
+    for wrong in (0, 7):
+        with pytest.raises(EnrolmentError, match="no capture"):
+            enrolling.drop(wrong)
+    with pytest.raises(EnrolmentError, match="not ready"):
+        enrolling.store()
+    enrolling.drop(2)
+    assert enrolling.state.trouble is None
+    state = add(enrolling, third)
+    assert [one.number for one in state.captures] == [1, 3, 4] and not state.measuring
+    assert isinstance(state.proposal, LayoutProposal)
+    assert (state.proposal.layout.kind, state.proposal.layout.label) == ("helmet", "The blue one")
+    # Renaming keeps the captures; ending stores nothing.
+    enrolling.describe(Subject("gate-5"))
+    assert isinstance(enrolling.state.proposal, LayoutProposal)
+    assert enrolling.state.proposal.layout.name == "gate-5"
+    enrolling.cancel()
+    assert enrolling.state.subject is None and enrolling.state.captures == ()
+    assert {"gate-4", "gate-5"}.isdisjoint(layout.name for layout in registry.layouts())
+
+
+def test_an_object_that_is_enrolled_already_is_refused(
+    enrolling: Enrolling, registry: Registry, captures
+) -> None:
+    registry.add(Layout("before", MINE.positions), "by hand")
+    enrolling.describe(Subject("twin"))
+    state = add(enrolling, *captures[:3])
+    assert isinstance(state.trouble, LayoutConflictError) and "before" in state.trouble.message
+    with pytest.raises(LayoutConflictError):
+        enrolling.store()
+    assert "twin" not in [layout.name for layout in registry.layouts()]
+
+
+def test_an_object_that_was_not_moved_is_noticed(enrolling: Enrolling, captures) -> None:
+    enrolling.describe(Subject("gate-4"))
+    x, y, turn = POSES[0]
+    state = add(enrolling, captures[0], capture(MINE, (x, y, turn)))
+    assert state.measured is not None
+    assert any(remark.startswith("capture 1 and capture 2 show") for remark in state.measured.remarks)
+    enrolling.drop(2)
+    state = add(enrolling, captures[1])
+    assert state.measured is not None
+    assert not any("same place" in remark for remark in state.measured.remarks)
+
+
+def test_undo_takes_back_its_own_enrolment_and_no_other(
+    enrolling: Enrolling, registry: Registry, captures
+) -> None:
+    with pytest.raises(EnrolmentError):
+        enrolling.undo()
+    for name in ("gate-4", "gate-5"):
+        enrolling.describe(Subject(name))
+        add(enrolling, *captures[:3])
+        done = enrolling.store()
+        assert (done.name, done.version, done.has_layout) == (name, registry.version, True)
+        if name == "gate-4":
+            assert registry.contents().signatures[0].name == "gate-4"
+            enrolling.undo()
+            assert enrolling.state.undone == "gate-4" and registry.contents().signatures == []
+    before = registry.add(Layout("theirs", 1.3 * MINE.positions), "another program")
+    with pytest.raises(EnrolmentError, match="changed since"):
+        enrolling.undo()
+    assert registry.version == before
+    assert {"theirs", "gate-5"} <= {layout.name for layout in registry.layouts()}
+
+
+def test_a_full_disk_stores_no_half_enrolment(enrolling: Enrolling, registry: Registry, captures) -> None:
+    enrolling.describe(Subject("gate-4"))
+    add(enrolling, *captures[:3])
+    before = registry.version
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, hard))
+    try:
+        with pytest.raises(TagidError) as refused:
+            enrolling.store()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert refused.value.remedy and registry.version == before
+    state = enrolling.state
+    assert state.proposal is not None and len(state.captures) == 3, "nothing has to be recorded again"
+    enrolling.store()
+
+
+@pytest.mark.parametrize(
+    ("name", "kind", "label"),
+    [
+        ("Gate 4", "other", ""),
+        ("../x", "other", ""),
+        ("x", "cup", ""),
+        ("x", "other", "=1+1"),
+        ("", "other", ""),
+    ],
+)
+def test_a_bad_name_kind_or_label_is_refused_at_once(name: str, kind: str, label: str) -> None:
+    with pytest.raises(UsageError):
+        Subject(name, kind, label)
+
+
+def test_a_taken_name_is_refused_before_anything_is_recorded(enrolling: Enrolling) -> None:
+    with pytest.raises(TagidError, match="already enrolled"):
+        enrolling.describe(Subject("helmet-120"))
+    assert enrolling.state.subject is None
