@@ -11,6 +11,7 @@ sum of |y - measured|^2 with sum |sigma| and the squared difference of neighbour
 from __future__ import annotations
 
 import importlib.util
+import math
 import time
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Protocol
@@ -20,7 +21,7 @@ from numpy.typing import NDArray
 
 from tagid.capture import Capture
 from tagid.errors import DataError, MissingExtraError, UsageError
-from tagid.geometry import ImageGrid
+from tagid.geometry import Aperture, ImageGrid
 from tagid.imaging.ats import calibration
 from tagid.imaging.ats.illumination import illumination, lit_forward
 from tagid.imaging.ats.occlusion import transmission
@@ -35,6 +36,7 @@ from tagid.imaging.ats.problem import (
     view_subsets,
 )
 from tagid.imaging.ats.settings import AtsResult, AtsSettings, Calibration, Progress
+from tagid.imaging.ats.support import CHECK_AT, Support
 from tagid.imaging.kernel import is_compiled
 from tagid.imaging.memory import require_memory
 from tagid.imaging.operator import ForwardOperator
@@ -114,14 +116,21 @@ def fit(
 class _Scales:
     """What makes the loss dimensionless: energy of the data, size of the output, weights of the priors.
 
-    `step` is the factor by which backprojection explains the data best.
+    `step` is the factor by which backprojection explains the data best, `weight` that of the sparsity prior
+    beside 1/2 ||A sigma - y||^2, and `back` the magnitude of A^H y, (pixels, pixels).
     """
 
     energy: float
     step: float
     output: float
-    sparsity: float
+    weight: float
     smoothness: float
+    back: NDArray[np.float32]
+
+    @property
+    def sparsity(self) -> float:
+        """Weight of the sparsity prior in the loss."""
+        return 2 * self.weight / self.energy
 
 
 class _Fit:
@@ -138,11 +147,13 @@ class _Fit:
         self.known = calibration.begin(self.scans, grid, settings.calibrate, settings.wobble_harmonics)
         self.confidence: NDArray[np.floating] = np.ones(self.scans.samples.shape, dtype=np.float32)
         self.shadow = self._light(self.scans)
+        self.support = Support.all(grid.pixels)
+        self._made: tuple[tuple[float, bytes], tuple[ForwardOperator, ForwardOperator]] | None = None
         self.losses: list[float] = []
 
     def run(self, progress: Progress | None, begun: float) -> AtsResult:
         now = self.scans.with_aperture(self.known.aperture(self.scans.aperture))
-        scales = _scales(now, self.grid, self.settings)
+        scales = _scales(now, self._operators()[0], self.settings)
         shape = self.settings.shape(self.grid, self.scans.wavelength_m)
         if scales is None:
             blank = np.zeros((self.grid.pixels, self.grid.pixels), dtype=np.complex64)
@@ -159,10 +170,15 @@ class _Fit:
     ) -> tuple[FieldWeights, float]:
         """All steps; the mean field over the last of them, and its held-out residual."""
         settings, steps = self.settings, self.settings.steps
-        fine = FineRange.of(self.all, self.grid.points, self._margin())
-        grid = GridArrays.of(self.grid, cells)
+        native = engine.name == "native"
+        fine = FineRange.of(self.all, self.grid.points, self._margin(), between=native)
+        every = GridArrays.of(self.grid, cells)
         learn = {int(part * steps) for part in _LEARN_AT} if self._learns() else set()
-        subsets = self._subsets(fine)
+        check = {max(1, int(part * steps)) for part in CHECK_AT} if self._screened() else set()
+        if check:
+            self.support = Support.begin(scales.back, scales.weight)
+        grid = every.select(self.support.numbers)
+        subsets = self._subsets(fine, native)
         best, worse, mean, since = np.inf, 0, engine.weights(), 0
         for step in range(steps):
             views = subsets[step % len(subsets)]
@@ -172,8 +188,12 @@ class _Fit:
                 progress(step + 1, steps, self.losses[-1])
             if step + 1 in learn:
                 self._learn(engine.weights(), late=step + 1 >= steps / 2)
-                subsets = self._subsets(fine)
                 since = 0
+            if step + 1 in check:
+                self._screen(engine.weights(), scales.weight)
+                grid = every.select(self.support.numbers)
+            if step + 1 in learn | check:
+                subsets = self._subsets(fine, native)
             if step + 1 > steps * (1 - _MEAN_OVER):
                 since += 1
                 mean = mean.mean_with(engine.weights(), 1 / since)
@@ -183,13 +203,13 @@ class _Fit:
                 best = min(best, residual)
                 if worse >= settings.patience and step + 1 > max(learn, default=0):
                     break
-        field = self._unshrunk(mean if since else engine.weights())
+        field = self._unshrunk(replace(mean if since else engine.weights(), support=self.support.mask))
         return field, self._held_out_residual(field) if len(self.unseen) else float("nan")
 
     def _unshrunk(self, field: FieldWeights) -> FieldWeights:
         """The field times the one factor that explains the scans best: the prior made it too dark."""
         data = self.scans.samples - self.known.static
-        seen = self._seen(self.scans, field.on(self.grid), True)
+        seen = self._seen(field.on(self.grid), True)
         energy = float(np.vdot(seen, seen).real)
         factor = float(np.vdot(seen, data).real) / energy if energy > 0 else 1.0
         return replace(field, scale=field.scale * float(np.clip(factor, 1.0, _MOST_SHRUNK)))
@@ -203,14 +223,51 @@ class _Fit:
         numbers = (rate, rate * s.network_rate, *corrections, scales.output, data)
         return np.array([*numbers, scales.sparsity, scales.smoothness, _EPSILON], dtype=np.float32)
 
-    def _subsets(self, fine: FineRange) -> list[ViewArrays]:
-        """Interleaved subsets of the views under the present calibration."""
+    def _screened(self) -> bool:
+        """Whether dark pixels may be left out: the neighbourhood prior and shadows need all of them."""
+        return self.settings.smoothness == 0 and not _weighted(self.settings)
+
+    def _screen(self, field: FieldWeights, weight: float) -> None:
+        """Choose the pixels again, by the residual of all views under the present field."""
+        values = replace(field, support=self.support.mask).on(self.grid)
+        rest = self.scans.samples - self.known.static - self._seen(values, True)
+        aspect = self._view_of(self.known.aperture(self.scans.aperture), True).conj()
+        square = np.zeros(self.grid.pixels**2, dtype=np.float32)
+        for channel in range(len(values)):
+            square += np.abs(self._operators()[0].adjoint(aspect[:, channel, None] * rest)) ** 2
+        side = (self.grid.pixels, self.grid.pixels)
+        magnitude = np.sqrt((np.abs(values) ** 2).sum(axis=0))
+        self.support = self.support.renewed(magnitude, np.sqrt(square).reshape(side), weight)
+
+    def _operators(self) -> tuple[ForwardOperator, ForwardOperator]:
+        """Operators of the views that are fitted and of the others, under the present calibration."""
+        key = (self.known.offset_m, self.known.wobble.tobytes())
+        if self._made is None or self._made[0] != key:
+            aperture = self.known.aperture(self.all.aperture)
+            whole = ForwardOperator(self.all.with_aperture(aperture), self.grid)
+            fitted = np.setdiff1d(np.arange(whole.views), self.unseen)
+            self._made = key, (whole.select(fitted), whole.select(self.unseen))
+        return self._made[1]
+
+    def _view_of(self, aperture: Aperture, fitted: bool) -> NDArray[np.complex128]:
+        """(views, channels) what views see of every channel; their gain is known where they were fitted."""
+        aspect = _aspect(aperture.positions, self.settings.aspect_harmonics)
+        aspect = aspect * self.known.phase(self.scans.wavenumber)
+        return np.asarray(aspect * self.known.gain[:, None] if fitted else aspect)
+
+    def _subsets(self, fine: FineRange, native: bool) -> list[ViewArrays]:
+        """Interleaved subsets of the views under the present calibration.
+
+        For the native engine they hold the pixels of the support only; the graph takes all.
+        """
         aperture = self.known.aperture(self.scans.aperture)
         data = np.asarray(self.scans.samples - self.known.static, dtype=np.complex64)
         now = replace(self.scans, samples=data, aperture=aperture)
-        aspect = _aspect(aperture.positions, self.settings.aspect_harmonics) * self.known.gain[:, None]
-        aspect = aspect * self.known.phase(self.scans.wavenumber)
-        arrays = view_arrays(now, self.grid.points, fine, self.confidence, aspect, self.shadow)
+        points, some = self.grid.points, self.support.numbers
+        if native and some is not None:
+            points = points[some]
+        aspect = self._view_of(aperture, True)
+        arrays = view_arrays(now, points, fine, self.confidence, aspect, self.shadow)
         return [arrays.select(views) for views in view_subsets(aperture, self.settings.views_per_step)]
 
     def _learns(self) -> bool:
@@ -224,7 +281,8 @@ class _Fit:
 
     def _learn(self, field: FieldWeights, late: bool) -> None:
         """Bring calibration, shadows and, once the scene stands, the weights of the samples up to date."""
-        settings, values = self.settings, field.on(self.grid)
+        settings = self.settings
+        values = replace(field, support=self.support.mask).on(self.grid)
         image = values[len(values) // 2].ravel()
         # Half a scene would draw the geometry away from where the sparse scenes have put it.
         what = self.what if late else tuple(w for w in self.what if w not in ("axis", "wobble"))
@@ -237,7 +295,7 @@ class _Fit:
             light = self._light(self.scans)
             self.shadow *= 1 if light is None else light
         if settings.robust > 0 and late:
-            residual = np.abs(self.scans.samples - self.known.static - self._seen(self.scans, values, True))
+            residual = np.abs(self.scans.samples - self.known.static - self._seen(values, True))
             sigma = max(self.scans.noise_std, float(np.median(residual)) / np.sqrt(np.log(2)), 1e-30)
             self.confidence = np.minimum(1, settings.robust * sigma / np.maximum(residual, 1e-30))
 
@@ -249,24 +307,27 @@ class _Fit:
         positions = scans.aperture.positions
         return illumination(self.grid.points, positions, s.spreading, float(np.deg2rad(s.beam_width_deg)))
 
-    def _seen(
-        self, scans: BasebandScans, values: NDArray[np.complex64], fitted: bool
-    ) -> NDArray[np.complex64]:
-        """Synthesized scans of the field's channels; the gain is known for the views that were fitted."""
+    def _seen(self, values: NDArray[np.complex64], fitted: bool) -> NDArray[np.complex64]:
+        """Synthesized scans of the field's channels in the views that were fitted, or in the others."""
+        scans = self.scans if fitted else select_views(self.all, self.unseen)
         aperture = self.known.aperture(scans.aperture)
-        aspect = _aspect(aperture.positions, self.settings.aspect_harmonics)
-        aspect = aspect * self.known.phase(scans.wavenumber)
-        if fitted:
-            aspect = aspect * self.known.gain[:, None]
-        light, now = self._light(scans), scans.with_aperture(aperture)
-        seen = [lit_forward(now, self.grid, v.ravel(), light) for v in values]
+        aspect = self._view_of(aperture, fitted)
+        light = self._light(scans)
+        if light is None:
+            flat = values.reshape(len(values), -1)
+            bright = np.any(flat, axis=0)
+            operator = self._operators()[0 if fitted else 1].among(bright)
+            seen = [operator.forward(v[bright]) for v in flat]
+        else:
+            now = scans.with_aperture(aperture)
+            seen = [lit_forward(now, self.grid, v.ravel(), light) for v in values]
         parts = [rows * aspect[:, i, None] for i, rows in enumerate(seen)]
         return np.asarray(np.sum(parts, axis=0), dtype=np.complex64)
 
     def _held_out_residual(self, field: FieldWeights) -> float:
         unseen = select_views(self.all, self.unseen)
         data = unseen.samples - self.known.static
-        seen = self._seen(unseen, field.on(self.grid), False)
+        seen = self._seen(field.on(self.grid), False)
         energy, power = float(np.vdot(data, data).real), float(np.vdot(seen, seen).real)
         if energy == 0:
             return float("nan")
@@ -384,9 +445,8 @@ def _aspect(positions: NDArray[np.float64], harmonics: int) -> NDArray[np.comple
     return np.exp(1j * np.outer(bearing, np.arange(-harmonics, harmonics + 1)))
 
 
-def _scales(scans: BasebandScans, grid: ImageGrid, settings: AtsSettings) -> _Scales | None:
+def _scales(scans: BasebandScans, operator: ForwardOperator, settings: AtsSettings) -> _Scales | None:
     """Scales and weights; None if nothing is to be fitted (zero data, or none within the grid's reach)."""
-    operator = ForwardOperator(scans, grid)
     data = np.ascontiguousarray(scans.samples, dtype=np.complex64)
     back = operator.adjoint(data)
     energy = float(np.vdot(data, data).real)
@@ -398,8 +458,10 @@ def _scales(scans: BasebandScans, grid: ImageGrid, settings: AtsSettings) -> _Sc
     norm = column_norm(scans)
     floor = settings.noise_factor * scans.noise_std * norm
     weight = min(max(settings.l1 * peak, floor), 0.5 * peak)
+    side = math.isqrt(operator.points)
+    magnitude = np.abs(back).reshape(side, side)
     return _Scales(
-        energy, step, _SHARPENED * step * peak, 2 * weight / energy, settings.smoothness * norm**2 / energy
+        energy, step, _SHARPENED * step * peak, weight, settings.smoothness * norm**2 / energy, magnitude
     )
 
 
