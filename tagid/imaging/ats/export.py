@@ -73,7 +73,13 @@ def dimensions() -> dict[str, Tensor]:
     state: list[tuple[int | str, ...]] = [*table, *layers, *biases]
     shapes: list[tuple[int | str, ...]] = [*state * 3]
     shapes += [("pixels", f"vertices_{i}") for i in range(LEVELS)]
-    shapes += [("pixels", "pixels"), (1, "points"), ("views", "points"), ("views", "parts"), ("views", "parts")]
+    shapes += [
+        ("pixels", "pixels"),
+        (1, "points"),
+        ("views", "points"),
+        ("views", "parts"),
+        ("views", "parts"),
+    ]
     shapes += [("seen_views", "seen_points")]
     shapes += [("fine", "spread"), (2, "views", "bins"), ("views", "bins"), (9,)]
     kinds = {"index": "int32"}

@@ -84,6 +84,7 @@ def fit(
     grid: ImageGrid,
     settings: AtsSettings | None = None,
     progress: Progress | None = None,
+    unseen: NDArray[np.integer] | None = None,
 ) -> AtsResult:
     """Reconstruct by analysis through synthesis.
 
@@ -93,6 +94,8 @@ def fit(
         grid: pixels wanted.
         settings: parameters; the defaults are for 12 to 360 views of an object of up to a metre.
         progress: called after every step.
+        unseen: numbers of the views that the fit does not see and on which it is judged; None: as
+            `settings.held_out` says.
 
     Returns:
         Image in the units of the scans, with how it came about. Scans that are all zero give a zero image.
@@ -109,7 +112,7 @@ def fit(
         scans = preprocess(scans, settings=PreprocessSettings("none", False, extent_m=grid.extent))
     if not np.isfinite(scans.samples).all():
         raise DataError("the scans hold samples that are not finite", "Leave out the broken scans.")
-    return _Fit(scans, grid, settings).run(progress, begun)
+    return _Fit(scans, grid, settings, unseen).run(progress, begun)
 
 
 @dataclass(frozen=True)
@@ -136,11 +139,17 @@ class _Scales:
 class _Fit:
     """One fit from set-up to result."""
 
-    def __init__(self, scans: BasebandScans, grid: ImageGrid, settings: AtsSettings) -> None:
+    def __init__(
+        self,
+        scans: BasebandScans,
+        grid: ImageGrid,
+        settings: AtsSettings,
+        unseen: NDArray[np.integer] | None,
+    ) -> None:
         self.grid, self.settings, self.all = grid, settings, scans
         _foresee(scans, grid, settings)
         views = np.arange(scans.aperture.views)
-        self.unseen = _held_out(len(views), settings.held_out)
+        self.unseen = _held_out(len(views), settings.held_out) if unseen is None else unseen
         self.scans = select_views(scans, np.setdiff1d(views, self.unseen))
         # The subtracted background is known except for the mean of the scene's own echoes.
         self.what = settings.calibrate + (("static",) if scans.background_removed else ())
