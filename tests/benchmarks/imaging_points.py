@@ -129,7 +129,7 @@ def amplitude_error_db(shown: Image, problem: Problem, radius_m: float = 0.015) 
 
 
 def points(run: Any) -> str:
-    """(1) Two to four reflectors of 0.5 to 1 in noise: the headline figures, and pictures at equal resolution."""
+    """(1) Two to four reflectors of 0.5 to 1 in noise: headline figures, and pictures at equal resolution."""
     rows = (*POINT_ROWS, "oracle")
     cells = [
         PointCell(views, noise, seed, row)
@@ -154,8 +154,8 @@ def points(run: Any) -> str:
         "At each method's own resolution: single pixels for FISTA, OMP and ATS. In brackets the Cramér-Rao "
         "bound. Seconds of processor time.\n\n"
         + report.table((*heading, *OWN_TITLES), own)
-        + "\nAt equal resolution: FISTA, OMP, ATS and the oracle (true positions and amplitudes) with the same "
-        "beam, as wide as the core of the others' point response; truth drawn with that beam.\n\n"
+        + "\nAt equal resolution: FISTA, OMP, ATS and the oracle (true positions and amplitudes) with the "
+        "same beam, as wide as the core of the others' point response; truth drawn with that beam.\n\n"
         + report.table((*heading, *EQUAL_TITLES), equal)
     )
 

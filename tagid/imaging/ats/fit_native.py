@@ -1,8 +1,8 @@
-"""The optimisation step on numpy and the compiled kernel of the forward operator: the fastest on a processor.
+"""The optimisation step on numpy and compiled kernels: the fastest on a processor.
 
-It is the computation of `forward_step.optimise`; tests compare the two. It differs in three ways that only
-save time: a point lies between two fine range bins where the graph takes the nearest, the pixels of a step may
-be a part of the image, and all parameters share one array, so that Adam is one update.
+It computes what `forward_step.optimise` does; tests compare the two. Three differences only save time: a
+point lies between two fine range bins where the graph takes the nearest, pixels outside the support are left
+out where the graph sets them to zero, and all parameters share one array, so that Adam is one update.
 """
 
 from __future__ import annotations

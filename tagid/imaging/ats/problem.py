@@ -231,8 +231,8 @@ class GridArrays:
     """What a step reads of the grid: see `Step` for the members of the same names.
 
     Attributes:
-        pixels: (n,) numbers of the pixels that a step works on, or None for all. The native engine computes no
-            others; the graph sets them to zero.
+        pixels: (n,) numbers of the pixels that a step works on, or None for all. The native engine computes
+            no others; the graph sets them to zero.
     """
 
     interpolation: list[Array]

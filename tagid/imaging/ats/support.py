@@ -1,9 +1,9 @@
 """Which pixels can be bright: the sparsity prior keeps the others at zero, and a step need not compute them.
 
-A minimum of 1/2 ||A sigma - y||^2 + w sum |sigma| has sigma_p = 0 wherever |A^H (y - A sigma)|_p <= w: the
-optimality condition by which `tagid.imaging.sparse` chooses its active set. Here the same condition is checked
-a few times during the fit. An image of points has some hundred such pixels; one of an outline under a weak
-prior has nearly all, and then nothing is left out.
+A minimum of 1/2 ||A sigma - y||^2 + w sum |sigma| has sigma_p = 0 wherever |A^H (y - A sigma)|_p < w: the
+optimality condition by which `tagid.imaging.sparse` chooses its active set. Here it is checked a few times
+during the fit. An image of points has a few hundred pixels that can be bright; an outline under a weak prior
+has nearly all, and then nothing is left out.
 """
 
 from __future__ import annotations

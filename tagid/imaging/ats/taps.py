@@ -1,4 +1,4 @@
-"""Features of pixels from those of the vertices about them, the transpose, and Adam, as fast as the machine can.
+"""Features of pixels from those of the vertices about them, the transpose, and Adam's update.
 
 A small C extension does them where a compiler was present at installation, scipy and numpy where not.
 """
