@@ -65,6 +65,16 @@ def left_out(views: int) -> NDArray[np.intp]:
     return np.asarray((np.arange(count) + 0.5) * views / max(count, 1), dtype=np.intp)
 
 
+def misfits(data: NDArray[np.complexfloating], seen: NDArray[np.complexfloating]) -> NDArray[np.float64]:
+    """(views,) energy that predicted scans leave of measured ones, both (views, bins).
+
+    One complex factor is fitted to all views together.
+    """
+    power = float(np.vdot(seen, seen).real)
+    factor = np.vdot(seen, data) / power if power > 0 else 0.0
+    return np.asarray((np.abs(data - factor * seen) ** 2).sum(axis=1, dtype=np.float64))
+
+
 def residual(scans: BasebandScans, image: Image) -> float:
     """||y - A x||^2 / ||y||^2 on scans that were not used for the reconstruction: 1 for a blank image.
 
@@ -88,7 +98,7 @@ def check(
     unfiltered: BasebandScans,
     grid: ImageGrid,
     make: Callable[[BasebandScans], Image] | None,
-    predicted: Callable[[BasebandScans, float], float] | None = None,
+    predicted: Callable[[BasebandScans, NDArray[np.intp]], float] | None = None,
 ) -> HeldOut | None:
     """Residual of an image made without some views, on those views; None if there are too few, or no data.
 
@@ -97,8 +107,8 @@ def check(
         unfiltered: the same views without the matched filter, on which all methods are compared.
         grid: pixels.
         make: gives the method's image of scans, at bare pixels; None: backprojection itself.
-        predicted: for a model that is more than its image: gives its own residual on a share of the views of
-            all scans, the same views that `left_out` names. None: the image's.
+        predicted: for a model that is more than its image: gives its own residual on those of all views that
+            `left_out` names. None: the image's.
     """
     unseen = left_out(scans.aperture.views)
     if not len(unseen):
@@ -110,7 +120,7 @@ def check(
         return None
     plain = residual(test, backproject(select_views(scans if make is None else unfiltered, seen), grid))
     if predicted is not None:
-        found = predicted(scans, len(unseen) / scans.aperture.views)
+        found = predicted(scans, unseen)
     else:
         found = plain if make is None else residual(test, make(select_views(scans, seen)))
     noise = test.noise_std**2 * test.samples.size / energy if test.noise_std > 0 else float("nan")

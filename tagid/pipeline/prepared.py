@@ -6,6 +6,7 @@ Imaging, reading and the network share its baseband scans and pulse.
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 from tagid.capture import Capture
 from tagid.errors import UsageError
@@ -14,7 +15,7 @@ from tagid.imaging.preprocess import PreprocessSettings, nominal, preprocess
 from tagid.imaging.pulsefit import PulseEstimate, estimate_pulse
 from tagid.imaging.types import BasebandScans
 from tagid.pipeline.resolve import one_turn
-from tagid.pipeline.settings import ImagingSettings, Stopwatch
+from tagid.pipeline.settings import ImagingSettings, Progress, Stopwatch
 from tagid.pipeline.turn import resolve_turn
 
 MAX_VIEWS = 360
@@ -67,8 +68,12 @@ class PreparedCapture:
     @property
     def capture(self) -> Capture:
         """The capture with the pulse selected by the settings. Raises DataError if the estimate fails."""
+        return self.choose_pulse()
+
+    def choose_pulse(self, progress: Progress | None = None) -> Capture:
+        """As `capture`; an estimate, which takes a while, reports its progress as (done, total, remark)."""
         if self._with_pulse is None:
-            self._with_pulse = self._choose_pulse()
+            self._with_pulse = self._selected_pulse(progress)
         return self._with_pulse
 
     @property
@@ -88,7 +93,7 @@ class PreparedCapture:
                 self._scans[settings] = preprocess(capture, settings=settings)
         return self._scans[settings]
 
-    def _choose_pulse(self) -> Capture:
+    def _selected_pulse(self, progress: Progress | None) -> Capture:
         settings = self.settings
         if settings.pulse == "nominal":
             return replace(self._given, pulse=nominal(self._given))
@@ -96,9 +101,14 @@ class PreparedCapture:
             return self._given
         with self.watch.stage("pulse"):
             grid = ImageGrid(settings.extent_m, settings.pixels)
-            found = estimate_pulse(self._given, grid, settings.background, settings.focus_m)
+            report = None if progress is None else partial(_report_pulse, progress)
+            found = estimate_pulse(self._given, grid, settings.background, settings.focus_m, report)
         self._estimate = found
         return replace(self._given, pulse=found.pulse)
+
+
+def _report_pulse(progress: Progress, done: int, total: int) -> None:
+    progress(done, total, "estimating the pulse")
 
 
 def as_prepared(capture: Capture | PreparedCapture, settings: ImagingSettings | None) -> PreparedCapture:

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.capture import Capture
-from tagid.errors import DataError, MissingExtraError, UsageError
+from tagid.errors import DataError, MissingExtraError
 from tagid.geometry import Aperture, ImageGrid
 from tagid.imaging.ats import calibration
 from tagid.imaging.ats.illumination import illumination, lit_forward
@@ -37,6 +37,7 @@ from tagid.imaging.ats.problem import (
 )
 from tagid.imaging.ats.settings import AtsResult, AtsSettings, Calibration, Progress
 from tagid.imaging.ats.support import CHECK_AT, Support
+from tagid.imaging.heldout import misfits
 from tagid.imaging.kernel import is_compiled
 from tagid.imaging.memory import require_memory
 from tagid.imaging.operator import ForwardOperator
@@ -166,18 +167,18 @@ class _Fit:
         shape = self.settings.shape(self.grid, self.scans.wavelength_m)
         if scales is None:
             blank = np.zeros((self.grid.pixels, self.grid.pixels), dtype=np.complex64)
-            return self._result(blank, None, float("nan"), "none", begun)
+            return self._result(blank, None, "none", begun)
         first = _first_image(now, self.grid, shape.cells[-1], scales)
         start = draw_weights(shape, self.grid, scales.output, self.settings.seed, first)
         engine = make_engine(start, self.settings)
-        field, held_out = self._optimise(engine, scales, shape.cells, progress)
+        field = self._optimise(engine, scales, shape.cells, progress)
         values = field.on(self.grid)
-        return self._result(values[len(values) // 2], field, held_out, engine.name, begun)
+        return self._result(values[len(values) // 2], field, engine.name, begun)
 
     def _optimise(
         self, engine: Engine, scales: _Scales, cells: tuple[int, ...], progress: Progress | None
-    ) -> tuple[FieldWeights, float]:
-        """All steps; the mean field over the last of them, and its held-out residual."""
+    ) -> FieldWeights:
+        """All steps; the mean field over the last of them."""
         settings, steps = self.settings, self.settings.steps
         native = engine.name == "native"
         fine = FineRange.of(self.all, self.grid.points, self._margin(), between=native)
@@ -212,8 +213,7 @@ class _Fit:
                 best = min(best, residual)
                 if worse >= settings.patience and step + 1 > max(learn, default=0):
                     break
-        field = self._unshrunk(replace(mean if since else engine.weights(), support=self.support.mask))
-        return field, self._held_out_residual(field) if len(self.unseen) else float("nan")
+        return self._unshrunk(replace(mean if since else engine.weights(), support=self.support.mask))
 
     def _unshrunk(self, field: FieldWeights) -> FieldWeights:
         """The field times the one factor that explains the scans best: the prior made it too dark."""
@@ -333,24 +333,30 @@ class _Fit:
         parts = [rows * aspect[:, i, None] for i, rows in enumerate(seen)]
         return np.asarray(np.sum(parts, axis=0), dtype=np.complex64)
 
+    def _misfit(self, field: FieldWeights) -> tuple[NDArray[np.float64], float]:
+        """Energy left of every unseen view, and that of all of them.
+
+        One complex factor is fitted, as for the images of all methods (`heldout.residual`).
+        """
+        data = self.all.samples[self.unseen] - self.known.static
+        left = misfits(data, self._seen(field.on(self.grid), False))
+        return left, float(np.vdot(data, data).real)
+
     def _held_out_residual(self, field: FieldWeights) -> float:
-        unseen = select_views(self.all, self.unseen)
-        data = unseen.samples - self.known.static
-        seen = self._seen(field.on(self.grid), False)
-        energy, power = float(np.vdot(data, data).real), float(np.vdot(seen, seen).real)
-        if energy == 0:
-            return float("nan")
-        # One complex factor is fitted, as for the images of all methods (`heldout.residual`).
-        return 1 - float(np.abs(np.vdot(seen, data)) ** 2) / (power * energy) if power > 0 else 1.0
+        left, energy = self._misfit(field)
+        return float(left.sum()) / energy if energy > 0 else float("nan")
 
     def _result(
         self,
         values: NDArray[np.complex64],
         field: FieldWeights | None,
-        held_out: float,
         engine: str,
         begun: float,
     ) -> AtsResult:
+        left, energy = np.full(len(self.unseen), np.nan), 0.0
+        if field is not None and len(self.unseen):
+            left, energy = self._misfit(field)
+        held_out = float(left.sum()) / energy if energy > 0 else float("nan")
         nominal, known = self.all.aperture.axis_distance, self.known
         learned = Calibration(
             None if nominal is None else nominal + known.offset_m,
@@ -368,7 +374,8 @@ class _Fit:
         facts |= {"steps_done": len(self.losses), "loss": self.losses[-1] if self.losses else 0.0}
         facts |= {"held_out_residual": None if np.isnan(held_out) else held_out}
         image = Image(values, self.grid, facts)
-        return AtsResult(image, tuple(self.losses), learned, held_out, time.perf_counter() - begun, field)
+        seconds = time.perf_counter() - begun
+        return AtsResult(image, tuple(self.losses), learned, held_out, seconds, self.unseen, left, field)
 
 
 _BETA1, _BETA2 = 0.9, 0.95
@@ -387,13 +394,13 @@ def make_engine(start: FieldWeights, settings: AtsSettings) -> Engine:
 
     Raises:
         MissingExtraError: it is not installed.
-        UsageError: it cannot do what is asked.
+        UsageError: it cannot do what is asked, or the device is not there.
     """
     name = settings.engine
     if name == "auto":
         from tagid.imaging.ats.runtime import HIDDEN, LEVELS
 
-        if settings.device == "cpu" and is_compiled() and not _weighted(settings):
+        if settings.device == "cpu" and is_compiled():
             name = "native"
         shipped = (settings.levels, settings.hidden, settings.device) == (LEVELS, HIDDEN, "cpu")
         if name == "auto":
@@ -401,10 +408,6 @@ def make_engine(start: FieldWeights, settings: AtsSettings) -> Engine:
     if name == "native":
         from tagid.imaging.ats.fit_native import NativeEngine
 
-        if _weighted(settings):
-            raise UsageError(
-                "the native engine gives every view the same light", "Use --engine onnx, torch or auto."
-            )
         return NativeEngine(start)
     if importlib.util.find_spec("torch" if name == "torch" else "onnxruntime") is None:
         raise MissingExtraError(

@@ -154,7 +154,7 @@ def _data_term(sigma: Array, views: ViewArrays, fine: FineRange, scale: float) -
     values = np.empty(len(sigma), dtype=np.complex64)
     for channel in range(channels):
         values.real, values.imag = sigma[:, channel], sigma[:, channels + channel]
-        rows = views.geometry.scatter(values)
+        rows = views.rows_of(values)
         rows *= aspect[:, channel, None]
         seen += rows
     residual: NDArray[np.complex64] = seen @ spread
@@ -166,6 +166,6 @@ def _data_term(sigma: Array, views: ViewArrays, fine: FineRange, scale: float) -
     back = weighted @ fine.complex_collect
     slope = np.empty_like(sigma)
     for channel in range(channels):
-        part = views.geometry.gather(aspect[:, channel, None].conj() * back)
+        part = views.points_of(aspect[:, channel, None].conj() * back)
         slope[:, channel], slope[:, channels + channel] = part.real, part.imag
     return loss, slope

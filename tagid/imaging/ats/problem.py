@@ -288,6 +288,27 @@ class ViewArrays:
         first = (float(self.fine.offset) + 0.5) * self.fine.step
         return RangeGeometry.of(self.aperture, self.points, (first, self.fine.step), len(self.fine.spread))
 
+    @cached_property
+    def one_by_one(self) -> list[RangeGeometry]:
+        """`geometry` of every view by itself, for views that see the points in lights of their own."""
+        return [self.geometry.select(slice(view, view + 1)) for view in range(self.geometry.views)]
+
+    def rows_of(self, values: NDArray[np.complex64]) -> NDArray[np.complex64]:
+        """(views, fine bins) of the points' values, each dimmed by what is left of its echo."""
+        if len(self.transmission) == 1:
+            return self.geometry.scatter(values)
+        pairs = zip(self.one_by_one, self.transmission, strict=True)
+        return np.concatenate([view.scatter(values * light) for view, light in pairs])
+
+    def points_of(self, rows: NDArray[np.complex64]) -> NDArray[np.complex64]:
+        """(points,) of rows, the transpose of `rows_of`."""
+        if len(self.transmission) == 1:
+            return self.geometry.gather(rows)
+        out = np.zeros(len(self.points), dtype=np.complex64)
+        for view, light, row in zip(self.one_by_one, self.transmission, rows, strict=True):
+            out += light * view.gather(row[None])
+        return out
+
     def select(self, views: NDArray[np.integer] | slice) -> ViewArrays:
         """The same of some views only."""
         return ViewArrays(
