@@ -33,7 +33,8 @@ class HeldOut:
     Attributes:
         residual: energy of what the image leaves over of them, over their energy: 1 for a blank image. One
             complex factor is fitted.
-        backprojection: the same for backprojection from the same views.
+        backprojection: the same for backprojection from the same views; of scans as they are or correlated
+            with the pulse, whichever predicts better.
         noise: share of the energy that is noise, the least that any image can reach; nan where not known.
         views: how many were left out.
     """
@@ -118,10 +119,14 @@ def check(
     energy = float((np.abs(test.samples) ** 2).sum())
     if energy == 0:
         return None
-    plain = residual(test, backproject(select_views(scans if make is None else unfiltered, seen), grid))
-    if predicted is not None:
-        found = predicted(scans, unseen)
+    if make is None:
+        found = plain = residual(test, backproject(select_views(scans, seen), grid))
     else:
-        found = plain if make is None else residual(test, make(select_views(scans, seen)))
+        part = select_views(unfiltered, seen)
+        correlated = ForwardOperator(part, grid).adjoint(part.samples).reshape(grid.pixels, grid.pixels)
+        plain = min(residual(test, image) for image in (backproject(part, grid), Image(correlated, grid)))
+        found = (
+            residual(test, make(select_views(scans, seen))) if predicted is None else predicted(scans, unseen)
+        )
     noise = test.noise_std**2 * test.samples.size / energy if test.noise_std > 0 else float("nan")
     return HeldOut(found, plain, min(noise, 1.0), len(unseen))
