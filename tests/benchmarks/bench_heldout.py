@@ -83,10 +83,16 @@ def residuals(task: Task) -> dict[str, float | bool | str]:
 
 
 def tasks(seeds: int) -> list[Task]:
-    """All scenes, few views first."""
+    """All scenes: those of the P440 first, few views and many in turn."""
     numbers = range(FIRST_SEED, FIRST_SEED + seeds)
-    drawn = [Task(f, r, v, s) for v in VIEWS for f in FAMILIES for r in RADARS for s in numbers]
-    return drawn + [Task(o, "full wave", v, s) for v in VIEWS for o in OBJECTS for s in numbers]
+    families = {"P440": FAMILIES, "full wave": OBJECTS, "17 mm": FAMILIES}
+    return [
+        Task(family, radar, views, seed)
+        for seed in numbers
+        for radar, names in families.items()
+        for family in names
+        for views in VIEWS
+    ]
 
 
 TEXT = """{head}
