@@ -33,7 +33,8 @@ class HeldOut:
     Attributes:
         residual: energy of what the image leaves over of them, over their energy: 1 for a blank image. One
             complex factor is fitted.
-        backprojection: the same for backprojection from the same views.
+        backprojection: the same for backprojection from the same views; of scans as they are or correlated
+            with the pulse, whichever predicts better.
         noise: share of the energy that is noise, the least that any image can reach; nan where not known.
         views: how many were left out.
     """
@@ -65,6 +66,16 @@ def left_out(views: int) -> NDArray[np.intp]:
     return np.asarray((np.arange(count) + 0.5) * views / max(count, 1), dtype=np.intp)
 
 
+def misfits(data: NDArray[np.complexfloating], seen: NDArray[np.complexfloating]) -> NDArray[np.float64]:
+    """(views,) energy that predicted scans leave of measured ones, both (views, bins).
+
+    One complex factor is fitted to all views together.
+    """
+    power = float(np.vdot(seen, seen).real)
+    factor = np.vdot(seen, data) / power if power > 0 else 0.0
+    return np.asarray((np.abs(data - factor * seen) ** 2).sum(axis=1, dtype=np.float64))
+
+
 def residual(scans: BasebandScans, image: Image) -> float:
     """||y - A x||^2 / ||y||^2 on scans that were not used for the reconstruction: 1 for a blank image.
 
@@ -88,7 +99,7 @@ def check(
     unfiltered: BasebandScans,
     grid: ImageGrid,
     make: Callable[[BasebandScans], Image] | None,
-    predicted: Callable[[BasebandScans, float], float] | None = None,
+    predicted: Callable[[BasebandScans, NDArray[np.intp]], float] | None = None,
 ) -> HeldOut | None:
     """Residual of an image made without some views, on those views; None if there are too few, or no data.
 
@@ -97,8 +108,8 @@ def check(
         unfiltered: the same views without the matched filter, on which all methods are compared.
         grid: pixels.
         make: gives the method's image of scans, at bare pixels; None: backprojection itself.
-        predicted: for a model that is more than its image: gives its own residual on a share of the views of
-            all scans, the same views that `left_out` names. None: the image's.
+        predicted: for a model that is more than its image: gives its own residual on those of all views that
+            `left_out` names. None: the image's.
     """
     unseen = left_out(scans.aperture.views)
     if not len(unseen):
@@ -108,10 +119,14 @@ def check(
     energy = float((np.abs(test.samples) ** 2).sum())
     if energy == 0:
         return None
-    plain = residual(test, backproject(select_views(scans if make is None else unfiltered, seen), grid))
-    if predicted is not None:
-        found = predicted(scans, len(unseen) / scans.aperture.views)
+    if make is None:
+        found = plain = residual(test, backproject(select_views(scans, seen), grid))
     else:
-        found = plain if make is None else residual(test, make(select_views(scans, seen)))
+        part = select_views(unfiltered, seen)
+        correlated = ForwardOperator(part, grid).adjoint(part.samples).reshape(grid.pixels, grid.pixels)
+        plain = min(residual(test, image) for image in (backproject(part, grid), Image(correlated, grid)))
+        found = (
+            residual(test, make(select_views(scans, seen))) if predicted is None else predicted(scans, unseen)
+        )
     noise = test.noise_std**2 * test.samples.size / energy if test.noise_std > 0 else float("nan")
     return HeldOut(found, plain, min(noise, 1.0), len(unseen))

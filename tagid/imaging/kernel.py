@@ -112,6 +112,11 @@ class RangeGeometry:
         second = np.ascontiguousarray(self.second[views]) if len(self.second) else self.second
         return replace(self, antenna=antenna, second=second)
 
+    def among(self, points: NDArray[np.bool_]) -> RangeGeometry:
+        """The geometry of some points only, (points,) bool."""
+        z = self.z[points] if len(self.z) else self.z
+        return replace(self, x=self.x[points], y=self.y[points], z=z)
+
     def gather(self, rows: NDArray[np.complexfloating]) -> NDArray[np.complex64]:
         """out[p] = sum_v of row v at the distance of point p, by linear interpolation between bins.
 

@@ -104,8 +104,15 @@ class ForwardOperator:
 
     def select(self, views: NDArray[np.integer] | slice) -> ForwardOperator:
         """The operator of some views only, in the order given."""
+        return self._with(self.geometry.select(views))
+
+    def among(self, points: NDArray[np.bool_]) -> ForwardOperator:
+        """The operator of some points only, (points,) bool."""
+        return self._with(self.geometry.among(points))
+
+    def _with(self, geometry: RangeGeometry) -> ForwardOperator:
         part = object.__new__(ForwardOperator)
-        part.geometry = self.geometry.select(views)
+        part.geometry = geometry
         part._spread, part._collect = self._spread, self._collect
         part._fine_step, part._phase_step = self._fine_step, self._phase_step
         part.views, part.bins, part.points = part.geometry.views, self.bins, self.points

@@ -6,6 +6,7 @@ explains the scans under the present pulse, then the pulse that explains the sca
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,12 +25,14 @@ from tagid.imaging.preprocess import (
     preprocess,
     select_views,
 )
-from tagid.imaging.sparse import sparse_recovery
+from tagid.imaging.sparse import SparseSettings, sparse_amplitudes
 from tagid.imaging.types import BasebandScans, PointResponse
 from tagid.waveform import analytic_pulse, pulse_at
 
 Samples = NDArray[np.complex64]
 Taps = NDArray[np.complex128]
+Progress = Callable[[int, int], None]
+"""Called with (scenes fitted, scenes at most)."""
 
 BEFORE, AFTER = 1.7013, 5.1038
 """How far the pulse may reach before and after the assumed one, in range resolutions c / 2B: 0.15 and 0.45 m
@@ -46,6 +49,13 @@ _ROUNDS = 6
 _TAP_PRIOR = 0.5
 """Standard deviation of a tap about the assumed pulse, whose one tap is 1."""
 _MOST_PIXELS = 160
+_SCENES = 2 * _ROUNDS + 2
+"""Sparse scenes at most: two alternations, and one under each pulse to judge by."""
+_LATER = SparseSettings(iterations=40, tolerance=5e-3)
+"""Of every scene but the first: it begins at the one before, from which a change of the pulse moves it
+little."""
+_CANDIDATE_SHARE = 0.25
+"""Backprojection over its maximum from which a pixel stays a candidate after the first scene."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +76,11 @@ class PulseEstimate:
 
 
 def estimate_pulse(
-    capture: Capture, grid: ImageGrid, background: Background = "mean", focus_m: float | None = None
+    capture: Capture,
+    grid: ImageGrid,
+    background: Background = "mean",
+    focus_m: float | None = None,
+    progress: Progress | None = None,
 ) -> PulseEstimate:
     """The received pulse, from the scans of one capture.
 
@@ -84,6 +98,7 @@ def estimate_pulse(
         background: as in `PreprocessSettings`.
         focus_m: half width of the search for the axis distance, m; 0 takes it as given, None: as wide as
             `search_range_m`.
+        progress: called after every scene that was fitted.
 
     Raises:
         DataError: as `preprocess`.
@@ -104,7 +119,8 @@ def estimate_pulse(
     if focus_m > 0:
         scans, _ = focus_axis_distance(scans, square, focus_m)
     scans = select_views(scans, slice(None, None, -(-scans.aperture.views // _MOST_VIEWS)))
-    problem = _Blind(scans, square, (BEFORE * resolution, AFTER * resolution), background != "none")
+    reach = (BEFORE * resolution, AFTER * resolution)
+    problem = _Blind(scans, square, reach, background != "none", progress)
     views = np.arange(scans.aperture.views)
     unseen = views[2::4]
     seen = np.setdiff1d(views, unseen)
@@ -113,6 +129,8 @@ def estimate_pulse(
     taps = problem.alternate(start, seen)
     after = problem.unexplained(taps, seen, unseen)
     samples = scans.independent_samples * len(unseen) / len(views)
+    if progress is not None:
+        progress(_SCENES, _SCENES)
     if not samples * np.log(before / max(after, 1e-9)) > LEAST_EVIDENCE:
         return PulseEstimate(assumed, False, before, after)
     taps = problem.alternate(taps, views)
@@ -121,12 +139,24 @@ def estimate_pulse(
 
 
 class _Blind:
-    """Scene and taps by turns, on some of the views."""
+    """Scene and taps by turns, on some of the views.
+
+    The first scene is fitted on all pixels. The later ones are fitted on those that were bright in it or in
+    backprojection, and begin at the scene before: the pulse decides how strong and how blurred a reflector
+    is, not where reflectors can be.
+    """
 
     def __init__(
-        self, scans: BasebandScans, grid: ImageGrid, reach_m: tuple[float, float], removed: bool
+        self,
+        scans: BasebandScans,
+        grid: ImageGrid,
+        reach_m: tuple[float, float],
+        removed: bool,
+        progress: Progress | None,
     ) -> None:
-        self.scans, self.grid, self.removed = scans, grid, removed
+        self.scans, self.points, self.removed, self.progress = scans, grid.points, removed, progress
+        self.known: Samples | None = None
+        self.scenes = 0
         first, last = (round(reach / scans.range_step_m) for reach in reach_m)
         self.shifts = np.arange(-first, last + 1)
         self.identity = np.where(self.shifts == 0, 1.0, 0.0).astype(np.complex128)
@@ -152,7 +182,21 @@ class _Blind:
     def _scene(self, part: BasebandScans, taps: Taps) -> Samples:
         """Reflectivities (points,) of the sparse scene under the pulse of these taps."""
         now = replace(part, response=self._response(taps))
-        return sparse_recovery(now, self.grid).values.ravel()
+        operator = ForwardOperator(now, self.points)
+        if self.known is None:
+            strength = np.abs(operator.adjoint(now.samples))
+            found, _ = sparse_amplitudes(now, self.points, operator=operator)
+            kept = (found != 0) | (strength > _CANDIDATE_SHARE * strength.max(initial=0))
+            if kept.any():
+                self.points, found = self.points[kept], found[kept]
+                self.known = found
+        else:
+            found, _ = sparse_amplitudes(now, self.points, _LATER, operator=operator, start=self.known)
+            self.known = found if found.any() else self.known
+        self.scenes += 1
+        if self.progress is not None:
+            self.progress(min(self.scenes, _SCENES), _SCENES)
+        return found
 
     def _response(self, taps: Taps) -> PointResponse:
         """Range response of the pulse of these taps."""
@@ -172,7 +216,7 @@ class _Blind:
         bins = part.samples.shape[1]
         wide = np.zeros((len(part.samples), bins + first + last), dtype=np.complex64)
         longer = replace(part, samples=wide, range_start_m=part.range_start_m - last * part.range_step_m)
-        seen = ForwardOperator(longer, self.grid.points[lit]).forward(sigma[lit])
+        seen = ForwardOperator(longer, self.points[lit]).forward(sigma[lit])
         if self.removed:
             seen = seen - seen.mean(axis=0)
         return np.stack([seen[:, last - m : last - m + bins] for m in self.shifts])

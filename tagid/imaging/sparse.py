@@ -95,8 +95,12 @@ def sparse_amplitudes(
     settings: SparseSettings | None = None,
     progress: Progress | None = None,
     operator: ForwardOperator | None = None,
+    start: NDArray[np.complex64] | None = None,
 ) -> tuple[NDArray[np.complex64], dict[str, Any]]:
-    """Amplitudes (n,) of points (n, 2) or (n, 3), m, and the facts of the fit; see `sparse_recovery`."""
+    """Amplitudes (n,) of points (n, 2) or (n, 3), m, and the facts of the fit; see `sparse_recovery`.
+
+    The iterations begin at `start`, (n,), or at zero.
+    """
     settings = settings or SparseSettings()
     operator = operator or ForwardOperator(scans, points)
     back = operator.adjoint(scans.samples)
@@ -106,7 +110,7 @@ def sparse_amplitudes(
         return np.zeros(len(points), dtype=np.complex64), {**facts, "iterations_done": 0}
     floor = settings.noise_factor * scans.noise_std * column_norm(scans)
     weight = min(max(settings.regularisation * top, floor), 0.95 * top)
-    x, done = _by_active_set(_Problem(scans, points, operator, back, weight), settings, progress)
+    x, done = _by_active_set(_Problem(scans, points, operator, back, weight), settings, progress, start)
     if settings.debias:
         x = _debias(operator, back, x)
     return x, {**facts, "lambda": weight, "iterations_done": done}
@@ -181,7 +185,10 @@ class _Problem:
 
 
 def _by_active_set(
-    problem: _Problem, settings: SparseSettings, progress: Progress | None
+    problem: _Problem,
+    settings: SparseSettings,
+    progress: Progress | None,
+    start: NDArray[np.complex64] | None,
 ) -> tuple[NDArray[np.complex64], int]:
     """FISTA on the pixels that may be non-zero; those that break the optimality conditions join in rounds.
 
@@ -190,7 +197,8 @@ def _by_active_set(
     """
     strength = np.abs(problem.back)
     active = strength > max(problem.weight, _FIRST_SHARE * float(strength.max()))
-    x = np.zeros_like(problem.back)
+    x = np.zeros_like(problem.back) if start is None else start.astype(np.complex64)
+    active |= x != 0
     done = 0
     budget = settings.iterations
 

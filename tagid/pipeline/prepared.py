@@ -6,6 +6,7 @@ Imaging, reading and the network share its baseband scans and pulse.
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 from tagid.capture import Capture
@@ -14,7 +15,7 @@ from tagid.geometry import ImageGrid
 from tagid.imaging.preprocess import PreprocessSettings, nominal, preprocess
 from tagid.imaging.types import BasebandScans
 from tagid.pipeline.resolve import has_angles, one_turn
-from tagid.pipeline.settings import ImagingSettings, Stopwatch
+from tagid.pipeline.settings import ImagingSettings, Progress, Stopwatch
 
 if TYPE_CHECKING:
     from tagid.imaging.pulsefit import PulseEstimate
@@ -72,8 +73,12 @@ class PreparedCapture:
     @property
     def capture(self) -> Capture:
         """The capture with the pulse selected by the settings. Raises DataError if the estimate fails."""
+        return self.choose_pulse()
+
+    def choose_pulse(self, progress: Progress | None = None) -> Capture:
+        """As `capture`; an estimate, which takes a while, reports its progress as (done, total, remark)."""
         if self._with_pulse is None:
-            self._with_pulse = self._choose_pulse()
+            self._with_pulse = self._selected_pulse(progress)
         return self._with_pulse
 
     @property
@@ -93,7 +98,7 @@ class PreparedCapture:
                 self._scans[settings] = preprocess(capture, settings=settings)
         return self._scans[settings]
 
-    def _choose_pulse(self) -> Capture:
+    def _selected_pulse(self, progress: Progress | None) -> Capture:
         settings = self.settings
         if settings.pulse == "nominal":
             return replace(self._given, pulse=nominal(self._given))
@@ -103,9 +108,14 @@ class PreparedCapture:
 
         with self.watch.stage("pulse"):
             grid = ImageGrid(settings.extent_m, settings.pixels)
-            found = estimate_pulse(self._given, grid, settings.background, settings.focus_m)
+            report = None if progress is None else partial(_report_pulse, progress)
+            found = estimate_pulse(self._given, grid, settings.background, settings.focus_m, report)
         self._estimate = found
         return replace(self._given, pulse=found.pulse)
+
+
+def _report_pulse(progress: Progress, done: int, total: int) -> None:
+    progress(done, total, "estimating the pulse")
 
 
 def as_prepared(capture: Capture | PreparedCapture, settings: ImagingSettings | None) -> PreparedCapture:

@@ -6,13 +6,14 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tagid import __version__
 from tagid.capture import Capture
 from tagid.errors import UsageError
 from tagid.geometry import ImageGrid
-from tagid.imaging.ats.adapt import CANDIDATES
-from tagid.imaging.ats.fit import LEAST_HELD_OUT, fit
+from tagid.imaging.ats.adapt import changes_of, linear_image, linear_iterations
+from tagid.imaging.ats.fit import fit
 from tagid.imaging.autofocus import AxisFocus, focus_axis_distance
 from tagid.imaging.bandcheck import band_warning
 from tagid.imaging.heldout import HeldOut, check, left_out
@@ -99,6 +100,7 @@ def reconstruct(
         grid = ImageGrid(grid.extent, pixels)
         settings = replace(settings, pixels=pixels)
     _check_extent(prepared.given, grid)
+    prepared.choose_pulse(progress)
     matched = IMAGING_METHODS[method].matched_filter
     scans = prepared.scans(settings.preprocessing_for_focus(prepared.given, matched))
     focus: AxisFocus | None = None
@@ -115,7 +117,9 @@ def reconstruct(
     with watch.stage("held out"):
         predicted = _held_out(prepared, scans, grid, method, settings, image, outside is not None)
     with watch.stage("image"):
-        if settings.restore and IMAGING_METHODS[method].sparse and settings.preset != "paper":
+        linear = linear_iterations(image.settings.get("prior", "")) is not None
+        sharp = IMAGING_METHODS[method].sparse and not linear
+        if settings.restore and sharp and settings.preset != "paper":
             image = restore(image, scans.wavenumber)
     facts: dict[str, Any] = {
         "tool_version": __version__,
@@ -184,21 +188,22 @@ def _held_out(
         scans = scans if found is None else found.removed(scans)
         unfiltered = scans
     ats = replace(settings.ats, adapt=0, held_out=0.0, calibrate=())
-    changes = CANDIDATES.get(made.settings.get("prior", ""), {})
+    prior = made.settings.get("prior", "")
+    iterations, changes = linear_iterations(prior), changes_of(prior)
     axis = made.settings.get("calibration", {}).get("axis")
     if axis:
         moved = scans.aperture.with_axis_distance(axis["distance_m"])
         scans, unfiltered = scans.with_aperture(moved), unfiltered.with_aperture(moved)
 
     def make(some: BasebandScans) -> Image:
+        if iterations is not None:
+            return linear_image(some, grid, iterations)
         return make_image(some, grid, method, settings.seed, "field", None, replace(ats, **changes))
 
-    def predicted(all_views: BasebandScans, share: float) -> float:
-        fitted = replace(ats, **changes, seed=settings.seed, held_out=share)
-        return fit(all_views, grid, fitted).held_out
+    def predicted(all_views: BasebandScans, unseen: NDArray[np.intp]) -> float:
+        return fit(all_views, grid, replace(ats, **changes, seed=settings.seed), unseen=unseen).held_out
 
-    enough = method == "ats" and scans.aperture.views >= LEAST_HELD_OUT
-    return check(scans, unfiltered, grid, make, predicted if enough else None)
+    return check(scans, unfiltered, grid, make, predicted if method == "ats" and iterations is None else None)
 
 
 def _check_extent(capture: Capture, grid: ImageGrid) -> None:

@@ -1,7 +1,7 @@
 """Held-out residual of the methods on scenes that no point model made, at 12 to 360 views.
 
 Run `python tests/benchmarks/bench_heldout.py --write`; `--seeds N` sets the scenes per family, radar and
-number of views, `--resume FILE` keeps every outcome (JSON lines).
+number of views, `--resume FILE` keeps every outcome (JSON lines), `--minutes M` stops after so many.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+import time
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -82,10 +83,16 @@ def residuals(task: Task) -> dict[str, float | bool | str]:
 
 
 def tasks(seeds: int) -> list[Task]:
-    """All scenes, few views first."""
+    """All scenes: those of the P440 first, few views and many in turn."""
     numbers = range(FIRST_SEED, FIRST_SEED + seeds)
-    drawn = [Task(f, r, v, s) for v in VIEWS for f in FAMILIES for r in RADARS for s in numbers]
-    return drawn + [Task(o, "full wave", v, s) for v in VIEWS for o in OBJECTS for s in numbers]
+    families = {"P440": FAMILIES, "full wave": OBJECTS, "17 mm": FAMILIES}
+    return [
+        Task(family, radar, views, seed)
+        for seed in numbers
+        for radar, names in families.items()
+        for family in names
+        for views in VIEWS
+    ]
 
 
 TEXT = """{head}
@@ -141,6 +148,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=1)
     parser.add_argument("--resume", type=Path)
     parser.add_argument("--only", help="family")
+    parser.add_argument("--minutes", type=float, default=0.0, help="stop after so many, with --resume")
     parser.add_argument("--write", action="store_true")
     given = parser.parse_args()
     found: dict[Task, dict] = {}
@@ -148,7 +156,10 @@ def main() -> None:
         for line in given.resume.read_text().splitlines():
             entry = json.loads(line)
             found[Task(*entry["task"])] = entry["found"]
+    began = time.monotonic()
     for task in tasks(given.seeds):
+        if given.minutes and time.monotonic() - began > 60 * given.minutes:
+            raise SystemExit(f"{len(found)} scenes done; run again with the same --resume")
         if task in found or (given.only and task.family != given.only):
             continue
         found[task] = residuals(task)

@@ -25,6 +25,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
+import imaging_points as reflectors
 import imaging_report as report
 import imaging_unknowns as unknowns
 from imaging_scenes import (
@@ -33,17 +34,11 @@ from imaging_scenes import (
     ROWS,
     SCORES,
     Problem,
-    close_points,
-    cramer_rao_mm,
     field_problem,
     object_problem,
     random_points,
     score,
 )
-
-from tagid.geometry import ImageGrid
-from tagid.imaging.types import Image
-from train.metrics import localise, pick_peaks
 
 DIGITS = (1, 2, 3, 1, 0, 2, 2)
 SLOW = ("ATS paper",)
@@ -60,86 +55,16 @@ class Run(NamedTuple):
     quick: bool
     jobs: int
     pictures: Path
+    resume: Path | None = None
+    minutes: float = 0.0
 
     def rows_of(self, seed: int) -> tuple[str, ...]:
         """Rows computed for a seed: the slow ones have few."""
         return tuple(row for row in ROWS if row not in SLOW or seed < self.slow_seeds)
 
 
-class Scene(NamedTuple):
-    """A point scene and the rows wanted of it."""
-
-    count: int
-    views: int
-    noise: float
-    seed: int
-    rows: tuple[str, ...]
-
-
-def score_scene(scene: Scene) -> dict[str, tuple[float, ...]]:
-    """Row -> scores."""
-    problem = random_points(scene.count, scene.views, scene.noise, scene.seed)
-    return {row: score(problem, row) for row in scene.rows}
-
-
-def _by_row(scenes: list[Scene], run: Run) -> dict[str, np.ndarray]:
-    """Row -> (scenes, scores)."""
-    results = report.spread(score_scene, scenes, run.jobs)
-    return {row: np.array([r[row] for r in results if row in r]) for row in ROWS}
-
-
 def _cells(values: np.ndarray) -> list[str]:
     return [report.interval(column, d) for column, d in zip(values.T, DIGITS, strict=True)]
-
-
-def table_one(run: Run) -> str:
-    """(1) 1 to 4 reflectors, 360 views, both readings of the noise."""
-    lines = []
-    for noise in (0.1, 0.316):
-        for count in (1, 4) if run.quick else (1, 2, 3, 4):
-            scenes = [Scene(count, 360, noise, s, run.rows_of(s)) for s in range(run.seeds)]
-            drawn = [random_points(count, 360, noise, s).points for s in range(run.seeds)]
-            bound = np.mean([cramer_rao_mm(points, 360, noise) for points in drawn])
-            for row, values in _by_row(scenes, run).items():
-                if len(values):
-                    cell = _cells(values)
-                    cell[3] += f" ({bound:.2f})" if cell[3] != "-" else ""
-                    lines.append([f"{noise:g}", str(count), row, str(len(values)), *cell])
-    problem = random_points(4, 360, 0.316, 0)
-    _same_scene_picture({"4 points, noise 0.316": problem}, run.pictures / "imaging-table1.png")
-    note = "In brackets after the localisation: its Cramér-Rao bound.\n\n"
-    return note + report.table(("noise", "points", "method", "seeds", *SCORES), lines)
-
-
-def skip_angles(run: Run) -> str:
-    """(2) PSNR and LPIPS against the skip angle, 1 to 30 degrees, 1 to 4 points, noise 0.1 and 0.316."""
-    skips = (1, 10, 30) if run.quick else (1, 2, 5, 10, 15, 20, 30)
-    lines = []
-    for noise in (0.1, 0.316):
-        quality: dict[str, list[float]] = {row: [] for row in ROWS if not row.endswith("bare")}
-        perceived: dict[str, list[float]] = {row: [] for row in quality}
-        for skip in skips:
-            scenes = [
-                Scene(n, 360 // skip, noise, s, run.rows_of(s))
-                for n in (1, 2, 3, 4)
-                for s in range(run.seeds)
-            ]
-            for row, values in _by_row(scenes, run).items():
-                mean = values.mean(axis=0) if len(values) else np.full(len(SCORES), np.nan)
-                if row in quality:
-                    quality[row].append(float(mean[0]))
-                    perceived[row].append(float(mean[2]))
-                if len(values):
-                    lines.append([f"{noise:g}", f"{skip}", row, str(len(values)), *_cells(values)])
-        x = [float(s) for s in skips]
-        name = f"imaging-skip-{'high' if noise > 0.2 else 'low'}"
-        for curves, unit, end in ((quality, "PSNR (dB)", "psnr"), (perceived, "LPIPS", "lpips")):
-            known = {row: v for row, v in curves.items() if np.isfinite(v).all()}
-            if known:
-                title = f"noise {noise:g}, 1 to 4 points"
-                path = run.pictures / f"{name}-{end}.png"
-                report.curves(x, known, ("skip angle (deg)", unit), path, title)
-    return report.table(("noise", "skip (deg)", "method", "scenes", *SCORES), lines)
 
 
 class ObjectCell(NamedTuple):
@@ -265,65 +190,6 @@ def tags(run: Run) -> str:
     return report.table(("tag", "method", "seeds", *SCORES), lines)
 
 
-def local_maxima(image: Image, threshold: float = 0.5) -> np.ndarray:
-    """(n, 2) pixels that no neighbour exceeds, above `threshold` of the maximum, m.
-
-    `pick_peaks` also takes the flank of a broad spot for a peak once it lies its separation away; between
-    points as close as these, only maxima count.
-    """
-    from scipy.ndimage import maximum_filter
-
-    magnitude = np.abs(image.values)
-    bright = magnitude > threshold * magnitude.max()
-    rows, columns = np.nonzero(bright & (magnitude == maximum_filter(magnitude, 3)))
-    axis = image.grid.axis
-    return np.stack([axis[columns], axis[rows]], axis=1)
-
-
-CLOSE = {"20 mm apart": GRID, "20 mm apart, pixels of 3.6 mm": ImageGrid(GRID.extent / 2, GRID.pixels)}
-
-
-class CloseCell(NamedTuple):
-    """Two close points, or few views, and the rows wanted."""
-
-    rows: tuple[str, ...]
-    what: str
-    seed: int
-
-
-def score_close(cell: CloseCell) -> dict[str, tuple[float, float]]:
-    """Row -> (1 where all points are found and nothing else is seen, false detections)."""
-    few, seed = cell.what not in CLOSE, cell.seed
-    if few:
-        problem = random_points(1 + seed % 4, 12, 0.1, seed)
-    else:
-        problem = close_points(36, 0.1, seed, grid=CLOSE[cell.what])
-    results = {}
-    for row in cell.rows:
-        image, _ = problem.image(row)
-        peaks = pick_peaks(image, 8) if few else local_maxima(image)
-        found = localise(peaks, problem.points, 0.02 if few else 0.008)
-        results[row] = float(found.missed == 0 and found.false == 0), float(found.false)
-    return results
-
-
-def resolution(run: Run) -> str:
-    """Two points 20 mm apart (36 views, noise 0.1), and false detections with 12 views (noise 0.1)."""
-    lines = []
-    for what in (*CLOSE, "1 to 4 points, 12 views"):
-        cells = [
-            CloseCell(tuple(r for r in run.rows_of(seed) if r != "blank"), what, seed)
-            for seed in range(run.seeds)
-        ]
-        results = report.spread(score_close, cells, run.jobs)
-        for row in ROWS:
-            values = np.array([r[row] for r in results if row in r])
-            if len(values):
-                good, false = 100 * values[:, 0].mean(), values[:, 1].mean()
-                lines.append([what, row, str(len(values)), f"{good:.0f}", f"{false:.2f}"])
-    return report.table(("scene", "method", "seeds", "all found, nothing else (%)", "false a scene"), lines)
-
-
 def _same_scene_picture(problems: dict[str, Problem], path: Path) -> None:
     pictures = [[p.truth, *(np.abs(p.image(r)[0].values) for r in SHOWN)] for p in problems.values()]
     extents = [p.grid.extent for p in problems.values()]
@@ -343,17 +209,12 @@ def methods(run: Run) -> str:
 
 EXPERIMENTS: dict[str, tuple[str, Callable[[Run], str], tuple[str, ...]]] = {
     "methods": ("The same scene in every method", methods, ("imaging-methods",)),
-    "table1": ("Reflectors in noise", table_one, ("imaging-table1",)),
-    "skip": (
-        "Skip angle",
-        skip_angles,
-        tuple(f"imaging-skip-{n}-{m}" for n in ("low", "high") for m in ("psnr", "lpips")),
-    ),
+    "points": ("Reflectors in noise", reflectors.points, ()),
+    "resolution": ("Two-point resolution", reflectors.resolution, ()),
     "objects": ("Cans, bottles and boxes", objects, ("imaging-objects",)),
     "skip-cans": ("Skip angles on two cans", skip_cans, ("imaging-skip-cans",)),
     "partial": ("Partial rotation of two cans", partial, ("imaging-partial",)),
     "tags": ("Tags of the mug and the helmet", tags, ("imaging-tags",)),
-    "resolution": ("Resolution and false detections", resolution, ()),
     "calibration": ("Unknown axis distance and wobble", unknowns.calibration, ("imaging-calibration",)),
     "rails": ("Paths at metre scale", unknowns.rails, ("imaging-rails",)),
     "pulse": ("Pulses that are not the nominal one", unknowns.pulses, ()),
@@ -372,6 +233,8 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--slow-seeds", type=int, default=1, help="seeds of the paper's method")
     parser.add_argument("--jobs", type=int, default=1, help="processes")
+    parser.add_argument("--resume", type=Path, help="file that keeps what is done")
+    parser.add_argument("--minutes", type=float, default=0.0, help="stop after so many, with --resume")
     parser.add_argument("--write", action="store_true", help="put table and figure into docs/")
     options = parser.parse_args()
     if options.list:
@@ -383,7 +246,9 @@ def main() -> None:
         parser.error(f"no experiment {', '.join(sorted(unknown))}; there are {', '.join(EXPERIMENTS)}")
     pictures = report.PICTURES if options.write else Path.cwd()
     seeds = 1 if options.quick else options.seeds
-    run = Run(seeds, options.slow_seeds, options.quick, options.jobs, pictures)
+    run = Run(
+        seeds, options.slow_seeds, options.quick, options.jobs, pictures, options.resume, options.minutes
+    )
     for name in options.experiment or EXPERIMENTS:
         title, work, figures = EXPERIMENTS[name]
         text = work(run)

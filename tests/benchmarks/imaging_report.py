@@ -6,15 +6,17 @@ the script that made it replaces it as a whole, so that no figure is ever typed 
 
 from __future__ import annotations
 
+import json
 import multiprocessing
 import os
 import platform
 import re
 import subprocess
+import time
 from collections.abc import Callable, Sequence
 from datetime import date
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -54,6 +56,31 @@ def spread(work: Callable[[Job], Result], jobs: Sequence[Job], processes: int) -
         return [work(job) for job in jobs]
     with multiprocessing.get_context("spawn").Pool(processes) as pool:
         return pool.map(work, jobs, chunksize=1)
+
+
+def resumed(work: Callable[[Job], dict[str, float]], jobs: Sequence[Job], run: Any) -> dict[Job, Any]:
+    """work(job) of every job (a NamedTuple), kept in `run.resume`, so that a long table is made in pieces.
+
+    Raises:
+        SystemExit: `run.minutes` are over; the next call with the same file goes on.
+    """
+    found: dict[Job, Any] = {}
+    name = work.__name__
+    if run.resume is not None and run.resume.exists():
+        known = [json.loads(line) for line in run.resume.read_text().splitlines()]
+        kept = {json.dumps(entry["job"]): entry["found"] for entry in known if entry["work"] == name}
+        found = {job: kept[key] for job in jobs if (key := json.dumps(job)) in kept}
+    began = time.monotonic()
+    for job in jobs:
+        if job in found:
+            continue
+        if run.minutes and time.monotonic() - began > 60 * run.minutes:
+            raise SystemExit(f"{len(found)} of {len(jobs)} done; run again with the same --resume")
+        found[job] = work(job)
+        if run.resume is not None:
+            with run.resume.open("a") as file:
+                print(json.dumps({"work": name, "job": job, "found": found[job]}), file=file)
+    return found
 
 
 def commit() -> str:

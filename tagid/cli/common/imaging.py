@@ -160,6 +160,27 @@ def held_out_words(settings: dict[str, Any]) -> list[str]:
     return lines
 
 
+def prior_words(settings: dict[str, Any]) -> list[str]:
+    """The prior that ats took instead of its defaults, if it tried any."""
+    prior, tried = settings.get("prior"), settings.get("prior_trials")
+    if not prior or not tried:
+        return []
+    residual = f"leaves {100 * tried[prior]:.1f} % of views that its fit did not see"
+    if prior in ("linear 0", "linear 1"):
+        return [
+            f"no scene model predicts better than backprojection: the image is backprojection ({residual})"
+        ]
+    if prior.startswith("linear"):
+        iterations = prior.removeprefix("linear ")
+        return [
+            f"linear solution after {iterations} iterations: {residual}, the default prior "
+            f"{100 * tried['default']:.1f} %"
+        ]
+    if prior == "default":
+        return [f"default prior kept: {residual}, less than {len(tried) - 1} others"]
+    return [f"prior {prior}: {residual}, the default prior {100 * tried['default']:.1f} %"]
+
+
 def outside_words(settings: dict[str, Any]) -> list[str]:
     """Whether echoes from outside the image were found."""
     found = settings.get("outside")
@@ -211,7 +232,9 @@ def calibration_words(settings: dict[str, Any]) -> list[str]:
 def learned(result: Reconstruction) -> dict[str, Any]:
     """Findings about the recording, for the JSON document."""
     settings = result.image.settings
-    names = ("axis_distance_m", "focus", "held_out", "pulse", "calibration", "warnings")
+    names = (
+        "axis_distance_m", "focus", "held_out", "prior", "prior_trials", "pulse", "calibration", "warnings"
+    )  # fmt: skip
     return {name: settings[name] for name in names if name in settings}
 
 
@@ -219,6 +242,7 @@ def learned_words(result: Reconstruction) -> list[str]:
     """The same as text, one line each."""
     return [
         *held_out_words(result.image.settings),
+        *prior_words(result.image.settings),
         *outside_words(result.image.settings),
         *result.image.settings.get("warnings", ()),
         *focus_words(result.focus),

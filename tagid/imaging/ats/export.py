@@ -73,7 +73,13 @@ def dimensions() -> dict[str, Tensor]:
     state: list[tuple[int | str, ...]] = [*table, *layers, *biases]
     shapes: list[tuple[int | str, ...]] = [*state * 3]
     shapes += [("pixels", f"vertices_{i}") for i in range(LEVELS)]
-    shapes += [("pixels", "pixels"), ("views", "points"), ("views", "parts"), ("views", "parts")]
+    shapes += [
+        ("pixels", "pixels"),
+        (1, "points"),
+        ("views", "points"),
+        ("views", "parts"),
+        ("views", "parts"),
+    ]
     shapes += [("seen_views", "seen_points")]
     shapes += [("fine", "spread"), (2, "views", "bins"), ("views", "bins"), (9,)]
     kinds = {"index": "int32"}
@@ -98,9 +104,10 @@ def _example() -> list[Any]:
     grid = [[torch.zeros(pixels, n) for n in vertices], torch.zeros(pixels, pixels)]
     rest: list[tuple[int, ...]] = [(views, parts), (views, parts), (views, pixels**2), (fine, 2 * bins)]
     rest += [(2, views, bins), (views, bins), (9,)]
+    support = torch.ones(1, pixels**2)
     index = torch.zeros(views, pixels**2, dtype=torch.int32)
     others = [torch.zeros(*shape) for shape in rest]
-    return [tables, weights, biases, *moments, *grid, index, *others]
+    return [tables, weights, biases, *moments, *grid, support, index, *others]
 
 
 def _dynamic(part: Any) -> Any:

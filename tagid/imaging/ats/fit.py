@@ -11,6 +11,7 @@ sum of |y - measured|^2 with sum |sigma| and the squared difference of neighbour
 from __future__ import annotations
 
 import importlib.util
+import math
 import time
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Protocol
@@ -19,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.capture import Capture
-from tagid.errors import DataError, MissingExtraError, UsageError
-from tagid.geometry import ImageGrid
+from tagid.errors import DataError, MissingExtraError
+from tagid.geometry import Aperture, ImageGrid
 from tagid.imaging.ats import calibration
 from tagid.imaging.ats.illumination import illumination, lit_forward
 from tagid.imaging.ats.occlusion import transmission
@@ -35,6 +36,8 @@ from tagid.imaging.ats.problem import (
     view_subsets,
 )
 from tagid.imaging.ats.settings import AtsResult, AtsSettings, Calibration, Progress
+from tagid.imaging.ats.support import CHECK_AT, Support
+from tagid.imaging.heldout import misfits
 from tagid.imaging.kernel import is_compiled
 from tagid.imaging.memory import require_memory
 from tagid.imaging.operator import ForwardOperator
@@ -82,6 +85,7 @@ def fit(
     grid: ImageGrid,
     settings: AtsSettings | None = None,
     progress: Progress | None = None,
+    unseen: NDArray[np.integer] | None = None,
 ) -> AtsResult:
     """Reconstruct by analysis through synthesis.
 
@@ -91,6 +95,8 @@ def fit(
         grid: pixels wanted.
         settings: parameters; the defaults are for 12 to 360 views of an object of up to a metre.
         progress: called after every step.
+        unseen: numbers of the views that the fit does not see and on which it is judged; None: as
+            `settings.held_out` says.
 
     Returns:
         Image in the units of the scans, with how it came about. Scans that are all zero give a zero image.
@@ -107,62 +113,82 @@ def fit(
         scans = preprocess(scans, settings=PreprocessSettings("none", False, extent_m=grid.extent))
     if not np.isfinite(scans.samples).all():
         raise DataError("the scans hold samples that are not finite", "Leave out the broken scans.")
-    return _Fit(scans, grid, settings).run(progress, begun)
+    return _Fit(scans, grid, settings, unseen).run(progress, begun)
 
 
 @dataclass(frozen=True)
 class _Scales:
     """What makes the loss dimensionless: energy of the data, size of the output, weights of the priors.
 
-    `step` is the factor by which backprojection explains the data best.
+    `step` is the factor by which backprojection explains the data best, `weight` that of the sparsity prior
+    beside 1/2 ||A sigma - y||^2, and `back` the magnitude of A^H y, (pixels, pixels).
     """
 
     energy: float
     step: float
     output: float
-    sparsity: float
+    weight: float
     smoothness: float
+    back: NDArray[np.float32]
+
+    @property
+    def sparsity(self) -> float:
+        """Weight of the sparsity prior in the loss."""
+        return 2 * self.weight / self.energy
 
 
 class _Fit:
     """One fit from set-up to result."""
 
-    def __init__(self, scans: BasebandScans, grid: ImageGrid, settings: AtsSettings) -> None:
+    def __init__(
+        self,
+        scans: BasebandScans,
+        grid: ImageGrid,
+        settings: AtsSettings,
+        unseen: NDArray[np.integer] | None,
+    ) -> None:
         self.grid, self.settings, self.all = grid, settings, scans
         _foresee(scans, grid, settings)
         views = np.arange(scans.aperture.views)
-        self.unseen = _held_out(len(views), settings.held_out)
+        self.unseen = _held_out(len(views), settings.held_out) if unseen is None else unseen
         self.scans = select_views(scans, np.setdiff1d(views, self.unseen))
         # The subtracted background is known except for the mean of the scene's own echoes.
         self.what = settings.calibrate + (("static",) if scans.background_removed else ())
         self.known = calibration.begin(self.scans, grid, settings.calibrate, settings.wobble_harmonics)
         self.confidence: NDArray[np.floating] = np.ones(self.scans.samples.shape, dtype=np.float32)
         self.shadow = self._light(self.scans)
+        self.support = Support.all(grid.pixels)
+        self._made: tuple[tuple[float, bytes], tuple[ForwardOperator, ForwardOperator]] | None = None
         self.losses: list[float] = []
 
     def run(self, progress: Progress | None, begun: float) -> AtsResult:
         now = self.scans.with_aperture(self.known.aperture(self.scans.aperture))
-        scales = _scales(now, self.grid, self.settings)
+        scales = _scales(now, self._operators()[0], self.settings)
         shape = self.settings.shape(self.grid, self.scans.wavelength_m)
         if scales is None:
             blank = np.zeros((self.grid.pixels, self.grid.pixels), dtype=np.complex64)
-            return self._result(blank, None, float("nan"), "none", begun)
+            return self._result(blank, None, "none", begun)
         first = _first_image(now, self.grid, shape.cells[-1], scales)
         start = draw_weights(shape, self.grid, scales.output, self.settings.seed, first)
         engine = make_engine(start, self.settings)
-        field, held_out = self._optimise(engine, scales, shape.cells, progress)
+        field = self._optimise(engine, scales, shape.cells, progress)
         values = field.on(self.grid)
-        return self._result(values[len(values) // 2], field, held_out, engine.name, begun)
+        return self._result(values[len(values) // 2], field, engine.name, begun)
 
     def _optimise(
         self, engine: Engine, scales: _Scales, cells: tuple[int, ...], progress: Progress | None
-    ) -> tuple[FieldWeights, float]:
-        """All steps; the mean field over the last of them, and its held-out residual."""
+    ) -> FieldWeights:
+        """All steps; the mean field over the last of them."""
         settings, steps = self.settings, self.settings.steps
-        fine = FineRange.of(self.all, self.grid.points, self._margin())
-        grid = GridArrays.of(self.grid, cells)
+        native = engine.name == "native"
+        fine = FineRange.of(self.all, self.grid.points, self._margin(), between=native)
+        every = GridArrays.of(self.grid, cells)
         learn = {int(part * steps) for part in _LEARN_AT} if self._learns() else set()
-        subsets = self._subsets(fine)
+        check = {max(1, int(part * steps)) for part in CHECK_AT} if self._screened() else set()
+        if check:
+            self.support = Support.begin(scales.back, scales.weight)
+        grid = every.select(self.support.numbers)
+        subsets = self._subsets(fine, native)
         best, worse, mean, since = np.inf, 0, engine.weights(), 0
         for step in range(steps):
             views = subsets[step % len(subsets)]
@@ -172,8 +198,12 @@ class _Fit:
                 progress(step + 1, steps, self.losses[-1])
             if step + 1 in learn:
                 self._learn(engine.weights(), late=step + 1 >= steps / 2)
-                subsets = self._subsets(fine)
                 since = 0
+            if step + 1 in check:
+                self._screen(engine.weights(), scales.weight)
+                grid = every.select(self.support.numbers)
+            if step + 1 in learn | check:
+                subsets = self._subsets(fine, native)
             if step + 1 > steps * (1 - _MEAN_OVER):
                 since += 1
                 mean = mean.mean_with(engine.weights(), 1 / since)
@@ -183,13 +213,12 @@ class _Fit:
                 best = min(best, residual)
                 if worse >= settings.patience and step + 1 > max(learn, default=0):
                     break
-        field = self._unshrunk(mean if since else engine.weights())
-        return field, self._held_out_residual(field) if len(self.unseen) else float("nan")
+        return self._unshrunk(replace(mean if since else engine.weights(), support=self.support.mask))
 
     def _unshrunk(self, field: FieldWeights) -> FieldWeights:
         """The field times the one factor that explains the scans best: the prior made it too dark."""
         data = self.scans.samples - self.known.static
-        seen = self._seen(self.scans, field.on(self.grid), True)
+        seen = self._seen(field.on(self.grid), True)
         energy = float(np.vdot(seen, seen).real)
         factor = float(np.vdot(seen, data).real) / energy if energy > 0 else 1.0
         return replace(field, scale=field.scale * float(np.clip(factor, 1.0, _MOST_SHRUNK)))
@@ -203,14 +232,51 @@ class _Fit:
         numbers = (rate, rate * s.network_rate, *corrections, scales.output, data)
         return np.array([*numbers, scales.sparsity, scales.smoothness, _EPSILON], dtype=np.float32)
 
-    def _subsets(self, fine: FineRange) -> list[ViewArrays]:
-        """Interleaved subsets of the views under the present calibration."""
+    def _screened(self) -> bool:
+        """Whether dark pixels may be left out: the neighbourhood prior and shadows need all of them."""
+        return self.settings.smoothness == 0 and not _weighted(self.settings)
+
+    def _screen(self, field: FieldWeights, weight: float) -> None:
+        """Choose the pixels again, by the residual of all views under the present field."""
+        values = replace(field, support=self.support.mask).on(self.grid)
+        rest = self.scans.samples - self.known.static - self._seen(values, True)
+        aspect = self._view_of(self.known.aperture(self.scans.aperture), True).conj()
+        square = np.zeros(self.grid.pixels**2, dtype=np.float32)
+        for channel in range(len(values)):
+            square += np.abs(self._operators()[0].adjoint(aspect[:, channel, None] * rest)) ** 2
+        side = (self.grid.pixels, self.grid.pixels)
+        magnitude = np.sqrt((np.abs(values) ** 2).sum(axis=0))
+        self.support = self.support.renewed(magnitude, np.sqrt(square).reshape(side), weight)
+
+    def _operators(self) -> tuple[ForwardOperator, ForwardOperator]:
+        """Operators of the views that are fitted and of the others, under the present calibration."""
+        key = (self.known.offset_m, self.known.wobble.tobytes())
+        if self._made is None or self._made[0] != key:
+            aperture = self.known.aperture(self.all.aperture)
+            whole = ForwardOperator(self.all.with_aperture(aperture), self.grid)
+            fitted = np.setdiff1d(np.arange(whole.views), self.unseen)
+            self._made = key, (whole.select(fitted), whole.select(self.unseen))
+        return self._made[1]
+
+    def _view_of(self, aperture: Aperture, fitted: bool) -> NDArray[np.complex128]:
+        """(views, channels) what views see of every channel; their gain is known where they were fitted."""
+        aspect = _aspect(aperture.positions, self.settings.aspect_harmonics)
+        aspect = aspect * self.known.phase(self.scans.wavenumber)
+        return np.asarray(aspect * self.known.gain[:, None] if fitted else aspect)
+
+    def _subsets(self, fine: FineRange, native: bool) -> list[ViewArrays]:
+        """Interleaved subsets of the views under the present calibration.
+
+        For the native engine they hold the pixels of the support only; the graph takes all.
+        """
         aperture = self.known.aperture(self.scans.aperture)
         data = np.asarray(self.scans.samples - self.known.static, dtype=np.complex64)
         now = replace(self.scans, samples=data, aperture=aperture)
-        aspect = _aspect(aperture.positions, self.settings.aspect_harmonics) * self.known.gain[:, None]
-        aspect = aspect * self.known.phase(self.scans.wavenumber)
-        arrays = view_arrays(now, self.grid.points, fine, self.confidence, aspect, self.shadow)
+        points, some = self.grid.points, self.support.numbers
+        if native and some is not None:
+            points = points[some]
+        aspect = self._view_of(aperture, True)
+        arrays = view_arrays(now, points, fine, self.confidence, aspect, self.shadow)
         return [arrays.select(views) for views in view_subsets(aperture, self.settings.views_per_step)]
 
     def _learns(self) -> bool:
@@ -224,7 +290,8 @@ class _Fit:
 
     def _learn(self, field: FieldWeights, late: bool) -> None:
         """Bring calibration, shadows and, once the scene stands, the weights of the samples up to date."""
-        settings, values = self.settings, field.on(self.grid)
+        settings = self.settings
+        values = replace(field, support=self.support.mask).on(self.grid)
         image = values[len(values) // 2].ravel()
         # Half a scene would draw the geometry away from where the sparse scenes have put it.
         what = self.what if late else tuple(w for w in self.what if w not in ("axis", "wobble"))
@@ -237,7 +304,7 @@ class _Fit:
             light = self._light(self.scans)
             self.shadow *= 1 if light is None else light
         if settings.robust > 0 and late:
-            residual = np.abs(self.scans.samples - self.known.static - self._seen(self.scans, values, True))
+            residual = np.abs(self.scans.samples - self.known.static - self._seen(values, True))
             sigma = max(self.scans.noise_std, float(np.median(residual)) / np.sqrt(np.log(2)), 1e-30)
             self.confidence = np.minimum(1, settings.robust * sigma / np.maximum(residual, 1e-30))
 
@@ -249,38 +316,47 @@ class _Fit:
         positions = scans.aperture.positions
         return illumination(self.grid.points, positions, s.spreading, float(np.deg2rad(s.beam_width_deg)))
 
-    def _seen(
-        self, scans: BasebandScans, values: NDArray[np.complex64], fitted: bool
-    ) -> NDArray[np.complex64]:
-        """Synthesized scans of the field's channels; the gain is known for the views that were fitted."""
+    def _seen(self, values: NDArray[np.complex64], fitted: bool) -> NDArray[np.complex64]:
+        """Synthesized scans of the field's channels in the views that were fitted, or in the others."""
+        scans = self.scans if fitted else select_views(self.all, self.unseen)
         aperture = self.known.aperture(scans.aperture)
-        aspect = _aspect(aperture.positions, self.settings.aspect_harmonics)
-        aspect = aspect * self.known.phase(scans.wavenumber)
-        if fitted:
-            aspect = aspect * self.known.gain[:, None]
-        light, now = self._light(scans), scans.with_aperture(aperture)
-        seen = [lit_forward(now, self.grid, v.ravel(), light) for v in values]
+        aspect = self._view_of(aperture, fitted)
+        light = self._light(scans)
+        if light is None:
+            flat = values.reshape(len(values), -1)
+            bright = np.any(flat, axis=0)
+            operator = self._operators()[0 if fitted else 1].among(bright)
+            seen = [operator.forward(v[bright]) for v in flat]
+        else:
+            now = scans.with_aperture(aperture)
+            seen = [lit_forward(now, self.grid, v.ravel(), light) for v in values]
         parts = [rows * aspect[:, i, None] for i, rows in enumerate(seen)]
         return np.asarray(np.sum(parts, axis=0), dtype=np.complex64)
 
+    def _misfit(self, field: FieldWeights) -> tuple[NDArray[np.float64], float]:
+        """Energy left of every unseen view, and that of all of them.
+
+        One complex factor is fitted, as for the images of all methods (`heldout.residual`).
+        """
+        data = self.all.samples[self.unseen] - self.known.static
+        left = misfits(data, self._seen(field.on(self.grid), False))
+        return left, float(np.vdot(data, data).real)
+
     def _held_out_residual(self, field: FieldWeights) -> float:
-        unseen = select_views(self.all, self.unseen)
-        data = unseen.samples - self.known.static
-        seen = self._seen(unseen, field.on(self.grid), False)
-        energy, power = float(np.vdot(data, data).real), float(np.vdot(seen, seen).real)
-        if energy == 0:
-            return float("nan")
-        # One complex factor is fitted, as for the images of all methods (`heldout.residual`).
-        return 1 - float(np.abs(np.vdot(seen, data)) ** 2) / (power * energy) if power > 0 else 1.0
+        left, energy = self._misfit(field)
+        return float(left.sum()) / energy if energy > 0 else float("nan")
 
     def _result(
         self,
         values: NDArray[np.complex64],
         field: FieldWeights | None,
-        held_out: float,
         engine: str,
         begun: float,
     ) -> AtsResult:
+        left, energy = np.full(len(self.unseen), np.nan), 0.0
+        if field is not None and len(self.unseen):
+            left, energy = self._misfit(field)
+        held_out = float(left.sum()) / energy if energy > 0 else float("nan")
         nominal, known = self.all.aperture.axis_distance, self.known
         learned = Calibration(
             None if nominal is None else nominal + known.offset_m,
@@ -298,7 +374,8 @@ class _Fit:
         facts |= {"steps_done": len(self.losses), "loss": self.losses[-1] if self.losses else 0.0}
         facts |= {"held_out_residual": None if np.isnan(held_out) else held_out}
         image = Image(values, self.grid, facts)
-        return AtsResult(image, tuple(self.losses), learned, held_out, time.perf_counter() - begun, field)
+        seconds = time.perf_counter() - begun
+        return AtsResult(image, tuple(self.losses), learned, held_out, seconds, self.unseen, left, field)
 
 
 _BETA1, _BETA2 = 0.9, 0.95
@@ -317,13 +394,13 @@ def make_engine(start: FieldWeights, settings: AtsSettings) -> Engine:
 
     Raises:
         MissingExtraError: it is not installed.
-        UsageError: it cannot do what is asked.
+        UsageError: it cannot do what is asked, or the device is not there.
     """
     name = settings.engine
     if name == "auto":
         from tagid.imaging.ats.runtime import HIDDEN, LEVELS
 
-        if settings.device == "cpu" and is_compiled() and not _weighted(settings):
+        if settings.device == "cpu" and is_compiled():
             name = "native"
         shipped = (settings.levels, settings.hidden, settings.device) == (LEVELS, HIDDEN, "cpu")
         if name == "auto":
@@ -331,10 +408,6 @@ def make_engine(start: FieldWeights, settings: AtsSettings) -> Engine:
     if name == "native":
         from tagid.imaging.ats.fit_native import NativeEngine
 
-        if _weighted(settings):
-            raise UsageError(
-                "the native engine gives every view the same light", "Use --engine onnx, torch or auto."
-            )
         return NativeEngine(start)
     if importlib.util.find_spec("torch" if name == "torch" else "onnxruntime") is None:
         raise MissingExtraError(
@@ -384,9 +457,8 @@ def _aspect(positions: NDArray[np.float64], harmonics: int) -> NDArray[np.comple
     return np.exp(1j * np.outer(bearing, np.arange(-harmonics, harmonics + 1)))
 
 
-def _scales(scans: BasebandScans, grid: ImageGrid, settings: AtsSettings) -> _Scales | None:
+def _scales(scans: BasebandScans, operator: ForwardOperator, settings: AtsSettings) -> _Scales | None:
     """Scales and weights; None if nothing is to be fitted (zero data, or none within the grid's reach)."""
-    operator = ForwardOperator(scans, grid)
     data = np.ascontiguousarray(scans.samples, dtype=np.complex64)
     back = operator.adjoint(data)
     energy = float(np.vdot(data, data).real)
@@ -398,8 +470,10 @@ def _scales(scans: BasebandScans, grid: ImageGrid, settings: AtsSettings) -> _Sc
     norm = column_norm(scans)
     floor = settings.noise_factor * scans.noise_std * norm
     weight = min(max(settings.l1 * peak, floor), 0.5 * peak)
+    side = math.isqrt(operator.points)
+    magnitude = np.abs(back).reshape(side, side)
     return _Scales(
-        energy, step, _SHARPENED * step * peak, 2 * weight / energy, settings.smoothness * norm**2 / energy
+        energy, step, _SHARPENED * step * peak, weight, settings.smoothness * norm**2 / energy, magnitude
     )
 
 

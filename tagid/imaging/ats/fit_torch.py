@@ -52,6 +52,7 @@ class TorchEngine:
             second=self._state[2 * count :],
             interpolation=[self._constant(a) for a in grid.interpolation],
             neighbours=self._constant(grid.neighbours),
+            support=self._constant(grid.support),
             index=self._constant(views.index),
             real=self._constant(views.real),
             imaginary=self._constant(views.imaginary),

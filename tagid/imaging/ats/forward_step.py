@@ -31,6 +31,7 @@ class Step(NamedTuple):
         first, second: Adam's moments, one tensor a parameter in the order tables, weights, biases.
         interpolation: one (pixels, k) matrix a level, the same along x and y.
         neighbours: (pixels, pixels) symmetric K of the neighbourhood prior sum sigma (K sigma + sigma K).
+        support: (1, P) 1 for pixels that the step works on, 0 for those that are zero.
         index: (V, P) int32, fine range bin of every pixel (row-major) in every view.
         real, imaginary: (V, 2C) what a view sees of the channels.
         transmission: (V, P) or (1, 1), what is left of a point's echo on its way through the scene.
@@ -49,6 +50,7 @@ class Step(NamedTuple):
     second: list[Any]
     interpolation: list[Any]
     neighbours: Any
+    support: Any
     index: Any
     real: Any
     imaginary: Any
@@ -84,12 +86,12 @@ def optimise(s: Step) -> tuple[Any, ...]:
     point into the nearest fine range bin of every view and applies carrier and response there.
     """
     layers = activations(features(s.tables, s.interpolation), s.weights, s.biases)
-    sigma = layers[-1] * s.numbers[4]
+    sigma = layers[-1] * s.numbers[4] * s.support
     data, slope = _data_term(s, sigma)
     sparsity, pull = _sparsity(sigma, s)
     roughness, smoothing = _neighbourhood(sigma, s)
     loss = data + sparsity + roughness
-    grads = _backwards(s, layers, (slope + pull + smoothing) * s.numbers[4])
+    grads = _backwards(s, layers, (slope + pull + smoothing) * s.numbers[4] * s.support)
     return (loss.reshape(1), *_adam(s, grads))
 
 

@@ -13,14 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.geometry import Aperture, ImageGrid
+from tagid.imaging import operator
+from tagid.imaging.ats.taps import Taps
 from tagid.imaging.kernel import RangeGeometry
-from tagid.imaging.operator import reach_of
+from tagid.imaging.operator import interpolation_gain, reach_of
 from tagid.imaging.types import BasebandScans
 
 Array = NDArray[np.float32]
 
 PHASE_STEP = 0.05
-"""Phase of the carrier between fine range bins, rad; a point goes to the nearest, at most 0.025 rad off."""
+"""Phase of the carrier between fine range bins, rad, where a point goes to the nearest bin, at most 0.025 rad
+off. Engines that put a point between two bins need only those of `operator.PHASE_STEP`."""
 
 LEAST_PATH_VIEWS = 36
 """Views of a step along a path: of a rail with 600 views, 12 a step lose a reflector in 1 of 9 fits."""
@@ -62,6 +65,7 @@ class FieldWeights:
         weights, biases: (out, in) and (out, 1) of every layer.
         scale: what the network's output is multiplied with at `pixels` pixels a side.
         extent, pixels: the square that the field covers, m, and the grid it was fitted on.
+        support: (pixels, pixels) bool, pixels that are not zero; None: all.
     """
 
     tables: list[Array]
@@ -70,11 +74,12 @@ class FieldWeights:
     scale: float
     extent: float
     pixels: int
+    support: NDArray[np.bool_] | None = None
 
     def evaluate(self, points: NDArray[np.floating]) -> NDArray[np.complex64]:
         """Reflectivity at any points (n, 2) in m, (channels, n) complex64, per pixel of the fitted grid.
 
-        Points outside the square get the value of its rim.
+        Points outside the square get the value of its rim, points in pixels outside the support zero.
         """
         unit = np.clip(np.asarray(points, dtype=np.float64) / self.extent + 0.5, 0, 1)
         parts = []
@@ -86,19 +91,34 @@ class FieldWeights:
             low = table[:, y, x] * (1 - fx) + table[:, y, x + 1] * fx
             high = table[:, y + 1, x] * (1 - fx) + table[:, y + 1, x + 1] * fx
             parts.append(low * (1 - fy) + high * fy)
-        return self._network(np.concatenate(parts))
+        values = self._network(np.concatenate(parts))
+        if self.support is not None:
+            x, y = np.minimum((unit * self.pixels).astype(np.intp), self.pixels - 1).T
+            values *= self.support[y, x]
+        return values
 
     def on(self, grid: ImageGrid) -> NDArray[np.complex64]:
         """Reflectivity of the pixels of a grid of the same extent, (channels, pixels, pixels) complex64.
 
         A finer grid divides each pixel's reflectivity among its parts, so that the sum stays.
         """
+        share = np.float32((grid.step * self.pixels / self.extent) ** 2)
         if grid.extent != self.extent:
-            share = (grid.step * self.pixels / self.extent) ** 2
-            values = self.evaluate(grid.points) * np.float32(share)
-        else:
-            parts = [_sample(table, grid.pixels) for table in self.tables]
-            values = self._network(np.concatenate(parts)) * np.float32((self.pixels / grid.pixels) ** 2)
+            values = self.evaluate(grid.points) * share
+            return values.reshape(-1, grid.pixels, grid.pixels)
+        wanted: NDArray[np.intp] | None = None
+        if self.support is not None and not self.support.all():
+            at = ((np.arange(grid.pixels) + 0.5) / grid.pixels * self.pixels).astype(np.intp)
+            wanted = np.flatnonzero(self.support[np.ix_(at, at)])
+        taps = Taps.of(grid.pixels, [table.shape[1] - 1 for table in self.tables], wanted)
+        features = len(self.tables[0])
+        table = np.ascontiguousarray(np.concatenate([t.reshape(features, -1) for t in self.tables], axis=1).T)
+        inputs = np.empty((len(taps.index), len(self.tables) * features), dtype=np.float32)
+        taps.interpolate(table, inputs)
+        values = self._network(inputs.T) * share
+        if wanted is not None:
+            values, some = np.zeros((len(values), grid.pixels**2), dtype=np.complex64), values
+            values[:, wanted] = some
         return values.reshape(-1, grid.pixels, grid.pixels)
 
     def mean_with(self, other: FieldWeights, share: float) -> FieldWeights:
@@ -122,17 +142,6 @@ class FieldWeights:
                 np.maximum(layer, 0, out=layer)
         real, imaginary = np.split(layer * np.float32(self.scale), 2)
         return np.asarray(real + 1j * imaginary, dtype=np.complex64)
-
-
-def _sample(table: Array, pixels: int) -> Array:
-    """(features, pixels^2) of a table (features, vertices, vertices), first along y, then along x."""
-    cells = table.shape[1] - 1
-    at = (np.arange(pixels) + 0.5) / pixels * cells
-    corner = np.minimum(at.astype(np.intp), cells - 1)
-    part = (at - corner).astype(np.float32)
-    rows = table[:, corner] * (1 - part)[:, None] + table[:, corner + 1] * part[:, None]
-    both = rows[:, :, corner] * (1 - part) + rows[:, :, corner + 1] * part
-    return np.asarray(both.reshape(len(table), -1), dtype=np.float32)
 
 
 def draw_weights(
@@ -219,10 +228,35 @@ def neighbours(pixels: int) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class GridArrays:
-    """What a step reads of the grid: see `Step` for the members of the same names."""
+    """What a step reads of the grid: see `Step` for the members of the same names.
+
+    Attributes:
+        pixels: (n,) numbers of the pixels that a step works on, or None for all. The native engine computes
+            no others; the graph sets them to zero.
+    """
 
     interpolation: list[Array]
     neighbours: Array
+    pixels: NDArray[np.intp] | None = None
+
+    @cached_property
+    def taps(self) -> Taps:
+        """The vertices about every pixel of a step."""
+        cells = [matrix.shape[1] - 1 for matrix in self.interpolation]
+        return Taps.of(len(self.neighbours), cells, self.pixels)
+
+    @cached_property
+    def support(self) -> Array:
+        """(1, pixels^2) 1 for the pixels that a step works on, else 0."""
+        found = np.ones((1, len(self.neighbours) ** 2), dtype=np.float32)
+        if self.pixels is not None:
+            found[:] = 0
+            found[0, self.pixels] = 1
+        return found
+
+    def select(self, pixels: NDArray[np.intp] | None) -> GridArrays:
+        """The same with these pixels only; None: all."""
+        return replace(self, pixels=pixels)
 
     @classmethod
     def of(cls, grid: ImageGrid, cells: tuple[int, ...]) -> GridArrays:
@@ -253,6 +287,27 @@ class ViewArrays:
         """Where the points lie between the fine bins."""
         first = (float(self.fine.offset) + 0.5) * self.fine.step
         return RangeGeometry.of(self.aperture, self.points, (first, self.fine.step), len(self.fine.spread))
+
+    @cached_property
+    def one_by_one(self) -> list[RangeGeometry]:
+        """`geometry` of every view by itself, for views that see the points in lights of their own."""
+        return [self.geometry.select(slice(view, view + 1)) for view in range(self.geometry.views)]
+
+    def rows_of(self, values: NDArray[np.complex64]) -> NDArray[np.complex64]:
+        """(views, fine bins) of the points' values, each dimmed by what is left of its echo."""
+        if len(self.transmission) == 1:
+            return self.geometry.scatter(values)
+        pairs = zip(self.one_by_one, self.transmission, strict=True)
+        return np.concatenate([view.scatter(values * light) for view, light in pairs])
+
+    def points_of(self, rows: NDArray[np.complex64]) -> NDArray[np.complex64]:
+        """(points,) of rows, the transpose of `rows_of`."""
+        if len(self.transmission) == 1:
+            return self.geometry.gather(rows)
+        out = np.zeros(len(self.points), dtype=np.complex64)
+        for view, light, row in zip(self.one_by_one, self.transmission, rows, strict=True):
+            out += light * view.gather(row[None])
+        return out
 
     def select(self, views: NDArray[np.integer] | slice) -> ViewArrays:
         """The same of some views only."""
@@ -288,15 +343,34 @@ class FineRange:
         real, imaginary = np.split(self.spread, 2, axis=1)
         return np.asarray(real + 1j * imaginary, dtype=np.complex64)
 
+    @cached_property
+    def complex_collect(self) -> NDArray[np.complex64]:
+        """(B, fine bins) the adjoint of `complex_spread`."""
+        return np.ascontiguousarray(self.complex_spread.conj().T)
+
     @classmethod
-    def of(cls, scans: BasebandScans, points: NDArray[np.float64], margin_m: float = 0.0) -> FineRange:
-        """Fine grid that holds the points for all views even where the antennas move by the margin."""
+    def of(
+        cls,
+        scans: BasebandScans,
+        points: NDArray[np.float64],
+        margin_m: float = 0.0,
+        between: bool = False,
+    ) -> FineRange:
+        """Fine grid that holds the points for all views even where the antennas move by the margin.
+
+        Args:
+            scans: bins, response, wavenumber and antenna positions.
+            points: (points, 2) m.
+            margin_m: see above.
+            between: for an engine that puts a point between two bins; else for one that takes the nearest.
+        """
         near, far = reach_of(scans.aperture, points)
         near, far = near - margin_m, far + margin_m
-        step = PHASE_STEP / (2 * scans.wavenumber)
+        phase_step = operator.PHASE_STEP if between else PHASE_STEP
+        step = phase_step / (2 * scans.wavenumber)
         start = near - 2 * step
         fine = start + step * np.arange(int(np.ceil((far - near) / step)) + 5, dtype=np.float64)
-        carrier = np.exp(-2j * scans.wavenumber * fine)
+        carrier = np.exp(-2j * scans.wavenumber * fine) * (interpolation_gain(phase_step) if between else 1)
         matrix = scans.response(scans.ranges_m[None, :] - fine[:, None]) * carrier[:, None]
         return cls(
             step,

@@ -41,6 +41,7 @@ def input_names() -> list[str]:
     grid = [f"interpolation_{i}" for i in range(LEVELS)]
     rest = [
         "neighbours",
+        "support",
         "index",
         "real",
         "imaginary",
@@ -88,6 +89,7 @@ class OnnxEngine:
         feeds |= {f"interpolation_{i}": a for i, a in enumerate(grid.interpolation)}
         feeds |= {
             "neighbours": grid.neighbours,
+            "support": grid.support,
             "index": views.index,
             "real": views.real,
             "imaginary": views.imaginary,

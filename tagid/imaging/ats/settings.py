@@ -34,8 +34,8 @@ class AtsSettings:
 
     Attributes:
         preset: "field", this project's method.
-        engine: "native" (numpy and the compiled kernel), "onnx", "torch", or "auto": the first of them that
-            is there and can do what is asked; native knows no shadows and no beam.
+        engine: "native" (numpy and the compiled kernels), "onnx", "torch", or "auto": the first of them that
+            is there and can do what is asked.
         device: "cpu", or "cuda" (torch only).
         steps: optimisation steps at most.
         learning_rate: Adam's rate for the encoding; the network gets `network_rate` of it.
@@ -213,7 +213,10 @@ class AtsResult:
         held_out: energy of the residual on views that the fit did not see, over their energy, one complex
             factor fitted; nan without.
         seconds: of the whole fit, set-up included.
-        field: the fitted field, to be evaluated at any resolution; None for blank data.
+        unseen: (n,) numbers of those views.
+        misfit: (n,) energy that is left of each.
+        field: the fitted field, to be evaluated at any resolution; None for blank data and where the linear
+            solution took its place.
     """
 
     image: Image
@@ -221,6 +224,8 @@ class AtsResult:
     calibration: Calibration
     held_out: float
     seconds: float
+    unseen: NDArray[np.integer]
+    misfit: NDArray[np.float64]
     field: FieldWeights | None = field(default=None, repr=False)
 
     def on(self, grid: ImageGrid) -> Image:

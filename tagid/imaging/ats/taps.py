@@ -1,0 +1,143 @@
+"""Features of pixels from those of the vertices about them, the transpose, and Adam's update.
+
+A small C extension does them where a compiler was present at installation, scipy and numpy where not.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from scipy import sparse
+
+Array = NDArray[np.float32]
+
+BETA1, BETA2, SMALLEST = 0.9, 0.95, 1e-20
+"""As in `forward_step`, which needs torch."""
+
+_compiled: Any
+try:
+    from tagid.imaging.ats import _field as _compiled  # type: ignore[attr-defined, no-redef]
+except ImportError:  # no compiler at installation
+    _compiled = None
+
+
+@dataclass(frozen=True, eq=False)
+class Taps:
+    """The four vertices about every pixel, on every level.
+
+    Attributes:
+        index: (n, levels, 4) int32 vertices, counted through all levels.
+        weight: (n, levels, 4) float32 bilinear weights.
+        vertices: of all levels together.
+    """
+
+    index: NDArray[np.int32]
+    weight: Array
+    vertices: int
+
+    @classmethod
+    def of(cls, pixels: int, cells: list[int], wanted: NDArray[np.integer] | None = None) -> Taps:
+        """Taps of the pixel centres of a square grid.
+
+        Args:
+            pixels: a side of the grid.
+            cells: a side of every level; cells + 1 vertices.
+            wanted: numbers of the pixels, row-major; None: all.
+        """
+        numbers = np.arange(pixels * pixels) if wanted is None else wanted
+        y, x = np.divmod(numbers, pixels)
+        index = np.empty((len(numbers), len(cells), 4), dtype=np.int32)
+        weight = np.empty((len(numbers), len(cells), 4), dtype=np.float32)
+        first = 0
+        for level, count in enumerate(cells):
+            at = (np.arange(pixels) + 0.5) / pixels * count
+            corner = np.minimum(at.astype(np.int32), count - 1)
+            part = (at - corner).astype(np.float32)
+            low = first + corner[y] * (count + 1) + corner[x]
+            across, up = part[x], part[y]
+            for tap, offset in enumerate((0, 1, count + 1, count + 2)):
+                index[:, level, tap] = low + offset
+                weight[:, level, tap] = (across if tap % 2 else 1 - across) * (up if tap > 1 else 1 - up)
+            first += (count + 1) ** 2
+        return cls(index, weight, first)
+
+    def interpolate(self, table: Array, out: Array) -> None:
+        """Features of the pixels from those of all vertices.
+
+        Args:
+            table: (vertices, features) float32.
+            out: (n, levels * features) float32, overwritten.
+        """
+        if _compiled is None:
+            out[:] = (self._matrix @ table).reshape(out.shape)
+        else:
+            _compiled.interpolate(self.index, self.weight, table, out, table.shape[1])
+
+    def accumulate(self, slope: Array, out: Array) -> None:
+        """The transpose of `interpolate`: from slope (n, levels * features) to out (vertices, features)."""
+        if _compiled is None:
+            out[:] = self._matrix.T @ slope.reshape(-1, out.shape[1])
+        else:
+            _compiled.accumulate(self.index, self.weight, slope, out, out.shape[1])
+
+    @cached_property
+    def _matrix(self) -> sparse.csr_array[np.float32]:
+        from scipy import sparse
+
+        starts = np.arange(0, self.index.size + 1, 4, dtype=np.int32)
+        parts: Any = (self.weight.ravel(), self.index.ravel(), starts)
+        return sparse.csr_array(parts, shape=(len(starts) - 1, self.vertices))
+
+
+@dataclass(eq=False)
+class Adam:
+    """Adam's state for tensors that follow each other in one array (Kingma and Ba, ICLR 2015).
+
+    Its epsilon is relative to the largest gradient of each tensor, as in `forward_step`.
+
+    Attributes:
+        sizes: (tensors,) int64 parameters of every tensor.
+        first, second: (parameters,) float32 moments.
+    """
+
+    sizes: NDArray[np.int64]
+    first: Array
+    second: Array
+
+    @classmethod
+    def of(cls, sizes: list[int]) -> Adam:
+        """Before the first step."""
+        zeros = np.zeros((2, sum(sizes)), dtype=np.float32)
+        return cls(np.array(sizes, dtype=np.int64), zeros[0], zeros[1])
+
+    def update(
+        self, parameters: Array, gradient: Array, rates: Array, correction: float, epsilon: float
+    ) -> None:
+        """One step, in place; `gradient` is scratch afterwards.
+
+        Args:
+            parameters, gradient: (parameters,) float32.
+            rates: (tensors,) float32 learning rates, the first moment's bias correction included.
+            correction: bias correction of the second moment.
+            epsilon: relative to the largest gradient of a tensor.
+        """
+        if _compiled is not None:
+            numbers = (BETA1, BETA2, float(correction), float(epsilon), SMALLEST)
+            _compiled.adam(parameters, gradient, self.first, self.second, self.sizes, rates, *numbers)
+            return
+        m, v = self.first, self.second
+        m *= np.float32(BETA1)
+        m += np.float32(1 - BETA1) * gradient
+        v *= np.float32(BETA2)
+        v += np.float32(1 - BETA2) * gradient * gradient
+        size = np.sqrt(v * np.float32(correction))
+        starts = np.concatenate([[0], np.cumsum(self.sizes)[:-1]])
+        largest = np.maximum.reduceat(size, starts)
+        added = (np.float32(epsilon) * largest + np.float32(SMALLEST)).astype(np.float32)
+        parameters -= np.repeat(rates, self.sizes) * m / (size + np.repeat(added, self.sizes))
