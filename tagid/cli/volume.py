@@ -30,11 +30,16 @@ def register(app: typer.Typer) -> None:
         motion: options.MotionUrl = None,
         axis_distance: options.AxisDistance = None,
         antenna_separation: options.AntennaSeparation = None,
+        align: Annotated[
+            bool,
+            typer.Option("--align", help="Estimate the rotation of each capture relative to the first."),
+        ] = False,
         force: Annotated[bool, typer.Option("--force", help="Overwrite an existing file.")] = False,
     ) -> Result:
         """Join captures of one object from several antenna heights into one capture with antenna positions.
 
-        Every capture must state the same object angle for the same pose, and its own antenna height.
+        Every capture must state its own antenna height, and the same object angle for the same pose. The
+        angles of a recording begin at its first scan; --align refers them to the first capture's pose.
 
         Example: tagid join low.tagid.h5 middle.tagid.h5 high.tagid.h5 --out all.tagid.h5
         """
@@ -56,15 +61,24 @@ def register(app: typer.Typer) -> None:
         )
         loading = LoadSettings.of(config)
         captures = [load_capture(file, loading) for file in files]
+        turns: list[float] | None = None
+        if align:
+            from tagid.pipeline.alignment import aligned
+
+            captures, rotations = aligned(captures)
+            turns = [one.rotation_deg for one in rotations]
         joined = joined_of(captures)
         found = heights_of(joined)
         positions = joined.aperture().positions
         heights = [float(positions[views, 2].mean()) for views in found]
         export(joined, out)
         data = {"path": str(out), "views": joined.views, "bins": joined.bins, "heights_m": heights}
+        data |= {} if turns is None else {"rotations_deg": turns}
         words = ", ".join(f"{height:.3f}" for height in heights[:8]) + (" ..." if len(heights) > 8 else "")
-        line = Text(f"{out}: {joined.views} views from {len(heights)} antenna heights ({words} m)")
-        return Result("join", data, line)
+        line = f"{out}: {joined.views} views from {len(heights)} antenna heights ({words} m)"
+        if turns is not None:
+            line += f", rotated by {', '.join(f'{turn:+.2f}' for turn in turns[:8])} deg"
+        return Result("join", data, Text(line))
 
 
 @dataclass(frozen=True)
