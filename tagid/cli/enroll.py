@@ -171,8 +171,14 @@ def _enrol_layout(
 
     registry = open_registry()
     contents = registry.contents()
-    known_direction = enrolling.direction_known()
-    found = look(layout, contents.layouts, direction_known=known_direction, version=contents.version)
+    known_direction, weight = enrolling.direction_known(), enrolling.height_weight()
+    found = look(
+        layout,
+        contents.layouts,
+        direction_known=known_direction,
+        height_weight=weight,
+        version=contents.version,
+    )
     if any(other.name == layout.name for other in contents.layouts) and not wish.force:
         raise RegistryError(
             f"a layout named {layout.name} is already enrolled",
@@ -189,7 +195,15 @@ def _enrol_layout(
         if (measured and measured.joint)
         else ()
     )
-    done = enrol(registry, layout, source, force=wish.force, direction_known=known_direction, signatures=own)
+    done = enrol(
+        registry,
+        layout,
+        source,
+        force=wish.force,
+        direction_known=known_direction,
+        height_weight=weight,
+        signatures=own,
+    )
     return _result(done.outlook, measured, done.version, shown)
 
 
