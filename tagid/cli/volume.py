@@ -90,6 +90,7 @@ class Outputs:
     ply: Path | None
     png: Path | None
     webp: Path | None
+    surface: Path | None = None
 
     def checked(self) -> dict[str, Path]:
         """The files by kind. Raises UsageError if a name does not have the suffix of its kind."""
@@ -97,8 +98,9 @@ class Outputs:
         for kind, path in vars(self).items():
             if path is None:
                 continue
-            if kind not in ("png",) and path.suffix != f".{kind}":
-                raise UsageError(f"{path} does not end in .{kind}", f"Give a name that ends in .{kind}.")
+            suffix = ".ply" if kind == "surface" else f".{kind}"
+            if kind != "png" and path.suffix != suffix:
+                raise UsageError(f"{path} does not end in {suffix}", f"Give a name that ends in {suffix}.")
             found[kind] = path
         return found
 
@@ -168,12 +170,14 @@ def make_volume(
 
 def _write(volume: Any, files: dict[str, Path]) -> None:
     from tagid.report.volume_picture import draw_projections, write_turning
-    from tagid.storage.volume import write_volume
+    from tagid.storage.volume import write_surface, write_volume
 
     axes = volume.grid.square.axis, volume.grid.heights
     for kind, path in files.items():
         if kind == "png":
             draw_projections(volume.values, *axes, path, f"{volume.settings['method'].upper()} volume")
+        elif kind == "surface":
+            write_surface(path, volume)
         elif kind == "webp":
             write_turning(volume.values, *axes, path)
         else:
