@@ -72,6 +72,12 @@ SETTINGS: tuple[Setting, ...] = (
     Setting("motion.axis_distance_m", float, None, "radar to rotation axis, m", 1e-3, 1e4),
     Setting("motion.antenna_height_m", float, 0.0, "antenna above the object's plane, m", -10, 10),
     Setting(
+        "motion.antenna_heights",
+        str,
+        "",
+        "heights of the antenna at which every object is scanned, m, comma-separated; empty: one",
+    ),
+    Setting(
         "motion.antenna_separation_m", float, 0.0, "distance between transmit and receive antenna, m", 0, 10
     ),
     Setting("imaging.method", str, "auto", "bp, sparse, ats, auto and more", choices=METHODS),

@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 
 from tagid.errors import DataError, UsageError
 
+_SAME_HEIGHT_M = 1e-4
+
 
 @dataclass(frozen=True, eq=False)
 class Aperture:
@@ -136,6 +138,19 @@ class Aperture:
             near.append(np.hypot(np.maximum(across - radius, 0), least))
             far.append(np.hypot(across + radius, np.maximum(np.abs(below), np.abs(above))))
         return np.mean(near, axis=0), np.mean(far, axis=0)
+
+    def height_groups(self) -> list[NDArray[np.intp]]:
+        """Views of each antenna height, lowest first; all views as one group if a height has only one.
+
+        >>> two = Aperture(np.array([[1.0, 0, 0], [1, 0, 1], [0, 1, 1], [0, 1, 0]]))
+        >>> [views.tolist() for views in two.height_groups()]
+        [[0, 3], [1, 2]]
+        """
+        height = self.positions[:, 2]
+        order = np.argsort(height, kind="stable")
+        steps = np.flatnonzero(np.diff(height[order]) > _SAME_HEIGHT_M) + 1
+        groups = [np.sort(part) for part in np.split(order, steps)]
+        return groups if min(map(len, groups)) > 1 else [np.arange(self.views)]
 
     def with_axis_distance(self, axis_distance: float) -> Aperture:
         """The same rotation seen from another distance. Raises DataError for free positions."""

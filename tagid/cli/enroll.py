@@ -204,7 +204,8 @@ def _enrol_layout(
     from tagid.pipeline.enrolment import propose_layout
 
     registry = open_registry()
-    proposal = propose_layout(registry.contents(), layout, measured, enrolling.direction_known())
+    known, weight = enrolling.direction_known(), enrolling.height_weight()
+    proposal = propose_layout(registry.contents(), layout, measured, known, weight)
     if proposal.taken is not None and not wish.force:
         raise proposal.taken
     conflict = None if wish.force else proposal.conflict

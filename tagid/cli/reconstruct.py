@@ -98,6 +98,12 @@ def register(app: typer.Typer) -> None:
             Path | None,
             typer.Option("--ply", help="Write the bright points of the volume as PLY.", show_default=False),
         ] = None,
+        surface: Annotated[
+            Path | None,
+            typer.Option(
+                "--surface", help="Write the surface of the volume as PLY triangles.", show_default=False
+            ),
+        ] = None,
         webp: Annotated[
             Path | None,
             typer.Option("--webp", help="Write an animation of the rotating volume.", show_default=False),
@@ -119,10 +125,13 @@ def register(app: typer.Typer) -> None:
         from tagid.pipeline.prepared import PreparedCapture
         from tagid.storage.image import write_image
 
-        if not volume and (heights or levels or vti or ply or webp):
+        if not volume and (heights or levels or vti or ply or surface or webp):
             raise UsageError(
-                "--heights, --levels, --vti, --ply and --webp apply to volumes only", "Add --volume."
+                "--heights, --levels, --vti, --ply, --surface and --webp apply to volumes only",
+                "Add --volume.",
             )
+        if volume and (calibrate or ats):
+            raise UsageError("--calibrate and --ats do not apply to volumes", "Omit them.")
         if (calibrate or ats) and preset != "field":
             raise UsageError("--calibrate and --ats require --preset field", "Omit them.")
         config = load_config(
@@ -141,7 +150,7 @@ def register(app: typer.Typer) -> None:
             from tagid.cli.volume import Outputs, make_volume
 
             loading = replace(LoadSettings.of(config, background), wave_speed_m_s=wave_speed)
-            outputs = Outputs(out, vti, ply, png, webp)
+            outputs = Outputs(out, vti, ply, png, webp, surface)
             shape = imaging.parse_place(heights, "--heights"), levels, held_out
             return make_volume(terminal, load_capture(file, loading), config, background, shape, outputs)
         given = imaging.settings_from(config, background, focus)

@@ -13,11 +13,11 @@ from tagid import interrupts
 from tagid.cli.common import options
 from tagid.cli.common.consent import Yes, agree_to
 from tagid.cli.common.frame import Terminal, command
-from tagid.cli.common.recording import Limits, capture_folder, plan_of
+from tagid.cli.common.recording import Limits, capture_folder, plan_of, radar_url
 from tagid.cli.common.truth import truth_of, with_truth
 from tagid.config import Config, load_config
 from tagid.constants import CAPTURE_SUFFIX
-from tagid.errors import ConfigError, DataError, TagidError
+from tagid.errors import ConfigError, DataError, TagidError, UsageError
 from tagid.result import Result
 
 if TYPE_CHECKING:
@@ -108,12 +108,22 @@ def register(app: typer.Typer) -> None:
                 "--truth", help="File of emulate --truth, stored in the capture.", show_default=False
             ),
         ] = None,
+        heights: Annotated[
+            str | None,
+            typer.Option(
+                "--heights",
+                metavar="H,H,...",
+                help="Record one revolution from each antenna height, metres, and join them.",
+                show_default=False,
+            ),
+        ] = None,
         yes: Yes = False,
     ) -> Result:
         """Record one revolution of the object, image it and name it.
 
         Example: tagid scan --radar udp://192.168.1.100 --axis-distance 1.0
         Example: tagid scan --live --motion 'free?rpm=2'
+        Example: tagid scan --heights 0,0.15,0.30 --motion 'free?rpm=2'
         """
         overrides: dict[str, Any] = {
             "radar.url": radar,
@@ -131,10 +141,22 @@ def register(app: typer.Typer) -> None:
         limits = Limits(scans, max_seconds)
         if not 1 <= repeat <= MAX_REPEAT:
             raise ConfigError(f"--repeat is {repeat}", f"Give 1 to {MAX_REPEAT}.")
+        levels = None
+        if heights is not None:
+            from tagid.cli.scan_heights import Lift, parse_heights, scan_heights
+
+            if repeat > 1 or live or preview or antenna_height is not None:
+                raise UsageError(
+                    "--heights cannot be combined with --repeat, --live, --preview or --antenna-height",
+                    "Omit them.",
+                )
+            levels = parse_heights(heights)
         if not demo:
             config = load_config(overrides)
             agree_to(config["motion.url"], yes)
             about = with_truth(about, truth_of(config["radar.url"] or "", truth))
+            if levels is not None:
+                return scan_heights(terminal, config, limits, about, levels, Lift.of(config, yes))
             return _scans(terminal, config, limits, about, View(preview, subtract_body, live), repeat)
         from tagid.cli.common.demo import emulated_radar
 
@@ -142,6 +164,8 @@ def register(app: typer.Typer) -> None:
             demo_config = load_config({**overrides, **there.settings})
             shown = View(preview, subtract_body, live)
             about = with_truth(replace(about, demo=True), there.object)
+            if levels is not None:
+                return scan_heights(terminal, demo_config, limits, about, levels, Lift(there.place))
             return _scans(terminal, demo_config, limits, about, shown, repeat)
 
 
@@ -182,13 +206,7 @@ def _scan(
     from tagid.recording.intake import notes
     from tagid.storage.image import write_image
 
-    url = config["radar.url"]
-    if not url:
-        raise ConfigError(
-            "no radar is configured",
-            "Give --radar udp://192.168.1.100, or store it with `tagid config set radar.url udp://...`; "
-            "`tagid scan --demo` shows a scan without a radar.",
-        )
+    url = radar_url(config)
     folder = capture_folder(config)
     plan = replace(plan_of(config, url, limits, about), renumber=True)
     settings = imaging.settings_from(config)

@@ -30,11 +30,16 @@ def register(app: typer.Typer) -> None:
         motion: options.MotionUrl = None,
         axis_distance: options.AxisDistance = None,
         antenna_separation: options.AntennaSeparation = None,
+        align: Annotated[
+            bool,
+            typer.Option("--align", help="Estimate the rotation of each capture relative to the first."),
+        ] = False,
         force: Annotated[bool, typer.Option("--force", help="Overwrite an existing file.")] = False,
     ) -> Result:
         """Join captures of one object from several antenna heights into one capture with antenna positions.
 
-        Every capture must state the same object angle for the same pose, and its own antenna height.
+        Every capture must state its own antenna height, and the same object angle for the same pose. The
+        angles of a recording begin at its first scan; --align refers them to the first capture's pose.
 
         Example: tagid join low.tagid.h5 middle.tagid.h5 high.tagid.h5 --out all.tagid.h5
         """
@@ -56,15 +61,24 @@ def register(app: typer.Typer) -> None:
         )
         loading = LoadSettings.of(config)
         captures = [load_capture(file, loading) for file in files]
+        turns: list[float] | None = None
+        if align:
+            from tagid.pipeline.alignment import aligned
+
+            captures, rotations = aligned(captures)
+            turns = [one.rotation_deg for one in rotations]
         joined = joined_of(captures)
         found = heights_of(joined)
         positions = joined.aperture().positions
         heights = [float(positions[views, 2].mean()) for views in found]
         export(joined, out)
         data = {"path": str(out), "views": joined.views, "bins": joined.bins, "heights_m": heights}
+        data |= {} if turns is None else {"rotations_deg": turns}
         words = ", ".join(f"{height:.3f}" for height in heights[:8]) + (" ..." if len(heights) > 8 else "")
-        line = Text(f"{out}: {joined.views} views from {len(heights)} antenna heights ({words} m)")
-        return Result("join", data, line)
+        line = f"{out}: {joined.views} views from {len(heights)} antenna heights ({words} m)"
+        if turns is not None:
+            line += f", rotated by {', '.join(f'{turn:+.2f}' for turn in turns[:8])} deg"
+        return Result("join", data, Text(line))
 
 
 @dataclass(frozen=True)
@@ -76,6 +90,7 @@ class Outputs:
     ply: Path | None
     png: Path | None
     webp: Path | None
+    surface: Path | None = None
 
     def checked(self) -> dict[str, Path]:
         """The files by kind. Raises UsageError if a name does not have the suffix of its kind."""
@@ -83,8 +98,9 @@ class Outputs:
         for kind, path in vars(self).items():
             if path is None:
                 continue
-            if kind not in ("png",) and path.suffix != f".{kind}":
-                raise UsageError(f"{path} does not end in .{kind}", f"Give a name that ends in .{kind}.")
+            suffix = ".ply" if kind == "surface" else f".{kind}"
+            if kind != "png" and path.suffix != suffix:
+                raise UsageError(f"{path} does not end in {suffix}", f"Give a name that ends in {suffix}.")
             found[kind] = path
         return found
 
@@ -154,12 +170,14 @@ def make_volume(
 
 def _write(volume: Any, files: dict[str, Path]) -> None:
     from tagid.report.volume_picture import draw_projections, write_turning
-    from tagid.storage.volume import write_volume
+    from tagid.storage.volume import write_surface, write_volume
 
     axes = volume.grid.square.axis, volume.grid.heights
     for kind, path in files.items():
         if kind == "png":
             draw_projections(volume.values, *axes, path, f"{volume.settings['method'].upper()} volume")
+        elif kind == "surface":
+            write_surface(path, volume)
         elif kind == "webp":
             write_turning(volume.values, *axes, path)
         else:

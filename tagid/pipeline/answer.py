@@ -81,6 +81,7 @@ class Identification:
             "hypothesis": self._won(),
             "hypotheses": self._hypotheses(),
             "bound": self._bound(),
+            "note": r.note if r else "",
             "capture_uuid": self.capture_uuid,
             "tool_version": __version__,
             "model_sha256": second.model_sha256 if second else None,
@@ -130,7 +131,14 @@ class Identification:
         """The scores of the reading, with the network's probabilities if it was used."""
         found = self.reading.reflectors if self.reading else ()
         rows: list[dict[str, Any]] = [
-            {"x_m": p.x_m, "y_m": p.y_m, "amplitude_db": p.amplitude_db, "matched": p.matched} for p in found
+            {
+                "x_m": p.x_m,
+                "y_m": p.y_m,
+                **({} if p.z_m is None else {"z_m": p.z_m}),
+                "amplitude_db": p.amplitude_db,
+                "matched": p.matched,
+            }
+            for p in found
         ]
         for row, opinion in zip(rows, self.second.opinions if self.second else (), strict=False):
             row |= {"probability": round(opinion.probability, 4), "ghost": round(opinion.ghost, 4)}

@@ -29,6 +29,7 @@ class LayoutProposal:
         outlook: the layout compared with its neighbours.
         taken: the error if the name is already enrolled.
         direction_known: whether the direction of rotation is known.
+        height_weight: see `tags.layouts.codebook.height_weight`; 0: heights do not distinguish layouts.
     """
 
     layout: Layout
@@ -36,6 +37,7 @@ class LayoutProposal:
     outlook: Outlook
     taken: RegistryError | None
     direction_known: bool
+    height_weight: float = 0.0
 
     @property
     def conflict(self) -> LayoutConflictError | None:
@@ -61,6 +63,7 @@ class LayoutProposal:
             source,
             force=force,
             direction_known=self.direction_known,
+            height_weight=self.height_weight,
             signatures=signatures,
         )
         return StoredLayout(replace(self, outlook=done.outlook), done.version)
@@ -122,7 +125,11 @@ class SignatureProposal:
 
 
 def propose_layout(
-    contents: RegistryContents, layout: Layout, measured: Measured | None, direction_known: bool
+    contents: RegistryContents,
+    layout: Layout,
+    measured: Measured | None,
+    direction_known: bool,
+    height_weight: float = 0.0,
 ) -> LayoutProposal:
     """A layout compared with the enrolled ones.
 
@@ -131,12 +138,19 @@ def propose_layout(
         layout: new layout.
         measured: the captures it was measured on; None for given positions.
         direction_known: whether the direction of rotation is known.
+        height_weight: as of `LayoutProposal`.
 
     Raises UsageError if a reflector lies outside the largest object of the layout's kind.
     """
     from tagid.tags.enrolling.enrolment import outlook
 
-    found = outlook(layout, contents.layouts, direction_known=direction_known, version=contents.version)
+    found = outlook(
+        layout,
+        contents.layouts,
+        direction_known=direction_known,
+        height_weight=height_weight,
+        version=contents.version,
+    )
     taken = None
     if any(other.name == layout.name for other in contents.layouts):
         taken = RegistryError(
@@ -146,7 +160,7 @@ def propose_layout(
     own = None
     if measured is not None and measured.joint is not None:
         own = replace(measured.joint.signature, name=layout.name, label=layout.label[:200])
-    return LayoutProposal(layout, own, found, taken, direction_known)
+    return LayoutProposal(layout, own, found, taken, direction_known, height_weight)
 
 
 def propose_signature(contents: RegistryContents, signature: Signature) -> SignatureProposal:

@@ -18,7 +18,6 @@ from tagid.imaging.preprocess import remove_background
 
 _SAME_M = 1e-6
 """Range starts and steps that differ by less are equal."""
-_SAME_HEIGHT_M = 1e-4
 
 
 def join(captures: Sequence[Capture]) -> Capture:
@@ -65,12 +64,8 @@ def join(captures: Sequence[Capture]) -> Capture:
 
 
 def heights_of(capture: Capture) -> list[NDArray[np.intp]]:
-    """Views of each antenna height, lowest first; all views as one group if a height has only one."""
-    height = capture.aperture().positions[:, 2]
-    order = np.argsort(height, kind="stable")
-    steps = np.flatnonzero(np.diff(height[order]) > _SAME_HEIGHT_M) + 1
-    groups = [np.sort(part) for part in np.split(order, steps)]
-    return groups if min(map(len, groups)) > 1 else [np.arange(capture.views)]
+    """Views of each antenna height, see `tagid.geometry.Aperture.height_groups`."""
+    return capture.aperture().height_groups()
 
 
 def without_background_of_each_height(capture: Capture, background: str) -> Capture:

@@ -14,6 +14,7 @@ from tagid.errors import UsageError
 from tagid.geometry import ImageGrid
 from tagid.imaging.preprocess import PreprocessSettings, nominal, preprocess
 from tagid.imaging.types import BasebandScans
+from tagid.pipeline.join import heights_of, without_background_of_each_height
 from tagid.pipeline.resolve import has_angles, one_turn
 from tagid.pipeline.settings import ImagingSettings, Progress, Stopwatch
 
@@ -95,7 +96,14 @@ class PreparedCapture:
         if settings not in self._scans:
             capture = self.capture
             with self.watch.stage("preprocess"):
-                self._scans[settings] = preprocess(capture, settings=settings)
+                if settings.background != "none" and len(heights_of(capture)) > 1:
+                    # The room's echo depends on the antenna's height.
+                    clean = without_background_of_each_height(capture, settings.background)
+                    plain = replace(settings, background="none")
+                    made = replace(preprocess(clean, settings=plain), background_removed=True)
+                else:
+                    made = preprocess(capture, settings=settings)
+                self._scans[settings] = made
         return self._scans[settings]
 
     def _selected_pulse(self, progress: Progress | None) -> Capture:

@@ -20,7 +20,7 @@ from tagid.imaging.volume import Volume, backproject_volume, sparse_volume, vert
 from tagid.pipeline.join import heights_of, without_background_of_each_height
 from tagid.pipeline.settings import Progress, Stopwatch
 
-METHODS = ("bp", "sparse")
+METHODS = ("bp", "sparse", "ats")
 _MOST_LEVELS = 200
 
 
@@ -135,6 +135,10 @@ def _make(
 ) -> Volume:
     if method == "bp":
         return backproject_volume(matched, grid, progress)
+    if method == "ats":
+        from tagid.imaging.ats.volume import fit_volume
+
+        return fit_volume(matched, unfiltered, grid, progress=progress)
     require_memory(
         80 * grid.voxels, f"{grid.voxels:,} voxels of a fit", "Use fewer pixels (--pixels) or levels."
     )

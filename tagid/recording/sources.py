@@ -8,12 +8,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tagid.config import data_folder
-from tagid.errors import UsageError
+from tagid.errors import StorageError, UsageError
+from tagid.files import read_head
 from tagid.radar.emulation.sources import RecordingSource
 from tagid.radar.settings import RadarConfig
 
 if TYPE_CHECKING:
     from tagid.simulate import TurningScene
+
+MAX_ANTENNA_HEIGHT_M = 10.0
 
 
 def emulated_recording(path: Path, loop: bool) -> RecordingSource:
@@ -37,10 +40,12 @@ def emulated_scene(name: str, options: dict[str, str]) -> TurningScene:
     Options: `seed`, `rpm` (6), `axis_distance` (1.0 m), `antenna_height` (0 m), `antenna_separation` (0 m,
     between a transmitting and a receiving antenna), `snr` (20 dB, per reflector), `cable_delay` (0, two-way
     ps), `centre` (X,Y in metres off the axis), `rotation` (0 degrees), `wobble` (0, relative, of the speed),
-    `elevation` (0m), `body` and `reflector` (see `tagid.simulate.specification`), `file` (TOML file of
-    layouts), `budget` (1: SNR and range law from the radar equation, `tagid.simulate.budget`, for physical
-    reflectors, octahedron:40mm unless given; `snr` is then not used), and `turned_by`: HOST:PORT of an
-    emulated robot that turns the scene instead, which needs rate=1.
+    `antenna_height_file` (a text file with the height in metres, read before every scan, so that a program
+    can move the emulated antenna), `elevation` (0m), `body` and `reflector` (see
+    `tagid.simulate.specification`), `file` (TOML file of layouts), `budget` (1: SNR and range law from the
+    radar equation, `tagid.simulate.budget`, for physical reflectors, octahedron:40mm unless given; `snr` is
+    then not used), and `turned_by`: HOST:PORT of an emulated robot that turns the scene instead, which needs
+    rate=1.
 
     Raises UsageError for an unknown scene or option, or a value that cannot be read; the errors of
     `named_layouts`.
@@ -63,6 +68,7 @@ def emulated_scene(name: str, options: dict[str, str]) -> TurningScene:
     values = {"seed": 0.0, "rpm": 6.0, "axis_distance": 1.0, "snr": 20.0, "cable_delay": 0.0}
     values |= dict.fromkeys(("rotation", "wobble", "antenna_height", "antenna_separation", "budget"), 0.0)
     texts = {"turned_by": "", "centre": "0,0", "elevation": "0m", "body": "", "reflector": "", "file": ""}
+    texts["antenna_height_file"] = ""
     for key, text in options.items():
         if key in texts:
             texts[key] = text
@@ -102,7 +108,44 @@ def emulated_scene(name: str, options: dict[str, str]) -> TurningScene:
     else:
         scene = scene_from_name(name, seed, layouts)
     delay_s = values["cable_delay"] * 1e-12
-    return TurningScene(scene, values["rpm"], seed, acquisition, delay_s, true_angle=turner)
+    lift = HeightFile(Path(texts["antenna_height_file"])) if texts["antenna_height_file"] else None
+    return TurningScene(scene, values["rpm"], seed, acquisition, delay_s, turner, lift)
+
+
+class HeightFile:
+    """Height of an emulated antenna, m, as another program writes it to a text file.
+
+    Calling it returns the current height. A file that cannot be read for a moment leaves the height
+    unchanged.
+
+    Args:
+        path: the file; it must contain a height when the emulator starts.
+
+    Raises UsageError if it does not.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        read = self._read()
+        if read is None:
+            raise UsageError(
+                f"{path} does not contain the height of the emulated antenna",
+                f"Write a number of metres from -{MAX_ANTENNA_HEIGHT_M:g} to {MAX_ANTENNA_HEIGHT_M:g} to it.",
+            )
+        self._height = read
+
+    def __call__(self) -> float:
+        read = self._read()
+        if read is not None:
+            self._height = read
+        return self._height
+
+    def _read(self) -> float | None:
+        try:
+            height = float(read_head(self._path, 64))
+        except (StorageError, ValueError):
+            return None
+        return height if abs(height) <= MAX_ANTENNA_HEIGHT_M else None
 
 
 def _budget_noise(reflector: str, axis_distance_m: float) -> float:

@@ -65,6 +65,8 @@ class TurningScene:
             positive noise_std, at the same index, replaces it.
         cable_delay_s: two-way delay in addition to the path through the air, s.
         true_angle: replaces rpm: function from time.monotonic() to the angle, rad.
+        antenna_height: replaces the acquisition's height: function that returns the current height of the
+            antenna above the object's plane, m, called for every scan.
 
     Attributes:
         snr: both SNRs at integration index 11.
@@ -78,6 +80,7 @@ class TurningScene:
         acquisition: Acquisition | None = None,
         cable_delay_s: float = 0.0,
         true_angle: Callable[[float], float] | None = None,
+        antenna_height: Callable[[], float] | None = None,
     ) -> None:
         if not (np.isfinite(rpm) and 0 <= rpm <= 1000):
             raise UsageError(f"the emulated table turns at {rpm} rpm", "Give 0 to 1000 turns per minute.")
@@ -94,6 +97,7 @@ class TurningScene:
         self._noise = acq.noise_std or noise_std_for(snr_db, levels.of(acq.snr_reference))
         self.snr = Snr.of(levels, self._noise)
         self._true_angle = true_angle
+        self._antenna_height = antenna_height
         self._monotonic: Callable[[float], float] | None = None
         self._room: tuple[RangeWindow, NDArray[np.complex128]] | None = None
 
@@ -138,7 +142,8 @@ class TurningScene:
             self._room = window, render_room(self.scene, window, self._table)
         turns = np.array([self._turns(time_s)])
         distance = acq.axis_distance_m + self._turn.radial(turns)
-        antenna = antennas(self._turn.angles(turns), distance, acq.antenna_height_m)
+        height = acq.antenna_height_m if self._antenna_height is None else self._antenna_height()
+        antenna = antennas(self._turn.angles(turns), distance, height)
         out = self._room[1][None].copy()
         render_bodies(self.scene.object, acq.placement, antenna, acq, self._table, out)
         return np.asarray(out[0].real * self.counts_per_unit(config), dtype=np.float64)

@@ -1,4 +1,4 @@
-"""Volume files for other programs: NPZ, VTK image data (.vti) and a point cloud of bright voxels (.ply).
+"""Volume files for other programs: NPZ, VTK image data (.vti), and a point cloud or a surface (.ply).
 
 VTK: "VTK XML file formats", appended raw data with a 64-bit length. PLY: Turk, "The PLY polygon file format"
 (1994), binary little-endian.
@@ -16,10 +16,15 @@ from numpy.typing import NDArray
 
 from tagid.errors import UsageError
 from tagid.files import write_bytes
+from tagid.storage.surface import isosurface
 
 CLOUD_DB = 20.0
 """Dynamic range of the point cloud: voxels down to this level below the brightest are points, if no
 neighbour along an axis is brighter."""
+
+SURFACE_DB = 10.0
+"""Level of the surface below the brightest voxel: below the null of the point response, above its sidelobes
+after a fit."""
 
 
 class Square(Protocol):
@@ -87,6 +92,43 @@ def write_volume(path: Path, volume: GriddedVolume) -> None:
     if path.suffix not in writers:
         raise UsageError(f"{path} has no suffix of a volume file", f"Use one of {', '.join(writers)}.")
     write_bytes(path, writers[path.suffix](volume))
+
+
+def write_surface(path: Path, volume: GriddedVolume, level_db: float = SURFACE_DB) -> None:
+    """Write the surface of constant magnitude as PLY triangles, atomically.
+
+    Args:
+        path: file to write.
+        volume: see there.
+        level_db: level below the brightest voxel, dB.
+
+    Raises:
+        UsageError: a volume with fewer than two voxels along an axis. StorageError, DiskFullError.
+    """
+    magnitude = np.abs(volume.values)
+    if min(magnitude.shape) < 2:
+        raise UsageError(
+            f"a volume of {magnitude.shape} voxels has no surface", "Use at least two --levels and --pixels."
+        )
+    axis = volume.grid.square.axis
+    # A frame of zeros closes the surface where the object reaches the volume's border.
+    axes = [_framed(each) for each in (volume.grid.heights, axis, axis)]
+    level = float(magnitude.max()) * 10 ** (-level_db / 20)
+    found = isosurface(np.pad(magnitude, 1), level if level > 0 else 1.0, tuple(axes))
+    faces = np.zeros(len(found.triangles), dtype=[("count", "u1"), ("vertices", "<i4", 3)])
+    faces["count"], faces["vertices"] = 3, found.triangles
+    head = (
+        f"ply\nformat binary_little_endian 1.0\nelement vertex {len(found.points)}\n"
+        "property float x\nproperty float y\nproperty float z\n"
+        f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    write_bytes(path, head.encode("ascii") + found.points.astype("<f4").tobytes() + faces.tobytes())
+
+
+def _framed(axis: NDArray[np.floating]) -> NDArray[np.float64]:
+    """An axis with one more value on both sides."""
+    step = axis[1] - axis[0]
+    return np.concatenate([[axis[0] - step], axis, [axis[-1] + step]])
 
 
 def _npz(volume: GriddedVolume) -> bytes:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 from dataclasses import replace
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -13,13 +14,15 @@ from tagid.capture import Capture
 from tagid.errors import DataError, UsageError
 from tagid.geometry import ImageGrid, VolumeGrid
 from tagid.imaging import kernel, volume
+from tagid.imaging.ats.volume import Field, VolumeFitSettings, fit_volume
 from tagid.imaging.operator import ForwardOperator
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.imaging.volume import backproject_volume, sparse_volume
 from tagid.pipeline.join import heights_of, join
 from tagid.pipeline.volume import VolumeSettings, reconstruct_volume
 from tagid.report.volume_picture import draw_projections, write_turning
-from tagid.storage.volume import write_volume
+from tagid.storage.surface import isosurface
+from tagid.storage.volume import write_surface, write_volume
 from tests.unit.imaging_scenes import record, turn
 
 HEIGHTS = (-0.2, -0.1, 0.0, 0.1, 0.2)
@@ -48,7 +51,7 @@ def brightest(values: np.ndarray, grid: VolumeGrid, count: int, apart_m: float) 
 
 
 @pytest.mark.parametrize("apart", [0.0, 0.2])
-@pytest.mark.parametrize("method", ["bp", "sparse"])
+@pytest.mark.parametrize("method", ["bp", "sparse", "ats"])
 def test_two_reflectors_of_one_radius_are_told_apart_by_height(method: str, apart: float) -> None:
     settings = VolumeSettings(method, 0.24, 24, (-0.12, 0.12), 12)
     made = reconstruct_volume(join(captures(apart=apart)), settings)
@@ -58,7 +61,7 @@ def test_two_reflectors_of_one_radius_are_told_apart_by_height(method: str, apar
     assert errors.max() < (0.03 if method == "bp" else 0.02)
     assert (made.views, made.heights) == (120, 5)
     held_out = made.volume.settings["held_out"]
-    if method == "sparse":
+    if method != "bp":
         assert held_out["residual"] < 0.3 * held_out["backprojection"]
 
 
@@ -91,6 +94,66 @@ def test_sparse_voxels_are_points_of_their_amplitude() -> None:
     assert np.argmax(np.abs(made.values)) == 1000
     left = scans.samples - ForwardOperator(scans, GRID.points()).forward(made.values.ravel())
     assert np.vdot(left, left).real < 0.05 * np.vdot(scans.samples, scans.samples).real
+
+
+def test_a_fit_begins_as_the_backprojection_and_ends_below_it() -> None:
+    settings = PreprocessSettings("none", False, extent_m=0.24, heights_m=(-0.12, 0.12))
+    one = join([record(POINTS, [1, 0.8, 1], turn(24, 1.0, height), start_m=0.6) for height in HEIGHTS])
+    scans = preprocess(one, settings=settings)
+    matched = preprocess(one, settings=replace(settings, matched_filter=True))
+    calls: list[float] = []
+    left = []
+    for steps in (1, 60):
+        made = fit_volume(
+            matched, scans, GRID, VolumeFitSettings(steps=steps), lambda d, t, _: calls.append(d / t)
+        )
+        seen = ForwardOperator(scans, GRID.points()).forward(made.values.ravel())
+        left.append(np.linalg.norm(seen - scans.samples) ** 2 / np.linalg.norm(scans.samples) ** 2)
+        assert calls == sorted(calls)
+        assert calls[-1] == pytest.approx(1)
+        calls.clear()
+    first = backproject_volume(matched, GRID)
+    fitted = np.abs(first.values) >= 0.1 * np.abs(first.values).max()
+    assert (made.values[~fitted] == 0).all()
+    assert made.settings["active_voxels"] == fitted.sum()
+    assert left[1] < 0.06
+    assert left[1] < 0.2 * left[0]
+    few = fit_volume(matched, scans, GRID, VolumeFitSettings(steps=1, most_active=50))
+    assert np.count_nonzero(few.values) == 50
+    assert np.abs(first.values)[few.values != 0].min() >= np.sort(np.abs(first.values).ravel())[-50]
+    dark = replace(scans, samples=np.zeros_like(scans.samples))
+    assert not fit_volume(replace(matched, samples=np.zeros_like(matched.samples)), dark, GRID).values.any()
+
+
+def test_the_gradient_of_the_field_is_that_of_its_loss() -> None:
+    """A small step against the gradient of sum |sigma - t|^2 lowers it by rate times |gradient|^2."""
+    from scipy import sparse
+
+    rng = np.random.default_rng(0)
+    at = [sparse.csr_array(rng.random((40, n)).astype(np.float32)) for n in (5, 9)]
+    first = rng.standard_normal(9) + 1j * rng.standard_normal(9)
+    field = Field.carrying(first, at, 2.0, VolumeFitSettings(levels=2))
+    values = field.evaluate(field.layers()[-1])
+    np.testing.assert_allclose(values, 2 * (at[1] @ first), atol=0.2 * np.abs(values).max())
+    target = (rng.standard_normal(40) + 1j * rng.standard_normal(40)).astype(np.complex64)
+
+    def loss(one: Field) -> float:
+        return float((np.abs(one.evaluate(one.layers()[-1]) - target) ** 2).sum())
+
+    before, start = loss(field), [each.copy() for each in field.parameters]
+    layers = field.layers()
+    field.descend(layers, 2 * (values - target), 1e-5, 1)
+    moved = [a - b for a, b in zip(field.parameters, start, strict=True)]
+    # Numerically along every tensor's own step.
+    predicted = 0.0
+    for number, step in enumerate(moved):
+        one = field.copy()
+        one.parameters[:] = [each.copy() for each in start]
+        one.parameters[number] = start[number] + 30 * step
+        predicted += (loss(one) - before) / 30
+    assert loss(field) < before
+    assert loss(field) - before == pytest.approx(predicted, rel=0.05)
+    assert all((np.abs(step) > 0).any() for step in moved)
 
 
 def test_joined_captures_keep_their_positions_and_heights() -> None:
@@ -136,23 +199,65 @@ def test_files_are_read_back(tmp_path: Path) -> None:
         write_volume(tmp_path / "v.stl", made)
 
 
-def test_vtk_reads_the_volume(tmp_path: Path) -> None:
-    vtk = pytest.importorskip("vtkmodules.vtkIOXML", reason="VTK checks the file where it is installed")
-    from vtkmodules.util.numpy_support import vtk_to_numpy
+def complex_ramp() -> np.ndarray:
+    """Values that differ in every voxel, so that a wrong order of the axes shows."""
+    return (np.arange(1, 12 * 24 * 24 + 1).reshape(12, 24, 24) * np.exp(0.7j)).astype(np.complex64)
 
-    values = (np.arange(12 * 24 * 24).reshape(12, 24, 24) * np.exp(0.7j)).astype(np.complex64)
-    write_volume(tmp_path / "v.vti", volume.Volume(values, GRID, {}))
-    reader = vtk.vtkXMLImageDataReader()
-    reader.SetFileName(str(tmp_path / "v.vti"))
-    reader.Update()
-    image = reader.GetOutput()
-    assert image.GetDimensions() == (24, 24, 12)
-    assert image.GetSpacing() == pytest.approx((0.01, 0.01, 0.02))
-    assert image.GetOrigin() == pytest.approx((GRID.square.axis[0], GRID.square.axis[0], GRID.heights[0]))
-    data = image.GetPointData()
-    magnitude = vtk_to_numpy(data.GetArray("magnitude")).reshape(12, 24, 24)
-    phase = vtk_to_numpy(data.GetArray("phase")).reshape(12, 24, 24)
-    np.testing.assert_allclose(magnitude * np.exp(1j * phase), values, rtol=1e-5)
+
+def test_the_vti_file_is_what_its_format_says(tmp_path: Path) -> None:
+    """Read by the format's document: raw appended data after an underscore, each array after its 64-bit
+    length."""
+    write_volume(tmp_path / "v.vti", volume.Volume(complex_ramp(), GRID, {}))
+    head, _, rest = (tmp_path / "v.vti").read_bytes().partition(b'<AppendedData encoding="raw">\n_')
+    root = ElementTree.fromstring(head + b'<AppendedData encoding="raw">_</AppendedData></VTKFile>')
+    image = root.find("ImageData")
+    assert root.attrib["header_type"] == "UInt64"
+    assert image.attrib["WholeExtent"] == "0 23 0 23 0 11"
+    assert [float(n) for n in image.attrib["Spacing"].split()] == pytest.approx([0.01, 0.01, 0.02])
+    arrays = {}
+    for array in image.iter("DataArray"):
+        at = int(array.attrib["offset"])
+        (length,) = struct.unpack_from("<Q", rest, at)
+        arrays[array.attrib["Name"]] = np.frombuffer(rest, "<f4", length // 4, at + 8).reshape(12, 24, 24)
+    np.testing.assert_allclose(arrays["magnitude"] * np.exp(1j * arrays["phase"]), complex_ramp(), rtol=1e-5)
+
+
+def test_pyvista_reads_the_volume(tmp_path: Path) -> None:
+    pyvista = pytest.importorskip("pyvista", reason="pip install '.[vtk]' checks the file with VTK")
+    write_volume(tmp_path / "v.vti", volume.Volume(complex_ramp(), GRID, {}))
+    image = pyvista.read(tmp_path / "v.vti")
+    assert image.dimensions == (24, 24, 12)
+    assert image.spacing == pytest.approx((0.01, 0.01, 0.02))
+    assert image.origin == pytest.approx((GRID.square.axis[0], GRID.square.axis[0], GRID.heights[0]))
+    magnitude, phase = (np.asarray(image[name]).reshape(12, 24, 24) for name in ("magnitude", "phase"))
+    np.testing.assert_allclose(magnitude * np.exp(1j * phase), complex_ramp(), rtol=1e-5)
+    # x runs fastest: the voxel at the far end of x is where its place says.
+    place = image.points[23]
+    assert place == pytest.approx((GRID.square.axis[-1], GRID.square.axis[0], GRID.heights[0]))
+    blob = np.exp(-(np.linalg.norm(GRID.points(), axis=1) ** 2) / 0.05**2).reshape(12, 24, 24)
+    write_surface(tmp_path / "s.ply", volume.Volume(blob.astype(np.complex64), GRID, {}))
+    mesh = pyvista.read(tmp_path / "s.ply")
+    assert mesh.is_manifold
+    assert mesh.volume == pytest.approx(4 / 3 * np.pi * (0.05 * np.sqrt(np.log(10) / 2)) ** 3, rel=0.1)
+
+
+def test_a_surface_is_closed_and_faces_outwards() -> None:
+    z, y, x = np.linspace(-1, 1, 15), np.linspace(-1, 1, 17), np.linspace(-1, 1, 19)
+    grid = np.meshgrid(z, y, x, indexing="ij")
+    values = np.exp(-((grid[2] / 0.7) ** 2 + (grid[1] / 0.6) ** 2 + (grid[0] / 0.5) ** 2))
+    found = isosurface(values, float(np.exp(-1)), (z, y, x))
+    corners = found.points[found.triangles]
+    inside = np.einsum("ni,ni->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6
+    assert inside == pytest.approx(4 / 3 * np.pi * 0.7 * 0.6 * 0.5, rel=0.03)
+    ways = found.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+    edges, uses = np.unique(np.sort(ways, axis=1), axis=0, return_counts=True)
+    assert (uses == 2).all()
+    assert len(np.unique(ways, axis=0)) == len(ways)
+    assert len(found.points) - len(edges) + len(found.triangles) == 2
+    radii = np.linalg.norm(found.points / [0.7, 0.6, 0.5], axis=1)
+    assert radii.min() > 0.93
+    assert radii.max() < 1.03
+    assert len(isosurface(values, 2.0, (z, y, x)).triangles) == 0
 
 
 def test_from_the_command_line(tagid) -> None:

@@ -5,12 +5,15 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-from collections.abc import Iterator
+import tempfile
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from tagid.errors import DeviceError
+from tagid.files import write_bytes
 from tagid.metadata import ObjectInfo
 
 DEMO_RPM = 6.0
@@ -26,10 +29,12 @@ class Emulated:
     Attributes:
         settings: connection settings, by their configuration names.
         object: the emulated object, with its true pose.
+        place: moves the emulated antenna to a height above the object's plane, m.
     """
 
     settings: dict[str, Any]
     object: ObjectInfo
+    place: Callable[[float], None]
 
 
 @contextmanager
@@ -38,8 +43,17 @@ def emulated_radar(scene: str) -> Iterator[Emulated]:
 
     Raises DeviceError with the emulator's message if it does not start.
     """
+    with tempfile.TemporaryDirectory(prefix="tagid-demo-") as folder:
+        yield from _emulated(scene, Path(folder) / "antenna-height")
+
+
+def _emulated(scene: str, height_file: Path) -> Iterator[Emulated]:
+    def place(height_m: float) -> None:
+        write_bytes(height_file, f"{height_m!r}\n".encode())
+
+    place(0.0)
     arguments = ["emulate", "p440", "--bind", "127.0.0.1:0", "--scene", scene, "--rpm", str(DEMO_RPM)]
-    arguments += ["--centre", DEMO_CENTRE]
+    arguments += ["--centre", DEMO_CENTRE, "--antenna-height-file", str(height_file)]
     process = subprocess.Popen(
         [sys.executable, "-m", "tagid", *arguments, "--output", "json"],
         stdout=subprocess.PIPE,
@@ -63,7 +77,7 @@ def emulated_radar(scene: str) -> Iterator[Emulated]:
             "motion.url": f"free?rpm={DEMO_RPM:g}",
             "motion.axis_distance_m": DEMO_AXIS_DISTANCE_M,
         }
-        yield Emulated(settings, ObjectInfo.from_json(shown))
+        yield Emulated(settings, ObjectInfo.from_json(shown), place)
     finally:
         process.terminate()
         try:

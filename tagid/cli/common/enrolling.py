@@ -14,7 +14,7 @@ import typer
 
 from tagid.cli.common.frame import Output, Terminal
 from tagid.config import load_config
-from tagid.errors import CaptureInterrupted, LayoutConflictError, TagidError
+from tagid.errors import CaptureInterrupted, LayoutConflictError, TagidError, UsageError
 from tagid.result import Result
 
 if TYPE_CHECKING:
@@ -36,6 +36,28 @@ SHOWN = 6
 def direction_known() -> bool:
     """Whether the direction of rotation is configured."""
     return bool(load_config({})["tags.direction"] == "known")
+
+
+def antenna_heights() -> tuple[float, ...]:
+    """Configured heights of the antenna, m; (0,) for one. Raises UsageError."""
+    return parse_antenna_heights(load_config({})["motion.antenna_heights"])
+
+
+def parse_antenna_heights(text: str) -> tuple[float, ...]:
+    """Antenna heights, m, of comma-separated numbers; (0,) for an empty text. Raises UsageError."""
+    try:
+        return tuple(float(part) for part in text.split(",")) if text.strip() else (0.0,)
+    except ValueError:
+        raise UsageError(
+            f"the antenna heights are {text[:80]!r}", "Give metres separated by commas, e.g. 0,0.15,0.3."
+        ) from None
+
+
+def height_weight() -> float:
+    """How much the heights of reflectors distinguish layouts with the configured antenna heights."""
+    from tagid.tags.layouts.codebook import height_weight as weight
+
+    return weight(antenna_heights(), load_config({})["motion.axis_distance_m"] or 1.0)
 
 
 def about(outlook: Outlook) -> str:
@@ -198,8 +220,9 @@ def store_family(
 
     from tagid.tags.enrolling.enrolment import check_merge, family_outlooks, merge
 
-    known, (seen, enrolled) = direction_known(), registry.snapshot()
-    outlooks = family_outlooks(layouts, enrolled, direction_known=known)
+    known, weight = direction_known(), height_weight()
+    seen, enrolled = registry.snapshot()
+    outlooks = family_outlooks(layouts, enrolled, direction_known=known, height_weight=weight)
     shown = family_neighbours(outlooks) if outlooks else Text("no layouts, signatures only")
     data = {"confusion": [{"layout": one.layout.name, **as_data(one)} for one in outlooks]}
     if not wish.force:
@@ -217,6 +240,7 @@ def store_family(
         source,
         force=wish.force,
         direction_known=known,
+        height_weight=weight,
         checked=seen,
         signatures=signatures,
     )

@@ -355,6 +355,8 @@ def describe(answer: Identification, name: str) -> RenderableType:
             lines.append(Text(f"  read as: {HYPOTHESES[reading.kind]}"))
         if reading.bound is not None:
             lines.append(Text(f"  {bound_words(reading.bound)}"))
+        if reading.note:
+            lines.append(Text(f"  note: {reading.note}"))
         if reading.layout:
             x, y = (value * 1e3 for value in reading.centre_m)
             lines.append(

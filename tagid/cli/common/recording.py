@@ -29,6 +29,18 @@ class Limits:
     max_seconds: float
 
 
+def radar_url(config: Config) -> str:
+    """URL of the configured radar. Raises ConfigError if there is none."""
+    url = config["radar.url"]
+    if not url:
+        raise ConfigError(
+            "no radar is configured",
+            "Give --radar udp://192.168.1.100, or store it with `tagid config set radar.url udp://...`; "
+            "`tagid scan --demo` shows a scan without a radar.",
+        )
+    return str(url)
+
+
 def capture_folder(config: Config) -> Path:
     """The folder of the captures, created durably if it is missing. Raises StorageError."""
     folder = Path(config["storage.folder"] or ".")

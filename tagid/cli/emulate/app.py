@@ -72,6 +72,14 @@ def register(app: typer.Typer) -> None:
             typer.Option("--turned-by", help="HOST:PORT of an emulated robot that rotates the object."),
         ] = None,
         axis_distance: Annotated[float, typer.Option("--axis-distance", help="Radar to axis, metres.")] = 1.0,
+        antenna_height_file: Annotated[
+            Path | None,
+            typer.Option(
+                "--antenna-height-file",
+                help="File with the antenna's height in metres, read before every scan.",
+                show_default=False,
+            ),
+        ] = None,
         body: options.Body = None,
         reflector: options.Reflector = None,
         elevation: options.Elevation = "0m",
@@ -130,6 +138,11 @@ def register(app: typer.Typer) -> None:
         files = response_options.response_files(response, polarisation, snr_reference, snr_reference_body)
         if replay is not None and files is not None:
             raise UsageError("--replay and --response are both given", "Choose one.")
+        if antenna_height_file is not None and (replay is not None or files is not None):
+            raise UsageError(
+                "--antenna-height-file with --replay or --response: that antenna cannot be moved",
+                "Use --scene.",
+            )
         source: ScanSource
         about: ObjectInfo | None = None
         if replay is not None:
@@ -148,6 +161,7 @@ def register(app: typer.Typer) -> None:
             given |= {"centre": centre, "elevation": elevation, "budget": "1" if budget else "0"}
             chosen = {"body": body, "reflector": reflector, "turned_by": turned_by}
             chosen["file"] = None if file is None else str(file)
+            chosen["antenna_height_file"] = None if antenna_height_file is None else str(antenna_height_file)
             given |= {key: text for key, text in chosen.items() if text}
             turning = emulated_scene(scene, given)
             source, about = turning, turning.about()

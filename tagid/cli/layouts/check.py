@@ -31,7 +31,7 @@ def register(app: typer.Typer) -> None:
         from rich.table import Table
         from rich.text import Text
 
-        from tagid.cli.common.enrolling import direction_known
+        from tagid.cli.common.enrolling import direction_known, height_weight
         from tagid.cli.common.imaging import open_registry
         from tagid.tags.enrolling.enrolment import neighbour
         from tagid.tags.layouts.capacity import reference
@@ -44,13 +44,13 @@ def register(app: typer.Typer) -> None:
             f"version {c.version} ({c.action} {c.name}) cannot be read, so it cannot be restored"
             for c in lost
         ]
-        known = direction_known()
+        known, weight = direction_known(), height_weight()
         pairs, nested = [], []
         for a, b in combinations(enrolled, 2):
             error_m = sigma if sigma is not None else reference(min(a.radius_m, b.radius_m)).sigma_m
             if a.size == b.size:
-                pairs.append((a.name, neighbour(a, b, error_m, known)))
-            elif neighbour(a, b, error_m, known).distance.nested:
+                pairs.append((a.name, neighbour(a, b, error_m, known, weight)))
+            elif neighbour(a, b, error_m, known, weight).distance.nested:
                 nested.append(sorted((a, b), key=lambda layout: layout.size))
         pairs.sort(key=lambda pair: pair[1].distance.rms_m)
         bad = [pair for pair in pairs if pair[1].confusable]

@@ -10,6 +10,7 @@ import typer
 
 from tagid.cli.common import enrolling
 from tagid.cli.common.frame import Terminal, command
+from tagid.config import load_config
 from tagid.errors import UsageError
 from tagid.result import Result
 
@@ -41,6 +42,15 @@ Mirror = Annotated[
     ),
 ]
 Seed = Annotated[int, typer.Option("--seed", help="Random seed of the search for the best set.")]
+AntennaHeights = Annotated[
+    str | None,
+    typer.Option(
+        "--heights",
+        metavar="H,H,...",
+        help="Antenna heights of every scan, metres; default: motion.antenna_heights.",
+        show_default=False,
+    ),
+]
 
 
 def register(app: typer.Typer) -> None:
@@ -59,6 +69,7 @@ def register(app: typer.Typer) -> None:
         spacing: Spacing = None,
         mirror: Mirror = None,
         seed: Seed = 0,
+        heights: AntennaHeights = None,
         alone: Annotated[bool, typer.Option("--alone", help="Ignore the enrolled layouts.")] = False,
         prefix: Annotated[
             str | None,
@@ -77,7 +88,7 @@ def register(app: typer.Typer) -> None:
         from tagid.cli.common.imaging import open_registry
         from tagid.tags.layouts.design import design as make
 
-        rules = rules_from(reflectors, slots, spacing, mirror, seed)
+        rules = rules_from(reflectors, slots, spacing, mirror, seed, heights)
         beside = [] if alone else open_registry().layouts()
         chosen = object_from(target, rows, radius, height)
         whole = chosen if radius else object_from(target, None, None, None, every_row=True)
@@ -99,6 +110,7 @@ def register(app: typer.Typer) -> None:
         spacing: Spacing = None,
         mirror: Mirror = None,
         seed: Seed = 0,
+        heights: AntennaHeights = None,
         error_rate: Annotated[
             float, typer.Option("--error-rate", help="Allowed rate of wrong identifications.")
         ] = 0.001,
@@ -113,7 +125,7 @@ def register(app: typer.Typer) -> None:
         """
         return _capacity(
             object_from(target, rows, radius, height),
-            [rules_from(k, slots, spacing, mirror, seed) for k in (2, 3, 4)],
+            [rules_from(k, slots, spacing, mirror, seed, heights) for k in (2, 3, 4)],
             sigma,
             error_rate,
         )
@@ -170,7 +182,12 @@ def object_from(
 
 
 def rules_from(
-    reflectors: int, slots: int, spacing: float | None, mirror: bool | None, seed: int
+    reflectors: int,
+    slots: int,
+    spacing: float | None,
+    mirror: bool | None,
+    seed: int,
+    heights: str | None = None,
 ) -> DesignRules:
     """Design rules of the command line. Raises UsageError."""
     from tagid.tags.layouts.design import REFLECTOR_M, DesignRules
@@ -181,6 +198,10 @@ def rules_from(
         REFLECTOR_M if spacing is None else spacing,
         mirror_counts=enrolling.direction_known() if mirror is None else mirror,
         seed=seed,
+        antenna_heights_m=(
+            enrolling.antenna_heights() if heights is None else enrolling.parse_antenna_heights(heights)
+        ),
+        axis_distance_m=load_config({})["motion.axis_distance_m"] or 1.0,
     )
 
 
@@ -199,7 +220,12 @@ def _designed(
     from tagid.tags.layouts.design import GHOST_M
 
     messages = []
-    refused = refusal(family, asked.beside, direction_known=enrolling.direction_known())
+    refused = refusal(
+        family,
+        asked.beside,
+        direction_known=enrolling.direction_known(),
+        height_weight=enrolling.height_weight(),
+    )
     remedy = "" if refused is None else asked.remedy()
     if refused is not None:
         messages.append(

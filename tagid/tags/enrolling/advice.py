@@ -20,11 +20,14 @@ _MOST = 2
 
 
 def refusal(
-    family: Family, enrolled: Sequence[Layout], *, direction_known: bool
+    family: Family, enrolled: Sequence[Layout], *, direction_known: bool, height_weight: float = 0.0
 ) -> LayoutConflictError | None:
     """Why enrolling a designed set would be refused; None where it would not."""
     try:
-        check_merge(family_outlooks(family.layouts, enrolled, direction_known=direction_known), enrolled)
+        found = family_outlooks(
+            family.layouts, enrolled, direction_known=direction_known, height_weight=height_weight
+        )
+        check_merge(found, enrolled)
     except LayoutConflictError as error:
         return error
     return None
@@ -81,4 +84,5 @@ def works(target: TaggedObject, rules: DesignRules, count: int, enrolled: Sequen
         family = design(target, rules, count, None, enrolled)
     except UsageError:
         return False
-    return refusal(family, enrolled, direction_known=rules.mirror_counts) is None
+    weight = rules.height_weight
+    return refusal(family, enrolled, direction_known=rules.mirror_counts, height_weight=weight) is None

@@ -16,7 +16,13 @@ from numpy.typing import NDArray
 from tagid.errors import LayoutConflictError, RegistryError
 from tagid.tags.bodies.signature import Signature
 from tagid.tags.layouts.capacity import Localisation, confusion_rate, reference
-from tagid.tags.layouts.codebook import CENTRE_TOLERANCE_M, CONFUSABLE_M, LayoutDistance, best_pairing
+from tagid.tags.layouts.codebook import (
+    CENTRE_TOLERANCE_M,
+    CONFUSABLE_M,
+    LayoutDistance,
+    best_pairing,
+    in_space,
+)
 from tagid.tags.layouts.layout import Layout, rotation_matrix
 
 MAX_CONFUSION = 1e-3
@@ -135,6 +141,7 @@ def outlook(
     others: Sequence[Layout],
     *,
     direction_known: bool = True,
+    height_weight: float = 0.0,
     place: Localisation | None = None,
     version: int = 0,
 ) -> Outlook:
@@ -144,6 +151,7 @@ def outlook(
         layout: new layout.
         others: layouts to compare with; one of the same name is ignored.
         direction_known: whether the direction of rotation is known; if not, mirror images are equivalent.
+        height_weight: what heights of reflectors count, see `codebook.height_weight`; 0: nothing.
         place: recording conditions whose localisation error sets the rates; None takes the reference for the
             layout's radius.
         version: registry version to store in the result.
@@ -153,7 +161,7 @@ def outlook(
     layout.check_room()
     place = place or reference(layout.radius_m)
     found = [
-        neighbour(layout, other, place.sigma_m, direction_known)
+        neighbour(layout, other, place.sigma_m, direction_known, height_weight)
         for other in others
         if other.name != layout.name
     ]
@@ -165,23 +173,27 @@ def _by_nearness(found: Sequence[Neighbour]) -> tuple[Neighbour, ...]:
     return tuple(sorted(found, key=lambda n: (not np.isfinite(n.distance.worst_m), n.nearness_m)))
 
 
-def neighbour(layout: Layout, other: Layout, sigma_m: float, direction_known: bool = True) -> Neighbour:
+def neighbour(
+    layout: Layout, other: Layout, sigma_m: float, direction_known: bool = True, height_weight: float = 0.0
+) -> Neighbour:
     """Distance and rate of confusion of two layouts; of the nearer mirror image if the direction is unknown.
 
     The two differ by a vector d in their 2K coordinates. A reading has an error of sigma per coordinate and
     the enrolled positions have covariance C. One is mistaken for the other if the total error along d exceeds
     half of |d|, with probability Q(|d| / 2 sqrt(sigma^2 + u' C u)), u = d / |d|.
     """
-    straight = _neighbour(layout, other, sigma_m, False)
+    straight = _neighbour(layout, other, sigma_m, False, height_weight)
     if direction_known:
         return straight
-    image = _neighbour(layout.mirrored(), other, sigma_m, True)
+    image = _neighbour(layout.mirrored(), other, sigma_m, True, height_weight)
     return image if image.nearness_m < straight.nearness_m - 1e-9 else straight
 
 
-def _neighbour(layout: Layout, other: Layout, sigma_m: float, mirrored: bool) -> Neighbour:
+def _neighbour(
+    layout: Layout, other: Layout, sigma_m: float, mirrored: bool, height_weight: float
+) -> Neighbour:
     small, large = (layout, other) if layout.size <= other.size else (other, layout)
-    pair = best_pairing(small.positions, large.positions, CENTRE_TOLERANCE_M)
+    pair = best_pairing(in_space(small, height_weight), in_space(large, height_weight), CENTRE_TOLERANCE_M)
     turn = float(np.rad2deg(pair.rotation_rad if small is layout else -pair.rotation_rad) % 360)
     if layout.size != other.size:
         return Neighbour(other.name, LayoutDistance(np.inf, np.inf, turn, pair.worst_m), np.nan, mirrored)
@@ -222,6 +234,7 @@ def enrol(
     *,
     force: bool = False,
     direction_known: bool = True,
+    height_weight: float = 0.0,
     signatures: Sequence[Signature] = (),
 ) -> Enrolment:
     """Add a layout to the store unless it could be confused with another.
@@ -232,6 +245,7 @@ def enrol(
         source: origin of the layout, for the history.
         force: enrol it despite a conflict, and replace one of the same name.
         direction_known: whether the direction of rotation is known.
+        height_weight: as of `outlook`.
         signatures: signatures of the same object, stored with it.
 
     Raises:
@@ -240,7 +254,9 @@ def enrol(
     """
     for _ in range(_TRIES):
         version, known = store.snapshot()
-        found = outlook(layout, known, direction_known=direction_known, version=version)
+        found = outlook(
+            layout, known, direction_known=direction_known, height_weight=height_weight, version=version
+        )
         conflict = found.conflict()
         if conflict and not force:
             raise conflict
@@ -251,7 +267,12 @@ def enrol(
 
 
 def family_outlooks(
-    layouts: Sequence[Layout], known: Sequence[Layout], *, direction_known: bool = True, version: int = 0
+    layouts: Sequence[Layout],
+    known: Sequence[Layout],
+    *,
+    direction_known: bool = True,
+    height_weight: float = 0.0,
+    version: int = 0,
 ) -> list[Outlook]:
     """The outlook of several layouts to be enrolled together, compared with each other and those enrolled.
 
@@ -260,7 +281,13 @@ def family_outlooks(
     names = {layout.name for layout in layouts}
     fixed = [layout for layout in known if layout.name not in names]
     found = [
-        outlook(one, [*fixed, *layouts[:i]], direction_known=direction_known, version=version)
+        outlook(
+            one,
+            [*fixed, *layouts[:i]],
+            direction_known=direction_known,
+            height_weight=height_weight,
+            version=version,
+        )
         for i, one in enumerate(layouts)
     ]
     # Each layout was compared with the earlier ones only; mirror those comparisons.
@@ -279,6 +306,7 @@ def merge(
     *,
     force: bool = False,
     direction_known: bool = True,
+    height_weight: float = 0.0,
     checked: int | None = None,
     signatures: Sequence[Signature] = (),
 ) -> int:
@@ -290,6 +318,7 @@ def merge(
         source: origin of the layouts, for the history.
         force: replace layouts of the same names, and accept layouts that could be confused.
         direction_known: whether the direction of rotation is known.
+        height_weight: as of `outlook`.
         checked: registry version for which `check_merge` has already passed.
         signatures: stored with the layouts.
 
@@ -299,7 +328,9 @@ def merge(
     for _ in range(_TRIES):
         version, enrolled = store.snapshot()
         if not force and version != checked:
-            found = family_outlooks(layouts, enrolled, direction_known=direction_known)
+            found = family_outlooks(
+                layouts, enrolled, direction_known=direction_known, height_weight=height_weight
+            )
             check_merge(found, enrolled)
         done = store.add_all(layouts, source, since=version, signatures=signatures)
         if done is not None:

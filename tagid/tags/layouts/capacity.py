@@ -14,7 +14,7 @@ import numpy as np
 
 from tagid.errors import UsageError
 from tagid.tags.layouts.cliques import RESTARTS, TIE_M, largest_clique, least_of
-from tagid.tags.layouts.design import MAX_COUNT, DesignRules, candidates, distance_matrix
+from tagid.tags.layouts.design import MAX_COUNT, DesignRules, candidates, distance_matrix, weighted
 from tagid.tags.layouts.objects import TaggedObject
 
 LEVELS = 24
@@ -137,7 +137,8 @@ class _Families:
     """The largest families of one object by minimum distance, each searched once."""
 
     def __init__(self, target: TaggedObject, rules: DesignRules) -> None:
-        points, _, _ = candidates(target, rules)
+        points, heights, _ = candidates(target, rules)
+        points = weighted(points, heights, rules)
         self.candidates = len(points)
         self.seed = rules.seed
         self.distance = distance_matrix(points, rules) if len(points) else np.zeros((0, 0))

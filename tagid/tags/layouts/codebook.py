@@ -5,7 +5,7 @@ A family of tags is rated by its minimum distance, as AprilTag families are by t
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import permutations
 from math import perm
@@ -51,12 +51,40 @@ class LayoutDistance:
         return self.nested_m < CONFUSABLE_M
 
 
+def height_weight(antenna_heights_m: Sequence[float], axis_distance_m: float) -> float:
+    """Displacement in the plane that changes the echoes as much as a height difference of 1 m does.
+
+    From an antenna at the height h and the distance D, a height difference s changes the range by -s h / D
+    and
+    what is equal at all antenna heights, which is lost in the phase of the echo: s std(h) / D in the mean
+    (RMS). A displacement s in the plane changes it by s / sqrt(2) in the mean over a turn. 0 for one antenna
+    height.
+
+    >>> round(height_weight([0.0, 0.2, 0.4], 1.0), 3)
+    0.231
+    """
+    return float(np.sqrt(2) * np.std(antenna_heights_m) / axis_distance_m)
+
+
+def in_space(layout: Layout, height_weight: float) -> NDArray[np.float64]:
+    """(K, 2) positions of a layout, or (K, 3) with its weighted heights if the weight is positive, m."""
+    if height_weight <= 0:
+        return layout.positions
+    return np.column_stack([layout.positions, height_weight * np.asarray(layout.heights)])
+
+
 def rotational_distance(
-    a: Layout, b: Layout, centre_tolerance_m: float = CENTRE_TOLERANCE_M
+    a: Layout, b: Layout, centre_tolerance_m: float = CENTRE_TOLERANCE_M, height_weight: float = 0.0
 ) -> LayoutDistance:
     """Smallest distance of two layouts over rotations, shifts up to the tolerance, and pairings.
 
-    Mirror images are distinct: an object is never seen from below.
+    Mirror images are distinct: an object is never seen from below. Heights are compared after the best common
+    shift, because the height of the object's plane is not known exactly.
+
+    Args:
+        a, b: the layouts.
+        centre_tolerance_m: longest shift, m.
+        height_weight: see `height_weight`; 0: heights do not distinguish layouts.
 
     >>> from tagid.tags.layouts.layout import builtin_layouts
     >>> b = builtin_layouts()
@@ -64,7 +92,7 @@ def rotational_distance(
     0.0
     """
     small, large = (a, b) if a.size <= b.size else (b, a)
-    pair = best_pairing(small.positions, large.positions, centre_tolerance_m)
+    pair = best_pairing(in_space(small, height_weight), in_space(large, height_weight), centre_tolerance_m)
     turn = float(np.rad2deg(pair.rotation_rad if small is a else -pair.rotation_rad) % 360)
     if a.size == b.size:
         return LayoutDistance(pair.rms_m, pair.worst_m, turn)
@@ -94,16 +122,27 @@ def best_pairing(
     """Rotation, shift (up to the tolerance) and pairing that best align points (K, 2) with (L, 2), L >= K.
 
     For few points every pairing is tried; otherwise each start rotation of a grid is refined by alternating
-    pairing and alignment.
+    pairing and alignment. Of points (K, 3) the third coordinate is compared after the best common shift.
     """
     if perm(len(large), len(small)) > MAX_PAIRINGS:
         return _nearest_pairing(small, large, tolerance_m)
     partners = np.array(list(permutations(range(len(large)), len(small))), dtype=np.intp)
-    rms, angle, shift = best_places(small[None], large[partners], tolerance_m)
+    rms, angle, shift = best_places(small[None, :, :2], large[partners][..., :2], tolerance_m)
+    risen = _risen(small[None], large[partners])
+    rms = np.sqrt(rms**2 + np.mean(risen**2, axis=-1))
     i = int(np.argmin(rms))
-    turned = small @ rotation_matrix(float(angle[i])).T + shift[i]
-    worst = float(np.linalg.norm(turned - large[partners[i]], axis=1).max())
+    turned = small[:, :2] @ rotation_matrix(float(angle[i])).T + shift[i]
+    apart = np.column_stack([turned - large[partners[i], :2], risen[i]])
+    worst = float(np.linalg.norm(apart, axis=1).max())
     return Pairing(float(rms[i]), worst, float(angle[i]), shift[i], partners[i])
+
+
+def _risen(points: NDArray[np.float64], partners: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(..., K) differences of the third coordinates after the best common shift; 0 of points in the plane."""
+    if points.shape[-1] == 2:
+        return np.zeros(np.broadcast_shapes(points.shape, partners.shape)[:-1])
+    apart = points[..., 2] - partners[..., 2]
+    return np.asarray(apart - apart.mean(axis=-1, keepdims=True))
 
 
 def best_places(
@@ -215,7 +254,7 @@ def all_distances(
     every pairing, so the limited shift is computed only where it could still be the smallest.
 
     Args:
-        points: (n, K, 2) m.
+        points: (n, K, 2) m, or (n, K, 3) with weighted heights, which are compared after a common shift.
         centre_tolerance_m: longest shift, m.
         mirrored: compare every layout with the mirror image of every other.
     """
@@ -234,7 +273,7 @@ def all_distances(
         a = slice(at, min(at + rows, n))
         cross = np.stack([centred[a].conj() @ image[at:, list(order)].T for order in orders]) / k
         own, other = mean[a, None], image_mean[None, at:]
-        both = energy[a, None] + energy[None, at:]
+        both = energy[a, None] + energy[None, at:] + _height_differences(points, a, orders)
         size = np.abs(cross)
         least = both - 2 * size
         shifted = np.abs(other - own * (cross / np.maximum(size, 1e-300)))
@@ -246,7 +285,7 @@ def all_distances(
         open_ = (least < square - 1e-15) & (by_shape > least + 1e-15)
         which, i, j = np.nonzero(open_)
         held = _held_turn(cross[which, i, j], mean[a][i], image_mean[at:][j], centre_tolerance_m)
-        value = both[i, j] + _misfit(
+        value = both[which, i, j] + _misfit(
             held, cross[which, i, j], mean[a][i], image_mean[at:][j], centre_tolerance_m
         )
         np.minimum.at(square, (i, j), value)
@@ -255,20 +294,40 @@ def all_distances(
     return out + out.T
 
 
+def _height_differences(
+    points: NDArray[np.float64], rows: slice, orders: Sequence[tuple[int, ...]]
+) -> NDArray[np.float64]:
+    """(orders, a, n - first) mean square differences of the heights of layouts `rows` from those that
+    follow."""
+    later = points[rows.start :]
+    if points.shape[-1] == 2:
+        return np.zeros((len(orders), len(points[rows]), len(later)))
+    own = points[rows, None, :, 2]
+    return np.stack(
+        [((d := own - later[None, :, list(o), 2]) ** 2).mean(-1) - d.mean(-1) ** 2 for o in orders]
+    )
+
+
 def _nearest_pairing(small: NDArray[np.float64], large: NDArray[np.float64], tolerance_m: float) -> Pairing:
     best: Pairing | None = None
     for rotation in np.arange(0, 2 * np.pi, _ROTATION_STEP_RAD):
-        angle, shift = float(rotation), np.zeros(2)
+        angle, shift, rise = float(rotation), np.zeros(2), 0.0
         for _ in range(4):
-            turned = small @ rotation_matrix(angle).T
-            gap = np.linalg.norm(turned[:, None] + shift - large[None], axis=2)
-            columns = least_assignment(gap**2)
-            rms, angles, shifts = best_places(small, large[columns], tolerance_m)
+            turned = small[:, :2] @ rotation_matrix(angle).T
+            square = np.sum((turned[:, None] + shift - large[None, :, :2]) ** 2, axis=2)
+            if small.shape[1] == 3:
+                square += (small[:, None, 2] - large[None, :, 2] - rise) ** 2
+            columns = least_assignment(square)
+            rms, angles, shifts = best_places(small[:, :2], large[columns, :2], tolerance_m)
+            if small.shape[1] == 3:
+                rise = float(np.mean(small[:, 2] - large[columns, 2]))
             angle, shift = float(angles), shifts
-        if best is None or rms < best.rms_m:
-            turned = small @ rotation_matrix(angle).T
-            worst = float(np.linalg.norm(turned + shift - large[columns], axis=1).max())
-            best = Pairing(float(rms), worst, angle, shift, columns)
+        risen = _risen(small, large[columns])
+        whole = float(np.sqrt(float(rms) ** 2 + np.mean(risen**2)))
+        if best is None or whole < best.rms_m:
+            turned = small[:, :2] @ rotation_matrix(angle).T
+            apart = np.column_stack([turned + shift - large[columns, :2], risen])
+            best = Pairing(whole, float(np.linalg.norm(apart, axis=1).max()), angle, shift, columns)
     assert best is not None
     return best
 

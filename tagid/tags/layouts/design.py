@@ -16,7 +16,14 @@ from numpy.typing import NDArray
 
 from tagid.errors import UsageError
 from tagid.tags.layouts.cliques import farthest_set
-from tagid.tags.layouts.codebook import CENTRE_TOLERANCE_M, CONFUSABLE_M, all_distances, best_pairing
+from tagid.tags.layouts.codebook import (
+    CENTRE_TOLERANCE_M,
+    CONFUSABLE_M,
+    all_distances,
+    best_pairing,
+    height_weight,
+    in_space,
+)
 from tagid.tags.layouts.layout import MAX_REFLECTORS, MIN_SPACING_M, Layout
 from tagid.tags.layouts.necklaces import necklaces, occupied
 from tagid.tags.layouts.objects import Row, TaggedObject
@@ -43,6 +50,9 @@ class DesignRules:
             rotation is unknown, because they then read the same.
         centre_tolerance_m: largest offset of an object from the axis; smaller shifts do not separate layouts.
         seed: random seed of the search for the best set.
+        antenna_heights_m: heights of the antenna above the object's plane at which every object is recorded;
+            with several, layouts may differ in the heights of their reflectors alone.
+        axis_distance_m: horizontal distance from the antenna to the axis, m.
     """
 
     reflectors: int = 3
@@ -52,6 +62,13 @@ class DesignRules:
     mirror_counts: bool = True
     centre_tolerance_m: float = CENTRE_TOLERANCE_M
     seed: int = 0
+    antenna_heights_m: tuple[float, ...] = (0.0,)
+    axis_distance_m: float = 1.0
+
+    @property
+    def height_weight(self) -> float:
+        """See `codebook.height_weight`."""
+        return height_weight(self.antenna_heights_m, self.axis_distance_m)
 
     def __post_init__(self) -> None:
         if not 2 <= self.reflectors <= MAX_REFLECTORS:
@@ -62,6 +79,10 @@ class DesignRules:
             )
         if not 0 <= self.seed < 1 << 63:
             raise UsageError(f"the seed is {self.seed}", "Give a whole number from 0, e.g. --seed 1.")
+        if not self.antenna_heights_m or not np.isfinite(self.antenna_heights_m).all():
+            raise UsageError("the antenna heights are not finite numbers", "Give metres, e.g. 0,0.15,0.3.")
+        if not (np.isfinite(self.axis_distance_m) and self.axis_distance_m > 0):
+            raise UsageError(f"the axis distance is {self.axis_distance_m} m", "Give a positive distance.")
         for name in ("spacing_m", "resolution_m", "centre_tolerance_m"):
             value = getattr(self, name)
             if not (np.isfinite(value) and 0 <= value <= 1):
@@ -117,9 +138,10 @@ def design(
     if not 1 <= count <= MAX_COUNT:
         raise UsageError(f"cannot design {count} layouts", f"Ask for 1 to {MAX_COUNT}.")
     points, heights, total = candidates(target, rules)
-    free = [i for i, p in enumerate(points) if not _taken(p, beside, rules)]
+    space = weighted(points, heights, rules)
+    free = [i for i, p in enumerate(space) if not _taken(p, beside, rules)]
     taken = len(points) - len(free)
-    points, heights = points[free], heights[free]
+    points, heights, space = points[free], heights[free], space[free]
     if len(points) < count:
         raise UsageError(
             f"{target.name} has room for {len(points)} layouts of {rules.reflectors} reflectors in "
@@ -128,7 +150,7 @@ def design(
             + f", not for {count}",
             "Ask for fewer.",
         )
-    distance = distance_matrix(points, rules)
+    distance = distance_matrix(space, rules)
     far = farthest_set(distance, count, np.random.default_rng(rules.seed))
     chosen = far.chosen
     set_name = _fingerprint(points[chosen], heights[chosen])
@@ -169,11 +191,14 @@ def candidates(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], int]:
     """Positions (n, K, 2) and heights (n, K), m, of the necklaces that meet the rules, and the number of all.
 
-    Rows of equal radius differ only in height, which a radar at object level cannot resolve: of words that
-    are equal in plan view, only the one with the widest spacing in space is kept.
+    Rows of equal radius differ only in height, which a radar at one height cannot resolve: of words that are
+    equal in plan view, only the one with the widest spacing in space is kept. With several antenna heights,
+    words count as equal only if their heights are, too, up to a common shift.
     """
     words = necklaces(rules.slots, rules.reflectors, len(target.rows), mirror_counts=rules.mirror_counts)
-    kept: dict[tuple[tuple[int, float], ...], tuple[float, NDArray[np.float64], NDArray[np.float64]]] = {}
+    kept: dict[
+        tuple[tuple[int, float, float], ...], tuple[float, NDArray[np.float64], NDArray[np.float64]]
+    ] = {}
     for word in words:
         beads = occupied(word)
         rows = [target.rows[colour] for _, colour in beads]
@@ -182,7 +207,7 @@ def candidates(
         space = _nearest(points, heights)
         if flat < rules.resolution_m - 1e-9 or space < rules.spacing_m - 1e-9:
             continue
-        seen = _from_above([slot for slot, _ in beads], rows, rules.slots)
+        seen = _seen([slot for slot, _ in beads], rows, rules)
         if seen not in kept or space > kept[seen][0] + 1e-9:
             kept[seen] = (space, points, heights)
     if not kept:
@@ -192,20 +217,37 @@ def candidates(
     return np.array(points_of), np.array(heights_of), len(words)
 
 
+def weighted(
+    points: NDArray[np.float64], heights: NDArray[np.float64], rules: DesignRules
+) -> NDArray[np.float64]:
+    """Positions (n, K, 2), with weighted heights as a third coordinate if these distinguish layouts, m."""
+    if rules.height_weight <= 0:
+        return points
+    return np.concatenate([points, rules.height_weight * heights[..., None]], axis=-1)
+
+
 def _taken(points: NDArray[np.float64], beside: Sequence[Layout], rules: DesignRules) -> bool:
-    images = (points,) if rules.mirror_counts else (points, points * np.array([1.0, -1.0]))
+    flip = np.array([1.0, -1.0, 1.0][: points.shape[1]])
+    images = (points,) if rules.mirror_counts else (points, points * flip)
+    weight = rules.height_weight
     return any(
-        best_pairing(image, other.positions, rules.centre_tolerance_m).worst_m < CONFUSABLE_M
+        best_pairing(image, in_space(other, weight), rules.centre_tolerance_m).worst_m < CONFUSABLE_M
         for other in beside
         if other.size == len(points)
         for image in images
     )
 
 
-def _from_above(slots: list[int], rows: list[Row], count: int) -> tuple[tuple[int, float], ...]:
-    """Canonical form of the plan view: the smallest rotation of (slot, radius)."""
+def _seen(slots: list[int], rows: list[Row], rules: DesignRules) -> tuple[tuple[int, float, float], ...]:
+    """Canonical form of what the radar resolves: the smallest rotation of (slot, radius, height).
+
+    Heights are relative to the lowest reflector, and 0 where they are not resolved.
+    """
+    lowest = min(row.height_m for row in rows)
+    shown = [round(row.height_m - lowest, 6) if rules.height_weight > 0 else 0.0 for row in rows]
+    beads = [(slot, row.radius_m, height) for slot, row, height in zip(slots, rows, shown, strict=True)]
     turned = [
-        tuple(sorted(((slot - first) % count, row.radius_m) for slot, row in zip(slots, rows, strict=True)))
+        tuple(sorted(((slot - first) % rules.slots, radius, height) for slot, radius, height in beads))
         for first in slots
     ]
     return min(turned)
@@ -226,7 +268,7 @@ def _nearest(points: NDArray[np.float64], heights: NDArray[np.float64]) -> float
 
 
 def distance_matrix(points: NDArray[np.float64], rules: DesignRules) -> NDArray[np.float64]:
-    """(n, n) rotational distances (RMS, m) of layouts (n, K, 2): see `codebook.all_distances`.
+    """(n, n) rotational distances (RMS, m) of layouts (n, K, 2 or 3): see `codebook.all_distances`.
 
     If mirror images read the same, the distance is the smaller one of both images.
 

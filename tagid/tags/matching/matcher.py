@@ -18,15 +18,17 @@ from tagid.signal import median
 from tagid.tags.bodies.hypothesis import Enrolled
 from tagid.tags.layouts.layout import Layout
 from tagid.tags.matching.contest import ContestSettings, bare_evidence, settle
+from tagid.tags.matching.heights import without_bodies
 from tagid.tags.matching.reading import LayoutScore, Reading
 from tagid.tags.reading.decision import PLACES_PER_METRE, DecisionSettings, Evidence, decide
 from tagid.tags.reading.field import MatchedField
-from tagid.tags.reading.hypotheses import Fit, SearchSettings, search
+from tagid.tags.reading.hypotheses import ELEVATION_RANGE_M, Fit, SearchSettings, search
 from tagid.tags.reading.reflectors import (
     FinderSettings,
     SearchDisc,
     as_reflectors,
     clean,
+    no_points,
     separate,
 )
 from tagid.tags.reading.rivals import rivals
@@ -83,6 +85,10 @@ def bare_score(scans: BasebandScans, layouts: Sequence[Layout]) -> float:
     return bare_evidence(scan.read(np.argsort(scan.criteria)), scan.scans, layouts, settings.contest)
 
 
+LEVEL_STEP_M = 8e-3
+"""Half a null radius of the point response, as the pixels of the disc are a third of it."""
+
+
 class MatchedScan:
     """One recording with the best place of every layout in it.
 
@@ -112,7 +118,11 @@ class MatchedScan:
         self._layouts = layouts
         self._enrolled = enrolled or Enrolled()
         self.scans = fold_views(scans, self._radius + 0.02)
-        self._field = MatchedField(self.scans, self._radius + 0.02)
+        heights = np.concatenate([np.asarray(layout.heights) for layout in layouts])
+        bounds = float(heights.min()) - ELEVATION_RANGE_M, float(heights.max()) + ELEVATION_RANGE_M
+        several = len(self.scans.aperture.height_groups()) > 1
+        self._field = MatchedField(self.scans, self._radius + 0.02, bounds if several else (0.0, 0.0))
+        self._discs = _levels(self._field, bounds) if several else None
         self._fits = search(self._field, layouts, settings.search)
         if not settings.direction_known:
             turned = search(self._field, [layout.mirrored() for layout in layouts], settings.search)
@@ -123,7 +133,12 @@ class MatchedScan:
         self.criteria = np.array([fit.criterion for fit in self._fits])
 
     def settled(self, bare: Reading) -> Reading:
-        """The reading without a body, or the one on a body where that explains the scans better."""
+        """The reading without a body, or the one on a body where that explains the scans better.
+
+        Views of several antenna heights are compared with bare tags only, see `matching.heights`.
+        """
+        if self._field.several_heights:
+            return without_bodies(bare, self._settings.contest)
         return settle(
             bare,
             self.scans,
@@ -138,9 +153,9 @@ class MatchedScan:
         settings, matched = self._settings, self._field
         ranked = [self._fits[i] for i in order]
         best, runner_up = ranked[0], ranked[1] if len(ranked) > 1 else None
-        disc = SearchDisc(matched, self._radius, settings.finder.step_m, best.look)
-        positions, amplitudes, level = clean(disc, best.positions, best.amplitudes, settings.finder)
-        apart = separate(positions, amplitudes, best.layout.size)
+        disc = SearchDisc(matched, self._radius, settings.finder.step_m, best.look, self._discs)
+        positions, amplitudes, level = clean(disc, best.points, best.amplitudes, settings.finder)
+        apart = separate(positions, amplitudes, best.layout.size, matched.height_scale)
         positions, amplitudes = positions[apart], amplitudes[apart]
         case = _Case(disc, best, runner_up, np.abs(amplitudes), level, self._places)
         evidence, measured = _evidence(case, settings)
@@ -151,9 +166,8 @@ class MatchedScan:
             positions = np.concatenate([measured, positions[named:]])
         else:
             # What was found without the layout: its own places would look like a measurement.
-            empty = np.zeros((0, 2)), np.zeros(0, dtype=np.complex128)
-            positions, amplitudes, level = clean(disc, *empty, settings.finder)
-            apart = separate(positions, amplitudes, 0)
+            positions, amplitudes, level = clean(disc, *no_points(disc), settings.finder)
+            apart = separate(positions, amplitudes, 0, matched.height_scale)
             positions, amplitudes = positions[apart], amplitudes[apart]
         signal = _signal_energy(matched, best, level)
         return Reading(
@@ -173,6 +187,16 @@ class MatchedScan:
             scores=tuple(_score(matched, fit, signal) for fit in ranked),
             evidence=evidence,
         )
+
+
+def _levels(matched: MatchedField, bounds_m: tuple[float, float]) -> NDArray[np.float64]:
+    """Heights of the discs in which free points are searched, m.
+
+    Their distance changes the echoes as much as LEVEL_STEP_M in the plane does, from which a free point still
+    finds its place.
+    """
+    count = int(np.clip(np.ceil((bounds_m[1] - bounds_m[0]) / (LEVEL_STEP_M * matched.height_scale)), 2, 12))
+    return np.linspace(*bounds_m, count)
 
 
 def _signal_energy(matched: MatchedField, fit: Fit, level: float) -> float:

@@ -53,6 +53,7 @@ class Reading:
         hypotheses: every hypothesis that was fitted, best first.
         bound: what `tags.false_accept` rests on; None where no calibration was asked.
         body: the fit on a body, where one was made; for pictures without the body.
+        note: what the reading did not consider; empty if nothing was left out.
     """
 
     status: str
@@ -74,6 +75,7 @@ class Reading:
     hypotheses: tuple[Explanation, ...] = ()
     bound: Bound | None = None
     body: BodyReading | None = None
+    note: str = ""
 
     @property
     def advice(self) -> str:

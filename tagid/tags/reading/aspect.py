@@ -41,7 +41,7 @@ class Aspect:
     def weight(
         self, antenna: NDArray[np.float64], points: NDArray[np.float64], facing: NDArray[np.float64]
     ) -> NDArray[np.float32] | None:
-        """(..., views) amplitudes of points (..., 2) with outward unit vectors (..., 2); None where uniform.
+        """(..., views) amplitudes of points (..., 2 or 3), outward unit vectors (..., 2); None where uniform.
 
         The antenna stands at `antenna` (views, 3), m. A facing of (0, 0) stands for no outward side.
         """
@@ -74,8 +74,8 @@ none behind with a hard edge at 114, 90 and 66 deg (proud of the wall, flush wit
 def outward(
     points: NDArray[np.float64], centre: NDArray[np.floating], no_side_m: float = NO_SIDE_M
 ) -> NDArray[np.float64]:
-    """(..., 2) unit vectors from the centre to points (..., 2), zero where nearer than `no_side_m`."""
-    away = points - np.asarray(centre)
+    """(..., 2) horizontal unit vectors from the centre to points (..., 2 or 3), zero within `no_side_m`."""
+    away = points[..., :2] - np.asarray(centre)
     gap = np.sqrt(away[..., :1] ** 2 + away[..., 1:] ** 2)
     return np.asarray(np.where(gap < no_side_m, 0.0, away / np.maximum(gap, 1e-12)))
 
@@ -95,11 +95,15 @@ class Appearance:
     offset_m: float = 0.0
 
     def templates(self, field: MatchedField, points: NDArray[np.float64]) -> NDArray[np.complex64]:
-        """(..., views * rank) templates of points (..., 2), m."""
+        """(..., views * rank) templates of points (..., 2) in the plane or (..., 3), m."""
         weight = self.aspect.weight(field.antenna, points, outward(points, self.centre_m))
-        return field.templates(field.distances(points) + self.offset_m, weight)
+        return field.templates(self._distances(field, points), weight)
 
     def fixed(self, field: MatchedField, points: NDArray[np.float64]) -> FixedPoints:
-        """The templates of many points (N, 2), m, in a form that needs little memory."""
+        """The templates of many points (N, 2 or 3), m, in a form that needs little memory."""
         weight = self.aspect.weight(field.antenna, points, outward(points, self.centre_m))
-        return field.fixed(field.distances(points) + self.offset_m, weight)
+        return field.fixed(self._distances(field, points), weight)
+
+    def _distances(self, field: MatchedField, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        heights = points[..., 2] if points.shape[-1] == 3 else 0.0
+        return field.distances(points[..., :2], heights) + self.offset_m

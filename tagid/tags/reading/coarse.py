@@ -86,9 +86,14 @@ class CoarseImage:
 
     @classmethod
     def of_each(
-        cls, field: MatchedField, radius_m: float, aspects: Sequence[Aspect], offsets_m: Sequence[float]
+        cls,
+        field: MatchedField,
+        radius_m: float,
+        aspects: Sequence[Aspect],
+        offsets_m: Sequence[float],
+        height_m: float = 0.0,
     ) -> list[CoarseImage]:
-        """The images for several patterns, which share the distances."""
+        """The images at a height, m, for several patterns, which share the distances."""
         disc = CoarseDisc.of(radius_m)
         points = disc.points
         parts: list[list[CoarseParts]] = []
@@ -97,7 +102,7 @@ class CoarseImage:
             some = points[at : at + size]
             facing = outward(some, np.zeros(2), COARSE_NO_SIDE_M)
             weights = [aspect.weight(field.antenna, some, facing) for aspect in aspects]
-            parts.append(field.coarse_parts(field.distances(some), weights, offsets_m))
+            parts.append(field.coarse_parts(field.distances(some, height_m), weights, offsets_m))
         return [
             cls(
                 disc,
@@ -109,13 +114,11 @@ class CoarseImage:
             for aspect, own in zip(aspects, zip(*parts, strict=True), strict=True)
         ]
 
-    def static_overlap(self, points: NDArray[np.float64]) -> NDArray[np.complex64]:
-        """(..., K, K) part of the Gram matrix that is constant over views, to the nearest pixel."""
+    def static_at(self, points: NDArray[np.float64]) -> NDArray[np.complex64]:
+        """(..., rank) static part of the templates at points (..., 2), to the nearest pixel."""
         index = np.rint(points / IMAGE_STEP_M).astype(np.int32) + self.half
         index = np.clip(index, 0, 2 * self.half)
-        static = self.static[index[..., 1], index[..., 0]]
-        overlap: NDArray[np.complex64] = np.matmul(static.conj(), np.swapaxes(static, -1, -2))
-        return overlap * self.views
+        return self.static[index[..., 1], index[..., 0]]
 
     def read(self, points: NDArray[np.float64]) -> NDArray[np.complex64]:
         """(offsets, ...) b at points (..., 2)."""
@@ -129,3 +132,18 @@ class CoarseImage:
         low = flat[:, base] * (1 - fx) + flat[:, base + 1] * fx
         high = flat[:, base + width] * (1 - fx) + flat[:, base + width + 1] * fx
         return np.asarray(low * (1 - fy) + high * fy)
+
+
+def static_overlap(rows: Sequence[CoarseImage], points: NDArray[np.float64]) -> NDArray[np.complex64]:
+    """(..., K, K) part of the Gram matrix of points (..., K, 2) that is constant over the views.
+
+    Args:
+        rows: the image at the height of each of the K points.
+        points: m.
+    """
+    if all(image is rows[0] for image in rows):
+        static = rows[0].static_at(points)
+    else:
+        static = np.stack([image.static_at(points[..., k, :]) for k, image in enumerate(rows)], axis=-2)
+    overlap: NDArray[np.complex64] = np.matmul(static.conj(), np.swapaxes(static, -1, -2))
+    return overlap * rows[0].views

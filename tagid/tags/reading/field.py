@@ -20,6 +20,7 @@ an error of 1 % at most and 0.5 % in the mean."""
 RANK_FLOOR = 1e-3
 """Range profiles of all points of an object span few dimensions (2 B L / c is 4 for 0.35 m at 1.7 GHz);
 singular values under this part of the largest are left out."""
+MAX_HEIGHT_SCALE = 10.0
 _BLOCK = 1 << 18
 
 
@@ -42,9 +43,14 @@ class RangeProfiles:
     wavenumber: float
 
     @classmethod
-    def of(cls, scans: BasebandScans, radius_m: float) -> RangeProfiles:
-        """The profiles for the radar of some scans. Raises DataError where these miss the object's range."""
-        least, greatest = scans.aperture.span(radius_m)
+    def of(
+        cls, scans: BasebandScans, radius_m: float, heights_m: tuple[float, float] = (0.0, 0.0)
+    ) -> RangeProfiles:
+        """The profiles of points within a radius and between two heights, m.
+
+        Raises DataError if the scans do not cover the object's range.
+        """
+        least, greatest = scans.aperture.span(radius_m, heights_m)
         near, far = float(least.min()), float(greatest.max())
         width = _effective_half_width(scans)
         ranges = scans.ranges_m
@@ -93,7 +99,10 @@ class CoarseParts:
     """Many points, for a coarse image.
 
     Attributes:
-        static: (points, rank) mean over the views of the whole template, which `templates` takes out.
+        static: (points, rank) mean over the views of the whole template, which `templates` subtracts. With
+            several antenna heights (points, heights * rank): the mean over the views of each height times the
+            square root of its share of the views, so that the inner product of two rows times the number of
+            views is what `templates` subtracts from their Gram matrix.
         images: (offsets, points) b.
     """
 
@@ -105,8 +114,9 @@ class MatchedField:
     """b(p) = <s_p, z> and G(p, q) = <s_p, s_q> for templates s_p[v, b] = g(R_b - d_v(p)) exp(-2jk d_v(p)).
 
     Given scans without a matched filter the noise is white and b is the maximum-likelihood statistic.
-    What is constant over the views is taken from the data and from the templates alike: static clutter is a
-    free unknown of the fit: a reflector near the axis loses most of its energy to it, and the fit knows.
+    What is constant over the views is subtracted from the data and from the templates alike: static clutter
+    is a free unknown of the fit, which a reflector near the axis loses most of its energy to. Views of
+    several antenna heights have one unknown for each height, because the room's echo depends on it.
 
     Templates are kept in an orthonormal basis of the range profiles that the object can give, found once by a
     singular value decomposition; some eight numbers a view stand for all range bins.
@@ -114,8 +124,14 @@ class MatchedField:
     Args:
         scans: baseband scans (views, bins).
         radius_m: largest distance from the axis that will be asked for, m.
+        heights_m: lowest and highest point that will be asked for, m.
 
     Attributes:
+        several_heights: whether the antenna stood at several heights, so that heights of points show.
+        height_scale: height difference that changes the echoes as much as 1 m in the plane, 1 to
+            MAX_HEIGHT_SCALE. A displacement s in the plane changes the range by s / sqrt(2) in the mean over
+            a turn (RMS), a height difference s by s std(h) / D over antenna heights h at the distance D; what
+            is constant over all views is lost in the phase of the echo.
         data: (views * rank,) complex64, the scans in the basis, without what is constant over the views.
         energy: sum |z|^2 of the bins that the radius can reach.
         template_energy: ||s_p||^2 of a point inside, before its constant part is taken out.
@@ -123,15 +139,22 @@ class MatchedField:
         noise_variance: variance of b(p) / ||s_p|| from noise alone, 0 where unknown.
     """
 
-    def __init__(self, scans: BasebandScans, radius_m: float) -> None:
+    def __init__(
+        self, scans: BasebandScans, radius_m: float, heights_m: tuple[float, float] = (0.0, 0.0)
+    ) -> None:
         self.antenna = scans.aperture.positions
         self._antennas = scans.aperture.antennas
         self.wavenumber = scans.wavenumber
         self.radius_m = radius_m
-        range_profiles = RangeProfiles.of(scans, radius_m)
+        range_profiles = RangeProfiles.of(scans, radius_m, heights_m)
+        self._groups = scans.aperture.height_groups()
+        self.several_heights = len(self._groups) > 1
+        heights, away = self.antenna[:, 2], np.hypot(self.antenna[:, 0], self.antenna[:, 1])
+        lever = float(np.sqrt(2) * heights.std() / max(away.mean(), 1e-9))
+        self.height_scale = float(np.clip(1 / max(lever, 1e-9), 1.0, MAX_HEIGHT_SCALE))
         keep = range_profiles.keep
         z = scans.samples[:, keep]
-        z = z - z.mean(axis=0)
+        z = self.without_static(z) if self.several_heights else z - z.mean(axis=0)
         self.energy = float(np.sum(np.abs(z.astype(np.complex128)) ** 2))
         if not self.energy > 0:
             raise DataError("the scans are zero over the whole object", "Check the radar's antenna cables.")
@@ -172,8 +195,18 @@ class MatchedField:
         The weight (..., views) is their amplitude in each view, 1 unless given.
         """
         whole = self._whole(distances, weight)
-        whole -= _mean_over_views(whole)
+        whole = self.without_static(whole)
         return whole.reshape(*distances.shape[:-1], self.data.size)
+
+    def without_static(self, rows: NDArray[np.complex64]) -> NDArray[np.complex64]:
+        """Rows (..., views, n) minus their mean over the views of each antenna height, in place."""
+        if not self.several_heights:
+            rows -= _mean_over_views(rows)
+            return rows
+        for views in self._groups:
+            some = rows[..., views, :]
+            rows[..., views, :] = some - some.mean(axis=-2, keepdims=True)
+        return rows
 
     def _whole(
         self, distances: NDArray[np.float64], weight: NDArray[np.float32] | None
@@ -215,7 +248,7 @@ class MatchedField:
             weights: (N, views) amplitudes in each view, or None for 1.
             offsets_m: the distances are longer by each of them.
         """
-        rank, count = self._profiles.shape[1], len(distances)
+        rank, count = self._profiles.shape[1] * len(self._groups), len(distances)
         found = [
             CoarseParts(
                 np.empty((count, rank), dtype=np.complex64),
@@ -231,7 +264,7 @@ class MatchedField:
             turns = [turn if weight is None else turn * weight[here] for weight in weights]
             profiles = self._profiles.take(self._range.index(d), axis=0, mode="clip")
             for parts, each in zip(found, turns, strict=True):
-                parts.static[here] = np.matmul(each[:, None], profiles)[:, 0]
+                parts.static[here] = self._static(each, profiles)
             for i, offset in enumerate(offsets_m):
                 seen = _read(self._table, self._range.index(d + offset))
                 for parts, each in zip(found, turns, strict=True):
@@ -241,6 +274,16 @@ class MatchedField:
             parts.static[:] /= self.views
             parts.images[:] *= turned
         return found
+
+    def _static(self, turns: NDArray[np.complex64], profiles: NDArray[np.complex64]) -> NDArray[np.complex64]:
+        """`CoarseParts.static` times the number of views, of turns (n, views), profiles (n, views, rank)."""
+        if not self.several_heights:
+            return np.matmul(turns[:, None], profiles)[:, 0]
+        parts = [
+            np.matmul(turns[:, None, views], profiles[:, views])[:, 0] * np.sqrt(self.views / len(views))
+            for views in self._groups
+        ]
+        return np.concatenate(parts, axis=1).astype(np.complex64)
 
     def fixed(self, distances: NDArray[np.float64], weight: NDArray[np.float32] | None = None) -> FixedPoints:
         """Points (N, views) whose templates are needed again and again, without the memory of all of them."""
@@ -273,7 +316,10 @@ class FixedPoints:
         """(N,) <s_p, data> of data (views * rank,)."""
         # Without what is constant over the views: then the templates' constant parts need not be formed.
         rows = data.reshape(self._field.views, -1)
-        rows = rows - rows.mean(axis=0)
+        if self._field.several_heights:
+            rows = self._field.without_static(rows.copy())
+        else:
+            rows = rows - rows.mean(axis=0)
         table = np.ascontiguousarray(rows @ self._field._profiles.conj().T)
         out = np.empty(len(self._index), dtype=np.complex128)
         size = max(1, _BLOCK // self._field.views)
@@ -289,8 +335,7 @@ class FixedPoints:
         for at in range(0, len(self._index), size):
             whole = profiles.take(self._index[at : at + size], axis=0, mode="clip")
             whole *= self._turn[at : at + size, :, None]
-            whole -= _mean_over_views(whole)
-            yield whole.reshape(len(whole), -1)
+            yield self._field.without_static(whole).reshape(len(whole), -1)
 
 
 def _read(table: NDArray[np.complex64], index: NDArray[np.int32]) -> NDArray[np.complex64]:

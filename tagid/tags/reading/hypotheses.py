@@ -6,7 +6,7 @@ templates, because three degrees are 6 mm at a helmet's rim and decide between l
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from tagid.signal import median
 from tagid.tags.layouts.layout import Layout, rotation_matrix
 from tagid.tags.reading.aspect import PATTERNS, ROUND, TRANSPARENT, Appearance, Aspect, outward
-from tagid.tags.reading.coarse import CoarseImage
+from tagid.tags.reading.coarse import CoarseImage, static_overlap
 from tagid.tags.reading.field import MatchedField
 
 ALIKE = 0.25
@@ -29,6 +29,9 @@ FINISHED = 6
 REACH_NATS, REACH_SHARE = 15.0, 0.4
 """The hopeless lack so many nats and this share of the best's energy: the coarse grid costs up to a quarter,
 the runner-up matters within the decision's margins, and noise gains some nats."""
+ELEVATION_RANGE_M, ELEVATION_STEP_M = 0.03, 0.015
+"""The height of the object's plane is searched within so much of the given one, and the first step of it,
+where antennas at several heights show it."""
 FULLY_VISIBLE = 0.5
 """Visibility from which an amplitude is taken as measured."""
 
@@ -66,8 +69,9 @@ class Fit:
     Attributes:
         layout: which.
         aspect: from which sides its reflectors are seen.
-        place: (4,) counter-clockwise turn about the layout's origin, where that lies in x and y, and range
-            offset: measured distances are this much longer than the aperture says; rad, m.
+        place: (4,) counter-clockwise rotation about the layout's origin, x and y of that origin, and range
+            offset: measured distances are this much longer than the aperture says; rad, m. With several
+            antenna heights (5,): also the height of the object's plane, m.
         positions: (K, 2) reflectors, m.
         amplitudes: (K,) complex least-squares amplitudes.
         sizes: (K,) their magnitudes, see `visible_sizes`.
@@ -102,6 +106,19 @@ class Fit:
     def offset_m(self) -> float:
         """The range offset, m."""
         return float(self.place[3])
+
+    @property
+    def elevation_m(self) -> float:
+        """Height of the object's plane, m; 0 where one antenna height does not show it."""
+        return float(self.place[4]) if len(self.place) > 4 else 0.0
+
+    @property
+    def points(self) -> NDArray[np.float64]:
+        """(K, 2) positions of the reflectors, or (K, 3) with their heights where these show, m."""
+        if len(self.place) == 4:
+            return self.positions
+        heights = np.asarray(self.layout.heights) + self.elevation_m
+        return np.column_stack([self.positions, heights])
 
     @property
     def look(self) -> Appearance:
@@ -188,17 +205,21 @@ def search(field: MatchedField, layouts: Sequence[Layout], settings: SearchSetti
     All layouts are refined a little, and only those that may still win or come second to the end.
     """
     reach = max(layout.radius_m for layout in layouts) + settings.centre_range_m * np.sqrt(2)
-    images = CoarseImage.of_each(field, reach, settings.aspects, settings.offsets_m)
-    coarse = [[_coarse_starts(field, layout, image, settings) for image in images] for layout in layouts]
+    levels = sorted({_level(field, height) for layout in layouts for height in np.asarray(layout.heights)})
+    at_level = [
+        CoarseImage.of_each(field, reach, settings.aspects, settings.offsets_m, level) for level in levels
+    ]
+    images = [dict(zip(levels, each, strict=True)) for each in zip(*at_level, strict=True)]
+    coarse = [[_coarse_starts(field, layout, rows, settings) for rows in images] for layout in layouts]
     most = max(score for found in coarse for _, score in found)
     begun: list[list[Fit]] = []
     for layout, found in zip(layouts, coarse, strict=True):
         fits = []
-        for image, (starts, score) in zip(images, found, strict=True):
+        for aspect, (starts, score) in zip(settings.aspects, found, strict=True):
             places = starts
             if score >= (1 - REACH_SHARE) * most - REACH_NATS * field.noise_variance:
-                places = _refine(field, layout, image.aspect, starts, settings, range(BEGINNING))
-            fits.append(_best_fit(field, layout, image.aspect, places, settings.balance))
+                places = _refine(field, layout, aspect, starts, settings, range(BEGINNING))
+            fits.append(_best_fit(field, layout, aspect, places, settings.balance))
         begun.append(fits)
     least = min(fit.criterion for fits in begun for fit in fits)
     leaders = sorted(min(fit.criterion for fit in fits) for fits in begun)[:FINISHED]
@@ -264,24 +285,29 @@ class CoarseGrid:
         return cls(rotations, shifts, placed)
 
     def energies(
-        self, coarse: CoarseImage, full_gram: NDArray[np.complex128], template_energy: float, balance: float
+        self,
+        coarse: CoarseImage | Sequence[CoarseImage],
+        full_gram: NDArray[np.complex128],
+        template_energy: float,
+        balance: float,
     ) -> NDArray[np.float64]:
         """(offsets, A, S) energy that each hypothesis explains, charged for unlike amplitudes.
 
         Args:
-            coarse: where b is read.
+            coarse: where b is read; with several antenna heights, the image at each reflector's height.
             full_gram: (A, K, K) of the templates at the turntable's axis, their constant parts included.
             template_energy: as of `MatchedField`.
             balance: see `SearchSettings`.
         """
         size = self.placed.shape[1]
+        rows = [coarse] * size if isinstance(coarse, CoarseImage) else coarse
         points = self.placed[:, None] + self.shifts[None, :, None]
-        gram = full_gram[:, None] - coarse.static_overlap(points)
+        gram = full_gram[:, None] - static_overlap(rows, points)
         visibility = np.real(np.diagonal(gram, axis1=-2, axis2=-1)) / template_energy
         load = 1e-2 * template_energy * np.eye(size)
         inverse = np.moveaxis(np.linalg.inv(gram + load).astype(np.complex64), (-2, -1), (0, 1)).copy()
         # The reflectors lead, so that sums over them run along the memory.
-        b = np.stack([coarse.read(points[..., k, :]) for k in range(size)])
+        b = np.stack([rows[k].read(points[..., k, :]) for k in range(size)])
         amplitudes = np.stack([sum(inverse[k, j] * b[j] for j in range(size)) for k in range(size)])
         explained = np.maximum(sum((b[k].conj() * amplitudes[k]).real for k in range(size)), 0)
         trust = np.minimum(np.moveaxis(visibility, -1, 0)[:, None] / FULLY_VISIBLE, 1.0).astype(np.float32)
@@ -291,22 +317,30 @@ class CoarseGrid:
         return charge(explained, seen, balance, axis=0)
 
 
+def _level(field: MatchedField, height_m: float) -> float:
+    """Height of the coarse image in which a reflector is read: 0 for all where heights do not show, m."""
+    return round(float(height_m), 3) if field.several_heights else 0.0
+
+
 def _coarse_starts(
-    field: MatchedField, layout: Layout, coarse: CoarseImage, settings: SearchSettings
+    field: MatchedField, layout: Layout, images: Mapping[float, CoarseImage], settings: SearchSettings
 ) -> tuple[NDArray[np.float64], float]:
-    """(starts, 4) rotation, x, y, offset of the best distinct places, and the charged energy of the best."""
+    """(starts, 4 or 5) best distinct places, as of `Fit.place`, and the charged energy of the best."""
     grid = CoarseGrid.of(layout, settings)
     rotations, shifts, placed = grid.rotations, grid.shifts, grid.placed
-    weight = coarse.aspect.weight(field.antenna, placed, outward(placed, np.zeros(2)))
-    gram = field.full_gram(field.distances(placed), weight)
-    scores = grid.energies(coarse, gram, field.template_energy, settings.balance)
-    starts: list[tuple[float, float, float, float]] = []
+    levels = np.array([_level(field, height) for height in np.asarray(layout.heights)])
+    rows = [images[level] for level in levels]
+    weight = rows[0].aspect.weight(field.antenna, placed, outward(placed, np.zeros(2)))
+    gram = field.full_gram(field.distances(placed, levels), weight)
+    scores = grid.energies(rows, gram, field.template_energy, settings.balance)
+    starts: list[tuple[float, ...]] = []
+    elevation = (0.0,) if field.several_heights else ()
     best = scores.max(axis=2)
     most = float(best.max())
     for _ in range(settings.starts):
         i, a = divmod(int(np.argmax(best)), best.shape[1])
         s = int(np.argmax(scores[i, a]))
-        starts.append((rotations[a], shifts[s, 0], shifts[s, 1], settings.offsets_m[i]))
+        starts.append((rotations[a], shifts[s, 0], shifts[s, 1], settings.offsets_m[i], *elevation))
         gap = np.abs(np.angle(np.exp(1j * (rotations - rotations[a]) * layout.symmetry))) / layout.symmetry
         best[:, gap < np.deg2rad(8)] = -1
     return np.array(starts), most
@@ -320,10 +354,13 @@ def _rotation_step(layout: Layout, settings: SearchSettings) -> float:
 def _evaluate(
     field: MatchedField, layout: Layout, aspect: Aspect, places: NDArray[np.float64], balance: float
 ) -> Values:
-    """Exact templates at places (H, 4) of rotation, x, y and offset."""
+    """Exact templates at places (H, 4 or 5), as of `Fit.place`."""
     turned = np.swapaxes(rotation_matrix(places[:, 0]), -1, -2)
     points = layout.positions @ turned + places[:, None, 1:3]
-    d = field.distances(points, np.asarray(layout.heights))
+    heights = np.broadcast_to(np.asarray(layout.heights), points.shape[:-1])
+    if places.shape[1] > 4:
+        heights = heights + places[:, 4, None]
+    d = field.distances(points, heights)
     facing = outward(layout.positions, np.zeros(2)) @ turned
     templates = field.templates(d + places[:, 3, None, None], aspect.weight(field.antenna, points, facing))
     b, gram = field.correlate(templates), field.gram(templates)
@@ -336,7 +373,7 @@ def _evaluate(
 def _best_fit(
     field: MatchedField, layout: Layout, aspect: Aspect, places: NDArray[np.float64], balance: float
 ) -> Fit:
-    """The best of places (H, 4)."""
+    """The best of places (H, 4 or 5)."""
     value = _evaluate(field, layout, aspect, places, balance)
     criteria = criterion(field, value, aspect)
     i = int(np.argmin(criteria))
@@ -363,7 +400,7 @@ def _refine(
     settings: SearchSettings,
     rounds: range,
 ) -> NDArray[np.float64]:
-    """(H, 4) places after parabolic steps along every coordinate of all starts at once, on exact templates.
+    """(H, 4 or 5) places after parabolic steps along every coordinate of all starts at once.
 
     The steps shrink with every round; `rounds` says which of them are taken.
     """
@@ -372,17 +409,21 @@ def _refine(
     high = np.array([np.inf, settings.centre_range_m, settings.centre_range_m, settings.offsets_m[-1] + gap])
     step = np.array([_rotation_step(layout, settings), settings.centre_step_m, settings.centre_step_m, gap])
     places = starts.copy()
-    unit = np.eye(4)
+    count = places.shape[1]
+    if count > 4:
+        low, high = np.append(low, -ELEVATION_RANGE_M), np.append(high, ELEVATION_RANGE_M)
+        step = np.append(step, ELEVATION_STEP_M)
+    unit = np.eye(count)
 
     def charged(at: NDArray[np.float64]) -> NDArray[np.float64]:
         return _evaluate(field, layout, aspect, at, settings.balance).charged
 
     for turn in rounds:
         now = step * 0.5 * 0.6**turn
-        stencil = np.concatenate([np.zeros((1, 4)), unit * now, -unit * now])
+        stencil = np.concatenate([np.zeros((1, count)), unit * now, -unit * now])
         trial = np.clip(places[:, None] + stencil[None], low, high)
-        value = charged(trial.reshape(-1, 4)).reshape(len(places), 9)
-        middle, plus, minus = value[:, :1], value[:, 1:5], value[:, 5:]
+        value = charged(trial.reshape(-1, count)).reshape(len(places), 2 * count + 1)
+        middle, plus, minus = value[:, :1], value[:, 1 : count + 1], value[:, count + 1 :]
         bend = 2 * middle - plus - minus
         slope = (plus - minus) / 2
         with np.errstate(divide="ignore", invalid="ignore"):

@@ -41,6 +41,7 @@ class Reflector:
         amplitude_db: relative to the strongest reflector found, dB.
         snr_db: energy over the level of noise and clutter, dB.
         matched: whether it belongs to the layout that was read.
+        z_m: height above the object's plane, m; None where one antenna height does not show it.
     """
 
     x_m: float
@@ -49,6 +50,7 @@ class Reflector:
     amplitude_db: float
     snr_db: float
     matched: bool = False
+    z_m: float | None = None
 
 
 @dataclass(frozen=True)
@@ -71,9 +73,28 @@ class FinderSettings:
 
 
 class SearchDisc:
-    """b on the pixels of a disc, and its residual after some points have been subtracted."""
+    """b on the pixels of a disc, and its residual after some points have been subtracted.
 
-    def __init__(self, field: MatchedField, radius_m: float, step_m: float, look: Appearance) -> None:
+    Args:
+        field: matched field of the scans.
+        radius_m, step_m: radius and pixel of the disc, m.
+        look: how a point looks.
+        heights_m: (levels,) heights of the discs where the antenna stood at several; None: the plane z = 0.
+
+    Attributes:
+        points: (n, 2) pixels, or (n, 3) with their heights, m.
+        fixed: templates of the pixels.
+        image: (n,) b of the pixels.
+    """
+
+    def __init__(
+        self,
+        field: MatchedField,
+        radius_m: float,
+        step_m: float,
+        look: Appearance,
+        heights_m: NDArray[np.float64] | None = None,
+    ) -> None:
         half = int(np.ceil(radius_m / step_m))
         axis = np.arange(-half, half + 1) * step_m
         x, y = np.meshgrid(axis, axis)
@@ -82,7 +103,12 @@ class SearchDisc:
         self.radius_m = radius_m
         self.step_m = step_m
         self.look = look
+        self.heights_m = heights_m
         self.points = np.stack([x[inside], y[inside]], axis=-1)
+        if heights_m is not None:
+            plane, levels = self.points, len(heights_m)
+            heights = np.repeat(heights_m, len(plane))
+            self.points = np.column_stack([np.tile(plane, (levels, 1)), heights])
         self.fixed = look.fixed(field, self.points)
         self.image = self.fixed.correlate(field.data)
 
@@ -110,31 +136,32 @@ class SearchDisc:
 def refine_positions(
     field: MatchedField, positions: NDArray[np.float64], look: Appearance, reach_m: float = 12e-3
 ) -> tuple[NDArray[np.float64], NDArray[np.complex128], float]:
-    """Free least-squares positions (K, 2), m, within +- `reach_m` of the start; amplitudes; explained energy.
+    """Free least-squares positions (K, 2 or 3), m, near the start; amplitudes; explained energy.
 
     Takes a parabolic step in all coordinates jointly if that improves the fit, else in the single best
-    coordinate.
+    coordinate. Positions stay within +- `reach_m` of the start, heights within `height_scale` times as much.
     """
     start = positions
-    k = len(positions)
+    k, axes = positions.shape
     places = positions.copy()
-    unit = np.eye(2 * k).reshape(2 * k, k, 2)
-    step = 2e-3
+    unit = np.eye(axes * k).reshape(axes * k, k, axes)
+    rise = np.array([1.0, 1.0, field.height_scale][:axes])
+    unit, reach, step = unit * rise, reach_m * rise, 2e-3
 
     def explained(points: NDArray[np.float64]) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
         templates = look.templates(field, points)
         return least_squares(field.correlate(templates), field.gram(templates))
 
     for _ in range(6):
-        trial = places + np.concatenate([np.zeros((1, k, 2)), unit * step, -unit * step])
-        trial = np.clip(trial, start - reach_m, start + reach_m)
+        trial = places + np.concatenate([np.zeros((1, k, axes)), unit * step, -unit * step])
+        trial = np.clip(trial, start - reach, start + reach)
         value = explained(trial)[1]
-        plus, minus = value[1 : 2 * k + 1], value[2 * k + 1 :]
+        plus, minus = value[1 : axes * k + 1], value[axes * k + 1 :]
         bend = 2 * value[0] - plus - minus
         slope = (plus - minus) / 2
         jump = np.where(bend > 0, slope / np.where(bend > 0, bend, 1), np.sign(slope))
-        joint = places + np.clip(jump, -2, 2).reshape(k, 2) * step
-        joint = np.clip(joint, start - reach_m, start + reach_m)
+        joint = places + np.clip(jump, -2, 2).reshape(k, axes) * rise * step
+        joint = np.clip(joint, start - reach, start + reach)
         best = int(np.argmax(value))
         places = joint if explained(joint[None])[1][0] >= value[best] else trial[best]
         step *= 0.7
@@ -161,8 +188,12 @@ def clean(
 
 def clean_steps(disc: SearchDisc, settings: FinderSettings) -> list[float]:
     """Energy that 1, 2, ... points explain, starting from none, all refined freely after each is added."""
-    empty = np.zeros((0, 2)), np.zeros(0, dtype=np.complex128)
-    return [energy for *_, energy in _added(disc, *empty, disc.image.copy(), settings)]
+    return [energy for *_, energy in _added(disc, *no_points(disc), disc.image.copy(), settings)]
+
+
+def no_points(disc: SearchDisc) -> tuple[NDArray[np.float64], NDArray[np.complex128]]:
+    """No positions (0, 2 or 3) and amplitudes, from which `clean` begins where nothing is known."""
+    return np.zeros((0, disc.points.shape[1])), np.zeros(0, dtype=np.complex128)
 
 
 def _added(
@@ -201,15 +232,17 @@ def _polish(
 
 
 def separate(
-    positions: NDArray[np.float64], amplitudes: NDArray[np.complex128], given: int
+    positions: NDArray[np.float64], amplitudes: NDArray[np.complex128], given: int, height_scale: float = 1.0
 ) -> NDArray[np.intp]:
-    """Indices of the first `given` points and of those at least MIN_SPACING_M from every stronger one kept.
+    """Indices of the first `given` points and of those that no stronger one kept is near to.
+
+    The least distance is MIN_SPACING_M, see `distances_between`.
 
     The residual that a reflector's aspect pattern leaves resembles a second point a few millimetres away.
     """
     kept = list(range(given))
     for i in given + np.argsort(-np.abs(amplitudes[given:])):
-        gap = np.linalg.norm(positions[kept] - positions[i], axis=1)
+        gap = distances_between(positions[kept], positions[i], height_scale)
         if not kept or gap.min() >= MIN_SPACING_M:
             kept.append(int(i))
     return np.array(kept, dtype=np.intp)
@@ -228,15 +261,26 @@ def as_reflectors(
     power = np.maximum(np.abs(amplitudes) ** 2, 1e-30)
     return tuple(
         Reflector(
-            float(x),
-            float(y),
+            float(place[0]),
+            float(place[1]),
             complex(a),
             float(10 * np.log10(p / power.max())),
             float(10 * np.log10(p * template_energy / level)),
             i < matched,
+            float(place[2]) if len(place) == 3 else None,
         )
-        for i, ((x, y), a, p) in enumerate(zip(positions, amplitudes, power, strict=True))
+        for i, (place, a, p) in enumerate(zip(positions, amplitudes, power, strict=True))
     )
+
+
+def distances_between(
+    points: NDArray[np.float64], other: NDArray[np.float64], height_scale: float
+) -> NDArray[np.float64]:
+    """(...) distance of points (..., 2 or 3), m; heights count 1 / `height_scale` (see `MatchedField`)."""
+    away = points - other
+    if away.shape[-1] == 3:
+        away = away / np.array([1.0, 1.0, height_scale])
+    return np.asarray(np.linalg.norm(away, axis=-1))
 
 
 def find_reflectors(scans: BasebandScans, settings: FinderSettings | None = None) -> tuple[Reflector, ...]:

@@ -14,8 +14,21 @@ from numpy.typing import NDArray
 from tagid.tags.layouts.layout import MIN_SPACING_M
 from tagid.tags.reading.aspect import TRANSPARENT
 from tagid.tags.reading.field import MatchedField
-from tagid.tags.reading.hypotheses import ALIKE, Fit, SearchSettings, least_squares, visible_sizes
-from tagid.tags.reading.reflectors import FinderSettings, SearchDisc, clean_steps, refine_positions
+from tagid.tags.reading.hypotheses import (
+    ALIKE,
+    ELEVATION_RANGE_M,
+    Fit,
+    SearchSettings,
+    least_squares,
+    visible_sizes,
+)
+from tagid.tags.reading.reflectors import (
+    FinderSettings,
+    SearchDisc,
+    clean_steps,
+    distances_between,
+    refine_positions,
+)
 from tagid.tags.reading.uneven import UnevenFit
 
 
@@ -33,7 +46,7 @@ class Rivals:
         displacement_m: RMS distance of the freely fitted reflectors from the layout's positions.
         sizes: (K,) magnitudes of the layout's reflectors, from the uneven fit.
         outward: see `Evidence`.
-        positions: (K, 2) freely fitted positions of the layout's reflectors, m.
+        positions: (K, 2) freely fitted positions of the layout's reflectors, m; (K, 3) where heights show.
     """
 
     gain_nats: float
@@ -64,7 +77,7 @@ def rivals(disc: SearchDisc, best: Fit, noise: float, search: SearchSettings) ->
     if not best.aspect.uniform:
         # Another object need not be opaque too, nor have its axis at the layout's centre.
         plain = replace(disc.look, aspect=TRANSPARENT)
-        clear = SearchDisc(matched, disc.radius_m, disc.step_m, plain)
+        clear = SearchDisc(matched, disc.radius_m, disc.step_m, plain, disc.heights_m)
         energy = np.maximum(energy, _free_energies(clear, best)[0])
         further = max(further, _further(clear, best, uneven))
     each = max(best.explained / noise / size, 1.0)
@@ -77,7 +90,7 @@ def rivals(disc: SearchDisc, best: Fit, noise: float, search: SearchSettings) ->
         gain_nats=float(energy[size]) / noise - even if even >= less_charged else beyond,
         further_nats=beyond,
         odds_nats=float(own - free.max()),
-        displacement_m=rigid_distance(moved, best.positions),
+        displacement_m=rigid_distance(moved, best.points, matched.height_scale),
         sizes=visible_sizes(uneven.sizes.astype(np.complex128), best.visibility),
         outward=uneven.outward,
         positions=moved,
@@ -86,20 +99,20 @@ def rivals(disc: SearchDisc, best: Fit, noise: float, search: SearchSettings) ->
 
 def _further(disc: SearchDisc, best: Fit, uneven: UnevenFit) -> float:
     """Largest energy that one additional point explains beyond the uneven fit."""
-    gap = np.linalg.norm(disc.points[:, None] - best.positions[None], axis=-1).min(axis=1)
+    gap = distances_between(disc.points[:, None], best.points[None], disc.field.height_scale).min(axis=1)
     return float(np.where(gap > MIN_SPACING_M, uneven.gains(disc.field, disc.fixed.templates()), 0.0).max())
 
 
 def _free_energies(disc: SearchDisc, best: Fit) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(K + 1,) energies that 1 to K + 1 free points explain, and the freely fitted positions (K, 2), m."""
+    """(K + 1,) energies that 1 to K + 1 free points explain, and the freely fitted positions (K, 2 or 3)."""
     matched, size = disc.field, best.layout.size
-    own = disc.look.templates(matched, best.positions)
+    own = disc.look.templates(matched, best.points)
     amplitudes, _ = least_squares(matched.correlate(own), matched.gram(own))
-    gap = np.linalg.norm(disc.points[:, None] - best.positions[None], axis=-1).min(axis=1)
-    power = np.abs(disc.residual(best.positions, amplitudes)) ** 2
+    gap = distances_between(disc.points[:, None], best.points[None], matched.height_scale).min(axis=1)
+    power = np.abs(disc.residual(best.points, amplitudes)) ** 2
     peak = disc.points[int(np.argmax(np.where(gap > MIN_SPACING_M, power, 0.0)))]
-    moved, _, freed = refine_positions(matched, best.positions, disc.look)
-    more = refine_positions(matched, np.concatenate([best.positions, peak[None]]), disc.look)[2]
+    moved, _, freed = refine_positions(matched, best.points, disc.look)
+    more = refine_positions(matched, np.concatenate([best.points, peak[None]]), disc.look)[2]
     only = FinderSettings(maximum=size + 1, floor_db=-30.0, detection_nats=0.0)
     energy = np.zeros(size + 1)
     for count, step in enumerate(clean_steps(disc, only)):
@@ -120,26 +133,45 @@ def _amplitude_cost(each: float) -> float:
 
 
 def _point_cost(matched: MatchedField, disc: SearchDisc, each: float) -> float:
-    """Nats: the disc's area over that of a point's error, plus the cost of its amplitude."""
-    area = len(disc.points) * disc.step_m**2
+    """Nats: the disc's area over that of a point's error, plus the cost of its amplitude.
+
+    With several antenna heights also the range of heights over the error of a height.
+    """
+    levels = 1 if disc.heights_m is None else len(disc.heights_m)
+    area = len(disc.points) / levels * disc.step_m**2
     place = np.log1p(area / (2 * np.pi * _place_variance(matched, each)))
-    return float(place) + _amplitude_cost(each)
+    rise = 0.0 if disc.heights_m is None else float(np.ptp(disc.heights_m))
+    return float(place) + _height_cost(matched, rise, each) + _amplitude_cost(each)
+
+
+def _height_cost(matched: MatchedField, range_m: float, each: float) -> float:
+    """Nats: a range of heights over the error of a height measured with `each` nats."""
+    variance = _place_variance(matched, each) * matched.height_scale**2
+    return float(np.log1p(range_m / np.sqrt(2 * np.pi * variance)))
 
 
 def _layout_cost(matched: MatchedField, best: Fit, each: float, search: SearchSettings) -> float:
-    """Nats: the ranges of rotation and centre over their errors, plus the cost of the amplitudes."""
+    """Nats: the ranges of rotation, centre and elevation over their errors, plus that of the amplitudes."""
     variance = _place_variance(matched, each)
     lever = float(np.sum(best.layout.positions**2))
     turn = np.log1p(2 * np.pi / best.layout.symmetry / np.sqrt(2 * np.pi * variance / lever))
     area = np.pi * search.centre_range_m**2
     centre = np.log1p(area / (2 * np.pi * variance / best.layout.size))
-    return float(turn + centre) + best.layout.size * _amplitude_cost(each)
+    rise = 2 * ELEVATION_RANGE_M if matched.several_heights else 0.0
+    elevation = _height_cost(matched, rise, each * best.layout.size)
+    return float(turn + centre) + elevation + best.layout.size * _amplitude_cost(each)
 
 
-def rigid_distance(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
-    """RMS distance, m, of points (K, 2), paired in order, after the best rotation and shift (Kabsch 1976)."""
+def rigid_distance(a: NDArray[np.float64], b: NDArray[np.float64], height_scale: float = 1.0) -> float:
+    """RMS distance, m, of points (K, 2), paired in order, after the best rotation and shift (Kabsch 1976).
+
+    Heights of points (K, 3) are compared after the best common shift, and count 1 / `height_scale`.
+    """
     a = a - a.mean(axis=0)
     b = b - b.mean(axis=0)
     turn = np.angle(np.sum((a[:, 0] + 1j * a[:, 1]).conj() * (b[:, 0] + 1j * b[:, 1])))
     turned = (a[:, 0] + 1j * a[:, 1]) * np.exp(1j * turn)
-    return float(np.sqrt(np.mean(np.abs(turned - (b[:, 0] + 1j * b[:, 1])) ** 2)))
+    square = np.abs(turned - (b[:, 0] + 1j * b[:, 1])) ** 2
+    if a.shape[1] == 3:
+        square = square + ((a[:, 2] - b[:, 2]) / height_scale) ** 2
+    return float(np.sqrt(np.mean(square)))

@@ -10,10 +10,14 @@ from dataclasses import replace
 
 import numpy as np
 
+from tagid.geometry import Aperture
+from tagid.imaging.preprocess import select_views
 from tagid.imaging.types import BasebandScans
 
 GUARD_ORDERS = 10
 """Bessel functions J_m(x) fall below 1 % within about ten orders above m = x, for x up to 50."""
+SAME_DISTANCE_M = 1e-3
+"""Positions whose distances from the axis differ by less lie on one circle."""
 BAND_MARGIN = 1.25
 """Ratio of the highest frequency of the band to the carrier: 4.8 / 3.95 GHz, rounded up."""
 
@@ -22,13 +26,15 @@ def fold_views(scans: BasebandScans, radius_m: float) -> BasebandScans:
     """Full turns with many views, resampled to one turn of the fewest uniform views that represent a disc.
 
     An angular low-pass filter (flat up to 2 k r plus a guard, cosine taper above) is applied to the views,
-    weighted by the gap to their neighbours. Scans with few views, gaps or free positions are returned
-    unchanged.
+    weighted by the gap to their neighbours. Antenna positions on circles at several heights are resampled
+    circle by circle. Scans with few views, gaps or other positions are returned unchanged.
 
     Args:
         scans: (views, bins) scans of a turntable aperture.
         radius_m: radius of the disc around the axis that must be preserved, m.
     """
+    if scans.aperture.angles is None:
+        return _fold_heights(scans, radius_m)
     angles, distance = scans.aperture.angles, scans.aperture.axis_distance
     passed = int(np.ceil(2 * BAND_MARGIN * scans.wavenumber * radius_m)) + GUARD_ORDERS
     count = 2 * passed + GUARD_ORDERS
@@ -55,4 +61,27 @@ def fold_views(scans: BasebandScans, radius_m: float) -> BasebandScans:
         aperture=scans.aperture.turned(new, distance),
         noise_std=scans.noise_std * gain,
         independent_samples=scans.independent_samples * share,
+    )
+
+
+def _fold_heights(scans: BasebandScans, radius_m: float) -> BasebandScans:
+    """Turns at several antenna heights, each folded; the scans unchanged if a height is not a circle."""
+    aperture = scans.aperture
+    groups = aperture.height_groups()
+    if len(groups) < 2 or aperture.half_baseline is not None:
+        return scans
+    parts = []
+    for views in groups:
+        x, y, z = aperture.positions[views].T
+        away = np.hypot(x, y)
+        if np.ptp(away) > SAME_DISTANCE_M:
+            return scans
+        circle = Aperture.turntable(-np.arctan2(y, x), float(away.mean()), float(z.mean()))
+        parts.append(fold_views(select_views(scans, views).with_aperture(circle), radius_m))
+    return replace(
+        scans,
+        samples=np.concatenate([part.samples for part in parts]),
+        aperture=Aperture(np.concatenate([part.aperture.positions for part in parts])),
+        noise_std=float(np.sqrt(np.mean([part.noise_std**2 for part in parts]))),
+        independent_samples=sum(part.independent_samples for part in parts),
     )

@@ -1,0 +1,399 @@
+"""Analysis through synthesis in three dimensions: a neural field on a 3-D grid, fitted to scans of several
+heights.
+
+The field starts as the backprojection, and only voxels that this shows bright are fitted, so that time and
+memory follow the object and not the volume. The model is that of `tagid.imaging.ats.fit` without calibration:
+sigma(p) = network(grid features at p), y = A sigma, loss = |y - measured|^2 / |measured|^2 + l sum |sigma|.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tagid.errors import UsageError
+from tagid.geometry import VolumeGrid
+from tagid.imaging.lengths import finest_cell_m
+from tagid.imaging.memory import require_memory
+from tagid.imaging.operator import ForwardOperator
+from tagid.imaging.sparse import column_norm
+from tagid.imaging.types import BasebandScans
+from tagid.imaging.volume import Progress, Volume, backproject_volume, vertical_resolution_m
+
+if TYPE_CHECKING:
+    from scipy import sparse
+
+Array = NDArray[np.float32]
+
+_BETA1, _BETA2, _EPSILON, _SMALLEST = 0.9, 0.95, 0.1, 1e-20
+"""Adam's, as in the plane (`tagid.imaging.ats.fit`)."""
+_SHARPENED = 3.0
+"""A point gets so much brighter than backprojection shows it, once it is sharp: the scale of the output."""
+_MEAN_OVER = 0.3
+"""Part of the steps, at the end, whose mean is the result."""
+_MOST_SHRUNK = 2.0
+"""The prior may make the field darker by this factor at most, which is undone."""
+_TABLE_INIT, _REST = 1e-2, 0.3
+"""Random features beside the first image, and what is left of the network's random output weights."""
+_PASSED = ((0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0))
+"""Feature and sign of the hidden units that pass the first image on, as positive and negative parts."""
+_CELLS_PER_RESOLUTION = 2.0
+"""Cells of the finest level per vertical resolution, as in the plane per null radius of the point
+response."""
+_MAGNITUDE_FLOOR = 1e-2
+_SAMPLE_VIEWS = 1500
+"""Views from which scales and the first image are computed; more would not change them."""
+_SEED_SHARE = 0.35
+"""Part of the progress that the backprojection takes."""
+
+
+@dataclass(frozen=True)
+class VolumeFitSettings:
+    """Parameters of `fit_volume`.
+
+    Attributes:
+        steps: optimisation steps.
+        learning_rate, decay: Adam's rate, and what is left of it after all steps.
+        l1: weight of the sparsity prior, as a fraction of the weight at which the volume would be zero.
+        noise_factor: the weight is never less than this times the standard deviation of A^H noise.
+        views_per_step: largest number of views of one step.
+        active_share: voxels under this share of the backprojection's maximum stay zero.
+        most_active: largest number of voxels that are fitted, the brightest ones.
+        levels, features, coarsest: resolutions of the grid, features of each, cells per side of the coarsest.
+        width: units of the hidden layer.
+        seed: of the initial weights.
+    """
+
+    steps: int = 80
+    learning_rate: float = 0.06
+    decay: float = 0.2
+    l1: float = 0.03
+    noise_factor: float = 3.0
+    views_per_step: int = 400
+    active_share: float = 0.1
+    most_active: int = 200_000
+    levels: int = 6
+    features: int = 2
+    coarsest: int = 6
+    width: int = 16
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        for name in ("steps", "views_per_step", "most_active", "levels", "features", "coarsest", "width"):
+            if not 1 <= getattr(self, name) <= 10**6:
+                raise UsageError(f"volume setting {name} is {getattr(self, name)}", "Give 1 to 1000000.")
+        for name in ("learning_rate", "decay", "l1", "noise_factor", "active_share"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value >= 0):
+                raise UsageError(f"volume setting {name} is {value}", "Give zero or more.")
+
+
+def fit_volume(
+    matched: BasebandScans,
+    scans: BasebandScans,
+    grid: VolumeGrid,
+    settings: VolumeFitSettings | None = None,
+    progress: Progress | None = None,
+) -> Volume:
+    """Reconstruct a volume by analysis through synthesis.
+
+    Args:
+        matched: baseband scans with matched filter, for the backprojection that seeds the fit.
+        scans: the same without, which the field is fitted to.
+        grid: voxels.
+        settings: see `VolumeFitSettings`.
+        progress: called with (done, total, remark).
+
+    Raises:
+        UsageError: the volume or the fit would not fit into memory.
+    """
+    settings = settings or VolumeFitSettings()
+
+    def part(begin: float, end: float) -> Callable[[float, float, str], None]:
+        def report(done: float, total: float, remark: str) -> None:
+            if progress is not None:
+                progress(begin + (end - begin) * done / max(total, 1), 1.0, remark)
+
+        return report
+
+    first = backproject_volume(matched, grid, part(0, _SEED_SHARE))
+    values, facts = _Fit(scans, grid, settings, np.abs(first.values).ravel()).run(part(_SEED_SHARE, 1))
+    shape = (grid.levels, grid.square.pixels, grid.square.pixels)
+    return Volume(values.reshape(shape), grid, {"method": "ats", **asdict(settings), **facts})
+
+
+class _Fit:
+    """One fit from set-up to result.
+
+    Args:
+        scans: without matched filter.
+        grid: voxels.
+        settings: see there.
+        bright: (voxels,) magnitude of the backprojection.
+    """
+
+    def __init__(
+        self,
+        scans: BasebandScans,
+        grid: VolumeGrid,
+        settings: VolumeFitSettings,
+        bright: NDArray[np.floating],
+    ) -> None:
+        self.scans, self.grid, self.settings = scans, grid, settings
+        self.active = _active(bright, settings)
+        per_voxel = 4 * (
+            8 * 2 * settings.levels + 6 * settings.width + 4 * settings.levels * settings.features
+        )
+        require_memory(
+            per_voxel * len(self.active) + 16 * grid.voxels,
+            f"fits of {len(self.active):,} voxels",
+            "Use fewer pixels (--pixels) or levels (--levels).",
+        )
+        rng = np.random.default_rng(settings.seed)
+        views = scans.aperture.views
+        self.order = rng.permutation(views)
+        self.sample = np.sort(self.order[: min(views, _SAMPLE_VIEWS)])
+
+    def run(self, progress: Progress) -> tuple[NDArray[np.complex64], dict[str, float]]:
+        """(voxels,) complex64 values, and the facts of the fit."""
+        out = np.zeros(self.grid.voxels, dtype=np.complex64)
+        energy = float(np.vdot(self.scans.samples, self.scans.samples).real)
+        if not len(self.active) or energy == 0:
+            return out, {"steps_done": 0, "active_voxels": 0}
+        points = _points(self.grid, self.active)
+        operator = ForwardOperator(self.scans, points)
+        whole = self.scans.aperture.views / len(self.sample)
+        some, data = operator.select(self.sample), self.scans.samples[self.sample]
+        back = some.adjoint(data) * np.float32(whole)
+        peak = float(np.abs(back).max())
+        seen = some.forward(back)
+        step = float(np.vdot(seen, data).real / max(float(np.vdot(seen, seen).real), 1e-300))
+        floor = self.settings.noise_factor * self.scans.noise_std * column_norm(self.scans)
+        weight = min(max(self.settings.l1 * peak, floor), 0.5 * peak)
+        scale = _SHARPENED * step * peak
+        field = self._field(scale, step, whole)
+        mean, losses = self._optimise(field, operator, energy, 2 * weight / energy, progress)
+        found = mean.evaluate(mean.layers()[-1])
+        seen = some.forward(found)
+        power = float(np.vdot(seen, seen).real)
+        factor = float(np.vdot(seen, data).real) / power if power > 0 else 1.0
+        out[self.active] = found * np.float32(np.clip(factor, 1.0, _MOST_SHRUNK))
+        return out, {"steps_done": len(losses), "active_voxels": len(self.active), "loss": losses[-1]}
+
+    def _field(self, scale: float, step: float, whole: float) -> Field:
+        """The field that carries the backprojection."""
+        settings, grid = self.settings, self.grid
+        cells = _cells(self.scans, grid, settings)
+        axes = [_axes(grid, each) for each in cells]
+        vertices = np.stack([part.ravel() for part in np.meshgrid(*axes[-1][::-1], indexing="ij")], axis=1)
+        some = ForwardOperator(self.scans, vertices[:, ::-1]).select(self.sample)
+        back = some.adjoint(self.scans.samples[self.sample])
+        first = back * np.complex64(step * whole / scale)
+        points = _points(grid, self.active)
+        at = [_interpolation(points, each) for each in axes]
+        return Field.carrying(first, at, scale, settings)
+
+    def _optimise(
+        self, field: Field, operator: ForwardOperator, energy: float, sparsity: float, progress: Progress
+    ) -> tuple[Field, list[float]]:
+        """All steps; the mean field over the last of them, and the losses."""
+        settings, views = self.settings, self.scans.aperture.views
+        count = min(settings.views_per_step, views)
+        stride = max(1, round(views / count))
+        mean, since, losses = field, 0, list[float]()
+        for step in range(settings.steps):
+            chosen = np.sort(self.order[step % stride :: stride])
+            data = self.scans.samples[chosen]
+            some = operator.select(chosen)
+            layers = field.layers()
+            sigma = field.evaluate(layers[-1])
+            left = some.forward(sigma) - data
+            share = views / len(chosen) / energy
+            magnitude = np.sqrt(np.abs(sigma) ** 2 + np.float32((field.scale * _MAGNITUDE_FLOOR) ** 2))
+            losses.append(share * float(np.vdot(left, left).real) + sparsity * float(magnitude.sum()))
+            slope = np.float32(2 * share) * some.adjoint(left) + np.float32(sparsity) * sigma / magnitude
+            rate = settings.learning_rate * settings.decay ** (step / settings.steps)
+            field.descend(layers, slope, rate, step + 1)
+            if step + 1 > settings.steps * (1 - _MEAN_OVER):
+                since += 1
+                mean = field.copy() if since == 1 else mean.mixed(field, 1 / since)
+            progress(step + 1, settings.steps, "")
+        return (mean if since else field), losses
+
+
+class Field:
+    """A network over features on grids of several resolutions, at the active voxels.
+
+    Args:
+        tables: one (features, vertices) array per level.
+        weights, biases: (out, in) and (out, 1) of both layers.
+        at: one (voxels, vertices) interpolation per level.
+        scale: factor of the output.
+    """
+
+    def __init__(
+        self,
+        tables: list[Array],
+        weights: list[Array],
+        biases: list[Array],
+        at: list[sparse.csr_array[np.float32]],
+        scale: float,
+    ) -> None:
+        self.parameters = [*tables, *weights, *biases]
+        self.levels, self.at, self.scale = len(tables), at, scale
+        self._first = [np.zeros_like(each) for each in self.parameters]
+        self._second = [np.zeros_like(each) for each in self.parameters]
+
+    @classmethod
+    def carrying(
+        cls,
+        first: NDArray[np.complexfloating],
+        at: list[sparse.csr_array[np.float32]],
+        scale: float,
+        settings: VolumeFitSettings,
+    ) -> Field:
+        """A field whose output is a first image, beside random features.
+
+        Args:
+            first: (vertices,) image at the vertices of the finest level, relative to the scale.
+            at: interpolation of every level.
+            scale: of the output.
+            settings: sizes and seed.
+        """
+        rng = np.random.default_rng(settings.seed)
+
+        def uniform(bound: float, *size: int) -> Array:
+            return ((rng.random(size, dtype=np.float32) * 2 - 1) * np.float32(bound)).astype(np.float32)
+
+        features, width = max(settings.features, 2), max(settings.width, len(_PASSED))
+        tables = [uniform(_TABLE_INIT, features, each.shape[1]) for each in at]
+        inputs, peak = features * len(at), float(np.abs(first).max(initial=1e-30))
+        hidden, output = uniform(inputs**-0.5, width, inputs), uniform(width**-0.5, 2, width)
+        output *= np.float32(_REST)
+        biases = [uniform(inputs**-0.5, width, 1), np.zeros((2, 1), np.float32)]
+        tables[-1][0] += (first.real / peak).astype(np.float32)
+        tables[-1][1] += (first.imag / peak).astype(np.float32)
+        for row, (part, sign) in enumerate(_PASSED):
+            hidden[row], biases[0][row], output[:, row] = 0, 0, 0
+            hidden[row, inputs - features + part] = sign
+            output[part, row] = sign * peak
+        # What the biases alone give is an echo of the whole volume.
+        biases[1][:] = -output @ np.maximum(biases[0], 0)
+        return cls(tables, [hidden, output], biases, at, scale)
+
+    def layers(self) -> list[Array]:
+        """Features, hidden layer and output, each (units, voxels)."""
+        tables, (hidden, output) = self.parameters[: self.levels], self._weights
+        features = np.concatenate([(at @ table.T).T for at, table in zip(self.at, tables, strict=True)])
+        middle = np.maximum(hidden @ features + self.parameters[-2], 0)
+        return [features, middle, output @ middle + self.parameters[-1]]
+
+    def evaluate(self, output: Array) -> NDArray[np.complex64]:
+        """(voxels,) reflectivity of the network's output (2, voxels)."""
+        return np.asarray((output[0] + 1j * output[1]) * np.float32(self.scale), dtype=np.complex64)
+
+    def descend(
+        self, layers: list[Array], slope: NDArray[np.complexfloating], rate: float, step: int
+    ) -> None:
+        """One step of Adam along the gradient by the reflectivity (voxels,), a complex number re + j im."""
+        hidden, output = self._weights
+        by_output = np.stack([slope.real, slope.imag]).astype(np.float32) * np.float32(self.scale)
+        by_middle = (output.T @ by_output) * (layers[1] > 0)
+        by_features = hidden.T @ by_middle
+        count = len(by_features) // self.levels
+        gradients: list[Array] = [
+            np.asarray((at.T @ by_features[level * count : (level + 1) * count].T).T, dtype=np.float32)
+            for level, at in enumerate(self.at)
+        ]
+        gradients += [by_middle @ layers[0].T, by_output @ layers[1].T]
+        gradients += [by_middle.sum(axis=1, keepdims=True), by_output.sum(axis=1, keepdims=True)]
+        moved = zip(self.parameters, gradients, self._first, self._second, strict=True)
+        for parameter, gradient, first, second in moved:
+            first += np.float32(1 - _BETA1) * (gradient - first)
+            second += np.float32(1 - _BETA2) * (gradient * gradient - second)
+            size = np.sqrt(second / np.float32(1 - _BETA2**step))
+            ahead = np.float32(rate / (1 - _BETA1**step)) * first
+            parameter -= ahead / (size + np.float32(_EPSILON) * size.max() + np.float32(_SMALLEST))
+
+    def copy(self) -> Field:
+        """A field with the same parameters, which may be changed."""
+        return self.mixed(self, 0.0)
+
+    def mixed(self, other: Field, share: float) -> Field:
+        """Parameters (1 - share) of this field and share of the other's."""
+        pairs = zip(self.parameters, other.parameters, strict=True)
+        mixed = [a + np.float32(share) * (b - a) for a, b in pairs]
+        cut = self.levels
+        return Field(mixed[:cut], mixed[cut : cut + 2], mixed[cut + 2 :], self.at, self.scale)
+
+    @property
+    def _weights(self) -> list[Array]:
+        return self.parameters[self.levels : self.levels + 2]
+
+
+def _active(bright: NDArray[np.floating], settings: VolumeFitSettings) -> NDArray[np.intp]:
+    """Numbers of the voxels that are fitted, rising."""
+    top = float(bright.max(initial=0.0))
+    if top == 0:
+        return np.zeros(0, dtype=np.intp)
+    found = np.flatnonzero(bright >= settings.active_share * top)
+    if len(found) > settings.most_active:
+        order = np.argpartition(bright[found], len(found) - settings.most_active)
+        found = np.sort(found[order[-settings.most_active :]])
+    return np.asarray(found, dtype=np.intp)
+
+
+def _points(grid: VolumeGrid, voxels: NDArray[np.intp]) -> NDArray[np.float64]:
+    """(n, 3) centres of some voxels, m."""
+    level, row, column = np.unravel_index(voxels, (grid.levels, grid.square.pixels, grid.square.pixels))
+    axis = grid.square.axis
+    return np.column_stack([axis[column], axis[row], grid.heights[level]])
+
+
+def _cells(scans: BasebandScans, grid: VolumeGrid, settings: VolumeFitSettings) -> list[tuple[int, int]]:
+    """(cells across, cells upwards) of every level, coarse to fine: half a resolution at the finest."""
+    across = max(1, min(grid.square.pixels, round(grid.square.extent / finest_cell_m(scans.wavelength_m))))
+    rise = (grid.top - grid.bottom) * _CELLS_PER_RESOLUTION / vertical_resolution_m(scans)
+    up = int(np.clip(round(rise), 1, grid.levels))
+    series = np.geomspace(min(settings.coarsest, across), across, settings.levels)
+    if settings.levels == 1:
+        series = np.array([float(across)])
+    return [(int(n), max(1, round(up * n / across))) for n in np.floor(series + 1e-9)]
+
+
+def _axes(grid: VolumeGrid, cells: tuple[int, int]) -> tuple[NDArray[np.float64], ...]:
+    """Vertices along x, y and z of a level, m."""
+    half = grid.square.extent / 2
+    across = np.linspace(-half, half, cells[0] + 1)
+    return across, across, np.linspace(grid.bottom, grid.top, cells[1] + 1)
+
+
+def _interpolation(
+    points: NDArray[np.float64], axes: tuple[NDArray[np.float64], ...]
+) -> sparse.csr_array[np.float32]:
+    """(points, vertices) trilinear weights of points (n, 3); vertices in (z, y, x) order."""
+    from scipy import sparse
+
+    corners, parts = [], []
+    for axis, along in zip(axes, points.T, strict=True):
+        place = np.clip((along - axis[0]) / (axis[1] - axis[0]), 0, len(axis) - 1)
+        corner = np.minimum(place.astype(np.int32), len(axis) - 2)
+        corners.append(corner)
+        parts.append((place - corner).astype(np.float32))
+    sizes = [len(axis) for axis in axes]
+    index = np.empty((len(points), 8), dtype=np.int32)
+    weight = np.empty((len(points), 8), dtype=np.float32)
+    for number, steps in enumerate(itertools.product((0, 1), repeat=3)):
+        x, y, z = (corner + step for corner, step in zip(corners, steps, strict=True))
+        index[:, number] = (z * sizes[1] + y) * sizes[0] + x
+        weight[:, number] = np.prod(
+            [part if step else 1 - part for part, step in zip(parts, steps, strict=True)], axis=0
+        )
+    starts = np.arange(0, index.size + 1, 8, dtype=np.int32)
+    shape = (len(points), sizes[0] * sizes[1] * sizes[2])
+    return sparse.csr_array((weight.ravel(), index.ravel(), starts), shape=shape)

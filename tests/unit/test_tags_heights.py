@@ -1,0 +1,178 @@
+"""Reflectors at several heights: what the antenna's height does to an echo, and how the reader uses it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+import pytest
+
+from tagid.capture import Capture
+from tagid.geometry import Aperture
+from tagid.imaging.preprocess import PreprocessSettings, preprocess
+from tagid.pipeline.identify import identify
+from tagid.pipeline.join import join
+from tagid.pipeline.prepared import PreparedCapture, prepare
+from tagid.tags.layouts.capacity import capacity
+from tagid.tags.layouts.codebook import all_distances, height_weight, in_space, rotational_distance
+from tagid.tags.layouts.design import DesignRules, design
+from tagid.tags.layouts.layout import Layout
+from tagid.tags.layouts.objects import Row, TaggedObject
+from tagid.tags.matching.contest import ContestSettings
+from tagid.tags.matching.heights import without_bodies
+from tagid.tags.reading.field import MatchedField
+from tagid.tags.reading.views import fold_views
+from tests.unit.imaging_scenes import record, turn
+
+PLAN = np.array([[0.1, 0.0], [-0.02, 0.08], [-0.05, -0.09]])
+HEIGHTS = (0.0, 0.1, 0.2)
+UP = Layout("up", PLAN, heights=np.array([0.0, 0.06, 0.0]))
+DOWN = Layout("down", PLAN, heights=np.array([0.0, -0.06, 0.0]))
+OTHER = Layout("other", PLAN, heights=np.array([0.06, 0.0, 0.0]))
+FLAT = Layout("flat", PLAN)
+ALL = [UP, DOWN, OTHER, FLAT]
+OBJECT = TaggedObject("two-rows", "other", (Row(0.1), Row(0.1, 0.06)))
+
+
+def scan(layout: Layout, heights: tuple[float, ...], raised: float = 0.0, views: int = 36) -> Capture:
+    """A turn at 20 dB from each height, of the layout rotated by 40 degrees, with a room at each height."""
+    c, s = np.cos(0.7), np.sin(0.7)
+    plane = layout.positions @ np.array([[c, s], [-s, c]]) + np.array([0.004, -0.002])
+    points = np.column_stack([plane, np.asarray(layout.heights) + raised])
+    parts = []
+    for number, height in enumerate(heights):
+        one = record(points, [1, 1, 1], turn(views, 1.0, height), start_m=0.5, noise=0.1, seed=number)
+        room = 2 * np.sin(np.arange(one.bins) * (0.5 + 0.1 * number))
+        parts.append(replace(one, samples=(one.samples + room).astype(np.float32)))
+    return join(parts) if len(parts) > 1 else parts[0]
+
+
+def test_a_higher_point_is_nearer_to_a_higher_antenna() -> None:
+    """d(z) - d(0) = (z^2 - 2 z h) / 2 D to second order: -10.2 mm for z = 0.06 m, h = 0.2 m, D = 1 m."""
+    scans = preprocess(scan(FLAT, HEIGHTS), settings=PreprocessSettings("none", False, extent_m=0.4))
+    field = MatchedField(scans, 0.15, (-0.1, 0.1))
+    centre = np.zeros((1, 2))
+    change = (field.distances(centre, 0.06) - field.distances(centre, 0.0))[0]
+    for views, height in zip(scans.aperture.height_groups(), HEIGHTS, strict=True):
+        exact = np.hypot(1, 0.06 - height) - np.hypot(1, height)
+        assert change[views] == pytest.approx(exact, abs=1e-12)
+    assert change[-1] == pytest.approx(-0.0100, abs=3e-4)
+    assert change[0] == pytest.approx(+0.0018, abs=1e-5)
+
+
+@pytest.mark.parametrize("raised", [0.0, 0.02])
+@pytest.mark.parametrize("layout", [UP, DOWN, FLAT])
+def test_layouts_that_differ_in_height_alone_are_told_apart(layout: Layout, raised: float) -> None:
+    reading = identify(prepare(scan(layout, HEIGHTS, raised)), ALL).reading
+    assert (reading.status, reading.layout) == ("identified", layout.name)
+    assert "without a body only" in reading.note
+    measured = [each.z_m for each in reading.reflectors]
+    assert measured == pytest.approx(np.asarray(layout.heights) + raised, abs=0.01)
+
+
+@pytest.mark.parametrize("height", [0.0, 0.2])
+def test_from_one_height_they_are_ambiguous(height: float) -> None:
+    reading = identify(prepare(scan(UP, (height,))), ALL).reading
+    assert reading.status == "ambiguous"
+    assert not reading.note
+    assert all(each.z_m is None for each in reading.reflectors)
+
+
+def test_heights_that_are_not_enrolled_are_refused() -> None:
+    stranger = Layout("stranger", PLAN, heights=np.array([0.06, 0.06, 0.0]))
+    reading = identify(prepare(scan(stranger, HEIGHTS)), ALL).reading
+    assert reading.status == "unknown"
+
+
+def test_what_only_a_body_could_explain_is_refused_and_said() -> None:
+    reading = identify(prepare(scan(UP, HEIGHTS)), ALL).reading
+    settings = ContestSettings()
+    for changed in ({"share": 0.85}, {"outward": 0.6}):
+        doubtful = replace(reading, evidence=replace(reading.evidence, **changed))
+        refused = without_bodies(doubtful, settings)
+        assert (refused.status, refused.layout, refused.code.value) == ("unknown", None, "body_unknown")
+        assert "several antenna heights" in refused.reason
+
+
+def test_each_height_has_a_room_of_its_own() -> None:
+    """The static part of each height is subtracted from data and templates, in the coarse image, too."""
+    prepared = PreparedCapture(prepare(scan(UP, HEIGHTS)))
+    scans = prepared.scans(prepared.settings.preprocessing(matched_filter=False))
+    field = MatchedField(scans, 0.15, (-0.1, 0.1))
+    points, heights = PLAN, np.asarray(UP.heights)
+    distances = field.distances(points, heights)
+    templates = field.templates(distances).reshape(3, field.views, -1)
+    for views in scans.aperture.height_groups():
+        assert abs(templates[:, views].mean(axis=1)).max() < 1e-6
+    (parts,) = field.coarse_parts(distances, [None], [0.0])
+    static = parts.static
+    whole = field.full_gram(distances)
+    left = whole - field.views * static.conj() @ static.T
+    np.testing.assert_allclose(left, field.gram(field.templates(distances)), atol=1e-3 * abs(whole).max())
+    expected = field.correlate(field.templates(distances))
+    np.testing.assert_allclose(parts.images[0], expected, atol=2e-3 * abs(expected).max())
+    fixed = field.fixed(distances)
+    np.testing.assert_allclose(fixed.correlate(field.data), expected, atol=2e-3 * abs(expected).max())
+    np.testing.assert_allclose(np.concatenate(list(fixed.templates())), field.templates(distances), atol=1e-6)
+
+
+def test_many_views_of_every_height_are_folded() -> None:
+    prepared = PreparedCapture(prepare(scan(UP, HEIGHTS, views=300)))
+    scans = prepared.scans(prepared.settings.preprocessing(matched_filter=False))
+    few = fold_views(scans, 0.15)
+    assert few.aperture.views < scans.aperture.views / 2
+    levels = [few.aperture.positions[views[0], 2] for views in few.aperture.height_groups()]
+    assert levels == pytest.approx(HEIGHTS)
+    one = MatchedField(few, 0.15, (-0.1, 0.1))
+    many = MatchedField(scans, 0.15, (-0.1, 0.1))
+    values = [
+        field.correlate(field.templates(field.distances(PLAN, np.asarray(UP.heights))))
+        / field.template_energy
+        for field in (one, many)
+    ]
+    np.testing.assert_allclose(values[0], values[1], atol=0.02 * abs(values[1]).max())
+    free = replace(scans, aperture=Aperture(scans.aperture.positions * np.array([1.0, 1.1, 1.0])))
+    assert fold_views(free, 0.15) is free
+
+
+def test_heights_count_as_much_as_the_antennas_reach() -> None:
+    assert height_weight((0.3,), 1.0) == 0
+    weight = height_weight((0.0, 0.2, 0.4), 1.0)
+    assert height_weight((0.0, 0.2, 0.4), 2.0) == pytest.approx(weight / 2)
+    # The mean change of the range over a turn and the antenna heights is that of the plane displacement.
+    aperture = Aperture(np.concatenate([turn(90, 1.0, h).positions for h in (0.0, 0.2, 0.4)]))
+    base, risen, moved = np.array([[0, 0, 0.0], [0, 0, 1e-4], [1e-4 * weight, 0, 0]])[:, None]
+    change = [np.std(aperture.distances(p) - aperture.distances(base)) for p in (risen, moved)]
+    assert change[0] == pytest.approx(change[1], rel=0.1)
+    assert rotational_distance(UP, FLAT).worst_m < 1e-9
+    assert rotational_distance(UP, DOWN, height_weight=weight).rms_m == pytest.approx(
+        weight * np.std([0, 0.12, 0]), abs=1e-9
+    )
+    raised = replace(UP, heights=np.asarray(UP.heights) + 0.02)
+    assert rotational_distance(UP, raised, height_weight=weight).worst_m < 1e-9
+    space = np.array([in_space(layout, weight) for layout in ALL])
+    matrix = all_distances(space)
+    for i, j in combinations(range(4), 2):
+        assert matrix[i, j] == pytest.approx(rotational_distance(ALL[i], ALL[j], height_weight=weight).rms_m)
+
+
+def test_rows_carry_more_layouts_where_several_heights_are_recorded() -> None:
+    one = DesignRules(3, 8)
+    several = replace(one, antenna_heights_m=(0.0, 0.3, 0.6))
+    flat, tall = design(OBJECT, one, 4), design(OBJECT, several, 4)
+    assert tall.candidates > 2 * flat.candidates
+    weight = several.height_weight
+    apart = [rotational_distance(a, b, height_weight=weight).rms_m for a, b in combinations(tall.layouts, 2)]
+    assert tall.distance_m == pytest.approx(min(apart), abs=1e-6)
+    assert tall.distance_m > flat.distance_m
+    found = [capacity(OBJECT, rules, 2e-3, 1e-3).identities for rules in (one, several)]
+    assert found[1] > 1.5 * found[0]
+    beside = design(OBJECT, several, 4, beside=tall.layouts)
+    both = [*tall.layouts, *beside.layouts]
+    assert all(
+        rotational_distance(a, b, height_weight=weight).worst_m >= 0.012
+        for a in tall.layouts
+        for b in beside.layouts
+    )
+    assert len({layout.name for layout in both}) == 8
