@@ -126,3 +126,12 @@ def on_body(body: str, angles_deg: tuple[float, ...], polarisation: str, seed: i
         arranged(body, angles_deg), acquisition, polarisation, reference, room_clutter(rng)
     )
     return read_tag(scans_of(scene, acquisition, seed), LAYOUTS, SETTINGS)
+
+
+@pytest.mark.parametrize("seed", [2, 4])
+def test_crossed_pairs_on_a_can_are_not_one_pair(seed: int) -> None:
+    """Two pairs of opposite reflectors, 45 degrees apart: a pattern of five terms makes them one pair."""
+    reading = on_body("can40", (0.0, 45.0, 180.0, 225.0), "H", seed)
+    assert reading.layout is None and reading.advice
+    named = on_body("can40", (0.0, 180.0), "H", seed)
+    assert named.layout == "container-180"

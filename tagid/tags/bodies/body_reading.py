@@ -25,9 +25,10 @@ class BodySettings:
         split_deg: reflectors nearer than this, in an arrangement that is the layout's where each such group
             is one, leave nearly what the layout leaves,
         split_lead: so they contradict it only where they lead by so much more than other arrangements need.
-        simple_error: share of the tag's echo that an explanation with few amplitudes per frequency leaves:
-            a split arrangement with fewer terms than the layout needs, a body without reflectors, or points
-            without a body. Tags on full-wave cans leave up to 2 % with three terms.
+        split_error: share of the tag's echo that a split arrangement with three terms may leave, where the
+            layout needs five: full-wave tags of two reflectors are ahead of it by 3 % or more at 20 dB.
+        simple_error: the same of other explanations with few amplitudes per frequency: a body without
+            reflectors, or points without a body. Tags on full-wave cans leave up to 2 % with three terms.
         other_radius_m: and so are those whose apparent radius differs by more from the layout's limits.
         strong: a body that explains more than this share of the moving echo gives the centre alone.
         centre_reach_m: a weak body's centre is searched so far from the axis, m.
@@ -51,6 +52,7 @@ class BodySettings:
     other_deg: float = 12.0
     split_deg: float = 62.0
     split_lead: float = 0.6
+    split_error: float = 0.04
     simple_error: float = 0.02
     other_radius_m: float = 0.012
     strong: float = 0.94

@@ -73,9 +73,8 @@ def decide_on_body(reading: BodyReading, settings: BodyDecision) -> Verdict:
             Code.OFF_CENTRE,
             f"the body's centre lies {abs(r.pose.centre) * 1e3:.0f} mm off the axis",
         )
-    # A body that the wave passes through returns most from behind, by paths of its own; nothing returns from
-    # before a reflector but a wall that is nearer.
-    if r.early_m > s.early_m[1] or (r.early_m < s.early_m[0] and not r.through):
+    # A body that the wave passes through returns most from behind, by paths of its own.
+    if not (r.through or s.early_m[0] <= r.early_m <= s.early_m[1]):
         return Verdict(
             "unknown",
             Code.BODY,

@@ -506,10 +506,10 @@ class _Reader:
 
         every = sorted([p for p in free + rigid if other(p)] + ranked[1:], key=lambda p: p.charged)
         # Alike reflectors side by side have a common pattern that is symmetric, too: many terms hold it.
-        # A split arrangement with fewer terms is the simpler explanation.
+        # Where the layout needs five terms, a split arrangement with three is the simpler explanation.
         split = [p for p in every if p.layout is None and not other(p, settings.split_deg)]
         others = [p for p in every if p not in split]
-        simpler = [p for p in split if p.batch.terms[0] < best.batch.terms[0]]
+        simpler = [p for p in split if p.batch.terms[0] <= FACING.terms < best.batch.terms[0]]
         near = sorted(
             (p for p in free if not other(p)), key=lambda p: (len(p.angles) != len(angles), p.charged)
         )
@@ -523,7 +523,8 @@ class _Reader:
             lead = min(lead, (split[0].charged - best.charged) / error + settings.split_lead)
         rough = error + (settings.simple_error - settings.priors.model_error) * tag
         if simpler:
-            lead = min(lead, (simpler[0].charged - best.charged) / rough)
+            held = rough + (settings.split_error - settings.simple_error) * tag
+            lead = min(lead, (simpler[0].charged - best.charged) / held)
         untagged = np.inf
         if lead > 0 and layout.symmetry > 1 and not self.body.turns:
             # As many amplitudes as the body and the layout's pattern have, without those that fit any wall.
