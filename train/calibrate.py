@@ -11,7 +11,6 @@ import argparse
 import json
 import multiprocessing
 import os
-from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
@@ -20,14 +19,9 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
-from tagid.tags.bodies.body_reading import BodySettings
 from tagid.tags.bodies.calibration import Calibration, Stratum
-from tagid.tags.bodies.decide import BodyDecision, score, tag_snr_db
-from tagid.tags.bodies.reader import read_on_body
-from tagid.tags.bodies.spectra import Spectra
 from tagid.tags.layouts.layout import builtin_layouts
-from tagid.tags.matching.matcher import bare_score
-from tagid.tags.reading.views import fold_views
+from tagid.tags.matching.matcher import null_evidence_of
 from train.population import STATEMENT, draw
 
 SEALED = 9_000_000
@@ -40,27 +34,19 @@ KEPT = 60
 """Scores kept of each stratum: p-values up to 60 / n are exact."""
 
 
-def one(seed: int, bare: bool = False) -> dict[str, float | int | str]:
-    """The score of the object of a seed on a round body, and without one where that is asked for."""
+def one(seed: int) -> dict[str, float | int | str]:
+    """The scores of the object of a seed, on a round body and without one."""
     specimen = draw(seed)
     settings = PreprocessSettings(matched_filter=False, extent_m=0.5)
     scans = preprocess(specimen.capture, settings=settings)
-    layouts = list(builtin_layouts().values())
-    spectra = Spectra.of(fold_views(scans, 0.15))
-    body = BodySettings()
-    reading = read_on_body(spectra, layouts, body.body, body)
-    assert reading is not None
-    evidence = score(reading, BodyDecision())
-    row: dict[str, float | int | str] = {
+    found = null_evidence_of(scans, list(builtin_layouts().values()))
+    return {
         "seed": seed,
-        "score": evidence if np.isfinite(evidence) else "refused",
+        "score": found.round if np.isfinite(found.round) else "refused",
+        "bare": found.bare if np.isfinite(found.bare) else "refused",
         "views": specimen.views,
-        "snr_db": tag_snr_db(reading),
+        "snr_db": found.snr_db,
     }
-    if bare:
-        alone = bare_score(scans, layouts)
-        row["bare"] = alone if np.isfinite(alone) else "refused"
-    return row
 
 
 def strata(rows: list[dict[str, float | int | str]], views: list[int]) -> tuple[Stratum, ...]:
@@ -90,7 +76,6 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=200_000)
     parser.add_argument("--count", type=int, default=0)
     parser.add_argument("--fewest", action="store_true", help="only the stratum of the fewest views")
-    parser.add_argument("--bare", action="store_true", help="score names without a body, too: twice the time")
     parser.add_argument(
         "--views", type=int, nargs="*", default=VIEWS, help="limits of the strata; each needs 999 objects"
     )
@@ -106,7 +91,7 @@ def main() -> None:
             multiprocessing.get_context("fork").Pool(arguments.jobs) as pool,
             arguments.scores.open("a") as file,
         ):
-            for row in pool.imap_unordered(partial(one, bare=arguments.bare), chosen, chunksize=4):
+            for row in pool.imap_unordered(one, chosen, chunksize=4):
                 file.write(json.dumps(row) + "\n")
                 file.flush()
     if arguments.write:

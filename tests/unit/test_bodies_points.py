@@ -97,3 +97,31 @@ def test_displacement_is_what_turn_and_shift_leave() -> None:
     moved[0] += 0.006
     assert 0.002 < displaced(places, moved) < 0.006
     assert displaced(places, places[:2]) == float("inf")
+
+
+@pytest.mark.parametrize("between_deg", [149.0, 156.0, 204.0])
+@pytest.mark.parametrize("noise", [0.02, 0.4])
+def test_a_pair_that_is_2_mm_closer_is_not_the_opposite_pair(between_deg: float, noise: float) -> None:
+    """Whose centre is free: 149 degrees on a ring of 45 mm are 87 mm, opposite reflectors are 90 mm apart."""
+    places = -0.008 + 0.045 * np.exp(1j * np.deg2rad([0.0, between_deg]))
+    turn = float(np.angle(places[0] - places[1]))
+    near = [Place(LAYOUTS["container-180"], turn, (places.mean().real, places.mean().imag))]
+    reading = read_points(seen(places, noise=noise), near, places, SETTINGS)
+    assert reading.displaced(SETTINGS) and not reading.passes(SETTINGS)
+    right = at("container-180", 0.4, 0.003 + 0.001j)
+    near = [Place(LAYOUTS["container-180"], 0.4, (0.003, 0.001))]
+    reading = read_points(seen(right, noise=noise), near, right, SETTINGS)
+    assert reading.passes(SETTINGS) and not reading.displaced(SETTINGS)
+
+
+def test_the_spread_is_that_of_repeated_fits() -> None:
+    """The Cramer-Rao bound of the spacing against 40 fits of a noisy pair."""
+    places = at("container-180", 0.4, 0.003 + 0.001j)
+    apart, spreads = [], []
+    for seed in range(40):
+        spectra = seen(places, noise=0.5, seed=seed)
+        found = PointFitter(spectra, spectra.noise).free(places, np.zeros(2))
+        apart.append(abs(found.places[0] - found.places[1]))
+        spreads.append(found.spread_m)
+    # Each reflector moves by half of what the spacing does.
+    assert np.std(apart) / 2 == pytest.approx(np.mean(spreads), rel=0.3)

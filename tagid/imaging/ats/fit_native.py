@@ -166,6 +166,6 @@ def _data_term(sigma: Array, views: ViewArrays, fine: FineRange, scale: float) -
     back = weighted @ fine.complex_collect
     slope = np.empty_like(sigma)
     for channel in range(channels):
-        part = views.points_of(aspect[:, channel, None].conj() * back)
+        part = views.points_of(np.asarray(aspect[:, channel, None].conj() * back, dtype=np.complex64))
         slope[:, channel], slope[:, channels + channel] = part.real, part.imag
     return loss, slope

@@ -11,7 +11,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -306,7 +306,7 @@ class Field:
         by_middle = (output.T @ by_output) * (layers[1] > 0)
         by_features = hidden.T @ by_middle
         count = len(by_features) // self.levels
-        gradients: list[Array] = [
+        gradients: list[Any] = [
             np.asarray((at.T @ by_features[level * count : (level + 1) * count].T).T, dtype=np.float32)
             for level, at in enumerate(self.at)
         ]
@@ -327,7 +327,7 @@ class Field:
     def mixed(self, other: Field, share: float) -> Field:
         """Parameters (1 - share) of this field and share of the other's."""
         pairs = zip(self.parameters, other.parameters, strict=True)
-        mixed = [a + np.float32(share) * (b - a) for a, b in pairs]
+        mixed: list[Any] = [a + np.float32(share) * (b - a) for a, b in pairs]
         cut = self.levels
         return Field(mixed[:cut], mixed[cut : cut + 2], mixed[cut + 2 :], self.at, self.scale)
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tagid.tags.bodies.hypothesis import BodyModel, Pose
+from tagid.tags.bodies.points import PointReading
 from tagid.tags.bodies.reflectors_fit import Batch, Priors
 from tagid.tags.bodies.revolution import RoundBody
 
@@ -24,6 +25,10 @@ class BodySettings:
         split_deg: reflectors nearer than this, in an arrangement that is the layout's where each such group
             is one, leave nearly what the layout leaves,
         split_lead: so they contradict it only where they lead by so much more than other arrangements need.
+        split_error: share of the tag's echo that a split arrangement with three terms may leave, where the
+            layout needs five: full-wave tags of two reflectors are ahead of it by 3 % or more at 20 dB.
+        simple_error: the same of other explanations with few amplitudes per frequency: a body without
+            reflectors, or points without a body. Tags on full-wave cans leave up to 2 % with three terms.
         other_radius_m: and so are those whose apparent radius differs by more from the layout's limits.
         strong: a body that explains more than this share of the moving echo gives the centre alone.
         centre_reach_m: a weak body's centre is searched so far from the axis, m.
@@ -47,6 +52,8 @@ class BodySettings:
     other_deg: float = 12.0
     split_deg: float = 62.0
     split_lead: float = 0.6
+    split_error: float = 0.04
+    simple_error: float = 0.02
     other_radius_m: float = 0.012
     strong: float = 0.94
     centre_reach_m: float = 0.010
@@ -122,6 +129,9 @@ class BodyReading:
         unexplained: share of the tag's echo that they leave, noise subtracted.
         lead: what the best other arrangement leaves more, over what the layout leaves, the model's error and
             the noise: the strength of the evidence.
+        untagged_lead: the same of a body without reflectors that has the layout's symmetry; infinite where it
+            was not fitted because `lead` is not positive, or the layout has no symmetry.
+        rough: energy by which an explanation with few amplitudes must be worse for a lead of 1.
         angle_off_deg, radius_off_m: between the free arrangement and the layout.
         tag_nats: the tag's energy over the variance of the noise.
         early_m: how much earlier than a point in its place a reflector answers, one way, m. A reflector
@@ -131,6 +141,7 @@ class BodyReading:
         front_m: the same of the body about its centre, in the arrangement that leaves least: the radius of
             a body with a wall.
         body_energy: that the body explains there, beside the reflectors.
+        points_lead: lead over the best arrangement of points without a body; infinite where none was fitted.
     """
 
     body: BodyModel
@@ -146,6 +157,8 @@ class BodyReading:
     tag: float
     unexplained: float
     lead: float
+    untagged_lead: float
+    rough: float
     angle_off_deg: float
     radius_off_m: float
     tag_nats: float
@@ -153,3 +166,17 @@ class BodyReading:
     through: bool
     front_m: float
     body_energy: float
+    points_lead: float = np.inf
+
+    @property
+    def nominal_m(self) -> float:
+        """Mean distance of the best layout's reflectors from their centre, as built, m."""
+        batch = self.layouts[0].batch
+        return float(batch.radii[0][batch.present[0] > 0].mean())
+
+    def against(self, points: PointReading) -> BodyReading:
+        """The reading with the lead that is left against points without a body."""
+        if not points.others or self.body.name:
+            return self
+        lead = (points.others[0].left - self.layouts[0].charged) / self.rough
+        return replace(self, lead=min(self.lead, lead), points_lead=lead)

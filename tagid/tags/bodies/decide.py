@@ -21,6 +21,9 @@ class BodyDecision:
         early_m: range of `BodyReading.early_m`: full-wave tags on cans answer from 26 mm behind to 14 mm
             before their apparent place, the wall of an oval helmet from 60 mm before it; 15 mm more on both
             sides for the error of the axis distance.
+        wall_share: a body with this share of the moving echo has a wall, which cannot lie further outside the
+            reflectors than the larger of `early_m`: those of full-wave cans lie 8 to 17 mm inside, 21 mm
+            outside where the axis distance is wrong by 10 mm and the pulse is delayed.
         centre_m: largest distance of the body's centre from the rotation axis.
         no_tag_nats: a body is untagged where no arrangement explains so many noise variances more: fitting
             noise alone, 27 amplitudes and the places explain 40 to 50,
@@ -32,6 +35,7 @@ class BodyDecision:
     angle_deg: float = 12.0
     radius_m: float = 0.025
     early_m: tuple[float, float] = (-0.042, 0.030)
+    wall_share: float = 0.05
     centre_m: float = 0.013
     no_tag_nats: float = 60.0
     no_tag_share: float = 0.001
@@ -77,10 +81,27 @@ def decide_on_body(reading: BodyReading, settings: BodyDecision) -> Verdict:
             f"the echo comes from {r.early_m * 1e3:+.0f} mm before the places of {best.layout}, "
             "as from the wall of a body that is not round",
         )
+    inside = r.front_m - r.nominal_m
+    if r.body_energy > s.wall_share * r.energy and inside > s.early_m[1]:
+        return Verdict(
+            "unknown",
+            Code.BODY,
+            f"the body's wall lies {inside * 1e3:.0f} mm outside the reflectors of {best.layout}",
+        )
     if r.angle_off_deg > s.angle_deg:
         return Verdict("unknown", Code.OTHER, f"the reflectors' angles are not those of {best.layout}")
     if r.radius_off_m > s.radius_m:
         return Verdict("unknown", Code.RADIUS, f"the reflectors' radius is not that of {best.layout}")
+    if r.untagged_lead < s.lead:
+        return Verdict(
+            "unknown",
+            Code.BODY,
+            f"an oval or angular body without reflectors explains the echo as well as {best.layout}",
+        )
+    if r.points_lead < s.lead:
+        return Verdict(
+            "unknown", Code.OTHER, "reflectors elsewhere, without a body, explain the echo about as well"
+        )
     if r.lead < s.lead:
         return Verdict(
             "unknown", Code.OTHER, f"another arrangement on {name} explains the echo about as well"

@@ -40,7 +40,10 @@ class PointSettings:
     Attributes:
         model_error: share of the echo that the model leaves without noise: up to 0.1 % of full-wave tags,
             1 % where reflectors differ by 0.5 dB and stand 0.5 mm off their places.
-        displaced_m: an arrangement is another one where its reflectors lie further from the layout's, RMS.
+        displaced_m: an arrangement is another one where its reflectors lie further from the layout's, RMS,
+        pair_m: or further than this if there are two. The spacing is all that a pair shows: on a ring of
+            45 mm, reflectors 150 degrees apart are only 3 mm closer than opposite ones.
+        sigmas: standard deviations of the measured places that are added to both.
         unexplained: largest share of the echo that a layout may leave.
         lead: smallest lead, see `PointReading.lead`.
         noise_nats: lead in noise variances that counts as much as the model's own error.
@@ -49,10 +52,22 @@ class PointSettings:
 
     model_error: float = 0.01
     displaced_m: float = 0.004
+    pair_m: float = 0.7e-3
+    sigmas: float = 3.0
     unexplained: float = 0.05
     lead: float = 0.5
     noise_nats: float = 25.0
     layouts: int = 3
+
+    def limit_m(self, points: PlacedPoints, error_m: float) -> float:
+        """Largest RMS distance of measured reflectors from a layout that they belong to, m.
+
+        Args:
+            points: as measured.
+            error_m: of a place, from what points do not explain.
+        """
+        built = self.pair_m if len(points.places) == 2 else self.displaced_m
+        return float(np.sqrt(built**2 + (self.sigmas * points.spread_m) ** 2 + error_m**2))
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,12 +79,15 @@ class PlacedPoints:
         heights: (K,) above the object's plane, m.
         left: energy left.
         layout: its name; None for places that no layout has.
+        spread_m: standard deviation of a reflector's place about the others, RMS, m (Cramer-Rao bound, with
+            the model's own error as noise); 0 for a layout, whose shape is fixed.
     """
 
     places: NDArray[np.complex128]
     heights: NDArray[np.float64]
     left: float
     layout: str | None = None
+    spread_m: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,6 +104,8 @@ class PointReading:
         least: share of it that the best arrangement of any kind leaves.
         lead: what the best other arrangement leaves more, over what the layout leaves, the model's error and
             the noise.
+        displaced_m: RMS distance of the free reflectors from the layout's, m.
+        limit_m: the largest that the resolution and the layout's tolerance allow, m.
     """
 
     layouts: tuple[PlacedPoints, ...]
@@ -96,6 +116,8 @@ class PointReading:
     unexplained: float
     least: float
     lead: float
+    displaced_m: float
+    limit_m: float
 
     @property
     def snr_db(self) -> float:
@@ -105,6 +127,10 @@ class PointReading:
     def passes(self, settings: PointSettings) -> bool:
         """Whether the best layout may be named."""
         return self.unexplained <= settings.unexplained and self.lead >= settings.lead
+
+    def displaced(self, settings: PointSettings) -> bool:
+        """Whether the layout's reflectors explain the echo, but in other places than the layout's."""
+        return self.least <= settings.unexplained and self.displaced_m > self.limit_m
 
 
 @dataclass(frozen=True)
@@ -251,7 +277,28 @@ class PointFitter:
                 damping *= 8
             if gain < 1e-4 * left:
                 break
-        return PlacedPoints(places, heights, left, name)
+        spread = 0.0 if name else self._spread(places, waves, amplitudes, q)
+        return PlacedPoints(places, heights, left, name, spread)
+
+    def _spread(
+        self,
+        places: NDArray[np.complex128],
+        waves: _Waves,
+        amplitudes: NDArray[np.complex128],
+        q: NDArray[np.complex128],
+    ) -> float:
+        """`PlacedPoints.spread_m`, from the Fisher information of the places, amplitudes eliminated."""
+        slope = centred(np.einsum("pfcv,fc->pfv", waves.slopes, amplitudes))
+        slope = slope - (q @ (q.conj().swapaxes(1, 2) @ slope[..., None]))[..., 0]
+        flat = slope.reshape(len(slope), -1)
+        information = 2 / self.variance * np.real(flat.conj() @ flat.T)
+        load = 1e-9 * np.trace(information) * np.eye(len(flat))
+        covariance = np.linalg.inv(information + load)
+        one = np.ones(len(places), dtype=np.complex128)
+        moves = [_plain(one), _plain(1j * one), _plain(1j * (places - places.mean()))]
+        rigid = np.linalg.qr(np.stack(moves, axis=1))[0]
+        shape = np.eye(len(flat)) - rigid @ rigid.T
+        return float(np.sqrt(max(np.trace(shape @ covariance @ shape), 0.0) / len(places)))
 
 
 def _plain(places: NDArray[np.complex128]) -> NDArray[np.float64]:
@@ -304,7 +351,12 @@ def read_points(
     for count in range(1, min(len(seen), MOST) + 1):
         rivals.append(fitter.free(np.array(seen[:count]), np.zeros(count), 6))
     rivals += [_joined(fitter, rivals[0]), _joined(fitter, min(rivals, key=lambda p: p.left))]
-    others = [p for p in rivals if displaced(best.places, p.places) > settings.displaced_m] + layouts[1:]
+    others = [
+        p
+        for p in rivals
+        if displaced(best.places, p.places) > settings.limit_m(p, _error_m(spectra, p, noise, tag))
+    ]
+    others += layouts[1:]
     others.sort(key=lambda p: p.left)
     above = max(best.left - noise, 0.0)
     error = above + settings.model_error * tag + settings.noise_nats * spectra.noise
@@ -319,7 +371,15 @@ def read_points(
         above / tag,
         max(least - noise, 0.0) / tag,
         (following - best.left) / error,
+        displaced(best.places, rivals[0].places),
+        settings.limit_m(rivals[0], _error_m(spectra, rivals[0], noise, tag)),
     )
+
+
+def _error_m(spectra: Spectra, points: PlacedPoints, noise: float, tag: float) -> float:
+    """How far what points leave may have moved them: the root of its share is an error of the phase."""
+    share = max(points.left - noise, 0.0) / tag
+    return float(np.sqrt(share) / spectra.wavenumbers.mean())
 
 
 def _joined(fitter: PointFitter, base: PlacedPoints) -> PlacedPoints:

@@ -30,6 +30,7 @@ from tagid.tags.bodies.reflectors_fit import (
 )
 from tagid.tags.bodies.ring import PairSearch, Ring
 from tagid.tags.bodies.spectra import Spectra, centred
+from tagid.tags.bodies.symmetric import MOST, symmetric_left
 from tagid.tags.layouts.layout import Layout
 
 
@@ -237,7 +238,7 @@ class _Reader:
         ranked = sorted(own.values(), key=lambda p: p.charged)
         ranked[0] = self._polished(ranked[0], free, per_term)
         free.append(self._freed(ranked[0], per_term))
-        return self._compared(sorted(ranked, key=lambda p: p.charged), free, others)
+        return self._compared(sorted(ranked, key=lambda p: p.charged), free, others, per_term)
 
     def _freed(self, best: Placed, per_term: float) -> Placed:
         """The best layout's reflectors with all angles free, from where the layout lies."""
@@ -482,7 +483,9 @@ class _Reader:
             ]
         return rows
 
-    def _compared(self, ranked: list[Placed], free: list[Placed], rigid: list[Placed]) -> BodyReading:
+    def _compared(
+        self, ranked: list[Placed], free: list[Placed], rigid: list[Placed], per_term: float
+    ) -> BodyReading:
         """The best layout against all that is not it."""
         settings = self.settings
         best = ranked[0]
@@ -503,8 +506,10 @@ class _Reader:
 
         every = sorted([p for p in free + rigid if other(p)] + ranked[1:], key=lambda p: p.charged)
         # Alike reflectors side by side have a common pattern that is symmetric, too: many terms hold it.
+        # Where the layout needs five terms, a split arrangement with three is the simpler explanation.
         split = [p for p in every if p.layout is None and not other(p, settings.split_deg)]
         others = [p for p in every if p not in split]
+        simpler = [p for p in split if p.batch.terms[0] <= FACING.terms < best.batch.terms[0]]
         near = sorted(
             (p for p in free if not other(p)), key=lambda p: (len(p.angles) != len(angles), p.charged)
         )
@@ -516,6 +521,17 @@ class _Reader:
         lead = (next_left - best.charged) / error
         if split:
             lead = min(lead, (split[0].charged - best.charged) / error + settings.split_lead)
+        rough = error + (settings.simple_error - settings.priors.model_error) * tag
+        if simpler:
+            held = rough + (settings.split_error - settings.simple_error) * tag
+            lead = min(lead, (simpler[0].charged - best.charged) / held)
+        untagged = np.inf
+        if lead > 0 and layout.symmetry > 1 and not self.body.turns:
+            # As many amplitudes as the body and the layout's pattern have, without those that fit any wall.
+            amplitudes = min(1 + int(best.batch.terms[0]), MOST)
+            hints = (best.centre, self.poses[0].pose.centre)
+            alone = symmetric_left(self.spectra, layout.symmetry, amplitudes, hints)
+            untagged = (alone + per_term * (amplitudes - 2) - best.charged) / rough
         clearest = self._amplitudes(min((best, *others[:1]), key=lambda p: p.left))
         return BodyReading(
             body=self.body,
@@ -530,7 +546,9 @@ class _Reader:
             free=own,
             tag=tag,
             unexplained=above / tag,
-            lead=lead,
+            lead=min(lead, untagged),
+            untagged_lead=untagged,
+            rough=rough,
             angle_off_deg=away(own) if own else 180.0,
             radius_off_m=abs(float(own.radii.mean()) - float(best.radii.mean())) if own else 1.0,
             tag_nats=tag / max(self.spectra.noise, 1e-30),

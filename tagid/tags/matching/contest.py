@@ -47,6 +47,8 @@ class ContestSettings:
             full-wave tags reach 0.3, tags on full-wave cans have 0.64 or more.
         false_accept: probability of naming an object of the calibration's population.
         calibrated: by which; None for the package's own.
+        beyond: or where points without a body are behind the layout on it by such a lead: a strong body is
+            nearly one point, and what it hides counts.
         better: a hypothesis that leaves so many times less contradicts one that names another layout.
         objects: tests on enrolled objects.
     """
@@ -58,6 +60,7 @@ class ContestSettings:
     wall_m: float = 0.010
     wall_share: float = 0.05
     outward: float = 0.45
+    beyond: float = 2.0
     better: float = 3.0
     objects: ObjectDecision = field(default_factory=ObjectDecision)
     false_accept: float = 1e-3
@@ -87,20 +90,13 @@ def settle(
         settings: see there.
         direction_known: whether layouts are known from their mirror images; points are fitted only then.
     """
-    own = Explanation(
-        Kind.BARE,
-        "",
-        bare.layout,
-        float(np.clip(1 - bare.evidence.share, 0, 1)),
-        None,
-        Pose(bare.centre_m),
-        bare.rotation_deg,
-    )
+    own = _own(bare)
     opaque = bare.evidence.outward > settings.outward
     spectra = Spectra.of(scans, wavenumbers=enrolled.wavenumbers)
     points = None
     if bare.code is not Code.NO_ECHO and direction_known:
         points = _points(bare, spectra, layouts, settings.points)
+        bare = _in_place(bare, points, settings.points)
     done = _without_body(bare, points, layouts, settings)
     if done is not None:
         if points is not None and _pointed(bare, points, settings):
@@ -128,15 +124,47 @@ def _pointed(bare: Reading, points: PointReading, settings: ContestSettings) -> 
     return points.passes(settings.points) and not doubted
 
 
-def bare_evidence(
+@dataclass(frozen=True)
+class NullEvidence:
+    """What the calibration orders: the evidence for a name, -inf where a test refuses it in any case.
+
+    Attributes:
+        round: on a body of revolution (`BodyReading.lead`).
+        bare: without a body (`PointReading.lead`).
+        snr_db: energy of what is not of the body over that of the noise.
+    """
+
+    round: float
+    bare: float
+    snr_db: float
+
+
+def null_evidence(
     bare: Reading, scans: BasebandScans, layouts: Sequence[Layout], settings: ContestSettings
-) -> float:
-    """The evidence for a name without a body, -inf where none is given: what the calibration orders."""
-    if bare.code is Code.NO_ECHO:
-        return -inf
-    points = _points(bare, Spectra.of(scans), layouts, settings.points)
-    named = (_without_body(bare, points, layouts, settings) or bare).status == "identified"
-    return points.lead if named else -inf
+) -> NullEvidence:
+    """The evidence for a wrong name that an object without an enrolled tag gives, as `settle` weighs it."""
+    from tagid.tags.bodies.reader import read_on_body
+
+    spectra = Spectra.of(scans)
+    points, alone = None, -inf
+    if bare.code is not Code.NO_ECHO:
+        points = _points(bare, spectra, layouts, settings.points)
+        bare = _in_place(bare, points, settings.points)
+        if (_without_body(bare, points, layouts, settings) or bare).status == "identified":
+            alone = points.lead
+    reading = read_on_body(spectra, layouts, settings.body.body, settings.body, [complex(*bare.centre_m)])
+    if reading is None:
+        return NullEvidence(-inf, alone, 0.0)
+    known = _Bare(bare, _own(bare), points, bare.evidence.outward > settings.outward)
+    reading = reading.against(points) if points is not None else reading
+    evidence = score(reading, settings.decision) if _shows(known, reading, settings) else -inf
+    return NullEvidence(evidence, alone, tag_snr_db(reading))
+
+
+def _own(bare: Reading) -> Explanation:
+    """The bare reading as a hypothesis."""
+    left = float(np.clip(1 - bare.evidence.share, 0, 1))
+    return Explanation(Kind.BARE, "", bare.layout, left, None, Pose(bare.centre_m), bare.rotation_deg)
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,6 +192,19 @@ def _points(
     places = [Place(by_name[s.name], float(np.deg2rad(s.rotation_deg)), s.centre_m) for s in bare.scores]
     found = np.array([complex(r.x_m, r.y_m) for r in bare.reflectors], dtype=np.complex128)
     return read_points(spectra, places, found, settings)
+
+
+def _in_place(bare: Reading, points: PointReading, settings: PointSettings) -> Reading:
+    """The bare reading, its name taken back where points with double bounce find the reflectors elsewhere."""
+    if bare.layout != points.layouts[0].layout or not points.displaced(settings):
+        return bare
+    return replace(
+        bare,
+        status="unknown",
+        layout=None,
+        code=Code.DISPLACED,
+        reason=f"reflectors lie {points.displaced_m * 1e3:.1f} mm from the nearest layout's",
+    )
 
 
 def _as_points(bare: Reading, points: PointReading, layouts: Sequence[Layout]) -> Reading:
@@ -235,11 +276,8 @@ def _against_bodies(
     """The bare reading against layouts on bodies, and enrolled objects."""
     from tagid.tags.bodies.reader import read_on_body
 
-    bare, own, opaque = known.reading, known.own, known.opaque
+    bare, own = known.reading, known.own
     named = bare.status in ("identified", "ambiguous")
-    # Points cannot explain the echo, and the reflectors are not merely seen from one side only.
-    unlike = known.points is not None and known.points.least > settings.points.unexplained
-    shows = unlike and bare.code is not Code.HIDDEN
     hints = [complex(*bare.centre_m)]
     readings: list[tuple[BodyReading, Verdict]] = []
     for body in (settings.body.body, *plausible(spectra, enrolled.bodies)):
@@ -247,10 +285,9 @@ def _against_bodies(
         if reading is not None and body.name and readings:
             reading = _clearer(reading, readings[0][0], spectra, layouts, settings)
         if reading is not None:
+            reading = reading.against(known.points) if known.points is not None else reading
             verdict = decide_on_body(reading, settings.decision)
-            if verdict.status == "identified" and not (
-                body.name or opaque or shows or _walled(reading, settings)
-            ):
+            if verdict.status == "identified" and not _shows(known, reading, settings):
                 # Where no body shows, the pattern of a bare pair cannot be told from its angle.
                 verdict = Verdict("unknown", Code.OTHER, "no body shows, and no layout fits without one")
             if verdict.status == "identified":
@@ -296,6 +333,9 @@ def _against_bodies(
     first, verdict = min(readings, key=lambda pair: _least(pair[0]))
     if named:
         return _contested(bare, own, first, layouts, settings)
+    elsewhere = known.points is not None and known.points.displaced(settings.points)
+    if elsewhere and verdict.status != "no_tag":
+        return replace(bare, body=first)
     clearer = own.left > max(settings.better * _share(first, _least(first)), settings.decision.unexplained)
     if clearer or verdict.status == "no_tag":
         if bare.status == "no_tag":
@@ -310,6 +350,16 @@ def _against_bodies(
             body=first,
         )
     return replace(bare, body=first)
+
+
+def _shows(known: _Bare, reading: BodyReading, settings: ContestSettings) -> bool:
+    """Whether there is a body below the reflectors: enrolled, opaque, walled, or not explained by points."""
+    unlike = known.points is not None and (
+        known.points.least > settings.points.unexplained or reading.points_lead > settings.beyond
+    )
+    # Reflectors that are merely seen from one side are not explained by points, either.
+    beyond = unlike and known.reading.code is not Code.HIDDEN
+    return bool(reading.body.name) or known.opaque or beyond or _walled(reading, settings)
 
 
 def _clearer(

@@ -17,7 +17,7 @@ from tagid.imaging.types import BasebandScans
 from tagid.signal import median
 from tagid.tags.bodies.hypothesis import Enrolled
 from tagid.tags.layouts.layout import Layout
-from tagid.tags.matching.contest import ContestSettings, bare_evidence, settle
+from tagid.tags.matching.contest import ContestSettings, NullEvidence, null_evidence, settle
 from tagid.tags.matching.heights import without_bodies
 from tagid.tags.matching.reading import LayoutScore, Reading
 from tagid.tags.reading.decision import PLACES_PER_METRE, DecisionSettings, Evidence, decide
@@ -78,11 +78,11 @@ def read_tag(
     return scan.settled(scan.read(np.argsort(scan.criteria)))
 
 
-def bare_score(scans: BasebandScans, layouts: Sequence[Layout]) -> float:
-    """Evidence for a name without a body, as the calibration counts it; -inf where none is given."""
+def null_evidence_of(scans: BasebandScans, layouts: Sequence[Layout]) -> NullEvidence:
+    """The evidence for a name that scans of an object without an enrolled tag give, by default settings."""
     settings = ReaderSettings()
     scan = MatchedScan(scans, layouts, settings)
-    return bare_evidence(scan.read(np.argsort(scan.criteria)), scan.scans, layouts, settings.contest)
+    return null_evidence(scan.read(np.argsort(scan.criteria)), scan.scans, layouts, settings.contest)
 
 
 LEVEL_STEP_M = 8e-3

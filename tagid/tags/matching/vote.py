@@ -71,7 +71,16 @@ def read_together(
         extra=evidence.extra,
         evidence=evidence,
     )
-    return agreed_on_body(joint, alone), alone
+    return agreed_on_body(_in_place(joint, alone), alone), alone
+
+
+def _in_place(joint: Reading, alone: Sequence[Reading]) -> Reading:
+    """The joint reading, its name taken back where most recordings find the reflectors in other places."""
+    away = [one for one in alone if one.code is Code.DISPLACED]
+    if joint.status != "identified" or 2 * len(away) <= len(alone):
+        return joint
+    found = max(away, key=lambda one: one.evidence.nats)
+    return replace(joint, status=found.status, code=found.code, reason=found.reason, layout=None)
 
 
 def agreed_on_body(joint: Reading, alone: Sequence[Reading]) -> Reading:

@@ -278,7 +278,7 @@ class MatchedField:
     def _static(self, turns: NDArray[np.complex64], profiles: NDArray[np.complex64]) -> NDArray[np.complex64]:
         """`CoarseParts.static` times the number of views, of turns (n, views), profiles (n, views, rank)."""
         if not self.several_heights:
-            return np.matmul(turns[:, None], profiles)[:, 0]
+            return np.asarray(np.matmul(turns[:, None], profiles)[:, 0])
         parts = [
             np.matmul(turns[:, None, views], profiles[:, views])[:, 0] * np.sqrt(self.views / len(views))
             for views in self._groups
