@@ -13,8 +13,8 @@ $(VENV)/.base: pyproject.toml constraints.txt
 	$(PIP) --editable .
 	@# Python 3.11 puts setuptools into every environment (10 MB); the build brings its own, nothing else needs it.
 	$(BIN)/python -m pip uninstall --quiet --yes setuptools
-	@# numpy and scipy bring their own tests (26 MB).
-	find $(VENV)/lib/*/site-packages/numpy $(VENV)/lib/*/site-packages/scipy -type d -name tests -prune -exec rm -r {} +
+	@# numpy brings its own tests (8 MB).
+	find $(VENV)/lib/*/site-packages/numpy -type d -name tests -prune -exec rm -r {} +
 	@touch $@
 
 $(VENV)/.dev: $(VENV)/.base

@@ -20,6 +20,7 @@ import numpy as np
 from tagid.geometry import ImageGrid
 from tagid.imaging import kernel
 from tagid.imaging.ats.fit import fit
+from tagid.imaging.ats.settings import AtsSettings
 from tagid.imaging.backprojection import backproject
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.imaging.sparse import sparse_recovery
@@ -34,6 +35,7 @@ from tagid.tags.layouts.layout import builtin_layouts
 
 OBJECTS = ("helmet-120", "container-90", "helmet-linear", "container-180", "can", "empty")
 GRID = ImageGrid(0.5, 96)
+_ATS_STEPS = 20
 
 
 def make(folder: Path) -> None:
@@ -61,7 +63,11 @@ def run(folder: Path, out: Path) -> None:
         found[f"scatter {name}"] = geometry.scatter(np.exp(1j * np.arange(geometry.points)))
         found[f"bp {name}"] = backproject(matched, GRID).values
         found[f"sparse {name}"] = sparse_recovery(plain, GRID).values
-        found[f"ats {name}"] = fit(plain, GRID).image.values
+        print(f"{name}: sums and images", flush=True)
+        if name == OBJECTS[0]:
+            # A hundred steps take minutes on an emulated processor.
+            found[f"ats {name}"] = fit(plain, GRID, AtsSettings(steps=_ATS_STEPS)).image.values
+            print(f"{name}: ATS, {_ATS_STEPS} steps", flush=True)
         began = time.process_time()
         answer = identify(PreparedCapture(capture), layouts).to_dict()
         seconds = time.process_time() - began
@@ -76,11 +82,12 @@ def compare(first: Path, second: Path) -> None:
     with np.load(first) as a, np.load(second) as b:
         print(f"| what | objects | largest difference, {a['machine']} to {b['machine']} |\n|---|---|---|")
         for kind in ("gather", "scatter", "bp", "sparse", "ats"):
+            made = [n for n in OBJECTS if f"{kind} {n}" in a]
             worst = max(
                 float(np.abs(a[f"{kind} {n}"] - b[f"{kind} {n}"]).max() / np.abs(a[f"{kind} {n}"]).max())
-                for n in OBJECTS
+                for n in made
             )
-            print(f"| {kind} | {len(OBJECTS)} | {worst:.1e} of the largest value |")
+            print(f"| {kind} | {len(made)} | {worst:.1e} of the largest value |")
         pairs = [(json.loads(str(a[f"answer {n}"])), json.loads(str(b[f"answer {n}"]))) for n in OBJECTS]
     same = sum((x["status"], x["layout"]) == (y["status"], y["layout"]) for x, y in pairs)
     turned = max(abs((x["rotation_deg"] or 0) - (y["rotation_deg"] or 0)) for x, y in pairs)

@@ -1,4 +1,4 @@
-"""The wheel in an empty environment: what is shipped names an object, models included, without torch."""
+"""Wheel and source distribution in an empty environment: each names an object, models included."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ import os
 import shutil
 import subprocess
 import sys
+import tomllib
+from collections.abc import Iterable
 from importlib.metadata import distribution
 from pathlib import Path
 
@@ -24,9 +26,10 @@ from tagid.tags.network.detector import MODEL
 ROOT = Path(__file__).resolve().parents[2]
 
 
-def run(*command: str | Path, **more: str) -> subprocess.CompletedProcess[str]:
+def run(*command: str | Path, cwd: Path | None = None, **more: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [str(part) for part in command],
+        cwd=cwd,
         capture_output=True,
         text=True,
         env={**os.environ, **more},
@@ -34,39 +37,59 @@ def run(*command: str | Path, **more: str) -> subprocess.CompletedProcess[str]:
     )
 
 
-def required(package: str, extra: str = "") -> set[str]:
-    """Names of the installed distributions that a package requires, and those that they require."""
+def required(texts: Iterable[str], extra: str = "") -> set[str]:
+    """Names of the installed distributions that requirements name, and those that they require."""
     found: set[str] = set()
-    for text in distribution(package).requires or ():
+    for text in texts:
         one = Requirement(text)
         if one.marker is None or one.marker.evaluate({"extra": extra}):
             name = canonicalize_name(one.name)
             if name not in found:
-                found |= {name}.union(*(required(name, each) for each in (*one.extras, "")))
+                more = distribution(name).requires or ()
+                found |= {name}.union(*(required(more, each) for each in (*one.extras, "")))
     return found
 
 
 @pytest.fixture(scope="module")
-def empty_environment(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Python of a new environment that holds only the wheel and what it requires.
+def distributions(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder with the wheel and the source distribution of this checkout."""
+    folder = tmp_path_factory.mktemp("dist")
+    # From a copy, so that nothing of the build stays in the checkout, or comes from an older one.
+    unwanted = shutil.ignore_patterns(
+        ".*", "build", "dist", "demo", "*.egg-info", "__pycache__", "node_modules", "*.so"
+    )
+    shutil.copytree(ROOT, folder / "source", symlinks=True, ignore=unwanted)
+    for kind in ("wheel", "sdist"):
+        code = f"from setuptools import build_meta; build_meta.build_{kind}({str(folder)!r})"
+        built = run(sys.executable, "-c", code, cwd=folder / "source")
+        assert built.returncode == 0, built.stderr
+    return folder
+
+
+@pytest.fixture(scope="module", params=["wheel", "sdist"])
+def empty_environment(
+    request: pytest.FixtureRequest, distributions: Path, tmp_path_factory: pytest.TempPathFactory
+) -> Path:
+    """Python of a new environment that holds only what was built and what it requires.
 
     The requirements are links to what is installed here, which takes a tenth of the time of installing them.
     """
-    folder = tmp_path_factory.mktemp("wheel")
-    # From a copy, so that nothing of the build stays in the checkout, or comes from an older one.
-    unwanted = shutil.ignore_patterns(
-        ".*", "build", "dist", "demo", "*.egg-info", "__pycache__", "node_modules"
-    )
-    shutil.copytree(ROOT, folder / "source", symlinks=True, ignore=unwanted)
-    source, here = folder / "source", folder / "venv"
+    folder = tmp_path_factory.mktemp(request.param)
+    here = folder / "venv"
     pip = (sys.executable, "-m", "pip")
-    built = run(*pip, "wheel", "--quiet", "--no-deps", "--no-build-isolation", "--wheel-dir", folder, source)
-    assert built.returncode == 0, built.stderr
-    (wheel,) = folder.glob("tagid-*.whl")
+    if request.param == "sdist":
+        (source,) = distributions.glob("tagid-*.tar.gz")
+        built = run(
+            *pip, "wheel", "--quiet", "--no-deps", "--no-build-isolation", "--wheel-dir", folder, source
+        )
+        assert built.returncode == 0, built.stderr
+    (wheel,) = (folder if request.param == "sdist" else distributions).glob("tagid-*.whl")
     assert "-cp311-abi3-" in wheel.name  # one wheel for every Python from 3.11 on
     assert run(sys.executable, "-m", "venv", "--without-pip", here).returncode == 0
     (packages,) = here.glob("lib/*/site-packages")
-    for name in required("tagid"):
+    # Of this checkout, not of the metadata that were installed at some time.
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    for name in required(project["dependencies"]):
         files = distribution(name).files or ()
         for top in {file.parts[0] for file in files if file.parts[0] not in ("..", "__pycache__")}:
             if not (packages / top).exists():
@@ -79,7 +102,7 @@ def empty_environment(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return here / "bin" / "python"
 
 
-def test_the_wheel_alone_names_an_object(empty_environment: Path, tmp_path: Path) -> None:
+def test_what_was_built_names_an_object_alone(empty_environment: Path, tmp_path: Path) -> None:
     acquisition = Acquisition(views=36, snr_db=15)
     capture, _ = simulate_capture(scene_from_name("helmet-120", 3), acquisition, seed=3)
     path = tmp_path / "helmet.tagid.h5"
@@ -100,5 +123,25 @@ def test_the_wheel_alone_names_an_object(empty_environment: Path, tmp_path: Path
     assert item["layout"] == "helmet-120"
     assert item["model_sha256"] == manifest()[MODEL].sha256
     assert item["reflector_probability"] > 0.9
-    torch = run(empty_environment, "-c", "import torch")
-    assert "ModuleNotFoundError" in torch.stderr
+    for absent in ("torch", "scipy"):
+        assert "ModuleNotFoundError" in run(empty_environment, "-c", f"import {absent}").stderr
+    assert run(empty_environment, "-c", "import tagid.imaging._kernel").returncode == 0
+
+
+def test_what_needs_scipy_says_how_to_get_it(empty_environment: Path, tmp_path: Path) -> None:
+    capture, _ = simulate_capture(scene_from_name("empty", 1), Acquisition(views=12), seed=1)
+    path = tmp_path / "empty.tagid.h5"
+    write_capture(path, capture)
+    own = {"TAGID_CONFIG": str(tmp_path / "config.toml"), "TAGID_DATA": str(tmp_path / "data")}
+    for words in (
+        ("export", path, "--out", tmp_path / "a.mat"),
+        ("layouts", "reflector", "--size", "40", "--rcs", tmp_path / "r.csv"),
+    ):
+        done = run(empty_environment, "-m", "tagid", *words, **own)
+        assert done.returncode == 2, done.stderr
+        assert "scipy, which is not installed" in " ".join(done.stderr.split())
+        assert "pip install 'tagid[science]'" in " ".join(done.stderr.split())
+    # Bodies, whose echoes need Bessel functions, are simulated without it.
+    words = ("simulate", "container-90", "--body", "cup:40mm", "--views", "12", "--out", tmp_path / "cup.h5")
+    done = run(empty_environment, "-m", "tagid", *words, **own)
+    assert done.returncode == 0, done.stderr
