@@ -109,7 +109,7 @@ def score_object(cell: ObjectCell) -> dict[str, tuple[tuple[float, ...], np.ndar
 
 def _objects(run: Run, name: str, cases: dict[str, tuple[str, int, int, int]]) -> str:
     """Table and figure of extended objects: case -> (object, first, last, step of the angle)."""
-    seeds = 1 if run.quick else min(run.seeds, 3)
+    seeds = run.seeds
     cells = [
         ObjectCell(tuple(r for r in SHOWN if r in run.rows_of(seed)), *case, seed)
         for case in cases.values()
@@ -231,7 +231,7 @@ def main() -> None:
     parser.add_argument("--list", action="store_true", help="name the experiments")
     parser.add_argument("--quick", action="store_true", help="one seed, fewer cases")
     parser.add_argument("--seeds", type=int, default=10)
-    parser.add_argument("--slow-seeds", type=int, default=1, help="seeds of the paper's method")
+    parser.add_argument("--slow-seeds", type=int, default=10, help="seeds of the paper's method")
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     parser.add_argument("--resume", type=Path, help="file that keeps what is done")
     parser.add_argument("--minutes", type=float, default=0.0, help="stop after so many, with --resume")

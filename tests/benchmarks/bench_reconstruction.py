@@ -1,8 +1,8 @@
 """PSNR, MSE and localisation of every imaging method on point scenes, and the seconds each takes.
 
 Run `python tests/benchmarks/bench_reconstruction.py --jobs 2` for a table of images without restoring beam,
-`--quick` for a short look, and `--seconds` for the times of backprojection, FISTA and ATS on the same data
-in one run.
+`--quick` for a short look, and `--seconds` for the processor times of backprojection, FISTA and ATS on the
+same data in one run, and of the estimate of the pulse.
 
 Scenes: 1 to 4 points of unit amplitude, uniform within +-0.22 m, radar at 1 m; 0.7 m and 96 x 96 pixels. The
 analytic sinogram is divided by its peak, then complex noise is added: "noise" is its standard deviation per
@@ -34,6 +34,8 @@ from tagid.imaging.backprojection import backproject
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.imaging.sparse import omp, sparse_recovery
 from tagid.imaging.types import BasebandScans, Image
+from tagid.pipeline.reconstruct import reconstruct
+from tagid.pipeline.settings import ImagingSettings
 from tagid.waveform import nominal_pulse, pulse_at
 from train.metrics import blank, localise, lpips, mse, pick_peaks, psnr, truth_image
 
@@ -136,19 +138,46 @@ def print_scores(seeds: int, jobs: int, model: Path | None) -> None:
 
 
 def print_seconds(repeats: int) -> None:
-    """Median and best seconds of BP, FISTA and ATS on the same scans, preprocessing not counted."""
-    print("| views | method | median (s) | best (s) |")
-    print("|---|---|---|---|")
+    """Processor seconds of BP, FISTA and ATS on the same scans in turn, preprocessing not counted."""
+    print("Processor time; ratio: median over the scenes of ATS and FISTA measured one after the other.\n")
+    print("| views | BP (s) | FISTA (s) | ATS (s) | ATS / FISTA |")
+    print("|---|---|---|---|---|")
     for views in VIEWS:
-        _, raw, matched = prepared(4, views, 0.316, 0)
-        for name in ("BP", "FISTA", "ATS"):
-            METHODS[name](raw, matched)
-            took = []
-            for _ in range(repeats):
-                start = time.perf_counter()
+        took: dict[str, list[float]] = {name: [] for name in ("BP", "FISTA", "ATS")}
+        for seed in range(repeats):
+            _, raw, matched = prepared(1 + seed % 4, views, 0.316, seed)
+            for name in took:
                 METHODS[name](raw, matched)
-                took.append(time.perf_counter() - start)
-            print(f"| {views} | {name} | {np.median(took):.3f} | {min(took):.3f} |", flush=True)
+                start = time.process_time()
+                METHODS[name](raw, matched)
+                took[name].append(time.process_time() - start)
+        ratio = np.median(np.array(took["ATS"]) / np.array(took["FISTA"]))
+        cells = [f"{np.median(took[name]):.3f}" for name in took]
+        print(f"| {views} | {' | '.join(cells)} | {ratio:.1f} |", flush=True)
+
+
+def print_pulse_seconds() -> None:
+    """Processor seconds of `--pulse estimate` beside those of the image without it."""
+    from imaging_unknowns import RAILS, RailCell, rail_capture, recorded_points
+
+    print("\nProcessor time of the image at defaults, and what the estimate of the pulse adds.\n")
+    print("| recording | method | image (s) | estimate (s) | estimate / image |")
+    print("|---|---|---|---|---|")
+    captures = {f"path: {RAILS[0]}": rail_capture(RailCell(RAILS[0], 0))[0]}
+    captures["turntable, 36 views"] = recorded_points(36, 0)
+    for name, capture in captures.items():
+        for method in ("sparse", "ats"):
+            seconds = []
+            for pulse in ("nominal", "estimate"):
+                settings = ImagingSettings(
+                    method=method, free_size=(True, True), pulse=pulse, background="none"
+                )
+                start = time.process_time()
+                reconstruct(capture, settings)
+                seconds.append(time.process_time() - start)
+            added = seconds[1] - seconds[0]
+            row = (name, method, f"{seconds[0]:.2f}", f"{added:.2f}", f"{added / seconds[0]:.2f}")
+            print(f"| {' | '.join(row)} |", flush=True)
 
 
 def main() -> None:
@@ -165,7 +194,8 @@ def main() -> None:
     print(f"`{command.strip()}`, {datetime.now(UTC):%Y-%m-%d}, {platform.machine()}, {cores}, ", end="")
     print(f"Python {platform.python_version()}, numpy {np.__version__}\n")
     if options.seconds:
-        print_seconds(5)
+        print_seconds(12)
+        print_pulse_seconds()
     else:
         print_scores(2 if options.quick else options.seeds, options.jobs, options.lpips)
 

@@ -12,6 +12,7 @@ import os
 import platform
 import re
 import subprocess
+import sys
 import time
 from collections.abc import Callable, Sequence
 from datetime import date
@@ -61,8 +62,7 @@ def spread(work: Callable[[Job], Result], jobs: Sequence[Job], processes: int) -
 def resumed(work: Callable[[Job], dict[str, float]], jobs: Sequence[Job], run: Any) -> dict[Job, Any]:
     """work(job) of every job (a NamedTuple), kept in `run.resume`, so that a long table is made in pieces.
 
-    Raises:
-        SystemExit: `run.minutes` are over; the next call with the same file goes on.
+    After `run.minutes` it returns what there is; the next call with the same file goes on.
     """
     found: dict[Job, Any] = {}
     name = work.__name__
@@ -75,7 +75,8 @@ def resumed(work: Callable[[Job], dict[str, float]], jobs: Sequence[Job], run: A
         if job in found:
             continue
         if run.minutes and time.monotonic() - began > 60 * run.minutes:
-            raise SystemExit(f"{len(found)} of {len(jobs)} done; run again with the same --resume")
+            print(f"{len(found)} of {len(jobs)} done; run again with the same --resume", file=sys.stderr)
+            break
         found[job] = work(job)
         if run.resume is not None:
             with run.resume.open("a") as file:

@@ -15,6 +15,8 @@ import numpy as np
 from tagid.capture import Capture
 from tagid.constants import RANGE_STEP_M, SPEED_OF_LIGHT
 from tagid.geometry import Aperture, ImageGrid
+from tagid.imaging.ats.adapt import changes_of, linear_image, linear_iterations
+from tagid.imaging.ats.settings import AtsSettings
 from tagid.imaging.heldout import check
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.imaging.restore import restore
@@ -185,8 +187,18 @@ def held_out_percent(problem: Problem, row: str) -> float:
     scans, raw = problem.scans(METHODS[method].matched_filter), problem.scans(False)
     if method in ("bp", "bp-raw"):
         found = check(scans, raw, problem.grid, None)
-    else:
-        found = check(scans, raw, problem.grid, lambda s: make_image(s, problem.grid, method, problem.seed))
+        return 100 * found.residual if found is not None else float("nan")
+    # With the prior of the image of all views.
+    prior = problem.image(f"{row}, bare")[0].settings.get("prior", "") if method == "ats" else ""
+    iterations = linear_iterations(prior)
+    ats = AtsSettings(adapt=0, **changes_of(prior))
+
+    def make(some: BasebandScans) -> Image:
+        if iterations is not None:
+            return linear_image(some, problem.grid, iterations)
+        return make_image(some, problem.grid, method, problem.seed, ats=ats)
+
+    found = check(scans, raw, problem.grid, make)
     return 100 * found.residual if found is not None else float("nan")
 
 

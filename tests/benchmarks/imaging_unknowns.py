@@ -210,6 +210,19 @@ def pulse_of(kind: str, seed: int) -> Pulse | None:
         return Pulse(file[names[seed % len(names)]], float(file["dt_ns"]) * 1e-9)
 
 
+def recorded_points(views: int, seed: int, kind: str = "drawn") -> Capture:
+    """Three points on a turntable, 20 dB SNR, recorded with a pulse that is not the nominal one."""
+    points = np.random.default_rng([FIRST_SEED + seed, 99]).uniform(-0.2, 0.2, (3, 2))
+    acquisition = Acquisition(
+        views=views,
+        axis_distance_m=AXIS_DISTANCE_M,
+        snr_db=20.0,
+        snr_reference="summed",
+        pulse=pulse_of(kind, seed),
+    )
+    return record_scene(Scene.of_points(points), acquisition, seed=seed)[0]
+
+
 def try_pulses(cell: PulseCell) -> PulseFound:
     """One recording imaged with the nominal, the true and the estimated pulse."""
     points = np.random.default_rng([FIRST_SEED + cell.seed, 99]).uniform(-0.2, 0.2, (3, 2))

@@ -68,6 +68,15 @@ def test_the_mean_over_the_views_may_be_taken_off() -> None:
     assert match(ringing(), found.pulse)[0] > 0.97
 
 
+def test_progress_counts_the_scenes_up_to_the_end() -> None:
+    told: list[tuple[int, int]] = []
+    estimate_pulse(recorded(None), GRID, "none", progress=lambda *step: told.append(step))
+    assert len(told) > 5
+    assert [done for done, _ in told] == sorted(done for done, _ in told)
+    assert told[-1][0] == told[-1][1]
+    assert len({total for _, total in told}) == 1
+
+
 @pytest.mark.parametrize("told", [False, True])
 def test_a_pulse_that_is_right_is_kept(told: bool) -> None:
     pulse = ringing() if told else None

@@ -99,14 +99,15 @@ def fit_adapted(
     given = any(getattr(settings, name) != getattr(plain, name) for name in _CHOSEN)
     if given or not settings.adapt or not first.losses or scans.aperture.views < LEAST_VIEWS:
         return first
-    few = np.isnan(first.held_out)
-    enough = _noise_share(scans) + ASKS
-    if not few and first.held_out <= min(enough, _plain(scans, grid, first)):
+    noise = _noise_share(scans)
+    if len(first.unseen) and first.held_out <= min(noise + ASKS, _plain(scans, grid, first)):
         return first
     trials = _Trials(scans, grid, settings, progress)
     trials.try_linear()
     trials.try_settings("default", {})
-    if few and trials.residual("default") <= enough and trials.better("default"):
+    # The energy of noise in so many samples varies by this much.
+    spread = noise / np.sqrt(max(trials.samples, 1.0))
+    if trials.residual("default") <= noise + ASKS + 2 * spread and trials.better("default"):
         return first
     trials.try_candidates()
     prior = trials.chosen(settings.calibrate == ())
@@ -145,6 +146,8 @@ class _Trials:
         self.settings = replace(settings, calibrate=(), held_out=0.0)
         self.folds = folds(len(rest))
         self.energy = float(sum((np.abs(self.scans.samples[f]) ** 2).sum() for f in self.folds))
+        judged_views = sum(map(len, self.folds))
+        self.samples = scans.independent_samples * judged_views / scans.aperture.views
         self.found: dict[str, Floats] = {}
 
     def try_linear(self) -> None:

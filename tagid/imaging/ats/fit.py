@@ -200,7 +200,7 @@ class _Fit:
                 self._learn(engine.weights(), late=step + 1 >= steps / 2)
                 since = 0
             if step + 1 in check:
-                self._screen(engine.weights(), scales.weight)
+                self._screen(engine.weights(), grid, scales.weight)
                 grid = every.select(self.support.numbers)
             if step + 1 in learn | check:
                 subsets = self._subsets(fine, native)
@@ -236,9 +236,12 @@ class _Fit:
         """Whether dark pixels may be left out: the neighbourhood prior and shadows need all of them."""
         return self.settings.smoothness == 0 and not _weighted(self.settings)
 
-    def _screen(self, field: FieldWeights, weight: float) -> None:
+    def _screen(self, field: FieldWeights, grid: GridArrays, weight: float) -> None:
         """Choose the pixels again, by the residual of all views under the present field."""
-        values = replace(field, support=self.support.mask).on(self.grid)
+        some = field.at(grid.taps)
+        values = np.zeros((len(some), self.grid.pixels**2), dtype=np.complex64)
+        values[:, slice(None) if grid.pixels is None else grid.pixels] = some
+        values = values.reshape(-1, self.grid.pixels, self.grid.pixels)
         rest = self.scans.samples - self.known.static - self._seen(values, True)
         aspect = self._view_of(self.known.aperture(self.scans.aperture), True).conj()
         square = np.zeros(self.grid.pixels**2, dtype=np.float32)

@@ -111,15 +111,19 @@ class FieldWeights:
             at = ((np.arange(grid.pixels) + 0.5) / grid.pixels * self.pixels).astype(np.intp)
             wanted = np.flatnonzero(self.support[np.ix_(at, at)])
         taps = Taps.of(grid.pixels, [table.shape[1] - 1 for table in self.tables], wanted)
-        features = len(self.tables[0])
-        table = np.ascontiguousarray(np.concatenate([t.reshape(features, -1) for t in self.tables], axis=1).T)
-        inputs = np.empty((len(taps.index), len(self.tables) * features), dtype=np.float32)
-        taps.interpolate(table, inputs)
-        values = self._network(inputs.T) * share
+        values = self.at(taps) * share
         if wanted is not None:
             values, some = np.zeros((len(values), grid.pixels**2), dtype=np.complex64), values
             values[:, wanted] = some
         return values.reshape(-1, grid.pixels, grid.pixels)
+
+    def at(self, taps: Taps) -> NDArray[np.complex64]:
+        """(channels, n) reflectivity of the pixels of some taps, per pixel of the fitted grid."""
+        features = len(self.tables[0])
+        table = np.concatenate([t.reshape(features, -1) for t in self.tables], axis=1)
+        inputs = np.empty((len(taps.index), len(self.tables) * features), dtype=np.float32)
+        taps.interpolate(np.ascontiguousarray(table.T), inputs)
+        return self._network(inputs.T)
 
     def mean_with(self, other: FieldWeights, share: float) -> FieldWeights:
         """Parameters (1 - share) of these and share of the other's."""
