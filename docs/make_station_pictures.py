@@ -1,8 +1,8 @@
-"""Makes the pictures of docs/station.md: the station's page in a headless Chromium, against an emulated radar.
+"""Makes the pictures of docs/station.md: the station's page in a headless Chromium, against emulated radars.
 
     python docs/make_station_pictures.py [FOLDER]
 
-Needs `pip install '.[dev]'`, Chromium and chromedriver. Takes one scan in real time.
+Needs `pip install '.[dev]'`, Chromium and chromedriver. One scan is in real time, three without waiting.
 """
 
 from __future__ import annotations
@@ -62,12 +62,60 @@ def until(page: Any, script: str) -> None:
     raise SystemExit(f"it did not happen: {script}")
 
 
+SCANNED = "emulator://helmet-120?rpm=6&seed=2&centre=0.005,-0.003&rate=1"
+POSES = ((0.006, -0.002, 10), (-0.004, 0.005, 130), (0.001, 0.008, 250))
+"""Centre (m) and rotation (degrees) of the object that is enrolled, in each capture."""
+OBJECT = """
+name = "helmet-7"
+kind = "helmet"
+positions_m = [[0.11, 0.0], [-0.02, 0.09], [-0.05, -0.07]]
+"""
+ABSENT = "udp://127.0.0.1:9"
+
+
+def radar(home: str, url: str) -> None:
+    """Configure the radar; the station reads the configuration before every scan and check."""
+    Path(home, "c.toml").write_text(
+        f'[radar]\nurl = "{url}"\nintegration = 15\n[motion]\nurl = "free?rpm=6"\naxis_distance_m = 1.0\n'
+    )
+
+
+def view(page: Any, name: str) -> None:
+    """Open a view."""
+    page.execute_script(f"location.hash = '#view-{name}'")
+    until(page, f"document.body.dataset.view === '{name}'")
+
+
+def enrol(page: Any, home: str, out: Path) -> None:
+    """Enrol an object in three captures, and take pictures on the way."""
+    Path(home, "helmet-7.toml").write_text(OBJECT)
+    view(page, "enrol")
+    page.find_element(By.ID, "e-name").send_keys("helmet-7")
+    page.find_element(By.ID, "e-begin").click()
+    for number, (x, y, turn) in enumerate(POSES, 1):
+        options = f"rpm=6&seed={number}&centre={x},{y}&rotation={turn}&reflector=octahedron"
+        radar(home, f"emulator://helmet-7?file={home}/helmet-7.toml&{options}")
+        until(page, "!document.getElementById('capture').disabled && !running && !enrolment.measuring")
+        page.find_element(By.ID, "capture").click()
+        until(page, f"document.querySelectorAll('#captures li').length === {number} && !enrolment.measuring")
+        if number == 2:
+            size(page, "phone", "dark")
+            until(page, "!running")
+            take(page, out / "station-enrol-phone-dark.png")
+            size(page, "tablet", "light")
+    until(page, "enrolment.proposal && enrolment.proposal.ready && !running")
+    take(page, out / "station-enrol.png")
+    page.find_element(By.ID, "store").click()
+    until(page, "enrolment.stored")
+
+
 def main() -> None:
     out = Path(sys.argv[1] if len(sys.argv) > 1 else Path(__file__).parent / "pictures")
     with tempfile.TemporaryDirectory() as home:
         environment = {**os.environ, "TAGID_CONFIG": f"{home}/c.toml", "TAGID_DATA": f"{home}/data"}
-        run = [sys.executable, "-m", "tagid", "station", "--demo", "--bind", "127.0.0.1:0"]
+        run = [sys.executable, "-m", "tagid", "station", "--bind", "127.0.0.1:0"]
         run += ["--save-dir", f"{home}/out", "--output", "json"]
+        radar(home, SCANNED)
         station = subprocess.Popen(run, stdout=subprocess.PIPE, text=True, env=environment)
         page = browser(f"{home}/profile")
         try:
@@ -79,11 +127,22 @@ def main() -> None:
             until(page, "document.getElementById('turn').value > 0.45")
             take(page, out / "station-turning.png")
             until(page, "document.getElementById('scan').textContent === 'Scan'")
-            until(page, "document.querySelectorAll('#health-fine li').length > 3")
-            until(page, "document.querySelectorAll('#history li').length > 0")
             take(page, out / "station-answer.png")
             size(page, "phone", "dark")
             take(page, out / "station-phone-dark.png")
+            size(page, "tablet", "light")
+            enrol(page, home, out)
+            radar(home, ABSENT)
+            view(page, "history")
+            until(page, "document.querySelectorAll('#history li').length > 3")
+            for box in page.find_elements(By.CSS_SELECTOR, "#history input")[:3]:
+                box.click()
+            page.find_element(By.ID, "report").click()
+            until(page, "report && report.complete")
+            take(page, out / "station-history.png")
+            view(page, "health")
+            until(page, "!document.getElementById('wiring').hidden")
+            take(page, out / "station-wiring.png")
         finally:
             page.quit()
             station.terminate()

@@ -1,8 +1,11 @@
-"""Memory and threads of a station over many scans of the emulator.
+"""Memory, threads and open files of a station over many scans of the emulator.
 
     python tests/benchmarks/bench_station.py [--scans 2000] [--every 50]
 
-Prints scans, resident memory (MB), threads and open files, one line per `--every` scans.
+Each scan is a whole turn at 60 rpm, as fast as it is read, with live image, reading, picture and history. A
+page is connected and receives every frame, and the history is requested after each scan. One layout is
+enrolled. Captures are removed after their scan. Prints scans, resident memory (MB), threads and open files,
+one line per `--every` scans, and the slope of the memory over the second half of the run.
 """
 
 from __future__ import annotations
@@ -12,45 +15,108 @@ import os
 import sys
 import tempfile
 import threading
+import time
+from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "e2e"))
-from station_harness import healthy, source
+from station_harness import Asks, Raw, healthy, joined, source
+
+RADAR = "emulator://helmet-120?rpm=60&seed=2"
+
+
+@dataclass(frozen=True)
+class Load:
+    """State of the process after a number of scans.
+
+    Attributes:
+        scans: number of scans.
+        resident_mb: resident memory, MB.
+        threads: number of threads.
+        files: number of open files.
+    """
+
+    scans: int
+    resident_mb: float
+    threads: int
+    files: int
+
+    @classmethod
+    def now(cls, scans: int) -> Load:
+        """The state of this process."""
+        pages = int(Path("/proc/self/statm").read_text().split()[1])
+        resident = pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+        return cls(scans, resident, threading.active_count(), len(list(Path("/proc/self/fd").iterdir())))
+
+
+def slope_mb(loads: list[Load]) -> float:
+    """Growth of the memory, MB per 1000 scans, by least squares."""
+    return float(np.polyfit([one.scans for one in loads], [one.resident_mb for one in loads], 1)[0] * 1000)
+
+
+def run(home: Path, scans: int, every: int) -> list[Load]:
+    """Scan with a station in this process; the state after every so many scans."""
+    os.environ |= {"TAGID_CONFIG": f"{home}/c.toml", "TAGID_DATA": f"{home}/data"}
+    from tagid.station import server as web_server
+    from tagid.station.server import Server
+    from tagid.station.station import Station, registry
+
+    web_server.PING_S = 3600.0  # a process that is halted for other work answers no ping
+    for layout in registry().layouts():
+        if layout.name != "helmet-120":
+            registry().remove(layout.name)
+    place = home / "out"
+    place.mkdir()
+    station = Station(source(place, RADAR, rpm=60), healthy)
+    loads = []
+    with Server(station, "127.0.0.1", 0) as server:
+        page, _ = joined(server.port)
+        reader = threading.Thread(target=watch, args=(page,), name="page", daemon=True)
+        reader.start()
+        for number in range(1, scans + 1):
+            station.start(None)
+            assert station.scan is not None
+            station.scan.join(300)
+            assert station.scan.state.final, station.scan.state.note
+            assert len(Asks(server.url, {}).get("/api/v1/history").json()["items"]) == min(number, 50)
+            for path in place.iterdir():
+                path.unlink()
+            if number % every == 0:
+                loads.append(Load.now(number))
+                show(loads[-1])
+    reader.join(30)
+    return loads
+
+
+def watch(page: Raw) -> None:
+    """Receive every frame until the station ends."""
+    with suppress(AssertionError, OSError):
+        page.until("the end")
+
+
+def show(load: Load) -> None:
+    """Print a line."""
+    sys.stdout.write(
+        f"{load.scans:6d} {load.resident_mb:7.1f} MB {load.threads:3d} threads {load.files:3d} files\n"
+    )
+    sys.stdout.flush()
 
 
 def main() -> None:
-    words = argparse.ArgumentParser()
+    words = argparse.ArgumentParser(description=__doc__)
     words.add_argument("--scans", type=int, default=2000)
     words.add_argument("--every", type=int, default=50)
     asked = words.parse_args()
+    began = time.process_time()
     with tempfile.TemporaryDirectory() as home:
-        os.environ |= {"TAGID_CONFIG": f"{home}/c.toml", "TAGID_DATA": f"{home}/data"}
-        from tagid.station.server import Server
-        from tagid.station.station import Station
-
-        place = Path(home) / "out"
-        place.mkdir()
-        station = Station(source(place), healthy)
-        with Server(station, "127.0.0.1", 0):
-            for number in range(1, asked.scans + 1):
-                station.start(None)
-                assert station.scan is not None
-                station.scan.join(300)
-                for path in place.iterdir():
-                    path.unlink()
-                if number % asked.every == 0 or number in (1, 5):
-                    print(number, round(resident_mb(), 1), threading.active_count(), files(), flush=True)
-
-
-def resident_mb() -> float:
-    """Resident memory of this process, MB."""
-    pages = int(Path("/proc/self/statm").read_text().split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
-
-
-def files() -> int:
-    """Open files of this process."""
-    return len(list(Path("/proc/self/fd").iterdir()))
+        loads = run(Path(home), asked.scans, asked.every)
+    late = loads[len(loads) // 2 :]
+    if len(late) > 1:
+        sys.stdout.write(f"slope of the second half: {slope_mb(late):+.2f} MB per 1000 scans\n")
+    sys.stdout.write(f"{(time.process_time() - began) / asked.scans:.2f} s of processor time per scan\n")
 
 
 if __name__ == "__main__":

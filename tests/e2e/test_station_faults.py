@@ -49,7 +49,7 @@ def test_a_radar_that_is_gone_is_told_with_its_wiring_and_the_next_scan_works(se
         page.until("frame", lambda m: m["scan"]["scans"] > 10)
     assert page.until("status", lambda m: m["scan"]["silent_s"] > 1)["scan"]["running"]
     scan = page.until("frame", lambda m: not m["scan"]["running"])["scan"]
-    assert scan["phase"] == "failed" and "complete scans are in" in scan["note"], scan["note"]
+    assert scan["phase"] == "failed" and "scans that arrived are in" in scan["note"], scan["note"]
     (capture,) = (tmp_path / "out").glob("*.tagid.h5")
     assert read_any(capture).views > 10 and not read_any(capture).complete
     help_ = page.until("status", lambda m: m["health"]["wiring"])["health"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import resource
 import threading
 from collections.abc import Callable, Iterator
 from importlib import util
@@ -15,9 +16,15 @@ from chromium import size, start, theme, wait
 pytest.importorskip("starlette")
 from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
-from station_harness import ENDLESS, Asks, alone, stations
+from station_harness import ENDLESS, Asks, alone, own_object, poses, stations
 from station_harness import wait as until
 
+from tagid.doctor import examine
+from tagid.radar.emulation.core import EmulatorCore
+from tagid.radar.emulation.emulator import ServeOptions, UdpEmulator
+from tagid.radar.settings import RadarConfig
+from tagid.recording.sources import emulated_scene
+from tagid.station import live_socket, station
 from tagid.station.server import Server
 
 PIXELS = """
@@ -207,5 +214,130 @@ def test_a_device_pairs_on_the_page(browser: Any, serve: Callable[..., Server]) 
     field.send_keys(codes[-1], Keys.ENTER)
     wait(browser, lambda: text(browser, "link") == "connected")
     assert browser.execute_script("return document.cookie") == "", "no script reads the token"
+    browser.get("about:blank")
+    browser.get_log("browser")
+
+
+def test_an_object_is_enrolled_by_keyboard_and_the_enrolment_undone(
+    browser: Any, serve: Callable[..., Server], tmp_path: Path
+) -> None:
+    radars = poses("mine", own_object(tmp_path))
+    one = serve(lambda: next(radars))
+    size(browser, 820, 1180)
+    theme(browser, "light")
+    browser.get(f"{one.url}/#view-enrol")
+    wait(browser, lambda: browser.find_element(By.ID, "e-begin").is_enabled())
+    by_keyboard(browser, "e-name")
+    browser.switch_to.active_element.send_keys("Gate 4", Keys.ENTER)
+    wait(browser, lambda: "is not valid" in text(browser, "problem"))
+    name = browser.find_element(By.ID, "e-name")
+    name.clear()
+    name.send_keys("gate-4", Keys.ENTER)
+    wait(browser, lambda: text(browser, "capture") == "Record 1 of 3")
+    assert browser.switch_to.active_element.get_attribute("id") == "capture", "one press more records"
+    assert text(browser, "problem") == "" and problems(browser) == []
+    for number in (1, 2, 3):
+        wait(browser, lambda: browser.find_element(By.ID, "capture").is_enabled())
+        by_keyboard(browser, "capture")
+        browser.switch_to.active_element.send_keys(Keys.ENTER)
+        wait(
+            browser,
+            lambda number=number: len(browser.find_elements(By.CSS_SELECTOR, "#captures li")) == number,
+        )
+        wait(browser, lambda: text(browser, "measuring") == "")
+        if number == 2:
+            assert "third of a turn" in text(browser, "instruction")
+            browser.refresh()
+            wait(browser, lambda: text(browser, "capture") == "Record 3 of 3")
+    wait(browser, lambda: browser.find_element(By.ID, "store").is_enabled())
+    assert text(browser, "store") == "Enrol gate-4"
+    assert "3 reflectors" in text(browser, "measured-text") and "mm apart" in text(browser, "nearest")
+    assert len(browser.find_elements(By.CSS_SELECTOR, "#plan circle")) == 3
+    assert problems(browser) == []
+    by_keyboard(browser, "store")
+    browser.switch_to.active_element.send_keys(Keys.ENTER)
+    wait(browser, lambda: text(browser, "done-text").startswith("gate-4 is enrolled"))
+    assert browser.find_element(By.ID, "done-template").get_attribute("href").endswith("gate-4/template.pdf")
+    assert problems(browser) == []
+    by_keyboard(browser, "undo")
+    browser.switch_to.active_element.send_keys(Keys.ENTER)
+    wait(browser, lambda: text(browser, "done-text") == "gate-4 is no longer enrolled.")
+    size(browser, 390, 844, True)
+    assert browser.execute_script("return document.documentElement.scrollWidth") <= 390
+    # A selection of the history becomes a report; each theme and size of its view was checked above.
+    view(browser, "history")
+    wait(browser, lambda: len(browser.find_elements(By.CSS_SELECTOR, "#history input")) == 3)
+    browser.find_elements(By.CSS_SELECTOR, "#history input")[1].send_keys(Keys.SPACE)
+    assert text(browser, "selected") == "1 selected"
+    assert "entries=2" in browser.find_element(By.ID, "export-captures").get_attribute("href")
+    browser.find_element(By.ID, "report").send_keys(Keys.ENTER)
+    wait(browser, lambda: browser.find_element(By.ID, "report-page").is_displayed())
+    assert "1 captures" in text(browser, "report-text") and problems(browser) == []
+    browser.get(browser.find_element(By.ID, "report-page").get_attribute("href"))
+    wait(browser, lambda: "Captures of the station" in browser.title)
+    wait(browser, lambda: browser.find_elements(By.CSS_SELECTOR, "table tbody tr"))
+    stolen = "try { return String(document.cookie) } catch (error) { return error.name }"
+    assert browser.execute_script(stolen) == "SecurityError", "the sandbox gives it no access to the station"
+    # The refused name is in the log, and nothing else.
+    (refused,) = [entry["message"] for entry in browser.get_log("browser")]
+    assert "400 (Bad Request)" in refused
+
+
+def test_a_radar_that_is_unplugged_shows_on_the_page_and_the_next_scan_works(
+    browser: Any, serve: Callable[..., Server]
+) -> None:
+    def core(rpm: str) -> EmulatorCore:
+        return EmulatorCore(emulated_scene("helmet-120", {"rpm": rpm}), RadarConfig())
+
+    size(browser, 390, 844, True)
+    with UdpEmulator(core("2"), ServeOptions(port=0)) as radar:
+        one = serve(radar.url, check=examine, rpm=2, resume_s=4.0)
+        browser.get(one.url)
+        wait(browser, lambda: browser.find_element(By.ID, "scan").is_enabled())
+        assert not browser.find_element(By.ID, "alert").is_displayed()
+        browser.find_element(By.ID, "scan").click()
+        wait(browser, lambda: int(text(browser, "figures").partition(" scans")[0]) > 10)
+    wait(browser, lambda: text(browser, "answer") == "No signal")
+    assert "cable and power" in text(browser, "advice")
+    wait(browser, lambda: text(browser, "answer") == "Failed")
+    assert "are in" in text(browser, "reason"), "where the scans are"
+    wait(browser, lambda: browser.find_element(By.ID, "alert").is_displayed())
+    browser.find_element(By.CSS_SELECTOR, "#alert a").send_keys(Keys.ENTER)
+    wait(browser, lambda: browser.find_element(By.ID, "wiring").is_displayed())
+    assert text(browser, "wiring-name") == "network cable"
+    assert browser.execute_script("return document.documentElement.scrollWidth") <= 390
+    assert problems(browser) == []
+    with UdpEmulator(core("20"), ServeOptions(port=int(radar.url.rpartition(":")[2]), rate=0)):
+        wait(browser, lambda: not browser.find_element(By.ID, "wiring").is_displayed())
+        view(browser, "scan")
+        browser.find_element(By.ID, "scan").click()
+        wait(browser, lambda: text(browser, "scan") == "Stop")
+        wait(browser, lambda: text(browser, "scan") == "Scan")
+        assert Asks(one.url, {}).get("/api/v1/scan").json()["phase"] == "done"
+
+
+def test_a_full_disk_and_a_station_that_is_full_show_on_the_page(
+    browser: Any, serve: Callable[..., Server], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(live_socket, "MAX_CONNECTIONS", 1)
+    monkeypatch.setattr(station, "MAX_CONNECTIONS", 1)
+    one = serve()
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    browser.get(one.url)
+    wait(browser, lambda: browser.find_element(By.ID, "scan").is_enabled())
+    resource.setrlimit(resource.RLIMIT_FSIZE, (30_000, hard))
+    try:
+        browser.find_element(By.ID, "scan").click()
+        wait(browser, lambda: text(browser, "answer") == "Failed")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert "tagid recover" in text(browser, "reason")
+    first = browser.current_window_handle
+    browser.switch_to.new_window("window")
+    browser.get(one.url)
+    wait(browser, lambda: "too many pages" in text(browser, "link"))
+    assert not browser.find_element(By.ID, "scan").is_enabled()
+    browser.close()
+    browser.switch_to.window(first)
     browser.get("about:blank")
     browser.get_log("browser")

@@ -58,6 +58,8 @@ function showSubject(subject) {
     $("e-name").value = subject ? subject.name : "";
     $("e-label").value = subject ? subject.label : "";
     if (subject) $("e-kind").value = subject.kind;
+    $("subject-part").open = !subject;
+    setText("subject-summary", subject ? `${subject.name} (${subject.kind}): change` : "Name the object");
   }
   setText("e-begin", subject ? "Change" : "Begin");
   $("e-begin").disabled = !mayAct() || enrolment.measuring;
