@@ -174,7 +174,8 @@ def _held_out(
         return None
     seen = np.setdiff1d(np.arange(unfiltered.aperture.views), unseen)
     some, plain = select_views(matched, seen), select_views(unfiltered, seen)
-    back = _residual(test, backproject_volume(some if method == "bp" else plain, grid))
+    first = backproject_volume(some if method == "bp" else plain, grid, progress if method == "bp" else None)
+    back = _residual(test, first)
     found = back if method == "bp" else _residual(test, _make(method, some, plain, grid, progress))
     noise = test.noise_std**2 * test.samples.size / energy if test.noise_std > 0 else float("nan")
     return HeldOut(found, back, min(noise, 1.0), len(unseen))
