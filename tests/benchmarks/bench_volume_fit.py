@@ -1,7 +1,7 @@
 """Volumes by all methods: how well they predict held-out views, and the time and memory of the 3-D fit.
 
-Run `python tests/benchmarks/bench_volume_fit.py --write`; `--heights 100 --levels 100` times the full size. Scenes
-are appended to `--keep FILE` and not repeated, so that a run can be stopped and continued.
+Run `python tests/benchmarks/bench_volume_fit.py --write`; `--heights 100 --levels 100` times the full size.
+Scenes are appended to `--keep FILE` and not repeated, so that a run can be stopped and continued.
 """
 
 from __future__ import annotations
