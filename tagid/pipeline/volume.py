@@ -100,7 +100,8 @@ def reconstruct_volume(
     levels = settings.levels or _levels(unfiltered, square, high - low)
     grid = VolumeGrid(square, low, high, levels)
     with watch.stage("volume"):
-        volume = _make(settings.method, matched, unfiltered, grid, progress)
+        whole = _part(progress, 0.0, 0.5 if settings.held_out else 1.0, "")
+        volume = _make(settings.method, matched, unfiltered, grid, whole)
     facts: dict[str, Any] = {
         "tool_version": __version__,
         "capture_uuid": capture.uuid,
@@ -114,7 +115,8 @@ def reconstruct_volume(
     }
     if settings.held_out:
         with watch.stage("held out"):
-            predicted = _held_out(settings.method, matched, unfiltered, grid)
+            again = _part(progress, 0.5, 1.0, "held-out views")
+            predicted = _held_out(settings.method, matched, unfiltered, grid, again)
         if predicted is not None:
             facts["held_out"] = predicted.facts()
     volume = replace(volume, settings={**volume.settings, **facts})
@@ -124,6 +126,18 @@ def reconstruct_volume(
 def _levels(scans: BasebandScans, square: ImageGrid, rise_m: float) -> int:
     thin = max(vertical_resolution_m(scans) / 3, square.step)
     return int(np.clip(np.ceil(rise_m / thin), 2, _MOST_LEVELS))
+
+
+def _part(progress: Progress | None, begin: float, end: float, what: str) -> Progress | None:
+    """Progress of one of several stages as part of the whole, from 0 to 1."""
+    if progress is None:
+        return None
+    told = progress
+
+    def report(done: float, total: float, remark: str) -> None:
+        told(begin + (end - begin) * done / max(total, 1), 1.0, remark or what)
+
+    return report
 
 
 def _make(
@@ -146,7 +160,11 @@ def _make(
 
 
 def _held_out(
-    method: str, matched: BasebandScans, unfiltered: BasebandScans, grid: VolumeGrid
+    method: str,
+    matched: BasebandScans,
+    unfiltered: BasebandScans,
+    grid: VolumeGrid,
+    progress: Progress | None = None,
 ) -> HeldOut | None:
     """Residual on views held out from the volume, and that of backprojection; None with too few views."""
     unseen = left_out(unfiltered.aperture.views)
@@ -156,8 +174,9 @@ def _held_out(
         return None
     seen = np.setdiff1d(np.arange(unfiltered.aperture.views), unseen)
     some, plain = select_views(matched, seen), select_views(unfiltered, seen)
-    back = _residual(test, backproject_volume(some if method == "bp" else plain, grid))
-    found = back if method == "bp" else _residual(test, _make(method, some, plain, grid, None))
+    first = backproject_volume(some if method == "bp" else plain, grid, progress if method == "bp" else None)
+    back = _residual(test, first)
+    found = back if method == "bp" else _residual(test, _make(method, some, plain, grid, progress))
     noise = test.noise_std**2 * test.samples.size / energy if test.noise_std > 0 else float("nan")
     return HeldOut(found, back, min(noise, 1.0), len(unseen))
 

@@ -115,8 +115,9 @@ def strip(layout: Layout, surface_radius_m: float | None = None) -> Drawing:
         Line((left, top), (left + length, top)),
         Line((left, bottom), (left, top)),
         Line((left + length, bottom), (left + length, top)),
-        Line((left, y0), (left + length, y0), 0.2, True),
     )
+    rows = sorted({0.0, *heights.tolist()})
+    sheet.add(*(Line((left, y0 + row), (left + length, y0 + row), 0.2, True) for row in rows))
     angles = np.rad2deg(np.arctan2(layout.positions[:, 1], layout.positions[:, 0])) % 360
     begin = _widest_gap_deg(angles)
     for degrees in range(0, 361, 10):
@@ -132,7 +133,12 @@ def strip(layout: Layout, surface_radius_m: float | None = None) -> Drawing:
         sheet.cross(at, 6.0)
         sheet.add(
             Text((at[0], at[1] - 9), f"{number}: {angle:.1f} deg", 3.0),
-            Text((at[0], at[1] - 13), f"{along:.1f} from the left, r {r * 1e3:.1f}", 2.6),
+            Text(
+                (at[0], at[1] - 13),
+                f"{along:.1f} from the left, r {r * 1e3:.1f}"
+                + (f", height {height:.1f}" if low < high else ""),
+                2.6,
+            ),
         )
     sheet.add(
         Text(

@@ -14,7 +14,7 @@ from tagid.capture import Capture
 from tagid.errors import DataError, UsageError
 from tagid.geometry import ImageGrid, VolumeGrid
 from tagid.imaging import kernel, volume
-from tagid.imaging.ats.volume import Field, VolumeFitSettings, fit_volume
+from tagid.imaging.ats.volume import Field, Interpolation, VolumeFitSettings, fit_volume
 from tagid.imaging.operator import ForwardOperator
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.imaging.volume import backproject_volume, sparse_volume
@@ -127,14 +127,19 @@ def test_a_fit_begins_as_the_backprojection_and_ends_below_it() -> None:
 
 def test_the_gradient_of_the_field_is_that_of_its_loss() -> None:
     """A small step against the gradient of sum |sigma - t|^2 lowers it by rate times |gradient|^2."""
-    from scipy import sparse
-
     rng = np.random.default_rng(0)
-    at = [sparse.csr_array(rng.random((40, n)).astype(np.float32)) for n in (5, 9)]
-    first = rng.standard_normal(9) + 1j * rng.standard_normal(9)
+    axes = [tuple(np.linspace(0, 1, n) for _ in range(3)) for n in (2, 3)]
+    at = [Interpolation.of(rng.random((40, 3)), each) for each in axes]
+    table, values = rng.random((2, 27)).astype(np.float32), rng.random((2, 40)).astype(np.float32)
+    assert np.vdot(at[1].read(table), values) == pytest.approx(np.vdot(table, at[1].spread(values)), rel=1e-5)
+    first = rng.standard_normal(27) + 1j * rng.standard_normal(27)
     field = Field.carrying(first, at, 2.0, VolumeFitSettings(levels=2))
     values = field.evaluate(field.layers()[-1])
-    np.testing.assert_allclose(values, 2 * (at[1] @ first), atol=0.2 * np.abs(values).max())
+    np.testing.assert_allclose(
+        values,
+        2 * (at[1].read(first.real[None]) + 1j * at[1].read(first.imag[None]))[0],
+        atol=0.2 * np.abs(values).max(),
+    )
     target = (rng.standard_normal(40) + 1j * rng.standard_normal(40)).astype(np.complex64)
 
     def loss(one: Field) -> float:
@@ -154,6 +159,15 @@ def test_the_gradient_of_the_field_is_that_of_its_loss() -> None:
     assert loss(field) < before
     assert loss(field) - before == pytest.approx(predicted, rel=0.05)
     assert all((np.abs(step) > 0).any() for step in moved)
+
+
+def test_interpolation_is_linear_along_every_axis() -> None:
+    """A linear function of the places is read back exactly: no axis is mistaken for another."""
+    axes = np.linspace(-1, 1, 4), np.linspace(0, 2, 5), np.linspace(3, 4, 3)
+    z, y, x = np.meshgrid(*axes[::-1], indexing="ij")
+    points = np.column_stack([np.random.default_rng(k).uniform(a[0], a[-1], 30) for k, a in enumerate(axes)])
+    read = Interpolation.of(points, axes).read((x + 10 * y + 100 * z).ravel()[None].astype(np.float32))
+    np.testing.assert_allclose(read[0], points @ [1, 10, 100], rtol=1e-5)
 
 
 def test_joined_captures_keep_their_positions_and_heights() -> None:
@@ -260,7 +274,7 @@ def test_a_surface_is_closed_and_faces_outwards() -> None:
     assert len(isosurface(values, 2.0, (z, y, x)).triangles) == 0
 
 
-def test_from_the_command_line(tagid) -> None:
+def test_from_the_command_line(tagid, tmp_path: Path) -> None:
     names = []
     for number, height in enumerate((0.0, 0.2)):
         names.append(f"{number}.tagid.h5")
@@ -274,6 +288,12 @@ def test_from_the_command_line(tagid) -> None:
     assert made.code == 0, made.err
     settings = made.json["data"]["settings"]
     assert settings["held_out"]["residual"] < 0.3 * settings["held_out"]["backprojection"]
+    files = ("--surface", tmp_path / "s.ply", "--vti", tmp_path / "v.vti", "--no-held-out")
+    fitted = tagid("reconstruct", "all.npz", "--volume", *words[2:], "--method", "ats", *files)
+    assert fitted.code == 0, fitted.err
+    assert (tmp_path / "s.ply").read_bytes().startswith(b"ply\nformat binary_little_endian 1.0\n")
+    for bad in (("--ats", "steps=5"), ("--surface", "s.stl"), ("--method", "omp")):
+        assert tagid("reconstruct", "all.npz", "--volume", *words[2:], *bad).code == 2
     wrong = tagid("reconstruct", "all.npz", "--levels", 5)
     assert wrong.code == 2
     assert "--volume" in wrong.err

@@ -11,7 +11,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,9 +24,6 @@ from tagid.imaging.operator import ForwardOperator
 from tagid.imaging.sparse import column_norm
 from tagid.imaging.types import BasebandScans
 from tagid.imaging.volume import Progress, Volume, backproject_volume, vertical_resolution_m
-
-if TYPE_CHECKING:
-    from scipy import sparse
 
 Array = NDArray[np.float32]
 
@@ -195,7 +192,7 @@ class _Fit:
         back = some.adjoint(self.scans.samples[self.sample])
         first = back * np.complex64(step * whole / scale)
         points = _points(grid, self.active)
-        at = [_interpolation(points, each) for each in axes]
+        at = [Interpolation.of(points, each) for each in axes]
         return Field.carrying(first, at, scale, settings)
 
     def _optimise(
@@ -226,13 +223,60 @@ class _Fit:
         return (mean if since else field), losses
 
 
+@dataclass(frozen=True, eq=False)
+class Interpolation:
+    """Trilinear interpolation of a grid's vertices at many points.
+
+    Attributes:
+        index: (points, 8) numbers of the vertices about each point, in (z, y, x) order.
+        weight: (points, 8) float32 their weights.
+        vertices: number of vertices.
+    """
+
+    index: NDArray[np.int32]
+    weight: Array
+    vertices: int
+
+    @classmethod
+    def of(cls, points: NDArray[np.float64], axes: tuple[NDArray[np.float64], ...]) -> Interpolation:
+        """At points (n, 3), m, of a grid with these vertices along x, y and z, m."""
+        corners, parts = [], []
+        for axis, along in zip(axes, points.T, strict=True):
+            place = np.clip((along - axis[0]) / (axis[1] - axis[0]), 0, len(axis) - 1)
+            corner = np.minimum(place.astype(np.int32), len(axis) - 2)
+            corners.append(corner)
+            parts.append((place - corner).astype(np.float32))
+        across, along_y, up = (len(axis) for axis in axes)
+        index = np.empty((len(points), 8), dtype=np.int32)
+        weight = np.empty((len(points), 8), dtype=np.float32)
+        for number, steps in enumerate(itertools.product((0, 1), repeat=3)):
+            x, y, z = (corner + step for corner, step in zip(corners, steps, strict=True))
+            index[:, number] = (z * along_y + y) * across + x
+            shares = [part if step else 1 - part for part, step in zip(parts, steps, strict=True)]
+            weight[:, number] = shares[0] * shares[1] * shares[2]
+        return cls(index, weight, across * along_y * up)
+
+    def read(self, table: Array) -> Array:
+        """(features, points) of a table (features, vertices)."""
+        out = np.zeros((len(table), len(self.index)), dtype=np.float32)
+        for number in range(self.index.shape[1]):
+            out += table.take(self.index[:, number], axis=1) * self.weight[:, number]
+        return out
+
+    def spread(self, values: Array) -> Array:
+        """(features, vertices), the transpose of `read` of values (features, points)."""
+        where = self.index.ravel()
+        rows = [np.bincount(where, (self.weight * row[:, None]).ravel(), self.vertices) for row in values]
+        return np.asarray(rows, dtype=np.float32)
+
+
 class Field:
     """A network over features on grids of several resolutions, at the active voxels.
 
     Args:
         tables: one (features, vertices) array per level.
         weights, biases: (out, in) and (out, 1) of both layers.
-        at: one (voxels, vertices) interpolation per level.
+        at: interpolation of every level.
         scale: factor of the output.
     """
 
@@ -241,7 +285,7 @@ class Field:
         tables: list[Array],
         weights: list[Array],
         biases: list[Array],
-        at: list[sparse.csr_array[np.float32]],
+        at: list[Interpolation],
         scale: float,
     ) -> None:
         self.parameters = [*tables, *weights, *biases]
@@ -253,7 +297,7 @@ class Field:
     def carrying(
         cls,
         first: NDArray[np.complexfloating],
-        at: list[sparse.csr_array[np.float32]],
+        at: list[Interpolation],
         scale: float,
         settings: VolumeFitSettings,
     ) -> Field:
@@ -271,7 +315,7 @@ class Field:
             return ((rng.random(size, dtype=np.float32) * 2 - 1) * np.float32(bound)).astype(np.float32)
 
         features, width = max(settings.features, 2), max(settings.width, len(_PASSED))
-        tables = [uniform(_TABLE_INIT, features, each.shape[1]) for each in at]
+        tables = [uniform(_TABLE_INIT, features, each.vertices) for each in at]
         inputs, peak = features * len(at), float(np.abs(first).max(initial=1e-30))
         hidden, output = uniform(inputs**-0.5, width, inputs), uniform(width**-0.5, 2, width)
         output *= np.float32(_REST)
@@ -289,7 +333,7 @@ class Field:
     def layers(self) -> list[Array]:
         """Features, hidden layer and output, each (units, voxels)."""
         tables, (hidden, output) = self.parameters[: self.levels], self._weights
-        features = np.concatenate([(at @ table.T).T for at, table in zip(self.at, tables, strict=True)])
+        features = np.concatenate([at.read(table) for at, table in zip(self.at, tables, strict=True)])
         middle = np.maximum(hidden @ features + self.parameters[-2], 0)
         return [features, middle, output @ middle + self.parameters[-1]]
 
@@ -307,8 +351,7 @@ class Field:
         by_features = hidden.T @ by_middle
         count = len(by_features) // self.levels
         gradients: list[Any] = [
-            np.asarray((at.T @ by_features[level * count : (level + 1) * count].T).T, dtype=np.float32)
-            for level, at in enumerate(self.at)
+            at.spread(by_features[level * count : (level + 1) * count]) for level, at in enumerate(self.at)
         ]
         gradients += [by_middle @ layers[0].T, by_output @ layers[1].T]
         gradients += [by_middle.sum(axis=1, keepdims=True), by_output.sum(axis=1, keepdims=True)]
@@ -371,29 +414,3 @@ def _axes(grid: VolumeGrid, cells: tuple[int, int]) -> tuple[NDArray[np.float64]
     half = grid.square.extent / 2
     across = np.linspace(-half, half, cells[0] + 1)
     return across, across, np.linspace(grid.bottom, grid.top, cells[1] + 1)
-
-
-def _interpolation(
-    points: NDArray[np.float64], axes: tuple[NDArray[np.float64], ...]
-) -> sparse.csr_array[np.float32]:
-    """(points, vertices) trilinear weights of points (n, 3); vertices in (z, y, x) order."""
-    from scipy import sparse
-
-    corners, parts = [], []
-    for axis, along in zip(axes, points.T, strict=True):
-        place = np.clip((along - axis[0]) / (axis[1] - axis[0]), 0, len(axis) - 1)
-        corner = np.minimum(place.astype(np.int32), len(axis) - 2)
-        corners.append(corner)
-        parts.append((place - corner).astype(np.float32))
-    sizes = [len(axis) for axis in axes]
-    index = np.empty((len(points), 8), dtype=np.int32)
-    weight = np.empty((len(points), 8), dtype=np.float32)
-    for number, steps in enumerate(itertools.product((0, 1), repeat=3)):
-        x, y, z = (corner + step for corner, step in zip(corners, steps, strict=True))
-        index[:, number] = (z * sizes[1] + y) * sizes[0] + x
-        weight[:, number] = np.prod(
-            [part if step else 1 - part for part, step in zip(parts, steps, strict=True)], axis=0
-        )
-    starts = np.arange(0, index.size + 1, 8, dtype=np.int32)
-    shape = (len(points), sizes[0] * sizes[1] * sizes[2])
-    return sparse.csr_array((weight.ravel(), index.ravel(), starts), shape=shape)
