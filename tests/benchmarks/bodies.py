@@ -46,7 +46,7 @@ GRID_SNRS_DB = (0.0, 5.0, 10.0, 20.0, 30.0)
 FIRST_SEALED = 13
 """First seed of the reported full-wave scenes; 1 and 11 were reported before, and faults then mended."""
 DRAWN_FROM = {True: 0, False: 510_000}
-"""First number of the drawn full-wave scenes: of development, and reported; 500,000 to 500,059 were once."""
+"""First number of the drawn full-wave scenes: of development, and reported; 500,000 on were before."""
 
 
 @dataclass(frozen=True)
@@ -155,6 +155,11 @@ def reader_hash() -> str:
     return digest.hexdigest()[:16]
 
 
+def mixed(tasks: list[Task]) -> list[Task]:
+    """Tasks in an order drawn once: a run that is stopped by the time has read a fair sample."""
+    return [tasks[i] for i in np.random.default_rng(5).permutation(len(tasks))]
+
+
 def answered(tasks: Sequence[Task], run: Run) -> list[Answer]:
     """The answers to tasks, from the file or by reading; those that time did not allow are left out."""
     path = run.work / f"answers-{reader_hash()}.jsonl"
@@ -235,7 +240,10 @@ def fullwave(run: Run, number: int) -> list[str]:
     """Named and refused full-wave scenes."""
     seeds = [2 * i + (0 if run.development else FIRST_SEALED) for i in range(number)]
     grid = [(how, seed) for seed in seeds for how in range(len(RECORDINGS))]
-    own = answered([Task("tagged", (i, *g)) for g in grid for i in range(len(tagged()))], run)
+    own = answered(mixed([Task("tagged", (i, *g)) for g in grid for i in range(len(tagged()))]), run)
+    if not own:
+        return ["No scene was read in the time allowed."]
+    own.sort(key=lambda a: [r.label for r in RECORDINGS].index(a.column))
     wrong = sum(a.outcome == "wrong" for a in own)
     lines = ["Named rightly, blind (95 % interval):", "", *table(own, "correct")]
     lines += [f"Named wrongly: {cell(wrong, len(own))}. Refusals: {reasons(own)}.", ""]
@@ -244,7 +252,7 @@ def fullwave(run: Run, number: int) -> list[str]:
     for answer in own:
         if answer.outcome != "correct" and run.development:
             lines += [f"    {answer.scene} | {answer.column} | {answer.outcome} | {answer.reason}"]
-    time_ = sorted(a.seconds for a in own if a.column.startswith("36 views"))
+    time_ = sorted(a.seconds for a in own if a.column.startswith("36 views")) or [0.0]
     return [
         *lines,
         f"CPU seconds of a reading at 36 views: median {np.median(time_):.2f}, most {time_[-1]:.2f}.",
@@ -255,12 +263,18 @@ def foreign(run: Run, number: int) -> list[str]:
     """Full-wave objects that carry no enrolled tag: fixed ones, and drawn ones."""
     seed = 0 if run.development else FIRST_SEALED
     grid = [(how, seed) for how in range(len(RECORDINGS))]
-    fixed = answered([Task("unnamed", (i, *g)) for i in range(len(unnamed())) for g in grid], run)
+    tasks = mixed([Task("unnamed", (i, *g)) for i in range(len(unnamed())) for g in grid])
+    fixed = answered(tasks, run)
+    fixed.sort(key=lambda a: [r.label for r in RECORDINGS].index(a.column))
+    if len(fixed) < len(tasks):
+        number = 0
     first = DRAWN_FROM[run.development]
     random = answered([Task("drawn", (first + i,)) for i in range(number)], run)
     if not fixed and not random:
         return ["No scene was read in the time allowed."]
     lines = [named([*fixed, *random]), "", *table(fixed, "refused"), *table(random, "refused")]
+    if len(fixed) < len(tasks):
+        lines += [f"{len(fixed)} of {len(tasks)} fixed scenes were read in the time allowed.", ""]
     lines += [f"Drawn scenes: numbers {first} to {first + len(random) - 1}.", ""] if random else []
     lines += [f"    {a.group} | {a.scene} | {a.kind}" for a in (*fixed, *random) if a.outcome == "wrong"]
     return lines

@@ -35,6 +35,8 @@ class BodySettings:
         centres: centres tried in full for a weak body.
         arrangements: kinds of arrangements that are fitted, beside those with free angles.
         finished: layouts fitted to the end.
+        loose: other arrangements fitted with free angles before a layout is named, with patterns of up to
+            three terms and with more.
         through_views: fewest views at which patterns of 5 terms are fitted, on round bodies. At 18 and 24
             views, five of 1,600 untagged or foreign boxes, shells and ovals passed for tags in this way.
         through_m: apparent radius at which their fit begins, m.
@@ -60,6 +62,7 @@ class BodySettings:
     centres: int = 2
     arrangements: int = 12
     finished: int = 4
+    loose: int = 3
     through_views: int = 30
     through_m: float = 0.038
     hopeless: float = 0.5

@@ -52,7 +52,7 @@ class PointSettings:
 
     model_error: float = 0.01
     displaced_m: float = 0.004
-    pair_m: float = 0.7e-3
+    pair_m: float = 0.4e-3
     sigmas: float = 3.0
     unexplained: float = 0.05
     lead: float = 0.5

@@ -238,10 +238,32 @@ class _Reader:
         ranked = sorted(own.values(), key=lambda p: p.charged)
         ranked[0] = self._polished(ranked[0], free, per_term)
         free.append(self._freed(ranked[0], per_term))
-        return self._compared(sorted(ranked, key=lambda p: p.charged), free, others, per_term)
+        ranked.sort(key=lambda p: p.charged)
+        reading = self._compared(ranked, free, others, per_term)
+        if reading.lead <= 0:
+            return reading
+        free += [self._freed(p, per_term) for p in self._loose([*free, *others])]
+        return self._compared(ranked, free, others, per_term)
+
+    def _loose(self, others: Sequence[Placed]) -> list[Placed]:
+        """Arrangements of three reflectors or more to be fitted with free angles: the best, of unlike gaps.
+
+        On the ring's angles, a few degrees apart, the best of many arrangements is often not the nearest one.
+        """
+        found: list[Placed] = []
+        for few in (True, False):
+            seen: set[tuple[int, ...]] = set()
+            ranked = sorted(others, key=lambda p: p.charged)
+            for p in ranked:
+                key = _bin([float(a) for a in p.angles])
+                fits = len(p.angles) >= 3 and (p.batch.terms[0] <= FACING.terms) == few
+                if fits and key not in seen and len(seen) < self.settings.loose:
+                    seen.add(key)
+                    found.append(p)
+        return found
 
     def _freed(self, best: Placed, per_term: float) -> Placed:
-        """The best layout's reflectors with all angles free, from where the layout lies."""
+        """An arrangement's reflectors with all angles free, from where it lies."""
         count = int(best.batch.present[0].sum())
         unit = np.eye(best.batch.at.shape[1])
         moves = [unit[2]]
