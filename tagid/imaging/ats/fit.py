@@ -82,6 +82,7 @@ def fit(
     grid: ImageGrid,
     settings: AtsSettings | None = None,
     progress: Progress | None = None,
+    start: FieldWeights | None = None,
 ) -> AtsResult:
     """Reconstruct by analysis through synthesis.
 
@@ -91,6 +92,8 @@ def fit(
         grid: pixels wanted.
         settings: parameters; the defaults are for 12 to 360 views of an object of up to a metre.
         progress: called after every step.
+        start: field to begin with, of an earlier fit on this grid with the same sizes of the network; None
+            begins with backprojection.
 
     Returns:
         Image in the units of the scans, with how it came about. Scans that are all zero give a zero image.
@@ -107,7 +110,7 @@ def fit(
         scans = preprocess(scans, settings=PreprocessSettings("none", False, extent_m=grid.extent))
     if not np.isfinite(scans.samples).all():
         raise DataError("the scans hold samples that are not finite", "Leave out the broken scans.")
-    return _Fit(scans, grid, settings).run(progress, begun)
+    return _Fit(scans, grid, settings).run(progress, begun, start)
 
 
 @dataclass(frozen=True)
@@ -140,15 +143,19 @@ class _Fit:
         self.shadow = self._light(self.scans)
         self.losses: list[float] = []
 
-    def run(self, progress: Progress | None, begun: float) -> AtsResult:
+    def run(self, progress: Progress | None, begun: float, start: FieldWeights | None = None) -> AtsResult:
         now = self.scans.with_aperture(self.known.aperture(self.scans.aperture))
         scales = _scales(now, self.grid, self.settings)
         shape = self.settings.shape(self.grid, self.scans.wavelength_m)
         if scales is None:
             blank = np.zeros((self.grid.pixels, self.grid.pixels), dtype=np.complex64)
             return self._result(blank, None, float("nan"), "none", begun)
-        first = _first_image(now, self.grid, shape.cells[-1], scales)
-        start = draw_weights(shape, self.grid, scales.output, self.settings.seed, first)
+        if start is None:
+            first = _first_image(now, self.grid, shape.cells[-1], scales)
+            start = draw_weights(shape, self.grid, scales.output, self.settings.seed, first)
+        else:
+            _check_continues(start, draw_weights(shape, self.grid, start.scale, self.settings.seed))
+            scales = replace(scales, output=start.scale)
         engine = make_engine(start, self.settings)
         field, held_out = self._optimise(engine, scales, shape.cells, progress)
         values = field.on(self.grid)
@@ -349,6 +356,16 @@ def make_engine(start: FieldWeights, settings: AtsSettings) -> Engine:
     from tagid.imaging.ats.fit_torch import TorchEngine
 
     return TorchEngine(start, settings.device, settings.threads)
+
+
+def _check_continues(start: FieldWeights, new: FieldWeights) -> None:
+    """Raise UsageError unless two fields have the same sizes."""
+    sizes = [[a.shape for a in (*each.tables, *each.weights)] for each in (start, new)]
+    if sizes[0] != sizes[1] or (start.extent, start.pixels) != (new.extent, new.pixels):
+        raise UsageError(
+            "the field to begin with was fitted on another grid or with other sizes",
+            "Begin without it, or with the settings of its own fit.",
+        )
 
 
 def _weighted(settings: AtsSettings) -> bool:
