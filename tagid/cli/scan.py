@@ -284,6 +284,7 @@ def _record_and_read(
     from tagid.pipeline.load import LoadSettings, load_capture
     from tagid.pipeline.prepared import PreparedCapture
     from tagid.pipeline.turn import resolve_turn
+    from tagid.recording.intake import ending_words
     from tagid.recording.plan import capture_path
     from tagid.recording.radars import open_radar
     from tagid.recording.recorder import Watch, record
@@ -310,6 +311,8 @@ def _record_and_read(
             watch = showing.enter_context(EarlyEnding(needs)).watching(watch)
         capture = record(radar, motion, plan, capture_path(folder), watch)
         ended = capture.radar.ended
+        if live is not None and view.until_sure:
+            live.view.note(f"ended {ending_words(ended)}")
         prepared, failure = None, None
         remarks: tuple[str, ...] = ()
         try:

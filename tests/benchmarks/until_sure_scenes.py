@@ -81,8 +81,8 @@ def null_turn(purpose: str, number: int) -> Turn:
     at = FIRST[purpose] + number
     rng = np.random.default_rng([at, 15])
     kind = KINDS[number % len(KINDS)]
-    views, snr_db = int(rng.choice([36, 36, 72])), float(rng.choice(SNRS_DB))
-    enrolled = "helmet-16" if rng.uniform() < 0.25 else "paper"
+    views, snr_db = int(rng.choice([36, 36, 36, 36, 72])), float(rng.choice(SNRS_DB))
+    enrolled = "helmet-16" if rng.uniform() < 0.1 else "paper"
     layouts: Sequence[Layout] = SETS[enrolled]
     if kind == "population":
         capture = draw(_POPULATION_OFFSET + at, views=views, snr_db=snr_db).capture

@@ -12,6 +12,7 @@ import pytest
 
 from tagid.capture import Capture
 from tagid.errors import ConfigError, ModelError
+from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.live.engine import LiveSettings
 from tagid.live.sure import EarlyEnding, check_angle_known, ended_answer
 from tagid.metadata import Ending, Track
@@ -32,6 +33,7 @@ from tagid.simulate.capture import simulate_capture
 from tagid.simulate.presets import scene_from_name
 from tagid.storage.hdf5 import read_capture
 from tagid.tags.layouts.layout import builtin_layouts
+from tagid.tags.matching.matcher import MatchedScan, ReaderSettings
 from tagid.tags.sequential.calibration import EndingCalibration
 from tagid.tags.sequential.looks import (
     LOOKS,
@@ -204,6 +206,20 @@ def test_a_part_of_a_turn_is_cut_by_angle_and_averaged_to_a_bounded_number_of_vi
         assert float(np.ptp(part.angles_rad)) == pytest.approx(0.6 * np.pi, abs=0.1)
     sparse = capture.select(slice(None, None, 10))
     assert part_of_turn(sparse, 0.5).views == 19
+
+
+def test_a_layout_that_the_reader_names_is_never_ruled_out_beforehand() -> None:
+    layouts = settings().layouts
+    told: list[tuple[bool, bool]] = []
+    for seed, scene in enumerate(("can", "box", "untagged", "empty", "helmet-120", "container-90") * 2):
+        acquisition = Acquisition(views=20, turns=0.5, snr_db=5.0)
+        capture, _ = simulate_capture(scene_from_name(scene, seed), acquisition, seed)
+        scans = preprocess(capture, settings=PreprocessSettings(matched_filter=False, extent_m=0.5))
+        scan = MatchedScan(scans, layouts, ReaderSettings())
+        named = scan.read(np.argsort(scan.criteria)).status == "identified"
+        told.append((named, scan.may_be_named()))
+    assert (True, False) not in told
+    assert (True, True) in told and (False, False) in told
 
 
 def test_an_angle_that_is_found_in_the_scans_is_refused() -> None:

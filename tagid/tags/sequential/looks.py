@@ -46,7 +46,7 @@ class Look:
         views: number of views.
         layout: the layout that a tag without a body carries; None if none is named.
         score: nats by which the scans prefer it beyond what a name needs; -inf if none is named.
-        reading: of the scans without a body; None if they cannot be read.
+        reading: of the scans without a body; None if they cannot be read or no layout leads.
         scan: the scans with the best place of every layout; None likewise.
     """
 
@@ -68,7 +68,7 @@ class Look:
         return 0.0 if self.reading is None else self.reading.evidence.places
 
     def contested(self) -> Reading | None:
-        """The reading after bodies and enrolled objects have taken part; None if the scans cannot be read."""
+        """The reading after bodies and enrolled objects have taken part; None without a reading."""
         if self.scan is None or self.reading is None:
             return None
         return self.scan.settled(self.reading)
@@ -107,6 +107,8 @@ def look(part: Capture, layouts: Sequence[Layout], share: float, enrolled: Enrol
     try:
         scans = preprocess(part, settings=PreprocessSettings(matched_filter=False, extent_m=_EXTENT_M))
         scan = MatchedScan(scans, layouts, ReaderSettings(), enrolled)
+        if not scan.may_be_named():
+            return Look(share, part.views)
         reading = scan.read(np.argsort(scan.criteria))
     except DataError:
         return Look(share, part.views)
