@@ -18,12 +18,17 @@ from tagid.angles.views import average_into_views
 from tagid.capture import Capture
 from tagid.errors import DataError
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
+from tagid.imaging.types import BasebandScans
 from tagid.tags.bodies.hypothesis import Enrolled
 from tagid.tags.layouts.layout import Layout
 from tagid.tags.matching.contest import ContestSettings
 from tagid.tags.matching.matcher import MatchedScan, ReaderSettings
 from tagid.tags.matching.reading import Reading
+from tagid.tags.reading.aspect import outward
+from tagid.tags.reading.coarse import CoarseImage
 from tagid.tags.reading.decision import least_preference, preference
+from tagid.tags.reading.field import MatchedField
+from tagid.tags.reading.hypotheses import CoarseGrid, SearchSettings
 
 LOOKS = (0.3, 0.45, 0.7)
 """Shares of a turn at which the scans are read. A scan may end at all but the first of them."""
@@ -33,8 +38,12 @@ of a look does not grow with the scan rate."""
 SPENT = 0.5
 """Share of the false-accept probability that the early looks may use. A name without a body that the whole
 turn gives has the rest."""
+OUTLINED_SHARE, OUTLINED_NATS = 0.65, 30.0
+"""Energy that the coarse search has to explain, as a share of the echo and over noise, before a look reads
+further. Tags reach 0.72 and 66 at 5 to 20 dB (24 turns), four of five objects without a tag less."""
 _STATED = 1e-3
 _EXTENT_M = 0.5
+_MARGIN_M = 0.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +55,7 @@ class Look:
         views: number of views.
         layout: the layout that a tag without a body carries; None if none is named.
         score: nats by which the scans prefer it beyond what a name needs; -inf if none is named.
-        reading: of the scans without a body; None if they cannot be read or no layout leads.
+        reading: of the scans without a body; None where the coarse search or its fits rule a name out.
         scan: the scans with the best place of every layout; None likewise.
     """
 
@@ -106,6 +115,8 @@ def look(part: Capture, layouts: Sequence[Layout], share: float, enrolled: Enrol
     """
     try:
         scans = preprocess(part, settings=PreprocessSettings(matched_filter=False, extent_m=_EXTENT_M))
+        if not _outlined(scans, layouts):
+            return Look(share, part.views)
         scan = MatchedScan(scans, layouts, ReaderSettings(), enrolled)
         if not scan.may_be_named():
             return Look(share, part.views)
@@ -119,6 +130,26 @@ def look(part: Capture, layouts: Sequence[Layout], share: float, enrolled: Enrol
         return found
     score = preference(evidence) - least_preference(evidence, _STATED)
     return replace(found, layout=reading.layout, score=score)
+
+
+def _outlined(scans: BasebandScans, layouts: Sequence[Layout]) -> bool:
+    """Whether the coarse search alone explains so much of the echo that a closer look can pay."""
+    search = SearchSettings()
+    reach = max(layout.radius_m for layout in layouts) + search.centre_range_m * np.sqrt(2)
+    matched = MatchedField(scans, reach + _MARGIN_M)
+    noise = matched.noise_variance
+    signal = matched.energy - noise * matched.independent_samples
+    least = max(OUTLINED_SHARE * signal, OUTLINED_NATS * noise)
+    for aspect in search.aspects:
+        image = CoarseImage.of(matched, reach, aspect, search.offsets_m)
+        for layout in layouts:
+            grid = CoarseGrid.of(layout, search)
+            weight = aspect.weight(matched.antenna, grid.placed, outward(grid.placed, np.zeros(2)))
+            gram = matched.full_gram(matched.distances(grid.placed), weight)
+            energies = grid.energies(image, gram, matched.template_energy, search.balance)
+            if float(energies.max()) >= least:
+                return True
+    return False
 
 
 def agreed(looks: Sequence[Look]) -> tuple[str | None, float]:
