@@ -70,6 +70,11 @@ class EarlyEnding:
         self._settings = settings
         self._calibration = calibration or EndingCalibration.shipped()
         self._angles = LiveAngles(settings.motion)
+        self._possible = (
+            bool(settings.layouts)
+            and settings.imaging.direction_known
+            and self._calibration.reaches(settings.imaging.false_accept)
+        )
         self._lock = threading.Lock()
         self._wake = threading.Event()
         self._idle = threading.Condition()
@@ -147,7 +152,7 @@ class EarlyEnding:
         """Take the looks that are due with these scans."""
         self._scans += new
         session = self._session
-        if session is None or not self._settings.layouts or not self._settings.imaging.direction_known:
+        if session is None or not self._possible:
             return
         track = self._settings.motion.track()
         if track is not None and float(track.info.get("scale_sigma", 0.0)) > MOST_SCALE_SIGMA:

@@ -38,6 +38,9 @@ STATEMENT = (
     "cans, helmet shells and reflectors; 36 or 72 views per turn, 0 to 30 dB; 4 or 16 layouts enrolled; half "
     "of them with a wrong scale of the angle (standard deviation 3 %)"
 )
+VIEWS = (36, 36, 36, 36, 36, 36, 36, 36, 36, 72)
+DESIGNED = 0.05
+"""Share of null turns with 16 designed layouts enrolled; the score accounts for their number."""
 SCALE_SIGMA = 0.03
 """Of the angle: the slip of a robot whose wheel base is calibrated, or a stated speed that is not exact."""
 SNRS_DB = (0.0, 5.0, 10.0, 20.0, 30.0)
@@ -81,8 +84,8 @@ def null_turn(purpose: str, number: int) -> Turn:
     at = FIRST[purpose] + number
     rng = np.random.default_rng([at, 15])
     kind = KINDS[number % len(KINDS)]
-    views, snr_db = int(rng.choice([36, 36, 36, 36, 72])), float(rng.choice(SNRS_DB))
-    enrolled = "helmet-16" if rng.uniform() < 0.1 else "paper"
+    views, snr_db = int(rng.choice(VIEWS)), float(rng.choice(SNRS_DB))
+    enrolled = "helmet-16" if rng.uniform() < DESIGNED else "paper"
     layouts: Sequence[Layout] = SETS[enrolled]
     if kind == "population":
         capture = draw(_POPULATION_OFFSET + at, views=views, snr_db=snr_db).capture

@@ -96,6 +96,10 @@ class EndingCalibration:
         }
         return json.dumps(data, indent=1) + "\n"
 
+    def reaches(self, false_accept: float) -> bool:
+        """Whether there are enough turns to bear out any early ending at this setting."""
+        return self._bound(1.0, false_accept, self.turns).reachable
+
     def bound(self, looks: Sequence[Look], false_accept: float) -> Bound:
         """The bound of ending after these looks; it has no objects where the calibration does not apply.
 
@@ -104,10 +108,12 @@ class EndingCalibration:
             false_accept: of the whole scan; early endings may use the share `SPENT` of it.
         """
         _, score = agreed(looks)
-        stated = SPENT * false_accept
         newest = looks[-1]
         if newest.views_per_turn < self.fewest_views or newest.places > self.most_places:
-            return Bound(1.0, stated, 0, self.stratum, self.population)
+            return self._bound(1.0, false_accept, 0)
         stratum = Stratum(self.fewest_views, _MOST_VIEWS, -inf, inf, self.turns, self.scores)
         p_value = 1.0 if score == -inf else stratum.p_value(score)
-        return Bound(p_value, stated, self.turns, self.stratum, self.population)
+        return self._bound(p_value, false_accept, self.turns)
+
+    def _bound(self, p_value: float, false_accept: float, turns: int) -> Bound:
+        return Bound(p_value, SPENT * false_accept, turns, self.stratum, self.population)
