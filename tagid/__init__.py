@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from tagid.imaging.types import BasebandScans as BasebandScans
     from tagid.imaging.types import Image as Image
     from tagid.imaging.types import PointResponse as PointResponse
+    from tagid.metadata import Ending as Ending
     from tagid.metadata import MotionInfo as MotionInfo
     from tagid.metadata import ObjectInfo as ObjectInfo
     from tagid.metadata import RadarInfo as RadarInfo
@@ -141,6 +142,7 @@ _HOMES = {
     "PulseEstimate": "tagid.imaging.pulsefit",
     "DelayFocus": "tagid.imaging.rangefocus",
     "EchoPoint": "tagid.imaging.rangefocus",
+    "Ending": "tagid.metadata",
     "Region": "tagid.imaging.region",
     "BasebandScans": "tagid.imaging.types",
     "Image": "tagid.imaging.types",

@@ -153,6 +153,26 @@ class RecordingPart(JsonValue):
 
 
 @dataclass(frozen=True)
+class Ending(JsonValue):
+    """Why a recording ended where nothing failed.
+
+    Attributes:
+        reason: "turn": a turn and the overlap were complete; "limit": the number of scans or the time was
+            reached; "sure": the answer was certain enough before the turn was complete.
+        share: of the turn that the decision rests on, 0..1; with "sure" only, like the following.
+        layout: the layout that was named.
+        p_value: bound on the probability of such a name for an object without an enrolled tag, and
+        turns: number of calibration turns that it rests on.
+    """
+
+    reason: str
+    share: float | None = None
+    layout: str | None = None
+    p_value: float | None = None
+    turns: int | None = None
+
+
+@dataclass(frozen=True)
 class RadarInfo(JsonValue):
     """The radar of a capture and what happened while it recorded.
 
@@ -177,6 +197,7 @@ class RadarInfo(JsonValue):
         reference: statistics, where this is a recording of the empty scene.
         background_reference: the recording of the empty scene that was subtracted.
         recording: part of a recording in several files.
+        ended: why the recording ended; None if it was interrupted, or is not of a turn.
         seed: of a simulation.
         extra: other keys of the file.
     """
@@ -205,6 +226,7 @@ class RadarInfo(JsonValue):
     reference: ReferenceFacts | None = None
     background_reference: ReferenceName | None = None
     recording: RecordingPart | None = None
+    ended: Ending | None = None
     seed: int | None = None
     extra: Mapping[str, Any] = field(default_factory=dict)
 

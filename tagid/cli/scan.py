@@ -39,11 +39,13 @@ class View:
         preview: also draw the image in the terminal.
         subtract_body: subtract the body's echo from the image.
         live: show image and evidence during the scan.
+        until_sure: end the scan as soon as the answer is certain.
     """
 
     preview: bool
     subtract_body: bool
     live: bool
+    until_sure: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,6 +94,10 @@ def register(app: typer.Typer) -> None:
         live: Annotated[
             bool, typer.Option("--live", help="Show image and evidence during the scan.")
         ] = False,
+        until_sure: Annotated[
+            bool,
+            typer.Option("--until-sure", help="End the scan, and the motion, once the answer is certain."),
+        ] = False,
         note: Annotated[str, typer.Option("--note", help="Text stored in the capture, e.g. a name.")] = "",
         subtract_body: Annotated[
             bool,
@@ -123,6 +129,7 @@ def register(app: typer.Typer) -> None:
 
         Example: tagid scan --radar udp://192.168.1.100 --axis-distance 1.0
         Example: tagid scan --live --motion 'free?rpm=2'
+        Example: tagid scan --until-sure --motion 'free?rpm=2'
         Example: tagid scan --heights 0,0.15,0.30 --motion 'free?rpm=2'
         """
         overrides: dict[str, Any] = {
@@ -145,24 +152,30 @@ def register(app: typer.Typer) -> None:
         if heights is not None:
             from tagid.cli.scan_heights import Lift, parse_heights, scan_heights
 
-            if repeat > 1 or live or preview or antenna_height is not None:
+            if repeat > 1 or live or until_sure or preview or antenna_height is not None:
                 raise UsageError(
-                    "--heights cannot be combined with --repeat, --live, --preview or --antenna-height",
+                    "--heights cannot be combined with --repeat, --live, --until-sure, --preview or "
+                    "--antenna-height",
                     "Omit them.",
                 )
             levels = parse_heights(heights)
+        if until_sure and repeat > 1:
+            raise ConfigError(
+                "--until-sure cannot be combined with --repeat: a joint answer needs whole turns",
+                "Omit one of the two.",
+            )
+        shown = View(preview, subtract_body, live, until_sure)
         if not demo:
             config = load_config(overrides)
             agree_to(config["motion.url"], yes)
             about = with_truth(about, truth_of(config["radar.url"] or "", truth))
             if levels is not None:
                 return scan_heights(terminal, config, limits, about, levels, Lift.of(config, yes))
-            return _scans(terminal, config, limits, about, View(preview, subtract_body, live), repeat)
+            return _scans(terminal, config, limits, about, shown, repeat)
         from tagid.cli.common.demo import emulated_radar
 
         with emulated_radar(demo_scene) as there:
             demo_config = load_config({**overrides, **there.settings})
-            shown = View(preview, subtract_body, live)
             about = with_truth(replace(about, demo=True), there.object)
             if levels is not None:
                 return scan_heights(terminal, demo_config, limits, about, levels, Lift(there.place))
@@ -203,7 +216,7 @@ def _scan(
     from tagid.cli.common import imaging
     from tagid.pipeline.identify import without_body
     from tagid.pipeline.resolve import turn_line
-    from tagid.recording.intake import notes
+    from tagid.recording.intake import ending_words, notes
     from tagid.storage.image import write_image
 
     url = radar_url(config)
@@ -247,6 +260,9 @@ def _scan(
         drawn.append(imaging.describe(answer, ""))
     if line := turn_line(resolved):
         drawn.append(Text(f"turn     {line}"))
+    ended = capture.radar.ended
+    if view.until_sure and ended is not None:
+        drawn.append(Text(f"ended    {ending_words(ended)}"))
     drawn += [Text(f"{name:<8} {where}") for name, where in files.items() if where]
     facts = {
         "views": capture.views,
@@ -257,6 +273,7 @@ def _scan(
         "files": files,
         "motion": {} if resolved is None else {"nominal_rpm": None, **resolved.to_json()},
         "learned": learned,
+        "ended": None if ended is None else ended.to_json(),
         **({} if turn.live is None else {"live": turn.live}),
     }
     items = [{"file": str(path), **answer.to_dict()}]
@@ -279,32 +296,42 @@ def _record_and_read(
     from tagid.cli.common import imaging
     from tagid.cli.common.live import LiveScan, live_scan
     from tagid.live.engine import LiveSettings
+    from tagid.live.sure import EarlyEnding, check_angle_known, ended_answer
     from tagid.motion.urls import open_motion
-    from tagid.pipeline.diagnosis import recording_remarks, with_causes
+    from tagid.pipeline.diagnosis import ended_early, recording_remarks, with_causes
     from tagid.pipeline.identify import identify
     from tagid.pipeline.load import LoadSettings, load_capture
     from tagid.pipeline.prepared import PreparedCapture
     from tagid.pipeline.turn import resolve_turn
+    from tagid.recording.intake import ending_words
     from tagid.recording.plan import capture_path
     from tagid.recording.radars import open_radar
     from tagid.recording.recorder import Watch, record
+    from tagid.tags.sequential.looks import SPENT
 
     url = config["radar.url"]
     known = imaging.open_registry().contents()
     motion = open_motion(config["motion.url"])
+    if view.until_sure:
+        check_angle_known(motion, plan.motion)
     paths: list[Path] = []
     live: LiveScan | None = None
     with ExitStack() as showing:
         watch = Watch(resolve=resolve_turn, named=paths.append)
         radar = open_radar(url, config["radar.timeout_s"])
+        needs = LiveSettings(motion, known.layouts, known.signatures, known.version, settings)
         if view.live:
-            needs = LiveSettings(motion, known.layouts, known.signatures, known.version, settings)
             live = showing.enter_context(live_scan(terminal, needs, f"tagid scan --live   {url}"))
             watch = live.watching(watch, resolve_turn)
         else:
             advance = showing.enter_context(terminal.progress("record", motion.needed_seconds()))
             watch = replace(watch, progress=lambda count, s: advance(s, f"{count} scans, {s:.1f} s"))
+        if view.until_sure:
+            watch = showing.enter_context(EarlyEnding(needs)).watching(watch)
         capture = record(radar, motion, plan, capture_path(folder), watch)
+        ended = capture.radar.ended
+        if live is not None and view.until_sure:
+            live.view.note(f"ended {ending_words(ended)}")
         prepared, failure = None, None
         remarks: tuple[str, ...] = ()
         try:
@@ -312,8 +339,13 @@ def _record_and_read(
             remarks = recording_remarks(loaded)
             prepared = PreparedCapture(loaded, settings)
             answer = identify(
-                prepared, known.layouts, registry_version=known.version, signatures=known.signatures
+                prepared,
+                known.layouts,
+                registry_version=known.version,
+                signatures=known.signatures,
+                spent=SPENT if view.until_sure and not ended_early(loaded) else 0.0,
             )
+            answer = ended_answer(answer, ended, settings.false_accept)
             answer = with_causes(answer, prepared, known.layouts)
             if live is not None:
                 live.view.settle(loaded, answer)

@@ -51,6 +51,7 @@ def register(app: typer.Typer) -> None:
 
         from tagid.pipeline.load import LoadSettings, load_capture
         from tagid.recording.inspection import inspect, thinned
+        from tagid.recording.intake import ending_words
         from tagid.report.charts import draw_recording
         from tagid.storage.importers import remarks
 
@@ -65,6 +66,8 @@ def register(app: typer.Typer) -> None:
         table = Table(show_header=False, box=None)
         compared = _against_plan(capture, summary, reflector, body)
         rows = _rows(summary)
+        if why := ending_words(capture.radar.ended):
+            rows.append(("ended", why))
         if compared is not None:
             told = f"{compared.measured_db:.1f} dB measured, {compared.planned_db:.1f} dB planned, per sample"
             rows += [("plan", told), *([("likely cause", compared.cause)] if compared.cause else [])]
@@ -94,6 +97,7 @@ def register(app: typer.Typer) -> None:
                 "spread_bins": strongest.spread_bins,
             },
             "complete": capture.complete,
+            "ended": None if capture.radar.ended is None else capture.radar.ended.to_json(),
             "plan": None
             if compared is None
             else {

@@ -21,7 +21,9 @@ from tagid.capture import Capture
 from tagid.constants import RANGE_STEP_M
 from tagid.errors import DataError, TagidError
 from tagid.geometry import ImageGrid
+from tagid.imaging.types import Image
 from tagid.live.angles import LiveAngles
+from tagid.live.ats import GrowingAts
 from tagid.live.state import LiveState, Phase, Sinogram
 from tagid.live.views import TOLERANCE_RAD, GrowingViews, whole_image
 from tagid.metadata import RadarInfo
@@ -95,6 +97,9 @@ class LiveView:
         self._scans: list[Scan] = []
         self._angles = LiveAngles(settings.motion)
         self._views = GrowingViews(self._grid, settings.layouts, settings.imaging)
+        self._ats = GrowingAts(self._grid, settings.imaging) if settings.imaging.method == "ats" else None
+        self._ats_image: Image | None = None
+        self._fitter: threading.Thread | None = None
         self._reader: threading.Thread | None = None
         self._read_turn: float | None = None
         self._worker = threading.Thread(target=self._work, name="live-view", daemon=True)
@@ -129,7 +134,9 @@ class LiveView:
         def told(capture: Capture, motion: str) -> Capture:
             found = resolve(capture, motion)
             resolved = found.motion.resolved
-            if resolved is not None and resolved.source == "data" and resolved.period_s:
+            # A multiple of the shortest repetition is resolved by imaging, and then counts as stated.
+            unknown = self._settings.motion.nominal_s is None
+            if resolved is not None and resolved.period_s and (unknown or resolved.source == "data"):
                 self._angles.learn(resolved.period_s)
             return found
 
@@ -159,7 +166,7 @@ class LiveView:
         """End the threads; the state is kept. After `settle` the last frame is still computed."""
         self._closing = True
         self._wake.set()
-        for thread in (self._worker, self._reader):
+        for thread in (self._worker, self._fitter, self._reader):
             if thread is not None and thread.is_alive() and thread is not threading.current_thread():
                 thread.join(_JOIN_S)
 
@@ -238,6 +245,8 @@ class LiveView:
                 self._no_image = True
                 shown["note"] = f"no live image: {error.message}"
             else:
+                self._fit_ahead()
+                image = self._ats_image or image
                 shown |= {"views": self._views.count, "image": image, "evidence": evidence}
                 self._read_ahead(session, angles)
         sinogram, snr = self._sinogram(session)
@@ -277,6 +286,23 @@ class LiveView:
         start = session.config.range_start_m(session.plan.cable_delay_ps)
         return Sinogram(rows, (start, start + RANGE_STEP_M * (rows.shape[1] - 1))), snr
 
+    def _fit_ahead(self) -> None:
+        """Continue the fit of the method ats with the new views, in its own thread."""
+        capture, ats = self._views.capture, self._ats
+        busy = self._fitter is not None and self._fitter.is_alive()
+        if ats is None or capture is None or busy or self._over or not ats.due(capture.views):
+            return
+        self._fitter = threading.Thread(
+            target=self._fit, args=(ats, capture), name="live-fitter", daemon=True
+        )
+        self._fitter.start()
+
+    def _fit(self, ats: GrowingAts, capture: Capture) -> None:
+        try:
+            self._ats_image = ats.go_on(capture)
+        except TagidError as error:
+            logging.getLogger("tagid").debug("fitting ahead: %s", error.message)
+
     def _read_ahead(self, session: Session, angles: NDArray[np.float64]) -> None:
         """Read the tag when a turn is complete, while the overlap is still being recorded."""
         turned = float(np.abs(angles).max())
@@ -314,7 +340,13 @@ class LiveView:
         """The image of the stored capture: every view once, with its final angle."""
         if capture.angles_rad is None or capture.axis_distance_m is None:
             return
-        self._publish(image=whole_image(capture, self._grid, self._settings.imaging), views=capture.views)
+        if self._ats is None:
+            image = whole_image(capture, self._grid, self._settings.imaging)
+        else:
+            if self._fitter is not None:
+                self._fitter.join()
+            image = self._ats.go_on(capture, last=True)
+        self._publish(image=image, views=capture.views)
 
 
 def _same(one: Identification, other: Identification) -> bool:

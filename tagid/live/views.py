@@ -62,6 +62,11 @@ class GrowingViews:
         """Number of views."""
         return self._image.views
 
+    @property
+    def capture(self) -> Capture | None:
+        """The views so far; None before there is one."""
+        return self._capture
+
     def update(
         self, scans: Capture, angles_rad: NDArray[np.float64], hurry: Callable[[], bool] = lambda: False
     ) -> None:

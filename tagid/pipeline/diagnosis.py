@@ -56,12 +56,18 @@ def turn_share(capture: Capture) -> float | None:
     return float(np.clip(1 - (gaps.max() - median(gaps)) / (2 * np.pi), 0, 1))
 
 
+def ended_early(capture: Capture) -> bool:
+    """Whether the recording ended on purpose before the turn did, because the answer was certain."""
+    ended = capture.radar.ended
+    return ended is not None and ended.reason == "sure"
+
+
 def recording_remarks(capture: Capture) -> tuple[str, ...]:
     """Problems of a recording, one sentence each: a wrong speed, a partial revolution."""
     remarks = []
     if told := speed_contradiction(capture.motion.resolved):
         remarks.append(told)
-    share = turn_share(capture)
+    share = None if ended_early(capture) else turn_share(capture)
     if share is not None and share < WHOLE_TURN:
         remarks.append(
             f"the views cover {share * 360:.0f} of 360 degrees: reflectors that face away in all of them are "
@@ -103,7 +109,7 @@ def _of_the_turn(capture: Capture) -> list[Cause]:
                 "which estimates the speed from the scans.",
             )
         )
-    share = turn_share(capture)
+    share = None if ended_early(capture) else turn_share(capture)
     if share is not None and share < WHOLE_TURN:
         causes.append(
             Cause(

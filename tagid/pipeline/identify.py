@@ -37,6 +37,7 @@ def identify(
     settings: ImagingSettings | None = None,
     registry_version: int | None = None,
     signatures: Sequence[Signature] = (),
+    spent: float = 0.0,
 ) -> Identification:
     """Name the object of a prepared capture.
 
@@ -49,6 +50,8 @@ def identify(
         settings: only with a plain capture.
         registry_version: stored in the answer.
         signatures: enrolled bodies and objects.
+        spent: share of the false-accept probability that was used before, by readings of parts of the turn;
+            a name without a body has the rest.
 
     Raises:
         DataError: too few views or bins, or the object lies outside the range window.
@@ -61,8 +64,8 @@ def identify(
     watch = Stopwatch()
     scans = prepared.scans(prepared.settings.preprocessing(matched_filter=False))
     with watch.stage("read"):
-        enrolled = _enrolled(prepared.given, signatures, prepared.settings)
-        reading = read_tag(scans, layouts, _reader_settings(prepared.settings), enrolled)
+        enrolled = enrolled_hypotheses(prepared.given, signatures, prepared.settings)
+        reading = read_tag(scans, layouts, _reader_settings(prepared.settings, spent), enrolled)
     with watch.stage("look again"):
         second = _second_look(prepared, reading)
     labels = {one.name: one.label for one in signatures if one.kind == "object"}
@@ -122,7 +125,7 @@ def identify_together(
     return answer(joint, captures[0].uuid if only else None, seconds[0] if only else None), each
 
 
-def _enrolled(
+def enrolled_hypotheses(
     capture: Capture, signatures: Sequence[Signature], settings: ImagingSettings
 ) -> Enrolled | None:
     """Enrolled bodies and objects as hypotheses; None if there are none of the capture's band."""
@@ -204,11 +207,11 @@ def _second_look(prepared: PreparedCapture, reading: Reading) -> SecondLook | No
     return look_again(prepared.scans(matched), reading.reflectors, reading.offset_m)
 
 
-def _reader_settings(settings: ImagingSettings) -> ReaderSettings:
+def _reader_settings(settings: ImagingSettings, spent: float = 0.0) -> ReaderSettings:
     from tagid.tags.matching.contest import ContestSettings
     from tagid.tags.matching.matcher import ReaderSettings
     from tagid.tags.reading.decision import DecisionSettings
 
-    decision = DecisionSettings(false_accept=settings.false_accept)
+    decision = DecisionSettings(false_accept=settings.false_accept * (1 - spent))
     contest = ContestSettings(false_accept=settings.false_accept)
     return ReaderSettings(decision=decision, contest=contest, direction_known=settings.direction_known)

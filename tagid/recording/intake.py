@@ -13,7 +13,7 @@ from typing import Final
 
 from tagid.capture import ViewFlag
 from tagid.errors import StorageError
-from tagid.metadata import RadarInfo, ScanGap
+from tagid.metadata import Ending, RadarInfo, ScanGap
 from tagid.radar.assembler import Scan
 from tagid.radar.messages import SCAN_FOREVER
 from tagid.radar.p440 import P440
@@ -58,6 +58,7 @@ class Intake:
         scans_taken: number of scans put into the queue.
         gap_count: number of times the radar was lost.
         gaps: the first 1000 gaps.
+        ended: why the recording ended; set by the one who takes the scans.
     """
 
     def __init__(
@@ -70,6 +71,7 @@ class Intake:
         self.scans_taken = 0
         self.gap_count = 0
         self.gaps: list[ScanGap] = []
+        self.ended: Ending | None = None
         self._radar = radar
         self._queue = queue
         self._resume_s = resume_s
@@ -139,6 +141,7 @@ class Intake:
             scans_dropped=self._queue.dropped,
             gap_count=self.gap_count,
             gaps=tuple(self.gaps),
+            ended=self.ended,
         )
 
     def _check_journal(self) -> None:
@@ -185,3 +188,23 @@ def notes(radar: RadarInfo) -> list[str]:
             f"the radar was lost {times}, for {seconds:.1f} s in total; recording then continued ({why})"
         )
     return found
+
+
+def ending_words(ended: Ending | None) -> str:
+    """Why a recording ended, in one line; "" if it is not known.
+
+    >>> ending_words(Ending("sure", 0.45, "helmet-120", 5e-4, 1999))
+    'after 45 % of the turn, because helmet-120 was certain (false accept at most 0.0005, from 1999 turns)'
+    """
+    if ended is None:
+        return ""
+    if ended.reason == "sure":
+        bound = "" if ended.p_value is None else f" (false accept at most {ended.p_value:.2g}"
+        turns = f", from {ended.turns} turns)" if bound and ended.turns else ")" if bound else ""
+        share = "" if ended.share is None else f"after {100 * ended.share:.0f} % of the turn, "
+        return f"{share}because {ended.layout} was certain{bound}{turns}"
+    words = {
+        "turn": "the turn was complete",
+        "limit": "the limit of scans or time was reached",
+    }
+    return words.get(ended.reason, ended.reason)

@@ -12,7 +12,7 @@ from tagid import interrupts
 from tagid.capture import Capture
 from tagid.constants import RANGE_STEP_M
 from tagid.errors import CaptureInterrupted, DataError
-from tagid.metadata import ScanGap, Track
+from tagid.metadata import Ending, ScanGap, Track
 from tagid.motion.device import Motion
 from tagid.motion.turntable import OVERLAP_TURNS
 from tagid.radar.assembler import Scan
@@ -47,6 +47,8 @@ class Watch:
         scan: called with each scan after it was put into the journal's queue; it must return at once.
         ended: called after the last scan and the end of the motion, before the capture file is written.
         stop: called about ten times per second; True ends the recording early, as a stop signal does.
+        enough: called with every scan and about ten times per second; a value ends the recording, which is
+            then complete, and is stored with it.
     """
 
     progress: Progress | None = None
@@ -57,6 +59,7 @@ class Watch:
     scan: Callable[[Scan], None] = lambda scan: None
     ended: Callable[[], None] = lambda: None
     stop: Callable[[], bool] = lambda: False
+    enough: Callable[[], Ending | None] = lambda: None
 
 
 def record(
@@ -119,7 +122,7 @@ class _OneTurn:
             limit = HostLimit(self._plan.max_seconds)
 
             def ends() -> bool:
-                return limit.passed() or self._watch.stop()
+                return limit.passed() or self._watch.stop() or self._is_enough()
 
             for scan in self._session.intake.scans(self._plan.scans or SCAN_FOREVER, until=ends):
                 self._scans.append(scan)
@@ -127,12 +130,17 @@ class _OneTurn:
                 self._motion.check()
                 if self._watch.stop():
                     break
+                if self._is_enough():
+                    return
                 if len(self._scans) % max(1, check_every // 5) == 0:
                     self._keep_readings()
-                if len(self._scans) % check_every == 0 and self._complete(scan):
+                if len(self._scans) % check_every == 0 and (ending := self._ending(scan)):
+                    self._session.intake.ended = ending
                     return
             if self._watch.stop():
                 raise CaptureInterrupted(f"stopped after {len(self._scans)} scans")
+            if not self._is_enough():
+                self._session.intake.ended = Ending("limit")
         finally:
             with interrupts.deferred():
                 try:
@@ -140,22 +148,32 @@ class _OneTurn:
                 finally:
                     self._keep_readings()
 
-    def _complete(self, scan: Scan) -> bool:
+    def _is_enough(self) -> bool:
+        """Whether the watch needs no more scans; its reason is kept."""
+        intake = self._session.intake
+        intake.ended = intake.ended or self._watch.enough()
+        return intake.ended is not None
+
+    def _ending(self, scan: Scan) -> Ending | None:
+        """Why the recording is complete with this scan; None if it is not."""
         seconds = (scan.radar_time_ms - self._scans[0].radar_time_ms) * 1e-3
         if self._watch.progress:
             self._watch.progress(len(self._scans), seconds)
         if seconds >= self._plan.max_seconds:
-            return True
+            return Ending("limit")
         if self._plan.scans is not None or seconds < self._needed_s:
-            return False
+            return None
         if self._motion.measures:
-            return self._motion.finished([], [])
+            return Ending("turn") if self._motion.finished([], []) else None
         samples = [each.samples for each in self._scans]
         times = [each.radar_time_ms * 1e-3 for each in self._scans]
         if not (self._needed_s or self._motion.finished(samples, times)):
-            return False
+            return None
         self._needed_s = self._needed_seconds()
-        return seconds >= self._needed_s
+        if seconds < self._needed_s:
+            return None
+        # Where nothing repeats within the longest time, no turn is known to be complete.
+        return Ending("turn" if self._needed_s or not self._watch.resolve else "limit")
 
     def _keep_readings(self) -> None:
         """Write the new motion readings to the journal."""

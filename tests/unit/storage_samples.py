@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from tagid.capture import Capture, Pulse
-from tagid.metadata import MotionInfo, ObjectInfo, RadarInfo, RadarSettings
+from tagid.metadata import Ending, MotionInfo, ObjectInfo, RadarInfo, RadarSettings
 
 
 def capture(**changes: Any) -> Capture:
@@ -30,7 +30,11 @@ def capture(**changes: Any) -> Capture:
         "center_frequency_hz": 4e9,
         "bandwidth_hz": 1.5e9,
         "pulse": Pulse(rng.standard_normal(31), 3.8e-12),
-        "radar": RadarInfo(config=RadarSettings(transmit_gain=63), extra={"text": "é日本"}),
+        "radar": RadarInfo(
+            config=RadarSettings(transmit_gain=63),
+            ended=Ending("sure", 0.45, "helmet-120", 5e-4, 2000),
+            extra={"text": "é日本"},
+        ),
         "motion": MotionInfo(nominal_rpm=2.0),
         "object": ObjectInfo(label="helmet 7"),
         "complete": False,

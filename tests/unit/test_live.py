@@ -12,11 +12,14 @@ import pytest
 from rich.console import Console
 
 from tagid.capture import Capture
-from tagid.errors import CaptureInterrupted, DataError
+from tagid.errors import CaptureInterrupted, DataError, UsageError
 from tagid.geometry import ImageGrid
+from tagid.imaging.ats.fit import fit
+from tagid.imaging.ats.settings import AtsSettings
 from tagid.imaging.backprojection import backproject
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.live.angles import LiveAngles
+from tagid.live.ats import PIECE_VIEWS, GrowingAts
 from tagid.live.engine import LiveSettings, LiveView
 from tagid.live.evidence import GrowingEvidence
 from tagid.live.image import GrowingImage
@@ -144,6 +147,30 @@ def test_views_are_formed_again_when_the_angles_turn_out_otherwise() -> None:
     assert views.count == exact.count == 49  # the last one is still open
 
 
+def test_a_fit_that_goes_on_with_each_piece_is_as_good_as_one_from_scratch() -> None:
+    """By the residual on the same held-out views."""
+    capture = a_capture(96, snr_db=20.0)
+    ats = AtsSettings(engine="native")
+    imaging = ImagingSettings(method="ats", extent_m=0.4, pixels=48, restore=False, ats=ats)
+    growing = GrowingAts(GRID, imaging)
+    views = [count for count in range(1, 97) if growing.due(count)]
+    assert views[0] == PIECE_VIEWS
+    for count in range(PIECE_VIEWS, 97, PIECE_VIEWS):
+        assert growing.due(count)
+        growing.go_on(capture.select(slice(0, count)))
+    image = growing.go_on(capture, last=True)
+    scans = preprocess(capture, settings=imaging.preprocessing(matched_filter=False))
+    scratch = fit(scans, GRID, ats)
+    assert growing.views == 96 and not growing.due(97)
+    assert growing.held_out < 1.02 * scratch.held_out
+    alike = np.abs(np.vdot(scratch.image.values, image.values))
+    assert alike > 0.9 * np.linalg.norm(scratch.image.values) * np.linalg.norm(image.values)
+    few = replace(ats, steps=8)
+    assert fit(scans, GRID, few, start=scratch.field).held_out < 0.7 * fit(scans, GRID, few).held_out
+    with pytest.raises(UsageError, match="another grid"):
+        fit(scans, ImageGrid(0.4, 40), ats, start=scratch.field)
+
+
 def scan_of(number: int, time_ms: int, samples: np.ndarray | None = None) -> Scan:
     values = np.zeros(8, dtype=np.int32) if samples is None else samples
     return Scan(number, time_ms, time_ms * 1_000_000, values, 0, 1, 2)
@@ -162,6 +189,22 @@ def test_the_angle_comes_from_the_speed_and_its_sign_from_the_direction() -> Non
     found = unknown.of(scans)
     assert found is not None
     np.testing.assert_allclose(found, ccw / 2, atol=1e-6)
+
+
+def test_a_symmetric_tag_without_a_stated_speed_is_shown_once_imaging_tells_the_turn() -> None:
+    """After 0.8 turns the scans have repeated twice; imaging finds that three repetitions are a turn."""
+    capture, _ = simulate_capture(
+        scene_from_name("helmet-120", 5), Acquisition(views=200, turns=0.8, snr_db=10), 5
+    )
+    assert capture.radar_time_ms is not None
+    seen = replace(capture, angles_rad=None, angle_sigma_rad=None)
+    view = LiveView(LiveSettings(open_motion("free")))
+    found = view.resolving(resolve_turn)(seen, "free").motion.resolved
+    assert found is not None and found.repetitions_a_turn == 3
+    scans = [scan_of(i, round(float(t))) for i, t in enumerate(capture.radar_time_ms)]
+    angles = view._angles.of(scans)
+    assert angles is not None
+    assert np.ptp(angles) == pytest.approx(0.8 * 2 * np.pi, rel=0.02)
 
 
 def recorded(folder: Path, view: LiveView, seconds: float = 60.0, **more: object) -> Capture:

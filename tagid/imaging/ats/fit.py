@@ -86,6 +86,7 @@ def fit(
     settings: AtsSettings | None = None,
     progress: Progress | None = None,
     unseen: NDArray[np.integer] | None = None,
+    start: FieldWeights | None = None,
 ) -> AtsResult:
     """Reconstruct by analysis through synthesis.
 
@@ -97,6 +98,8 @@ def fit(
         progress: called after every step.
         unseen: numbers of the views that the fit does not see and on which it is judged; None: as
             `settings.held_out` says.
+        start: field to begin with, of an earlier fit on this grid with the same sizes of the network; None
+            begins with backprojection.
 
     Returns:
         Image in the units of the scans, with how it came about. Scans that are all zero give a zero image.
@@ -113,7 +116,7 @@ def fit(
         scans = preprocess(scans, settings=PreprocessSettings("none", False, extent_m=grid.extent))
     if not np.isfinite(scans.samples).all():
         raise DataError("the scans hold samples that are not finite", "Leave out the broken scans.")
-    return _Fit(scans, grid, settings, unseen).run(progress, begun)
+    return _Fit(scans, grid, settings, unseen).run(progress, begun, start)
 
 
 @dataclass(frozen=True)
@@ -161,15 +164,19 @@ class _Fit:
         self._made: tuple[tuple[float, bytes], tuple[ForwardOperator, ForwardOperator]] | None = None
         self.losses: list[float] = []
 
-    def run(self, progress: Progress | None, begun: float) -> AtsResult:
+    def run(self, progress: Progress | None, begun: float, start: FieldWeights | None = None) -> AtsResult:
         now = self.scans.with_aperture(self.known.aperture(self.scans.aperture))
         scales = _scales(now, self._operators()[0], self.settings)
         shape = self.settings.shape(self.grid, self.scans.wavelength_m)
         if scales is None:
             blank = np.zeros((self.grid.pixels, self.grid.pixels), dtype=np.complex64)
             return self._result(blank, None, "none", begun)
-        first = _first_image(now, self.grid, shape.cells[-1], scales)
-        start = draw_weights(shape, self.grid, scales.output, self.settings.seed, first)
+        if start is None:
+            first = _first_image(now, self.grid, shape.cells[-1], scales)
+            start = draw_weights(shape, self.grid, scales.output, self.settings.seed, first)
+        else:
+            _check_continues(start, draw_weights(shape, self.grid, start.scale, self.settings.seed))
+            scales = replace(scales, output=start.scale)
         engine = make_engine(start, self.settings)
         field = self._optimise(engine, scales, shape.cells, progress)
         values = field.on(self.grid)
@@ -239,9 +246,9 @@ class _Fit:
     def _screen(self, field: FieldWeights, grid: GridArrays, weight: float) -> None:
         """Choose the pixels again, by the residual of all views under the present field."""
         some = field.at(grid.taps)
-        values = np.zeros((len(some), self.grid.pixels**2), dtype=np.complex64)
-        values[:, slice(None) if grid.pixels is None else grid.pixels] = some
-        values = values.reshape(-1, self.grid.pixels, self.grid.pixels)
+        flat = np.zeros((len(some), self.grid.pixels**2), dtype=np.complex64)
+        flat[:, slice(None) if grid.pixels is None else grid.pixels] = some
+        values = flat.reshape(-1, self.grid.pixels, self.grid.pixels)
         rest = self.scans.samples - self.known.static - self._seen(values, True)
         aspect = self._view_of(self.known.aperture(self.scans.aperture), True).conj()
         square = np.zeros(self.grid.pixels**2, dtype=np.float32)
@@ -425,6 +432,16 @@ def make_engine(start: FieldWeights, settings: AtsSettings) -> Engine:
     from tagid.imaging.ats.fit_torch import TorchEngine
 
     return TorchEngine(start, settings.device, settings.threads)
+
+
+def _check_continues(start: FieldWeights, new: FieldWeights) -> None:
+    """Raise UsageError unless two fields have the same sizes."""
+    sizes = [[a.shape for a in (*each.tables, *each.weights)] for each in (start, new)]
+    if sizes[0] != sizes[1] or (start.extent, start.pixels) != (new.extent, new.pixels):
+        raise UsageError(
+            "the field to begin with was fitted on another grid or with other sizes",
+            "Begin without it, or with the settings of its own fit.",
+        )
 
 
 def _weighted(settings: AtsSettings) -> bool:

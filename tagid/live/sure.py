@@ -1,0 +1,238 @@
+"""Ends a scan before the turn does, once the answer is certain.
+
+The scans are read at fixed shares of the turn (`tagid.tags.sequential`) in a separate thread. Two successive
+looks have to name the same layout, with a score that the calibration bears out, and the bodies must not
+contradict it.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from tagid.capture import Capture
+from tagid.constants import RANGE_STEP_M
+from tagid.errors import ConfigError, TagidError
+from tagid.live.angles import LiveAngles
+from tagid.live.engine import LiveSettings
+from tagid.metadata import Ending, RadarInfo
+from tagid.motion.device import Motion
+from tagid.pipeline.answer import Identification
+from tagid.pipeline.identify import enrolled_hypotheses
+from tagid.recording.recorder import Watch
+from tagid.tags.bodies.calibration import Bound
+from tagid.tags.bodies.hypothesis import Kind
+from tagid.tags.sequential.calibration import EndingCalibration
+from tagid.tags.sequential.looks import LOOKS, SPENT, Look, agreed, look, part_of_turn
+from tagid.tags.verdicts.verdict import Code
+
+if TYPE_CHECKING:
+    from tagid.radar.assembler import Scan
+    from tagid.recording.session import Session
+
+SURE = "sure"
+"""`Ending.reason` of a scan that ended because the answer was certain."""
+MOST_SCALE_SIGMA = 0.035
+"""Largest relative standard deviation of a device's angle scale: the calibration of early endings includes
+errors of 3 %, the slip of a calibrated robot. An uncalibrated robot (6 %) is corrected by the scans of a
+whole turn only."""
+_PAUSE_S = 0.1
+_JOIN_S = 30.0
+
+
+def check_angle_known(motion: Motion, motion_url: str) -> None:
+    """Raise ConfigError if the angle would only be known after the turn, from the scans."""
+    if motion.measures or motion.nominal_s is not None:
+        return
+    raise ConfigError(
+        f"--until-sure needs the angle during the scan, but with the motion {motion_url} it is found in the "
+        "scans after the turn",
+        "Give the speed (--motion 'free?rpm=2'), use a device that measures its angle, or omit --until-sure.",
+    )
+
+
+class EarlyEnding:
+    """Reads a recording at the looks and decides whether it may end; use it as a context manager.
+
+    `began`, `scan` and `enough` are called by the recording and return at once.
+
+    Args:
+        settings: registry, motion and false-accept probability.
+        calibration: None for the package's own.
+    """
+
+    def __init__(self, settings: LiveSettings, calibration: EndingCalibration | None = None) -> None:
+        self._settings = settings
+        self._calibration = calibration or EndingCalibration.shipped()
+        self._angles = LiveAngles(settings.motion)
+        self._possible = (
+            bool(settings.layouts)
+            and settings.imaging.direction_known
+            and self._calibration.reaches(settings.imaging.false_accept)
+        )
+        self._lock = threading.Lock()
+        self._wake = threading.Event()
+        self._idle = threading.Condition()
+        self._queue: list[Scan] = []
+        self._busy = False
+        self._scans: list[Scan] = []
+        self._session: Session | None = None
+        self._looks: list[Look] = []
+        self._ending: Ending | None = None
+        self._closing = False
+        self._thread = threading.Thread(target=self._work, name="live-ending", daemon=True)
+
+    def __enter__(self) -> EarlyEnding:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._closing = True
+        self._wake.set()
+        self._thread.join(_JOIN_S)
+
+    @property
+    def looks(self) -> Sequence[Look]:
+        """The looks so far."""
+        return tuple(self._looks)
+
+    def watching(self, watch: Watch) -> Watch:
+        """The callbacks of a recording with those of the early ending added."""
+
+        def began(session: Session) -> None:
+            watch.began(session)
+            self._session = session
+
+        def scan(scan: Scan) -> None:
+            watch.scan(scan)
+            self.scan(scan)
+
+        return replace(watch, began=began, scan=scan, enough=self.enough)
+
+    def scan(self, scan: Scan) -> None:
+        """Add one scan."""
+        with self._lock:
+            self._queue.append(scan)
+        self._wake.set()
+
+    def enough(self) -> Ending | None:
+        """Why the recording may end; None while it may not."""
+        return self._ending
+
+    def settle(self, timeout_s: float) -> None:
+        """Wait until every scan so far has been considered."""
+        with self._idle:
+            self._idle.wait_for(lambda: not self._busy and not self._queue, timeout_s)
+
+    def _work(self) -> None:
+        while not self._closing:
+            self._wake.wait(_PAUSE_S)
+            self._wake.clear()
+            with self._lock:
+                new, self._queue = self._queue, []
+                self._busy = bool(new)
+            try:
+                if new and self._ending is None:
+                    self._consider(new)
+            except TagidError as error:
+                # Without a decision the whole turn is recorded.
+                logging.getLogger("tagid").debug("early ending: %s", error.message)
+            except Exception:
+                logging.getLogger("tagid").debug("early ending", exc_info=True)
+            with self._idle:
+                self._busy = False
+                self._idle.notify_all()
+
+    def _consider(self, new: Sequence[Scan]) -> None:
+        """Take the looks that are due with these scans."""
+        self._scans += new
+        session = self._session
+        if session is None or not self._possible:
+            return
+        track = self._settings.motion.track()
+        if track is not None and float(track.info.get("scale_sigma", 0.0)) > MOST_SCALE_SIGMA:
+            return
+        angles = self._angles.of(self._scans)
+        if angles is None:
+            return
+        turned = float(np.abs(angles - angles[0]).max())
+        while len(self._looks) < len(LOOKS) and self._ending is None and not self._closing:
+            share = LOOKS[len(self._looks)]
+            if turned <= 2 * np.pi * share:
+                return
+            self._looks.append(self._look(replace(self._so_far(session), angles_rad=angles), share))
+            self._ending = self._decided()
+
+    def _so_far(self, session: Session) -> Capture:
+        plan = session.plan
+        return Capture(
+            np.stack([scan.samples for scan in self._scans]),
+            session.config.range_start_m(plan.cable_delay_ps),
+            RANGE_STEP_M,
+            axis_distance_m=plan.axis_distance_m,
+            antenna_height_m=plan.antenna_height_m,
+            antenna_separation_m=plan.antenna_separation_m,
+            radar=RadarInfo(config=session.config.stored()),
+        )
+
+    def _look(self, capture: Capture, share: float) -> Look:
+        part = part_of_turn(capture, share)
+        if part.views < self._calibration.fewest_views * share:
+            # No calibration bears out an ending, so the reading would not matter.
+            return Look(share, part.views)
+        settings = self._settings
+        enrolled = enrolled_hypotheses(part, settings.signatures, settings.imaging)
+        return look(part, settings.layouts, share, enrolled)
+
+    def _decided(self) -> Ending | None:
+        """Why the looks so far are enough; None if they are not."""
+        name, _ = agreed(self._looks)
+        if name is None:
+            return None
+        newest = self._looks[-1]
+        bound = self._calibration.bound(self._looks, self._settings.imaging.false_accept)
+        if not (bound.reachable and bound.kept):
+            return None
+        reading = newest.contested()
+        if reading is None or reading.status != "identified":
+            return None
+        if reading.layout != name or reading.kind is not Kind.BARE:
+            return None
+        return Ending(SURE, newest.share, name, bound.p_value, bound.objects)
+
+
+def ended_answer(
+    answer: Identification,
+    ending: Ending | None,
+    false_accept: float,
+    calibration: EndingCalibration | None = None,
+) -> Identification:
+    """The answer of a capture that ended early, with the bound of the whole procedure.
+
+    The recording goes on for some scans while a look is read; a name that these contradict is withdrawn.
+
+    Args:
+        answer: of the captured part of the turn.
+        ending: of its recording; the answer is returned unchanged unless it is that of an early ending.
+        false_accept: of the whole scan.
+        calibration: None for the package's own.
+    """
+    reading = answer.reading
+    if ending is None or ending.reason != SURE or reading is None:
+        return answer
+    if answer.status == "identified" and reading.layout == ending.layout:
+        known = calibration or EndingCalibration.shipped()
+        bound = Bound(
+            ending.p_value or 1.0, SPENT * false_accept, ending.turns or 0, known.stratum, known.population
+        )
+        return replace(answer, reading=replace(reading, bound=bound))
+    if answer.status != "identified":
+        return answer
+    reason = f"the first {ending.share or 0:.0%} of the turn show {ending.layout}, all scans {reading.layout}"
+    withdrawn = replace(reading, status="unknown", layout=None, code=Code.DISAGREE, reason=reason)
+    return replace(answer, status="unknown", reading=withdrawn, label="")

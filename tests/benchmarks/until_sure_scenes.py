@@ -1,0 +1,167 @@
+"""Turns for the benchmark of `tagid scan --until-sure`: nothing enrolled on the table, and tags.
+
+The kinds are those of the reader's own benchmarks (`train.population`, `identification_null`,
+`identification_scenes`, `reading_bodies_scenes` with its full-wave responses), drawn from seeds that none of
+those uses. Each purpose has its own range of seeds: "choose" for constants, "calibrate" for the shipped
+calibration, "report" for the published table.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import reading_bodies_scenes as bodies
+from identification_null import scene_of
+from identification_scenes import SETS, Condition, draw_scene, record, record_scene
+
+from tagid.capture import Capture
+from tagid.simulate.acquisition import Acquisition, Placement, Wobble
+from tagid.simulate.capture import simulate_capture
+from tagid.tags.layouts.layout import Layout
+from train.population import draw
+
+FIRST = {"choose": 1_000_000, "calibrate": 2_000_000, "report": 3_000_000}
+"""First number of each purpose; a million numbers each."""
+KINDS = (
+    *("population",) * 6,
+    *("unenrolled", "unenrolled", "box", "noise"),
+    *("other tags", "untagged"),
+    *("own foreign", "own foreign", "own untagged", "own untagged"),
+    *("full-wave foreign", "full-wave foreign", "full-wave untagged", "full-wave untagged"),
+)
+"""Kinds of null turns, each as often as it is listed."""
+STATEMENT = (
+    "simulated objects without an enrolled tag, of every kind that the reader is evaluated on: unenrolled "
+    "tags, bodies and boxes with and without reflectors, hands, cables, noise, and full-wave responses of "
+    "cans, helmet shells and reflectors; 36 or 72 views per turn, 0 to 30 dB; 4 or 16 layouts enrolled; half "
+    "of them with a wrong scale of the angle (standard deviation 3 %)"
+)
+VIEWS = (36, 36, 36, 36, 36, 36, 36, 36, 36, 72)
+DESIGNED = 0.05
+"""Share of null turns with 16 designed layouts enrolled; the score accounts for their number."""
+SCALE_SIGMA = 0.03
+"""Of the angle: the slip of a robot whose wheel base is calibrated, or a stated speed that is not exact."""
+SNRS_DB = (0.0, 5.0, 10.0, 20.0, 30.0)
+_POPULATION_OFFSET = 40_000_000
+_SCENE_OFFSET = 10_000_000
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Views per turn, SNR and the set of enrolled layouts."""
+
+    views: int
+    snr_db: float
+    enrolled: str
+
+
+@dataclass(frozen=True, eq=False)
+class Turn:
+    """A whole turn.
+
+    Attributes:
+        capture: as recorded, with angles.
+        layouts: the enrolled ones.
+        name: the right name; empty if no name is right.
+        kind: what turned.
+        enrolled: name of the set of layouts.
+        views, snr_db: of the recording.
+    """
+
+    capture: Capture
+    layouts: Sequence[Layout]
+    name: str
+    kind: str
+    enrolled: str
+    views: int
+    snr_db: float
+
+
+def null_turn(purpose: str, number: int) -> Turn:
+    """The null turn of a number; kind, views, SNR and registry are drawn from it."""
+    at = FIRST[purpose] + number
+    rng = np.random.default_rng([at, 15])
+    kind = KINDS[number % len(KINDS)]
+    views, snr_db = int(rng.choice(VIEWS)), float(rng.choice(SNRS_DB))
+    enrolled = "helmet-16" if rng.uniform() < DESIGNED else "paper"
+    layouts: Sequence[Layout] = SETS[enrolled]
+    if kind == "population":
+        capture = draw(_POPULATION_OFFSET + at, views=views, snr_db=snr_db).capture
+    elif kind in ("unenrolled", "box", "noise"):
+        scene, _ = scene_of(kind, rng, _SCENE_OFFSET + at)
+        capture, _ = simulate_capture(scene, _acquisition(rng, views, snr_db), _SCENE_OFFSET + at)
+    elif kind in ("other tags", "untagged"):
+        group = "untagged" if kind == "untagged" else "unenrolled"
+        condition = Condition(group, "paper", views, snr_db)
+        scene, name = draw_scene(condition, at)
+        capture = record_scene(scene, name, condition, at).capture
+    else:
+        if kind.startswith("full-wave"):
+            # An object may carry a layout of the paper's, which its registry then lacks.
+            enrolled = "paper"
+        capture, layouts = _on_a_body(kind, at, rng, Recording(views, snr_db, enrolled))
+    scale = 1 + SCALE_SIGMA * float(np.random.default_rng([at, 16]).standard_normal())
+    return Turn(
+        scaled(capture, scale if number // len(KINDS) % 2 else 1.0),
+        layouts,
+        "",
+        kind,
+        enrolled,
+        views,
+        snr_db,
+    )
+
+
+def scaled(capture: Capture, scale: float) -> Capture:
+    """The capture as a device would record it whose angles are too large by a factor."""
+    assert capture.angles_rad is not None
+    return replace(capture, angles_rad=capture.angles_rad * scale)
+
+
+def _on_a_body(
+    kind: str, at: int, rng: np.random.Generator, recording: Recording
+) -> tuple[Capture, Sequence[Layout]]:
+    """A foreign or untagged object of `reading_bodies_scenes`."""
+    world, group = kind.split(" ")
+    known = bodies.BODIES if world == "own" else bodies.FULL_WAVE_BODIES
+    fitting = [b for b in known if world == "own" or (group, b) in bodies.FULL_WAVE]
+    cell = bodies.Cell(
+        world=world,
+        group=group,
+        enrolled=recording.enrolled,
+        body=str(rng.choice(fitting)),
+        offset_mm=int(rng.choice(bodies.OFFSETS_MM)),
+        snr_db=int(recording.snr_db),
+        views=recording.views,
+        pulse=str(rng.choice(bodies.PULSES)),
+    )
+    drawn = bodies.draw(cell, "development", at)
+    return drawn.capture, drawn.layouts
+
+
+def _acquisition(rng: np.random.Generator, views: int, snr_db: float) -> Acquisition:
+    radius, turn = 0.01 * np.sqrt(rng.uniform()), rng.uniform(0, 2 * np.pi)
+    return Acquisition(
+        views=views,
+        snr_db=snr_db,
+        placement=Placement((radius * np.cos(turn), radius * np.sin(turn)), rng.uniform(0, 2 * np.pi)),
+        wobble=Wobble(speed=0.01),
+        axis_distance_error_m=rng.uniform(-0.015, 0.015),
+    )
+
+
+def tagged_turn(purpose: str, number: int, enrolled: str, snr_db: float, scale: float = 1.0) -> Turn:
+    """A tag without a body, layouts in turn, as `identification_scenes` records it at 36 views per turn."""
+    recorded = record(Condition("tagged", enrolled, 36, snr_db), FIRST[purpose] + number)
+    capture = scaled(recorded.capture, scale)
+    return Turn(capture, SETS[enrolled], recorded.name, "tagged", enrolled, 36, snr_db)
+
+
+def tagged_body_turn(purpose: str, number: int, world: str, body: str, snr_db: float) -> Turn:
+    """A tag on a body, from our simulator ("own") or full-wave responses ("full-wave")."""
+    offset = bodies.OFFSETS_MM[number % len(bodies.OFFSETS_MM)]
+    cell = bodies.Cell(world, "tagged", "paper", body, offset, int(snr_db), 36, bodies.PULSES[number % 2])
+    drawn = bodies.draw(cell, "development", FIRST[purpose] + number)
+    return Turn(drawn.capture, drawn.layouts, drawn.name, f"{world} {body}", "paper", 36, snr_db)

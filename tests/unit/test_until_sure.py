@@ -1,0 +1,228 @@
+"""A scan that ends before the turn does: when it may, what it stores, and what is said of it."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from math import inf
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tagid.capture import Capture
+from tagid.errors import ConfigError, ModelError
+from tagid.imaging.preprocess import PreprocessSettings, preprocess
+from tagid.live.engine import LiveSettings
+from tagid.live.sure import EarlyEnding, check_angle_known, ended_answer
+from tagid.metadata import Ending, Track
+from tagid.motion.turntable import FreeTurntable
+from tagid.motion.urls import open_motion
+from tagid.pipeline.diagnosis import recording_remarks, turn_share
+from tagid.pipeline.identify import identify
+from tagid.pipeline.load import load_capture
+from tagid.pipeline.prepared import PreparedCapture
+from tagid.pipeline.settings import ImagingSettings
+from tagid.pipeline.turn import resolve_turn
+from tagid.radar.settings import RadarConfig
+from tagid.recording.plan import RecordingPlan, plan_window
+from tagid.recording.radars import open_radar
+from tagid.recording.recorder import Watch, record
+from tagid.simulate.acquisition import Acquisition
+from tagid.simulate.capture import simulate_capture
+from tagid.simulate.presets import scene_from_name
+from tagid.storage.hdf5 import read_capture
+from tagid.tags.layouts.layout import builtin_layouts
+from tagid.tags.matching.matcher import MatchedScan, ReaderSettings
+from tagid.tags.sequential.calibration import EndingCalibration
+from tagid.tags.sequential.looks import (
+    LOOKS,
+    SPENT,
+    VIEWS_PER_TURN,
+    Look,
+    agreed,
+    largest,
+    look,
+    part_of_turn,
+)
+
+CALIBRATION = EndingCalibration("made up", (0, 1999), LOOKS, 32, 1e9, 1999, ())
+URL = "free?rpm=20"
+
+
+def recorded(
+    path: Path, ending: EarlyEnding, scene: str = "helmet-120", motion: FreeTurntable | None = None
+) -> Capture:
+    """A turn in memory, as fast as it goes; each scan waits for the looks, whatever the computer's speed."""
+    config = plan_window(1.0, 0.5, 0.0, RadarConfig(base_integration_index=13))
+    plan = RecordingPlan(config, 1.0, motion=URL)
+    watch = ending.watching(Watch(resolve=resolve_turn))
+
+    def scan(scan: object) -> None:
+        watch.scan(scan)  # type: ignore[arg-type]
+        ending.settle(120.0)
+
+    radar = open_radar(f"emulator://{scene}?rpm=20&seed=2")
+    return record(radar, motion or open_motion(URL), plan, path, replace(watch, scan=scan))
+
+
+def settings(motion: FreeTurntable | None = None, **imaging: float) -> LiveSettings:
+    layouts = list(builtin_layouts().values())
+    return LiveSettings(motion or open_motion(URL), layouts, imaging=ImagingSettings(**imaging))
+
+
+def test_a_scan_ends_at_the_first_look_that_is_sure_and_the_capture_says_why(tmp_path: Path) -> None:
+    with EarlyEnding(settings(), CALIBRATION) as ending:
+        capture = recorded(tmp_path / "x.tagid.h5", ending)
+    assert [one.share for one in ending.looks] == [0.3, 0.45]
+    expected = Ending("sure", 0.45, "helmet-120", 1 / 2000, 1999)
+    stored = read_capture(tmp_path / "x.tagid.h5")
+    assert capture.complete and stored.complete
+    assert capture.radar.ended == stored.radar.ended == expected
+    assert not list(tmp_path.glob("*.journal"))
+    prepared = PreparedCapture(load_capture(capture))
+    share = turn_share(prepared.given)
+    assert share is not None and 0.44 < share < 0.5
+    assert recording_remarks(prepared.given) == ()
+    as_interrupted = replace(prepared.given, radar=replace(prepared.given.radar, ended=None))
+    assert "degrees" in recording_remarks(as_interrupted)[0]
+    answer = ended_answer(identify(prepared, settings().layouts), capture.radar.ended, 1e-3, CALIBRATION)
+    assert (answer.status, answer.reading and answer.reading.layout) == ("identified", "helmet-120")
+    bound = answer.to_dict()["bound"]
+    assert bound["p_value"] == 1 / 2000 and bound["calibration_objects"] == 1999
+    assert bound["false_accept"] == SPENT * 1e-3 and bound["population"] == "made up"
+
+
+@pytest.mark.parametrize(
+    "why",
+    ["too few turns", "more convincing turns", "a smaller setting", "no tag", "too many layouts", "mirrored"],
+)
+def test_without_a_bound_the_whole_turn_is_recorded(tmp_path: Path, why: str) -> None:
+    calibration, scene, known = CALIBRATION, "helmet-120", settings()
+    if why == "too few turns":
+        calibration = replace(CALIBRATION, turns=1000)
+    elif why == "more convincing turns":
+        calibration = replace(CALIBRATION, scores=(1e9,))
+    elif why == "a smaller setting":
+        known = settings(false_accept=5e-4)
+    elif why == "no tag":
+        scene = "can"
+    elif why == "too many layouts":
+        calibration = replace(CALIBRATION, most_places=100.0)
+    else:
+        known = settings(direction_known=False)
+    with EarlyEnding(known, calibration) as ending:
+        capture = recorded(tmp_path / "x.tagid.h5", ending, scene)
+    assert capture.radar.ended == Ending("turn")
+    assert capture.motion.resolved is not None and capture.motion.resolved.turns > 1.2
+
+
+class _Uncalibrated(FreeTurntable):
+    """A table whose readings state a scale that may be 6 % off."""
+
+    def track(self) -> Track:  # type: ignore[override]
+        return Track.of([(0, 0.0, 0.0)], {"scale_sigma": 0.06})
+
+
+def test_an_angle_of_uncertain_scale_ends_no_scan(tmp_path: Path) -> None:
+    motion = _Uncalibrated(20.0)
+    with EarlyEnding(settings(motion), CALIBRATION) as ending:
+        path = tmp_path / "x.tagid.h5"
+        config = plan_window(1.0, 0.5, 0.0, RadarConfig(base_integration_index=13))
+        watch = ending.watching(Watch())
+        plan = RecordingPlan(config, 1.0, motion=URL, scans=150)
+        capture = record(open_radar("emulator://helmet-120?rpm=20&seed=2"), motion, plan, path, watch)
+        ending.settle(120.0)
+    assert capture.radar.ended == Ending("limit") and ending.looks == ()
+
+
+def test_a_name_that_the_last_scans_contradict_is_withdrawn() -> None:
+    capture, _ = simulate_capture(scene_from_name("helmet-120", 3), Acquisition(views=36, snr_db=20), 3)
+    answer = identify(capture, settings().layouts)
+    assert answer.status == "identified"
+    other = ended_answer(answer, Ending("sure", 0.45, "container-90", 1e-4, 9999), 1e-3, CALIBRATION)
+    assert other.status == "unknown" and other.reading is not None
+    assert other.reading.layout is None and other.reading.code.value == "recordings_disagree"
+    assert "container-90" in other.reading.reason and other.to_dict()["bound"] is None
+    assert ended_answer(answer, Ending("turn"), 1e-3, CALIBRATION) is answer
+    assert ended_answer(answer, None, 1e-3, CALIBRATION) is answer
+
+
+def looks_of(*named: tuple[str | None, float]) -> list[Look]:
+    return [Look(LOOKS[i], 40, layout, score) for i, (layout, score) in enumerate(named)]
+
+
+def test_two_looks_in_a_row_have_to_name_the_same() -> None:
+    assert agreed(looks_of(("a", 5.0))) == (None, -inf)
+    assert agreed(looks_of(("a", 5.0), ("a", 3.0))) == ("a", 3.0)
+    assert agreed(looks_of(("a", 2.0), ("b", 3.0))) == (None, -inf)
+    assert agreed(looks_of((None, -inf), (None, -inf))) == (None, -inf)
+    assert largest(looks_of(("a", 5.0), ("a", 3.0), ("a", 4.0))) == 3.0
+    assert largest(looks_of(("a", 5.0), ("b", 9.0), ("b", 8.0))) == 8.0
+    assert largest(looks_of(("a", 5.0), (None, -inf), ("a", 8.0))) == -inf
+
+
+def test_the_bound_holds_over_the_largest_score_of_all_looks() -> None:
+    """Scores of any distribution, correlated over the looks: false endings stay within the stated rate."""
+    rng = np.random.default_rng(4)
+    false_accept, ended, trials = 0.2, 0, 2000
+    for _ in range(trials):
+        shared = rng.standard_cauchy((200, 1))
+        scores = shared + rng.standard_normal((200, 3))
+        known = np.minimum(scores[1:, :-1], scores[1:, 1:]).max(axis=1)
+        calibration = replace(CALIBRATION, turns=199, scores=tuple(np.sort(known)[::-1]))
+        new = looks_of(*(("a", float(s)) for s in scores[0]))
+        ended += any(calibration.bound(new[:count], false_accept).kept for count in (2, 3))
+    rate, stated = ended / trials, SPENT * false_accept
+    assert 0.07 < rate < stated + 3 * np.sqrt(stated * (1 - stated) / trials)
+
+
+def test_the_calibration_is_read_back_and_a_damaged_one_is_refused() -> None:
+    made = replace(CALIBRATION, scores=(3.5, 1.25), most_places=123.4)
+    assert EndingCalibration.from_json(made.to_json()) == made
+    good = json.loads(made.to_json())
+    for damage in ({"looks": [0.5]}, {"format_version": 99}, {"scores": None}, {"seeds": [1]}):
+        with pytest.raises(ModelError, match="damaged"):
+            EndingCalibration.from_json(json.dumps({**good, **damage}))
+
+
+def test_the_shipped_calibration_bears_out_the_default_setting() -> None:
+    shipped = EndingCalibration.shipped()
+    assert shipped.turns + 1 >= 1 / (SPENT * 1e-3)
+    assert shipped.seeds[1] - shipped.seeds[0] == shipped.turns
+    capture, _ = simulate_capture(scene_from_name("helmet-120", 3), Acquisition(views=72, snr_db=20), 3)
+    looks = [look(part_of_turn(capture, s), settings().layouts, s) for s in LOOKS[:2]]
+    bound = shipped.bound(looks, 1e-3)
+    assert bound.reachable and bound.kept and bound.objects == shipped.turns
+
+
+def test_a_part_of_a_turn_is_cut_by_angle_and_averaged_to_a_bounded_number_of_views() -> None:
+    capture, _ = simulate_capture(scene_from_name("helmet-120", 1), Acquisition(views=360), 1)
+    assert capture.angles_rad is not None
+    for turned in (capture, replace(capture, angles_rad=1.0 - capture.angles_rad)):
+        part = part_of_turn(turned, 0.3)
+        assert part.angles_rad is not None and abs(part.views - 0.3 * VIEWS_PER_TURN) <= 2
+        assert float(np.ptp(part.angles_rad)) == pytest.approx(0.6 * np.pi, abs=0.1)
+    sparse = capture.select(slice(None, None, 10))
+    assert part_of_turn(sparse, 0.5).views == 19
+
+
+def test_a_layout_that_the_reader_names_is_never_ruled_out_beforehand() -> None:
+    layouts = settings().layouts
+    told: list[tuple[bool, bool]] = []
+    for seed, scene in enumerate(("can", "box", "untagged", "empty", "helmet-120", "container-90") * 2):
+        acquisition = Acquisition(views=20, turns=0.5, snr_db=5.0)
+        capture, _ = simulate_capture(scene_from_name(scene, seed), acquisition, seed)
+        scans = preprocess(capture, settings=PreprocessSettings(matched_filter=False, extent_m=0.5))
+        scan = MatchedScan(scans, layouts, ReaderSettings())
+        named = scan.read(np.argsort(scan.criteria)).status == "identified"
+        told.append((named, scan.may_be_named()))
+    assert (True, False) not in told
+    assert (True, True) in told and (False, False) in told
+
+
+def test_an_angle_that_is_found_in_the_scans_is_refused() -> None:
+    with pytest.raises(ConfigError, match="--until-sure needs the angle") as refused:
+        check_angle_known(open_motion("free"), "free")
+    assert "rpm=2" in refused.value.remedy
+    check_angle_known(open_motion(URL), URL)
