@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.capture import Capture
-from tagid.errors import DataError, MissingExtraError
+from tagid.errors import DataError, MissingExtraError, UsageError
 from tagid.geometry import Aperture, ImageGrid
 from tagid.imaging.ats import calibration
 from tagid.imaging.ats.illumination import illumination, lit_forward
