@@ -237,6 +237,17 @@ def test_not_a_journal(tmp_path: Path, content: bytes) -> None:
         read_journal(tmp_path / "j")
 
 
+@pytest.mark.parametrize("before", [b"", pack_record(3, b"{}")])
+def test_scans_without_a_header_before_them_cannot_be_recovered(tmp_path: Path, before: bytes) -> None:
+    """Range and settings are unknown; another record in its place, itself intact, is no header."""
+    write(tmp_path / "j", 2)
+    data = (tmp_path / "j").read_bytes()
+    second = data.index(data[12:16], 16)  # the marker of the first scan
+    (tmp_path / "j").write_bytes(data[:12] + before + data[second:])
+    with pytest.raises(FileFormatError, match="header of the journal is truncated or damaged"):
+        read_journal(tmp_path / "j")
+
+
 def test_newer_version_says_upgrade(tmp_path: Path) -> None:
     write(tmp_path / "j", 1)
     data = bytearray((tmp_path / "j").read_bytes())
