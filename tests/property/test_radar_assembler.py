@@ -218,6 +218,15 @@ def test_a_missing_scan_is_waited_for_until_both_window_and_time_are_over() -> N
     assert first_out(1) == 101
 
 
+def test_scans_within_the_window_of_the_newest_are_still_waited_for() -> None:
+    """After 9 and 10, scans 3 to 8 may still arrive; only those before are lost."""
+    assembler = ScanAssembler(0)
+    for i in (9, 10, *range(3, 9)):
+        out = [s for p in scan_packets(samples_of(i), CONFIG, i, 200 * i) for s in assembler.add(fragment(p))]
+    assert assembler.statistics.lost_scans == 3
+    assert [scan.scan_id for scan in out] == [8, 9, 10]
+
+
 def test_a_scan_carries_all_that_its_fragments_say() -> None:
     config = RadarConfig(scan_start_ps=11_000, scan_stop_ps=71_000, antenna_mode=3, node_id=77)
     samples = np.arange(config.samples, dtype=np.int32) * 1001 - 5

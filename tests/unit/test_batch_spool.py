@@ -68,6 +68,12 @@ def test_answers_of_the_same_content_and_job_are_taken_over(spool: Spool) -> Non
     assert spool.take_over("job") == frozenset()
 
 
+@pytest.mark.parametrize("status", ["ambiguous", "identified", "no_tag", "unknown"])
+def test_every_answer_is_final_whatever_it_says(spool: Spool, status: str) -> None:
+    spool.put(0, "a", "job", answered("a", "A", status))
+    assert spool.take_over("job") == {"A"}
+
+
 def test_the_newest_answer_of_a_content_is_the_one_that_stays(spool: Spool) -> None:
     spool.put(0, "a", "job", answered("a", "A", "unknown"))
     spool.take_over("job")
