@@ -319,6 +319,7 @@ def _record_and_read(
     with ExitStack() as showing:
         watch = Watch(resolve=resolve_turn, named=paths.append)
         radar = open_radar(url, config["radar.timeout_s"])
+        early: EarlyEnding | None = None
         needs = LiveSettings(motion, known.layouts, known.signatures, known.version, settings)
         if view.live:
             live = showing.enter_context(live_scan(terminal, needs, f"tagid scan --live   {url}"))
@@ -327,7 +328,8 @@ def _record_and_read(
             advance = showing.enter_context(terminal.progress("record", motion.needed_seconds()))
             watch = replace(watch, progress=lambda count, s: advance(s, f"{count} scans, {s:.1f} s"))
         if view.until_sure:
-            watch = showing.enter_context(EarlyEnding(needs)).watching(watch)
+            early = showing.enter_context(EarlyEnding(needs))
+            watch = early.watching(watch)
         capture = record(radar, motion, plan, capture_path(folder), watch)
         ended = capture.radar.ended
         if live is not None and view.until_sure:
@@ -337,6 +339,8 @@ def _record_and_read(
         try:
             loaded = load_capture(capture, LoadSettings.of(config, as_recorded=True))
             remarks = recording_remarks(loaded)
+            if early is not None and early.remark:
+                remarks = (*remarks, early.remark)
             prepared = PreparedCapture(loaded, settings)
             answer = identify(
                 prepared,

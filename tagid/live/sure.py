@@ -41,6 +41,7 @@ MOST_SCALE_SIGMA = 0.035
 """Largest relative standard deviation of a device's angle scale: the calibration of early endings includes
 errors of 3 %, the slip of a calibrated robot. An uncalibrated robot (6 %) is corrected by the scans of a
 whole turn only."""
+_WHOLE = "--until-sure recorded the whole revolution"
 _PAUSE_S = 0.1
 _JOIN_S = 30.0
 
@@ -70,11 +71,7 @@ class EarlyEnding:
         self._settings = settings
         self._calibration = calibration or EndingCalibration.shipped()
         self._angles = LiveAngles(settings.motion)
-        self._possible = (
-            bool(settings.layouts)
-            and settings.imaging.direction_known
-            and self._calibration.reaches(settings.imaging.false_accept)
-        )
+        self._remark = self._why_not()
         self._lock = threading.Lock()
         self._wake = threading.Event()
         self._idle = threading.Condition()
@@ -95,6 +92,25 @@ class EarlyEnding:
         self._closing = True
         self._wake.set()
         self._thread.join(_JOIN_S)
+
+    @property
+    def remark(self) -> str:
+        """Why this scan cannot end early, for the user; empty if it can."""
+        return self._remark
+
+    def _why_not(self) -> str:
+        known, false_accept = self._settings, self._settings.imaging.false_accept
+        if not known.layouts:
+            return f"{_WHOLE}: no layout is enrolled"
+        if not known.imaging.direction_known:
+            return f"{_WHOLE}: the direction of rotation is unknown"
+        if not self._calibration.reaches(false_accept):
+            turns = self._calibration.turns
+            return (
+                f"{_WHOLE}: the calibration of early endings holds {turns} revolutions, too few for "
+                f"tags.false_accept = {false_accept:g}"
+            )
+        return ""
 
     @property
     def looks(self) -> Sequence[Look]:
@@ -152,10 +168,11 @@ class EarlyEnding:
         """Take the looks that are due with these scans."""
         self._scans += new
         session = self._session
-        if session is None or not self._possible:
+        if session is None or self._remark:
             return
         track = self._settings.motion.track()
         if track is not None and float(track.info.get("scale_sigma", 0.0)) > MOST_SCALE_SIGMA:
+            self._remark = f"{_WHOLE}: the angle of the device is not calibrated (`tagid motion calibrate`)"
             return
         angles = self._angles.of(self._scans)
         if angles is None:
