@@ -172,8 +172,8 @@ def stations(place: Path, patch: pytest.MonkeyPatch) -> Iterator[Callable[..., S
     yield start
     for one in open_ones:
         one.close()
-    left = {t for t in set(threading.enumerate()) - before if t.name.startswith(("station-", "live-"))}
-    assert left == set()
+    left = [t.name for t in set(threading.enumerate()) - before if t.name.startswith(("station-", "live-"))]
+    assert left == []
 
 
 def ended(one: Server) -> dict[str, Any]:

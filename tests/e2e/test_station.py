@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import resource
 import signal
@@ -19,10 +20,15 @@ import pytest
 pytest.importorskip("starlette")
 from station_harness import ENDLESS, Asks, Raw, alone, ended, joined, stations, wait
 
+from tagid.capture import Capture
+from tagid.imaging.types import Image
+from tagid.live.engine import LiveView
 from tagid.motion.device import MotionStoppedError
 from tagid.motion.turntable import FreeTurntable
+from tagid.pipeline.answer import Identification
 from tagid.station import operators, scans, server
 from tagid.station.openapi import document
+from tagid.station.scans import ScanRun
 from tagid.station.security import COOKIE
 from tagid.station.server import Server
 from tagid.storage.importers import read_any
@@ -416,3 +422,28 @@ def test_the_command_serves_until_it_is_stopped(home: dict[str, str], tmp_path: 
     (capture,) = (tmp_path / "out").glob("*.tagid.h5")
     assert read_any(capture).views > 5, "the scan that was running is kept"
     assert [path.name for path in (tmp_path / "out").iterdir()] == [capture.name]
+
+
+def test_nothing_is_left_of_a_scan_when_the_next_ones_are_over(serve) -> None:
+    """A short form of tests/benchmarks/bench_station.py: objects, threads and files instead of megabytes."""
+    one = serve("emulator://helmet-120?rpm=60&seed=2", rpm=60.0)
+    page, _ = joined(one.port)
+    reader = threading.Thread(target=page.closed, daemon=True)
+    reader.start()
+    client = asks(one, **OWN)
+    seen: list[tuple[dict[str, int], set[str], int]] = []
+    for _ in range(6):
+        assert client.post("/api/v1/scan").status == 202
+        assert ended(one)["phase"] == "done"
+        gc.collect()
+        kinds = (ScanRun, LiveView, Capture, Identification, Image)
+        alive = {kind.__name__: sum(type(found) is kind for found in gc.get_objects()) for kind in kinds}
+        work = {
+            thread.name for thread in threading.enumerate() if thread.name.startswith(("station", "live"))
+        }
+        seen.append((alive, work, len(list(Path("/proc/self/fd").iterdir()))))
+    assert seen[1][0]["ScanRun"] == 1 and seen[1][0]["LiveView"] == 1, seen[1]
+    for alive, work, files in seen[2:]:
+        assert alive == seen[1][0] and work == {"station-web"}, alive
+        assert abs(files - seen[1][2]) <= 2, "sockets of requests under way"
+    page.close()
