@@ -95,7 +95,7 @@ def enrol(page: Any, home: str, out: Path) -> None:
     for number, (x, y, turn) in enumerate(POSES, 1):
         options = f"rpm=6&seed={number}&centre={x},{y}&rotation={turn}&reflector=octahedron"
         radar(home, f"emulator://helmet-7?file={home}/helmet-7.toml&{options}")
-        until(page, "!document.getElementById('capture').disabled && !running && !enrolment.measuring")
+        until(page, "enrolment.subject && !document.getElementById('capture').disabled && !running")
         page.find_element(By.ID, "capture").click()
         until(page, f"document.querySelectorAll('#captures li').length === {number} && !enrolment.measuring")
         if number == 2:

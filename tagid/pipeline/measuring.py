@@ -59,12 +59,19 @@ class Measured:
     Attributes:
         estimate: its layout; None if the reflectors are not visible.
         joint: its signature; None if there is none.
-        remarks: why one of the two is missing, and captures between which the object was not moved.
+        missing: why one of the two is missing; empty if none is.
+        unmoved: remarks on captures between which the object was not moved.
     """
 
     estimate: LayoutEstimate | None
     joint: Joint | None
-    remarks: tuple[str, ...] = ()
+    missing: str = ""
+    unmoved: tuple[str, ...] = ()
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """All remarks."""
+        return (self.missing, *self.unmoved) if self.missing else self.unmoved
 
 
 def prepare_files(paths: Sequence[Path], loading: LoadSettings) -> list[Prepared]:
@@ -120,7 +127,7 @@ def measure(
     if len(captures) < CAPTURES:
         if positions is not None:
             raise positions
-        return Measured(estimate, None, (f"no signature: it needs {CAPTURES} captures", *unmoved))
+        return Measured(estimate, None, f"no signature: it needs {CAPTURES} captures", unmoved)
     try:
         joint = signature(name, "object", [one.prepared for one in captures], imaging, progress)
     except DataError as error:
@@ -128,19 +135,17 @@ def measure(
             raise DataError(
                 f"{positions.message}; enrolment by signature: {error.message}", error.remedy
             ) from None
-        return Measured(estimate, None, (f"positions only, no signature: {error.message}", *unmoved))
+        return Measured(estimate, None, f"positions only, no signature: {error.message}", unmoved)
     if estimate is not None:
         doubt = trusted(seen, [one.spectra for one in joint.placed])
         if doubt:
             estimate, positions = None, DataError(doubt)
     if positions is not None:
-        reason = positions.message
-        return Measured(
-            None,
-            joint,
-            (f"enrolled by its signature: positions of the reflectors cannot be seen ({reason})",),
+        missing = (
+            f"enrolled by its signature: positions of the reflectors cannot be seen ({positions.message})"
         )
-    return Measured(estimate, joint, unmoved)
+        return Measured(None, joint, missing)
+    return Measured(estimate, joint, unmoved=unmoved)
 
 
 def _unmoved(seen: Sequence[Sighting], estimate: LayoutEstimate | None) -> tuple[str, ...]:

@@ -237,25 +237,20 @@ class Station:
 
     def captures(self, entries: tuple[int, ...]) -> list[Path]:
         """The capture files of entries of the history, each once, without those no longer on the disk."""
+        folder = self.source.reading().folder
+        rows = {int(row["id"]): row for row in self.history(Filter(numbers=entries))}
         found: dict[Path, None] = {}
         for number in entries:
-            try:
-                found[self.capture(number)] = None
-            except NoSuchItemError:
-                continue
+            path = _own_file(rows[number], folder) if number in rows else None
+            if path is not None and path.is_file():
+                found[path] = None
         return list(found)
 
     def _capture(self, number: int) -> Path:
-        """The file of an entry of the history.
-
-        The path comes from the history, and must be that of a scan in the station's folder.
-        """
         rows = self.history(Filter(number=number, limit=1))
-        if not rows or rows[0]["command"] not in (COMMAND, "scan"):
-            raise NoSuchItemError(f"there is no capture of entry {number}")
-        path = Path(rows[0]["file"])
-        if path.resolve().parent != self.source.reading().folder.resolve():
-            raise NoSuchItemError(f"the capture of entry {number} is in another folder")
+        path = _own_file(rows[0], self.source.reading().folder) if rows else None
+        if path is None:
+            raise NoSuchItemError(f"the station has no capture of entry {number}")
         return path
 
     def layouts(self) -> list[Layout]:
@@ -270,6 +265,13 @@ class Station:
             self._scan.join(_STOP_S)
         if self._health_thread is not None:
             self._health_thread.join(_STOP_S)
+
+
+def _own_file(row: dict[str, Any], folder: Path) -> Path | None:
+    """The file of an entry of the history; None unless it is a scan in the station's folder."""
+    path = Path(row["file"])
+    own = row["command"] in (COMMAND, "scan") and path.resolve().parent == folder.resolve()
+    return path if own else None
 
 
 def registry() -> Registry:

@@ -138,13 +138,21 @@ def enrolment(state: EnrolmentState) -> Json:
         "captures": [_taken(one) for one in state.captures],
         "measuring": state.measuring,
         "trouble": None if state.trouble is None else error_entry(state.trouble),
-        "remarks": [] if state.measured is None else list(state.measured.remarks),
+        "remarks": _remarks(state),
         "proposal": None if state.proposal is None else proposal(state.proposal, state.measured),
         "stored": None
         if stored is None
         else {"name": stored.name, "registry_version": stored.version, "has_layout": stored.has_layout},
         "undone": state.undone,
     }
+
+
+def _remarks(state: EnrolmentState) -> list[str]:
+    """Remarks on the captures so far; what only more captures give is not missing yet."""
+    if state.measured is None:
+        return []
+    enough = len(state.captures) >= NEEDED
+    return list(state.measured.remarks if enough else state.measured.unmoved)
 
 
 def _taken(one: Taken) -> Json:

@@ -35,7 +35,7 @@ FAST = "emulator://helmet-120?rpm=20&seed=2"
 """As fast as the scans are taken: a turn within a second."""
 ENDLESS = "emulator://helmet-120?rpm=0.5&seed=2&rate=1"
 """In real time, two minutes and a half for a turn and its overlap: it is stopped long before."""
-WAIT_S = 60.0
+WAIT_S = 180.0
 
 
 def source(
@@ -172,8 +172,8 @@ def stations(place: Path, patch: pytest.MonkeyPatch) -> Iterator[Callable[..., S
     yield start
     for one in open_ones:
         one.close()
-    left = {t for t in set(threading.enumerate()) - before if t.name.startswith(("station-", "live-"))}
-    assert left == set()
+    left = [t.name for t in set(threading.enumerate()) - before if t.name.startswith(("station-", "live-"))]
+    assert left == []
 
 
 def ended(one: Server) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import resource
 import signal
@@ -19,10 +20,15 @@ import pytest
 pytest.importorskip("starlette")
 from station_harness import ENDLESS, Asks, Raw, alone, ended, joined, stations, wait
 
+from tagid.capture import Capture
+from tagid.imaging.types import Image
+from tagid.live.engine import LiveView
 from tagid.motion.device import MotionStoppedError
 from tagid.motion.turntable import FreeTurntable
+from tagid.pipeline.answer import Identification
 from tagid.station import operators, scans, server
 from tagid.station.openapi import document
+from tagid.station.scans import ScanRun
 from tagid.station.security import COOKIE
 from tagid.station.server import Server
 from tagid.storage.importers import read_any
@@ -126,6 +132,33 @@ def test_what_another_page_or_a_stranger_sends_is_refused(
     assert asks(one).get("/api/v1/status").json()["scan"] is None, "nothing was started"
 
 
+def documented() -> list[tuple[str, str]]:
+    """(method, path) of everything in the OpenAPI document."""
+    found = []
+    for path, methods in document()["paths"].items():
+        path = path.replace("{number}", "1").replace("{name}", "helmet-120")
+        found += [(method, path) for method in methods]
+    return found
+
+
+def test_no_action_is_taken_for_another_page(station_alone: Server) -> None:
+    """Every POST that is documented, as a form, a script or an image of another page could send it."""
+    posts = [path for method, path in documented() if method == "post"]
+    assert len(posts) >= 11
+    evil = {"origin": "http://evil.example"}
+    for path in posts:
+        assert asks(station_alone).post(path).json()["error"]["code"] == "no_header", path
+        assert asks(station_alone, **OWN, **evil).post(path).json()["error"]["code"] == "wrong_origin", path
+        cross = asks(station_alone, **OWN, **{"sec-fetch-site": "cross-site"})
+        assert cross.post(path).json()["error"]["code"] == "wrong_origin", path
+    for method, path in documented():
+        if method == "get":
+            cross = asks(station_alone, **{"sec-fetch-site": "cross-site"})
+            assert cross.get(path).status == 403, path
+    status = asks(station_alone).get("/api/v1/status").json()
+    assert (status["scan"], status["report"], status["enrolment"]["subject"]) == (None, None, None)
+
+
 @pytest.fixture(scope="module")
 def station_alone(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
     """One station for the requests that must change nothing."""
@@ -185,10 +218,10 @@ def test_a_device_needs_a_token_on_every_request_and_gets_it_with_the_code(serve
     codes: list[str] = []
     one = serve(announce=codes.append)
     client = asks(one, **OWN)
-    for path in ("status", "scan", "history", "history.csv", "history/1/picture", "nothing"):
-        assert client.get(f"/api/v1/{path}").status == 401, path
-    for path in ("scan", "scan/stop"):
-        assert client.post(f"/api/v1/{path}").status == 401
+    assert client.get("/api/v1/nothing").status == 401
+    for method, path in documented():
+        if path != "/api/v1/pair":
+            assert getattr(client, method)(path).status == 401, path
     assert Raw(one.port).status == 403
     assert Raw(one.port, {"Cookie": f"{COOKIE}=guess"}).status == 403
     # Five wrong tries make the code worthless.
@@ -416,3 +449,28 @@ def test_the_command_serves_until_it_is_stopped(home: dict[str, str], tmp_path: 
     (capture,) = (tmp_path / "out").glob("*.tagid.h5")
     assert read_any(capture).views > 5, "the scan that was running is kept"
     assert [path.name for path in (tmp_path / "out").iterdir()] == [capture.name]
+
+
+def test_nothing_is_left_of_a_scan_when_the_next_ones_are_over(serve) -> None:
+    """A short form of tests/benchmarks/bench_station.py: objects, threads and files instead of megabytes."""
+    one = serve("emulator://helmet-120?rpm=60&seed=2", rpm=60.0)
+    page, _ = joined(one.port)
+    reader = threading.Thread(target=page.closed, daemon=True)
+    reader.start()
+    client = asks(one, **OWN)
+    seen: list[tuple[dict[str, int], set[str], int]] = []
+    for _ in range(6):
+        assert client.post("/api/v1/scan").status == 202
+        assert ended(one)["phase"] == "done"
+        gc.collect()
+        kinds = (ScanRun, LiveView, Capture, Identification, Image)
+        alive = {kind.__name__: sum(type(found) is kind for found in gc.get_objects()) for kind in kinds}
+        work = {
+            thread.name for thread in threading.enumerate() if thread.name.startswith(("station", "live"))
+        }
+        seen.append((alive, work, len(list(Path("/proc/self/fd").iterdir()))))
+    assert seen[1][0]["ScanRun"] == 1 and seen[1][0]["LiveView"] == 1, seen[1]
+    for alive, work, files in seen[2:]:
+        assert alive == seen[1][0] and work == {"station-web"}, alive
+        assert abs(files - seen[1][2]) <= 2, "sockets of requests under way"
+    page.close()

@@ -1,9 +1,11 @@
 "use strict";
 // Enrolling an object: name it, record three captures, check, store; and templates to print.
 let enrolment = null;
+// Whether the button to record gets the focus once it may be pressed.
+let recordNext = false;
 
 function millimetres(metres) {
-  return `${(1000 * metres).toFixed(1)} mm`;
+  return metres < 1e-4 ? "less than 0.1 mm" : `${(1000 * metres).toFixed(1)} mm`;
 }
 
 function showEnrolment() {
@@ -73,8 +75,13 @@ function showCaptures(captures, needed, measuring) {
   setText("instruction", text);
   const button = $("capture");
   setText("capture", running ? "Stop" : next <= needed ? `Record ${next} of ${needed}` : "Record another");
-  button.className = running ? "big stop" : "big";
+  // Once there are enough, the large button is the one that enrols.
+  button.className = running ? "big stop" : next <= needed ? "big" : "";
   button.disabled = running ? false : !mayAct() || measuring;
+  if (recordNext && !button.disabled) {
+    recordNext = false;
+    button.focus();
+  }
   setText("measuring", measuring ? "Measuring the reflectors…" : "");
   fill("captures", JSON.stringify([captures, mayAct(), measuring, running]), captures.map((one) => {
     const row = element("li");
@@ -92,7 +99,7 @@ function showCaptures(captures, needed, measuring) {
 }
 
 function showProposal(subject, captures, proposal) {
-  const spread = proposal.spread_m.length ? `, the same to ${millimetres(Math.max(...proposal.spread_m))} in all captures` : "";
+  const spread = proposal.spread_m.length ? `, differing by ${millimetres(Math.max(...proposal.spread_m))} between the captures` : "";
   const what = proposal.reflectors.length ? `${proposal.reflectors.length} reflectors${spread}.` : "The body hides the reflectors: the object is enrolled by its whole echo.";
   setText("measured-text", what);
   $("plan").toggleAttribute("hidden", proposal.reflectors.length === 0);
@@ -156,8 +163,9 @@ function showTemplate() {
 $("subject-form").addEventListener("submit", async (event) => {
   event.preventDefault();
   const values = { name: $("e-name").value.trim(), kind: $("e-kind").value, label: $("e-label").value.trim() };
-  received(await post("enrolment", values));
-  if (enrolment && enrolment.subject) $("capture").focus();
+  const found = await post("enrolment", values);
+  recordNext = Boolean(found);
+  received(found);
 });
 $("capture").addEventListener("click", () => (running ? send({ type: "stop" }) : post("enrolment/capture", {})));
 $("store").addEventListener("click", () => post("enrolment/store", {}).then((found) => { received(found); loadLayouts(); }));

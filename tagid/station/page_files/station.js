@@ -211,7 +211,8 @@ function showAlert(health) {
   const bad = health.findings.filter((one) => one.level === "problem");
   $("health-mark").hidden = bad.length === 0;
   $("alert").hidden = bad.length === 0;
-  setText("alert-text", bad.map((one) => `${one.topic}: ${one.text}.`).join(" "));
+  const words = bad.map((one) => (one.topic === "radar" && health.wiring ? "No radar." : `${one.topic}: ${one.text}.`));
+  setText("alert-text", words.join(" "));
 }
 
 function showWiring(wiring) {
