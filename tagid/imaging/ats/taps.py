@@ -1,19 +1,15 @@
 """Features of pixels from those of the vertices about them, the transpose, and Adam's update.
 
-A small C extension does them where a compiler was present at installation, scipy and numpy where not.
+A small C extension does them where a compiler was present at installation, numpy where not.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-
-if TYPE_CHECKING:
-    from scipy import sparse
 
 Array = NDArray[np.float32]
 
@@ -75,24 +71,20 @@ class Taps:
             out: (n, levels * features) float32, overwritten.
         """
         if _compiled is None:
-            out[:] = (self._matrix @ table).reshape(out.shape)
+            near = self.weight[..., None] * table[self.index]
+            out[:] = near.sum(axis=2).reshape(out.shape)
         else:
             _compiled.interpolate(self.index, self.weight, table, out, table.shape[1])
 
     def accumulate(self, slope: Array, out: Array) -> None:
         """The transpose of `interpolate`: from slope (n, levels * features) to out (vertices, features)."""
         if _compiled is None:
-            out[:] = self._matrix.T @ slope.reshape(-1, out.shape[1])
+            at, parts = self.index.ravel(), slope.reshape(*self.index.shape[:2], -1)
+            for feature, sums in enumerate(out.T):
+                shares = self.weight * parts[..., feature, None]
+                sums[:] = np.bincount(at, shares.ravel(), self.vertices)
         else:
             _compiled.accumulate(self.index, self.weight, slope, out, out.shape[1])
-
-    @cached_property
-    def _matrix(self) -> sparse.csr_array[np.float32]:
-        from scipy import sparse
-
-        starts = np.arange(0, self.index.size + 1, 4, dtype=np.int32)
-        parts: Any = (self.weight.ravel(), self.index.ravel(), starts)
-        return sparse.csr_array(parts, shape=(len(starts) - 1, self.vertices))
 
 
 @dataclass(eq=False)
