@@ -34,7 +34,12 @@ ASKS = 0.05
 tried."""
 
 SURE = 2.0
-"""A prior replaces backprojection where the mean of its gain per view exceeds this many standard errors."""
+"""A prior other than the defaults replaces backprojection where the mean of its gain per view exceeds this
+many standard errors."""
+
+LIKELY = 0.5
+"""The same of the defaults. They need less: with a dozen views, a fit without some of them is much worse than
+one of all, and an image of a tag is lost with them."""
 
 KEEPS = 1.0
 """The defaults stay unless the gain of another prior over them exceeds this many standard errors."""
@@ -52,13 +57,14 @@ ITERATIONS = (1, 2, 4, 8, 16)
 correlated with the pulse; 0 stands for backprojection of the scans as they are."""
 
 CANDIDATES: dict[str, dict[str, Any]] = {
+    "sparse": {"l1": 0.1},
     "dense": {"l1": 0.003, "noise_factor": 1.0},
     "aspect": {"aspect_harmonics": 2},
     "dense, aspect": {"l1": 0.003, "noise_factor": 1.0, "aspect_harmonics": 2},
     "occlusion": {"l1": 0.003, "noise_factor": 1.0, "occlusion": 0.3},
 }
-"""Changes of the defaults: a weaker sparsity prior, reflectivity that depends on the aspect, both, and bright
-pixels that dim what lies behind them."""
+"""Changes of the defaults: a stronger and a weaker sparsity prior, reflectivity that depends on the aspect,
+the last two together, and bright pixels that dim what lies behind them."""
 
 _CHOSEN = ("l1", "noise_factor", "aspect_harmonics", "occlusion")
 
@@ -204,14 +210,14 @@ class _Trials:
         return min((f"{LINEAR} 0", f"{LINEAR} 1"), key=self.residual)
 
     def better(self, name: str) -> bool:
-        """Whether a prior predicts clearly better than backprojection, by `SURE` standard errors."""
-        return self._gain(name, self.backprojection) > SURE
+        """Whether a prior predicts better than backprojection, by `SURE` or `LIKELY` standard errors."""
+        return self._gain(name, self.backprojection) > (LIKELY if name == "default" else SURE)
 
     def chosen(self, may_be_linear: bool) -> str:
         """The best prior; the defaults where it is hardly better, backprojection where nothing is clearly."""
         names = [n for n in self.found if may_be_linear or linear_iterations(n) is None]
         best = min(names, key=self.residual)
-        if self._gain(best, "default") < KEEPS:
+        if self._gain(best, "default") < KEEPS or (may_be_linear and not self.better(best)):
             best = "default"
         return best if not may_be_linear or self.better(best) else self.backprojection
 
