@@ -93,20 +93,21 @@ def shares(views: int, pixels: int, oversampling: float, repeats: int) -> tuple[
     raw, settings = scans(views, oversampling), AtsSettings()
     grid = ImageGrid(EXTENT_M, pixels)
     shape = settings.shape(grid, raw.wavelength_m)
-    fine = FineRange.of(raw, grid.points)
-    arrays = GridArrays.of(grid, shape.cells, fine.step)
-    whole = view_arrays(raw, fine.step, np.ones(raw.samples.shape), np.ones((views, 1)))
     numbers = np.array([1e-4, 1e-4, 1, 1, 1, 1e-3, 1e-4, 0, 1e-5], dtype=np.float32)
     engine = OnnxEngine(draw_weights(shape, grid, 1.0, 0))
     count = min(views, settings.views_per_step)
 
-    def step(views_of_it: int, grid_of_it: GridArrays = arrays) -> float:
+    def step(views_of_it: int, grid_of_it: ImageGrid = grid) -> float:
+        fine = FineRange.of(raw, grid.points)
+        arrays = GridArrays.of(grid_of_it, shape.cells)
+        ones = np.ones(raw.samples.shape)
+        whole = view_arrays(raw, grid_of_it.points, fine, ones, np.ones((views, 1), dtype=complex))
         part = whole.select(slice(0, views_of_it))
-        return best(lambda: engine.step(grid_of_it, part, fine, numbers), repeats)[1]
+        return best(lambda: engine.step(arrays, part, fine, numbers), repeats)[1]
 
     all_of_it, one_view = step(count), step(1)
     sums = (all_of_it - one_view) * count / max(count - 1, 1)
-    few = GridArrays.of(ImageGrid(EXTENT_M, 4), shape.cells, fine.step)
+    few = ImageGrid(EXTENT_M, 4)
     products = (step(count, few) - step(1, few)) * count / max(count - 1, 1)
     products = float(np.clip(products, 0, sums))
     return max(all_of_it - sums, 0.0), sums - products, products

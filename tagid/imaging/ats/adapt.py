@@ -34,7 +34,12 @@ ASKS = 0.05
 tried."""
 
 SURE = 2.0
-"""A prior replaces backprojection where the mean of its gain per view exceeds this many standard errors."""
+"""A prior other than the defaults replaces backprojection where the mean of its gain per view exceeds this
+many standard errors."""
+
+LIKELY = 0.5
+"""The same of the defaults. They need less: with a dozen views, a fit without some of them is much worse than
+one of all, and an image of a tag is lost with them."""
 
 KEEPS = 1.0
 """The defaults stay unless the gain of another prior over them exceeds this many standard errors."""
@@ -52,20 +57,24 @@ ITERATIONS = (1, 2, 4, 8, 16)
 correlated with the pulse; 0 stands for backprojection of the scans as they are."""
 
 CANDIDATES: dict[str, dict[str, Any]] = {
+    "sparse": {"l1": 0.1},
     "dense": {"l1": 0.003, "noise_factor": 1.0},
     "aspect": {"aspect_harmonics": 2},
     "dense, aspect": {"l1": 0.003, "noise_factor": 1.0, "aspect_harmonics": 2},
-    "occlusion": {"l1": 0.003, "noise_factor": 1.0, "occlusion": 0.3},
 }
-"""Changes of the defaults: a weaker sparsity prior, reflectivity that depends on the aspect, both, and bright
-pixels that dim what lies behind them."""
+"""Changes of the defaults: a stronger and a weaker sparsity prior, reflectivity that depends on the aspect,
+the last two together."""
+
+SHADOWS: dict[str, dict[str, Any]] = {"occlusion": {"l1": 0.003, "noise_factor": 1.0, "occlusion": 0.3}}
+"""Bright pixels dim what lies behind them. It takes many times longer, and is tried only where `dense`, which
+it extends, is the best of all on the first group of views."""
 
 _CHOSEN = ("l1", "noise_factor", "aspect_harmonics", "occlusion")
 
 
 def changes_of(prior: str) -> dict[str, Any]:
     """Settings of a prior by its name; none for the defaults."""
-    return CANDIDATES.get(prior, {})
+    return {**CANDIDATES, **SHADOWS}.get(prior, {})
 
 
 def linear_iterations(prior: str) -> int | None:
@@ -171,13 +180,21 @@ class _Trials:
         """All of `CANDIDATES` on the first group of views, those near the best on the others, too."""
         for name, changes in CANDIDATES.items():
             self._try(name, changes, self.folds[:1])
-        first = {name: float(left[: len(self.folds[0])].sum()) for name, left in self.found.items()}
-        near = sorted((n for n in CANDIDATES if n in first), key=first.__getitem__)[:MOST_TRIED]
-        for name in CANDIDATES:
-            if name in near and first[name] <= NEAR * min(first.values()):
-                self._try(name, CANDIDATES[name], self.folds[1:])
+        if min(self.found, key=self._on_first) == "dense":
+            for name, changes in SHADOWS.items():
+                self._try(name, changes, self.folds[:1])
+        tried = [name for name in (*CANDIDATES, *SHADOWS) if name in self.found]
+        near = sorted(tried, key=self._on_first)[:MOST_TRIED]
+        best = min(map(self._on_first, self.found))
+        for name in tried:
+            if name in near and self._on_first(name) <= NEAR * best:
+                self._try(name, changes_of(name), self.folds[1:])
             elif len(self.folds) > 1:
                 self.found.pop(name, None)
+
+    def _on_first(self, name: str) -> float:
+        """Energy that a prior leaves of the first group of views."""
+        return float(self.found[name][: len(self.folds[0])].sum())
 
     def try_settings(self, name: str, changes: dict[str, Any]) -> None:
         """The field with changed settings, on all groups of views."""
@@ -204,14 +221,14 @@ class _Trials:
         return min((f"{LINEAR} 0", f"{LINEAR} 1"), key=self.residual)
 
     def better(self, name: str) -> bool:
-        """Whether a prior predicts clearly better than backprojection, by `SURE` standard errors."""
-        return self._gain(name, self.backprojection) > SURE
+        """Whether a prior predicts better than backprojection, by `SURE` or `LIKELY` standard errors."""
+        return self._gain(name, self.backprojection) > (LIKELY if name == "default" else SURE)
 
     def chosen(self, may_be_linear: bool) -> str:
         """The best prior; the defaults where it is hardly better, backprojection where nothing is clearly."""
         names = [n for n in self.found if may_be_linear or linear_iterations(n) is None]
         best = min(names, key=self.residual)
-        if self._gain(best, "default") < KEEPS:
+        if self._gain(best, "default") < KEEPS or (may_be_linear and not self.better(best)):
             best = "default"
         return best if not may_be_linear or self.better(best) else self.backprojection
 
@@ -223,13 +240,13 @@ class _Trials:
 
 
 def folds(views: int) -> list[NDArray[np.intp]]:
-    """Groups of views that are held out in turn: each spread over all views, together 16 or more.
+    """Groups of views that are held out in turn: each spread over all, together 12 or more, or most of them.
 
     A ninth of the views at a time leaves a fit nearly what it has in the end; the fewer they are, the more
     groups are needed to tell priors apart.
     """
     size = max(2, round(views / 9))
-    count = int(np.clip(-(-16 // size), 1, min(5, views // size)))
+    count = int(np.clip(-(-12 // size), 1, min(5, views // size)))
     stride = views / size
     starts = (np.arange(count) + 0.5) * stride / count
     return [np.unique(((np.arange(size) * stride) + start).astype(np.intp) % views) for start in starts]

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 CHECK_AT = (0.1, 0.25, 0.45, 0.65)
 """Parts of the steps after which the pixels are chosen again."""
 
-_FIRST_SHARE = 0.2
+_FIRST_SHARE = 0.1
 """Backprojection over its maximum from which a pixel takes part in the first steps."""
 
-_FAINT = 0.01
+_FAINT = 0.02
 """Part of the brightest pixel under which a pixel that the data do not ask for is dropped."""
 
 _ASKING = 0.5
