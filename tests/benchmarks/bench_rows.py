@@ -41,8 +41,10 @@ or one of the three above. {seeds} seeds per row of the table; {views} views per
 sample at a reflector's peak. The unenrolled tags have two reflectors above, or one {twice:.0f} mm above:
 naming one of them is an error.
 
-| antenna heights (m) | SNR (dB) | enrolled: named | ambiguous | refused | wrong name | unenrolled: named |
-ambiguous | |---|---|---|---|---|---|---|---|
+"Foreign" tags are the unenrolled ones.
+
+| antenna heights (m) | dB | named | ambiguous | refused | wrong name | foreign named | foreign ambiguous |
+|---|---|---|---|---|---|---|---|
 {rows}
 """
 
@@ -149,7 +151,9 @@ def main() -> None:
             )
     text = TEXT.format(
         head=heading(
-            "Tags in rows", "python tests/benchmarks/bench_rows.py --write", f"0 to {given.seeds - 1}"
+            "Tags in rows",
+            f"python tests/benchmarks/bench_rows.py --seeds {given.seeds} --write",
+            f"0 to {given.seeds - 1}",
         ),
         radius=1e3 * RADIUS_M,
         row=1e3 * ROW_M,

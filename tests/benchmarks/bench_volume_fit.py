@@ -130,7 +130,8 @@ def main() -> None:
     text = TEXT.format(
         head=heading(
             "Volumes by analysis through synthesis",
-            "python tests/benchmarks/bench_volume_fit.py --write",
+            f"python tests/benchmarks/bench_volume_fit.py --seeds {given.seeds} --heights {given.heights} "
+            f"--levels {given.levels} --write",
             f"0 to {given.seeds - 1}",
         ),
         views=VIEWS,

@@ -86,15 +86,15 @@ def on_terminal(
 
     reader = threading.Thread(target=read)
     reader.start()
-    out, _ = child.communicate(timeout=120)
-    reader.join(timeout=30)
+    out, _ = child.communicate(timeout=300)
+    reader.join(timeout=120)
     os.close(master)
     return Ended(child.returncode, out, bytes(drawn))
 
 
 def words_of(url: str, folder: Path) -> list[str]:
     heights = ",".join(map(str, HEIGHTS))
-    return ["scan", "--radar", url, "--axis-distance", "1", "--motion", "free?rpm=20", "--heights", heights,
+    return ["scan", "--radar", url, "--axis-distance", "1", "--motion", "free?rpm=60", "--heights", heights,
             "--save-dir", str(folder), "--output", "json"]  # fmt: skip
 
 
@@ -103,12 +103,12 @@ def test_heights_are_asked_for_recorded_and_joined(
 ) -> None:
     lift = tmp_path / "height"
     lift.write_text("5.0")
-    subprocess.run([*TAGID, "enroll", "--file", str(layout), "--yes"], env=home, check=True, timeout=60)
+    subprocess.run([*TAGID, "enroll", "--file", str(layout), "--yes"], env=home, check=True, timeout=300)
 
     def move(number: int, _: subprocess.Popen) -> None:
         lift.write_text(str(HEIGHTS[number]))
 
-    with emulator(home, "--scene", "rows", "--file", str(layout), "--rpm", "20", "--rate", "0", "--seed", "2",
+    with emulator(home, "--scene", "rows", "--file", str(layout), "--rpm", "60", "--rate", "0", "--seed", "2",
                   "--antenna-height-file", str(lift)) as (url, _):  # fmt: skip
         ended = on_terminal(home, words_of(url, tmp_path / "out"), move)
     assert ended.code == 0, ended
@@ -151,9 +151,9 @@ def test_ctrl_c_between_heights_keeps_what_is_recorded(
         lift.write_text(str(HEIGHTS[number]))
         if number == 2:
             child.send_signal(signal.SIGINT)
-            child.wait(timeout=30)
+            child.wait(timeout=120)
 
-    with emulator(home, "--scene", "rows", "--file", str(layout), "--rpm", "20", "--rate", "0", "--seed", "2",
+    with emulator(home, "--scene", "rows", "--file", str(layout), "--rpm", "60", "--rate", "0", "--seed", "2",
                   "--antenna-height-file", str(lift)) as (url, _):  # fmt: skip
         ended = on_terminal(home, words_of(url, tmp_path / "out"), stop_at_the_third)
     assert ended.code == 130, ended
@@ -168,7 +168,7 @@ def test_ctrl_c_between_heights_keeps_what_is_recorded(
     out = tmp_path / "all.npz"
     done = subprocess.run(
         [*TAGID, "join", "--align", *map(str, kept), "--out", str(out), "--output", "json"],
-        env=home, capture_output=True, text=True, timeout=60,
+        env=home, capture_output=True, text=True, timeout=300,
     )  # fmt: skip
     assert done.returncode == 0, done.stdout
     assert json.loads(done.stdout)["data"]["heights_m"] == pytest.approx(HEIGHTS[:2])
