@@ -61,3 +61,9 @@ def turn_to(angles: NDArray[np.floating], layout: NDArray[np.floating]) -> list[
     """Turns (rad) that bring a layout's angles (K,) nearest to as many measured ones, one per pairing."""
     measured, own = np.sort(np.mod(angles, 2 * np.pi)), np.sort(np.mod(layout, 2 * np.pi))
     return [float(np.angle(np.exp(1j * (np.roll(measured, k) - own)).mean())) for k in range(len(own))]
+
+
+def kind_of(angles: Sequence[float]) -> tuple[int, ...]:
+    """Key of an arrangement: its gaps in steps of 15 degrees, in the rotation that sorts first."""
+    gaps = np.round(gaps_deg(angles) / 15).astype(int)
+    return min(tuple(int(g) for g in np.roll(gaps, k)) for k in range(len(gaps)))

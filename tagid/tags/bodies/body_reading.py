@@ -141,9 +141,9 @@ class BodyReading:
             answers from its place to within the bounce at the wall and the error of the axis distance; the
             wall of an oval body imitates a pair, but answers from far outside its apparent radius.
         through: the pattern has more terms than that of a reflector before an opaque wall.
-        front_m: the same of the body about its centre, in the arrangement that leaves least: the radius of
-            a body with a wall.
-        body_energy: that the body explains there, beside the reflectors.
+        front_m: the same of the body about its centre, the radius of a body with a wall; the smaller one of
+            those beside the layout and beside another arrangement that leaves less.
+        body_energy: that the body explains beside the reflectors; the smaller one as well.
         points_lead: lead over the best arrangement of points without a body; infinite where none was fitted.
     """
 

@@ -13,7 +13,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tagid.tags.bodies.arrangement import AXIS_M, difference_deg, gaps_deg, merged, resolution_deg, turn_to
+from tagid.tags.bodies.arrangement import (
+    AXIS_M,
+    difference_deg,
+    gaps_deg,
+    kind_of,
+    merged,
+    resolution_deg,
+    turn_to,
+)
 from tagid.tags.bodies.body_reading import BodyReading, BodySettings, Placed
 from tagid.tags.bodies.hypothesis import BodyModel, Candidate, Pose
 from tagid.tags.bodies.reflectors_fit import (
@@ -28,7 +36,7 @@ from tagid.tags.bodies.reflectors_fit import (
     joined,
     solve,
 )
-from tagid.tags.bodies.ring import PairSearch, Ring
+from tagid.tags.bodies.ring import PairSearch, Ring, peaks
 from tagid.tags.bodies.spectra import Spectra, centred
 from tagid.tags.bodies.symmetric import MOST, symmetric_left
 from tagid.tags.layouts.layout import Layout
@@ -77,8 +85,6 @@ class _Row:
 
 
 FREE, OTHER = "<free>", "<other>"
-_LONGEST_M = 0.15
-"""Delays of a reflector's response are looked for up to this, one way."""
 
 
 def read_on_body(
@@ -136,7 +142,7 @@ def read_below(
                     value = ring.explained(_turned(angles, len(ring.angles))).max()
                     least[i] = min(least[i], ring.energy - float(value))
     found = []
-    for i in _peaks(-least, 3):
+    for i in peaks(-least, 3):
         echo = body.echo(spectra, np.array([centre]), turns[i : i + 1])
         left = solve(spectra.data, centred(echo)[:, :, None]).left
         found.append(Candidate(Pose((centre.real, centre.imag), float(turns[i])), float(left[0])))
@@ -255,7 +261,7 @@ class _Reader:
             seen: set[tuple[int, ...]] = set()
             ranked = sorted(others, key=lambda p: p.charged)
             for p in ranked:
-                key = _bin([float(a) for a in p.angles])
+                key = kind_of([float(a) for a in p.angles])
                 fits = len(p.angles) >= 3 and (p.batch.terms[0] <= FACING.terms) == few
                 if fits and key not in seen and len(seen) < self.settings.loose:
                     seen.add(key)
@@ -466,7 +472,7 @@ class _Reader:
         for start in starts:
             if len(seen) == self.settings.arrangements:
                 break
-            key = _bin(start.angles)
+            key = kind_of(start.angles)
             if key not in seen:
                 seen.add(key)
                 rows += [
@@ -487,7 +493,7 @@ class _Reader:
             count = len(ring.angles)
             step = 2 * np.pi / count
             value = ring.explained(_turned(angles, count))
-            for i in _peaks(value, 2):
+            for i in peaks(value, 2):
                 turned = tuple(float(a) for a in angles + i * step)
                 starts.append(_Start(ring.energy - float(value[i]), some[0].centre, ring.radius_m, turned))
         starts.sort(key=lambda s: s.left)
@@ -554,7 +560,9 @@ class _Reader:
             hints = (best.centre, self.poses[0].pose.centre)
             alone = symmetric_left(self.spectra, layout.symmetry, amplitudes, hints)
             untagged = (alone + per_term * (amplitudes - 2) - best.charged) / rough
-        clearest = self._amplitudes(min((best, *others[:1]), key=lambda p: p.left))
+        named = self._amplitudes(best)
+        # A wall is there whichever arrangement is before it: that of points without a body is not.
+        seen = [named, self._amplitudes(others[0])] if others and others[0].left < best.left else [named]
         return BodyReading(
             body=self.body,
             pose=Pose((float(best.batch.at[0, 3]), float(best.batch.at[0, 4])), float(best.batch.at[0, 5])),
@@ -574,10 +582,10 @@ class _Reader:
             angle_off_deg=away(own) if own else 180.0,
             radius_off_m=abs(float(own.radii.mean()) - float(best.radii.mean())) if own else 1.0,
             tag_nats=tag / max(self.spectra.noise, 1e-30),
-            early_m=self._early(self._amplitudes(best).reflectors),
+            early_m=self.spectra.early_m(named.reflectors),
             through=int(best.batch.terms[0]) > FACING.terms,
-            front_m=self._early(clearest.body),
-            body_energy=clearest.body_energy,
+            front_m=min(self.spectra.early_m(one.body) for one in seen),
+            body_energy=min(one.body_energy for one in seen),
         )
 
     def _amplitudes(self, placed: Placed) -> _Amplitudes:
@@ -586,22 +594,3 @@ class _Reader:
         found = solve(self.spectra.data, cols.values).amplitudes[0]
         own = found[:, 0, None] * cols.values[0, :, 0]
         return _Amplitudes(found[:, 0], found[:, 1:].sum(axis=1), float((np.abs(own) ** 2).sum()))
-
-    def _early(self, response: NDArray[np.complex128]) -> float:
-        """How much earlier than its place something answers (F,), from the slope of the phase, one way, m."""
-        ahead = np.arange(-_LONGEST_M, _LONGEST_M, 2e-3)
-        turned = np.exp(-1j * ahead[:, None] * self.spectra.wavenumbers[None])
-        return float(ahead[int(np.argmax(np.abs(turned @ response)))])
-
-
-def _bin(angles: Sequence[float]) -> tuple[int, ...]:
-    """Key of an arrangement: gaps in steps of 15 degrees, in the rotation that sorts first."""
-    gaps = np.round(gaps_deg(angles) / 15).astype(int)
-    return min(tuple(int(g) for g in np.roll(gaps, k)) for k in range(len(gaps)))
-
-
-def _peaks(values: NDArray[np.float64], most: int) -> list[int]:
-    """Indices of the largest values that are local maxima on a circle."""
-    peak = (values >= np.roll(values, 1)) & (values >= np.roll(values, -1))
-    order = [int(i) for i in np.argsort(-values) if peak[i]]
-    return order[:most]

@@ -230,3 +230,10 @@ def _leading(
     """The sets of highest value, best first."""
     order = np.argsort(-values)[:keep]
     return sets[order], values[order]
+
+
+def peaks(values: NDArray[np.float64], most: int) -> list[int]:
+    """Indices of the largest values that are local maxima on a circle."""
+    peak = (values >= np.roll(values, 1)) & (values >= np.roll(values, -1))
+    order = [int(i) for i in np.argsort(-values) if peak[i]]
+    return order[:most]

@@ -23,6 +23,8 @@ BAND_SHARE = 0.94
 FLAT_M, EDGE_M = 0.24, 0.42
 """The range window about the axis is flat to the first and ends at the second distance: an object of 0.13 m
 radius, its creeping waves and double bounces, and a range offset of 0.05 m lie in the flat part."""
+_LONGEST_M = 0.15
+"""Delays of a response are looked for up to this, one way, m."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,6 +137,12 @@ class Spectra:
             for f in range(1, len(out)):
                 np.multiply(out[f - 1], step, out=out[f])
         return out
+
+    def early_m(self, response: NDArray[np.complex128]) -> float:
+        """How much earlier than its place something answers (F,), from the slope of the phase, one way, m."""
+        ahead = np.arange(-_LONGEST_M, _LONGEST_M, 2e-3)
+        turned = np.exp(-1j * ahead[:, None] * self.wavenumbers[None])
+        return float(ahead[int(np.argmax(np.abs(turned @ response)))])
 
 
 def centred(columns: NDArray[np.complex128]) -> NDArray[np.complex128]:
