@@ -272,7 +272,8 @@ def foreign(run: Run, number: int) -> list[str]:
     random = answered([Task("drawn", (first + i,)) for i in range(number)], run)
     if not fixed and not random:
         return ["No scene was read in the time allowed."]
-    lines = [named([*fixed, *random]), "", *table(fixed, "refused"), *table(random, "refused")]
+    lines = [named([*fixed, *random]), "", *table(fixed, "refused")]
+    lines += table(random, "refused") if random else []
     if len(fixed) < len(tasks):
         lines += [f"{len(fixed)} of {len(tasks)} fixed scenes were read in the time allowed.", ""]
     lines += [f"Drawn scenes: numbers {first} to {first + len(random) - 1}.", ""] if random else []

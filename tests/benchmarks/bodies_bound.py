@@ -13,8 +13,10 @@ from __future__ import annotations
 
 import argparse
 import os
+import platform
 import sys
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -226,6 +228,8 @@ def main() -> None:
         "# Tags on bodies: what the waves allow",
         "",
         f"Command: `python {' '.join(sys.argv)}`. Commit: {commit()}.",
+        f"Machine: {platform.machine()}, Python {platform.python_version()}, numpy {np.__version__}.",
+        f"Date: {datetime.now(UTC):%Y-%m-%d}. Seeds: {SEED}, of the noise alone.",
         "Full-wave responses, 6 mm off the axis, vertical polarisation.",
         "",
         "*Confused*: probability that an ideal reader, which knows the echo of the body with every",
