@@ -30,8 +30,12 @@ from tagid.tags.reading.decision import least_preference, preference
 from tagid.tags.reading.field import MatchedField
 from tagid.tags.reading.hypotheses import CoarseGrid, SearchSettings
 
-LOOKS = (0.3, 0.45, 0.7)
-"""Shares of a turn at which the scans are read. A scan may end at all but the first of them."""
+LOOKS = (0.45, 0.6, 0.75)
+"""Shares of a turn at which the scans are read. A scan may end at all but the first of them.
+
+A reflector on an opaque object is seen up to 75 degrees aside: before 0.58 of a turn, some side has not been
+seen from anywhere, and what is there may be more than the layout has. Of 2,000 turns without an enrolled tag,
+six were named alike at 0.3 and 0.45 of the turn, with scores as high as those of tags, and none at 0.7."""
 VIEWS_PER_TURN = 72
 """More scans than this are averaged: a sector of 5 degrees costs a reflector at 0.11 m 0.9 dB, and the time
 of a look does not grow with the scan rate."""
