@@ -1,5 +1,5 @@
 #!/bin/sh
-# Builds the C kernel in a Debian arm64 system under qemu-user and compares its images with this computer's.
+# Builds the C extensions in a Debian arm64 system under qemu-user and compares its images with this computer's.
 #
 #     sudo tests/benchmarks/arm_root.sh FOLDER        about 2 GB and a quarter of an hour, once
 #
@@ -31,9 +31,11 @@ $python -m pip install --quiet --upgrade --no-compile --target "$root/opt/site" 
     --implementation cp --python-version 3.11 --platform manylinux_2_28_aarch64 \
     --platform manylinux_2_27_aarch64 --platform manylinux_2_17_aarch64 --platform manylinux2014_aarch64 $needed
 cp -rL tagid tests/benchmarks/arm_images.py "$root/opt/tagid/"
-rm -f "$root"/opt/tagid/tagid/imaging/*.so
-chroot "$root" sh -c 'cd /opt/tagid && gcc -O3 -fno-math-errno -fno-trapping-math -shared -fPIC -pthread \
-    -I/usr/include/python3.11 tagid/imaging/_kernel.c -o tagid/imaging/_kernel.abi3.so -lm'
+rm -f "$root"/opt/tagid/tagid/imaging/*.so "$root"/opt/tagid/tagid/imaging/ats/*.so
+for source in imaging/_kernel imaging/ats/_field; do
+    chroot "$root" sh -c "cd /opt/tagid/tagid && gcc -O3 -fno-math-errno -fno-trapping-math -shared -fPIC -pthread \
+        -I/usr/include/python3.11 $source.c -o $source.abi3.so -lm"
+done
 
 export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 export PYTHONPATH="$PWD"
