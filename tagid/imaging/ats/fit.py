@@ -174,9 +174,14 @@ class _Fit:
         if start is None:
             first = _first_image(now, self.grid, shape.cells[-1], scales)
             start = draw_weights(shape, self.grid, scales.output, self.settings.seed, first)
+            if self._screened():
+                self.support = Support.begin(scales.back, scales.weight)
         else:
             _check_continues(start, draw_weights(shape, self.grid, start.scale, self.settings.seed))
             scales = replace(scales, output=start.scale)
+            # What the earlier fit left out is zero, whatever its network gives there.
+            if self._screened() and start.support is not None:
+                self.support = Support(start.support)
         engine = make_engine(start, self.settings)
         field = self._optimise(engine, scales, shape.cells, progress)
         values = field.on(self.grid)
@@ -192,8 +197,6 @@ class _Fit:
         every = GridArrays.of(self.grid, cells)
         learn = {int(part * steps) for part in _LEARN_AT} if self._learns() else set()
         check = {max(1, int(part * steps)) for part in CHECK_AT} if self._screened() else set()
-        if check:
-            self.support = Support.begin(scales.back, scales.weight)
         grid = every.select(self.support.numbers)
         subsets = self._subsets(fine, native)
         best, worse, mean, since = np.inf, 0, engine.weights(), 0
