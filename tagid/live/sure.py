@@ -28,7 +28,7 @@ from tagid.recording.recorder import Watch
 from tagid.tags.bodies.calibration import Bound
 from tagid.tags.bodies.hypothesis import Kind
 from tagid.tags.sequential.calibration import EndingCalibration
-from tagid.tags.sequential.looks import LOOKS, SPENT, Look, agreed, look, part_of_turn
+from tagid.tags.sequential.looks import LEAST_REFLECTORS, LOOKS, SPENT, Look, agreed, look, part_of_turn
 from tagid.tags.verdicts.verdict import Code
 
 if TYPE_CHECKING:
@@ -102,6 +102,8 @@ class EarlyEnding:
         known, false_accept = self._settings, self._settings.imaging.false_accept
         if not known.layouts:
             return f"{_WHOLE}: no layout is enrolled"
+        if max(layout.size for layout in known.layouts) < LEAST_REFLECTORS:
+            return f"{_WHOLE}: no enrolled layout has {LEAST_REFLECTORS} reflectors or more"
         if not known.imaging.direction_known:
             return f"{_WHOLE}: the direction of rotation is unknown"
         if not self._calibration.reaches(false_accept):

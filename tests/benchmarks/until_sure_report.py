@@ -84,7 +84,8 @@ HEAD = """# Ending a scan when the answer is certain
 - Date: {date}
 - Seeds: numbers from 3 000 000 on for this page, {first} to {last} for the calibration, from 1 000 000 on for
   the choice of score and looks (`tests/benchmarks/until_sure_scenes.py`). The looks were first at 30, 45 and
-  70 %; they were moved after the calibration's own turns had shown six of 2,000 named alike at the first two
+  70 %, and layouts of two reflectors could end a scan, too; both were changed after 2,000 turns of the
+  calibration and 2,000 of the report (numbers 0 to 1,999, not used here) had been seen
 - Turns: {counts}
 
 `tagid scan --until-sure` reads the scans at {looks} % of the turn. It ends the scan when two successive

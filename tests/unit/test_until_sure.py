@@ -95,7 +95,16 @@ def test_a_scan_ends_at_the_first_look_that_is_sure_and_the_capture_says_why(tmp
 
 @pytest.mark.parametrize(
     "why",
-    ["too few turns", "more convincing turns", "a smaller setting", "no tag", "too many layouts", "mirrored"],
+    [
+        "too few turns",
+        "more convincing turns",
+        "a smaller setting",
+        "no tag",
+        "too many layouts",
+        "mirrored",
+        "two reflectors",
+        "only pairs",
+    ],
 )
 def test_without_a_bound_the_whole_turn_is_recorded(tmp_path: Path, why: str) -> None:
     calibration, scene, known = CALIBRATION, "helmet-120", settings()
@@ -107,6 +116,10 @@ def test_without_a_bound_the_whole_turn_is_recorded(tmp_path: Path, why: str) ->
         known = settings(false_accept=5e-4)
     elif why == "no tag":
         scene = "can"
+    elif why == "two reflectors":
+        scene = "container-90"
+    elif why == "only pairs":
+        known = replace(known, layouts=[one for one in known.layouts if one.size == 2])
     elif why == "too many layouts":
         calibration = replace(CALIBRATION, most_places=100.0)
     else:
@@ -117,6 +130,7 @@ def test_without_a_bound_the_whole_turn_is_recorded(tmp_path: Path, why: str) ->
         "too few turns": "holds 1000 revolutions, too few for tags.false_accept = 0.001",
         "a smaller setting": "holds 1999 revolutions, too few for tags.false_accept = 0.0005",
         "mirrored": "the direction of rotation is unknown",
+        "only pairs": "no enrolled layout has 3 reflectors or more",
     }
     assert ending.remark.endswith(told[why]) if why in told else not ending.remark
     assert capture.radar.ended == Ending("turn")
