@@ -38,8 +38,8 @@ seen from anywhere, and what is there may be more than the layout has. Of 2,000 
 six were named alike at 0.3 and 0.45 of the turn, with scores as high as those of tags, and none at 0.7."""
 LEAST_REFLECTORS = 3
 """Fewest reflectors of a layout that may end a scan. In 4,000 turns without an enrolled tag, ten parts of a
-turn showed a layout of two, with scores up to fifty times those of tags, and one a layout of three: two bright
-points on a body may lie anywhere."""
+turn showed a layout of two, with scores up to fifty times those of tags, and one a layout of three: two
+bright points on a body may lie anywhere."""
 VIEWS_PER_TURN = 72
 """More scans than this are averaged: a sector of 5 degrees costs a reflector at 0.11 m 0.9 dB, and the time
 of a look does not grow with the scan rate."""
