@@ -25,8 +25,7 @@ from tagid.imaging.types import Image
 from tagid.live.angles import LiveAngles
 from tagid.live.ats import GrowingAts
 from tagid.live.state import LiveState, Phase, Sinogram
-from tagid.live.views import TOLERANCE_RAD, GrowingViews, whole_image
-from tagid.metadata import RadarInfo
+from tagid.live.views import TOLERANCE_RAD, GrowingViews, capture_so_far, whole_image
 from tagid.motion.device import Motion
 from tagid.pipeline.settings import ImagingSettings
 from tagid.recording.inspection import noise_power_of, signal_to_noise_db
@@ -239,7 +238,7 @@ class LiveView:
             shown["turned_rad"] = float(np.abs(angles).max())
         if angles is not None and session.plan.axis_distance_m is not None and not self._no_image:
             try:
-                self._views.update(self._so_far(session), angles, self._in_a_hurry)
+                self._views.update(capture_so_far(session, self._scans), angles, self._in_a_hurry)
                 image, evidence = self._views.image(), self._views.evidence()
             except DataError as error:
                 self._no_image = True
@@ -260,18 +259,6 @@ class LiveView:
     def _in_a_hurry(self) -> bool:
         """Whether the view is to end; remaining scans are then not shown."""
         return self._closing or self._stored is not None
-
-    def _so_far(self, session: Session) -> Capture:
-        """The scans so far as a capture without angles."""
-        plan = session.plan
-        return Capture(
-            np.stack([scan.samples for scan in self._scans]),
-            session.config.range_start_m(plan.cable_delay_ps),
-            RANGE_STEP_M,
-            axis_distance_m=plan.axis_distance_m,
-            antenna_height_m=plan.antenna_height_m,
-            radar=RadarInfo(config=session.config.stored()),
-        )
 
     def _sinogram(self, session: Session) -> tuple[Sinogram | None, float | None]:
         if len(self._scans) < 3:
@@ -314,7 +301,7 @@ class LiveView:
         if self._read_turn is not None and abs(per_scan / self._read_turn - 1) * 2 * np.pi < TOLERANCE_RAD:
             return
         self._read_turn = per_scan
-        capture = replace(self._so_far(session), angles_rad=angles.copy())
+        capture = replace(capture_so_far(session, self._scans), angles_rad=angles.copy())
         self._reader = threading.Thread(target=self._read, args=(capture,), name="live-reader", daemon=True)
         self._reader.start()
 

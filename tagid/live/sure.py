@@ -16,11 +16,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tagid.capture import Capture
-from tagid.constants import RANGE_STEP_M
 from tagid.errors import ConfigError, TagidError
 from tagid.live.angles import LiveAngles
 from tagid.live.engine import LiveSettings
-from tagid.metadata import Ending, RadarInfo
+from tagid.live.views import capture_so_far
+from tagid.metadata import Ending
 from tagid.motion.device import Motion
 from tagid.pipeline.answer import Identification
 from tagid.pipeline.identify import enrolled_hypotheses
@@ -184,20 +184,9 @@ class EarlyEnding:
             share = LOOKS[len(self._looks)]
             if turned <= 2 * np.pi * share:
                 return
-            self._looks.append(self._look(replace(self._so_far(session), angles_rad=angles), share))
+            capture = replace(capture_so_far(session, self._scans), angles_rad=angles)
+            self._looks.append(self._look(capture, share))
             self._ending = self._decided()
-
-    def _so_far(self, session: Session) -> Capture:
-        plan = session.plan
-        return Capture(
-            np.stack([scan.samples for scan in self._scans]),
-            session.config.range_start_m(plan.cable_delay_ps),
-            RANGE_STEP_M,
-            axis_distance_m=plan.axis_distance_m,
-            antenna_height_m=plan.antenna_height_m,
-            antenna_separation_m=plan.antenna_separation_m,
-            radar=RadarInfo(config=session.config.stored()),
-        )
 
     def _look(self, capture: Capture, share: float) -> Look:
         part = part_of_turn(capture, share)

@@ -5,19 +5,26 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tagid.capture import Capture
+from tagid.constants import RANGE_STEP_M
 from tagid.geometry import ImageGrid
 from tagid.imaging.preprocess import Background, PreprocessSettings, preprocess
 from tagid.imaging.types import Image
 from tagid.live.evidence import GrowingEvidence, LayoutEvidence
 from tagid.live.image import GrowingImage
+from tagid.metadata import RadarInfo
 from tagid.pipeline.settings import ImagingSettings
 from tagid.tags.layouts.layout import Layout
 from tagid.tags.reading.decision import DecisionSettings
+
+if TYPE_CHECKING:
+    from tagid.radar.assembler import Scan
+    from tagid.recording.session import Session
 
 MAX_VIEWS = 180
 """Views per turn during the recording, 2 degrees each: a reflector at 0.15 m is smeared over 5 mm, which
@@ -143,6 +150,20 @@ class GrowingViews:
         done = time.monotonic()
         self._judge_at = done + (done - now) * (1 / _EVIDENCE_SHARE - 1)
         return self._judged
+
+
+def capture_so_far(session: Session, scans: Sequence[Scan]) -> Capture:
+    """The scans of a recording so far as a capture without angles; at least one scan."""
+    plan = session.plan
+    return Capture(
+        np.stack([scan.samples for scan in scans]),
+        session.config.range_start_m(plan.cable_delay_ps),
+        RANGE_STEP_M,
+        axis_distance_m=plan.axis_distance_m,
+        antenna_height_m=plan.antenna_height_m,
+        antenna_separation_m=plan.antenna_separation_m,
+        radar=RadarInfo(config=session.config.stored()),
+    )
 
 
 def whole_image(capture: Capture, grid: ImageGrid, imaging: ImagingSettings) -> Image:

@@ -34,10 +34,15 @@ def run(
     home: dict[str, str],
     words: list[str],
     size: tuple[int, int],
-    enough: Callable[[bytes], bool] | None = None,
+    react: Callable[[bytes, subprocess.Popen[bytes], int], None] | None = None,
+    seconds: float = 120.0,
     **environment: str,
 ) -> Drawn:
-    """`tagid WORDS` on a colour terminal of (lines, columns); Ctrl-C is sent once what came is `enough`."""
+    """`tagid WORDS` on a colour terminal of (lines, columns), ended within `seconds`.
+
+    `react` is called with everything that was sent whenever more came, the process, and the terminal's end
+    on which keys are pressed.
+    """
     master, slave = pty.openpty()
     fcntl.ioctl(slave, termios.TIOCSWINSZ, struct.pack("HHHH", *size, 0, 0))
     child = subprocess.Popen(
@@ -48,21 +53,31 @@ def run(
     )  # fmt: skip
     os.close(slave)
     sent = bytearray()
-    asked: list[int] = []
 
     def read() -> None:
         try:
             while data := os.read(master, 65536):
                 sent.extend(data)
-                if enough is not None and not asked and enough(bytes(sent)):
-                    asked.append(1)
-                    child.send_signal(signal.SIGINT)
+                if react is not None:
+                    react(bytes(sent), child, master)
         except OSError:  # the other end is closed
             return
 
     reader = threading.Thread(target=read)
     reader.start()
-    out, _ = child.communicate(timeout=120)
-    reader.join(timeout=30)
+    out, _ = child.communicate(timeout=seconds)
+    reader.join(timeout=120)
     os.close(master)
     return Drawn(child.returncode, out, bytes(sent))
+
+
+def stop_at(enough: Callable[[bytes], bool]) -> Callable[[bytes, subprocess.Popen[bytes], int], None]:
+    """Sends Ctrl-C once, when what came is `enough`."""
+    asked: list[int] = []
+
+    def react(sent: bytes, child: subprocess.Popen[bytes], keyboard: int) -> None:
+        if not asked and enough(sent):
+            asked.append(1)
+            child.send_signal(signal.SIGINT)
+
+    return react

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from on_a_terminal import run
+from on_a_terminal import run, stop_at
 from rich.console import Console
 
 from tagid.radar.assembler import Scan, Statistics
@@ -43,7 +43,7 @@ def watch_on_a_terminal(
 ) -> tuple[dict, bytes]:
     """(the JSON result, everything that the terminal was sent); Ctrl-C is sent once that is `enough`."""
     everything = ["radar", "monitor", "--radar", url, "--output", "json", *words]
-    drawn = run(home, everything, (24, 80), enough, **environment)
+    drawn = run(home, everything, (24, 80), stop_at(enough) if enough else None, **environment)
     assert drawn.code == 0, drawn.sent[-2000:]
     return json.loads(drawn.out)["data"], drawn.sent
 

@@ -31,6 +31,9 @@ from tagid.station.server import Server
 from tagid.station.setup import ReadingSetup, ScanSetup, Source
 from tagid.station.station import Station
 
+OWN = {"tagid-station": "1"}
+"""The header of the page's own requests."""
+
 FAST = "emulator://helmet-120?rpm=20&seed=2"
 """As fast as the scans are taken: a turn within a second."""
 ENDLESS = "emulator://helmet-120?rpm=0.5&seed=2&rate=1"

@@ -21,16 +21,21 @@ SHARED = Path(os.environ.get("TAGID_SHARED", ROOT.parent / "shared"))
 TAGID = [sys.executable, "-m", "tagid"]
 
 
-@pytest.fixture
-def home(tmp_path: Path) -> dict[str, str]:
-    environment = {k: v for k, v in os.environ.items() if not k.startswith("TAGID_")}
+def environment(folder: Path) -> dict[str, str]:
+    """Of a process that keeps everything in `folder` and waits half a second for a radar."""
+    own = {k: v for k, v in os.environ.items() if not k.startswith("TAGID_")}
     return {
-        **environment,
-        "TAGID_CONFIG": str(tmp_path / "config.toml"),
-        "TAGID_DATA": str(tmp_path / "data"),
+        **own,
+        "TAGID_CONFIG": str(folder / "config.toml"),
+        "TAGID_DATA": str(folder / "data"),
         "TAGID_RADAR_TIMEOUT_S": "0.5",
         "OMP_NUM_THREADS": "1",
     }
+
+
+@pytest.fixture
+def home(tmp_path: Path) -> dict[str, str]:
+    return environment(tmp_path)
 
 
 @contextmanager

@@ -4,14 +4,10 @@ from __future__ import annotations
 
 import json
 import os
-import pty
 import signal
 import subprocess
-import sys
-import threading
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +22,8 @@ from tagid.radar.settings import RadarConfig
 from tagid.recording.plan import plan_window
 from tagid.recording.sources import HeightFile, emulated_scene
 from tagid.storage.importers import read_any
-from tests.e2e.test_scan import TAGID, emulator
+from tests.cli.on_a_terminal import Drawn, run
+from tests.e2e.test_scan import TAGID, emulator, environment
 
 HEIGHTS = (0.0, 0.15, 0.3)
 POSITIONS = [[0.1, 0.0], [-0.02, 0.08], [-0.05, -0.09]]
@@ -34,23 +31,9 @@ ROWS = [0.0, 0.06, -0.05]
 QUESTION = b"Is it there?"
 
 
-@dataclass(frozen=True)
-class Ended:
-    code: int
-    out: bytes
-    drawn: bytes
-
-
 @pytest.fixture
 def home(tmp_path: Path) -> dict[str, str]:
-    environment = {k: v for k, v in os.environ.items() if not k.startswith("TAGID_")}
-    return {
-        **environment,
-        "TAGID_CONFIG": str(tmp_path / "config.toml"),
-        "TAGID_DATA": str(tmp_path / "data"),
-        "TAGID_RADAR_TIMEOUT_S": "0.5",
-        "OMP_NUM_THREADS": "1",
-    }
+    return environment(tmp_path)
 
 
 @pytest.fixture
@@ -63,34 +46,19 @@ def layout(tmp_path: Path) -> Path:
 
 def on_terminal(
     home: dict[str, str], words: list[str], answer: Callable[[int, subprocess.Popen], None]
-) -> Ended:
+) -> Drawn:
     """`tagid WORDS` on a pseudo-terminal; `answer` is called with the number of each question asked."""
-    master, slave = pty.openpty()
-    child = subprocess.Popen(
-        [sys.executable, "-m", "tagid", *words], stdin=slave, stdout=subprocess.PIPE, stderr=slave, env=home
-    )
-    os.close(slave)
-    drawn = bytearray()
+    asked = 0
 
-    def read() -> None:
-        asked = 0
-        try:
-            while data := os.read(master, 65536):
-                drawn.extend(data)
-                while drawn.count(QUESTION) > asked:
-                    answer(asked, child)
-                    asked += 1
-                    if child.poll() is None:
-                        os.write(master, b"\n")
-        except OSError:  # the other end is closed
-            return
+    def react(sent: bytes, child: subprocess.Popen, keyboard: int) -> None:
+        nonlocal asked
+        while sent.count(QUESTION) > asked:
+            answer(asked, child)
+            asked += 1
+            if child.poll() is None:
+                os.write(keyboard, b"\n")
 
-    reader = threading.Thread(target=read)
-    reader.start()
-    out, _ = child.communicate(timeout=300)
-    reader.join(timeout=120)
-    os.close(master)
-    return Ended(child.returncode, out, bytes(drawn))
+    return run(home, words, (24, 200), react, seconds=300)
 
 
 def words_of(url: str, folder: Path) -> list[str]:
@@ -113,7 +81,7 @@ def test_heights_are_asked_for_recorded_and_joined(
                   "--antenna-height-file", str(lift)) as (url, _):  # fmt: skip
         ended = on_terminal(home, words_of(url, tmp_path / "out"), move)
     assert ended.code == 0, ended
-    assert ended.drawn.count(QUESTION) == 3
+    assert ended.sent.count(QUESTION) == 3
     data = json.loads(ended.out)["data"]
     assert (data["items"][0]["status"], data["items"][0]["layout"]) == ("identified", "rows")
     for height, row in zip(HEIGHTS, data["heights"], strict=True):

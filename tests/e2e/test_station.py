@@ -18,7 +18,7 @@ from typing import Any
 import pytest
 
 pytest.importorskip("starlette")
-from station_harness import ENDLESS, Asks, Raw, alone, ended, joined, stations, wait
+from station_harness import ENDLESS, OWN, Asks, Raw, alone, ended, joined, wait
 
 from tagid.capture import Capture
 from tagid.imaging.types import Image
@@ -33,19 +33,7 @@ from tagid.station.security import COOKIE
 from tagid.station.server import Server
 from tagid.storage.importers import read_any
 
-OWN = {"tagid-station": "1"}
-
-
-@pytest.fixture(autouse=True)
-def close_all() -> Iterator[None]:
-    yield
-    while Raw.opened:
-        Raw.opened.pop().close()
-
-
-@pytest.fixture
-def serve(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., Server]]:
-    yield from stations(tmp_path, monkeypatch)
+pytestmark = pytest.mark.usefixtures("closed_clients")
 
 
 def asks(one: Server, **headers: str) -> Asks:

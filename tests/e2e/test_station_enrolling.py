@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -10,21 +9,12 @@ import numpy as np
 import pytest
 
 pytest.importorskip("starlette")
-from station_harness import PLACES, Asks, Raw, ended, joined, own_object, poses, stations, wait
+from station_harness import OWN, PLACES, Asks, ended, joined, own_object, poses, wait
 
 from tagid.config import data_folder
 from tagid.station.server import Server
 from tagid.tags.enrolling.registry import Registry
 from tagid.tags.layouts.codebook import best_pairing
-
-OWN = {"tagid-station": "1"}
-
-
-@pytest.fixture
-def serve(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., Server]]:
-    yield from stations(tmp_path, monkeypatch)
-    while Raw.opened:
-        Raw.opened.pop().close()
 
 
 def state(one: Server) -> dict[str, Any]:

@@ -6,33 +6,23 @@ import os
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
 pytest.importorskip("starlette")
-from station_harness import Asks, Raw, ended, joined, stations, wait
+from station_harness import OWN, Asks, Raw, ended, joined, wait
 
 from tagid.doctor import examine
 from tagid.radar.emulation.core import EmulatorCore
 from tagid.radar.emulation.emulator import SerialEmulator, ServeOptions, UdpEmulator
 from tagid.radar.settings import RadarConfig
 from tagid.recording.sources import emulated_scene
-from tagid.station.server import Server
 from tagid.station.station import MAX_CONNECTIONS
 from tagid.station.wiring import wiring
 from tagid.storage.importers import read_any
 
-OWN = {"tagid-station": "1"}
 ROOT = Path(__file__).resolve().parents[2]
-
-
-@pytest.fixture
-def serve(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., Server]]:
-    yield from stations(tmp_path, monkeypatch)
-    while Raw.opened:
-        Raw.opened.pop().close()
 
 
 def core(rpm: float = 20) -> EmulatorCore:

@@ -7,28 +7,18 @@ import io
 import json
 import socket
 import zipfile
-from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 pytest.importorskip("starlette")
-from station_harness import Asks, Raw, ended, joined, stations, wait
+from station_harness import OWN, Asks, ended, joined, wait
 
 from tagid.config import data_folder
 from tagid.station import server
 from tagid.station.server import Server
 from tagid.storage.history import FILE_NAME, History
-
-OWN = {"tagid-station": "1"}
-
-
-@pytest.fixture
-def serve(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., Server]]:
-    yield from stations(tmp_path, monkeypatch)
-    while Raw.opened:
-        Raw.opened.pop().close()
 
 
 def scanned(one: Server) -> int:

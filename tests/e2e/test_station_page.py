@@ -17,7 +17,7 @@ from chromium import size, start, theme, wait
 pytest.importorskip("starlette")
 from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
-from station_harness import ENDLESS, Asks, alone, own_object, poses, stations
+from station_harness import ENDLESS, Asks, alone, own_object, poses
 from station_harness import wait as until
 
 from tagid.doctor import examine
@@ -57,11 +57,6 @@ def station_with_history(station_alone: Server) -> Server:
         asks.post("/api/v1/scan")
         until(lambda: not asks.get("/api/v1/scan").json()["running"])
     return station_alone
-
-
-@pytest.fixture
-def serve(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., Server]]:
-    yield from stations(tmp_path, monkeypatch)
 
 
 def text(page: Any, identity: str) -> str:

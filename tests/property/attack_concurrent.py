@@ -96,14 +96,7 @@ def ran(command: str, number: int, seed: int, folder: Path) -> Ran:
     """Run one process to its end."""
     words = words_of(command, number, random.Random(f"{seed}-{number}"))
     try:
-        done = subprocess.run(
-            [sys.executable, "-m", "tagid", *words, "--output", "json", "--quiet"],
-            cwd=folder,
-            env=environment(folder),
-            capture_output=True,
-            text=True,
-            timeout=_LONGEST_S,
-        )
+        done = _run(folder, *words)
     except subprocess.TimeoutExpired:
         return Ran(command, -1, faults=("hangs",))
     faults = []
@@ -149,13 +142,13 @@ def missing(folder: Path, done: list[Ran]) -> list[str]:
                 found.append(f"{name} has empty rows")
         except TagidError as error:
             found.append(f"{name}: {error.message}")
-    listed = _answer(_told(folder, "layouts"))
+    listed = _told(folder, "layouts")
     enrolled = {one["name"] for one in (listed.get("data") or {}).get("layouts", [])}
     found += [
         f"{one.made} is not enrolled" for one in done if one.command == "enroll" and one.made not in enrolled
     ]
     answers = collections.Counter(
-        str(one["command"]) for one in (_answer(_told(folder, "history")).get("data") or {}).get("items", [])
+        str(one["command"]) for one in (_told(folder, "history").get("data") or {}).get("items", [])
     )
     for command in ("scan", "identify"):
         asked = sum(one.command == command and not one.faults for one in done)
@@ -171,7 +164,7 @@ def missing(folder: Path, done: list[Ran]) -> list[str]:
     return [*found, *(f"{path.relative_to(folder)} is left" for path in left)]
 
 
-def _told(folder: Path, *words: str) -> str:
+def _run(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [sys.executable, "-m", "tagid", *words, "--output", "json", "--quiet"],
         cwd=folder,
@@ -179,7 +172,11 @@ def _told(folder: Path, *words: str) -> str:
         capture_output=True,
         text=True,
         timeout=_LONGEST_S,
-    ).stdout
+    )
+
+
+def _told(folder: Path, *words: str) -> dict[str, Any]:
+    return _answer(_run(folder, *words).stdout)
 
 
 def main() -> int:

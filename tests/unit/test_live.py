@@ -6,6 +6,8 @@ import io
 import threading
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -24,7 +26,7 @@ from tagid.live.engine import LiveSettings, LiveView
 from tagid.live.evidence import GrowingEvidence
 from tagid.live.image import GrowingImage
 from tagid.live.state import LiveState, Phase
-from tagid.live.views import GrowingViews
+from tagid.live.views import GrowingViews, capture_so_far
 from tagid.motion.urls import open_motion
 from tagid.pipeline.identify import identify
 from tagid.pipeline.load import load_capture
@@ -36,6 +38,7 @@ from tagid.radar.settings import RadarConfig
 from tagid.recording.plan import RecordingPlan, plan_window
 from tagid.recording.radars import open_radar
 from tagid.recording.recorder import Watch, record
+from tagid.recording.session import Session
 from tagid.report.live_screen import draw
 from tagid.simulate.acquisition import Acquisition
 from tagid.simulate.capture import simulate_capture
@@ -174,6 +177,19 @@ def test_a_fit_that_goes_on_with_each_piece_is_as_good_as_one_from_scratch() -> 
 def scan_of(number: int, time_ms: int, samples: np.ndarray | None = None) -> Scan:
     values = np.zeros(8, dtype=np.int32) if samples is None else samples
     return Scan(number, time_ms, time_ms * 1_000_000, values, 0, 1, 2)
+
+
+def test_the_scans_so_far_keep_both_antennas() -> None:
+    """The live image and the answers read ahead would otherwise take one antenna for two."""
+    config = RadarConfig(base_integration_index=13)
+    plan = RecordingPlan(config, 1.1, antenna_height_m=0.2, antenna_separation_m=0.3, cable_delay_ps=500.0)
+    session = cast(Session, SimpleNamespace(plan=plan, config=config))
+    capture = capture_so_far(session, [scan_of(i, 100 * i, np.full(8, i, dtype=np.int32)) for i in range(3)])
+    assert capture.samples[:, 0].tolist() == [0, 1, 2]
+    assert capture.range_start_m == config.range_start_m(500.0)
+    turned = replace(capture, angles_rad=np.arange(3.0))
+    assert turned.aperture().separation == pytest.approx(0.3)
+    assert (turned.axis_distance_m, turned.antenna_height_m) == (1.1, 0.2)
 
 
 def test_the_angle_comes_from_the_speed_and_its_sign_from_the_direction() -> None:
