@@ -25,7 +25,7 @@ from bumble import hci
 from bumble.device import Device
 from bumble.host import Host
 
-from firmware_tools.virtual.air import Air, HciServer, make_controller
+from firmware_tools.virtual.air import COMMAND_TIMEOUT_S, Air, HciServer, make_controller
 from firmware_tools.virtual.ble import VirtualBle
 from firmware_tools.virtual.board import RESET_CAUSES, Board
 from firmware_tools.virtual.modules import install
@@ -112,6 +112,7 @@ async def serve(options: argparse.Namespace) -> None:
     host = Host()
     host.controller = controller
     device = Device(name="bridge", address=hci.Address(options.address), host=host)
+    device.command_timeout = COMMAND_TIMEOUT_S
     board = Board(options.uart, report, make_end(options), _CAUSES[options.reset_cause])
     advertising = asyncio.Event()
     ble = VirtualBle(board, device, loop, air)

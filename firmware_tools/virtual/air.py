@@ -18,6 +18,8 @@ from bumble.core import PhysicalTransport
 from bumble.link import LocalLink
 from bumble.transport.common import StreamPacketSink, StreamPacketSource
 
+COMMAND_TIMEOUT_S = 120.0
+"""A virtual controller answers at once, but its process may not run for seconds on a busy computer."""
 _DATA_LENGTH = 251
 """Bytes of an LE data packet with the length extension, as on ESP32 and current computers."""
 

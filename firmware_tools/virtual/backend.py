@@ -26,6 +26,8 @@ from bumble.host import Host
 from bumble.keys import KeyStore, MemoryKeyStore
 from bumble.transport import open_transport
 
+from firmware_tools.virtual.air import COMMAND_TIMEOUT_S
+
 _MTU = 247
 _PROPERTIES: dict[int, CharacteristicPropertyName] = {
     1: "broadcast",
@@ -250,6 +252,7 @@ async def open_backend(
     async with await open_transport(where) as transport:
         own = address or "F2:" + ":".join(f"{byte:02X}" for byte in secrets.token_bytes(5))
         device = Device(name="host", address=hci.Address(own), host=Host(transport.source, transport.sink))
+        device.command_timeout = COMMAND_TIMEOUT_S
         device.keystore = store or MemoryKeyStore()
         config = pairing.PairingConfig(sc=secure, mitm=passkey is not None, delegate=_Keyboard(passkey))
         device.pairing_config_factory = lambda connection: config
