@@ -35,6 +35,11 @@ MIN_NOISE_VALUES = 64
 MIN_NOISE_BINS = 6
 """Range bins beside the target from which the noise's spectrum over the band is estimated."""
 
+SHAPE_FREQUENCIES = 17
+"""Frequencies at which the noise's density is estimated, 0.1 GHz apart for a P440."""
+SHAPE_PRIOR = 5.0
+"""Values of the mean density that are added to those measured at each of them."""
+
 MIN_EARLY_VALUES = 16
 """Values before the object from which the noise is known to 36 %, enough to notice that it is coloured."""
 
@@ -138,6 +143,7 @@ def preprocess(
         aperture=aperture,
         noise_std=float(np.sqrt(noise.variance) * lost),
         noise_density=noise.density * lost**2,
+        noise_shape=noise.shape,
         independent_samples=gated.size * min(1.0, band.bandwidth_hz / band.rate_hz),
         background_removed=settings.background != "none",
         wave_speed_m_s=capture.wave_speed_m_s,
@@ -242,11 +248,12 @@ class _Noise:
 
     Attributes:
         variance: of one complex sample.
-        density: see `BasebandScans.noise_density`.
+        density, shape: see `BasebandScans.noise_density` and `noise_shape`.
     """
 
     variance: float = 0.0
     density: float = 0.0
+    shape: tuple[float, ...] = ()
 
 
 def _raised(noise: _Noise, early: NDArray[np.complex64], band: BandFilter) -> _Noise:
@@ -262,7 +269,8 @@ def _raised(noise: _Noise, early: NDArray[np.complex64], band: BandFilter) -> _N
     # The median of n exponential variables has the relative standard deviation 1 / (ln 2 sqrt n).
     if seen < (1 + 4 / (_LN2 * np.sqrt(values))) * noise.variance:
         return noise
-    return _Noise(seen, _band_density([early], band) or noise.density * seen / noise.variance)
+    density = _band_density([early], band) or noise.density * seen / noise.variance
+    return _Noise(seen, density, _band_shape([early], band, density))
 
 
 def _noise(
@@ -282,7 +290,8 @@ def _noise(
     white = flat * band.decimated_bins / float(power.sum())
     if off.size * band.bandwidth_hz / band.rate_hz >= MIN_NOISE_VALUES:
         variance = float(median(off.real**2 + off.imag**2)) / _LN2
-        return _Noise(variance, _band_density(sides, band) or variance * white)
+        density = _band_density(sides, band) or variance * white
+        return _Noise(variance, density, _band_shape(sides, band, density))
     window = np.hanning(samples.shape[1] + 2)[1:-1].astype(np.float32)
     n = samples.shape[1]
     rows = samples[:: max(1, len(samples) * n // _CHUNK_SAMPLES)] * window
@@ -306,25 +315,51 @@ def _noise(
 def _band_density(sides: Sequence[NDArray[np.complex64]], band: BandFilter) -> float:
     """Mean density of the noise over the pulse's band from range bins off the target; 0 from too few bins.
 
-    A tapered Fourier transform of each side, because coloured noise is stronger in one part of the band than
-    in the skirts that the variance of a sample includes.
+    Coloured noise is stronger in one part of the band than in the skirts that a sample's variance includes.
     """
     total = weight = 0.0
     for side in sides:
-        bins = side.shape[1]
+        if side.shape[1] >= MIN_NOISE_BINS:
+            # One frequency per bin. Over the views alone: of coloured noise every frequency has its own mean.
+            power = median(_periodogram(side, band, side.shape[1]), axis=0) / _median_of(len(side))
+            total += side.shape[1] * float(power.mean())
+            weight += side.shape[1]
+    return total / weight if weight else 0.0
+
+
+def _band_shape(
+    sides: Sequence[NDArray[np.complex64]], band: BandFilter, density: float
+) -> tuple[float, ...]:
+    """`BasebandScans.noise_shape` from range bins off the target; empty from too few bins.
+
+    The mean over the views, so that a transmitter that is on in some of them counts; SHAPE_PRIOR values of
+    the mean density keep few bins from shaping white noise.
+    """
+    total, weight = np.zeros(SHAPE_FREQUENCIES), 0.0
+    for side in sides:
+        views, bins = side.shape
         if bins < MIN_NOISE_BINS:
             continue
-        window = np.hanning(bins + 2)[1:-1]
-        # Half of the band's width over the window's resolution, at most one frequency per bin.
-        reach = 0.5 * band.bandwidth_hz / band.rate_hz
-        offsets = np.linspace(-reach, reach, bins)
-        kernel = np.exp(-2j * np.pi * np.arange(bins)[:, None] * offsets) * window[:, None]
-        values = side @ kernel
-        # Over the views alone: of noise that is coloured, every frequency has its own mean.
-        power = median(values.real**2 + values.imag**2, axis=0) / _median_of(len(side))
-        total += bins * float(power.mean()) / float((window**2).sum())
-        weight += bins
-    return total / weight if weight else 0.0
+        values = views * max(1.0, bins * band.bandwidth_hz / band.rate_hz / SHAPE_FREQUENCIES)
+        total += values * _periodogram(side, band, SHAPE_FREQUENCIES).mean(axis=0)
+        weight += values
+    if not weight or density <= 0:
+        return ()
+    shape = (total / density + SHAPE_PRIOR) / (weight + SHAPE_PRIOR)
+    return tuple(float(value) for value in shape)
+
+
+def _periodogram(side: NDArray[np.complex64], band: BandFilter, frequencies: int) -> NDArray[np.float64]:
+    """(views, frequencies) density at frequencies from the lowest to the highest of the pulse's band.
+
+    A tapered Fourier transform: half of the band's width over the window's resolution.
+    """
+    bins = side.shape[1]
+    window = np.hanning(bins + 2)[1:-1]
+    reach = 0.5 * band.bandwidth_hz / band.rate_hz
+    offsets = np.linspace(-reach, reach, frequencies)
+    values = side @ (np.exp(-2j * np.pi * np.arange(bins)[:, None] * offsets) * window[:, None])
+    return np.asarray((values.real**2 + values.imag**2) / float((window**2).sum()))
 
 
 def _median_of(n: int) -> float:

@@ -61,6 +61,8 @@ class BasebandScans:
             of one sample's variance: sum_b a_b n_b exp(-j theta b) has the variance noise_density
             sum_b |a_b|^2 at the band's frequencies theta. 0 if unknown. It exceeds noise_std^2, because
             the filter's skirts pass less than its band does.
+        noise_shape: (P,) density of the noise at P frequencies, equally spaced from the lowest to the
+            highest of the pulse's band, over `noise_density`; empty: the same at all.
         background_removed: the mean (or median) over the views was subtracted, and with it the mean echo of
             the scene.
         independent_samples: n of `reading`: views * bins * bandwidth / sampling rate.
@@ -75,6 +77,7 @@ class BasebandScans:
     noise_std: float = 0.0
     noise_density: float = 0.0
     independent_samples: float = 0.0
+    noise_shape: tuple[float, ...] = ()
     background_removed: bool = False
     wave_speed_m_s: float = SPEED_OF_LIGHT
     center_hz: float | None = None

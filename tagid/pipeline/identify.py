@@ -142,6 +142,7 @@ def aspect_spectra(capture: Capture, settings: ImagingSettings | None = None) ->
 
     Raises DataError as `identify` does, and for free antenna positions.
     """
+    from tagid.imaging.whitening import whitened
     from tagid.tags.bodies.enrolled import signature_wavenumbers
     from tagid.tags.bodies.signature import MAX_RADIUS_M
     from tagid.tags.bodies.spectra import Spectra
@@ -167,7 +168,7 @@ def aspect_spectra(capture: Capture, settings: ImagingSettings | None = None) ->
             "signature, but 3 are needed",
             "Correct the capture's bandwidth_hz.",
         )
-    return Spectra.of(fold_views(scans, MAX_RADIUS_M), wavenumbers=wavenumbers)
+    return Spectra.of(fold_views(whitened(scans), MAX_RADIUS_M), wavenumbers=wavenumbers)
 
 
 def sight_reflectors(capture: Capture, name: str, settings: ImagingSettings | None = None) -> Sighting:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from tagid.errors import RegistryError
 from tagid.imaging.types import BasebandScans
+from tagid.imaging.whitening import whitened
 from tagid.signal import median
 from tagid.tags.bodies.hypothesis import Enrolled
 from tagid.tags.layouts.layout import Layout
@@ -117,7 +118,7 @@ class MatchedScan:
         self._settings = settings
         self._layouts = layouts
         self._enrolled = enrolled or Enrolled()
-        self.scans = fold_views(scans, self._radius + 0.02)
+        self.scans = fold_views(whitened(scans), self._radius + 0.02)
         heights = np.concatenate([np.asarray(layout.heights) for layout in layouts])
         bounds = float(heights.min()) - ELEVATION_RANGE_M, float(heights.max()) + ELEVATION_RANGE_M
         several = len(self.scans.aperture.height_groups()) > 1
