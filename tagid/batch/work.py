@@ -13,6 +13,7 @@ import time
 import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +29,7 @@ from tagid.pipeline.reconstruct import reconstruct
 from tagid.pipeline.settings import Stopwatch
 from tagid.report.thumbnails import draw_pictures
 from tagid.storage.history import utc_text
+from tagid.tags.bodies.hypothesis import Kind
 
 RECORD_VERSION = 1
 """Version of an item's record; it changes only if a field is removed or changes its meaning."""
@@ -172,6 +174,19 @@ def _failed(source: Source, error: TagidError) -> Identification:
 def _pictures(
     prepared: PreparedCapture, answer: Identification, job: Job
 ) -> tuple[bytes, bytes, dict[str, Any]]:
-    result = reconstruct(prepared)
+    result = reconstruct(pictured(prepared, answer))
     layout = next((one for one in job.layouts if one.name == answer.to_dict()["layout"]), None)
     return draw_pictures(prepared.given, result, answer, layout)
+
+
+def pictured(prepared: PreparedCapture, answer: Identification) -> PreparedCapture:
+    """The capture at the axis distance that the reading found, which need not be searched again.
+
+    Only a name without a body has told it; the pictures do not show how well they predict held-out views.
+    """
+    reading, distance = answer.reading, prepared.given.axis_distance_m
+    told = reading is not None and reading.status == "identified" and reading.kind is Kind.BARE
+    if reading is None or not told or distance is None or prepared.pulse_estimate is not None:
+        return prepared
+    moved = replace(prepared.given, axis_distance_m=distance + reading.offset_m)
+    return PreparedCapture(moved, replace(prepared.settings, focus_m=0.0, held_out=False))

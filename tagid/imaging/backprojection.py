@@ -99,6 +99,10 @@ def upsample_at_carrier(
 
     # Blocks that stay in a core's cache.
     blocks = [slice(at, at + _ROWS_AT_ONCE) for at in range(0, len(baseband), _ROWS_AT_ONCE)]
+    if len(blocks) == 1:
+        # Starting threads would take as long as the work.
+        fill(blocks[0])
+        return out, scans.range_start_m - step, step
     with ThreadPoolExecutor(cores()) as threads:
         list(threads.map(fill, blocks))
     return out, scans.range_start_m - step, step
