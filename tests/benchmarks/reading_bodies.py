@@ -31,9 +31,11 @@ import reading_bodies_scenes as scenes
 from reading_bodies_scenes import Cell
 
 from tagid.errors import TagidError
-from tagid.pipeline.identify import identify
+from tagid.pipeline.identify import aspect_spectra, identify
 from tagid.pipeline.prepared import prepare
 from tagid.pipeline.settings import ImagingSettings
+from tagid.tags.bodies.joint import Named, enrol_signature
+from tagid.tags.bodies.signature import Signature
 
 ROOT = Path(__file__).resolve().parents[2]
 OUTCOMES = ("correct", "ambiguous", "refused", "wrong")
@@ -57,22 +59,50 @@ class Row:
     seconds: float
 
     @property
-    def key(self) -> tuple[Cell, str, str, int]:
+    def task(self) -> Task:
         """What makes it the same scene."""
-        return self.cell, self.mode, self.population, self.number
+        return Task(self.cell, self.mode, self.population, self.number)
 
 
-def by_product(drawn: scenes.Drawn) -> tuple[str, str]:
+@dataclass(frozen=True)
+class Task:
+    """One scene to be drawn and read."""
+
+    cell: Cell
+    mode: str
+    population: str
+    number: int
+
+
+def blind(task: Task, drawn: scenes.Drawn) -> tuple[str, str]:
     """What `tagid identify` answers with the default settings: (status, layout)."""
+    return answered(drawn, ())
+
+
+def enrolled(task: Task, drawn: scenes.Drawn) -> tuple[str, str]:
+    """The same with the untagged body enrolled from three captures; a bare tag has none."""
+    if task.cell.body == "none":
+        return answered(drawn, ())
+    captures = scenes.enrolment_captures(task.cell, task.population, task.number)
+    named = [Named(f"capture {i + 1}", aspect_spectra(capture)) for i, capture in enumerate(captures)]
     try:
-        answer = identify(prepare(drawn.capture), drawn.layouts, ImagingSettings())
+        signature = enrol_signature(named, "its-body", "body").signature
+    except TagidError as error:
+        return f"not enrolled: {error.message}", ""
+    return answered(drawn, (signature,))
+
+
+def answered(drawn: scenes.Drawn, signatures: tuple[Signature, ...]) -> tuple[str, str]:
+    """(status, layout) of a recording."""
+    try:
+        answer = identify(prepare(drawn.capture), drawn.layouts, ImagingSettings(), signatures=signatures)
     except TagidError as error:
         return f"failed: {error.code}", ""
     return answer.status, answer.reading.layout or ""
 
 
-MODES: dict[str, Callable[[scenes.Drawn], tuple[str, str]]] = {"blind": by_product}
-"""How the reader is used: blind, without anything known of the body."""
+MODES: dict[str, Callable[[Task, scenes.Drawn], tuple[str, str]]] = {"blind": blind, "enrolled": enrolled}
+"""What the reader knows: nothing of the body, or the untagged body."""
 
 
 def outcome_of(status: str, answer: str, name: str) -> str:
@@ -82,16 +112,18 @@ def outcome_of(status: str, answer: str, name: str) -> str:
     return "ambiguous" if status == "ambiguous" else "refused"
 
 
-def one(task: tuple[Cell, str, str, int]) -> Row:
+def one(task: Task) -> Row:
     """One scene, drawn and read."""
-    cell, mode, population, number = task
+    cell, population, number = task.cell, task.population, task.number
     drawn = scenes.draw(cell, population, number)
-    start = time.perf_counter()
-    status, answer = MODES[mode](drawn)
-    seconds = round(time.perf_counter() - start, 3)
+    start = time.process_time()
+    status, answer = MODES[task.mode](task, drawn)
+    seconds = round(time.process_time() - start, 3)
     outcome = outcome_of(status, answer, drawn.name)
     seed = scenes.seed_of(population, number)
-    return Row(cell, mode, population, number, seed, drawn.what, drawn.name, status, answer, outcome, seconds)
+    return Row(
+        cell, task.mode, population, number, seed, drawn.what, drawn.name, status, answer, outcome, seconds
+    )
 
 
 def stored(path: Path) -> list[Row]:
@@ -106,15 +138,16 @@ def stored(path: Path) -> list[Row]:
     return rows
 
 
-def tasks(arguments: argparse.Namespace) -> Iterator[tuple[Cell, str, str, int]]:
+def tasks(arguments: argparse.Namespace) -> Iterator[Task]:
     """Scenes in the order in which they are read: rounds of the shuffled grid."""
-    grid = scenes.cells(tuple(arguments.worlds))
+    grid = [cell for cell in scenes.cells(tuple(arguments.worlds)) if cell.views in arguments.views]
     for number in range(arguments.rounds):
         shuffled = list(grid)
         random.Random(f"{ORDER_SEED}/{number}").shuffle(shuffled)
         for cell in shuffled:
             for mode in arguments.modes:
-                yield cell, mode, arguments.population, number
+                if mode == "blind" or cell.world == "own":
+                    yield Task(cell, mode, arguments.population, number)
 
 
 def wilson(hits: int, total: int) -> tuple[float, float]:
@@ -241,15 +274,16 @@ def document(rows: list[Row], arguments: argparse.Namespace) -> str:
     used = [row for row in rows if row.population == arguments.population]
     cells, grid = len({row.cell for row in used}), len(scenes.cells(("own", "full-wave")))
     last = max((row.number for row in used), default=0)
+    views, modes = (" ".join(map(str, some)) for some in (arguments.views, arguments.modes))
     lines = [
         f"# Reading tags on bodies: {arguments.label}",
         "",
         f"Command: `python tests/benchmarks/reading_bodies.py --label {arguments.label} --population "
-        f"{arguments.population}` (continued until the time was up).",
+        f"{arguments.population} --views {views} --modes {modes}` (continued until the time was up).",
         f"Commit: {commit()}.",
         f"Machine: {platform.machine()}, {os.cpu_count()} cores, one thread per scene, Python "
         f"{platform.python_version()}, numpy {np.__version__}. Date: {datetime.now(UTC):%Y-%m-%d}.",
-        f"Seconds are wall-clock times of a machine with a load average of {os.getloadavg()[2]:.0f}.",
+        "Seconds are processor times, with enrolment where a body is enrolled.",
         f"{len(used)} scenes in {cells} of the {grid} cells.",
         f"Seeds: population `{arguments.population}`, numbers 0",
         f"to {last} (`seed_of` in reading_bodies_scenes.py). SHA-256 of the sealed seeds:",
@@ -265,7 +299,7 @@ def document(rows: list[Row], arguments: argparse.Namespace) -> str:
 def run(arguments: argparse.Namespace, path: Path) -> list[Row]:
     """Read what is missing until the time is up."""
     rows = stored(path)
-    known = {row.key for row in rows}
+    known = {row.task for row in rows}
     path.parent.mkdir(parents=True, exist_ok=True)
     until = time.monotonic() + arguments.seconds
     missing = [task for task in tasks(arguments) if task not in known][: arguments.most]
@@ -288,6 +322,7 @@ def main() -> None:
     parser.add_argument("--population", choices=tuple(scenes.POPULATIONS), default="development")
     parser.add_argument("--worlds", nargs="+", choices=("own", "full-wave"), default=["own", "full-wave"])
     parser.add_argument("--modes", nargs="+", choices=tuple(MODES), default=["blind"])
+    parser.add_argument("--views", nargs="+", type=int, default=list(scenes.VIEWS), help="numbers of views")
     parser.add_argument("--rounds", type=int, default=1, help="scenes per cell")
     parser.add_argument("--seconds", type=float, default=1e9, help="stop reading after this time")
     parser.add_argument(

@@ -35,6 +35,7 @@ from tagid.simulate import (
 )
 from tagid.simulate.objects import Variation, object_scene
 from tagid.simulate.presets import room_clutter
+from tagid.simulate.scene import Scene, StaticReturns
 from tagid.tags.layouts.codebook import rotational_distance
 from tagid.tags.layouts.layout import Layout
 
@@ -120,9 +121,13 @@ def sealed_hash() -> str:
 
 def draw(cell: Cell, population: str, number: int) -> Drawn:
     """The recording of a cell and a number, independent of all others."""
-    words = "/".join(str(value) for value in asdict(cell).values())
-    rng = np.random.default_rng([seed_of(population, number), zlib.crc32(words.encode())])
+    rng = _generator(cell, population, number)
     return _own(cell, rng) if cell.world == "own" else _full_wave(cell, rng)
+
+
+def _generator(cell: Cell, population: str, number: int) -> np.random.Generator:
+    words = "/".join(str(value) for value in asdict(cell).values())
+    return np.random.default_rng([seed_of(population, number), zlib.crc32(words.encode())])
 
 
 @lru_cache(maxsize=1)
@@ -186,8 +191,28 @@ def _foreign(cell: Cell, rng: np.random.Generator) -> np.ndarray:
             return points
 
 
-def _own(cell: Cell, rng: np.random.Generator) -> Drawn:
-    layouts = SETS[cell.enrolled]
+@dataclass(frozen=True, eq=False)
+class _Object:
+    """An object of our simulator in its room.
+
+    Attributes:
+        name: of its layout; empty if it carries none of the enrolled ones.
+        positions: (K, 3) reflectors, m.
+        body: as `--body` takes it.
+        size_mm: of the reflectors.
+        variation: deviations of the object from the nominal one.
+        room: clutter.
+    """
+
+    name: str
+    positions: np.ndarray
+    body: str
+    size_mm: float
+    variation: Variation
+    room: StaticReturns
+
+
+def _own_object(cell: Cell, rng: np.random.Generator) -> _Object:
     fitting = _layouts_for(cell)
     layout = fitting[int(rng.integers(len(fitting)))]
     size_mm = float(rng.choice([20.0, 40.0]))
@@ -199,20 +224,38 @@ def _own(cell: Cell, rng: np.random.Generator) -> Drawn:
     elif cell.group == "foreign":
         positions = _foreign(cell, rng)
     ring = rng.normal(0, 0.5e-3, 2)
-    scene = object_scene(
-        cell.group,
+    room = room_clutter(rng)
+    variation = Variation(rng.uniform(0, 2 * np.pi), (float(ring[0]), float(ring[1])), 0.5)
+    return _Object(name, positions, body, size_mm, variation, room)
+
+
+def _scene(made: _Object, group: str, positions: np.ndarray, rng: np.random.Generator) -> Scene:
+    return object_scene(
+        group,
         positions,
-        parse_body(body),
-        ReflectorSpec("octahedron", size_mm * 1e-3),
+        parse_body(made.body),
+        ReflectorSpec("octahedron", made.size_mm * 1e-3),
         rng=rng,
-        room=room_clutter(rng),
-        variation=Variation(rng.uniform(0, 2 * np.pi), (float(ring[0]), float(ring[1])), 0.5),
+        room=made.room,
+        variation=made.variation,
     )
+
+
+def _own(cell: Cell, rng: np.random.Generator) -> Drawn:
+    made = _own_object(cell, rng)
+    scene = _scene(made, cell.group, made.positions, rng)
+    acquisition = _acquisition(cell, rng)
+    capture, _ = simulate_capture(scene, acquisition, int(rng.integers(2**32)))
+    what = f"{made.name or cell.group} {made.size_mm:g}mm on {made.body}"
+    return Drawn(capture, SETS[cell.enrolled], made.name, what)
+
+
+def _acquisition(cell: Cell, rng: np.random.Generator) -> Acquisition:
     place = rng.uniform(0, 2 * np.pi)
     off = cell.offset_mm * 1e-3
     pulse_number, tone, colour = int(rng.integers(7)), rng.uniform() < 0.2, rng.uniform(0, 1)
     pulses = _measured_pulses() if cell.pulse == "measured" else (None,)
-    acquisition = Acquisition(
+    return Acquisition(
         views=cell.views,
         snr_db=float(cell.snr_db),
         noise=NoiseShape(colour, Interference(-6.0, rng.uniform(3.1e9, 4.8e9), 0.3) if tone else None),
@@ -223,8 +266,31 @@ def _own(cell: Cell, rng: np.random.Generator) -> Drawn:
         wobble=Wobble(speed=0.01),
         axis_distance_error_m=rng.uniform(-0.015, 0.015),
     )
-    capture, _ = simulate_capture(scene, acquisition, int(rng.integers(2**32)))
-    return Drawn(capture, layouts, name, f"{layout.name if name else cell.group} {size_mm:g}mm on {body}")
+
+
+def enrolment_captures(cell: Cell, population: str, number: int) -> tuple[Capture, ...]:
+    """Three captures of the same object's body without its tag, as `tagid enroll --body` takes them.
+
+    72 views at 20 dB, turned and moved by 2 to 6 mm, at the height of the recording that is to be read, in a
+    room of its own.
+    """
+    rng = _generator(cell, population, number)
+    made = _own_object(cell, rng)
+    # As in the recording: the tag's reflectors are drawn first.
+    _scene(made, cell.group, made.positions, rng)
+    read = _acquisition(cell, rng)
+    empty = _scene(made, "untagged", np.zeros((0, 3)), rng)
+    found = []
+    for i in range(3):
+        place, turn = rng.uniform(0, 2 * np.pi, 2)
+        off = (2 + 2 * i) * 1e-3
+        acquisition = Acquisition(
+            views=72,
+            snr_db=20.0,
+            placement=Placement((off * np.cos(place), off * np.sin(place)), turn, read.placement.height_m),
+        )
+        found.append(simulate_capture(empty, acquisition, int(rng.integers(2**32)))[0])
+    return tuple(found)
 
 
 @lru_cache(maxsize=1)
