@@ -19,7 +19,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
-from tagid.tags.bodies.calibration import Calibration, Stratum
+from tagid.tags.bodies.calibration import Calibration, Stratum, largest
 from tagid.tags.layouts.layout import builtin_layouts
 from tagid.tags.matching.matcher import null_evidence_of
 from train.population import STATEMENT, draw
@@ -55,11 +55,24 @@ def strata(rows: list[dict[str, float | int | str]], views: list[int]) -> tuple[
     for low, high in pairwise(views):
         for weak, strong in pairwise(SNRS_DB):
             own = [r for r in rows if low <= float(r["views"]) < high and weak <= float(r["snr_db"]) < strong]
-            scores = sorted((float(r["score"]) for r in own if r["score"] != "refused"), reverse=True)
-            told = [r["bare"] for r in own if "bare" in r]
-            bare = sorted((float(b) for b in told if b != "refused"), reverse=True)
-            kept = tuple(scores[:KEPT]), tuple(bare[:KEPT]), len(told)
-            found.append(Stratum(low, high, float(weak), float(strong), len(own), *kept))
+            told = [r["score"] for r in own if "score" in r]
+            scores = [float(s) for s in told if s != "refused"]
+            told_bare = [r["bare"] for r in own if "bare" in r]
+            bare = [float(b) for b in told_bare if b != "refused"]
+            found.append(
+                Stratum(
+                    low,
+                    high,
+                    float(weak),
+                    float(strong),
+                    len(told),
+                    largest(scores, KEPT),
+                    len(scores),
+                    largest(bare, KEPT),
+                    len(told_bare),
+                    len(bare),
+                )
+            )
     return tuple(found)
 
 

@@ -17,7 +17,7 @@ from tagid.imaging.types import BasebandScans
 from tagid.simulate.noise import NoiseShape, draw_noise
 from tagid.tags.bodies.arrangement import difference_deg, gaps_deg, merged, resolution_deg
 from tagid.tags.bodies.body_reading import BodySettings
-from tagid.tags.bodies.calibration import Calibration, Stratum
+from tagid.tags.bodies.calibration import Calibration, Stratum, largest
 from tagid.tags.bodies.decide import BodyDecision
 from tagid.tags.bodies.hypothesis import Kind
 from tagid.tags.bodies.reader import read_on_body
@@ -275,6 +275,27 @@ def test_calibration_promises_no_more_than_it_counted() -> None:
     assert known.bound(9.0, 100, 10.0, 1e-3).objects == 0
     with pytest.raises(ModelError):
         Calibration.from_json("{}")
+
+
+@pytest.mark.parametrize("bare", [False, True])
+def test_the_p_value_is_never_below_that_of_all_scores(bare: bool) -> None:
+    """Ties, refused objects, rounding and scores that were not kept: it is exact where it can be."""
+    rng = np.random.default_rng(6)
+    every = np.round(rng.standard_normal(60), 1)
+    refused, keep = 40, 12
+    kept = largest([float(s) for s in every], keep)
+    assert len(kept) >= keep and kept[-1] > max(s for s in every if s < kept[-1])
+    known = Stratum(1, 99, -np.inf, np.inf, 100, kept, 60, bare=kept, bare_objects=100, bare_scored=60)
+    blind = Stratum(1, 99, -np.inf, np.inf, 100, kept, bare=kept, bare_objects=100)
+    for score in np.linspace(-3, 3, 121).round(2):
+        exact = (np.count_nonzero(every >= score) + 1) / (len(every) + refused + 1)
+        one, other = known.p_value(float(score), bare), blind.p_value(float(score), bare)
+        assert exact <= one <= other
+        assert (one == other == exact) if score >= kept[-1] else (one == 61 / 101 and other == 1.0)
+
+
+def test_scores_of_the_file_are_rounded_up() -> None:
+    assert largest([0.12341, 0.5, -0.00001], 9) == (0.5, 0.1235, 0.0)
 
 
 def test_too_few_calibration_objects_refuse() -> None:
