@@ -14,13 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.tags.bodies.arrangement import (
-    AXIS_M,
     difference_deg,
     gaps_deg,
     kind_of,
     merged,
+    off_axis,
     resolution_deg,
     turn_to,
+    turned_on,
 )
 from tagid.tags.bodies.body_reading import BodyReading, BodySettings, Placed
 from tagid.tags.bodies.hypothesis import BodyModel, Candidate, Pose
@@ -104,7 +105,7 @@ def read_on_body(
         hints: further centres to try, x + jy, m.
     """
     rings = _rings(layouts, settings)
-    usable = [layout for layout in layouts if len(_off_axis(layout)[0]) >= 2]
+    usable = [layout for layout in layouts if len(off_axis(layout)[0]) >= 2]
     if not usable:
         return None
     reader = _Reader(spectra, usable, body, settings, body.poses(spectra))
@@ -124,7 +125,7 @@ def read_below(
         centre: of the body, x + jy, m, from its round part.
         spectra, layouts, body, settings: as of `read_on_body`.
     """
-    usable = [layout for layout in layouts if len(_off_axis(layout)[0]) >= 2]
+    usable = [layout for layout in layouts if len(off_axis(layout)[0]) >= 2]
     rings = _rings(layouts, settings)
     if not usable or not rings:
         return None
@@ -136,10 +137,10 @@ def read_below(
         for i, echo in enumerate(echoes):
             ring = Ring.of(thin, echo, centre, radius, FACING, 48)
             for layout in usable:
-                radii, angles, _ = _off_axis(layout)
+                radii, angles, _ = off_axis(layout)
                 offset = radius - float(radii.mean())
                 if settings.priors.radius_low_m <= offset <= settings.priors.radius_high_m:
-                    value = ring.explained(_turned(angles, len(ring.angles))).max()
+                    value = ring.explained(turned_on(angles, len(ring.angles))).max()
                     least[i] = min(least[i], ring.energy - float(value))
     found = []
     for i in peaks(-least, 3):
@@ -150,26 +151,10 @@ def read_below(
     return min(readings, key=lambda one: one.layouts[0].left) if readings else None
 
 
-def _turned(angles: NDArray[np.float64], count: int) -> NDArray[np.intp]:
-    """(count, K) indices of angles on a ring of `count`, in every turn of the ring's step."""
-    index = np.rint(angles[None] / (2 * np.pi / count) + np.arange(count)[:, None])
-    return np.asarray(index.astype(np.intp) % count)
-
-
-def _off_axis(
-    layout: Layout,
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Radii (K,), angles (K,) and heights (K,) of the reflectors that lie off the axis."""
-    place = layout.positions[:, 0] + 1j * layout.positions[:, 1]
-    off = np.abs(place) > AXIS_M
-    heights = np.asarray(layout.heights, dtype=np.float64)[off]
-    return np.abs(place[off]), np.angle(place[off]), heights
-
-
 def _rings(layouts: Sequence[Layout], settings: BodySettings) -> list[float]:
     """Radii at which arrangements are searched, m: those of the layouts, merged within 8 mm."""
     nominal: list[float] = []
-    for value in sorted(float(r) for layout in layouts for r in _off_axis(layout)[0]):
+    for value in sorted(float(r) for layout in layouts for r in off_axis(layout)[0]):
         if not nominal or value - nominal[-1] > 8e-3:
             nominal.append(value)
     found: list[float] = []
@@ -483,7 +468,7 @@ class _Reader:
 
     def _layout_rows(self, layout: Layout, searched: Sequence[tuple[Ring, list[_Start]]]) -> list[_Row]:
         """The best two starts of a layout, by both patterns."""
-        radii, angles, heights = _off_axis(layout)
+        radii, angles, heights = off_axis(layout)
         priors = self.settings.priors
         starts: list[_Start] = []
         for ring, some in searched:
@@ -492,7 +477,7 @@ class _Reader:
                 continue
             count = len(ring.angles)
             step = 2 * np.pi / count
-            value = ring.explained(_turned(angles, count))
+            value = ring.explained(turned_on(angles, count))
             for i in peaks(value, 2):
                 turned = tuple(float(a) for a in angles + i * step)
                 starts.append(_Start(ring.energy - float(value[i]), some[0].centre, ring.radius_m, turned))
@@ -518,7 +503,7 @@ class _Reader:
         settings = self.settings
         best = ranked[0]
         layout = next(one for one in self.layouts if one.name == best.layout)
-        radii, angles, _ = _off_axis(layout)
+        radii, angles, _ = off_axis(layout)
         wanted = gaps_deg(angles)
         low = float(radii.mean()) + settings.priors.radius_low_m - settings.other_radius_m / 2
         high = float(radii.mean()) + settings.priors.radius_high_m + settings.other_radius_m / 2
@@ -534,10 +519,10 @@ class _Reader:
 
         every = sorted([p for p in free + rigid if other(p)] + ranked[1:], key=lambda p: p.charged)
         # Alike reflectors side by side have a common pattern that is symmetric, too: many terms hold it.
-        # Where the layout needs five terms, a split arrangement with three is the simpler explanation.
         split = [p for p in every if p.layout is None and not other(p, settings.split_deg)]
         others = [p for p in every if p not in split]
-        simpler = [p for p in split if p.batch.terms[0] <= FACING.terms < best.batch.terms[0]]
+        many = [p for p in split if p.batch.terms[0] > FACING.terms]
+        few = [p for p in split if p.batch.terms[0] <= FACING.terms]
         near = sorted(
             (p for p in free if not other(p)), key=lambda p: (len(p.angles) != len(angles), p.charged)
         )
@@ -547,12 +532,18 @@ class _Reader:
         error = above + settings.priors.model_error * tag + settings.noise_nats * self.spectra.noise
         own = near[0] if near else None
         lead = (next_left - best.charged) / error
-        if split:
-            lead = min(lead, (split[0].charged - best.charged) / error + settings.split_lead)
+        if many:
+            lead = min(lead, (many[0].charged - best.charged) / error + settings.split_lead)
         rough = error + (settings.simple_error - settings.priors.model_error) * tag
-        if simpler:
+        if few and best.batch.terms[0] > FACING.terms:
+            # Where the layout needs five terms, a split arrangement with three is the simpler explanation.
             held = rough + (settings.split_error - settings.simple_error) * tag
-            lead = min(lead, (simpler[0].charged - best.charged) / held)
+            lead = min(lead, (few[0].charged - best.charged) / held)
+        elif few:
+            # Each angle that is free costs half the logarithm of the number of values (Schwarz 1978).
+            angle = 0.5 * self.spectra.noise * np.log(2 * self.spectra.data.size)
+            least = min(p.charged + angle * (len(p.angles) - 1) for p in few)
+            lead = min(lead, (least - best.charged) / error)
         untagged = np.inf
         if lead > 0 and layout.symmetry > 1 and not self.body.turns:
             # As many amplitudes as the body and the layout's pattern have, without those that fit any wall.
