@@ -112,12 +112,14 @@ class Calibration:
         strata: they do not overlap.
         seeds: [first, last) of the population's seeds.
         terms: most terms of the reflectors' pattern with which layouts were read.
+        bare_seeds: those of the objects that were read without a body.
     """
 
     population: str
     strata: tuple[Stratum, ...]
     seeds: tuple[tuple[int, int], ...]
     terms: int = 5
+    bare_seeds: tuple[tuple[int, int], ...] = ()
 
     @classmethod
     @cache
@@ -148,8 +150,10 @@ class Calibration:
                 )
                 for one in data["strata"]
             )
-            seeds = tuple((int(a), int(b)) for a, b in data["seeds"])
-            return cls(str(data["population"]), strata, seeds, int(data["terms"]))
+            seeds, bare_seeds = (
+                tuple((int(a), int(b)) for a, b in data[name]) for name in ("seeds", "bare_seeds")
+            )
+            return cls(str(data["population"]), strata, seeds, int(data["terms"]), bare_seeds)
         except (ValueError, KeyError, TypeError, IndexError) as error:
             raise ModelError(f"the reader's calibration is damaged: {error}", "Reinstall tagid.") from None
 
@@ -172,6 +176,7 @@ class Calibration:
             "format_version": FORMAT_VERSION,
             "population": self.population,
             "seeds": [list(pair) for pair in self.seeds],
+            "bare_seeds": [list(pair) for pair in self.bare_seeds],
             "terms": self.terms,
             "strata": rows,
         }

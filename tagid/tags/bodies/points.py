@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import combinations
 
 import numpy as np
@@ -31,6 +32,7 @@ APART_M = 0.02
 """Reflectors nearer than this are one."""
 _SPACING_M = 0.06
 _LOAD = 1e-9
+_THINNED = 2
 
 
 @dataclass(frozen=True)
@@ -204,6 +206,25 @@ def _waves(
     return _Waves(out, change)
 
 
+@dataclass(frozen=True, eq=False)
+class _Grid:
+    """Places (G,) within REACH_M, their waves (F, G, V) at every `_THINNED`-th frequency, energies (F, G)."""
+
+    places: NDArray[np.complex128]
+    waves: NDArray[np.complex128]
+    energies: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, spectra: Spectra) -> _Grid:
+        line = np.arange(-REACH_M, REACH_M + GRID_M / 2, GRID_M)
+        places = (line[:, None] + 1j * line[None]).ravel()
+        places = places[np.abs(places) <= REACH_M]
+        thin = spectra.thinned(_THINNED)
+        waves = centred(thin.waves(np.abs(spectra.antenna[None] - places[:, None])))
+        energies = (waves.real**2 + waves.imag**2).sum(axis=2)
+        return cls(places, waves, np.maximum(energies, 1e-9))
+
+
 class PointFitter:
     """Fits arrangements of points to spectra.
 
@@ -215,6 +236,11 @@ class PointFitter:
     def __init__(self, spectra: Spectra, variance: float) -> None:
         self.spectra = spectra
         self.variance = variance
+
+    @cached_property
+    def grid(self) -> _Grid:
+        """Where further reflectors are looked for."""
+        return _Grid.of(self.spectra)
 
     def rest(self, places: NDArray[np.complex128], heights: NDArray[np.float64]) -> NDArray[np.complex128]:
         """(F, V) what an arrangement leaves of the data."""
@@ -409,15 +435,10 @@ def _error_m(spectra: Spectra, points: PlacedPoints, settings: PointSettings) ->
 
 def _joined(fitter: PointFitter, base: PlacedPoints) -> PlacedPoints:
     """An arrangement with one reflector more, where most of what it leaves comes from."""
-    spectra = fitter.spectra
     rest = fitter.rest(base.places, base.heights)
-    line = np.arange(-REACH_M, REACH_M + GRID_M / 2, GRID_M)
-    grid = (line[:, None] + 1j * line[None]).ravel()
-    grid = grid[np.abs(grid) <= REACH_M]
-    grid = grid[np.abs(grid[:, None] - base.places[None]).min(axis=1) > APART_M]
-    thin = spectra.thinned(2)
-    waves = centred(thin.waves(np.abs(spectra.antenna[None] - grid[:, None])))
-    power = np.abs(np.einsum("fgv,fv->fg", waves.conj(), rest[::2])) ** 2
-    size = np.maximum(np.sum(np.abs(waves) ** 2, axis=2), 1e-9)
-    place = grid[int(np.argmax((power / size).sum(axis=0)))]
+    grid = fitter.grid
+    power = np.abs(np.einsum("fgv,fv->fg", grid.waves.conj(), rest[::_THINNED])) ** 2
+    power = (power / grid.energies).sum(axis=0)
+    power[np.abs(grid.places[:, None] - base.places[None]).min(axis=1) <= APART_M] = -1.0
+    place = grid.places[int(np.argmax(power))]
     return fitter.free(np.append(base.places, place), np.append(base.heights, 0.0), 6)

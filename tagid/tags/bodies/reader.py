@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -193,6 +194,8 @@ class _Reader:
         own = np.array([*at.centre_m, at.turn_rad]) if body.turns else None
         self.fitter = Fitter(spectra, body, settings.priors, self.variance, own)
         self.coarse_fitter = Fitter(self.coarse, body, settings.priors, self.variance, own)
+        # The comparison is made twice.
+        self._symmetric_left = cache(partial(symmetric_left, spectra))
 
     def read(self, rings: Sequence[float], hints: Sequence[complex]) -> BodyReading:
         """Search, fit and compare."""
@@ -228,12 +231,12 @@ class _Reader:
                 own[row.role] = place
         ranked = sorted(own.values(), key=lambda p: p.charged)
         ranked[0] = self._polished(ranked[0], free, per_term)
-        free.append(self._freed(ranked[0], per_term))
+        free += self._freed(ranked[:1], per_term)
         ranked.sort(key=lambda p: p.charged)
         reading = self._compared(ranked, free, others, per_term)
         if reading.lead <= 0:
             return reading
-        free += [self._freed(p, per_term) for p in self._loose([*free, *others])]
+        free += self._freed(self._loose([*free, *others]), per_term)
         return self._compared(ranked, free, others, per_term)
 
     def _loose(self, others: Sequence[Placed]) -> list[Placed]:
@@ -253,15 +256,27 @@ class _Reader:
                     found.append(p)
         return found
 
-    def _freed(self, best: Placed, per_term: float) -> Placed:
-        """An arrangement's reflectors with all angles free, from where it lies."""
-        count = int(best.batch.present[0].sum())
-        unit = np.eye(best.batch.at.shape[1])
-        moves = [unit[2]]
-        moves += list(unit[[0, 1, 3, 4, 5]]) if self.body.turns else [unit[0] + unit[3], unit[1] + unit[4]]
-        moves += list(unit[COMMON : COMMON + count])
-        batch, left = self.fitter.fitted(replace(best.batch, moves=np.array(moves)[None]), 5)
-        return Placed(batch, float(left[0]), float(left[0] + per_term * (best.batch.terms[0] - 1)), None)
+    def _freed(self, several: Sequence[Placed], per_term: float) -> list[Placed]:
+        """Arrangements with all angles of their reflectors free, from where they lie."""
+        rows = []
+        for one in several:
+            count = int(one.batch.present[0].sum())
+            rows.append(replace(one.batch, moves=self._moves(one.batch.radii.shape[1], count)[None]))
+        if not rows:
+            return []
+        batch, left = self.fitter.fitted(joined(rows), 5)
+        charged = left + per_term * (batch.terms - 1)
+        return [
+            Placed(batch.some(np.array([i])), float(left[i]), float(charged[i]), None)
+            for i in range(len(rows))
+        ]
+
+    def _moves(self, width: int, count: int) -> NDArray[np.float64]:
+        """(P, 6 + width) radius, centre, the body's pose where it has its own, and each of `count` angles."""
+        unit = np.eye(COMMON + width)
+        # A body of revolution and its reflectors have one centre; an enrolled body has its own.
+        pose = unit[[0, 1, 3, 4, 5]] if self.body.turns else unit[[0, 1]] + unit[[3, 4]]
+        return np.concatenate([unit[2:3], pose, unit[COMMON : COMMON + count]])
 
     def _polished(self, best: Placed, free: Sequence[Placed], per_term: float) -> Placed:
         """The best layout, fitted again from where as many reflectors with free angles came to lie."""
@@ -411,11 +426,9 @@ class _Reader:
         at[0, 2] = limits[2]
         at[0, 3:6] = *pose.centre_m, pose.turn_rad
         at[0, COMMON:] = start.angles
-        unit = np.eye(COMMON + k)
-        moves = [unit[2]]
-        # A body of revolution and its reflectors have one centre; an enrolled body has its own.
-        moves += list(unit[[0, 1, 3, 4, 5]]) if self.body.turns else [unit[0] + unit[3], unit[1] + unit[4]]
-        moves += list(unit[COMMON:]) if free else [unit[COMMON:].sum(axis=0)]
+        moves = self._moves(k, k)
+        if not free:
+            moves = np.append(moves[:-k], moves[-k:].sum(axis=0, keepdims=True), axis=0)
         one = np.ones(1)
         return Batch(
             at,
@@ -424,7 +437,7 @@ class _Reader:
             np.ones((1, k)),
             one * pattern.tilt,
             one * pattern.terms,
-            np.array(moves)[None],
+            moves[None],
             one * limits[0],
             one * limits[1],
             one * 0.0,
@@ -549,7 +562,7 @@ class _Reader:
             # As many amplitudes as the body and the layout's pattern have, without those that fit any wall.
             amplitudes = min(1 + int(best.batch.terms[0]), MOST)
             hints = (best.centre, self.poses[0].pose.centre)
-            alone = symmetric_left(self.spectra, layout.symmetry, amplitudes, hints)
+            alone = self._symmetric_left(layout.symmetry, amplitudes, hints)
             untagged = (alone + per_term * (amplitudes - 2) - best.charged) / rough
         named = self._amplitudes(best)
         # A wall is there whichever arrangement is before it: that of points without a body is not.

@@ -139,19 +139,47 @@ class NullEvidence:
     snr_db: float
 
 
+def bare_evidence(
+    bare: Reading,
+    points: PointReading,
+    scans: BasebandScans,
+    layouts: Sequence[Layout],
+    settings: ContestSettings,
+) -> float:
+    """The evidence for a wrong name without a body, -inf where `settle` gives none."""
+    placed = _in_place(bare, points, settings.points)
+    if (_without_body(placed, points, layouts, settings) or placed).status != "identified":
+        return -inf
+    freely = replace(settings, calibrated=Calibration("none", (), ()))
+    last = settle(bare, scans, layouts, Enrolled(), freely)
+    return points.lead if (last.status, last.kind) == ("identified", Kind.BARE) else -inf
+
+
 def null_evidence(
-    bare: Reading, scans: BasebandScans, layouts: Sequence[Layout], settings: ContestSettings
+    bare: Reading,
+    scans: BasebandScans,
+    layouts: Sequence[Layout],
+    settings: ContestSettings,
+    *,
+    bodies: bool = True,
 ) -> NullEvidence:
-    """The evidence for a wrong name that an object without an enrolled tag gives, as `settle` weighs it."""
+    """The evidence for a wrong name that an object without an enrolled tag gives, as `settle` weighs it.
+
+    Args:
+        bare: reading of the scans without a body.
+        scans, layouts, settings: as of `settle`.
+        bodies: False leaves out the round body, which takes three quarters of the time.
+    """
     from tagid.tags.bodies.reader import read_on_body
 
     spectra = Spectra.of(scans)
     points, alone = None, -inf
     if bare.code is not Code.NO_ECHO:
         points = _points(bare, spectra, layouts, settings.points)
+        alone = bare_evidence(bare, points, scans, layouts, settings)
         bare = _in_place(bare, points, settings.points)
-        if (_without_body(bare, points, layouts, settings) or bare).status == "identified":
-            alone = points.lead
+    if not bodies:
+        return NullEvidence(-inf, alone, points.snr_db if points is not None else 0.0)
     reading = read_on_body(spectra, layouts, settings.body.body, settings.body, [complex(*bare.centre_m)])
     if reading is None:
         return NullEvidence(-inf, alone, 0.0)
@@ -247,23 +275,17 @@ def _as_points(bare: Reading, points: PointReading, layouts: Sequence[Layout]) -
 def _promised(
     reading: Reading, points: PointReading | None, spectra: Spectra, settings: ContestSettings
 ) -> Reading:
-    """A name without a body with the bound that holds for it, taken back where that is too large.
+    """A name without a body with the bound that holds for it.
 
-    Without a calibration of such names none is promised, and the name rests on its own decision.
+    The bound is stated and takes no name back: such a name rests on its own decision, and a pair of bare
+    reflectors in an enrolled spacing is that layout, whatever object it belongs to.
     """
     if reading.status != "identified" or reading.kind is not Kind.BARE or points is None:
         return reading
     bound = settings.calibration().bound(
         points.lead, spectra.views, points.snr_db, settings.false_accept, bare=True
     )
-    if bound.objects == 0:
-        return reading
-    verdict = _kept(bound)
-    if verdict.status == "identified":
-        return replace(reading, bound=bound)
-    return replace(
-        reading, status=verdict.status, code=verdict.code, reason=verdict.reason, layout=None, bound=bound
-    )
+    return replace(reading, bound=bound)
 
 
 def _against_bodies(
