@@ -100,9 +100,9 @@ class Identification:
         return self.reading.kind.value if self.reading else None
 
     def _bound(self) -> dict[str, Any] | None:
-        """Basis of the false-accept bound; None if no calibration was used."""
+        """Basis of the false-accept bound; None if no calibration applies."""
         bound = self.reading.bound if self.reading else None
-        if bound is None:
+        if bound is None or bound.objects == 0:
             return None
         return {
             "p_value": bound.p_value,

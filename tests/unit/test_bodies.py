@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from tagid.capture import Capture
+from tagid.cli.common.imaging import bound_words
 from tagid.constants import SPEED_OF_LIGHT
 from tagid.errors import ModelError
 from tagid.geometry import Aperture
@@ -17,7 +18,7 @@ from tagid.imaging.types import BasebandScans
 from tagid.simulate.noise import NoiseShape, draw_noise
 from tagid.tags.bodies.arrangement import difference_deg, gaps_deg, merged, resolution_deg
 from tagid.tags.bodies.body_reading import BodySettings
-from tagid.tags.bodies.calibration import Calibration, Stratum
+from tagid.tags.bodies.calibration import Bound, Calibration, Stratum, largest
 from tagid.tags.bodies.decide import BodyDecision
 from tagid.tags.bodies.hypothesis import Kind
 from tagid.tags.bodies.reader import read_on_body
@@ -30,6 +31,7 @@ from tagid.tags.layouts.layout import builtin_layouts
 from tagid.tags.matching.contest import ContestSettings
 from tagid.tags.matching.matcher import ReaderSettings, read_tag
 from tagid.tags.verdicts.verdict import ADVICE, Code
+from train.calibrate import one, strata, with_bare
 from train.population import draw
 
 LAYOUTS = list(builtin_layouts().values())
@@ -97,8 +99,8 @@ def test_the_slopes_are_those_of_the_residual() -> None:
     for i, move in enumerate(exact.moves[0]):
         ahead = exact.moved(exact.at + step * move)
         rest = solve(spectra.data, Columns.of(spectra, RoundBody(), ahead).values).rest
-        numeric = (rest - base).ravel() / step / np.sqrt(0.5)
-        assert np.linalg.norm(numeric - slope[0, i]) < 0.1 * np.linalg.norm(numeric)
+        numeric = (rest - base)[0] / step
+        assert np.linalg.norm(numeric - slope[0, :, i]) < 0.1 * np.linalg.norm(numeric)
 
 
 def test_the_fit_finds_centre_radius_and_angles() -> None:
@@ -275,6 +277,56 @@ def test_calibration_promises_no_more_than_it_counted() -> None:
     assert known.bound(9.0, 100, 10.0, 1e-3).objects == 0
     with pytest.raises(ModelError):
         Calibration.from_json("{}")
+
+
+@pytest.mark.parametrize("bare", [False, True])
+def test_the_p_value_is_never_below_that_of_all_scores(bare: bool) -> None:
+    """Ties, refused objects, rounding and scores that were not kept: it is exact where it can be."""
+    rng = np.random.default_rng(6)
+    every = np.round(rng.standard_normal(60), 1)
+    refused, keep = 40, 12
+    kept = largest([float(s) for s in every], keep)
+    assert len(kept) >= keep and kept[-1] > max(s for s in every if s < kept[-1])
+    known = Stratum(1, 99, -np.inf, np.inf, 100, kept, 60, bare=kept, bare_objects=100, bare_scored=60)
+    blind = Stratum(1, 99, -np.inf, np.inf, 100, kept, bare=kept, bare_objects=100)
+    for score in np.linspace(-3, 3, 121).round(2):
+        exact = (np.count_nonzero(every >= score) + 1) / (len(every) + refused + 1)
+        one, other = known.p_value(float(score), bare), blind.p_value(float(score), bare)
+        assert exact <= one <= other
+        assert (one == other == exact) if score >= kept[-1] else (one == 61 / 101 and other == 1.0)
+
+
+def test_scores_of_the_file_are_rounded_up() -> None:
+    assert largest([0.12341, 0.5, -0.00001], 9) == (0.5, 0.1235, 0.0)
+
+
+def test_names_without_a_body_are_calibrated_apart() -> None:
+    """The rest of the file stays; an object that a body takes the name from gives no evidence."""
+    rows = [one(seed, bodies=False) for seed in (832441, 830657)]
+    assert [row["bare"] == "refused" for row in rows] == [False, True] and "score" not in rows[0]
+    drawn = strata(rows, [12, 24, 361])
+    old = tuple(replace(s, bare=(), scores=(2.0,), objects=9, scored=1) for s in drawn)
+    made = with_bare(Calibration("a test", old, ((0, 9),)), drawn, [830657, 832441])
+    assert made.seeds == ((0, 9),) and made.bare_seeds == ((830657, 830658), (832441, 832442))
+    assert Calibration.from_json(made.to_json()) == made
+    few, many = made.strata
+    assert (few.objects, few.scores, few.bare_objects, few.bare_scored) == (9, (2.0,), 1, 1)
+    assert many.bare == () and (many.bare_objects, many.bare_scored) == (1, 0)
+    assert made.bound(float(rows[0]["bare"]), 18, 0.0, 1e-3, bare=True).p_value == 1.0
+    with pytest.raises(SystemExit):
+        with_bare(made, drawn[:1], [1])
+
+
+def test_a_bound_is_stated_in_words() -> None:
+    def words(p_value: float, objects: int) -> str:
+        return bound_words(Bound(p_value, 1e-3, objects, "24 to 360 views", "boxes"))
+
+    assert words(1 / 2000, 1999) == (
+        "false accept at most 0.0005, from 1999 calibration objects (24 to 360 views): boxes"
+    )
+    assert "0.002 (0.001 is set)," in words(0.002, 1999)
+    assert "0.01 (too few objects for 0.001)," in words(0.01, 99)
+    assert words(1.0, 0) == "no bound on false accept: no calibration objects of 24 to 360 views"
 
 
 def test_too_few_calibration_objects_refuse() -> None:

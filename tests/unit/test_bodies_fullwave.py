@@ -76,6 +76,7 @@ def test_a_foreign_tag_on_the_can_is_not_named(snr_db: float) -> None:
 def test_bare_tags_need_no_body(snr_db: float) -> None:
     reading = read("free30_c90", snr_db)
     assert (reading.status, reading.layout, reading.kind) == ("identified", "container-90", Kind.BARE)
+    assert reading.bound is not None and reading.bound.kept and reading.bound.objects > 999
     assert read("free20_foreign", snr_db).layout is None
 
 

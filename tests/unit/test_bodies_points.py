@@ -9,6 +9,7 @@ import pytest
 
 from tagid.tags.bodies.points import (
     Place,
+    PlacedPoints,
     PointFitter,
     PointSettings,
     _waves,
@@ -112,6 +113,26 @@ def test_a_pair_that_is_2_mm_closer_is_not_the_opposite_pair(between_deg: float,
     near = [Place(LAYOUTS["container-180"], 0.4, (0.003, 0.001))]
     reading = read_points(seen(right, noise=noise), near, right, SETTINGS)
     assert reading.passes(SETTINGS) and not reading.displaced(SETTINGS)
+
+
+@pytest.mark.parametrize(("between_deg", "noise"), [(156.0, 0.6), (160.0, 0.4)])
+def test_noise_that_is_stronger_than_expected_moves_no_reflector(between_deg: float, noise: float) -> None:
+    """What noise leaves above its mean, by chance, is no error of the model that could displace a pair."""
+    for seed in range(12):
+        for angle in (between_deg, 180.0):
+            places = -0.004 + 0.045 * np.exp(1j * np.deg2rad([0.0, angle]))
+            turn = float(np.angle(places[0] - places[1]))
+            near = [Place(LAYOUTS["container-180"], turn, (places.mean().real, places.mean().imag))]
+            reading = read_points(seen(places, noise=noise, seed=seed), near, places, SETTINGS)
+            assert reading.displaced(SETTINGS) == (angle < 180) and reading.passes(SETTINGS) == (angle == 180)
+
+
+def test_a_wobble_opens_a_right_angle_and_not_the_opposite_pair() -> None:
+    """0.02 rad between two directions: 0.3 mm at each reflector of container-90, nothing at container-180."""
+    points = PlacedPoints(np.zeros(2, complex), np.zeros(2), 0.0)
+    limits = [SETTINGS.limit_m(points, 0.0, LAYOUTS[name]) for name in ("container-90", "container-180")]
+    lever = 0.045 * np.cos(np.pi / 4)
+    assert limits == pytest.approx([np.hypot(SETTINGS.pair_m, lever * SETTINGS.wobble_rad / 2), 0.4e-3])
 
 
 def test_the_spread_is_that_of_repeated_fits() -> None:

@@ -19,6 +19,7 @@ from tagid.simulate.response_scene import response_scene
 from tagid.simulate.scattering import Points
 from tagid.simulate.scene import Scene
 from tagid.tags.bodies.calibration import Calibration, Stratum
+from tagid.tags.bodies.reflectors_fit import FACING
 from tagid.tags.bodies.revolution import RoundBody
 from tagid.tags.bodies.spectra import Spectra, centred
 from tagid.tags.bodies.symmetric import symmetric_left
@@ -116,11 +117,13 @@ def arranged(body: str, angles_deg: tuple[float, ...]) -> Response:
     return replace(plain, name=body, scattering_length_m=total.astype(np.complex64))
 
 
-def on_body(body: str, angles_deg: tuple[float, ...], polarisation: str, seed: int = 2) -> Reading:
+def on_body(
+    body: str, angles_deg: tuple[float, ...], polarisation: str, seed: int = 2, snr_db: float = 20.0
+) -> Reading:
     rng = np.random.default_rng(seed)
     side = rng.uniform(0, 2 * np.pi)
     placed = Placement((0.006 * np.cos(side), 0.006 * np.sin(side)), rng.uniform(0, 2 * np.pi))
-    acquisition = Acquisition(views=36, snr_db=20.0, placement=placed)
+    acquisition = Acquisition(views=36, snr_db=snr_db, placement=placed)
     reference = response("free30_one")
     scene = response_scene(
         arranged(body, angles_deg), acquisition, polarisation, reference, room_clutter(rng)
@@ -135,3 +138,20 @@ def test_crossed_pairs_on_a_can_are_not_one_pair(seed: int) -> None:
     assert reading.layout is None and reading.advice
     named = on_body("can40", (0.0, 180.0), "H", seed)
     assert named.layout == "container-180"
+
+
+@pytest.mark.parametrize(("between_deg", "polarisation", "seed"), [(45.0, "V", 14), (40.0, "H", 24)])
+def test_crossed_pairs_are_a_rival_where_few_terms_explain_them(
+    between_deg: float, polarisation: str, seed: int
+) -> None:
+    """In noise a pattern of three terms is enough for one pair to leave as little as two crossed ones."""
+    crossed = (0.0, between_deg, 180.0, 180.0 + between_deg)
+    reading = on_body("can40", crossed, polarisation, seed, snr_db=10.0)
+    assert reading.layout is None and reading.body is not None
+    assert reading.body.lead < 0 and reading.body.layouts[0].batch.terms[0] <= FACING.terms
+
+
+def test_crossed_pairs_pay_for_their_angles() -> None:
+    """Two crossed pairs with every angle free leave less than the one pair that is there."""
+    reading = on_body("can40", (0.0, 180.0), "V", seed=8, snr_db=10.0)
+    assert reading.layout == "container-180"

@@ -198,6 +198,14 @@ def test_the_bound_holds_over_the_largest_score_of_all_looks() -> None:
     assert 0.07 < rate < stated + 3 * np.sqrt(stated * (1 - stated) / trials)
 
 
+def test_only_turns_with_a_score_can_reach_a_smaller_one() -> None:
+    """Of 1,999 turns one ended on a name: no more can have reached any score."""
+    calibration = replace(CALIBRATION, scores=(30.0,))
+    for score in (40.0, 20.0):
+        new = looks_of(("a", score), ("a", score))
+        assert calibration.bound(new, 0.01).p_value == (1 + (score < 30.0)) / 2000
+
+
 def test_the_calibration_is_read_back_and_a_damaged_one_is_refused() -> None:
     made = replace(CALIBRATION, scores=(3.5, 1.25), most_places=123.4)
     assert EndingCalibration.from_json(made.to_json()) == made

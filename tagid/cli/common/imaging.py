@@ -314,11 +314,15 @@ def headline(answer: Identification) -> str:
 
 
 def bound_words(bound: Bound) -> str:
-    """The basis of the false-accept bound, in one line."""
-    return (
-        f"false accept at most {bound.p_value:.2g}, from {bound.objects} calibration objects "
-        f"({bound.stratum}): {bound.population}"
-    )
+    """The basis of the false-accept bound, in one line; why there is none where nothing was calibrated."""
+    if bound.objects == 0:
+        return f"no bound on false accept: no calibration objects of {bound.stratum}"
+    words = f"false accept at most {bound.p_value:.2g}"
+    if not bound.reachable:
+        words += f" (too few objects for {bound.false_accept:g})"
+    elif not bound.kept:
+        words += f" ({bound.false_accept:g} is set)"
+    return f"{words}, from {bound.objects} calibration objects ({bound.stratum}): {bound.population}"
 
 
 def nearest_words(answer: Identification) -> str:
@@ -355,6 +359,8 @@ def describe(answer: Identification, name: str) -> RenderableType:
             lines.append(Text(f"  read as: {HYPOTHESES[reading.kind]}"))
         if reading.bound is not None:
             lines.append(Text(f"  {bound_words(reading.bound)}"))
+        elif reading.status == "identified":
+            lines.append(Text("  no bound on false accept: answers of this kind are not calibrated"))
         if reading.note:
             lines.append(Text(f"  note: {reading.note}"))
         if reading.layout:

@@ -10,6 +10,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from tagid.tags.layouts.layout import Layout
+
 AXIS_M = 0.01
 """A reflector nearer than this to the body's axis looks the same from all sides, as the body does."""
 MERGED_M = 0.02
@@ -67,3 +69,19 @@ def kind_of(angles: Sequence[float]) -> tuple[int, ...]:
     """Key of an arrangement: its gaps in steps of 15 degrees, in the rotation that sorts first."""
     gaps = np.round(gaps_deg(angles) / 15).astype(int)
     return min(tuple(int(g) for g in np.roll(gaps, k)) for k in range(len(gaps)))
+
+
+def turned_on(angles: NDArray[np.float64], count: int) -> NDArray[np.intp]:
+    """(count, K) indices of angles on a ring of `count`, in every turn of the ring's step."""
+    index = np.rint(angles[None] / (2 * np.pi / count) + np.arange(count)[:, None])
+    return np.asarray(index.astype(np.intp) % count)
+
+
+def off_axis(
+    layout: Layout,
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Radii (K,), angles (K,) and heights (K,) of the reflectors that lie off the axis."""
+    place = layout.positions[:, 0] + 1j * layout.positions[:, 1]
+    off = np.abs(place) > AXIS_M
+    heights = np.asarray(layout.heights, dtype=np.float64)[off]
+    return np.abs(place[off]), np.angle(place[off]), heights

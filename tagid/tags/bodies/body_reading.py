@@ -23,8 +23,9 @@ class BodySettings:
         most: largest number of reflectors in another arrangement.
         other_deg: arrangements whose angles differ by more are another arrangement.
         split_deg: reflectors nearer than this, in an arrangement that is the layout's where each such group
-            is one, leave nearly what the layout leaves,
-        split_lead: so they contradict it only where they lead by so much more than other arrangements need.
+            is one, leave nearly what the layout leaves with patterns of more than three terms,
+        split_lead: so with these they contradict it only where they lead by so much more than other
+            arrangements need.
         split_error: share of the tag's echo that a split arrangement with three terms may leave, where the
             layout needs five: full-wave tags of two reflectors are ahead of it by 3 % or more at 20 dB.
         simple_error: the same of other explanations with few amplitudes per frequency: a body without

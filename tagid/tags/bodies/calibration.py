@@ -9,15 +9,19 @@ conformal p-value (Vovk, Gammerman and Shafer 2005, chapter 2). It holds within 
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
+from math import ceil
 
 import numpy as np
 
 from tagid.errors import ModelError
 
-FORMAT_VERSION = 2
+FORMAT_VERSION = 3
+DIGITS = 4
+"""Decimals of the scores in the file, rounded up: a larger one promises less."""
 
 
 @dataclass(frozen=True)
@@ -57,9 +61,12 @@ class Stratum:
         views_from, views_to: views, the first included and the second not.
         snr_from_db, snr_to_db: energy of what is not of the body over that of the noise, likewise.
         objects: how many there are.
-        scores: the largest of their leads, largest first; objects that a test refuses have none.
+        scores: the largest of their leads, largest first, and all that equal the last of them; objects that
+            a test refuses have none.
+        scored: how many objects have a score, kept here or not; None where that was not counted.
         bare: the same of those that are named without a body (`PointReading.lead`),
-        bare_objects: of so many; 0 where names without a body were not calibrated.
+        bare_objects: of so many; 0 where names without a body were not calibrated,
+        bare_scored: of which so many are named.
     """
 
     views_from: int
@@ -68,8 +75,10 @@ class Stratum:
     snr_to_db: float
     objects: int
     scores: tuple[float, ...]
+    scored: int | None = None
     bare: tuple[float, ...] = ()
     bare_objects: int = 0
+    bare_scored: int | None = None
 
     @property
     def name(self) -> str:
@@ -80,12 +89,17 @@ class Stratum:
         return f"{views}, {self.snr_from_db:g} to {self.snr_to_db:g} dB"
 
     def p_value(self, score: float, bare: bool = False) -> float:
-        """(k + 1) / (n + 1), k the objects that reach the score; a bound where more than those kept do."""
-        scores, objects = (self.bare, self.bare_objects) if bare else (self.scores, self.objects)
-        above = sum(1 for one in scores if one >= score)
-        if above == len(scores) < objects:
-            # Those that were not kept may reach it, too.
-            above = objects if scores and score <= scores[-1] else above
+        """(k + 1) / (n + 1), k the objects that reach the score.
+
+        Exact down to the smallest score kept. Below it k is at most the number of objects with a score; of
+        all objects where that was not counted.
+        """
+        kept, scored, objects = self.scores, self.scored, self.objects
+        if bare:
+            kept, scored, objects = self.bare, self.bare_scored, self.bare_objects
+        above = sum(1 for one in kept if one >= score)
+        if kept and score < kept[-1]:
+            above = objects if scored is None else scored
         return (above + 1) / (objects + 1)
 
 
@@ -98,12 +112,14 @@ class Calibration:
         strata: they do not overlap.
         seeds: [first, last) of the population's seeds.
         terms: most terms of the reflectors' pattern with which layouts were read.
+        bare_seeds: those of the objects that were read without a body.
     """
 
     population: str
     strata: tuple[Stratum, ...]
     seeds: tuple[tuple[int, int], ...]
     terms: int = 5
+    bare_seeds: tuple[tuple[int, int], ...] = ()
 
     @classmethod
     @cache
@@ -127,13 +143,17 @@ class Calibration:
                     _number(one["snr_db"][1], np.inf),
                     int(one["objects"]),
                     tuple(sorted((float(s) for s in one["scores"]), reverse=True)),
+                    _count(one["scored"]),
                     tuple(sorted((float(s) for s in one["bare"]), reverse=True)),
                     int(one["bare_objects"]),
+                    _count(one["bare_scored"]),
                 )
                 for one in data["strata"]
             )
-            seeds = tuple((int(a), int(b)) for a, b in data["seeds"])
-            return cls(str(data["population"]), strata, seeds, int(data["terms"]))
+            seeds, bare_seeds = (
+                tuple((int(a), int(b)) for a, b in data[name]) for name in ("seeds", "bare_seeds")
+            )
+            return cls(str(data["population"]), strata, seeds, int(data["terms"]), bare_seeds)
         except (ValueError, KeyError, TypeError, IndexError) as error:
             raise ModelError(f"the reader's calibration is damaged: {error}", "Reinstall tagid.") from None
 
@@ -144,9 +164,11 @@ class Calibration:
                 "views": [one.views_from, one.views_to],
                 "snr_db": [None if np.isinf(v) else v for v in (one.snr_from_db, one.snr_to_db)],
                 "objects": one.objects,
-                "scores": [round(s, 4) for s in one.scores],
-                "bare": [round(s, 4) for s in one.bare],
+                "scores": list(one.scores),
+                "scored": one.scored,
+                "bare": list(one.bare),
                 "bare_objects": one.bare_objects,
+                "bare_scored": one.bare_scored,
             }
             for one in self.strata
         ]
@@ -154,6 +176,7 @@ class Calibration:
             "format_version": FORMAT_VERSION,
             "population": self.population,
             "seeds": [list(pair) for pair in self.seeds],
+            "bare_seeds": [list(pair) for pair in self.bare_seeds],
             "terms": self.terms,
             "strata": rows,
         }
@@ -174,3 +197,13 @@ class Calibration:
 
 def _number(value: float | None, missing: float) -> float:
     return missing if value is None else float(value)
+
+
+def _count(value: int | None) -> int | None:
+    return None if value is None else int(value)
+
+
+def largest(scores: Sequence[float], keep: int) -> tuple[float, ...]:
+    """The largest scores, rounded up for the file, and all that equal the last of them."""
+    rounded = sorted((ceil(score * 10**DIGITS) / 10**DIGITS for score in scores), reverse=True)
+    return tuple(score for score in rounded if len(rounded) <= keep or score >= rounded[keep - 1])

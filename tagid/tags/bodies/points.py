@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import combinations
 
 import numpy as np
@@ -31,6 +32,7 @@ APART_M = 0.02
 """Reflectors nearer than this are one."""
 _SPACING_M = 0.06
 _LOAD = 1e-9
+_THINNED = 2
 
 
 @dataclass(frozen=True)
@@ -42,8 +44,13 @@ class PointSettings:
             1 % where reflectors differ by 0.5 dB and stand 0.5 mm off their places.
         displaced_m: an arrangement is another one where its reflectors lie further from the layout's, RMS,
         pair_m: or further than this if there are two. The spacing is all that a pair shows: on a ring of
-            45 mm, reflectors 150 degrees apart are only 3 mm closer than opposite ones.
-        sigmas: standard deviations of the measured places that are added to both.
+            45 mm, reflectors 150 degrees apart are only 3 mm closer than opposite ones,
+        wobble_rad: where the pair's angle has no error: a turntable's wobble of 0.01 rad moves two directions
+            apart by up to twice that.
+        sigmas: standard deviations of the measured places that are added to both. Pairs of a ring crowd at
+            its diameter (their spacings follow the arcsine law), where another pair is as likely as the
+            opposite one from 2 standard deviations on.
+        noise_sigmas: so many standard deviations of the noise's energy are no error of the model.
         unexplained: largest share of the echo that a layout may leave.
         lead: smallest lead, see `PointReading.lead`.
         noise_nats: lead in noise variances that counts as much as the model's own error.
@@ -53,20 +60,27 @@ class PointSettings:
     model_error: float = 0.01
     displaced_m: float = 0.004
     pair_m: float = 0.4e-3
-    sigmas: float = 3.0
+    wobble_rad: float = 0.02
+    sigmas: float = 2.0
+    noise_sigmas: float = 2.0
     unexplained: float = 0.05
     lead: float = 0.5
     noise_nats: float = 25.0
     layouts: int = 3
 
-    def limit_m(self, points: PlacedPoints, error_m: float) -> float:
+    def limit_m(self, points: PlacedPoints, error_m: float, layout: Layout) -> float:
         """Largest RMS distance of measured reflectors from a layout that they belong to, m.
 
         Args:
             points: as measured.
             error_m: of a place, from what points do not explain.
+            layout: the layout.
         """
-        built = self.pair_m if len(points.places) == 2 else self.displaced_m
+        built = self.displaced_m
+        if len(points.places) == 2:
+            # The middle's distance is the lever by which their angle changes each one's distance from it.
+            lever = float(np.hypot(*layout.positions[:, :2].mean(axis=0)))
+            built = float(np.hypot(self.pair_m, lever * self.wobble_rad / 2))
         return float(np.sqrt(built**2 + (self.sigmas * points.spread_m) ** 2 + error_m**2))
 
 
@@ -80,7 +94,7 @@ class PlacedPoints:
         left: energy left.
         layout: its name; None for places that no layout has.
         spread_m: standard deviation of a reflector's place about the others, RMS, m (Cramer-Rao bound, with
-            the model's own error as noise); 0 for a layout, whose shape is fixed.
+            the model's own error as noise, and at least what is left); 0 for a layout, whose shape is fixed.
     """
 
     places: NDArray[np.complex128]
@@ -192,6 +206,25 @@ def _waves(
     return _Waves(out, change)
 
 
+@dataclass(frozen=True, eq=False)
+class _Grid:
+    """Places (G,) within REACH_M, their waves (F, G, V) at every `_THINNED`-th frequency, energies (F, G)."""
+
+    places: NDArray[np.complex128]
+    waves: NDArray[np.complex128]
+    energies: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, spectra: Spectra) -> _Grid:
+        line = np.arange(-REACH_M, REACH_M + GRID_M / 2, GRID_M)
+        places = (line[:, None] + 1j * line[None]).ravel()
+        places = places[np.abs(places) <= REACH_M]
+        thin = spectra.thinned(_THINNED)
+        waves = centred(thin.waves(np.abs(spectra.antenna[None] - places[:, None])))
+        energies = (waves.real**2 + waves.imag**2).sum(axis=2)
+        return cls(places, waves, np.maximum(energies, 1e-9))
+
+
 class PointFitter:
     """Fits arrangements of points to spectra.
 
@@ -203,6 +236,11 @@ class PointFitter:
     def __init__(self, spectra: Spectra, variance: float) -> None:
         self.spectra = spectra
         self.variance = variance
+
+    @cached_property
+    def grid(self) -> _Grid:
+        """Where further reflectors are looked for."""
+        return _Grid.of(self.spectra)
 
     def rest(self, places: NDArray[np.complex128], heights: NDArray[np.float64]) -> NDArray[np.complex128]:
         """(F, V) what an arrangement leaves of the data."""
@@ -278,6 +316,7 @@ class PointFitter:
             if gain < 1e-4 * left:
                 break
         spread = 0.0 if name else self._spread(places, waves, amplitudes, q)
+        spread *= float(np.sqrt(max(left / (self.variance * rest.size), 1.0)))
         return PlacedPoints(places, heights, left, name, spread)
 
     def _spread(
@@ -334,7 +373,7 @@ def read_points(
         found: (N,) x + jy of reflectors that were found without a layout, the strongest first, m.
         settings: see there.
     """
-    noise = spectra.noise_energy * max(spectra.views - 3, 1) / max(spectra.views - 1, 1)
+    noise = _noise_after(spectra)
     tag = max(spectra.energy - spectra.noise_energy, 1e-30)
     variance = max(spectra.noise, 1e-12 * tag / spectra.data.size)
     variance += settings.model_error * tag / spectra.data.size
@@ -351,11 +390,12 @@ def read_points(
     for count in range(1, min(len(seen), MOST) + 1):
         rivals.append(fitter.free(np.array(seen[:count]), np.zeros(count), 6))
     rivals += [_joined(fitter, rivals[0]), _joined(fitter, min(rivals, key=lambda p: p.left))]
-    others = [
-        p
-        for p in rivals
-        if displaced(best.places, p.places) > settings.limit_m(p, _error_m(spectra, p, noise, tag))
-    ]
+    own = next(place.layout for place in places if place.layout.name == best.layout)
+
+    def limit_m(p: PlacedPoints) -> float:
+        return settings.limit_m(p, _error_m(spectra, p, settings), own)
+
+    others = [p for p in rivals if displaced(best.places, p.places) > limit_m(p)]
     others += layouts[1:]
     others.sort(key=lambda p: p.left)
     above = max(best.left - noise, 0.0)
@@ -372,27 +412,33 @@ def read_points(
         max(least - noise, 0.0) / tag,
         (following - best.left) / error,
         displaced(best.places, rivals[0].places),
-        settings.limit_m(rivals[0], _error_m(spectra, rivals[0], noise, tag)),
+        limit_m(rivals[0]),
     )
 
 
-def _error_m(spectra: Spectra, points: PlacedPoints, noise: float, tag: float) -> float:
-    """How far what points leave may have moved them: the root of its share is an error of the phase."""
-    share = max(points.left - noise, 0.0) / tag
+def _noise_after(spectra: Spectra) -> float:
+    """Expected energy of the noise after the fit of two amplitudes per frequency."""
+    return spectra.noise_energy * max(spectra.views - 3, 1) / max(spectra.views - 1, 1)
+
+
+def _error_m(spectra: Spectra, points: PlacedPoints, settings: PointSettings) -> float:
+    """How far what points leave may have moved them: the root of its share is an error of the phase.
+
+    The energy of n values of noise varies by n^-1/2 of itself, and its level is known to n^-1/2 / ln 2 from
+    the median of about as many.
+    """
+    doubt = settings.noise_sigmas * np.hypot(1, 1 / np.log(2)) / np.sqrt(spectra.data.size)
+    tag = max(spectra.energy - spectra.noise_energy, 1e-30)
+    share = max(points.left - (1 + doubt) * _noise_after(spectra), 0.0) / tag
     return float(np.sqrt(share) / spectra.wavenumbers.mean())
 
 
 def _joined(fitter: PointFitter, base: PlacedPoints) -> PlacedPoints:
     """An arrangement with one reflector more, where most of what it leaves comes from."""
-    spectra = fitter.spectra
     rest = fitter.rest(base.places, base.heights)
-    line = np.arange(-REACH_M, REACH_M + GRID_M / 2, GRID_M)
-    grid = (line[:, None] + 1j * line[None]).ravel()
-    grid = grid[np.abs(grid) <= REACH_M]
-    grid = grid[np.abs(grid[:, None] - base.places[None]).min(axis=1) > APART_M]
-    thin = spectra.thinned(2)
-    waves = centred(thin.waves(np.abs(spectra.antenna[None] - grid[:, None])))
-    power = np.abs(np.einsum("fgv,fv->fg", waves.conj(), rest[::2])) ** 2
-    size = np.maximum(np.sum(np.abs(waves) ** 2, axis=2), 1e-9)
-    place = grid[int(np.argmax((power / size).sum(axis=0)))]
+    grid = fitter.grid
+    power = np.abs(np.einsum("fgv,fv->fg", grid.waves.conj(), rest[::_THINNED])) ** 2
+    power = (power / grid.energies).sum(axis=0)
+    power[np.abs(grid.places[:, None] - base.places[None]).min(axis=1) <= APART_M] = -1.0
+    place = grid.places[int(np.argmax(power))]
     return fitter.free(np.append(base.places, place), np.append(base.heights, 0.0), 6)

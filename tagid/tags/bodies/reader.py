@@ -9,18 +9,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache, partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tagid.tags.bodies.arrangement import (
-    AXIS_M,
     difference_deg,
     gaps_deg,
     kind_of,
     merged,
+    off_axis,
     resolution_deg,
     turn_to,
+    turned_on,
 )
 from tagid.tags.bodies.body_reading import BodyReading, BodySettings, Placed
 from tagid.tags.bodies.hypothesis import BodyModel, Candidate, Pose
@@ -104,7 +106,7 @@ def read_on_body(
         hints: further centres to try, x + jy, m.
     """
     rings = _rings(layouts, settings)
-    usable = [layout for layout in layouts if len(_off_axis(layout)[0]) >= 2]
+    usable = [layout for layout in layouts if len(off_axis(layout)[0]) >= 2]
     if not usable:
         return None
     reader = _Reader(spectra, usable, body, settings, body.poses(spectra))
@@ -124,7 +126,7 @@ def read_below(
         centre: of the body, x + jy, m, from its round part.
         spectra, layouts, body, settings: as of `read_on_body`.
     """
-    usable = [layout for layout in layouts if len(_off_axis(layout)[0]) >= 2]
+    usable = [layout for layout in layouts if len(off_axis(layout)[0]) >= 2]
     rings = _rings(layouts, settings)
     if not usable or not rings:
         return None
@@ -136,10 +138,10 @@ def read_below(
         for i, echo in enumerate(echoes):
             ring = Ring.of(thin, echo, centre, radius, FACING, 48)
             for layout in usable:
-                radii, angles, _ = _off_axis(layout)
+                radii, angles, _ = off_axis(layout)
                 offset = radius - float(radii.mean())
                 if settings.priors.radius_low_m <= offset <= settings.priors.radius_high_m:
-                    value = ring.explained(_turned(angles, len(ring.angles))).max()
+                    value = ring.explained(turned_on(angles, len(ring.angles))).max()
                     least[i] = min(least[i], ring.energy - float(value))
     found = []
     for i in peaks(-least, 3):
@@ -150,26 +152,10 @@ def read_below(
     return min(readings, key=lambda one: one.layouts[0].left) if readings else None
 
 
-def _turned(angles: NDArray[np.float64], count: int) -> NDArray[np.intp]:
-    """(count, K) indices of angles on a ring of `count`, in every turn of the ring's step."""
-    index = np.rint(angles[None] / (2 * np.pi / count) + np.arange(count)[:, None])
-    return np.asarray(index.astype(np.intp) % count)
-
-
-def _off_axis(
-    layout: Layout,
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Radii (K,), angles (K,) and heights (K,) of the reflectors that lie off the axis."""
-    place = layout.positions[:, 0] + 1j * layout.positions[:, 1]
-    off = np.abs(place) > AXIS_M
-    heights = np.asarray(layout.heights, dtype=np.float64)[off]
-    return np.abs(place[off]), np.angle(place[off]), heights
-
-
 def _rings(layouts: Sequence[Layout], settings: BodySettings) -> list[float]:
     """Radii at which arrangements are searched, m: those of the layouts, merged within 8 mm."""
     nominal: list[float] = []
-    for value in sorted(float(r) for layout in layouts for r in _off_axis(layout)[0]):
+    for value in sorted(float(r) for layout in layouts for r in off_axis(layout)[0]):
         if not nominal or value - nominal[-1] > 8e-3:
             nominal.append(value)
     found: list[float] = []
@@ -208,6 +194,8 @@ class _Reader:
         own = np.array([*at.centre_m, at.turn_rad]) if body.turns else None
         self.fitter = Fitter(spectra, body, settings.priors, self.variance, own)
         self.coarse_fitter = Fitter(self.coarse, body, settings.priors, self.variance, own)
+        # The comparison is made twice.
+        self._symmetric_left = cache(partial(symmetric_left, spectra))
 
     def read(self, rings: Sequence[float], hints: Sequence[complex]) -> BodyReading:
         """Search, fit and compare."""
@@ -243,12 +231,12 @@ class _Reader:
                 own[row.role] = place
         ranked = sorted(own.values(), key=lambda p: p.charged)
         ranked[0] = self._polished(ranked[0], free, per_term)
-        free.append(self._freed(ranked[0], per_term))
+        free += self._freed(ranked[:1], per_term)
         ranked.sort(key=lambda p: p.charged)
         reading = self._compared(ranked, free, others, per_term)
         if reading.lead <= 0:
             return reading
-        free += [self._freed(p, per_term) for p in self._loose([*free, *others])]
+        free += self._freed(self._loose([*free, *others]), per_term)
         return self._compared(ranked, free, others, per_term)
 
     def _loose(self, others: Sequence[Placed]) -> list[Placed]:
@@ -268,15 +256,27 @@ class _Reader:
                     found.append(p)
         return found
 
-    def _freed(self, best: Placed, per_term: float) -> Placed:
-        """An arrangement's reflectors with all angles free, from where it lies."""
-        count = int(best.batch.present[0].sum())
-        unit = np.eye(best.batch.at.shape[1])
-        moves = [unit[2]]
-        moves += list(unit[[0, 1, 3, 4, 5]]) if self.body.turns else [unit[0] + unit[3], unit[1] + unit[4]]
-        moves += list(unit[COMMON : COMMON + count])
-        batch, left = self.fitter.fitted(replace(best.batch, moves=np.array(moves)[None]), 5)
-        return Placed(batch, float(left[0]), float(left[0] + per_term * (best.batch.terms[0] - 1)), None)
+    def _freed(self, several: Sequence[Placed], per_term: float) -> list[Placed]:
+        """Arrangements with all angles of their reflectors free, from where they lie."""
+        rows = []
+        for one in several:
+            count = int(one.batch.present[0].sum())
+            rows.append(replace(one.batch, moves=self._moves(one.batch.radii.shape[1], count)[None]))
+        if not rows:
+            return []
+        batch, left = self.fitter.fitted(joined(rows), 5)
+        charged = left + per_term * (batch.terms - 1)
+        return [
+            Placed(batch.some(np.array([i])), float(left[i]), float(charged[i]), None)
+            for i in range(len(rows))
+        ]
+
+    def _moves(self, width: int, count: int) -> NDArray[np.float64]:
+        """(P, 6 + width) radius, centre, the body's pose where it has its own, and each of `count` angles."""
+        unit = np.eye(COMMON + width)
+        # A body of revolution and its reflectors have one centre; an enrolled body has its own.
+        pose = unit[[0, 1, 3, 4, 5]] if self.body.turns else unit[[0, 1]] + unit[[3, 4]]
+        return np.concatenate([unit[2:3], pose, unit[COMMON : COMMON + count]])
 
     def _polished(self, best: Placed, free: Sequence[Placed], per_term: float) -> Placed:
         """The best layout, fitted again from where as many reflectors with free angles came to lie."""
@@ -426,11 +426,9 @@ class _Reader:
         at[0, 2] = limits[2]
         at[0, 3:6] = *pose.centre_m, pose.turn_rad
         at[0, COMMON:] = start.angles
-        unit = np.eye(COMMON + k)
-        moves = [unit[2]]
-        # A body of revolution and its reflectors have one centre; an enrolled body has its own.
-        moves += list(unit[[0, 1, 3, 4, 5]]) if self.body.turns else [unit[0] + unit[3], unit[1] + unit[4]]
-        moves += list(unit[COMMON:]) if free else [unit[COMMON:].sum(axis=0)]
+        moves = self._moves(k, k)
+        if not free:
+            moves = np.append(moves[:-k], moves[-k:].sum(axis=0, keepdims=True), axis=0)
         one = np.ones(1)
         return Batch(
             at,
@@ -439,7 +437,7 @@ class _Reader:
             np.ones((1, k)),
             one * pattern.tilt,
             one * pattern.terms,
-            np.array(moves)[None],
+            moves[None],
             one * limits[0],
             one * limits[1],
             one * 0.0,
@@ -483,7 +481,7 @@ class _Reader:
 
     def _layout_rows(self, layout: Layout, searched: Sequence[tuple[Ring, list[_Start]]]) -> list[_Row]:
         """The best two starts of a layout, by both patterns."""
-        radii, angles, heights = _off_axis(layout)
+        radii, angles, heights = off_axis(layout)
         priors = self.settings.priors
         starts: list[_Start] = []
         for ring, some in searched:
@@ -492,7 +490,7 @@ class _Reader:
                 continue
             count = len(ring.angles)
             step = 2 * np.pi / count
-            value = ring.explained(_turned(angles, count))
+            value = ring.explained(turned_on(angles, count))
             for i in peaks(value, 2):
                 turned = tuple(float(a) for a in angles + i * step)
                 starts.append(_Start(ring.energy - float(value[i]), some[0].centre, ring.radius_m, turned))
@@ -518,7 +516,7 @@ class _Reader:
         settings = self.settings
         best = ranked[0]
         layout = next(one for one in self.layouts if one.name == best.layout)
-        radii, angles, _ = _off_axis(layout)
+        radii, angles, _ = off_axis(layout)
         wanted = gaps_deg(angles)
         low = float(radii.mean()) + settings.priors.radius_low_m - settings.other_radius_m / 2
         high = float(radii.mean()) + settings.priors.radius_high_m + settings.other_radius_m / 2
@@ -534,10 +532,10 @@ class _Reader:
 
         every = sorted([p for p in free + rigid if other(p)] + ranked[1:], key=lambda p: p.charged)
         # Alike reflectors side by side have a common pattern that is symmetric, too: many terms hold it.
-        # Where the layout needs five terms, a split arrangement with three is the simpler explanation.
         split = [p for p in every if p.layout is None and not other(p, settings.split_deg)]
         others = [p for p in every if p not in split]
-        simpler = [p for p in split if p.batch.terms[0] <= FACING.terms < best.batch.terms[0]]
+        many = [p for p in split if p.batch.terms[0] > FACING.terms]
+        few = [p for p in split if p.batch.terms[0] <= FACING.terms]
         near = sorted(
             (p for p in free if not other(p)), key=lambda p: (len(p.angles) != len(angles), p.charged)
         )
@@ -547,18 +545,24 @@ class _Reader:
         error = above + settings.priors.model_error * tag + settings.noise_nats * self.spectra.noise
         own = near[0] if near else None
         lead = (next_left - best.charged) / error
-        if split:
-            lead = min(lead, (split[0].charged - best.charged) / error + settings.split_lead)
+        if many:
+            lead = min(lead, (many[0].charged - best.charged) / error + settings.split_lead)
         rough = error + (settings.simple_error - settings.priors.model_error) * tag
-        if simpler:
+        if few and best.batch.terms[0] > FACING.terms:
+            # Where the layout needs five terms, a split arrangement with three is the simpler explanation.
             held = rough + (settings.split_error - settings.simple_error) * tag
-            lead = min(lead, (simpler[0].charged - best.charged) / held)
+            lead = min(lead, (few[0].charged - best.charged) / held)
+        elif few:
+            # Each angle that is free costs half the logarithm of the number of values (Schwarz 1978).
+            angle = 0.5 * self.spectra.noise * np.log(2 * self.spectra.data.size)
+            least = min(p.charged + angle * (len(p.angles) - 1) for p in few)
+            lead = min(lead, (least - best.charged) / error)
         untagged = np.inf
         if lead > 0 and layout.symmetry > 1 and not self.body.turns:
             # As many amplitudes as the body and the layout's pattern have, without those that fit any wall.
             amplitudes = min(1 + int(best.batch.terms[0]), MOST)
             hints = (best.centre, self.poses[0].pose.centre)
-            alone = symmetric_left(self.spectra, layout.symmetry, amplitudes, hints)
+            alone = self._symmetric_left(layout.symmetry, amplitudes, hints)
             untagged = (alone + per_term * (amplitudes - 2) - best.charged) / rough
         named = self._amplitudes(best)
         # A wall is there whichever arrangement is before it: that of points without a body is not.

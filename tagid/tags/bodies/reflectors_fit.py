@@ -245,75 +245,75 @@ class Fitter:
         """
         at = batch.at.copy()
         damping = np.full(len(at), 1e-2)
-        error, slope, left = self._linear(batch)
+        rest, slope, left = self._linear(batch)
         cost = self._cost(batch, at, left)
         for turn in range(rounds):
-            step = self._step(batch, at, error, slope, damping)
+            step = self._step(batch, at, rest, slope, damping)
             trial = at + np.einsum("hp,hpk->hk", step, batch.moves)
             trial[:, 2] = np.clip(trial[:, 2], batch.low, batch.high)
             last = turn == rounds - 1
             if last:
                 trial_left = self.left(batch.moved(trial))
             else:
-                trial_error, trial_slope, trial_left = self._linear(batch.moved(trial))
+                trial_rest, trial_slope, trial_left = self._linear(batch.moved(trial))
             trial_cost = self._cost(batch, trial, trial_left)
             better = trial_cost < cost
             at[better], left[better], cost[better] = trial[better], trial_left[better], trial_cost[better]
             if not last:
-                error[better], slope[better] = trial_error[better], trial_slope[better]
+                rest[better], slope[better] = trial_rest[better], trial_slope[better]
             damping = np.where(better, damping / 5, damping * 8)
         return batch.moved(at), left
 
     def _linear(
         self, batch: Batch
     ) -> tuple[NDArray[np.complex128], NDArray[np.complex128], NDArray[np.float64]]:
-        """Residuals (H, N) over their standard deviation, their slopes (H, P, N), and energies left (H,).
+        """What is left (H, F, V), its slopes (H, F, P, V) along every move, and its energies (H,).
 
         The slope is that of Kaufman (1975): derivatives of the columns at fixed amplitudes, projected.
         """
         cols = Columns.of(self.spectra, self.body, batch)
         solved = solve(self.spectra.data, cols.values)
-        slope = centred(self._reflector_slopes(batch, cols, solved) + self._body_slopes(batch, cols, solved))
-        along = cols.values.conj() @ np.moveaxis(slope, 1, 3)
-        slope = slope - np.moveaxis(
-            np.swapaxes(cols.values, -1, -2) @ np.linalg.solve(solved.gram, along), 3, 1
-        )
-        scale = 1 / np.sqrt(self.variance / 2)
-        h, p = batch.moves.shape[:2]
-        return solved.rest.reshape(h, -1) * scale, -slope.reshape(h, p, -1) * scale, solved.left
+        slope = self._reflector_slopes(batch, cols, solved) + self._body_slopes(batch, cols, solved)
+        slope -= slope.mean(axis=-1, keepdims=True)
+        along = np.linalg.solve(solved.gram, cols.values.conj() @ np.swapaxes(slope, -1, -2))
+        return solved.rest, np.swapaxes(along, -1, -2) @ cols.values - slope, solved.left
 
     def _reflector_slopes(self, batch: Batch, cols: Columns, solved: Solved) -> NDArray[np.complex128]:
-        """(H, P, F, V) derivative of the reflectors' echo along every move."""
-        spin = np.exp(-1j * batch.angles)[:, None, :, None]
-        ring = cols.toward + (batch.radii + batch.at[:, 2:3])[..., None]
-        shift = (batch.moves[:, :, 0] + 1j * batch.moves[:, :, 1])[..., None, None]
-        turn, grow = batch.moves[:, :, COMMON:, None], batch.moves[:, :, 2, None, None]
-        moved = -shift * spin - 1j * turn * ring[:, None] - grow
+        """(H, F, P, V) derivative of the reflectors' echo along every move.
+
+        A move displaces every reflector against the antenna by a constant vector, where it shifts or widens
+        the ring, and across its distance from the ring's centre, where it turns. So the slopes of all moves
+        are combinations of three of each reflector: of its own x, outward, of its y, and of its angle.
+        """
+        c, terms = cols.cosine, solved.amplitudes.shape[2] - 1
+        shapes = _chebyshev(c, terms)
+        h, _, _, k, v = shapes.shape
+        mixed = solved.amplitudes[:, None, :, 1:] @ shapes.reshape(h, 2, terms, k * v)
+        pattern, steeper = np.moveaxis(mixed.reshape(h, 2, -1, k, v), 1, 0)
+        steeper = (
+            steeper + pattern * (np.where(batch.tilt > 0, 2.0, 0.0)[:, None, None] / (1.02 + c))[:, None]
+        )
+        phase = pattern * cols.waves * (-1j * self.spectra.wavenumbers[:, None, None])
+        steeper = steeper * cols.waves
         plane = np.abs(cols.toward)
-        along = (cols.toward[:, None].conj() * moved).real / plane[:, None]
-        tilted = (moved.real - cols.cosine[:, None] * along) / plane[:, None]
-        longer = along * (plane / cols.distance)[:, None]
-        g = solved.amplitudes[:, :, 1:, None, None]
-        c = cols.cosine[:, None]
-        pattern = g[:, :, 0] + 0 * c
-        steeper = np.zeros_like(pattern)
-        # cos(p psi) and its derivative with cos(psi), by Chebyshev's recurrence.
-        before, value = np.ones_like(c), c
-        lower, rise = np.zeros_like(c), np.ones_like(c)
-        for p in range(1, g.shape[2]):
-            pattern = pattern + g[:, :, p] * value
-            steeper = steeper + g[:, :, p] * rise
-            before, value, lower, rise = value, 2 * c * value - before, rise, 2 * value + 2 * c * rise - lower
-        steeper = steeper + pattern * np.where(batch.tilt > 0, 2.0, 0.0)[:, None, None, None] / (1.02 + c)
-        phase = -1j * self.spectra.wavenumbers[None, :, None, None] * pattern * cols.waves
-        both = np.concatenate([phase, steeper * cols.waves], axis=2)
-        moves = np.concatenate([longer, tilted], axis=2)
-        # Sum over the reflectors by one product per view: (H, V, P, 2K) (H, V, 2K, F).
-        out = np.moveaxis(moves, 3, 1) @ both.transpose(0, 3, 2, 1)
-        return np.asarray(out.transpose(0, 2, 3, 1))
+        # Of a unit displacement along x and y: the change of the distance, and of the cosine.
+        out, side = cols.toward.real / plane, cols.toward.imag / plane
+        longer = plane / cols.distance
+        along_x = phase * (out * longer)[:, None] + steeper * ((1 - c * out) / plane)[:, None]
+        along_y = phase * (side * longer)[:, None] - steeper * (c * side / plane)[:, None]
+        reach = cols.toward + (batch.radii + batch.at[:, 2:3])[..., None]
+        along_angle = along_x * reach.imag[:, None] - along_y * reach.real[:, None]
+        basis = np.concatenate([along_x, along_y, along_angle], axis=2)
+        shift = batch.moves[:, :, 0] + 1j * batch.moves[:, :, 1]
+        local = -shift[..., None] * np.exp(-1j * batch.angles)[:, None]
+        weights = np.concatenate(
+            [local.real - batch.moves[:, :, 2, None], local.imag, batch.moves[:, :, COMMON:]], axis=2
+        )
+        # Real weights: real and imaginary parts side by side.
+        return np.asarray((weights[:, None] @ basis.view(np.float64)).view(np.complex128))
 
     def _body_slopes(self, batch: Batch, cols: Columns, solved: Solved) -> NDArray[np.complex128] | float:
-        """(H, P, F, V) derivative of the body's echo along every move."""
+        """(H, F, P, V) derivative of the body's echo along every move."""
         if self.body is None or cols.body is None:
             return 0.0
         total: NDArray[np.complex128] | float = 0.0
@@ -322,7 +322,7 @@ class Fitter:
             there = at[:, 3:6] + np.eye(3)[i] * _BODY_STEPS[i]
             ahead = self.body.echo(self.spectra, there[:, 0] + 1j * there[:, 1], there[:, 2])
             slope = (ahead - cols.body) / _BODY_STEPS[i] * solved.amplitudes[:, :, 0, None]
-            total = total + batch.moves[:, :, 3 + i, None, None] * slope[:, None]
+            total = total + batch.moves[:, None, :, 3 + i, None] * slope[:, :, None]
         return total
 
     def _expected(self, batch: Batch) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -348,18 +348,35 @@ class Fitter:
         self,
         batch: Batch,
         at: NDArray[np.float64],
-        error: NDArray[np.complex128],
+        rest: NDArray[np.complex128],
         slope: NDArray[np.complex128],
         damping: NDArray[np.float64],
     ) -> NDArray[np.float64]:
         """(H, P) damped Gauss-Newton steps along the moves."""
         mean, weight = self._expected(batch)
         common = batch.moves[:, :, :COMMON]
-        hessian = (slope.conj() @ np.swapaxes(slope, 1, 2)).real
+        # Real parts of inner products: those of real and imaginary parts side by side.
+        plain = slope.view(np.float64)
+        scale = 2 / self.variance
+        hessian = scale * (plain @ np.swapaxes(plain, -1, -2)).sum(axis=1)
         hessian += np.einsum("hpk,k,hqk->hpq", common, weight, common)
-        gradient = (slope.conj() @ error[..., None])[..., 0].real
+        gradient = scale * (plain @ rest.view(np.float64)[..., None])[..., 0].sum(axis=1)
         gradient += np.einsum("hpk,k,hk->hp", common, weight, at[:, :COMMON] - mean)
         size = np.diagonal(hessian, axis1=1, axis2=2)
         load = damping[:, None] * size + np.where(size > 0, 1e-12 * size, 1.0)
         hessian = hessian + load[..., None] * np.eye(hessian.shape[1])
         return -np.asarray(np.linalg.solve(hessian, gradient[..., None])[..., 0])
+
+
+def _chebyshev(cosine: NDArray[np.float64], terms: int) -> NDArray[np.float64]:
+    """(H, 2, M, K, V): cos(p psi) of cos(psi) (H, K, V), p < M, and their derivatives with it."""
+    h, k, v = cosine.shape
+    out = np.empty((h, 2, terms, k, v))
+    value, rise = out[:, 0], out[:, 1]
+    value[:, 0], rise[:, 0] = 1.0, 0.0
+    if terms > 1:
+        value[:, 1], rise[:, 1] = cosine, 1.0
+    for p in range(2, terms):
+        value[:, p] = 2 * cosine * value[:, p - 1] - value[:, p - 2]
+        rise[:, p] = 2 * value[:, p - 1] + 2 * cosine * rise[:, p - 1] - rise[:, p - 2]
+    return out

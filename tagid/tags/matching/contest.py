@@ -14,7 +14,7 @@ import numpy as np
 
 from tagid.imaging.types import BasebandScans
 from tagid.tags.bodies.arrangement import difference_deg, gaps_deg
-from tagid.tags.bodies.body_reading import BodyReading, BodySettings, Placed
+from tagid.tags.bodies.body_reading import BodyReading, BodySettings
 from tagid.tags.bodies.calibration import Bound, Calibration
 from tagid.tags.bodies.decide import BodyDecision, decide_on_body, score, tag_snr_db
 from tagid.tags.bodies.hypothesis import Enrolled, Explanation, Kind, Pose, plausible
@@ -23,7 +23,7 @@ from tagid.tags.bodies.points import Place, PointReading, PointSettings, read_po
 from tagid.tags.bodies.spectra import Spectra
 from tagid.tags.layouts.layout import Layout
 from tagid.tags.matching.reading import Reading
-from tagid.tags.reading.reflectors import Reflector
+from tagid.tags.matching.won import as_points, kind_on, on_body, on_object
 from tagid.tags.verdicts.verdict import Code, Verdict
 
 EXPLAINED_OBJECTS = 3
@@ -113,7 +113,7 @@ def _without_body(
     if bare.evidence.outward > settings.outward:
         return None
     if points is not None and _pointed(bare, points, settings):
-        return _as_points(bare, points, layouts)
+        return as_points(bare, points, layouts)
     named = bare.status in ("identified", "ambiguous")
     return bare if named and bare.evidence.share >= settings.explained else None
 
@@ -139,19 +139,47 @@ class NullEvidence:
     snr_db: float
 
 
+def bare_evidence(
+    bare: Reading,
+    points: PointReading,
+    scans: BasebandScans,
+    layouts: Sequence[Layout],
+    settings: ContestSettings,
+) -> float:
+    """The evidence for a wrong name without a body, -inf where `settle` gives none."""
+    placed = _in_place(bare, points, settings.points)
+    if (_without_body(placed, points, layouts, settings) or placed).status != "identified":
+        return -inf
+    freely = replace(settings, calibrated=Calibration("none", (), ()))
+    last = settle(bare, scans, layouts, Enrolled(), freely)
+    return points.lead if (last.status, last.kind) == ("identified", Kind.BARE) else -inf
+
+
 def null_evidence(
-    bare: Reading, scans: BasebandScans, layouts: Sequence[Layout], settings: ContestSettings
+    bare: Reading,
+    scans: BasebandScans,
+    layouts: Sequence[Layout],
+    settings: ContestSettings,
+    *,
+    bodies: bool = True,
 ) -> NullEvidence:
-    """The evidence for a wrong name that an object without an enrolled tag gives, as `settle` weighs it."""
+    """The evidence for a wrong name that an object without an enrolled tag gives, as `settle` weighs it.
+
+    Args:
+        bare: reading of the scans without a body.
+        scans, layouts, settings: as of `settle`.
+        bodies: False leaves out the round body, which takes three quarters of the time.
+    """
     from tagid.tags.bodies.reader import read_on_body
 
     spectra = Spectra.of(scans)
     points, alone = None, -inf
     if bare.code is not Code.NO_ECHO:
         points = _points(bare, spectra, layouts, settings.points)
+        alone = bare_evidence(bare, points, scans, layouts, settings)
         bare = _in_place(bare, points, settings.points)
-        if (_without_body(bare, points, layouts, settings) or bare).status == "identified":
-            alone = points.lead
+    if not bodies:
+        return NullEvidence(-inf, alone, points.snr_db if points is not None else 0.0)
     reading = read_on_body(spectra, layouts, settings.body.body, settings.body, [complex(*bare.centre_m)])
     if reading is None:
         return NullEvidence(-inf, alone, 0.0)
@@ -207,63 +235,20 @@ def _in_place(bare: Reading, points: PointReading, settings: PointSettings) -> R
     )
 
 
-def _as_points(bare: Reading, points: PointReading, layouts: Sequence[Layout]) -> Reading:
-    """The reading of a layout that points with double bounce explain and nothing else does."""
-    best = points.layouts[0]
-    if bare.status == "identified":
-        if bare.layout == best.layout:
-            return bare
-        return replace(
-            bare,
-            status="ambiguous",
-            code=Code.AMBIGUOUS,
-            reason=f"{bare.layout} and {best.layout} explain the echo about equally",
-        )
-    layout = next(one for one in layouts if one.name == best.layout)
-    own = layout.positions[:, 0] + 1j * layout.positions[:, 1]
-    turn = complex(np.vdot(own - own.mean(), best.places - best.places.mean()))
-    centre = complex(best.places.mean() - own.mean() * turn / max(abs(turn), 1e-30))
-    each = max(points.tag / max(len(own), 1), 1e-30)
-    snr = float(10 * np.log10(each / max(points.noise, 1e-9 * each)))
-    return replace(
-        bare,
-        status="identified",
-        code=Code.NONE,
-        reason="",
-        layout=layout.name,
-        nearest=layout.name,
-        score=float(np.clip(1 - points.unexplained, 0, 1)),
-        margin=float(np.clip(points.lead / (1 + max(points.lead, 0.0)), 0, 1)),
-        rotation_deg=float(np.rad2deg(np.angle(turn)) % (360 / layout.symmetry)),
-        centre_m=(centre.real, centre.imag),
-        reflectors=tuple(
-            Reflector(float(z.real), float(z.imag), 1.0 + 0j, 0.0, snr, True) for z in points.free.places
-        ),
-        missing=0,
-        extra=0,
-    )
-
-
 def _promised(
     reading: Reading, points: PointReading | None, spectra: Spectra, settings: ContestSettings
 ) -> Reading:
-    """A name without a body with the bound that holds for it, taken back where that is too large.
+    """A name without a body with the bound that holds for it.
 
-    Without a calibration of such names none is promised, and the name rests on its own decision.
+    The bound is stated and takes no name back: such a name rests on its own decision, and a pair of bare
+    reflectors in an enrolled spacing is that layout, whatever object it belongs to.
     """
     if reading.status != "identified" or reading.kind is not Kind.BARE or points is None:
         return reading
     bound = settings.calibration().bound(
         points.lead, spectra.views, points.snr_db, settings.false_accept, bare=True
     )
-    if bound.objects == 0:
-        return reading
-    verdict = _kept(bound)
-    if verdict.status == "identified":
-        return replace(reading, bound=bound)
-    return replace(
-        reading, status=verdict.status, code=verdict.code, reason=verdict.reason, layout=None, bound=bound
-    )
+    return replace(reading, bound=bound)
 
 
 def _against_bodies(
@@ -308,7 +293,7 @@ def _against_bodies(
     if objects:
         whole = decide_object(objects, settings.objects)
         if whole.status == "identified":
-            return _on_object(bare, objects[0], passed, settings.objects.second)
+            return on_object(bare, objects[0], passed, settings.objects.second)
         if whole.status == "ambiguous" and not passed:
             return replace(
                 bare,
@@ -321,7 +306,7 @@ def _against_bodies(
     if passed:
         best, _ = min(passed, key=lambda pair: pair[0].layouts[0].left)
         if not named or bare.layout == best.layouts[0].layout or own.left > settings.better * _left(best):
-            return _on_body(bare, best, layouts, _bound(best, settings))
+            return on_body(bare, best, layouts, _bound(best, settings))
         if _left(best) > settings.better * own.left:
             return bare
         return replace(
@@ -346,7 +331,7 @@ def _against_bodies(
             code=verdict.code,
             reason=verdict.reason,
             score=0.0 if verdict.status == "no_tag" else bare.score,
-            kind=Kind.NO_TAG if verdict.status == "no_tag" else _kind(first),
+            kind=Kind.NO_TAG if verdict.status == "no_tag" else kind_on(first),
             body=first,
         )
     return replace(bare, body=first)
@@ -427,10 +412,6 @@ def _walled(reading: BodyReading, settings: ContestSettings) -> bool:
     return strong and reading.front_m >= settings.wall_m
 
 
-def _kind(reading: BodyReading) -> Kind:
-    return Kind.BODY if reading.body.name else Kind.ROUND
-
-
 def _share(reading: BodyReading, left: float) -> float:
     """Energy left above noise as a share of the moving echo above noise."""
     signal = max(reading.energy - reading.noise, 1e-30)
@@ -473,7 +454,7 @@ def _contested(
         code=Code.OTHER,
         reason=f"another arrangement on a body leaves {_share(reading, best.left):.0%} of the echo, "
         f"{bare.layout} without one {own.left:.0%}",
-        kind=_kind(reading),
+        kind=kind_on(reading),
         body=reading,
     )
 
@@ -486,7 +467,7 @@ def _explanations(readings: Sequence[tuple[BodyReading, Verdict]]) -> list[Expla
         best = reading.layouts[0]
         found.append(
             Explanation(
-                _kind(reading),
+                kind_on(reading),
                 reading.body.name,
                 best.layout,
                 _share(reading, best.left),
@@ -497,30 +478,6 @@ def _explanations(readings: Sequence[tuple[BodyReading, Verdict]]) -> list[Expla
             )
         )
     return found
-
-
-def _on_body(bare: Reading, reading: BodyReading, layouts: Sequence[Layout], bound: Bound) -> Reading:
-    """The reading that a layout on a body won."""
-    best = reading.layouts[0]
-    layout = next(one for one in layouts if one.name == best.layout)
-    return replace(
-        bare,
-        status="identified",
-        reason="",
-        code=Code.NONE,
-        layout=best.layout,
-        nearest=layout.name,
-        score=float(np.clip(1 - reading.unexplained, 0, 1)),
-        margin=float(np.clip(reading.lead / (1 + max(reading.lead, 0.0)), 0, 1)),
-        rotation_deg=_rotation_deg(best, layout),
-        centre_m=(best.centre.real, best.centre.imag),
-        reflectors=_measured(reading),
-        missing=0,
-        extra=0,
-        kind=_kind(reading),
-        bound=bound,
-        body=reading,
-    )
 
 
 def _object_explanation(spectra: Spectra, reading: ObjectReading) -> Explanation:
@@ -535,54 +492,3 @@ def _object_explanation(spectra: Spectra, reading: ObjectReading) -> Explanation
         float(np.clip(beyond, 0, 1)),
         reading.match.pose,
     )
-
-
-def _on_object(
-    bare: Reading, won: ObjectReading, passed: Sequence[tuple[BodyReading, Verdict]], second: float
-) -> Reading:
-    """The reading that an enrolled object won, unless a layout on a body with another name fits as well."""
-    name = won.model.layout or won.model.name
-    # The signature is the narrower statement: a layout on a body, free in pattern and place, must leave
-    # clearly less to contradict it.
-    rivals = [
-        r
-        for r, _ in passed
-        if r.layouts[0].layout != name and won.match.left - r.layouts[0].left > second * r.noise
-    ]
-    status, reason = "identified", ""
-    if rivals:
-        other = rivals[0]
-        status = "ambiguous"
-        reason = f"the echo is that of the enrolled object {name}, or of {other.layouts[0].layout} on a body"
-    left = max(won.excess, 0.0) / max(won.beyond_body, 1e-9)
-    return replace(
-        bare,
-        status=status,
-        reason=reason,
-        code=Code.AMBIGUOUS if rivals else Code.NONE,
-        layout=name,
-        nearest=name,
-        score=float(np.clip(1 - left, 0, 1)),
-        margin=float(np.clip(1 - left, 0, 1)),
-        rotation_deg=float(np.rad2deg(won.match.pose.turn_rad) % 360),
-        centre_m=won.match.pose.centre_m,
-        reflectors=(),
-        missing=0,
-        extra=0,
-        kind=Kind.OBJECT,
-        body=None,
-    )
-
-
-def _rotation_deg(placed: Placed, layout: Layout) -> float:
-    """Rotation of the layout, within its symmetry, degrees."""
-    place = layout.positions[:, 0] + 1j * layout.positions[:, 1]
-    turned = np.exp(1j * (placed.angles - np.angle(place[np.abs(place) > 0.01])))
-    return float(np.rad2deg(np.angle(turned.sum())) % (360 / layout.symmetry))
-
-
-def _measured(reading: BodyReading) -> tuple[Reflector, ...]:
-    """The reflectors where they were found with free angles, at their apparent radius."""
-    free = reading.free or reading.layouts[0]
-    snr = float(10 * np.log10(max(reading.tag_nats / len(free.angles), 1e-9)))
-    return tuple(Reflector(float(x), float(y), 1.0 + 0j, 0.0, snr, True) for x, y in free.positions)

@@ -79,11 +79,17 @@ def read_tag(
     return scan.settled(scan.read(np.argsort(scan.criteria)))
 
 
-def null_evidence_of(scans: BasebandScans, layouts: Sequence[Layout]) -> NullEvidence:
-    """The evidence for a name that scans of an object without an enrolled tag give, by default settings."""
+def null_evidence_of(scans: BasebandScans, layouts: Sequence[Layout], *, bodies: bool = True) -> NullEvidence:
+    """The evidence for a name that scans of an object without an enrolled tag give, by default settings.
+
+    Args:
+        scans, layouts: as of `read_tag`.
+        bodies: see `null_evidence`.
+    """
     settings = ReaderSettings()
     scan = MatchedScan(scans, layouts, settings)
-    return null_evidence(scan.read(np.argsort(scan.criteria)), scan.scans, layouts, settings.contest)
+    bare = scan.read(np.argsort(scan.criteria))
+    return null_evidence(bare, scan.scans, layouts, settings.contest, bodies=bodies)
 
 
 LEVEL_STEP_M = 8e-3

@@ -72,6 +72,23 @@ class FinderSettings:
     detection_nats: float = DETECTION_NATS
 
 
+@dataclass(frozen=True, eq=False)
+class Cleaned:
+    """Points after one was added, and what they leave.
+
+    Attributes:
+        positions: (K, 2 or 3) m.
+        amplitudes: (K,).
+        residual: (pixels,) b of what they leave.
+        energy: that they explain.
+    """
+
+    positions: NDArray[np.float64]
+    amplitudes: NDArray[np.complex128]
+    residual: NDArray[np.complex128]
+    energy: float
+
+
 class SearchDisc:
     """b on the pixels of a disc, and its residual after some points have been subtracted.
 
@@ -85,6 +102,7 @@ class SearchDisc:
         points: (n, 2) pixels, or (n, 3) with their heights, m.
         fixed: templates of the pixels.
         image: (n,) b of the pixels.
+        alone: what is found beginning with no points, as far as anyone has looked, see `Cleaned`.
     """
 
     def __init__(
@@ -111,6 +129,7 @@ class SearchDisc:
             self.points = np.column_stack([np.tile(plane, (levels, 1)), heights])
         self.fixed = look.fixed(field, self.points)
         self.image = self.fixed.correlate(field.data)
+        self.alone: list[Cleaned] = []
 
     def residual(
         self, positions: NDArray[np.float64], amplitudes: NDArray[np.complex128]
@@ -152,10 +171,19 @@ def refine_positions(
         templates = look.templates(field, points)
         return least_squares(field.correlate(templates), field.gram(templates))
 
+    # A trial moves one point along one axis: the templates of the others are those of the start.
+    count = np.arange(2 * axes * k)
+    owner = np.tile(np.repeat(np.arange(k), axes), 2)
+    which = np.tile(np.arange(k), (len(count) + 1, 1))
+    which[1 + count, owner] = k + count
+    first, second = which[:, :, None], which[:, None, :]
+
     for _ in range(6):
         trial = places + np.concatenate([np.zeros((1, k, axes)), unit * step, -unit * step])
         trial = np.clip(trial, start - reach, start + reach)
-        value = explained(trial)[1]
+        moved = trial[1 + count, owner]
+        templates = look.templates(field, np.concatenate([trial[0], moved]))
+        value = least_squares(field.correlate(templates)[which], field.gram(templates)[first, second])[1]
         plus, minus = value[1 : axes * k + 1], value[axes * k + 1 :]
         bend = 2 * value[0] - plus - minus
         slope = (plus - minus) / 2
@@ -181,14 +209,15 @@ def clean(
         (K', 2) positions, starting with those given, unmoved; (K',) amplitudes; the level of the residual.
     """
     residual = disc.residual(positions, amplitudes)
-    steps = list(_added(disc, positions, amplitudes, residual, settings))
-    positions, amplitudes, residual, _ = steps[-1] if steps else (positions, amplitudes, residual, 0.0)
-    return positions, amplitudes, disc.level(residual)
+    given = Cleaned(positions, amplitudes, residual, 0.0)
+    last = [given, *_added(disc, given, settings)][-1]
+    return last.positions, last.amplitudes, disc.level(last.residual)
 
 
 def clean_steps(disc: SearchDisc, settings: FinderSettings) -> list[float]:
     """Energy that 1, 2, ... points explain, starting from none, all refined freely after each is added."""
-    return [energy for *_, energy in _added(disc, *no_points(disc), disc.image.copy(), settings)]
+    none = Cleaned(*no_points(disc), disc.image, 0.0)
+    return [step.energy for step in _added(disc, none, settings)]
 
 
 def no_points(disc: SearchDisc) -> tuple[NDArray[np.float64], NDArray[np.complex128]]:
@@ -196,29 +225,30 @@ def no_points(disc: SearchDisc) -> tuple[NDArray[np.float64], NDArray[np.complex
     return np.zeros((0, disc.points.shape[1])), np.zeros(0, dtype=np.complex128)
 
 
-def _added(
-    disc: SearchDisc,
-    positions: NDArray[np.float64],
-    amplitudes: NDArray[np.complex128],
-    residual: NDArray[np.complex128],
-    settings: FinderSettings,
-) -> Iterator[tuple[NDArray[np.float64], NDArray[np.complex128], NDArray[np.complex128], float]]:
-    """Positions, amplitudes, residual image and explained energy after each added point."""
-    field, given = disc.field, len(positions)
-    while len(positions) < given + settings.maximum:
-        power = np.abs(residual) ** 2 / field.template_energy
-        level = disc.noise_level(residual)
+def _added(disc: SearchDisc, now: Cleaned, settings: FinderSettings) -> Iterator[Cleaned]:
+    """The points after each added one."""
+    field, given = disc.field, len(now.positions)
+    while len(now.positions) < given + settings.maximum:
+        count = len(now.positions)
+        power = np.abs(now.residual) ** 2 / field.template_energy
+        level = disc.noise_level(now.residual)
         peak = int(np.argmax(power))
-        strongest = float(np.max(np.abs(amplitudes) ** 2, initial=0.0)) * field.template_energy
+        strongest = float(np.max(np.abs(now.amplitudes) ** 2, initial=0.0)) * field.template_energy
         floor = strongest * 10 ** (settings.floor_db / 10)
         if power[peak] < max(settings.detection_nats * level, floor):
             return
-        added = np.concatenate([positions, disc.points[peak][None]])
-        positions, _, _ = _polish(field, added, given, disc)
-        templates = disc.look.templates(field, positions)
-        amplitudes, energy = least_squares(field.correlate(templates), field.gram(templates))
-        residual = disc.residual(positions, amplitudes)
-        yield positions, amplitudes, residual, float(energy)
+        # Beginning with none, the points are the same whenever the search ends.
+        if given == 0 and count < len(disc.alone):
+            now = disc.alone[count]
+        else:
+            added = np.concatenate([now.positions, disc.points[peak][None]])
+            positions, _, _ = _polish(field, added, given, disc)
+            templates = disc.look.templates(field, positions)
+            amplitudes, energy = least_squares(field.correlate(templates), field.gram(templates))
+            now = Cleaned(positions, amplitudes, disc.residual(positions, amplitudes), float(energy))
+            if given == 0:
+                disc.alone.append(now)
+        yield now
 
 
 def _polish(

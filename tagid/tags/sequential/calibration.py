@@ -111,7 +111,9 @@ class EndingCalibration:
         newest = looks[-1]
         if newest.views_per_turn < self.fewest_views or newest.places > self.most_places:
             return self._bound(1.0, false_accept, 0)
-        stratum = Stratum(self.fewest_views, _MOST_VIEWS, -inf, inf, self.turns, self.scores)
+        stratum = Stratum(
+            self.fewest_views, _MOST_VIEWS, -inf, inf, self.turns, self.scores, scored=len(self.scores)
+        )
         p_value = 1.0 if score == -inf else stratum.p_value(score)
         return self._bound(p_value, false_accept, self.turns)
 
