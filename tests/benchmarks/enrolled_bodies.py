@@ -11,42 +11,36 @@ read. Development and sealed seeds are apart: constants were chosen on the forme
 from __future__ import annotations
 
 import argparse
-import importlib.util
 import multiprocessing
 import os
 import platform
 import sys
 import time
-import zlib
 from collections import Counter, defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from functools import lru_cache, partial
+from functools import partial
 from math import sqrt
 from pathlib import Path
-from types import ModuleType
-from typing import Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
+from enrolled_scenes import DISTANCE_M, capture_of
 from reading_bodies import commit
 
-from tagid.capture import Capture
 from tagid.errors import TagidError
 from tagid.pipeline.identify import aspect_spectra, identify
 from tagid.tags.bodies.joint import Named, enrol_signature
 from tagid.tags.bodies.signature import Signature
 from tagid.tags.layouts.layout import builtin_layouts
 
-SHARED = Path(os.environ.get("TAGID_SHARED", Path(__file__).resolve().parents[3] / "shared"))
 POPULATIONS = {"development": "development/1", "sealed": "sealed/2"}
 OFFSETS_MM = (0, 2, 6, 10)
 SNRS_DB = (20, 10)
 VIEWS = 36
 ENROLMENT_VIEWS = 72
-DISTANCE_M = 1.0
 
 HANDLE = "can35_handle"
 BODIES = (HANDLE, "shell", "can35")
@@ -89,52 +83,6 @@ class Scene:
     offset_mm: int
     snr_db: int
     number: int
-
-
-@lru_cache(maxsize=1)
-def _scenes() -> ModuleType:
-    """The scene maker beside the responses, which then knows sums too."""
-    file = SHARED / "fullwave" / "scenes.py"
-    spec = importlib.util.spec_from_file_location("fullwave_scenes", file)
-    if spec is None or spec.loader is None or not file.is_file():
-        sys.exit(f"{file} is missing: set TAGID_SHARED to the folder that holds fullwave/")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    plain = module.response
-
-    def response(name: str) -> Any:
-        if "+" not in name:
-            return plain(name)
-        first, second = name.split("+")
-        frequencies, own = response(first)
-        return frequencies, own + response(second)[1]
-
-    module.response = response
-    return module
-
-
-def capture_of(solved: str, key: str, snr_db: float, offset_mm: float, views: int) -> Capture:
-    """A capture of a solved object, the same for the same key; SNR against one reflector of its tag."""
-    rng = np.random.default_rng(zlib.crc32(f"{solved}/{key}/{snr_db}/{offset_mm}/{views}".encode()))
-    base = solved.split("_")[0]
-    one = f"free{'40' if solved.endswith('40') else '20'}_one" if base == "shell" else f"{base}_one-{base}"
-    offset = offset_mm * 1e-3 * np.exp(2j * np.pi * rng.uniform())
-    scan, _ = _scenes().make(
-        solved,
-        rng,
-        reference=one,
-        views=views,
-        distance=DISTANCE_M,
-        centre=(offset.real, offset.imag),
-        snr_db=snr_db,
-    )
-    return Capture(
-        scan["samples"],
-        float(scan["range_start_m"]),
-        float(scan["range_step_m"]),
-        angles_rad=scan["angles_rad"],
-        axis_distance_m=float(scan["axis_distance_m"]),
-    )
 
 
 def slug(solved: str) -> str:

@@ -103,51 +103,12 @@ def read_on_body(
         settings: search and priors.
         hints: further centres to try, x + jy, m.
     """
-    rings = _rings(layouts, settings)
-    usable = [layout for layout in layouts if len(_off_axis(layout)[0]) >= 2]
+    rings = rings_of(layouts, settings)
+    usable = [layout for layout in layouts if len(off_axis(layout)[0]) >= 2]
     if not usable:
         return None
-    reader = _Reader(spectra, usable, body, settings, body.poses(spectra))
+    reader = BodyReader(spectra, usable, body, settings, body.poses(spectra))
     return reader.read(rings, hints)
-
-
-def read_below(
-    centre: complex,
-    spectra: Spectra,
-    layouts: Sequence[Layout],
-    body: BodyModel,
-    settings: BodySettings,
-) -> BodyReading | None:
-    """The same on a body whose turn is sought together with a layout on it: for tags louder than the body.
-
-    Args:
-        centre: of the body, x + jy, m, from its round part.
-        spectra, layouts, body, settings: as of `read_on_body`.
-    """
-    usable = [layout for layout in layouts if len(_off_axis(layout)[0]) >= 2]
-    rings = _rings(layouts, settings)
-    if not usable or not rings:
-        return None
-    thin = spectra.thinned(4)
-    turns = np.arange(0, 2 * np.pi, settings.turn_step_rad)
-    echoes = body.echo(thin, np.full(len(turns), centre), turns)
-    least = np.full(len(turns), np.inf)
-    for radius in rings:
-        for i, echo in enumerate(echoes):
-            ring = Ring.of(thin, echo, centre, radius, FACING, 48)
-            for layout in usable:
-                radii, angles, _ = _off_axis(layout)
-                offset = radius - float(radii.mean())
-                if settings.priors.radius_low_m <= offset <= settings.priors.radius_high_m:
-                    value = ring.explained(_turned(angles, len(ring.angles))).max()
-                    least[i] = min(least[i], ring.energy - float(value))
-    found = []
-    for i in peaks(-least, 3):
-        echo = body.echo(spectra, np.array([centre]), turns[i : i + 1])
-        left = solve(spectra.data, centred(echo)[:, :, None]).left
-        found.append(Candidate(Pose((centre.real, centre.imag), float(turns[i])), float(left[0])))
-    readings = [_Reader(spectra, usable, body, settings, [one]).read(rings, ()) for one in found]
-    return min(readings, key=lambda one: one.layouts[0].left) if readings else None
 
 
 def _turned(angles: NDArray[np.float64], count: int) -> NDArray[np.intp]:
@@ -156,7 +117,7 @@ def _turned(angles: NDArray[np.float64], count: int) -> NDArray[np.intp]:
     return np.asarray(index.astype(np.intp) % count)
 
 
-def _off_axis(
+def off_axis(
     layout: Layout,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Radii (K,), angles (K,) and heights (K,) of the reflectors that lie off the axis."""
@@ -166,10 +127,10 @@ def _off_axis(
     return np.abs(place[off]), np.angle(place[off]), heights
 
 
-def _rings(layouts: Sequence[Layout], settings: BodySettings) -> list[float]:
+def rings_of(layouts: Sequence[Layout], settings: BodySettings) -> list[float]:
     """Radii at which arrangements are searched, m: those of the layouts, merged within 8 mm."""
     nominal: list[float] = []
-    for value in sorted(float(r) for layout in layouts for r in _off_axis(layout)[0]):
+    for value in sorted(float(r) for layout in layouts for r in off_axis(layout)[0]):
         if not nominal or value - nominal[-1] > 8e-3:
             nominal.append(value)
     found: list[float] = []
@@ -183,7 +144,7 @@ def _rings(layouts: Sequence[Layout], settings: BodySettings) -> list[float]:
     return kept
 
 
-class _Reader:
+class BodyReader:
     """The search on one body."""
 
     def __init__(
@@ -483,7 +444,7 @@ class _Reader:
 
     def _layout_rows(self, layout: Layout, searched: Sequence[tuple[Ring, list[_Start]]]) -> list[_Row]:
         """The best two starts of a layout, by both patterns."""
-        radii, angles, heights = _off_axis(layout)
+        radii, angles, heights = off_axis(layout)
         priors = self.settings.priors
         starts: list[_Start] = []
         for ring, some in searched:
@@ -500,16 +461,25 @@ class _Reader:
         rows: list[_Row] = []
         for start in starts[:2]:
             offset = start.radius_m - float(radii.mean())
-            limits = (priors.radius_low_m, priors.radius_high_m, offset)
-            rows += [
-                _Row(
-                    layout.name,
-                    (layout.name,),
-                    self._row(start, _Ringed(radii, heights), limits, pattern, free=False),
-                )
-                for pattern in (FACING, OPEN)
-            ]
+            for pattern in (FACING, OPEN):
+                batch = self.batch(layout, start.centre, offset, start.angles, pattern)
+                rows.append(_Row(layout.name, (layout.name,), batch))
         return rows
+
+    def batch(
+        self,
+        layout: Layout,
+        centre: complex,
+        offset_m: float,
+        angles: Sequence[float],
+        pattern: Pattern,
+    ) -> Batch:
+        """One row: a layout's reflectors off the axis, turned to angles (K,), rad, about a centre."""
+        radii, _, heights = off_axis(layout)
+        priors = self.settings.priors
+        limits = (priors.radius_low_m, priors.radius_high_m, offset_m)
+        start = _Start(0.0, centre, float(radii.mean()), tuple(angles))
+        return self._row(start, _Ringed(radii, heights), limits, pattern, free=False)
 
     def _compared(
         self, ranked: list[Placed], free: list[Placed], rigid: list[Placed], per_term: float
@@ -518,7 +488,7 @@ class _Reader:
         settings = self.settings
         best = ranked[0]
         layout = next(one for one in self.layouts if one.name == best.layout)
-        radii, angles, _ = _off_axis(layout)
+        radii, angles, _ = off_axis(layout)
         wanted = gaps_deg(angles)
         low = float(radii.mean()) + settings.priors.radius_low_m - settings.other_radius_m / 2
         high = float(radii.mean()) + settings.priors.radius_high_m + settings.other_radius_m / 2

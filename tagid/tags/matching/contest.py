@@ -376,11 +376,12 @@ def _clearer(
         first: on a round body.
         spectra, layouts, settings: of the contest.
     """
-    from tagid.tags.bodies.reader import read_below
+    from tagid.tags.bodies.below import read_below
 
     if reading.unexplained <= settings.decision.unexplained:
         return reading
-    below = read_below(first.pose.centre, spectra, layouts, reading.body, settings.body)
+    centres = [first.pose.centre]
+    below = read_below(spectra, layouts, reading.body, settings.body, centres, _least(reading))
     if below is None or _least(below) >= _least(reading):
         return reading
     # Without a tag the body stands where it leaves least on its own.
