@@ -57,12 +57,13 @@ class Carrier:
 
 
 CARRIERS = (
-    Carrier("own", "helmet-16", "helmet:101mm", (), (20, 40)),
+    Carrier("own", "helmet-16", "helmet:84mm", (), (20, 40)),
     Carrier("own", "mug-8", "cup:33mm,wall=4mm,handle", (), (20,)),
     Carrier("full-wave", "helmet-16", "shell", ("free20_one", "free40_one"), (20, 40)),
     Carrier("full-wave", "mug-8", "can35_handle", ("can35_one-can35", "can28_one-can28"), (20, 40)),
 )
-"""40 mm octahedra 45 mm from the axis do not fit on a cup of 33 mm radius."""
+"""40 mm octahedra 45 mm from the axis do not fit on a cup of 33 mm radius. The designed upper row, 70 mm from
+the axis and 50 mm up, lies outside the dome of a helmet of 84 mm half axis, and inside the solved shell."""
 
 
 def layouts_of(carrier: Carrier) -> tuple[Layout, ...]:
@@ -71,7 +72,13 @@ def layouts_of(carrier: Carrier) -> tuple[Layout, ...]:
 
 
 def capture_of(
-    carrier: Carrier, layout: Layout | None, size_mm: int, key: str, snr_db: float, offset_mm: float, views: int
+    carrier: Carrier,
+    layout: Layout | None,
+    size_mm: int,
+    key: str,
+    snr_db: float,
+    offset_mm: float,
+    views: int,
 ) -> Capture:
     """A capture of a layout on its body, or of the body alone; the same for the same arguments.
 

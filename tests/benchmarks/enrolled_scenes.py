@@ -1,7 +1,7 @@
 """Captures of solved full-wave responses for the benchmarks of enrolled bodies.
 
-Responses are in `shared/fullwave` beside the checkout (or where TAGID_SHARED points), captures are made by that
-folder's own `scenes.py`.
+Responses are in `shared/fullwave` beside the checkout (or where TAGID_SHARED points), captures are made by
+that folder's own `scenes.py`.
 """
 
 from __future__ import annotations

@@ -10,6 +10,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from tagid.tags.layouts.layout import Layout
+
 AXIS_M = 0.01
 """A reflector nearer than this to the body's axis looks the same from all sides, as the body does."""
 MERGED_M = 0.02
@@ -34,14 +36,26 @@ def gaps_deg(angles: NDArray[np.floating] | Sequence[float]) -> NDArray[np.float
 
 def merged(gaps: NDArray[np.floating], resolution: float) -> NDArray[np.float64]:
     """Gaps with neighbours nearer than the resolution (degrees) joined at their middle."""
+    return merging(gaps, resolution)[-1]
+
+
+def merging(gaps: NDArray[np.floating], resolution: float) -> list[NDArray[np.float64]]:
+    """Gaps while the nearest neighbours are joined at their middle, one pair after the other: first as given,
+    last with none nearer than the resolution (degrees).
+
+    >>> [g.tolist() for g in merging(np.array([18.0, 22.0, 320.0]), 36)]
+    [[18.0, 22.0, 320.0], [31.0, 329.0], [360.0]]
+    """
     g = [float(v) for v in gaps]
+    found = [np.array(g)]
     while len(g) > 1 and min(g) < resolution:
         i = int(np.argmin(g))
         half = g[i] / 2
         g[i - 1] += half
         g[(i + 1) % len(g)] += half
         del g[i]
-    return np.array(g)
+        found.append(np.array(g))
+    return found
 
 
 def difference_deg(one: NDArray[np.floating], other: NDArray[np.floating]) -> float:
@@ -67,3 +81,13 @@ def kind_of(angles: Sequence[float]) -> tuple[int, ...]:
     """Key of an arrangement: its gaps in steps of 15 degrees, in the rotation that sorts first."""
     gaps = np.round(gaps_deg(angles) / 15).astype(int)
     return min(tuple(int(g) for g in np.roll(gaps, k)) for k in range(len(gaps)))
+
+
+def off_axis(
+    layout: Layout,
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Radii (K,), angles (K,) and heights (K,) of the reflectors that lie off the axis."""
+    place = layout.positions[:, 0] + 1j * layout.positions[:, 1]
+    off = np.abs(place) > AXIS_M
+    heights = np.asarray(layout.heights, dtype=np.float64)[off]
+    return np.abs(place[off]), np.angle(place[off]), heights

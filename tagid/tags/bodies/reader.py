@@ -14,21 +14,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.tags.bodies.arrangement import (
-    AXIS_M,
     difference_deg,
     gaps_deg,
     kind_of,
-    merged,
+    merging,
+    off_axis,
     resolution_deg,
     turn_to,
 )
 from tagid.tags.bodies.body_reading import BodyReading, BodySettings, Placed
 from tagid.tags.bodies.hypothesis import BodyModel, Candidate, Pose
+from tagid.tags.bodies.layout_search import LayoutSearch, rings_of, turned_by
 from tagid.tags.bodies.reflectors_fit import (
     COMMON,
     FACING,
     OPEN,
     THROUGH,
+    WIDE,
     Batch,
     Columns,
     Fitter,
@@ -117,33 +119,6 @@ def _turned(angles: NDArray[np.float64], count: int) -> NDArray[np.intp]:
     return np.asarray(index.astype(np.intp) % count)
 
 
-def off_axis(
-    layout: Layout,
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Radii (K,), angles (K,) and heights (K,) of the reflectors that lie off the axis."""
-    place = layout.positions[:, 0] + 1j * layout.positions[:, 1]
-    off = np.abs(place) > AXIS_M
-    heights = np.asarray(layout.heights, dtype=np.float64)[off]
-    return np.abs(place[off]), np.angle(place[off]), heights
-
-
-def rings_of(layouts: Sequence[Layout], settings: BodySettings) -> list[float]:
-    """Radii at which arrangements are searched, m: those of the layouts, merged within 8 mm."""
-    nominal: list[float] = []
-    for value in sorted(float(r) for layout in layouts for r in off_axis(layout)[0]):
-        if not nominal or value - nominal[-1] > 8e-3:
-            nominal.append(value)
-    found: list[float] = []
-    for value in nominal:
-        offsets = settings.rings_m if value < settings.wide_m else (0.0,)
-        found += [value + offset for offset in offsets]
-    kept: list[float] = []
-    for value in sorted(found):
-        if not kept or value - kept[-1] > 8e-3:
-            kept.append(value)
-    return kept
-
-
 class BodyReader:
     """The search on one body."""
 
@@ -162,6 +137,8 @@ class BodyReader:
         self.poses = poses
         self.coarse = spectra.thinned(2)
         self.noise = self._noise_after(FACING.terms)
+        # Whether a layout fits is asked of its best pattern, whatever that is charged.
+        self.least_above: dict[str, float] = {}
         values = spectra.data.size
         floor = max(poses[0].left, 1e-30)
         self.variance = max(spectra.noise, 1e-12 * floor) + settings.priors.model_error * floor / values
@@ -186,6 +163,9 @@ class BodyReader:
             left = self.fitter.left(batch)
         else:
             rows, batch, left = self._finished(rows, joined([batch, simple]), batch)
+            if self._is_passed(float(left.min())):
+                more, wide, rest = self._through(rings)
+                rows, batch, left = [*rows, *more], joined([batch, wide]), np.append(left, rest)
         # An amplitude more per frequency costs log V nats (Schwarz 1978): a pattern that a tag does not need
         # would let other arrangements imitate it.
         per_term = self.spectra.noise * len(self.spectra.wavenumbers) * np.log(self.spectra.views)
@@ -200,8 +180,11 @@ class BodyReader:
                 free.append(place)
             elif row.role == OTHER:
                 others.append(place)
-            elif row.role not in own or place.charged < own[row.role].charged:
-                own[row.role] = place
+            else:
+                above = place.left - self._noise_after(int(place.batch.terms[0]))
+                self.least_above[row.role] = min(above, self.least_above.get(row.role, np.inf))
+                if row.role not in own or place.charged < own[row.role].charged:
+                    own[row.role] = place
         ranked = sorted(own.values(), key=lambda p: p.charged)
         ranked[0] = self._polished(ranked[0], free, per_term)
         free.append(self._freed(ranked[0], per_term))
@@ -273,7 +256,6 @@ class BodyReader:
     ) -> tuple[list[_Row], Batch, NDArray[np.float64]]:
         """Arrangements fitted to the end: with few terms, and with many where there are views for them."""
         batch, left = self.fitter.fitted(few, 4)
-        # On an enrolled body that turns, five terms held arrangements that few terms tell from the layout.
         if self.spectra.views < self.settings.through_views or self.body.turns:
             return [*rows, *rows], batch, left
         at = batch.at[: len(rows)].copy()
@@ -288,6 +270,45 @@ class BodyReader:
         begun = replace(wide, at=at, tilt=tilt, terms=terms).some(small)
         through, more = self.fitter.fitted(begun, 6)
         return [*rows, *rows, *(rows[int(i)] for i in small)], joined([batch, through]), np.append(left, more)
+
+    def _through(self, rings: Sequence[float]) -> tuple[list[_Row], Batch, NDArray[np.float64]]:
+        """Arrangements on an enrolled body that the wave passes through, with many terms from the start.
+
+        Five terms hold arrangements that few terms tell from the layout: this is for echoes of which few
+        terms explain no arrangement.
+        """
+        centre = self.poses[0].pose.centre
+        wide_m, inner = self.settings.wide_m, self.settings.through_m
+        rows: list[_Row] = []
+        for pattern, radii in (
+            (THROUGH, [inner] if min(rings) < wide_m else []),
+            (WIDE, [radius for radius in rings if radius >= wide_m]),
+        ):
+            searched = [self._on_ring(self.coarse, r, centre, self.settings.most, 16, pattern) for r in radii]
+            starts = sorted((s for _, some in searched for s in some), key=lambda s: s.left)
+            rows += self._free_rows(starts, (pattern,)) + self._rigid_rows(starts, (pattern,))
+        pose = self._body_at(centre)
+        echo = self.body.echo(self.coarse, np.array([pose.centre]), np.array([pose.turn_rad]))
+        search = LayoutSearch(self.coarse, echo, centre)
+        for layout in self.layouts:
+            large = float(off_axis(layout)[0].mean()) >= wide_m
+            offsets = self.settings.rings_m if large else (-0.018, -0.009, 0.0)
+            pattern = WIDE if large else THROUGH
+            values = np.stack([search.explained(layout, o, pattern)[:, 0] for o in offsets])
+            for i in peaks(values.max(axis=0), 2):
+                offset = offsets[int(values[:, i].argmax())]
+                batch = self.batch(layout, centre, offset, turned_by(layout, i), pattern)
+                rows.append(_Row(layout.name, (layout.name,), batch))
+        batch, left = self.coarse_fitter.fitted(joined([row.batch for row in rows]), 3)
+        rows, batch = self._kept(rows, batch, left)
+        batch, left = self.fitter.fitted(batch, 6)
+        return rows, batch, left
+
+    def _is_passed(self, left: float) -> bool:
+        """Whether the wave passes through an enrolled body: few terms leave too much of the tag's echo."""
+        few = self.spectra.views < self.settings.through_views
+        tag = max(self.poses[0].left - left, 1e-30)
+        return self.body.turns and not few and left - self.noise > self.settings.through_left * tag
 
     def _explained(self, left: float) -> float:
         """Share of what the body leaves of the coarse spectra, above noise, that an arrangement explains."""
@@ -362,13 +383,19 @@ class BodyReader:
         return [self._on_ring(self.coarse, radius, centre, self.settings.most, 16) for radius in rings]
 
     def _on_ring(
-        self, spectra: Spectra, radius: float, centre: complex, most: int, keep: int
+        self,
+        spectra: Spectra,
+        radius: float,
+        centre: complex,
+        most: int,
+        keep: int,
+        pattern: Pattern = OPEN,
     ) -> tuple[Ring, list[_Start]]:
         """The best sets of each size on one ring; open patterns contain the facing ones' first term."""
         count = int(np.clip(round(2 * np.pi * radius / self.settings.ring_step_m), 48, 90))
         pose = self._body_at(centre)
         echo = self.body.echo(spectra, np.array([pose.centre]), np.array([pose.turn_rad]))[0]
-        ring = Ring.of(spectra, echo, centre, radius, OPEN, count)
+        ring = Ring.of(spectra, echo, centre, radius, pattern, count)
         starts = []
         for sets, values in ring.best(most, keep).values():
             for indices, value in zip(sets, values, strict=True):
@@ -412,8 +439,10 @@ class BodyReader:
         limits = (low - start.radius_m, high - start.radius_m, 0.0)
         return self._row(start, _Ringed(np.full(k, start.radius_m), np.zeros(k)), limits, pattern, free)
 
-    def _free_rows(self, starts: Sequence[_Start]) -> list[_Row]:
-        """The best of each number and ring size with every angle free, by both patterns."""
+    def _free_rows(
+        self, starts: Sequence[_Start], patterns: Sequence[Pattern] = (FACING, OPEN)
+    ) -> list[_Row]:
+        """The best of each number and ring size with every angle free, by each pattern."""
         seen: dict[tuple[int, bool], int] = {}
         rows: list[_Row] = []
         for start in starts:
@@ -422,12 +451,14 @@ class BodyReader:
             if seen[key] == 1:
                 rows += [
                     _Row(FREE, (FREE, *key), self._ring_row(start, pattern, free=True))
-                    for pattern in (FACING, OPEN)
+                    for pattern in patterns
                 ]
         return rows
 
-    def _rigid_rows(self, starts: Sequence[_Start]) -> list[_Row]:
-        """The best of each bin of arrangements, turning and growing as a whole, by both patterns."""
+    def _rigid_rows(
+        self, starts: Sequence[_Start], patterns: Sequence[Pattern] = (FACING, OPEN)
+    ) -> list[_Row]:
+        """The best of each bin of arrangements, turning and growing as a whole, by each pattern."""
         seen: set[tuple[int, ...]] = set()
         rows: list[_Row] = []
         for start in starts:
@@ -438,13 +469,13 @@ class BodyReader:
                 seen.add(key)
                 rows += [
                     _Row(OTHER, (OTHER, *key), self._ring_row(start, pattern, free=False))
-                    for pattern in (FACING, OPEN)
+                    for pattern in patterns
                 ]
         return rows
 
     def _layout_rows(self, layout: Layout, searched: Sequence[tuple[Ring, list[_Start]]]) -> list[_Row]:
         """The best two starts of a layout, by both patterns."""
-        radii, angles, heights = off_axis(layout)
+        radii, angles, _ = off_axis(layout)
         priors = self.settings.priors
         starts: list[_Start] = []
         for ring, some in searched:
@@ -494,9 +525,9 @@ class BodyReader:
         high = float(radii.mean()) + settings.priors.radius_high_m + settings.other_radius_m / 2
 
         def away(p: Placed, least_deg: float = 0.0) -> float:
-            gaps = gaps_deg(p.angles)
-            joined_up = merged(gaps, max(resolution_deg(float(p.radii.mean())), least_deg))
-            return min(difference_deg(gaps, wanted), difference_deg(joined_up, wanted))
+            # A layout may itself have neighbours nearer than that: every stage of joining is compared.
+            resolution = max(resolution_deg(float(p.radii.mean())), least_deg)
+            return min(difference_deg(gaps, wanted) for gaps in merging(gaps_deg(p.angles), resolution))
 
         def other(p: Placed, least_deg: float = 0.0) -> bool:
             inside = low <= float(p.radii.mean()) <= high
@@ -545,7 +576,7 @@ class BodyReader:
             others=tuple(every),
             free=own,
             tag=tag,
-            unexplained=above / tag,
+            unexplained=min(above, max(self.least_above[best.layout or ""], 0.0)) / tag,
             lead=min(lead, untagged),
             untagged_lead=untagged,
             rough=rough,

@@ -151,14 +151,14 @@ class Ring:
 def ring_columns(
     spectra: Spectra, centre: complex, radius_m: float, pattern: Pattern, angles: NDArray[np.float64]
 ) -> NDArray[np.complex128]:
-    """(F, N M, V) columns of reflectors at angles (N,) around a centre, in the object's plane, without the room."""
+    """(F, N M, V) columns, without the room, of reflectors at angles (N,) in the object's plane."""
     toward = (spectra.antenna - centre)[None] * np.exp(-1j * angles)[:, None] - radius_m
     plane = np.abs(toward)
     cosine = toward.real / plane
     distance = np.hypot(plane, spectra.height_m[None])
     facing = ((1 + cosine) / 2) ** 2 if pattern.tilt else 1.0
     weight = facing * (spectra.distance_m / distance) ** 2
-    terms = np.stack([np.ones_like(cosine), cosine, 2 * cosine**2 - 1][: pattern.terms])
+    terms = np.cos(np.arange(pattern.terms)[:, None, None] * np.arccos(np.clip(cosine, -1, 1)))
     waves = spectra.waves(distance)
     # (F, N, M, V)
     cols = waves[:, :, None] * (weight * terms).transpose(1, 0, 2)[None]
