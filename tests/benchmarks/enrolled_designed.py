@@ -6,6 +6,9 @@ handle, octahedra of 20 or 40 mm with strengths 0.5 dB apart, the tag's middle o
 plus, for every reflector, what a single one adds. On the shell that is an octahedron alone, moved to its
 place; on the mug it is what one adds to a can without a handle, turned. Heights enter through the distance.
 Coupling between reflectors, and between reflectors and handle or shell, is left out.
+
+Three bodies are enrolled in every scene: the one that stands there and two that do not. Foreign tags are two
+to four reflectors at random angles, 40 mm or more apart, of no enrolled arrangement.
 """
 
 from __future__ import annotations
@@ -25,6 +28,7 @@ from tagid.constants import SPEED_OF_LIGHT
 from tagid.simulate import Acquisition, Placement, ReflectorSpec, parse_body, simulate_capture
 from tagid.simulate.objects import Variation, object_scene
 from tagid.simulate.presets import room_clutter
+from tagid.tags.layouts.codebook import rotational_distance
 from tagid.tags.layouts.layout import Layout
 
 AZIMUTHS = 72
@@ -55,6 +59,11 @@ class Carrier:
         """Under which the body is enrolled."""
         return f"{self.layouts}-{self.world}"
 
+    @property
+    def family(self) -> tuple[Layout, ...]:
+        """Every layout of the family."""
+        return SETS[self.layouts]
+
 
 CARRIERS = (
     Carrier("own", "helmet-16", "helmet:84mm", (), (20, 40)),
@@ -66,9 +75,74 @@ CARRIERS = (
 the axis and 50 mm up, lies outside the dome of a helmet of 84 mm half axis, and inside the solved shell."""
 
 
-def layouts_of(carrier: Carrier) -> tuple[Layout, ...]:
-    """Every layout of the family."""
-    return SETS[carrier.layouts]
+ENROLLED = {0: (0, 1, 3), 1: (1, 0, 2), 2: (2, 3, 1), 3: (3, 2, 0)}
+"""Which bodies are enrolled in the scenes of each carrier, by index: its own first."""
+FOREIGN = 3
+"""Foreign tags for every size and SNR, beside one body without a tag."""
+APART_M, SPACING_M = 0.012, 0.04
+"""RMS distance under which a foreign tag counts as an enrolled one, and least spacing of its reflectors."""
+
+
+@dataclass(frozen=True)
+class DesignedScene:
+    """One capture to be read.
+
+    Attributes:
+        carrier: index of CARRIERS.
+        what: index of the layout in its family; -1 for none, less for foreign tags.
+        size_mm, offset_mm, snr_db, number: of the capture.
+    """
+
+    carrier: int
+    what: int
+    size_mm: int
+    offset_mm: int
+    snr_db: int
+    number: int
+
+    @property
+    def layout(self) -> Layout | None:
+        """What the body carries."""
+        if self.what >= 0:
+            return CARRIERS[self.carrier].family[self.what]
+        return None if self.what == -1 else _foreign(self)
+
+    @property
+    def name(self) -> str:
+        """The right name, "" where none is."""
+        return CARRIERS[self.carrier].family[self.what].name if self.what >= 0 else ""
+
+
+def designed_scenes(
+    numbers: int, offsets_mm: tuple[int, ...], snrs_db: tuple[int, ...]
+) -> list[DesignedScene]:
+    """Every layout of every carrier in every size and SNR, at one offset each; and what has no name."""
+    found = []
+    for number in range(numbers):
+        for c, carrier in enumerate(CARRIERS):
+            for size in carrier.sizes_mm:
+                for i, snr in enumerate(snrs_db):
+                    for what in range(-1 - FOREIGN, len(carrier.family)):
+                        offset = offsets_mm[(what + size // 20 + i + number) % len(offsets_mm)]
+                        found.append(DesignedScene(c, what, size, offset, snr, number))
+    return found
+
+
+def _foreign(scene: DesignedScene) -> Layout:
+    """A tag of no enrolled arrangement."""
+    carrier = CARRIERS[scene.carrier]
+    rng = np.random.default_rng([7, scene.carrier, -scene.what, scene.size_mm, scene.snr_db, scene.number])
+    radius = max(float(np.hypot(*place)) for place in carrier.family[0].positions)
+    while True:
+        angles = rng.uniform(0, 2 * np.pi, int(rng.integers(2, 5)))
+        places = radius * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+        gaps = np.linalg.norm(places[:, None] - places[None], axis=2)
+        if (gaps + np.eye(len(angles))).min() < SPACING_M:
+            continue
+        layout = Layout("foreign", places)
+        alike = [one for one in carrier.family if one.size == layout.size]
+        if all(rotational_distance(layout, one).rms_m > APART_M for one in alike):
+            return layout
 
 
 def capture_of(

@@ -29,8 +29,8 @@ from tagid.tags.bodies.reflectors_fit import (
     COMMON,
     FACING,
     OPEN,
+    RICH,
     THROUGH,
-    WIDE,
     Batch,
     Columns,
     Fitter,
@@ -137,8 +137,6 @@ class BodyReader:
         self.poses = poses
         self.coarse = spectra.thinned(2)
         self.noise = self._noise_after(FACING.terms)
-        # Whether a layout fits is asked of its best pattern, whatever that is charged.
-        self.least_above: dict[str, float] = {}
         values = spectra.data.size
         floor = max(poses[0].left, 1e-30)
         self.variance = max(spectra.noise, 1e-12 * floor) + settings.priors.model_error * floor / values
@@ -180,11 +178,8 @@ class BodyReader:
                 free.append(place)
             elif row.role == OTHER:
                 others.append(place)
-            else:
-                above = place.left - self._noise_after(int(place.batch.terms[0]))
-                self.least_above[row.role] = min(above, self.least_above.get(row.role, np.inf))
-                if row.role not in own or place.charged < own[row.role].charged:
-                    own[row.role] = place
+            elif row.role not in own or place.charged < own[row.role].charged:
+                own[row.role] = place
         ranked = sorted(own.values(), key=lambda p: p.charged)
         ranked[0] = self._polished(ranked[0], free, per_term)
         free.append(self._freed(ranked[0], per_term))
@@ -279,25 +274,20 @@ class BodyReader:
         """
         centre = self.poses[0].pose.centre
         wide_m, inner = self.settings.wide_m, self.settings.through_m
-        rows: list[_Row] = []
-        for pattern, radii in (
-            (THROUGH, [inner] if min(rings) < wide_m else []),
-            (WIDE, [radius for radius in rings if radius >= wide_m]),
-        ):
-            searched = [self._on_ring(self.coarse, r, centre, self.settings.most, 16, pattern) for r in radii]
-            starts = sorted((s for _, some in searched for s in some), key=lambda s: s.left)
-            rows += self._free_rows(starts, (pattern,)) + self._rigid_rows(starts, (pattern,))
+        radii = sorted({radius if radius >= wide_m else inner for radius in rings})
+        searched = [self._on_ring(self.coarse, r, centre, self.settings.most, 16, THROUGH) for r in radii]
+        starts = sorted((s for _, some in searched for s in some), key=lambda s: s.left)
+        rows = self._free_rows(starts, (THROUGH,)) + self._rigid_rows(starts, (THROUGH,))
         pose = self._body_at(centre)
         echo = self.body.echo(self.coarse, np.array([pose.centre]), np.array([pose.turn_rad]))
         search = LayoutSearch(self.coarse, echo, centre)
         for layout in self.layouts:
             large = float(off_axis(layout)[0].mean()) >= wide_m
             offsets = self.settings.rings_m if large else (-0.018, -0.009, 0.0)
-            pattern = WIDE if large else THROUGH
-            values = np.stack([search.explained(layout, o, pattern)[:, 0] for o in offsets])
+            values = np.stack([search.explained(layout, o, THROUGH)[:, 0] for o in offsets])
             for i in peaks(values.max(axis=0), 2):
                 offset = offsets[int(values[:, i].argmax())]
-                batch = self.batch(layout, centre, offset, turned_by(layout, i), pattern)
+                batch = self.batch(layout, centre, offset, turned_by(layout, i), THROUGH)
                 rows.append(_Row(layout.name, (layout.name,), batch))
         batch, left = self.coarse_fitter.fitted(joined([row.batch for row in rows]), 3)
         rows, batch = self._kept(rows, batch, left)
@@ -576,7 +566,7 @@ class BodyReader:
             others=tuple(every),
             free=own,
             tag=tag,
-            unexplained=min(above, max(self.least_above[best.layout or ""], 0.0)) / tag,
+            unexplained=self._adequate(best, above, tag) / tag,
             lead=min(lead, untagged),
             untagged_lead=untagged,
             rough=rough,
@@ -588,6 +578,19 @@ class BodyReader:
             front_m=min(self.spectra.early_m(one.body) for one in seen),
             body_energy=min(one.body_energy for one in seen),
         )
+
+    def _adequate(self, best: Placed, above: float, tag: float) -> float:
+        """Energy above noise that the layout leaves, on an enrolled body with the pattern that leaves least.
+
+        Terms are charged where arrangements are compared. Whether the layout is there at all is another
+        question: reflectors before a shell, where the wave bounces and passes, fit no pattern of few terms.
+        """
+        few = self.spectra.views < self.settings.through_views
+        if not self.body.turns or few or above <= self.settings.through_left * tag:
+            return above
+        rich = replace(best.batch, terms=0 * best.batch.terms + RICH.terms, tilt=0 * best.batch.tilt)
+        left = float(self.fitter.fitted(rich, 4)[1][0])
+        return min(above, max(left - self._noise_after(RICH.terms), 0.0))
 
     def _amplitudes(self, placed: Placed) -> _Amplitudes:
         """Of body and reflectors at the places found."""

@@ -46,7 +46,7 @@ class Pattern:
 FACING = Pattern(2, 3)
 OPEN = Pattern(0, 3)
 THROUGH = Pattern(0, 5)
-WIDE = Pattern(0, 7)
+RICH = Pattern(0, 7)
 POINTS = Pattern(0, 1)
 
 
