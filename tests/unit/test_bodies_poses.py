@@ -81,13 +81,12 @@ def test_a_tag_is_read_at_any_turn_and_centre_of_its_body(
     assert reading is not None
     assert (answer.status, reading.layout, reading.kind) == ("identified", layout, Kind.BODY), reading.reason
     found = next(one for one in reading.hypotheses if one.kind is Kind.BODY).pose
-    # The simulated shell is the same after half a turn.
-    same = [
-        Pose(pose.centre_m, pose.turn_rad + half) for half in ((0.0, np.pi) if body == "shell" else (0.0,))
-    ]
+    # The simulated shell is the same after half a turn, and its tag is louder than what turns of it.
+    shell = body == "shell"
+    same = [Pose(pose.centre_m, pose.turn_rad + half) for half in ((0.0, np.pi) if shell else (0.0,))]
     right = min((expected(joint, one) for one in same), key=lambda one: abs(_turned(found, one)))
     assert abs(_turned(found, right)) < np.deg2rad(2.0)
-    assert abs(found.centre - right.centre) < 1e-3
+    assert abs(found.centre - right.centre) < (3e-3 if shell else 1e-3)
 
 
 def _turned(one: Pose, other: Pose) -> float:

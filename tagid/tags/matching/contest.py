@@ -282,7 +282,8 @@ def _against_bodies(
     readings: list[tuple[BodyReading, Verdict]] = []
     for body in (settings.body.body, *plausible(spectra, enrolled.bodies)):
         reading = read_on_body(spectra, layouts, body, settings.body, hints)
-        if reading is not None and body.name and readings:
+        explained = any(v.status == "identified" for r, v in readings if r.body.name)
+        if reading is not None and body.name and readings and not explained:
             reading = _clearer(reading, readings[0][0], spectra, layouts, settings)
         if reading is not None:
             reading = reading.against(known.points) if known.points is not None else reading
