@@ -37,7 +37,7 @@ class Carrier(Protocol):
         ...
 
     def around(self, position_m: Floats) -> tuple[Layer, ...]:
-        """The round body beside a scatterer at (x, y), m; empty for none.
+        """The round body beside a scatterer at (x, y), or (x, y, z) with its height, m; empty for none.
 
         Raises:
             DataError: the position is inside a wall or metal.
@@ -126,7 +126,7 @@ class RoundBody:
 
     def around(self, position_m: Floats) -> tuple[Layer, ...]:
         """The body itself; DataError if the position is inside its wall or metal."""
-        radius = float(np.hypot(*(np.asarray(position_m) - self.centre_m)))
+        radius = float(np.hypot(*(np.asarray(position_m)[:2] - self.centre_m)))
         core = self.layers[0]
         inside = radius < self.layers[-1].radius_m
         if inside and (core.metal or radius > core.radius_m):
@@ -229,10 +229,15 @@ class Shell:
         return Returns(points, factor[:, None] * taps.at(azimuth))
 
     def around(self, position_m: Floats) -> tuple[Layer, ...]:
-        """A round wall through the shell's wall in that direction."""
-        x, y = np.asarray(position_m) - self.centre_m
+        """A round wall through the shell's wall in that direction and at that height; none above the dome."""
+        x, y = np.asarray(position_m)[:2] - self.centre_m
+        up = float(position_m[2]) / self.up_m if len(position_m) > 2 else 0.0
+        narrowed = float(np.sqrt(max(1 - max(up, 0.0) ** 2, 0.0)))
         r, half = float(np.hypot(x, y)), self.thickness_m / 2
         wall = min(self.x_m, self.y_m) if r < half else r / float(np.hypot(x / self.x_m, y / self.y_m))
+        wall *= narrowed
+        if wall <= self.thickness_m:
+            return ()
         if abs(r - wall) < half:
             raise DataError(
                 f"a reflector {r * 1e3:.0f} mm from the axis is in the helmet's wall",

@@ -128,7 +128,7 @@ def tagged_object(
     if len(p):
         p = np.concatenate([p, np.zeros((len(p), 3 - p.shape[1]))], axis=1)
         strength = 10 ** (change.strength_db * rng.standard_normal(len(p)) / 20)
-        beside = tuple(base.around(place[:2]) if base else () for place in p)
+        beside = tuple(base.around(place) if base else () for place in p)
         axis = base.centre_m if base else (0.0, 0.0)
         made.append(Mounted(scatterer, p, strength.astype(np.complex128), beside, axis, unit))
     if base is not None:

@@ -36,14 +36,26 @@ def gaps_deg(angles: NDArray[np.floating] | Sequence[float]) -> NDArray[np.float
 
 def merged(gaps: NDArray[np.floating], resolution: float) -> NDArray[np.float64]:
     """Gaps with neighbours nearer than the resolution (degrees) joined at their middle."""
+    return merging(gaps, resolution)[-1]
+
+
+def merging(gaps: NDArray[np.floating], resolution: float) -> list[NDArray[np.float64]]:
+    """Gaps while the nearest neighbours are joined at their middle, one pair after the other: first as given,
+    last with none nearer than the resolution (degrees).
+
+    >>> [g.tolist() for g in merging(np.array([18.0, 22.0, 320.0]), 36)]
+    [[18.0, 22.0, 320.0], [31.0, 329.0], [360.0]]
+    """
     g = [float(v) for v in gaps]
+    found = [np.array(g)]
     while len(g) > 1 and min(g) < resolution:
         i = int(np.argmin(g))
         half = g[i] / 2
         g[i - 1] += half
         g[(i + 1) % len(g)] += half
         del g[i]
-    return np.array(g)
+        found.append(np.array(g))
+    return found
 
 
 def difference_deg(one: NDArray[np.floating], other: NDArray[np.floating]) -> float:

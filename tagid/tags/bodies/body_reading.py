@@ -40,6 +40,7 @@ class BodySettings:
             three terms and with more.
         through_views: fewest views at which patterns of 5 terms are fitted, on round bodies. At 18 and 24
             views, five of 1,600 untagged or foreign boxes, shells and ovals passed for tags in this way.
+        through_left: on an enrolled body only where three terms leave more of the tag's echo than this share.
         through_m: apparent radius at which their fit begins, m.
         hopeless: where no arrangement explains this share of what the body leaves, none is fitted to the end.
         turn_step_rad: of the search for the turn of a body below a tag that is louder.
@@ -65,6 +66,7 @@ class BodySettings:
     finished: int = 4
     loose: int = 3
     through_views: int = 30
+    through_left: float = 0.15
     through_m: float = 0.038
     hopeless: float = 0.5
     turn_step_rad: float = float(np.pi / 36)

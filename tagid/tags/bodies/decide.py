@@ -73,8 +73,10 @@ def decide_on_body(reading: BodyReading, settings: BodyDecision) -> Verdict:
             Code.OFF_CENTRE,
             f"the body's centre lies {abs(r.pose.centre) * 1e3:.0f} mm off the axis",
         )
-    # A body that the wave passes through returns most from behind, by paths of its own.
-    if not (r.through or s.early_m[0] <= r.early_m <= s.early_m[1]):
+    # A body that the wave passes through returns most from behind, by paths of its own. An enrolled one may
+    # be such a body even where few terms explain the echo.
+    behind = r.early_m < s.early_m[0] and not r.body.name
+    if not r.through and (behind or r.early_m > s.early_m[1]):
         return Verdict(
             "unknown",
             Code.BODY,

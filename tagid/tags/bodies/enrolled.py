@@ -47,12 +47,28 @@ class Searches:
         self._order = order
         self._spectra: Spectra | None = None
         self._search: PoseSearch | None = None
+        self._poses: dict[Signature, list[Candidate]] = {}
 
     def of(self, spectra: Spectra) -> PoseSearch:
         """The search in these spectra; the last one is kept."""
         if self._search is None or self._spectra is not spectra:
             self._spectra, self._search = spectra, PoseSearch(spectra, self._order)
+            self._poses = {}
         return self._search
+
+    def poses(self, spectra: Spectra, signature: Signature, starts: int) -> list[Candidate]:
+        """The refined poses of a signature, best first, kept for these spectra."""
+        search = self.of(spectra)
+        found = self._poses.get(signature)
+        if found is None:
+            found = []
+            for start in search.candidates(signature, starts):
+                near = refine(spectra, signature, start, split=True, iterations=5)
+                end = refine(spectra, signature, near.pose)
+                found.append(Candidate(end.pose, end.left))
+            found.sort(key=lambda one: one.left)
+            self._poses[signature] = found
+        return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,12 +102,7 @@ class EnrolledBody:
 
     def poses(self, spectra: Spectra) -> list[Candidate]:
         """The poses at which it explains the scans best, best first."""
-        found: list[Candidate] = []
-        for start in self.searches.of(spectra).candidates(self.signature, self.starts):
-            near = refine(spectra, self.signature, start, split=True, iterations=5)
-            end = refine(spectra, self.signature, near.pose)
-            found.append(Candidate(end.pose, end.left))
-        return sorted(found, key=lambda one: one.left)
+        return self.searches.poses(spectra, self.signature, self.starts)
 
     def echo(
         self, spectra: Spectra, centres: NDArray[np.complex128], turns: NDArray[np.float64]

@@ -241,6 +241,39 @@ class _Estimate:
                 self.placed[i] = Placed(self.captures[i], pose, gain)
             self.solve()
 
+    def balance(self, steps: int = 3) -> None:
+        """Gauss-Newton on the gains of all captures but the first, the harmonics eliminated.
+
+        Gains and harmonics are a product: improved in turns, they creep towards their common best.
+        """
+        for _ in range(steps):
+            found, _ = self.basis.solve(list(self.placed.values()))
+            parts = {i: self.basis.columns(one) for i, one in self.placed.items()}
+            columns = np.concatenate(list(parts.values()), axis=1)
+            data = np.concatenate([_whitened(one.spectra) for one in self.placed.values()], axis=1)
+            inverse = np.linalg.pinv(columns, rcond=RIDGE)
+            slopes = np.zeros((*data.shape, len(self.order) - 1), complex)
+            first = 0
+            for i, part in parts.items():
+                rows = slice(first, first + part.shape[1])
+                first = rows.stop
+                if i != self.order[0]:
+                    slopes[:, rows, self.order.index(i) - 1] = (part @ found[..., None])[..., 0]
+            slopes = slopes - columns @ (inverse @ slopes)
+            left = data - (columns @ found[..., None])[..., 0]
+            change = (np.linalg.pinv(slopes) @ left[..., None])[..., 0]
+            before, kept = _left(self, self.basis), self.placed
+            self.placed = {
+                i: replace(one, gain=one.gain * (1 + change[:, self.order.index(i) - 1]))
+                if i != self.order[0]
+                else one
+                for i, one in kept.items()
+            }
+            if _left(self, self.basis) > before:
+                self.placed = kept
+                break
+        self.solve()
+
     def descend(self, iterations: int = 6) -> None:
         """Levenberg-Marquardt on the poses of all captures but the first, the harmonics eliminated."""
         moving = self.order[1:]
@@ -313,6 +346,7 @@ def estimate(
             work.basis, work.signature = basis, _blank(spectra[0], name, kind, basis, chosen)
             work.solve()
             work.alternate(2)
+            work.balance()
             work.descend()
     final = work.signature
     residuals = _residuals(captures, work)
@@ -335,6 +369,7 @@ def _joint(spectra: Sequence[Spectra], name: str, kind: SignatureKind, radius_m:
     before = np.inf
     for _ in range(_ROUNDS):
         work.alternate(2)
+        work.balance()
         work.descend()
         now = _left(work, work.basis)
         if now > (1 - _SETTLED) * before:

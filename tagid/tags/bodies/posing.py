@@ -224,7 +224,7 @@ class PoseSearch:
         along = (unit.conj() * self._thin.data).sum(axis=-1, keepdims=True)
         rest = self._thin.data - along * unit
         self._left = np.sum(np.abs(rest) ** 2, axis=(1, 2))
-        basis = np.exp(1j * np.angle(across)[..., None] * np.arange(-2 * order, 2 * order + 1))
+        basis = angular(np.angle(across), 2 * order)
         first = basis[..., order : 3 * order + 1].conj()
         flat = np.full_like(carrier, 1 / np.sqrt(spectra.views))
         # (C, F, 2 M + 1) inner products of each harmonic with the data, the room and the round body.

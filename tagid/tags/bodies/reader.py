@@ -18,7 +18,7 @@ from tagid.tags.bodies.arrangement import (
     difference_deg,
     gaps_deg,
     kind_of,
-    merged,
+    merging,
     off_axis,
     resolution_deg,
     turn_to,
@@ -26,10 +26,12 @@ from tagid.tags.bodies.arrangement import (
 )
 from tagid.tags.bodies.body_reading import BodyReading, BodySettings, Placed
 from tagid.tags.bodies.hypothesis import BodyModel, Candidate, Pose
+from tagid.tags.bodies.layout_search import LayoutSearch, rings_of, turned_by
 from tagid.tags.bodies.reflectors_fit import (
     COMMON,
     FACING,
     OPEN,
+    RICH,
     THROUGH,
     Batch,
     Columns,
@@ -105,71 +107,15 @@ def read_on_body(
         settings: search and priors.
         hints: further centres to try, x + jy, m.
     """
-    rings = _rings(layouts, settings)
+    rings = rings_of(layouts, settings)
     usable = [layout for layout in layouts if len(off_axis(layout)[0]) >= 2]
     if not usable:
         return None
-    reader = _Reader(spectra, usable, body, settings, body.poses(spectra))
+    reader = BodyReader(spectra, usable, body, settings, body.poses(spectra))
     return reader.read(rings, hints)
 
 
-def read_below(
-    centre: complex,
-    spectra: Spectra,
-    layouts: Sequence[Layout],
-    body: BodyModel,
-    settings: BodySettings,
-) -> BodyReading | None:
-    """The same on a body whose turn is sought together with a layout on it: for tags louder than the body.
-
-    Args:
-        centre: of the body, x + jy, m, from its round part.
-        spectra, layouts, body, settings: as of `read_on_body`.
-    """
-    usable = [layout for layout in layouts if len(off_axis(layout)[0]) >= 2]
-    rings = _rings(layouts, settings)
-    if not usable or not rings:
-        return None
-    thin = spectra.thinned(4)
-    turns = np.arange(0, 2 * np.pi, settings.turn_step_rad)
-    echoes = body.echo(thin, np.full(len(turns), centre), turns)
-    least = np.full(len(turns), np.inf)
-    for radius in rings:
-        for i, echo in enumerate(echoes):
-            ring = Ring.of(thin, echo, centre, radius, FACING, 48)
-            for layout in usable:
-                radii, angles, _ = off_axis(layout)
-                offset = radius - float(radii.mean())
-                if settings.priors.radius_low_m <= offset <= settings.priors.radius_high_m:
-                    value = ring.explained(turned_on(angles, len(ring.angles))).max()
-                    least[i] = min(least[i], ring.energy - float(value))
-    found = []
-    for i in peaks(-least, 3):
-        echo = body.echo(spectra, np.array([centre]), turns[i : i + 1])
-        left = solve(spectra.data, centred(echo)[:, :, None]).left
-        found.append(Candidate(Pose((centre.real, centre.imag), float(turns[i])), float(left[0])))
-    readings = [_Reader(spectra, usable, body, settings, [one]).read(rings, ()) for one in found]
-    return min(readings, key=lambda one: one.layouts[0].left) if readings else None
-
-
-def _rings(layouts: Sequence[Layout], settings: BodySettings) -> list[float]:
-    """Radii at which arrangements are searched, m: those of the layouts, merged within 8 mm."""
-    nominal: list[float] = []
-    for value in sorted(float(r) for layout in layouts for r in off_axis(layout)[0]):
-        if not nominal or value - nominal[-1] > 8e-3:
-            nominal.append(value)
-    found: list[float] = []
-    for value in nominal:
-        offsets = settings.rings_m if value < settings.wide_m else (0.0,)
-        found += [value + offset for offset in offsets]
-    kept: list[float] = []
-    for value in sorted(found):
-        if not kept or value - kept[-1] > 8e-3:
-            kept.append(value)
-    return kept
-
-
-class _Reader:
+class BodyReader:
     """The search on one body."""
 
     def __init__(
@@ -213,6 +159,9 @@ class _Reader:
             left = self.fitter.left(batch)
         else:
             rows, batch, left = self._finished(rows, joined([batch, simple]), batch)
+            if self._is_passed(float(left.min())):
+                more, wide, rest = self._through(rings)
+                rows, batch, left = [*rows, *more], joined([batch, wide]), np.append(left, rest)
         # An amplitude more per frequency costs log V nats (Schwarz 1978): a pattern that a tag does not need
         # would let other arrangements imitate it.
         per_term = self.spectra.noise * len(self.spectra.wavenumbers) * np.log(self.spectra.views)
@@ -312,7 +261,6 @@ class _Reader:
     ) -> tuple[list[_Row], Batch, NDArray[np.float64]]:
         """Arrangements fitted to the end: with few terms, and with many where there are views for them."""
         batch, left = self.fitter.fitted(few, 4)
-        # On an enrolled body that turns, five terms held arrangements that few terms tell from the layout.
         if self.spectra.views < self.settings.through_views or self.body.turns:
             return [*rows, *rows], batch, left
         at = batch.at[: len(rows)].copy()
@@ -327,6 +275,40 @@ class _Reader:
         begun = replace(wide, at=at, tilt=tilt, terms=terms).some(small)
         through, more = self.fitter.fitted(begun, 6)
         return [*rows, *rows, *(rows[int(i)] for i in small)], joined([batch, through]), np.append(left, more)
+
+    def _through(self, rings: Sequence[float]) -> tuple[list[_Row], Batch, NDArray[np.float64]]:
+        """Arrangements on an enrolled body that the wave passes through, with many terms from the start.
+
+        Five terms hold arrangements that few terms tell from the layout: this is for echoes of which few
+        terms explain no arrangement.
+        """
+        centre = self.poses[0].pose.centre
+        wide_m, inner = self.settings.wide_m, self.settings.through_m
+        radii = sorted({radius if radius >= wide_m else inner for radius in rings})
+        searched = [self._on_ring(self.coarse, r, centre, self.settings.most, 16, THROUGH) for r in radii]
+        starts = sorted((s for _, some in searched for s in some), key=lambda s: s.left)
+        rows = self._free_rows(starts, (THROUGH,)) + self._rigid_rows(starts, (THROUGH,))
+        pose = self._body_at(centre)
+        echo = self.body.echo(self.coarse, np.array([pose.centre]), np.array([pose.turn_rad]))
+        search = LayoutSearch(self.coarse, echo, centre)
+        for layout in self.layouts:
+            large = float(off_axis(layout)[0].mean()) >= wide_m
+            offsets = self.settings.rings_m if large else (-0.018, -0.009, 0.0)
+            values = np.stack([search.explained(layout, o, THROUGH)[:, 0] for o in offsets])
+            for i in peaks(values.max(axis=0), 2):
+                offset = offsets[int(values[:, i].argmax())]
+                batch = self.batch(layout, centre, offset, turned_by(layout, i), THROUGH)
+                rows.append(_Row(layout.name, (layout.name,), batch))
+        batch, left = self.coarse_fitter.fitted(joined([row.batch for row in rows]), 3)
+        rows, batch = self._kept(rows, batch, left)
+        batch, left = self.fitter.fitted(batch, 6)
+        return rows, batch, left
+
+    def _is_passed(self, left: float) -> bool:
+        """Whether the wave passes through an enrolled body: few terms leave too much of the tag's echo."""
+        few = self.spectra.views < self.settings.through_views
+        tag = max(self.poses[0].left - left, 1e-30)
+        return self.body.turns and not few and left - self.noise > self.settings.through_left * tag
 
     def _explained(self, left: float) -> float:
         """Share of what the body leaves of the coarse spectra, above noise, that an arrangement explains."""
@@ -401,13 +383,19 @@ class _Reader:
         return [self._on_ring(self.coarse, radius, centre, self.settings.most, 16) for radius in rings]
 
     def _on_ring(
-        self, spectra: Spectra, radius: float, centre: complex, most: int, keep: int
+        self,
+        spectra: Spectra,
+        radius: float,
+        centre: complex,
+        most: int,
+        keep: int,
+        pattern: Pattern = OPEN,
     ) -> tuple[Ring, list[_Start]]:
         """The best sets of each size on one ring; open patterns contain the facing ones' first term."""
         count = int(np.clip(round(2 * np.pi * radius / self.settings.ring_step_m), 48, 90))
         pose = self._body_at(centre)
         echo = self.body.echo(spectra, np.array([pose.centre]), np.array([pose.turn_rad]))[0]
-        ring = Ring.of(spectra, echo, centre, radius, OPEN, count)
+        ring = Ring.of(spectra, echo, centre, radius, pattern, count)
         starts = []
         for sets, values in ring.best(most, keep).values():
             for indices, value in zip(sets, values, strict=True):
@@ -449,8 +437,10 @@ class _Reader:
         limits = (low - start.radius_m, high - start.radius_m, 0.0)
         return self._row(start, _Ringed(np.full(k, start.radius_m), np.zeros(k)), limits, pattern, free)
 
-    def _free_rows(self, starts: Sequence[_Start]) -> list[_Row]:
-        """The best of each number and ring size with every angle free, by both patterns."""
+    def _free_rows(
+        self, starts: Sequence[_Start], patterns: Sequence[Pattern] = (FACING, OPEN)
+    ) -> list[_Row]:
+        """The best of each number and ring size with every angle free, by each pattern."""
         seen: dict[tuple[int, bool], int] = {}
         rows: list[_Row] = []
         for start in starts:
@@ -459,12 +449,14 @@ class _Reader:
             if seen[key] == 1:
                 rows += [
                     _Row(FREE, (FREE, *key), self._ring_row(start, pattern, free=True))
-                    for pattern in (FACING, OPEN)
+                    for pattern in patterns
                 ]
         return rows
 
-    def _rigid_rows(self, starts: Sequence[_Start]) -> list[_Row]:
-        """The best of each bin of arrangements, turning and growing as a whole, by both patterns."""
+    def _rigid_rows(
+        self, starts: Sequence[_Start], patterns: Sequence[Pattern] = (FACING, OPEN)
+    ) -> list[_Row]:
+        """The best of each bin of arrangements, turning and growing as a whole, by each pattern."""
         seen: set[tuple[int, ...]] = set()
         rows: list[_Row] = []
         for start in starts:
@@ -475,13 +467,13 @@ class _Reader:
                 seen.add(key)
                 rows += [
                     _Row(OTHER, (OTHER, *key), self._ring_row(start, pattern, free=False))
-                    for pattern in (FACING, OPEN)
+                    for pattern in patterns
                 ]
         return rows
 
     def _layout_rows(self, layout: Layout, searched: Sequence[tuple[Ring, list[_Start]]]) -> list[_Row]:
         """The best two starts of a layout, by both patterns."""
-        radii, angles, heights = off_axis(layout)
+        radii, angles, _ = off_axis(layout)
         priors = self.settings.priors
         starts: list[_Start] = []
         for ring, some in searched:
@@ -498,16 +490,25 @@ class _Reader:
         rows: list[_Row] = []
         for start in starts[:2]:
             offset = start.radius_m - float(radii.mean())
-            limits = (priors.radius_low_m, priors.radius_high_m, offset)
-            rows += [
-                _Row(
-                    layout.name,
-                    (layout.name,),
-                    self._row(start, _Ringed(radii, heights), limits, pattern, free=False),
-                )
-                for pattern in (FACING, OPEN)
-            ]
+            for pattern in (FACING, OPEN):
+                batch = self.batch(layout, start.centre, offset, start.angles, pattern)
+                rows.append(_Row(layout.name, (layout.name,), batch))
         return rows
+
+    def batch(
+        self,
+        layout: Layout,
+        centre: complex,
+        offset_m: float,
+        angles: Sequence[float],
+        pattern: Pattern,
+    ) -> Batch:
+        """One row: a layout's reflectors off the axis, turned to angles (K,), rad, about a centre."""
+        radii, _, heights = off_axis(layout)
+        priors = self.settings.priors
+        limits = (priors.radius_low_m, priors.radius_high_m, offset_m)
+        start = _Start(0.0, centre, float(radii.mean()), tuple(angles))
+        return self._row(start, _Ringed(radii, heights), limits, pattern, free=False)
 
     def _compared(
         self, ranked: list[Placed], free: list[Placed], rigid: list[Placed], per_term: float
@@ -522,9 +523,9 @@ class _Reader:
         high = float(radii.mean()) + settings.priors.radius_high_m + settings.other_radius_m / 2
 
         def away(p: Placed, least_deg: float = 0.0) -> float:
-            gaps = gaps_deg(p.angles)
-            joined_up = merged(gaps, max(resolution_deg(float(p.radii.mean())), least_deg))
-            return min(difference_deg(gaps, wanted), difference_deg(joined_up, wanted))
+            # A layout may itself have neighbours nearer than that: every stage of joining is compared.
+            resolution = max(resolution_deg(float(p.radii.mean())), least_deg)
+            return min(difference_deg(gaps, wanted) for gaps in merging(gaps_deg(p.angles), resolution))
 
         def other(p: Placed, least_deg: float = 0.0) -> bool:
             inside = low <= float(p.radii.mean()) <= high
@@ -579,7 +580,7 @@ class _Reader:
             others=tuple(every),
             free=own,
             tag=tag,
-            unexplained=above / tag,
+            unexplained=self._adequate(best, above, tag) / tag,
             lead=min(lead, untagged),
             untagged_lead=untagged,
             rough=rough,
@@ -591,6 +592,19 @@ class _Reader:
             front_m=min(self.spectra.early_m(one.body) for one in seen),
             body_energy=min(one.body_energy for one in seen),
         )
+
+    def _adequate(self, best: Placed, above: float, tag: float) -> float:
+        """Energy above noise that the layout leaves, on an enrolled body with the pattern that leaves least.
+
+        Terms are charged where arrangements are compared. Whether the layout is there at all is another
+        question: reflectors before a shell, where the wave bounces and passes, fit no pattern of few terms.
+        """
+        few = self.spectra.views < self.settings.through_views
+        if not self.body.turns or few or above <= self.settings.through_left * tag:
+            return above
+        rich = replace(best.batch, terms=0 * best.batch.terms + RICH.terms, tilt=0 * best.batch.tilt)
+        left = float(self.fitter.fitted(rich, 4)[1][0])
+        return min(above, max(left - self._noise_after(RICH.terms), 0.0))
 
     def _amplitudes(self, placed: Placed) -> _Amplitudes:
         """Of body and reflectors at the places found."""

@@ -10,7 +10,7 @@ free per frequency and solved by linear least squares inside (variable projectio
 what is searched is where the reflectors are: centre, radius and angles. One pattern for all, symmetric about
 the outward direction, is what makes them alike. Every term more makes it easier for one reflector to imitate
 two, so terms are charged for. A tag on metal needs 3; on a ceramic cup, which focuses the wave on what is
-behind it, 5.
+behind it, 5; before a helmet's shell, larger and further from its reflectors, 7.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class Pattern:
 
     Attributes:
         tilt: t, 2 for a reflector before an opaque body, 0 for one that is seen from all sides.
-        terms: M, 1 to 5.
+        terms: M, 1 to 7.
     """
 
     tilt: int
@@ -46,6 +46,7 @@ class Pattern:
 FACING = Pattern(2, 3)
 OPEN = Pattern(0, 3)
 THROUGH = Pattern(0, 5)
+RICH = Pattern(0, 7)
 POINTS = Pattern(0, 1)
 
 

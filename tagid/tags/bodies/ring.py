@@ -51,17 +51,7 @@ class Ring:
     ) -> Ring:
         """A ring of `count` angles; `body` (F, V) is the body's echo at its pose, None for none."""
         angles = np.arange(count) * 2 * np.pi / count
-        toward = (spectra.antenna - centre)[None] * np.exp(-1j * angles)[:, None] - radius_m
-        plane = np.abs(toward)
-        cosine = toward.real / plane
-        distance = np.hypot(plane, spectra.height_m[None])
-        facing = ((1 + cosine) / 2) ** 2 if pattern.tilt else 1.0
-        weight = facing * (spectra.distance_m / distance) ** 2
-        terms = np.stack([np.ones_like(cosine), cosine, 2 * cosine**2 - 1][: pattern.terms])
-        waves = spectra.waves(distance)
-        # (F, N, M, V)
-        cols = waves[:, :, None] * (weight * terms).transpose(1, 0, 2)[None]
-        cols = centred(cols).reshape(len(waves), count * pattern.terms, -1)
+        cols = ring_columns(spectra, centre, radius_m, pattern, angles)
         data = spectra.data
         if body is not None:
             unit = centred(body)
@@ -70,7 +60,7 @@ class Ring:
             cols = cols - (cols @ unit.conj()[..., None]) * unit[:, None]
             data = data - (data * unit.conj()).sum(axis=-1, keepdims=True) * unit
         narrow = cols.astype(np.complex64)
-        f, m = len(waves), pattern.terms
+        f, m = len(cols), pattern.terms
         gram = narrow.conj() @ np.swapaxes(narrow, 1, 2)
         right = (narrow.conj() @ data.astype(np.complex64)[..., None])[..., 0]
         ridge = _RIDGE * np.einsum("fnn->f", gram).real / (count * m)
@@ -156,6 +146,23 @@ class Ring:
             solved.append(value / factor[p, p])
             total += np.abs(solved[p]) ** 2
         return np.asarray(total.sum(axis=-1), dtype=np.float64)
+
+
+def ring_columns(
+    spectra: Spectra, centre: complex, radius_m: float, pattern: Pattern, angles: NDArray[np.float64]
+) -> NDArray[np.complex128]:
+    """(F, N M, V) columns, without the room, of reflectors at angles (N,) in the object's plane."""
+    toward = (spectra.antenna - centre)[None] * np.exp(-1j * angles)[:, None] - radius_m
+    plane = np.abs(toward)
+    cosine = toward.real / plane
+    distance = np.hypot(plane, spectra.height_m[None])
+    facing = ((1 + cosine) / 2) ** 2 if pattern.tilt else 1.0
+    weight = facing * (spectra.distance_m / distance) ** 2
+    terms = np.cos(np.arange(pattern.terms)[:, None, None] * np.arccos(np.clip(cosine, -1, 1)))
+    waves = spectra.waves(distance)
+    # (F, N, M, V)
+    cols = waves[:, :, None] * (weight * terms).transpose(1, 0, 2)[None]
+    return centred(cols).reshape(len(waves), len(angles) * pattern.terms, -1)
 
 
 @dataclass(frozen=True, eq=False)

@@ -201,7 +201,13 @@ def near_field(wavenumbers: NDArray[np.float64], order: int, distance_m: float) 
 
 def angular(azimuth: NDArray[np.float64], order: int) -> NDArray[np.complex128]:
     """(..., V, 2 order + 1) exp(j m phi)."""
-    return np.asarray(np.exp(1j * azimuth[..., None] * np.arange(-order, order + 1)))
+    unit = np.exp(1j * azimuth)
+    powers = np.empty((2 * order + 1, *azimuth.shape), dtype=np.complex128)
+    powers[order] = 1
+    for m in range(1, order + 1):
+        np.multiply(powers[order + m - 1], unit, out=powers[order + m])
+        np.conjugate(powers[order + m], out=powers[order - m])
+    return np.ascontiguousarray(np.moveaxis(powers, 0, -1))
 
 
 def turned(spectra: Spectra, signature: Signature, turn_rad: float) -> NDArray[np.complex128]:

@@ -267,7 +267,8 @@ def _against_bodies(
     readings: list[tuple[BodyReading, Verdict]] = []
     for body in (settings.body.body, *plausible(spectra, enrolled.bodies)):
         reading = read_on_body(spectra, layouts, body, settings.body, hints)
-        if reading is not None and body.name and readings:
+        explained = any(v.status == "identified" for r, v in readings if r.body.name)
+        if reading is not None and body.name and readings and not explained:
             reading = _clearer(reading, readings[0][0], spectra, layouts, settings)
         if reading is not None:
             reading = reading.against(known.points) if known.points is not None else reading
@@ -361,11 +362,12 @@ def _clearer(
         first: on a round body.
         spectra, layouts, settings: of the contest.
     """
-    from tagid.tags.bodies.reader import read_below
+    from tagid.tags.bodies.below import read_below
 
     if reading.unexplained <= settings.decision.unexplained:
         return reading
-    below = read_below(first.pose.centre, spectra, layouts, reading.body, settings.body)
+    centres = [first.pose.centre]
+    below = read_below(spectra, layouts, reading.body, settings.body, centres, _least(reading))
     if below is None or _least(below) >= _least(reading):
         return reading
     # Without a tag the body stands where it leaves least on its own.

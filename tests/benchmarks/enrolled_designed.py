@@ -1,0 +1,249 @@
+"""Designed layouts on enrolled bodies: 16 on a helmet shell, 8 on a mug with a handle, as captures.
+
+Two sources of waves, reported apart. "own" is `tagid.simulate`: a plastic shell, a porcelain cup with a
+handle, octahedra of 20 or 40 mm with strengths 0.5 dB apart, the tag's middle off the body's by 0.5 mm.
+"full-wave" is a superposition of solved responses, since these layouts were not solved: the untagged body
+plus, for every reflector, what a single one adds. On the shell that is an octahedron alone, moved to its
+place; on the mug it is what one adds to a can without a handle, turned. Heights enter through the distance.
+Coupling between reflectors, and between reflectors and handle or shell, is left out.
+
+Three bodies are enrolled in every scene: the one that stands there and two that do not. Foreign tags are two
+to four reflectors at random angles, 40 mm or more apart, of no enrolled arrangement.
+"""
+
+from __future__ import annotations
+
+import zlib
+from dataclasses import dataclass
+from functools import cache
+from types import ModuleType
+
+import numpy as np
+from enrolled_scenes import DISTANCE_M, captured, scene_maker
+from identification_scenes import SETS
+from numpy.typing import NDArray
+
+from tagid.capture import Capture
+from tagid.constants import SPEED_OF_LIGHT
+from tagid.simulate import Acquisition, Placement, ReflectorSpec, parse_body, simulate_capture
+from tagid.simulate.objects import Variation, object_scene
+from tagid.simulate.presets import room_clutter
+from tagid.tags.layouts.codebook import rotational_distance
+from tagid.tags.layouts.layout import Layout
+
+AZIMUTHS = 72
+RINGS = ((0.8, "V"), (1.0, "V"), (1.2, "V"), (1.0, "H"))
+"""Distances and polarisations of the solved responses."""
+
+
+@dataclass(frozen=True)
+class Carrier:
+    """A body with its family of designed layouts.
+
+    Attributes:
+        world: "own" or "full-wave".
+        layouts: key of `identification_scenes.SETS`.
+        body: as `--body` takes it, or the solved body's name.
+        single: solved response of a single reflector, per size in mm; empty for "own".
+        sizes_mm: of the octahedra.
+    """
+
+    world: str
+    layouts: str
+    body: str
+    single: tuple[str, ...]
+    sizes_mm: tuple[int, ...]
+
+    @property
+    def name(self) -> str:
+        """Under which the body is enrolled."""
+        return f"{self.layouts}-{self.world}"
+
+    @property
+    def family(self) -> tuple[Layout, ...]:
+        """Every layout of the family."""
+        return SETS[self.layouts]
+
+
+CARRIERS = (
+    Carrier("own", "helmet-16", "helmet:84mm", (), (20, 40)),
+    Carrier("own", "mug-8", "cup:33mm,wall=4mm,handle", (), (20,)),
+    Carrier("full-wave", "helmet-16", "shell", ("free20_one", "free40_one"), (20, 40)),
+    Carrier("full-wave", "mug-8", "can35_handle", ("can35_one-can35", "can28_one-can28"), (20, 40)),
+)
+"""40 mm octahedra 45 mm from the axis do not fit on a cup of 33 mm radius. The designed upper row, 70 mm from
+the axis and 50 mm up, lies outside the dome of a helmet of 84 mm half axis, and inside the solved shell."""
+
+
+ENROLLED = {0: (0, 1, 3), 1: (1, 0, 2), 2: (2, 3, 1), 3: (3, 2, 0)}
+"""Which bodies are enrolled in the scenes of each carrier, by index: its own first."""
+FOREIGN = 3
+"""Foreign tags for every size and SNR, beside one body without a tag."""
+APART_M, SPACING_M = 0.012, 0.04
+"""RMS distance under which a foreign tag counts as an enrolled one, and least spacing of its reflectors."""
+
+
+@dataclass(frozen=True)
+class DesignedScene:
+    """One capture to be read.
+
+    Attributes:
+        carrier: index of CARRIERS.
+        what: index of the layout in its family; -1 for none, less for foreign tags.
+        size_mm, offset_mm, snr_db, number: of the capture.
+    """
+
+    carrier: int
+    what: int
+    size_mm: int
+    offset_mm: int
+    snr_db: int
+    number: int
+
+    @property
+    def layout(self) -> Layout | None:
+        """What the body carries."""
+        if self.what >= 0:
+            return CARRIERS[self.carrier].family[self.what]
+        return None if self.what == -1 else _foreign(self)
+
+    @property
+    def name(self) -> str:
+        """The right name, "" where none is."""
+        return CARRIERS[self.carrier].family[self.what].name if self.what >= 0 else ""
+
+
+def designed_scenes(
+    numbers: int, offsets_mm: tuple[int, ...], snrs_db: tuple[int, ...]
+) -> list[DesignedScene]:
+    """Every layout of every carrier in every size and SNR, at one offset each; and what has no name."""
+    found = []
+    for number in range(numbers):
+        for c, carrier in enumerate(CARRIERS):
+            for size in carrier.sizes_mm:
+                for i, snr in enumerate(snrs_db):
+                    for what in range(-1 - FOREIGN, len(carrier.family)):
+                        offset = offsets_mm[(what + size // 20 + i + number) % len(offsets_mm)]
+                        found.append(DesignedScene(c, what, size, offset, snr, number))
+    return found
+
+
+def _foreign(scene: DesignedScene) -> Layout:
+    """A tag of no enrolled arrangement."""
+    carrier = CARRIERS[scene.carrier]
+    rng = np.random.default_rng([7, scene.carrier, -scene.what, scene.size_mm, scene.snr_db, scene.number])
+    radius = max(float(np.hypot(*place)) for place in carrier.family[0].positions)
+    while True:
+        angles = rng.uniform(0, 2 * np.pi, int(rng.integers(2, 5)))
+        places = radius * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+        gaps = np.linalg.norm(places[:, None] - places[None], axis=2)
+        if (gaps + np.eye(len(angles))).min() < SPACING_M:
+            continue
+        layout = Layout("foreign", places)
+        alike = [one for one in carrier.family if one.size == layout.size]
+        if all(rotational_distance(layout, one).rms_m > APART_M for one in alike):
+            return layout
+
+
+def capture_of(
+    carrier: Carrier,
+    layout: Layout | None,
+    size_mm: int,
+    key: str,
+    snr_db: float,
+    offset_mm: float,
+    views: int,
+) -> Capture:
+    """A capture of a layout on its body, or of the body alone; the same for the same arguments.
+
+    Args:
+        carrier: body and family.
+        layout: one of its family; None for no tag.
+        size_mm: of the octahedra; also what the SNR refers to.
+        key: population and number of the capture.
+        snr_db: against one reflector.
+        offset_mm: from the rotation axis, in a random direction.
+        views: of the turn.
+    """
+    words = f"{carrier}/{layout.name if layout else ''}/{size_mm}/{key}/{snr_db}/{offset_mm}/{views}"
+    rng = np.random.default_rng(zlib.crc32(words.encode()))
+    place = offset_mm * 1e-3 * np.exp(2j * np.pi * rng.uniform())
+    if carrier.world == "own":
+        return _own(carrier, layout, size_mm, rng, place, snr_db, views)
+    single = carrier.single[carrier.sizes_mm.index(size_mm)]
+    made = scene_maker()
+    name = carrier.body
+    if layout is not None:
+        name = f"{carrier.body}@{layout.name}@{size_mm}".replace("-", "~")
+        if name not in made._cache:
+            made._cache[name] = _superposed(made, carrier.body, single, layout)
+    scan, _ = made.make(
+        name,
+        rng,
+        reference=single,
+        views=views,
+        distance=DISTANCE_M,
+        centre=(place.real, place.imag),
+        snr_db=snr_db,
+    )
+    return captured(scan)
+
+
+def _superposed(
+    made: ModuleType, body: str, single: str, layout: Layout
+) -> tuple[NDArray[np.float64], NDArray[np.complex128]]:
+    """Frequencies and response (F, ring, order) of a body and reflectors, as `scenes.response` returns."""
+    frequency, own = made.response(body)
+    around = np.exp(2j * np.pi * np.arange(AZIMUTHS) / AZIMUTHS)
+    rings = []
+    for distance, polarisation in RINGS:
+        carrier = np.exp(4j * np.pi * frequency[:, None] / SPEED_OF_LIGHT * distance) * distance**2
+        total = np.zeros((len(frequency), AZIMUTHS), dtype=np.complex128)
+        for (x, y), height in zip(layout.positions[:, :2], layout.heights, strict=True):
+            turn = np.exp(-1j * np.angle(complex(x, y)))
+            # A single reflector alone was solved about its own middle; one on a can about the can's axis.
+            origin = complex(x, y) if single.startswith("free") else 0j
+            toward = (distance * around - origin) * turn
+            _, part = made.view(single, np.hypot(np.abs(toward), height), np.angle(toward), polarisation)
+            total += part.T
+        rings.append(total * carrier)
+    return frequency, own + np.fft.fft(np.stack(rings, axis=1), axis=2) / AZIMUTHS
+
+
+@cache
+def _parts_rad(body: str) -> float:
+    """Direction of the handle: the same specimen in every capture."""
+    return float(np.random.default_rng(zlib.crc32(body.encode())).uniform(0, 2 * np.pi))
+
+
+def _own(
+    carrier: Carrier,
+    layout: Layout | None,
+    size_mm: int,
+    rng: np.random.Generator,
+    place: complex,
+    snr_db: float,
+    views: int,
+) -> Capture:
+    positions = np.zeros((0, 3))
+    ring = np.zeros(2)
+    if layout is not None:
+        positions = np.column_stack([layout.positions[:, :2], layout.heights])
+        ring = rng.normal(0, 0.5e-3, 2)
+    scene = object_scene(
+        carrier.name,
+        positions,
+        parse_body(carrier.body),
+        ReflectorSpec("octahedron", size_mm * 1e-3),
+        rng=rng,
+        room=room_clutter(rng),
+        # The handle's direction is counted from the tag: the tag is glued on anywhere.
+        variation=Variation(_parts_rad(carrier.body), (float(ring[0]), float(ring[1])), 0.5),
+    )
+    acquisition = Acquisition(
+        views=views,
+        snr_db=snr_db,
+        axis_distance_m=DISTANCE_M,
+        placement=Placement((place.real, place.imag), rng.uniform(0, 2 * np.pi)),
+    )
+    return simulate_capture(scene, acquisition, int(rng.integers(2**32)))[0]

@@ -1,0 +1,138 @@
+"""Where an enrolled body stands below a tag: solved and simulated waves, at poses off every grid."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from bodies_synthetic import Thing, ring
+from bodies_synthetic import capture as drawn
+
+from tagid.capture import Capture
+from tagid.pipeline.identify import aspect_spectra, identify
+from tagid.simulate import Acquisition, Placement, ReflectorSpec, parse_body, simulate_capture
+from tagid.simulate.objects import Variation, object_scene
+from tagid.simulate.presets import room_clutter
+from tagid.simulate.response_file import read_response
+from tagid.simulate.response_scene import response_scene
+from tagid.tags.bodies.below import read_below
+from tagid.tags.bodies.body_reading import BodySettings
+from tagid.tags.bodies.enrolled import EnrolledBody, Searches
+from tagid.tags.bodies.hypothesis import Kind, Pose
+from tagid.tags.bodies.joint import Joint, Named, enrol_signature
+from tagid.tags.bodies.layout_search import ANGLES, LayoutSearch, turned_by
+from tagid.tags.bodies.reader import read_on_body
+from tagid.tags.bodies.reflectors_fit import FACING, solve
+from tagid.tags.bodies.ring import ring_columns
+from tagid.tags.bodies.spectra import centred
+from tagid.tags.layouts.layout import builtin_layouts
+
+RESPONSES = Path(__file__).parents[1] / "data" / "responses"
+LAYOUTS = builtin_layouts()
+ENROLMENT = (Pose((0.002, 0.0), 0.0), Pose((-0.002, 0.0035), 2.1), Pose((-0.003, -0.005), 4.0))
+UNSEEN = (Pose((0.0, 0.0), 0.31), Pose((0.0041, -0.0047), 2.777), Pose((-0.0066, 0.0073), 5.043))
+"""Between the steps of the coarse searches: 1.4 and 5 degrees, and 3 mm."""
+
+
+def recorded(what: str, pose: Pose, seed: int, views: int, snr_db: float = 20.0) -> Capture:
+    """A turn of a solved can with a handle, or of a simulated helmet shell, with or without its tag."""
+    rng = np.random.default_rng([seed, len(what)])
+    acquisition = Acquisition(views=views, snr_db=snr_db, placement=Placement(pose.centre_m, pose.turn_rad))
+    room = room_clutter(rng)
+    if what.startswith("handle"):
+        response = read_response(RESPONSES / f"{what}.npz")
+        reference = read_response(RESPONSES / "free30_one.npz")
+        scene = response_scene(response, acquisition, "V", reference, room)
+    else:
+        positions = LAYOUTS["helmet-120"].positions if what == "shell-tagged" else np.zeros((0, 2))
+        size = ReflectorSpec("octahedron", 0.03)
+        body = parse_body("helmet:101mm")
+        scene = object_scene(what, positions, body, size, rng=rng, room=room, variation=Variation(0.0))
+    return simulate_capture(scene, acquisition, seed)[0]
+
+
+@cache
+def enrolled(body: str) -> Joint:
+    captures = [Named(f"{i}", aspect_spectra(recorded(body, p, i, 72))) for i, p in enumerate(ENROLMENT)]
+    return enrol_signature(captures, body, "body")
+
+
+def expected(joint: Joint, pose: Pose) -> Pose:
+    """Where the signature stands: its frame is that of the first capture, its centre a point of the body."""
+    base, first = joint.placed[0].pose, ENROLMENT[0]
+    turn = pose.turn_rad - first.turn_rad
+    centre = pose.centre + (base.centre - first.centre) * np.exp(1j * turn)
+    return Pose((centre.real, centre.imag), turn + base.turn_rad)
+
+
+@pytest.mark.parametrize("pose", UNSEEN)
+@pytest.mark.parametrize(
+    ("body", "tagged", "layout"),
+    [("handle34", "handle34_c90", "container-90"), ("shell", "shell-tagged", "helmet-120")],
+)
+def test_a_tag_is_read_at_any_turn_and_centre_of_its_body(
+    body: str, tagged: str, layout: str, pose: Pose
+) -> None:
+    joint = enrolled(body)
+    answer = identify(recorded(tagged, pose, 9, 36), list(LAYOUTS.values()), None, None, [joint.signature])
+    reading = answer.reading
+    assert reading is not None
+    assert (answer.status, reading.layout, reading.kind) == ("identified", layout, Kind.BODY), reading.reason
+    found = next(one for one in reading.hypotheses if one.kind is Kind.BODY).pose
+    # The simulated shell is the same after half a turn, and its tag is louder than what turns of it.
+    shell = body == "shell"
+    same = [Pose(pose.centre_m, pose.turn_rad + half) for half in ((0.0, np.pi) if shell else (0.0,))]
+    right = min((expected(joint, one) for one in same), key=lambda one: abs(_turned(found, one)))
+    assert abs(_turned(found, right)) < np.deg2rad(2.0)
+    assert abs(found.centre - right.centre) < (3e-3 if shell else 1e-3)
+
+
+def _turned(one: Pose, other: Pose) -> float:
+    return float(np.angle(np.exp(1j * (one.turn_rad - other.turn_rad))))
+
+
+HANDLE = Thing((0.055 + 0.0j, 0.058 + 0.01j), (0.8, -0.6 + 0.5j), wall=8.0)
+LOUD = ring(40, 220, amplitude=3.0)
+"""Four times the handle's echo: alone, the handle seems to stand where it imitates a reflector."""
+
+
+@pytest.mark.parametrize("turn", [0.5, 2.9, 4.6])
+def test_the_turn_of_a_body_is_found_below_a_louder_tag(turn: float) -> None:
+    places = ((0.002 - 0.003j, 0.3), (-0.004 + 0.001j, 2.2), (0.001 + 0.005j, 4.4))
+    captures = [
+        Named(f"{i}", aspect_spectra(drawn(HANDLE, i, centre=c, rotation=t)))
+        for i, (c, t) in enumerate(places)
+    ]
+    joint = enrol_signature(captures, "mug", "body")
+    spectra = aspect_spectra(drawn(HANDLE.plus(LOUD), 50, centre=0.004 - 0.004j, rotation=turn, views=36))
+    layouts = list(LAYOUTS.values())
+    body = EnrolledBody(joint.signature, Searches(joint.signature.order))
+    alone = read_on_body(spectra, layouts, body, BodySettings())
+    below = read_below(spectra, layouts, body, BodySettings(), [0.004 - 0.004j])
+    assert alone is not None and below is not None
+    right = turn - places[0][1] + joint.placed[0].pose.turn_rad
+    assert abs(np.rad2deg(np.angle(np.exp(1j * (below.pose.turn_rad - right))))) < 3.0
+    assert below.layouts[0].layout == "container-180"
+    assert below.unexplained < 0.1 and below.layouts[0].left <= 1.02 * alone.layouts[0].left
+    # No better pose, no reading.
+    assert read_below(spectra, layouts, body, BodySettings(), [0.004 - 0.004j], below.noise * 0.1) is None
+
+
+def test_the_search_below_a_tag_equals_least_squares() -> None:
+    """One turn of tag and body, written out: the columns of both in one system."""
+    spectra = aspect_spectra(drawn(HANDLE.plus(LOUD), 50, centre=0.002j, views=36)).thinned(3)
+    joint = enrolled("handle34")
+    body = EnrolledBody(joint.signature, Searches(joint.signature.order))
+    turns = np.array([0.2, 3.0])
+    layout, index = LAYOUTS["container-90"], 17
+    echoes = body.echo(spectra, np.full(2, 0.002j), turns)
+    value = LayoutSearch(spectra, echoes, 0.002j).explained(layout, 0.003, FACING)
+    assert value.shape == (ANGLES, 2)
+    angles = np.array(turned_by(layout, index))
+    columns = ring_columns(spectra, 0.002j, 0.048, FACING, angles).reshape(len(spectra.data), 2, 3, -1)
+    for i in range(2):
+        both = np.concatenate([centred(echoes[i])[:, None], columns.sum(axis=1)], axis=1)
+        left = solve(spectra.data, both[None]).left[0]
+        assert spectra.energy - value[index, i] == pytest.approx(left, rel=0.01)
