@@ -395,13 +395,20 @@ def read_points(
     def limit_m(p: PlacedPoints) -> float:
         return settings.limit_m(p, _error_m(spectra, p, settings), own)
 
+    # Double bounce has an amplitude per frequency, which one reflector does without; each costs log V nats
+    # (Schwarz 1978). A round body near its own centre is one point.
+    bounce = spectra.noise * len(spectra.wavenumbers) * float(np.log(spectra.views))
+
+    def charged(p: PlacedPoints) -> float:
+        return p.left + bounce * (len(p.places) > 1)
+
     others = [p for p in rivals if displaced(best.places, p.places) > limit_m(p)]
     others += layouts[1:]
-    others.sort(key=lambda p: p.left)
+    others.sort(key=charged)
     above = max(best.left - noise, 0.0)
     error = above + settings.model_error * tag + settings.noise_nats * spectra.noise
     least = min(p.left for p in (best, *rivals))
-    following = others[0].left if others else spectra.energy
+    following = charged(others[0]) if others else spectra.energy
     return PointReading(
         tuple(layouts),
         rivals[0],
@@ -410,7 +417,7 @@ def read_points(
         spectra.noise_energy,
         above / tag,
         max(least - noise, 0.0) / tag,
-        (following - best.left) / error,
+        (following - charged(best)) / error,
         displaced(best.places, rivals[0].places),
         limit_m(rivals[0]),
     )

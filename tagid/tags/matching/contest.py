@@ -13,7 +13,7 @@ from math import inf
 import numpy as np
 
 from tagid.imaging.types import BasebandScans
-from tagid.tags.bodies.arrangement import difference_deg, gaps_deg
+from tagid.tags.bodies.arrangement import difference_deg, gaps_deg, off_axis
 from tagid.tags.bodies.body_reading import BodyReading, BodySettings
 from tagid.tags.bodies.calibration import Bound, Calibration
 from tagid.tags.bodies.decide import BodyDecision, decide_on_body, score, tag_snr_db
@@ -50,6 +50,10 @@ class ContestSettings:
         beyond: or where points without a body are behind the layout on it by such a lead: a strong body is
             nearly one point, and what it hides counts.
         better: a hypothesis that leaves so many times less contradicts one that names another layout.
+        disputed_nats: a name without a body is refused where another arrangement on a round body leaves so
+            many noise variances less, its amplitudes charged,
+        disputed_share: plus this share of the tag's energy: points leave up to 2 % of tags whose reflectors
+            differ in strength and height. One reflector on a can has passed for two without a body.
         objects: tests on enrolled objects.
     """
 
@@ -62,6 +66,8 @@ class ContestSettings:
     outward: float = 0.45
     beyond: float = 2.0
     better: float = 3.0
+    disputed_nats: float = 12.0
+    disputed_share: float = 0.03
     objects: ObjectDecision = field(default_factory=ObjectDecision)
     false_accept: float = 1e-3
     calibrated: Calibration | None = None
@@ -101,9 +107,10 @@ def settle(
     if done is not None:
         if points is not None and _pointed(bare, points, settings):
             own = replace(own, layout=done.layout, left=float(np.clip(points.unexplained, 0, 1)))
-        return _promised(replace(done, hypotheses=(own,)), points, spectra, settings)
+        done = _undisputed(replace(done, hypotheses=(own,)), points, spectra, layouts, settings)
+        return _promised(done, points, spectra, settings)
     contested = _against_bodies(_Bare(bare, own, points, opaque), spectra, layouts, enrolled, settings)
-    return _promised(contested, points, spectra, settings)
+    return _promised(_undisputed(contested, points, spectra, layouts, settings), points, spectra, settings)
 
 
 def _without_body(
@@ -232,6 +239,55 @@ def _in_place(bare: Reading, points: PointReading, settings: PointSettings) -> R
         layout=None,
         code=Code.DISPLACED,
         reason=f"reflectors lie {points.displaced_m * 1e3:.1f} mm from the nearest layout's",
+    )
+
+
+BODY_LEAVES = 0.6
+"""No arrangement on a body leaves less than this share of the noise: it has up to 6 of at least 17 amplitudes
+per frequency."""
+
+
+def _undisputed(
+    reading: Reading,
+    points: PointReading | None,
+    spectra: Spectra,
+    layouts: Sequence[Layout],
+    settings: ContestSettings,
+) -> Reading:
+    """A name without a body, taken back where other reflectors on a round body explain the echo better.
+
+    A weak echo is explained to the noise by many arrangements of points; then it counts which explains most.
+    Where points leave little beyond the noise no body is tried.
+    """
+    if reading.status != "identified" or reading.kind is not Kind.BARE or points is None:
+        return reading
+    own = next((placed for placed in points.layouts if placed.layout == reading.layout), None)
+    if own is None or spectra.noise <= 0:
+        return reading
+    margin = settings.disputed_nats * spectra.noise + settings.disputed_share * points.tag
+    if own.left - BODY_LEAVES * spectra.noise_energy <= margin:
+        return reading
+    from tagid.tags.bodies.reader import read_on_body
+
+    body = read_on_body(spectra, layouts, settings.body.body, settings.body, [complex(*reading.centre_m)])
+    if body is None:
+        return reading
+    layout = next(one for one in layouts if one.name == reading.layout)
+    wanted = gaps_deg(off_axis(layout)[1])
+    others = [
+        placed
+        for placed in (*body.layouts, *body.others)
+        if difference_deg(gaps_deg(placed.angles), wanted) > settings.body.other_deg
+    ]
+    if not others or min(placed.charged for placed in others) >= own.left - margin:
+        return reading
+    return replace(
+        reading,
+        status="unknown",
+        layout=None,
+        code=Code.OTHER,
+        reason=f"other reflectors on a round body explain the echo better than {reading.layout} without one",
+        body=body,
     )
 
 
