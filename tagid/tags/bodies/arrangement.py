@@ -68,7 +68,8 @@ def difference_deg(one: NDArray[np.floating], other: NDArray[np.floating]) -> fl
     """
     if len(one) != len(other):
         return 180.0
-    return min(float(np.abs(one - np.roll(other, k)).max()) for k in range(len(other)))
+    start = np.arange(len(other))
+    return float(np.abs(one - other[start - start[:, None]]).max(axis=1).min())
 
 
 def turn_to(angles: NDArray[np.floating], layout: NDArray[np.floating]) -> list[float]:

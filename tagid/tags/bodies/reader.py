@@ -140,7 +140,6 @@ class BodyReader:
         own = np.array([*at.centre_m, at.turn_rad]) if body.turns else None
         self.fitter = Fitter(spectra, body, settings.priors, self.variance, own)
         self.coarse_fitter = Fitter(self.coarse, body, settings.priors, self.variance, own)
-        # The comparison is made twice.
         self._symmetric_left = cache(partial(symmetric_left, spectra))
 
     def read(self, rings: Sequence[float], hints: Sequence[complex]) -> BodyReading:
@@ -527,6 +526,7 @@ class BodyReader:
             resolution = max(resolution_deg(float(p.radii.mean())), least_deg)
             return min(difference_deg(gaps, wanted) for gaps in merging(gaps_deg(p.angles), resolution))
 
+        @cache
         def other(p: Placed, least_deg: float = 0.0) -> bool:
             inside = low <= float(p.radii.mean()) <= high
             return away(p, least_deg) > settings.other_deg or not inside
