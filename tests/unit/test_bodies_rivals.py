@@ -8,16 +8,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.imaging.types import BasebandScans
-from tagid.simulate import Acquisition, Placement, simulate_capture
+from tagid.simulate import Acquisition, NoiseShape, Placement, parse_body, simulate_capture
+from tagid.simulate.objects import object_scene
 from tagid.simulate.presets import room_clutter
 from tagid.simulate.response import Response
 from tagid.simulate.response_file import read_response
 from tagid.simulate.response_scene import response_scene
 from tagid.simulate.scattering import Points
 from tagid.simulate.scene import Scene
+from tagid.simulate.specification import ReflectorSpec
 from tagid.tags.bodies.calibration import Calibration, Stratum
 from tagid.tags.bodies.reflectors_fit import FACING
 from tagid.tags.bodies.revolution import RoundBody
@@ -155,3 +158,22 @@ def test_crossed_pairs_pay_for_their_angles() -> None:
     """Two crossed pairs with every angle free leave less than the one pair that is there."""
     reading = on_body("can40", (0.0, 180.0), "V", seed=8, snr_db=10.0)
     assert reading.layout == "container-180"
+
+
+@pytest.mark.parametrize(("snr_db", "seed"), [(8.0, 0), (8.0, 6), (10.0, 6)])
+def test_one_reflector_on_a_can_is_no_pair_without_a_body(snr_db: float, seed: int) -> None:
+    """In a weak echo two points leave nothing but noise, and the can with its one reflector much less."""
+    noise, size = NoiseShape(0.4), ReflectorSpec("octahedron", 0.040)
+
+    def reading(positions: NDArray[np.float64], body: str) -> Reading:
+        rng = np.random.default_rng(seed)
+        scene = object_scene("scene", positions, parse_body(body), size, rng=rng)
+        placed = Placement((0.006, 0.0), 0.5 * seed)
+        acquisition = Acquisition(views=36, snr_db=snr_db, noise=noise, placement=placed)
+        capture, _ = simulate_capture(scene, acquisition, seed)
+        scans = preprocess(capture, settings=PreprocessSettings(matched_filter=False, extent_m=0.5))
+        return read_tag(scans, LAYOUTS, SETTINGS)
+
+    assert reading(np.array([[RING_M, 0.0]]), "can:27mm,height=108mm,seam").layout is None
+    pair = builtin_layouts()["container-180"].positions
+    assert reading(pair, "none").layout == "container-180"

@@ -51,9 +51,8 @@ class ContestSettings:
             nearly one point, and what it hides counts.
         better: a hypothesis that leaves so many times less contradicts one that names another layout.
         disputed_nats: a name without a body is refused where another arrangement on a round body leaves so
-            many noise variances less, its amplitudes charged,
-        disputed_share: plus this share of the tag's energy: points leave up to 2 % of tags whose reflectors
-            differ in strength and height. One reflector on a can has passed for two without a body.
+            many noise variances less, its amplitudes charged, beyond what `points` may leave of a tag: in a
+            weak echo one reflector on a can passes for two without a body.
         objects: tests on enrolled objects.
     """
 
@@ -67,7 +66,6 @@ class ContestSettings:
     beyond: float = 2.0
     better: float = 3.0
     disputed_nats: float = 12.0
-    disputed_share: float = 0.03
     objects: ObjectDecision = field(default_factory=ObjectDecision)
     false_accept: float = 1e-3
     calibrated: Calibration | None = None
@@ -257,14 +255,15 @@ def _undisputed(
     """A name without a body, taken back where other reflectors on a round body explain the echo better.
 
     A weak echo is explained to the noise by many arrangements of points; then it counts which explains most.
-    Where points leave little beyond the noise no body is tried.
+    Where points leave little beyond the noise no body is tried; where they leave much, the reflectors are
+    hidden in some views, and the name rests on the bare reading.
     """
     if reading.status != "identified" or reading.kind is not Kind.BARE or points is None:
         return reading
-    own = next((placed for placed in points.layouts if placed.layout == reading.layout), None)
-    if own is None or spectra.noise <= 0:
+    own = points.layouts[0]
+    if own.layout != reading.layout or points.unexplained > settings.points.unexplained or spectra.noise <= 0:
         return reading
-    margin = settings.disputed_nats * spectra.noise + settings.disputed_share * points.tag
+    margin = settings.disputed_nats * spectra.noise + settings.points.unexplained * points.tag
     if own.left - BODY_LEAVES * spectra.noise_energy <= margin:
         return reading
     from tagid.tags.bodies.reader import read_on_body
