@@ -12,7 +12,7 @@ from tagid.errors import DataError, FileFormatError, UsageError
 from tagid.pipeline.identify import aspect_spectra
 from tagid.tags.bodies import posing, signature
 from tagid.tags.bodies.hypothesis import Pose
-from tagid.tags.bodies.joint import Joint, Named, enrol_signature
+from tagid.tags.bodies.joint import Basis, Joint, Named, _Estimate, _left, enrol_signature
 from tagid.tags.bodies.likeness import compare, least_tag, turning_share
 from tagid.tags.bodies.posing import PoseSearch, match, refine, round_centre
 from tagid.tags.bodies.signature import Signature, angular, order_of
@@ -113,6 +113,33 @@ def test_a_capture_of_a_changed_object_is_to_blame() -> None:
     with pytest.raises(DataError, match="do not agree"):
         other = Thing((0.03j, -0.05), (3.0, 2.0), 1.0)
         enrol_signature([captures[0], changed, named(other, 8, *PLACES[2])], "mug-tag", "object")
+
+
+def test_two_captures_of_something_else_are_both_to_blame() -> None:
+    captures = [*three(MUG), named(MUG.plus(TAG), 6, 0.004j, 3.3)]
+    other = named(Thing((0.03j, -0.05), (3.0, 2.0), 1.0), 8, *PLACES[2])
+    with pytest.raises(
+        DataError, match=r"^c(6 and c8|8 and c6) do not show what the other captures"
+    ) as caught:
+        enrol_signature([*captures, other], "mug", "body")
+    assert "without a tag" in caught.value.remedy
+
+
+def test_gains_and_harmonics_are_improved_together(mug: Joint) -> None:
+    """From gains far off, at the right poses, back to what the joint estimate leaves."""
+    rng = np.random.default_rng(3)
+    basis = Basis(mug.signature.wavenumbers, mug.signature.radius_m)
+    work = _Estimate([one.spectra for one in mug.placed], mug.signature, basis)
+    work.placed = dict(enumerate(mug.placed))
+    best = _left(work, basis)
+    off = 0.3 * rng.standard_normal((3, 2, len(basis.mask)))
+    off[work.order[0]] = 0
+    work.placed = {
+        i: replace(one, gain=one.gain * (1 + off[i, 0] + 1j * off[i, 1])) for i, one in work.placed.items()
+    }
+    assert _left(work, basis) > 10 * best
+    work.balance(8)
+    assert _left(work, basis) < 1.02 * best
 
 
 def test_captures_that_cannot_make_a_signature_are_refused() -> None:

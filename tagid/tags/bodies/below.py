@@ -15,6 +15,7 @@ from tagid.tags.bodies.arrangement import off_axis
 from tagid.tags.bodies.body_reading import BodyReading, BodySettings
 from tagid.tags.bodies.hypothesis import BodyModel, Candidate, Pose
 from tagid.tags.bodies.layout_search import LayoutSearch, rings_of, turned_by
+from tagid.tags.bodies.posing import CENTRE_REACH_M
 from tagid.tags.bodies.reader import BodyReader
 from tagid.tags.bodies.reflectors_fit import FACING, OPEN, joined, solve
 from tagid.tags.bodies.spectra import Spectra, centred
@@ -22,6 +23,7 @@ from tagid.tags.layouts.layout import Layout
 
 STARTS = 4
 """Turns of the body that are fitted, each with its best layout."""
+CENTRES_APART_M = 2e-3
 APART_RAD = np.deg2rad(12.0)
 """They differ at least by this."""
 
@@ -49,12 +51,16 @@ def read_below(
 
     Args:
         spectra, layouts, body, settings: as of `reader.read_on_body`.
-        centres: where the body may stand, x + jy, m.
+        centres: where the body may stand, x + jy, m, beside where it seems to stand alone and the axis.
         least: energy that another pose of the body leaves with a tag; None is returned where no pose found
             here leaves less.
     """
     usable = [layout for layout in layouts if len(off_axis(layout)[0]) >= 2]
-    starts = _starts(spectra.thinned(2), usable, body, settings, centres)
+    tried: list[complex] = []
+    for one in (*centres, *(found.pose.centre for found in body.poses(spectra)), 0j):
+        if abs(one) <= CENTRE_REACH_M and all(abs(one - other) > CENTRES_APART_M for other in tried):
+            tried.append(one)
+    starts = _starts(spectra.thinned(2), usable, body, settings, tried)
     found: list[Candidate] = []
     best = np.inf
     for start in starts:

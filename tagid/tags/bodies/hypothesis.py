@@ -123,8 +123,9 @@ class ObjectModel(Protocol):
         ...
 
 
-MOST_BODIES = 2
-"""Enrolled bodies on which layouts are fitted in one capture."""
+MOST_BODIES = 3
+"""Enrolled bodies on which layouts are fitted in one capture. Below a loud tag the right one is not always
+among the first."""
 FAR_BODY = 2.0
 """A body that alone leaves so many times what the best one leaves is not what stands there: a tag adds the
 same to both."""

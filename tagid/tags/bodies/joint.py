@@ -471,37 +471,52 @@ def _check_poses(captures: Sequence[Named], joint: Joint) -> None:
 
 
 def _refusal(captures: Sequence[Named], joint: Joint, kind: SignatureKind) -> DataError:
-    """The error that names the capture which does not show what the others show."""
-    name, radius = joint.signature.name, joint.signature.radius_m
-    rest: dict[int, Joint] = {}
-    if len(captures) > 2:
-        for i in range(len(captures)):
-            others = [one for k, one in enumerate(captures) if k != i]
-            rest[i] = estimate(others, name, kind, radius)
-    good = [i for i, other in rest.items() if all(r.is_noise for r in other.residuals)]
-    # Two captures share what differs between them, so a pair may pass that three refute: the exclusion that
-    # leaves far less than any other counts.
-    scores = {i: sum(r.excess / r.expected for r in rest[i].residuals) for i in good}
-    if len(good) > 1:
-        best, second = sorted(scores, key=lambda i: scores[i])[:2]
-        good = [best] if scores[best] < CLEARLY * scores[second] else good
+    """The error that names the captures which do not show what the others show."""
+    name = joint.signature.name
+    groups = _odd_ones(captures, joint.signature, kind)
     worst = max(joint.residuals, key=lambda r: r.excess / r.expected)
     amount = f"{worst.left / worst.expected:.1f} times the noise" + (
         f", {worst.share:.1%} of the turning echo" if worst.share else ""
     )
-    if len(good) == 1:
-        odd = captures[good[0]].name
+    if len(groups) == 1:
+        odd = [one.name for one in groups[0]]
+        verb, them = ("does", "it") if len(odd) == 1 else ("do", "them")
+        same = "the same body, without a tag" if kind == "body" else "the same object, with its tag unchanged"
         return DataError(
-            f"{odd} does not show what the other captures of {name} show: together they leave {amount} "
-            "unexplained, without it only noise",
-            "Leave it out or record it again, and check that nothing on the object was changed or moved; "
-            "nothing was stored.",
+            f"{' and '.join(odd)} {verb} not show what the other captures of {name} show: together they "
+            f"leave {amount} unexplained, without {them} only noise",
+            f"Leave {them} out or record again: {same}, standing firmly on the turntable. Nothing is stored.",
         )
     every = ", ".join(f"{r.name} {r.left / r.expected:.1f}" for r in joint.residuals)
-    suspects = [captures[i].name for i in good] or [worst.name]
-    blame = f"{' or '.join(suspects)} " + ("may be to blame" if good else "leaves most")
+    suspects = [one.name for group in groups for one in group] or [worst.name]
+    blame = f"{' or '.join(suspects)} " + ("may be to blame" if groups else "leaves most")
     return DataError(
         f"the captures of {name} do not agree: they leave more than noise ({every} times the noise); {blame}",
         "Check that all show the same object, standing firmly on a turntable whose angles are right, and "
         "record again; nothing was stored.",
     )
+
+
+def _odd_ones(captures: Sequence[Named], signature: Signature, kind: SignatureKind) -> list[list[Named]]:
+    """Captures without which the others leave only noise: one, or two where enough others remain.
+
+    Several groups where each would do.
+    """
+    if len(captures) < CAPTURES:
+        return []
+    rest = []
+    for i in range(len(captures)):
+        others = [one for k, one in enumerate(captures) if k != i]
+        rest.append(estimate(others, signature.name, kind, signature.radius_m))
+    scores = [sum(r.excess / r.expected for r in one.residuals) for one in rest]
+    order = sorted(range(len(captures)), key=lambda i: scores[i])
+    good = [i for i in order if all(r.is_noise for r in rest[i].residuals)]
+    # Two captures share what differs between them, so a pair may pass that three refute: the exclusion that
+    # leaves far less than any other counts.
+    if len(good) > 1 and scores[good[0]] < CLEARLY * scores[good[1]]:
+        good = good[:1]
+    if good or len(captures) < CAPTURES + 2:
+        return [[captures[i]] for i in good]
+    first = captures[order[0]]
+    others = [one for one in captures if one is not first]
+    return [[first, *group] for group in _odd_ones(others, signature, kind) if len(group) == 1]

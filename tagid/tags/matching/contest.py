@@ -26,6 +26,8 @@ from tagid.tags.matching.reading import Reading
 from tagid.tags.matching.won import as_points, kind_on, on_body, on_object
 from tagid.tags.verdicts.verdict import Code, Verdict
 
+ENOUGH_BODIES = 2
+"""Enrolled bodies that are read in any case; more only while a layout on none of them explains the echo."""
 EXPLAINED_OBJECTS = 3
 """Enrolled objects reported among the hypotheses, the best ones."""
 
@@ -323,6 +325,8 @@ def _against_bodies(
     for body in (settings.body.body, *plausible(spectra, enrolled.bodies)):
         reading = read_on_body(spectra, layouts, body, settings.body, hints)
         explained = any(v.status == "identified" for r, v in readings if r.body.name)
+        if explained and len(readings) > ENOUGH_BODIES:
+            break
         if reading is not None and body.name and readings and not explained:
             reading = _clearer(reading, readings[0][0], spectra, layouts, settings)
         if reading is not None:
