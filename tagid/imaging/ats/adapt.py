@@ -18,16 +18,14 @@ from numpy.typing import NDArray
 
 from tagid.errors import MissingExtraError, UsageError
 from tagid.geometry import ImageGrid
-from tagid.imaging.ats.fit import LEAST_HELD_OUT, fit
+from tagid.imaging.ats.fit import LEAST_HELD_OUT, fit, sparsity_weight
 from tagid.imaging.ats.settings import AtsResult, AtsSettings, Progress
 from tagid.imaging.backprojection import backproject
-from tagid.imaging.heldout import left_out, misfits, residual
+from tagid.imaging.heldout import Prediction, left_out, residual
 from tagid.imaging.linear import least_squares
 from tagid.imaging.operator import ForwardOperator
 from tagid.imaging.preprocess import select_views
 from tagid.imaging.types import BasebandScans, Image
-
-Floats = NDArray[np.float64]
 
 ASKS = 0.05
 """Share of the energy of unseen views, over the noise, that the defaults may leave over before others are
@@ -44,8 +42,12 @@ MOST_TRIED, NEAR = 2, 1.1
 """So many fields at most are tried on another group of views, and only those that leave at most this times
 what the best leaves of the groups so far: most priors fall behind on the first."""
 
-MOST_GROUPS = 3
-"""More groups of views changed no choice for the better, and each costs a fit of every prior in the race."""
+MOST_GROUPS, LEAST_JUDGED = 3, 4
+"""Groups of views at most, unless they are fewer than so many views together. More changed no choice for the
+better, and each costs a fit of every prior in the race."""
+
+SETTLES = 2
+"""A prior falls behind after so many views, not before."""
 
 LEAST_VIEWS = 8
 """Fewer views cannot be split further."""
@@ -154,17 +156,14 @@ class _Trials:
         self.scans = select_views(scans, np.setdiff1d(np.arange(scans.aperture.views), judged))
         self.grid, self.progress = grid, progress
         self.settings = replace(settings, calibrate=(), held_out=0.0)
-        self.operator = ForwardOperator(self.scans, grid) if linear else None
-        self.energy: list[float] = []
-        self.found: dict[str, list[Floats]] = {}
+        self.operator, self.linear = ForwardOperator(self.scans, grid), linear
+        self.views = 0
+        self.found: dict[str, Prediction] = {}
         self._race(folds(self.scans.aperture.views))
 
     def residuals(self) -> dict[str, float]:
         """Share of the energy that every prior leaves of the groups that it was tried on."""
-        return {
-            name: float(sum(map(np.sum, parts))) / max(sum(self.energy[: len(parts)]), 1e-300)
-            for name, parts in self.found.items()
-        }
+        return {name: part.residual for name, part in self.found.items()}
 
     def chosen(self) -> str:
         """The best prior of those that were tried on every group; the defaults where it is hardly better,
@@ -174,25 +173,38 @@ class _Trials:
         best = min(last, key=left.__getitem__)
         if DEFAULT in last and self._gain(best, DEFAULT) < KEEPS:
             best = DEFAULT
-        if self.operator is not None and left[best] > 1 - BLANK:
+        if self.linear and left[best] > 1 - BLANK:
             best = min((f"{LINEAR} 0", f"{LINEAR} 1"), key=left.__getitem__)
         return best
 
     def _race(self, groups: list[NDArray[np.intp]]) -> None:
-        running = list(CANDIDATES)
-        for group in groups:
-            self.energy.append(float((np.abs(self.scans.samples[group]) ** 2).sum()))
-            if self.operator is not None:
-                self._try_linear(self.operator, group)
+        running = self._different()
+        for number, group in enumerate(groups):
+            self.views += len(group)
+            if self.linear:
+                self._try_linear(group)
             for name in running:
                 self._try(name, group)
-                if len(self.energy) == 1 and name == DEFAULT and self._enough(group):
+                if name == DEFAULT and number == 0 and self._enough(group):
                     return
-            left, best = self.residuals(), min(self.residuals()[n] for n in self._last())
-            near = [n for n in self._last() if n in CANDIDATES and left[n] <= NEAR * best]
+            if self.views < SETTLES:
+                continue
+            left, last = self.residuals(), self._last()
+            best = min(left[name] for name in last)
+            near = [name for name in last if name in CANDIDATES and left[name] <= NEAR * best]
             running = sorted(near, key=left.__getitem__)[:MOST_TRIED]
             if not running:
                 return
+
+    def _different(self) -> list[str]:
+        """Fields without those whose sparsity prior has the weight of another's: noise may set both."""
+        peak = float(np.abs(self.operator.adjoint(self.scans.samples)).max())
+        kept: dict[tuple[float, int], str] = {}
+        for name in CANDIDATES:
+            settings = replace(self.settings, **changes_of(name))
+            weight = sparsity_weight(self.scans, peak, settings)
+            kept.setdefault((weight, settings.aspect_harmonics), name)
+        return list(kept.values())
 
     def _enough(self, group: NDArray[np.intp]) -> bool:
         """Whether the defaults leave little but noise of the first group, and less than backprojection."""
@@ -203,44 +215,49 @@ class _Trials:
 
     def _last(self) -> list[str]:
         """Priors that were tried on every group so far."""
-        return [name for name, parts in self.found.items() if len(parts) == len(self.energy)]
+        return [name for name, part in self.found.items() if len(part.measured) == self.views]
 
-    def _try_linear(self, operator: ForwardOperator, group: NDArray[np.intp]) -> None:
+    def _add(self, name: str, prediction: Prediction) -> None:
+        self.found[name] = self.found.get(name, Prediction.none()).and_of(prediction)
+
+    def _try_linear(self, group: NDArray[np.intp]) -> None:
         """Backprojection, and least squares after every number of iterations."""
+        operator = self.operator
         rest = np.setdiff1d(np.arange(operator.views), group)
         seen, unseen = select_views(self.scans, rest), operator.select(group)
         plain = backproject(seen, self.grid).values.ravel()
         solutions = least_squares(operator.select(rest), seen.samples, ITERATIONS)
         for iterations, values in zip((0, *ITERATIONS), (plain, *solutions), strict=True):
-            left = misfits(self.scans.samples[group], unseen.forward(values))
-            self.found.setdefault(f"{LINEAR} {iterations}", []).append(left)
+            prediction = Prediction.of(self.scans.samples[group], unseen.forward(values))
+            self._add(f"{LINEAR} {iterations}", prediction)
 
     def _try(self, name: str, group: NDArray[np.intp]) -> None:
         """A field; left out where its engine or the memory for it is missing."""
         settings = replace(self.settings, **changes_of(name))
         try:
-            left = fit(self.scans, self.grid, settings, self.progress, unseen=group).misfit
+            found = fit(self.scans, self.grid, settings, self.progress, unseen=group)
         except (MissingExtraError, UsageError):
             if name == DEFAULT:
                 raise
             return
-        self.found.setdefault(name, []).append(left)
+        self._add(name, found.prediction)
 
     def _gain(self, name: str, than: str) -> float:
         """Mean over its standard error of what one prior leaves less than another, over the views."""
-        gain = np.concatenate(self.found[than]) - np.concatenate(self.found[name])
+        gain = self.found[than].misfits - self.found[name].misfits
         spread = float(np.sqrt((gain**2).sum()))
         return float(gain.sum()) / spread if spread > 0 else 0.0
 
 
 def folds(views: int) -> list[NDArray[np.intp]]:
-    """Groups of views that are held out in turn, three at most: each spread over all, together 12 or more.
+    """Groups of views that are held out in turn: each spread over all, together 12 views if few groups do.
 
-    A ninth of the views at a time leaves a fit nearly what it has in the end; the fewer they are, the more
-    groups are needed to tell priors apart.
+    A ninth of the views at a time leaves a fit nearly what it has in the end. Of a dozen views that is one:
+    a fit of tags without two of them is much worse than one of all.
     """
-    size = max(2, round(views / 9))
-    count = int(np.clip(-(-12 // size), 1, min(MOST_GROUPS, views // size)))
+    size = max(1, round(views / 9))
+    most = max(MOST_GROUPS, LEAST_JUDGED // size)
+    count = int(np.clip(-(-12 // size), 1, min(most, views // size)))
     stride = views / size
     starts = (np.arange(count) + 0.5) * stride / count
     return [np.unique(((np.arange(size) * stride) + start).astype(np.intp) % views) for start in starts]

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from tagid.errors import UsageError
 from tagid.geometry import ImageGrid
+from tagid.imaging.heldout import Prediction
 from tagid.imaging.lengths import finest_cell_m
 from tagid.imaging.types import Image
 
@@ -210,11 +211,9 @@ class AtsResult:
         image: complex reflectivity on the grid asked for.
         losses: loss of every step.
         calibration: what was learned beside the scene.
-        held_out: energy of the residual on views that the fit did not see, over their energy, one complex
-            factor fitted; nan without.
+        unseen: (n,) numbers of the views that the fit did not see.
+        prediction: what it predicts of them.
         seconds: of the whole fit, set-up included.
-        unseen: (n,) numbers of those views.
-        misfit: (n,) energy that is left of each.
         field: the fitted field, to be evaluated at any resolution; None for blank data and where the linear
             solution took its place.
     """
@@ -222,11 +221,16 @@ class AtsResult:
     image: Image
     losses: tuple[float, ...]
     calibration: Calibration
-    held_out: float
-    seconds: float
     unseen: NDArray[np.integer]
-    misfit: NDArray[np.float64]
+    prediction: Prediction
+    seconds: float
     field: FieldWeights | None = field(default=None, repr=False)
+
+    @property
+    def held_out(self) -> float:
+        """Energy of the residual on the unseen views over their energy, one complex factor fitted; nan
+        without any."""
+        return self.prediction.residual
 
     def on(self, grid: ImageGrid) -> Image:
         """The same field on another grid; its mean over aspects where it has several channels."""
