@@ -105,6 +105,14 @@ their energy; the result says so.
 
 {summary}
 
+| views | n | noise | backprojection | FISTA | ATS | ATS worse |
+|---|---|---|---|---|---|---|
+{by_views}
+
+A twelfth of 12 views is two views, of 36 views three: there the one factor explains a tenth by chance, and where
+noise is most of the energy so is what is left of the differences. Which prior is chosen does not depend on
+these views. It was developed on other seeds, from 5000 on.
+
 | scenes | views | n | noise | backprojection | FISTA | ATS | ATS worse |
 |---|---|---|---|---|---|---|---|
 {rows}
@@ -128,6 +136,18 @@ def table(found: dict[Task, dict]) -> str:
                 mean = [f"{100 * np.mean([v[key] for v in some]):.1f}" for key in ("noise", "bp", *METHODS)]
                 worse = sum(v["ats"] > v["bp"] + 1e-3 for v in some)
                 lines.append(f"| {name}, {radar} | {views} | {len(some)} | {' | '.join(mean)} | {worse} |")
+    return "\n".join(lines)
+
+
+def by_views(found: dict[Task, dict]) -> str:
+    """Means over all scenes of a number of views."""
+    lines = []
+    for views in VIEWS:
+        some = [v for t, v in found.items() if t.views == views and "bp" in v]
+        if some:
+            mean = [f"{100 * np.mean([v[key] for v in some]):.1f}" for key in ("noise", "bp", *METHODS)]
+            worse = sum(v["ats"] > v["bp"] + 1e-3 for v in some)
+            lines.append(f"| {views} | {len(some)} | {' | '.join(mean)} | {worse} |")
     return "\n".join(lines)
 
 
@@ -175,6 +195,7 @@ def main() -> None:
             f"{given.seeds} per row from {FIRST_SEED} on",
         ),
         summary=summary(found),
+        by_views=by_views(found),
         rows=table(found),
     )
     print(text)

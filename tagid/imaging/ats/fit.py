@@ -199,7 +199,9 @@ class _Fit:
         check = {max(1, int(part * steps)) for part in CHECK_AT} if self._screened() else set()
         grid = every.select(self.support.numbers)
         subsets = self._subsets(fine, native)
-        best, worse, mean, since = np.inf, 0, engine.weights(), 0
+        best, worse = np.inf, 0
+        total: list[Array] = []
+        count = 0
         for step in range(steps):
             views = subsets[step % len(subsets)]
             numbers = self._numbers(scales, step, views.aperture.views)
@@ -208,22 +210,26 @@ class _Fit:
                 progress(step + 1, steps, self.losses[-1])
             if step + 1 in learn:
                 self._learn(engine.weights(), late=step + 1 >= steps / 2)
-                since = 0
+                count = 0
             if step + 1 in check:
                 self._screen(engine.weights(), grid, scales.weight)
                 grid = every.select(self.support.numbers)
             if step + 1 in learn | check:
                 subsets = self._subsets(fine, native)
             if step + 1 > steps * (1 - _MEAN_OVER):
-                since += 1
-                mean = mean.mean_with(engine.weights(), 1 / since)
+                now = engine.weights().arrays
+                total = [a + b for a, b in zip(total, now, strict=True)] if count else now
+                count += 1
             if len(self.unseen) and settings.patience and step >= steps / 2 and step % _CHECK_EVERY == 0:
                 residual = self._prediction(engine.weights()).residual
                 worse = worse + 1 if residual > best else 0
                 best = min(best, residual)
                 if worse >= settings.patience and step + 1 > max(learn, default=0):
                     break
-        return self._unshrunk(replace(mean if since else engine.weights(), support=self.support.mask))
+        field = engine.weights()
+        if count:
+            field = field.with_arrays([a / np.float32(count) for a in total])
+        return self._unshrunk(replace(field, support=self.support.mask))
 
     def _unshrunk(self, field: FieldWeights) -> FieldWeights:
         """The field times the one factor that explains the scans best: the prior made it too dark."""

@@ -7,6 +7,8 @@ out where the graph sets them to zero, and all parameters share one array, so th
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from tagid.imaging.ats.problem import Array, FieldWeights, FineRange, GridArrays, ViewArrays
@@ -80,16 +82,7 @@ class NativeEngine:
 
     def weights(self) -> FieldWeights:
         """The parameters as they are now."""
-        arrays = [np.ascontiguousarray(a).copy() for a in self._state]
-        cut, layers = self._levels, self._layers
-        return FieldWeights(
-            arrays[:cut],
-            arrays[cut : cut + layers],
-            arrays[cut + layers :],
-            self._start.scale,
-            self._start.extent,
-            self._start.pixels,
-        )
+        return replace(self._start.with_arrays(self._parts(self._all.copy())), support=None)
 
     def _layer(self, number: int) -> tuple[Array, Array]:
         """Weight (out, in) and bias (out,) of a layer."""

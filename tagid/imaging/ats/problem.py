@@ -125,17 +125,16 @@ class FieldWeights:
         taps.interpolate(np.ascontiguousarray(table.T), inputs)
         return self._network(inputs.T)
 
-    def mean_with(self, other: FieldWeights, share: float) -> FieldWeights:
-        """Parameters (1 - share) of these and share of the other's."""
+    @property
+    def arrays(self) -> list[Array]:
+        """All parameters: tables, weights, biases."""
+        return [*self.tables, *self.weights, *self.biases]
 
-        def mix(a: list[Array], b: list[Array]) -> list[Array]:
-            return [x + np.float32(share) * (y - x) for x, y in zip(a, b, strict=True)]
-
+    def with_arrays(self, arrays: list[Array]) -> FieldWeights:
+        """The same field with other parameters, in the order of `arrays`."""
+        cut, layers = len(self.tables), len(self.weights)
         return replace(
-            self,
-            tables=mix(self.tables, other.tables),
-            weights=mix(self.weights, other.weights),
-            biases=mix(self.biases, other.biases),
+            self, tables=arrays[:cut], weights=arrays[cut : cut + layers], biases=arrays[cut + layers :]
         )
 
     def _network(self, inputs: Array) -> NDArray[np.complex64]:
