@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from tagid.errors import MissingExtraError, UsageError
 from tagid.geometry import ImageGrid
-from tagid.imaging.ats.fit import LEAST_HELD_OUT, fit, sparsity_weight
-from tagid.imaging.ats.settings import AtsResult, AtsSettings, Progress
+from tagid.imaging.ats.fit import fit, sparsity_weight
+from tagid.imaging.ats.settings import LEAST_HELD_OUT, AtsResult, AtsSettings, Progress
 from tagid.imaging.backprojection import backproject
 from tagid.imaging.heldout import Prediction, left_out, residual
 from tagid.imaging.linear import least_squares

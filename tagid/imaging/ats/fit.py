@@ -35,7 +35,7 @@ from tagid.imaging.ats.problem import (
     view_arrays,
     view_subsets,
 )
-from tagid.imaging.ats.settings import AtsResult, AtsSettings, Calibration, Progress
+from tagid.imaging.ats.settings import LEAST_HELD_OUT, AtsResult, AtsSettings, Calibration, Progress
 from tagid.imaging.ats.support import CHECK_AT, Support
 from tagid.imaging.heldout import Prediction
 from tagid.imaging.kernel import is_compiled
@@ -61,9 +61,6 @@ of an engine shows less in it."""
 
 _MOST_SHRUNK = 2.0
 """The weight of the sparsity prior is at most half of what gives a blank image."""
-
-LEAST_HELD_OUT = 18
-"""Fewer views are all needed for the image."""
 
 
 class Engine(Protocol):
@@ -150,7 +147,7 @@ class _Fit:
         settings: AtsSettings,
         unseen: NDArray[np.integer] | None,
     ) -> None:
-        self.grid, self.settings, self.all = grid, settings, scans
+        self.grid, self.settings, self.all = grid, settings.for_views(scans.aperture.views), scans
         _foresee(scans, grid, settings)
         views = np.arange(scans.aperture.views)
         self.unseen = _held_out(len(views), settings.held_out) if unseen is None else unseen
