@@ -109,9 +109,9 @@ their energy; the result says so.
 |---|---|---|---|---|---|---|
 {by_views}
 
-A twelfth of 12 views is two views, of 36 views three: there the one factor explains a tenth by chance, and where
-noise is most of the energy so is what is left of the differences. Which prior is chosen does not depend on
-these views. It was developed on other seeds, from 5000 on.
+A twelfth of 12 views is two views, of 36 views three: there the one factor explains a tenth by chance, and
+where noise is most of the energy the differences are chance, too. Which prior is chosen does not depend on
+these views. How it is chosen was developed on other seeds, from 5000 on.
 
 | scenes | views | n | noise | backprojection | FISTA | ATS | ATS worse |
 |---|---|---|---|---|---|---|---|
