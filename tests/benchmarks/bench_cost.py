@@ -281,7 +281,16 @@ def priors() -> str:
                 + [f"{100 * share:.1f}" for share in (noise, plain, *judged)]
             )
             print(rows[-1], file=sys.stderr, flush=True)
-    columns = ("scene", "views", "FISTA (ms)", "one fit (ms)", "with trials (ms)", "ratio", "ratio", "prior")
+    columns = (
+        "scene",
+        "views",
+        "FISTA (ms)",
+        "one fit (ms)",
+        "with trials (ms)",
+        "fit / FISTA",
+        "trials / FISTA",
+        "prior",
+    )
     return table((*columns, "noise (%)", "backprojection (%)", "FISTA (%)", "ATS (%)"), rows)
 
 

@@ -55,7 +55,7 @@ class NativeEngine:
             part = whole[at : at + size]
             at += size
             if number < self._levels:
-                found.append(np.moveaxis(part.reshape(*shape[1:], shape[0]), 2, 0))
+                found.append(part.reshape(*shape[1:], shape[0]).transpose(2, 0, 1))
             else:
                 found.append(part.reshape(shape))
         return found
