@@ -43,8 +43,8 @@ class AtsSettings:
             is there and can do what is asked.
         device: "cpu", or "cuda" (torch only).
         steps: optimisation steps at most; 0: 100, and 150 with so few views (`LEAST_HELD_OUT`) that the scans
-            leave the scene ill determined and the fit converges slowly: they halve what it leaves of unseen
-            views of reflectors.
+            leave the scene ill determined and the fit converges slowly (100 leave a quarter more of unseen
+            views).
         learning_rate: Adam's rate for the encoding; the network gets `network_rate` of it.
         network_rate: see there.
         decay: what is left of the rates after `steps` steps (exponential decay).
