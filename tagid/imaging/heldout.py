@@ -66,14 +66,55 @@ def left_out(views: int) -> NDArray[np.intp]:
     return np.asarray((np.arange(count) + 0.5) * views / max(count, 1), dtype=np.intp)
 
 
-def misfits(data: NDArray[np.complexfloating], seen: NDArray[np.complexfloating]) -> NDArray[np.float64]:
-    """(views,) energy that predicted scans leave of measured ones, both (views, bins).
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """Predicted beside measured scans of some views, as sums over the bins; all (views,).
 
-    One complex factor is fitted to all views together.
+    Attributes:
+        measured, predicted: energies.
+        product: complex, of the predicted scans' conjugate and the measured ones.
     """
-    power = float(np.vdot(seen, seen).real)
-    factor = np.vdot(seen, data) / power if power > 0 else 0.0
-    return np.asarray((np.abs(data - factor * seen) ** 2).sum(axis=1, dtype=np.float64))
+
+    measured: NDArray[np.float64]
+    predicted: NDArray[np.float64]
+    product: NDArray[np.complex128]
+
+    @classmethod
+    def of(cls, data: NDArray[np.complexfloating], seen: NDArray[np.complexfloating]) -> Prediction:
+        """Of measured and predicted scans, both (views, bins)."""
+        power = [(np.abs(each) ** 2).sum(axis=1, dtype=np.float64) for each in (data, seen)]
+        return cls(power[0], power[1], (seen.conj() * data).sum(axis=1, dtype=np.complex128))
+
+    @classmethod
+    def none(cls) -> Prediction:
+        """Of no views."""
+        empty = np.zeros(0)
+        return cls(empty, empty, empty.astype(np.complex128))
+
+    def and_of(self, others: Prediction) -> Prediction:
+        """These views and others."""
+        return Prediction(
+            np.concatenate([self.measured, others.measured]),
+            np.concatenate([self.predicted, others.predicted]),
+            np.concatenate([self.product, others.product]),
+        )
+
+    @property
+    def misfits(self) -> NDArray[np.float64]:
+        """Energy that is left of every view; one complex factor is fitted to all of them together.
+
+        A factor of its own for each of a few views would explain a part of them by any image.
+        """
+        power = float(self.predicted.sum())
+        factor = self.product.sum() / power if power > 0 else 0.0
+        left = self.measured - 2 * (np.conj(factor) * self.product).real + abs(factor) ** 2 * self.predicted
+        return np.asarray(np.maximum(left, 0.0))
+
+    @property
+    def residual(self) -> float:
+        """Share of the energy of all views that is left; nan where there is none."""
+        energy = float(self.measured.sum())
+        return float(self.misfits.sum()) / energy if energy > 0 else float("nan")
 
 
 def residual(scans: BasebandScans, image: Image) -> float:

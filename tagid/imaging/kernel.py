@@ -26,7 +26,7 @@ try:
     from tagid.imaging import _kernel as _compiled  # type: ignore[attr-defined, no-redef]
 except ImportError:  # no compiler at installation
     _compiled = None
-if getattr(_compiled, "ARGUMENTS", 0) != 2:  # built before the present source
+if getattr(_compiled, "ARGUMENTS", 0) != 3:  # built before the present source
     _compiled = None
 
 MAX_THREADS = 8
@@ -38,6 +38,9 @@ _PAIRS_PER_THREAD = 100_000
 
 _BYTES_PER_PAIR = 8
 """Index and single-precision weight of the fallback."""
+
+
+_NO_LIGHT = np.zeros(0, dtype=np.complex64)
 
 
 def is_compiled() -> bool:
@@ -117,37 +120,50 @@ class RangeGeometry:
         z = self.z[points] if len(self.z) else self.z
         return replace(self, x=self.x[points], y=self.y[points], z=z)
 
-    def gather(self, rows: NDArray[np.complexfloating]) -> NDArray[np.complex64]:
+    def gather(
+        self, rows: NDArray[np.complexfloating], light: NDArray[np.complex64] | None = None
+    ) -> NDArray[np.complex64]:
         """out[p] = sum_v of row v at the distance of point p, by linear interpolation between bins.
 
         Args:
             rows: (views, bins) complex. Beyond its ends a row is continued by its first and last value.
+            light: (views, channels) what each view adds to every channel; None: each adds its row.
 
         Returns:
-            (points,) complex64.
+            (points,) complex64, with `light` (channels, points).
         """
         z = np.ascontiguousarray(rows, dtype=np.complex64).reshape(self.views, self.bins)
-        out = np.zeros(self.points, dtype=np.complex64)
+        out = np.zeros((1 if light is None else light.shape[1], self.points), dtype=np.complex64)
         if _compiled is not None:
-            place = (self.antenna, self.second, self.x, self.y, self.z)
+            some = _NO_LIGHT if light is None else np.ascontiguousarray(light, dtype=np.complex64)
+            place = (self.antenna, self.second, self.x, self.y, self.z, some)
             _compiled.gather(*place, z, out, self.bins, self.start, self._threads(self.points))
-            return out
-        for row, (bin_, part) in zip(z, self._places(), strict=True):
-            left = row.take(bin_)
-            out += left + part * (row.take(bin_ + 1) - left)
-        return out
+        else:
+            for view, (bin_, part) in enumerate(self._places()):
+                left = z[view].take(bin_)
+                there = left + part * (z[view].take(bin_ + 1) - left)
+                out += there if light is None else light[view, :, None] * there
+        return out[0] if light is None else out
 
-    def scatter(self, values: NDArray[np.complexfloating]) -> NDArray[np.complex64]:
-        """The exact transpose of `gather`: (points,) complex -> (views, bins) complex64."""
-        x = np.ascontiguousarray(values, dtype=np.complex64).reshape(self.points)
+    def scatter(
+        self, values: NDArray[np.complexfloating], light: NDArray[np.complex64] | None = None
+    ) -> NDArray[np.complex64]:
+        """The exact transpose of `gather`: (points,) complex -> (views, bins) complex64.
+
+        With `light`, (views, channels), the values are (channels, points).
+        """
+        channels = 1 if light is None else light.shape[1]
+        x = np.ascontiguousarray(values, dtype=np.complex64).reshape(channels, self.points)
         out = np.zeros((self.views, self.bins), dtype=np.complex64)
         if _compiled is not None:
-            place = (self.antenna, self.second, self.x, self.y, self.z)
+            some = _NO_LIGHT if light is None else np.ascontiguousarray(light, dtype=np.complex64)
+            place = (self.antenna, self.second, self.x, self.y, self.z, some)
             _compiled.scatter(*place, x, out, self.bins, self.start, self._threads(self.views))
             return out
-        for row, (bin_, part) in zip(out, self._places(), strict=True):
+        for view, (bin_, part) in enumerate(self._places()):
+            seen, row = x[0] if light is None else light[view] @ x, out[view]
             for weight, first in ((1 - part, 0), (part, 1)):
-                for side, target in ((x.real, row.real), (x.imag, row.imag)):
+                for side, target in ((seen.real, row.real), (seen.imag, row.imag)):
                     target[first : first + self.bins - 1] += np.bincount(bin_, weight * side, self.bins - 1)
         return out
 
@@ -170,8 +186,8 @@ class RangeGeometry:
         return sparse.csc_array(parts, shape=(self.views * self.bins, self.points))
 
     def _threads(self, parts: int) -> int:
-        worth = self.views * self.points // _PAIRS_PER_THREAD + 1
-        return max(1, min(cores(), worth, parts))
+        worth = min(self.views * self.points // _PAIRS_PER_THREAD + 1, parts)
+        return max(1, min(cores(), worth)) if worth > 1 else 1
 
     def _places(self) -> list[tuple[NDArray[np.int32], NDArray[np.float32]]]:
         """Bin (points,) before every point, and its place between that and the next, for each view."""

@@ -61,6 +61,7 @@ class ForwardOperator:
         self._collect = np.ascontiguousarray(self._spread.conj().T)
         self._fine_step, self._phase_step = step, 2 * scans.wavenumber * step
         self.views, self.bins, self.points = views, bins, len(points)
+        self._norms: dict[tuple[int, int], float] = {}
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -89,7 +90,12 @@ class ForwardOperator:
         return self.geometry.gather(y @ self._collect)
 
     def norm_squared(self, iterations: int = 12, seed: int = 0) -> float:
-        """Largest eigenvalue of A^H A by power iteration from a seeded start (a few % from below)."""
+        """Largest eigenvalue of A^H A by power iteration from a seeded start (a few % from below); kept."""
+        if (iterations, seed) not in self._norms:
+            self._norms[iterations, seed] = self._power_iteration(iterations, seed)
+        return self._norms[iterations, seed]
+
+    def _power_iteration(self, iterations: int, seed: int) -> float:
         rng = np.random.default_rng(seed)
         x = (rng.standard_normal(self.points) + 1j * rng.standard_normal(self.points)).astype(np.complex64)
         x /= np.float32(np.linalg.norm(x))
@@ -115,7 +121,8 @@ class ForwardOperator:
         part.geometry = geometry
         part._spread, part._collect = self._spread, self._collect
         part._fine_step, part._phase_step = self._fine_step, self._phase_step
-        part.views, part.bins, part.points = part.geometry.views, self.bins, self.points
+        part.views, part.bins, part.points = part.geometry.views, self.bins, part.geometry.points
+        part._norms = {}
         return part
 
     @property

@@ -17,13 +17,20 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from bench_heldout import Task, capture_of
 from bench_reconstruction import simulate
 from imaging_report import PICTURES, commit, curves, table, write_block
+from imaging_unknowns import RAILS, RailCell, rail_capture
 
+from tagid.capture import Capture
 from tagid.geometry import ImageGrid
+from tagid.imaging.ats.adapt import fit_adapted
 from tagid.imaging.ats.fit import AtsSettings, fit
 from tagid.imaging.ats.problem import FineRange, GridArrays, draw_weights, view_arrays
 from tagid.imaging.ats.runtime import OnnxEngine
@@ -31,6 +38,9 @@ from tagid.imaging.backprojection import backproject
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.imaging.sparse import sparse_recovery
 from tagid.imaging.types import BasebandScans
+from tagid.pipeline.prepared import as_prepared
+from tagid.pipeline.reconstruct import reconstruct
+from tagid.pipeline.settings import ImagingSettings
 
 EXTENT_M = 0.7
 VIEWS, PIXELS, OVERSAMPLINGS = (12, 36, 120, 360), (48, 96, 128, 192), (1.5, 3.0, 6.0)
@@ -54,6 +64,13 @@ def best(work: Callable[[], object], repeats: int) -> tuple[float, float]:
         wall.append(time.perf_counter() - start)
         cpu.append(time.process_time() - used)
     return min(wall), min(cpu)
+
+
+def once(work: Callable[[], Any]) -> tuple[Any, float]:
+    """What some work gives, and its CPU seconds."""
+    used = time.process_time()
+    result = work()
+    return result, time.process_time() - used
 
 
 def targets(repeats: int) -> str:
@@ -163,6 +180,7 @@ def growth(quick: bool, repeats: int, write: bool) -> str:
 _ENGINE = """
 import pickle, resource, sys, time, numpy as np
 from tagid.geometry import ImageGrid
+from tagid.imaging.ats.adapt import fit_adapted
 from tagid.imaging.ats.fit import AtsSettings, fit
 raw, grid = pickle.load(open({scene!r}, "rb")), ImageGrid({extent}, 96)
 seconds = []
@@ -219,9 +237,104 @@ def engines(repeats: int) -> str:
     return table(columns, rows)
 
 
+SCENES = (
+    ("reflectors", "P440"),
+    ("round can", "P440"),
+    ("box", "P440"),
+    ("shell with reflectors", "P440"),
+    ("free30_c90", "full wave"),
+    ("can30_c180", "full wave"),
+)
+"""Of `bench_heldout.py`."""
+SCENE_SEED = 8000
+
+
+def priors() -> str:
+    """What the trials of priors cost beside FISTA, and what they bring on unseen views."""
+    rows = []
+    for family, radar in SCENES:
+        for views in (12, 36, 120):
+            capture, extent = capture_of(Task(family, radar, views, SCENE_SEED))
+            settings = ImagingSettings(method="ats", extent_m=extent, pixels=96, focus_m=0.0)
+            prepared = as_prepared(capture, settings)
+            prepared.choose_pulse(None)
+            raw = prepared.scans(settings.preprocessing_for_focus(prepared.given, matched_filter=False))
+            grid = ImageGrid(extent, 96)
+            works = (
+                partial(sparse_recovery, raw, grid),
+                partial(fit, raw, grid),
+                partial(fit_adapted, raw, grid, AtsSettings()),
+            )
+            took = [once(work)[1] for work in works]
+            told = {
+                m: reconstruct(capture, replace(settings, method=m)).image.settings for m in ("sparse", "ats")
+            }
+            judged = [told[m]["held_out"]["residual"] for m in ("sparse", "ats")]
+            plain, noise = (told["ats"]["held_out"][key] for key in ("backprojection", "noise"))
+            rows.append(
+                [f"{family}, {radar}", str(views), *(f"{1e3 * t:.0f}" for t in took)]
+                + [
+                    f"{took[1] / took[0]:.1f}",
+                    f"{took[2] / took[0]:.1f}",
+                    told["ats"].get("prior", "no trial"),
+                ]
+                + [f"{100 * share:.1f}" for share in (noise, plain, *judged)]
+            )
+            print(rows[-1], file=sys.stderr, flush=True)
+    columns = (
+        "scene",
+        "views",
+        "FISTA (ms)",
+        "one fit (ms)",
+        "with trials (ms)",
+        "fit / FISTA",
+        "trials / FISTA",
+        "prior",
+    )
+    return table((*columns, "noise (%)", "backprojection (%)", "FISTA (%)", "ATS (%)"), rows)
+
+
+def echoed(capture: Capture) -> Capture:
+    """The capture as a pulse records it that rings on: with echoes of itself 0.12 and 0.27 m later."""
+    samples = capture.samples.copy()
+    for later_m, strength in ((0.12, 0.5), (0.27, -0.3)):
+        bins = round(later_m / capture.range_step_m)
+        samples[:, bins:] += strength * capture.samples[:, :-bins]
+    return replace(capture, samples=samples)
+
+
+def pulse_estimates() -> str:
+    """Whole images with `--pulse estimate` against those without."""
+    rng = np.random.default_rng(77)
+    points = rng.uniform(-0.22, 0.22, (4, 2))
+    turn = {"extent_m": EXTENT_M, "pixels": 96}
+    rail, _ = rail_capture(RailCell(RAILS[0], 0))
+    cases: list[tuple[str, Capture, dict[str, Any]]] = [
+        (f"turn, {views} views, 96 x 96", simulate(points, views, 0.316, rng), turn) for views in (36, 360)
+    ]
+    cases += [
+        ("rail, 600 views, about 2.2 m", rail, {"free_size": (True, True)}),
+        ("rail, 600 views, 4 m, 256 x 256", rail, {"extent_m": 4.0, "pixels": 256}),
+    ]
+    rows = []
+    for name, capture, size in cases:
+        for said, recorded in (("nominal", capture), ("rings", echoed(capture))):
+            for method in ("bp", "sparse", "ats"):
+                if "256" in name and method != "bp":
+                    continue
+                settings = [ImagingSettings(method=method, pulse=p, **size) for p in ("nominal", "estimate")]
+                results, took = zip(*(once(partial(reconstruct, recorded, s)) for s in settings), strict=True)
+                estimate = results[1].pulse
+                taken = "yes" if estimate is not None and estimate.taken else "no"
+                rows.append(
+                    [name, said, method, taken, *(f"{t:.2f}" for t in took), f"{took[1] / took[0]:.1f}"]
+                )
+                print(rows[-1], file=sys.stderr, flush=True)
+    return table(("path", "pulse", "method", "taken", "without (s)", "with estimate (s)", "ratio"), rows)
+
+
 def process(repeats: int) -> str:
     """The whole process of `tagid reconstruct --method bp` on a file of 360 views."""
-    from tagid.capture import Capture
     from tagid.storage.hdf5 import write_capture
 
     rng = np.random.default_rng(77)
@@ -242,12 +355,16 @@ def main() -> None:
     """Parse the command line and print."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="half the sizes, few repetitions")
-    parser.add_argument("--only", choices=("targets", "growth", "engines", "process"), help="one part")
+    parser.add_argument(
+        "--only", choices=("targets", "priors", "pulse", "growth", "engines", "process"), help="one part"
+    )
     parser.add_argument("--write", action="store_true", help="into docs/results/cost.md and docs/pictures")
     options = parser.parse_args()
     repeats = 3 if options.quick else 9
     parts: dict[str, tuple[str, Callable[[], str]]] = {
         "targets": ("Time of one image", lambda: targets(repeats)),
+        "priors": ("Trials of priors", priors),
+        "pulse": ("Estimate of the pulse", pulse_estimates),
         "growth": ("How the cost grows", lambda: growth(options.quick, repeats, options.write)),
         "engines": ("ATS on torch and on onnxruntime", lambda: engines(max(2, repeats // 3))),
         "process": ("A one-shot command", lambda: process(max(2, repeats // 3))),
@@ -257,7 +374,9 @@ def main() -> None:
         if options.only in (None, name):
             command = f"`python tests/benchmarks/bench_cost.py {arguments}`".replace(" `", "`")
             load = f"load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores"
-            text = f"{command}, 1 scene, best of {repeats}, {load}, {commit()}\n\n{work()}"
+            of = {"priors": f"{3 * len(SCENES)} scenes, each once", "pulse": "8 scenes, each once"}
+            scenes = of.get(name, f"1 scene, best of {repeats}")
+            text = f"{command}, {scenes}, {load}, {commit()}\n\n{work()}"
             if name == "growth" and options.write:
                 varied = ("views", "pixels", "bins")
                 text += "".join(f"\n![Time against {k}](../pictures/cost-{k}.png)" for k in varied) + "\n"

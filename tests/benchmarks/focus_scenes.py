@@ -335,13 +335,14 @@ def full_wave_scene(name: str, seed: int) -> FocusScene:
     return FocusScene(capture, distance, P440.wavelength_m, 0.5, f"full wave: {name}", "P440")
 
 
-def draw_scene(family: str, radar: Radar, seed: int) -> FocusScene:
+def draw_scene(family: str, radar: Radar, seed: int, views: int | None = None) -> FocusScene:
     """A scene of a family, with noise, a slightly uneven turn and an antenna that may stand above the
-    object."""
+    object; the number of views is drawn, too, if None."""
     rng = np.random.default_rng([seed, 3, list(FAMILIES).index(family), RADARS.index(radar)])
     lam = radar.wavelength_m
     body = FAMILIES[family](rng, lam)
-    views = int(rng.choice([72, 120, 360])) if radar is P440 else int(rng.choice([180, 360]))
+    drawn = int(rng.choice([72, 120, 360])) if radar is P440 else int(rng.choice([180, 360]))
+    views = views or drawn
     angles = np.arange(views) * 2 * np.pi / views
     true = angles + rng.uniform(0, 0.01) * np.sin(angles + rng.uniform(0, 6.28))
     height = float(rng.choice([0.0, 0.0, 0.05])) * radar.axis_distance_m

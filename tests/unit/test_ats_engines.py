@@ -168,14 +168,15 @@ class NearestBins:
     def __init__(self, index: np.ndarray, bins: int) -> None:
         self.index, self.bins = index, bins
 
-    def scatter(self, values: np.ndarray) -> np.ndarray:
+    def scatter(self, values: np.ndarray, light: np.ndarray | None = None) -> np.ndarray:
         out = np.zeros((len(self.index), self.bins), np.complex64)
-        for row, at in zip(out, self.index, strict=True):
-            np.add.at(row, at, values)
+        for view, (row, at) in enumerate(zip(out, self.index, strict=True)):
+            np.add.at(row, at, values if light is None else light[view] @ values)
         return out
 
-    def gather(self, rows: np.ndarray) -> np.ndarray:
-        return np.take_along_axis(rows, self.index.astype(np.intp), axis=1).sum(axis=0)
+    def gather(self, rows: np.ndarray, light: np.ndarray | None = None) -> np.ndarray:
+        found = np.take_along_axis(rows, self.index.astype(np.intp), axis=1)
+        return found.sum(axis=0) if light is None else light.T @ found
 
 
 @pytest.mark.parametrize("changes", [{}, {"aspect_harmonics": 1}, {"smoothness": 0.01}, {"hidden": 2}])

@@ -159,6 +159,13 @@ def test_stops_when_unseen_views_are_no_longer_explained_better() -> None:
     assert len(fit(scans, GRID, AtsSettings(steps=40, patience=0)).losses) == 40
 
 
+def test_few_views_get_more_steps_unless_the_number_is_given() -> None:
+    small = ImageGrid(0.5, 8)
+    took = [len(fit(simulate(POINTS, views, 0.1), small).losses) for views in (12, 18)]
+    assert took == [150, 100]
+    assert len(fit(simulate(POINTS, 12, 0.1), small, AtsSettings(steps=7)).losses) == 7
+
+
 def test_a_tiny_grid_works() -> None:
     image = fit(simulate(POINTS, 12, 0.1), ImageGrid(0.5, 4), AtsSettings(steps=5)).image
     assert image.values.shape == (4, 4)
@@ -166,7 +173,7 @@ def test_a_tiny_grid_works() -> None:
 
 @pytest.mark.parametrize(
     "wrong",
-    [{"steps": 0}, {"learning_rate": float("nan")}, {"l1": -1.0}, {"views_per_step": 0}, {"levels": 0}],
+    [{"steps": -1}, {"learning_rate": float("nan")}, {"l1": -1.0}, {"views_per_step": 0}, {"levels": 0}],
 )
 def test_senseless_settings_are_refused(wrong: dict[str, float]) -> None:
     with pytest.raises(UsageError) as caught:

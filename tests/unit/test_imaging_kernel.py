@@ -61,6 +61,27 @@ def test_scatter_is_the_exact_transpose(engine, bins):
     assert abs(left - right) < 1e-5 * np.linalg.norm(rows) * np.linalg.norm(values)
 
 
+@pytest.mark.parametrize("channels", [1, 3])
+def test_channels_are_mixed_by_every_view(engine, channels):
+    """The transpose, and the sums of the channels one by one."""
+    where, light = geometry(), complex_noise(len(ANTENNA), channels)
+    rows, values = complex_noise(len(ANTENNA), 500), complex_noise(channels, len(POINTS))
+    seen, back = where.scatter(values, light), where.gather(rows, light)
+    left, right = (back * values).sum(dtype=complex), (seen * rows).sum(dtype=complex)
+    assert abs(left - right) < 1e-5 * np.linalg.norm(rows) * np.linalg.norm(values)
+    alone = sum(light[:, c, None] * where.scatter(values[c]) for c in range(channels))
+    np.testing.assert_allclose(seen, alone, atol=1e-4)
+    for channel, part in enumerate(back):
+        np.testing.assert_allclose(part, where.gather(rows * light[:, channel, None]), atol=1e-3)
+
+
+def test_light_that_does_not_fit_is_refused():
+    if not kernel.is_compiled():
+        pytest.skip("no compiler was present at installation")
+    with pytest.raises(ValueError, match="fit"):
+        geometry().scatter(complex_noise(2, len(POINTS)), complex_noise(len(ANTENNA) - 1, 2))
+
+
 def test_the_matrix_is_the_scatter(engine):
     where, values = geometry(), complex_noise(len(POINTS))
     together = (where.matrix() @ values).reshape(len(ANTENNA), -1)
@@ -100,6 +121,7 @@ def test_buffers_that_do_not_fit_are_refused():
                 where.x,
                 where.y,
                 where.z,
+                np.zeros(0, np.complex64),
                 complex_noise(23, 500),
                 complex_noise(70),
                 bins,

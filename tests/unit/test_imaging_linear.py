@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tagid.geometry import ImageGrid
-from tagid.imaging.heldout import misfits, residual
+from tagid.imaging.heldout import Prediction, residual
 from tagid.imaging.linear import least_squares
 from tagid.imaging.operator import ForwardOperator
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
@@ -47,9 +47,11 @@ def test_the_energy_left_of_every_view_adds_up_to_the_residual() -> None:
     data = scans()
     operator = ForwardOperator(data, GRID)
     values = operator.adjoint(data.samples)
-    left = misfits(data.samples, operator.forward(values))
+    left = Prediction.of(data.samples, operator.forward(values)).misfits
     energy = float(np.vdot(data.samples, data.samples).real)
     image = Image(values.reshape(6, 6), GRID)
     assert left.shape == (20,)
     np.testing.assert_allclose(left.sum() / energy, residual(data, image), rtol=1e-5)
-    np.testing.assert_allclose(misfits(data.samples, np.zeros_like(data.samples)).sum(), energy, rtol=1e-6)
+    np.testing.assert_allclose(
+        Prediction.of(data.samples, np.zeros_like(data.samples)).misfits.sum(), energy, rtol=1e-6
+    )

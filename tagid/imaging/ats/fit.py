@@ -35,9 +35,9 @@ from tagid.imaging.ats.problem import (
     view_arrays,
     view_subsets,
 )
-from tagid.imaging.ats.settings import AtsResult, AtsSettings, Calibration, Progress
+from tagid.imaging.ats.settings import LEAST_HELD_OUT, AtsResult, AtsSettings, Calibration, Progress
 from tagid.imaging.ats.support import CHECK_AT, Support
-from tagid.imaging.heldout import misfits
+from tagid.imaging.heldout import Prediction
 from tagid.imaging.kernel import is_compiled
 from tagid.imaging.memory import require_memory
 from tagid.imaging.operator import ForwardOperator
@@ -61,9 +61,6 @@ of an engine shows less in it."""
 
 _MOST_SHRUNK = 2.0
 """The weight of the sparsity prior is at most half of what gives a blank image."""
-
-LEAST_HELD_OUT = 18
-"""Fewer views are all needed for the image."""
 
 
 class Engine(Protocol):
@@ -150,7 +147,7 @@ class _Fit:
         settings: AtsSettings,
         unseen: NDArray[np.integer] | None,
     ) -> None:
-        self.grid, self.settings, self.all = grid, settings, scans
+        self.grid, self.settings, self.all = grid, settings.for_views(scans.aperture.views), scans
         _foresee(scans, grid, settings)
         views = np.arange(scans.aperture.views)
         self.unseen = _held_out(len(views), settings.held_out) if unseen is None else unseen
@@ -199,7 +196,9 @@ class _Fit:
         check = {max(1, int(part * steps)) for part in CHECK_AT} if self._screened() else set()
         grid = every.select(self.support.numbers)
         subsets = self._subsets(fine, native)
-        best, worse, mean, since = np.inf, 0, engine.weights(), 0
+        best, worse = np.inf, 0
+        total: list[Array] = []
+        count = 0
         for step in range(steps):
             views = subsets[step % len(subsets)]
             numbers = self._numbers(scales, step, views.aperture.views)
@@ -208,22 +207,26 @@ class _Fit:
                 progress(step + 1, steps, self.losses[-1])
             if step + 1 in learn:
                 self._learn(engine.weights(), late=step + 1 >= steps / 2)
-                since = 0
+                count = 0
             if step + 1 in check:
                 self._screen(engine.weights(), grid, scales.weight)
                 grid = every.select(self.support.numbers)
             if step + 1 in learn | check:
                 subsets = self._subsets(fine, native)
             if step + 1 > steps * (1 - _MEAN_OVER):
-                since += 1
-                mean = mean.mean_with(engine.weights(), 1 / since)
+                now = engine.weights().arrays
+                total = [a + b for a, b in zip(total, now, strict=True)] if count else now
+                count += 1
             if len(self.unseen) and settings.patience and step >= steps / 2 and step % _CHECK_EVERY == 0:
-                residual = self._held_out_residual(engine.weights())
+                residual = self._prediction(engine.weights()).residual
                 worse = worse + 1 if residual > best else 0
                 best = min(best, residual)
                 if worse >= settings.patience and step + 1 > max(learn, default=0):
                     break
-        return self._unshrunk(replace(mean if since else engine.weights(), support=self.support.mask))
+        field = engine.weights()
+        if count:
+            field = field.with_arrays([a / np.float32(count) for a in total])
+        return self._unshrunk(replace(field, support=self.support.mask))
 
     def _unshrunk(self, field: FieldWeights) -> FieldWeights:
         """The field times the one factor that explains the scans best: the prior made it too dark."""
@@ -346,18 +349,13 @@ class _Fit:
         parts = [rows * aspect[:, i, None] for i, rows in enumerate(seen)]
         return np.asarray(np.sum(parts, axis=0), dtype=np.complex64)
 
-    def _misfit(self, field: FieldWeights) -> tuple[NDArray[np.float64], float]:
-        """Energy left of every unseen view, and that of all of them.
-
-        One complex factor is fitted, as for the images of all methods (`heldout.residual`).
-        """
+    def _prediction(self, field: FieldWeights | None) -> Prediction:
+        """Of the unseen views; None: a blank image."""
+        if not len(self.unseen):
+            return Prediction.none()
         data = self.all.samples[self.unseen] - self.known.static
-        left = misfits(data, self._seen(field.on(self.grid), False))
-        return left, float(np.vdot(data, data).real)
-
-    def _held_out_residual(self, field: FieldWeights) -> float:
-        left, energy = self._misfit(field)
-        return float(left.sum()) / energy if energy > 0 else float("nan")
+        seen = np.zeros_like(data) if field is None else self._seen(field.on(self.grid), False)
+        return Prediction.of(data, seen)
 
     def _result(
         self,
@@ -366,10 +364,8 @@ class _Fit:
         engine: str,
         begun: float,
     ) -> AtsResult:
-        left, energy = np.full(len(self.unseen), np.nan), 0.0
-        if field is not None and len(self.unseen):
-            left, energy = self._misfit(field)
-        held_out = float(left.sum()) / energy if energy > 0 else float("nan")
+        prediction = self._prediction(field)
+        held_out = prediction.residual
         nominal, known = self.all.aperture.axis_distance, self.known
         learned = Calibration(
             None if nominal is None else nominal + known.offset_m,
@@ -388,7 +384,7 @@ class _Fit:
         facts |= {"held_out_residual": None if np.isnan(held_out) else held_out}
         image = Image(values, self.grid, facts)
         seconds = time.perf_counter() - begun
-        return AtsResult(image, tuple(self.losses), learned, held_out, seconds, self.unseen, left, field)
+        return AtsResult(image, tuple(self.losses), learned, self.unseen, prediction, seconds, field)
 
 
 _BETA1, _BETA2 = 0.9, 0.95
@@ -480,6 +476,12 @@ def _aspect(positions: NDArray[np.float64], harmonics: int) -> NDArray[np.comple
     return np.exp(1j * np.outer(bearing, np.arange(-harmonics, harmonics + 1)))
 
 
+def sparsity_weight(scans: BasebandScans, peak: float, settings: AtsSettings) -> float:
+    """Weight of the sparsity prior beside 1/2 ||A sigma - y||^2 where |A^H y| is `peak` at most."""
+    floor = settings.noise_factor * scans.noise_std * column_norm(scans)
+    return min(max(settings.l1 * peak, floor), 0.5 * peak)
+
+
 def _scales(scans: BasebandScans, operator: ForwardOperator, settings: AtsSettings) -> _Scales | None:
     """Scales and weights; None if nothing is to be fitted (zero data, or none within the grid's reach)."""
     data = np.ascontiguousarray(scans.samples, dtype=np.complex64)
@@ -490,9 +492,7 @@ def _scales(scans: BasebandScans, operator: ForwardOperator, settings: AtsSettin
         return None
     seen = operator.forward(back)
     step = float(np.vdot(seen, data).real / np.vdot(seen, seen).real)
-    norm = column_norm(scans)
-    floor = settings.noise_factor * scans.noise_std * norm
-    weight = min(max(settings.l1 * peak, floor), 0.5 * peak)
+    norm, weight = column_norm(scans), sparsity_weight(scans, peak, settings)
     side = math.isqrt(operator.points)
     magnitude = np.abs(back).reshape(side, side)
     return _Scales(

@@ -7,8 +7,9 @@ out where the graph sets them to zero, and all parameters share one array, so th
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
-from numpy.typing import NDArray
 
 from tagid.imaging.ats.problem import Array, FieldWeights, FineRange, GridArrays, ViewArrays
 from tagid.imaging.ats.taps import Adam
@@ -54,7 +55,7 @@ class NativeEngine:
             part = whole[at : at + size]
             at += size
             if number < self._levels:
-                found.append(np.moveaxis(part.reshape(*shape[1:], shape[0]), 2, 0))
+                found.append(part.reshape(*shape[1:], shape[0]).transpose(2, 0, 1))
             else:
                 found.append(part.reshape(shape))
         return found
@@ -81,16 +82,7 @@ class NativeEngine:
 
     def weights(self) -> FieldWeights:
         """The parameters as they are now."""
-        arrays = [np.ascontiguousarray(a).copy() for a in self._state]
-        cut, layers = self._levels, self._layers
-        return FieldWeights(
-            arrays[:cut],
-            arrays[cut : cut + layers],
-            arrays[cut + layers :],
-            self._start.scale,
-            self._start.extent,
-            self._start.pixels,
-        )
+        return replace(self._start.with_arrays(self._parts(self._all.copy())), support=None)
 
     def _layer(self, number: int) -> tuple[Array, Array]:
         """Weight (out, in) and bias (out,) of a layer."""
@@ -146,26 +138,15 @@ class NativeEngine:
 
 def _data_term(sigma: Array, views: ViewArrays, fine: FineRange, scale: float) -> tuple[float, Array]:
     """a sum c |A sigma - y|^2 and its gradient by sigma (P, 2C)."""
-    channels, bins = sigma.shape[1] // 2, views.samples.shape[2]
-    aspect = (views.real[:, :channels] + 1j * views.imaginary[:, :channels]).astype(np.complex64)
-    spread = fine.complex_spread
-    assert spread.shape[1] == bins
-    seen = np.zeros((len(aspect), len(spread)), dtype=np.complex64)
-    values = np.empty(len(sigma), dtype=np.complex64)
-    for channel in range(channels):
-        values.real, values.imag = sigma[:, channel], sigma[:, channels + channel]
-        rows = views.rows_of(values)
-        rows *= aspect[:, channel, None]
-        seen += rows
-    residual: NDArray[np.complex64] = seen @ spread
-    residual.real -= views.samples[0]
-    residual.imag -= views.samples[1]
+    channels = sigma.shape[1] // 2
+    values = np.empty((channels, len(sigma)), dtype=np.complex64)
+    values.real, values.imag = sigma[:, :channels].T, sigma[:, channels:].T
+    residual = views.rows_of(values) @ fine.complex_spread
+    residual -= views.measured
     weighted = residual * (views.confidence * np.float32(scale))
     loss = float(np.vdot(residual, weighted).real)
     weighted *= 2
-    back = weighted @ fine.complex_collect
+    back = views.points_of(np.asarray(weighted @ fine.complex_collect, dtype=np.complex64))
     slope = np.empty_like(sigma)
-    for channel in range(channels):
-        part = views.points_of(np.asarray(aspect[:, channel, None].conj() * back, dtype=np.complex64))
-        slope[:, channel], slope[:, channels + channel] = part.real, part.imag
+    slope[:, :channels], slope[:, channels:] = back.real.T, back.imag.T
     return loss, slope

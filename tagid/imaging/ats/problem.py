@@ -125,17 +125,16 @@ class FieldWeights:
         taps.interpolate(np.ascontiguousarray(table.T), inputs)
         return self._network(inputs.T)
 
-    def mean_with(self, other: FieldWeights, share: float) -> FieldWeights:
-        """Parameters (1 - share) of these and share of the other's."""
+    @property
+    def arrays(self) -> list[Array]:
+        """All parameters: tables, weights, biases."""
+        return [*self.tables, *self.weights, *self.biases]
 
-        def mix(a: list[Array], b: list[Array]) -> list[Array]:
-            return [x + np.float32(share) * (y - x) for x, y in zip(a, b, strict=True)]
-
+    def with_arrays(self, arrays: list[Array]) -> FieldWeights:
+        """The same field with other parameters, in the order of `arrays`."""
+        cut, layers = len(self.tables), len(self.weights)
         return replace(
-            self,
-            tables=mix(self.tables, other.tables),
-            weights=mix(self.weights, other.weights),
-            biases=mix(self.biases, other.biases),
+            self, tables=arrays[:cut], weights=arrays[cut : cut + layers], biases=arrays[cut + layers :]
         )
 
     def _network(self, inputs: Array) -> NDArray[np.complex64]:
@@ -297,21 +296,35 @@ class ViewArrays:
         """`geometry` of every view by itself, for views that see the points in lights of their own."""
         return [self.geometry.select(slice(view, view + 1)) for view in range(self.geometry.views)]
 
+    @cached_property
+    def aspect(self) -> NDArray[np.complex64]:
+        """(views, channels) what a view sees of every channel."""
+        channels = self.real.shape[1] // 2
+        return np.asarray(self.real[:, :channels] + 1j * self.imaginary[:, :channels], dtype=np.complex64)
+
+    @cached_property
+    def measured(self) -> NDArray[np.complex64]:
+        """(views, bins) `samples` as complex values."""
+        return np.asarray(self.samples[0] + 1j * self.samples[1], dtype=np.complex64)
+
     def rows_of(self, values: NDArray[np.complex64]) -> NDArray[np.complex64]:
-        """(views, fine bins) of the points' values, each dimmed by what is left of its echo."""
-        if len(self.transmission) == 1:
-            return self.geometry.scatter(values)
-        pairs = zip(self.one_by_one, self.transmission, strict=True)
-        return np.concatenate([view.scatter(values * light) for view, light in pairs])
+        """(views, fine bins) of the points' channels (channels, points), as every view sees them."""
+        if len(self.transmission) > 1:
+            seen = (self.aspect @ values) * self.transmission
+            return np.concatenate([v.scatter(row) for v, row in zip(self.one_by_one, seen, strict=True)])
+        if len(values) == 1:
+            return self.geometry.scatter(values[0]) * self.aspect
+        return self.geometry.scatter(values, self.aspect)
 
     def points_of(self, rows: NDArray[np.complex64]) -> NDArray[np.complex64]:
-        """(points,) of rows, the transpose of `rows_of`."""
-        if len(self.transmission) == 1:
-            return self.geometry.gather(rows)
-        out = np.zeros(len(self.points), dtype=np.complex64)
-        for view, light, row in zip(self.one_by_one, self.transmission, rows, strict=True):
-            out += light * view.gather(row[None])
-        return out
+        """(channels, points) of rows, the adjoint of `rows_of`."""
+        towards = self.aspect.conj()
+        if len(self.transmission) > 1:
+            back = np.stack([v.gather(row[None]) for v, row in zip(self.one_by_one, rows, strict=True)])
+            return np.asarray(towards.T @ (back * self.transmission), dtype=np.complex64)
+        if self.aspect.shape[1] == 1:
+            return self.geometry.gather(rows * towards)[None]
+        return self.geometry.gather(rows, towards)
 
     def select(self, views: NDArray[np.integer] | slice) -> ViewArrays:
         """The same of some views only."""

@@ -6,7 +6,7 @@ Commands, benchmarks and both presets mean the same by a setting and by a result
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from tagid.errors import UsageError
 from tagid.geometry import ImageGrid
+from tagid.imaging.heldout import Prediction
 from tagid.imaging.lengths import finest_cell_m
 from tagid.imaging.types import Image
 
@@ -22,6 +23,10 @@ if TYPE_CHECKING:
 
 Progress = Callable[[int, int, float], None]
 """Called after every step with (steps done, steps at most, loss)."""
+
+LEAST_HELD_OUT = 18
+"""Fewer views are all needed for the image."""
+STEPS, STEPS_OF_FEW = 100, 150
 
 PRESETS = ("field",)
 ENGINES = ("auto", "native", "onnx", "torch")
@@ -37,7 +42,9 @@ class AtsSettings:
         engine: "native" (numpy and the compiled kernels), "onnx", "torch", or "auto": the first of them that
             is there and can do what is asked.
         device: "cpu", or "cuda" (torch only).
-        steps: optimisation steps at most.
+        steps: optimisation steps at most; 0: 100, and 150 with so few views (`LEAST_HELD_OUT`) that the scans
+            leave the scene ill determined and the fit converges slowly (100 leave a quarter more of unseen
+            views).
         learning_rate: Adam's rate for the encoding; the network gets `network_rate` of it.
         network_rate: see there.
         decay: what is left of the rates after `steps` steps (exponential decay).
@@ -73,7 +80,7 @@ class AtsSettings:
     preset: str = "field"
     engine: str = "auto"
     device: str = "cpu"
-    steps: int = 100
+    steps: int = 0
     learning_rate: float = 0.06
     network_rate: float = 1.0
     decay: float = 0.2
@@ -109,7 +116,7 @@ class AtsSettings:
                 raise UsageError(f"ATS cannot learn {what!r}", f"Use {', '.join(CALIBRATIONS)}.")
         if self.device != "cpu" and self.engine == "onnx":
             raise UsageError(f"--engine onnx does not run on {self.device}", "Use --engine torch.")
-        whole = {"steps": 1, "views_per_step": 1, "width": 1, "hidden": 0, "levels": 1, "features": 1}
+        whole = {"steps": 0, "views_per_step": 1, "width": 1, "hidden": 0, "levels": 1, "features": 1}
         whole |= {"coarsest": 1, "patience": 0, "seed": 0, "threads": 1}
         whole |= {"wobble_harmonics": 0, "aspect_harmonics": 0, "adapt": 0}
         for name, low in whole.items():
@@ -132,6 +139,11 @@ class AtsSettings:
                 raise UsageError(f"ATS setting {name} is {getattr(self, name)}", "Give zero or more.")
         if not 0 <= self.held_out <= 0.5:
             raise UsageError(f"held-out share is {self.held_out}", "Give 0 to 0.5.")
+
+    def for_views(self, views: int) -> AtsSettings:
+        """These settings with a number of steps where they leave it open."""
+        steps = self.steps or (STEPS if views >= LEAST_HELD_OUT else STEPS_OF_FEW)
+        return replace(self, steps=steps)
 
     def shape(self, grid: ImageGrid, wavelength_m: float) -> FieldShape:
         """Sizes of the field for a grid: the finest cell is `finest_m`, or a pixel where that is larger."""
@@ -210,11 +222,9 @@ class AtsResult:
         image: complex reflectivity on the grid asked for.
         losses: loss of every step.
         calibration: what was learned beside the scene.
-        held_out: energy of the residual on views that the fit did not see, over their energy, one complex
-            factor fitted; nan without.
+        unseen: (n,) numbers of the views that the fit did not see.
+        prediction: what it predicts of them.
         seconds: of the whole fit, set-up included.
-        unseen: (n,) numbers of those views.
-        misfit: (n,) energy that is left of each.
         field: the fitted field, to be evaluated at any resolution; None for blank data and where the linear
             solution took its place.
     """
@@ -222,11 +232,16 @@ class AtsResult:
     image: Image
     losses: tuple[float, ...]
     calibration: Calibration
-    held_out: float
-    seconds: float
     unseen: NDArray[np.integer]
-    misfit: NDArray[np.float64]
+    prediction: Prediction
+    seconds: float
     field: FieldWeights | None = field(default=None, repr=False)
+
+    @property
+    def held_out(self) -> float:
+        """Energy of the residual on the unseen views over their energy, one complex factor fitted; nan
+        without any."""
+        return self.prediction.residual
 
     def on(self, grid: ImageGrid) -> Image:
         """The same field on another grid; its mean over aspects where it has several channels."""

@@ -6,6 +6,7 @@ A small C extension does them where a compiler was present at installation, nump
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -46,22 +47,8 @@ class Taps:
             cells: a side of every level; cells + 1 vertices.
             wanted: numbers of the pixels, row-major; None: all.
         """
-        numbers = np.arange(pixels * pixels) if wanted is None else wanted
-        y, x = np.divmod(numbers, pixels)
-        index = np.empty((len(numbers), len(cells), 4), dtype=np.int32)
-        weight = np.empty((len(numbers), len(cells), 4), dtype=np.float32)
-        first = 0
-        for level, count in enumerate(cells):
-            at = (np.arange(pixels) + 0.5) / pixels * count
-            corner = np.minimum(at.astype(np.int32), count - 1)
-            part = (at - corner).astype(np.float32)
-            low = first + corner[y] * (count + 1) + corner[x]
-            across, up = part[x], part[y]
-            for tap, offset in enumerate((0, 1, count + 1, count + 2)):
-                index[:, level, tap] = low + offset
-                weight[:, level, tap] = (across if tap % 2 else 1 - across) * (up if tap > 1 else 1 - up)
-            first += (count + 1) ** 2
-        return cls(index, weight, first)
+        every = _every_tap(pixels, tuple(cells))
+        return every if wanted is None else cls(every.index[wanted], every.weight[wanted], every.vertices)
 
     def interpolate(self, table: Array, out: Array) -> None:
         """Features of the pixels from those of all vertices.
@@ -85,6 +72,27 @@ class Taps:
                 sums[:] = np.bincount(at, shares.ravel(), self.vertices)
         else:
             _compiled.accumulate(self.index, self.weight, slope, out, out.shape[1])
+
+
+@lru_cache(maxsize=2)
+def _every_tap(pixels: int, cells: tuple[int, ...]) -> Taps:
+    """Taps of all pixels; all fits of an image share them."""
+    y, x = np.divmod(np.arange(pixels * pixels), pixels)
+    index = np.empty((len(x), len(cells), 4), dtype=np.int32)
+    weight = np.empty((len(x), len(cells), 4), dtype=np.float32)
+    first = 0
+    for level, count in enumerate(cells):
+        at = (np.arange(pixels) + 0.5) / pixels * count
+        corner = np.minimum(at.astype(np.int32), count - 1)
+        part = (at - corner).astype(np.float32)
+        low = first + corner[y] * (count + 1) + corner[x]
+        across, up = part[x], part[y]
+        for tap, offset in enumerate((0, 1, count + 1, count + 2)):
+            index[:, level, tap] = low + offset
+            weight[:, level, tap] = (across if tap % 2 else 1 - across) * (up if tap > 1 else 1 - up)
+        first += (count + 1) ** 2
+    index.flags.writeable = weight.flags.writeable = False
+    return Taps(index, weight, first)
 
 
 @dataclass(eq=False)
