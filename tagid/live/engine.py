@@ -165,9 +165,23 @@ class LiveView:
         """End the threads; the state is kept. After `settle` the last frame is still computed."""
         self._closing = True
         self._wake.set()
-        for thread in (self._worker, self._fitter, self._reader):
-            if thread is not None and thread.is_alive() and thread is not threading.current_thread():
+        threads = [one for one in (self._worker, self._fitter, self._reader) if one is not None]
+        for thread in threads:
+            if thread.is_alive() and thread is not threading.current_thread():
                 thread.join(_JOIN_S)
+        if not any(thread.is_alive() for thread in threads):
+            self._forget()
+
+    def _forget(self) -> None:
+        """Release the scans, their sums and the recording, which in turn refers to this view.
+
+        Garbage collection would find that cycle only after many scans of a station, each with sums of about
+        10 MB.
+        """
+        self._session, self._stored = None, None
+        self._queue, self._scans = [], []
+        self._views = GrowingViews(self._grid, (), self._settings.imaging)
+        self._ats = self._ats_image = None
 
     def _publish(self, **changes: object) -> None:
         with self._lock:

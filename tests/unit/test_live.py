@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import gc
 import io
 import threading
+import weakref
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -252,6 +254,24 @@ def test_a_recording_is_shown_to_its_last_frame(tmp_path: Path, layouts: list[La
     assert last.image is not None
     assert np.abs(last.image.values - whole.values).max() < 1e-5 * np.abs(whole.values).max()
     assert [t.name for t in threading.enumerate() if t.name.startswith("live-")] == []
+
+
+def test_a_closed_view_holds_no_scans_and_is_freed_without_the_garbage_collector(
+    tmp_path: Path, layouts: list[Layout]
+) -> None:
+    """The recording refers to its view by the callback for gaps, and the view to the recording."""
+    gc.collect()
+    gc.disable()
+    try:
+        with LiveView(LiveSettings(open_motion("free?rpm=20"), layouts)) as view:
+            recorded(tmp_path, view, gap=lambda gap, view=view: view.note("a gap"))
+            held = [weakref.ref(view), weakref.ref(view._views), weakref.ref(view._session.intake)]
+            assert view._views.count > 20
+        assert held[1]() is None, "the sums go with the end of the view"
+        del view
+        assert [one() for one in held] == [None, None, None]
+    finally:
+        gc.enable()
 
 
 def test_a_view_that_fails_or_hangs_costs_no_scan(tmp_path: Path) -> None:
