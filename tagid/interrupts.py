@@ -7,6 +7,8 @@ A stop signal must never interrupt a write, least of all inside a callback of a 
 from __future__ import annotations
 
 import atexit
+import os
+import select
 import signal
 import threading
 from collections.abc import Callable, Iterator
@@ -194,6 +196,37 @@ def deferred() -> Deferred:
     CaptureInterrupted leaves the block, the delayed signals are dropped: the work is stopping already.
     """
     return Deferred()
+
+
+def wait_readable(descriptor: int) -> None:
+    """Wait until a read of a file descriptor does not block; signals take effect at once.
+
+    In a blocking read, a signal that arrives after the last bytecode and before the system call would take
+    effect only with the next signal: its handler runs in Python, and nothing interrupts the call. Here the
+    signal itself writes to a pipe that is waited for as well (`signal.set_wakeup_fd`).
+
+    Args:
+        descriptor: of a terminal, a pipe, a socket or a file.
+    """
+    awaited = select.poll()
+    awaited.register(descriptor, select.POLLIN)
+    if not _on_main_thread():
+        awaited.poll()
+        return
+    woken, waking = os.pipe()
+    before = -1
+    try:
+        os.set_blocking(woken, False)
+        os.set_blocking(waking, False)
+        awaited.register(woken, select.POLLIN)
+        before = signal.set_wakeup_fd(waking, warn_on_full_buffer=False)
+        # A signal's handler runs after each call of poll, and ends the wait by raising.
+        while descriptor not in [ready for ready, _ in awaited.poll()]:
+            os.read(woken, 512)
+    finally:
+        signal.set_wakeup_fd(before)
+        os.close(woken)
+        os.close(waking)
 
 
 def _on_main_thread() -> bool:

@@ -7,16 +7,14 @@ end.
 from __future__ import annotations
 
 import itertools
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import typer
-
 from tagid import interrupts
 from tagid.cli.common.frame import Terminal
+from tagid.cli.common.prompts import can_ask, confirm
 from tagid.cli.common.recording import Limits, capture_folder, plan_of, radar_url
 from tagid.config import Config
 from tagid.constants import CAPTURE_SUFFIX
@@ -86,7 +84,7 @@ class Lift:
         """
         if radar_url(config).startswith("emulator://"):
             return cls(emulated=True)
-        if not yes and not sys.stdin.isatty():
+        if not yes and not can_ask():
             raise UsageError(
                 "--heights asks for the antenna to be moved, and there is no terminal to ask on",
                 "Run it in a terminal; add --yes only if the antenna is moved without being asked.",
@@ -101,11 +99,7 @@ class Lift:
             self.place(height_m)
         elif self.asks:
             text = f"{which}: move the antenna to {height_m:.3f} m above the object's plane. Is it there?"
-            try:
-                agreed = typer.confirm(text, default=True, err=True)
-            except typer.Abort:
-                agreed = False
-            if not agreed:
+            if not confirm(text, default=True):
                 raise CaptureInterrupted(f"stopped before {which.lower()}")
         return url
 

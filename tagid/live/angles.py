@@ -7,13 +7,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tagid.angles.align import align
 from tagid.angles.clock import fit_clock
 from tagid.angles.period import MIN_TURNS
 from tagid.errors import DataError
+from tagid.metadata import Track
 from tagid.motion.device import Motion
 from tagid.radar.assembler import Scan
 
@@ -22,7 +25,8 @@ _FEWEST_SEARCHED = 40
 _SEARCHED_TURNS = MIN_TURNS + 0.02
 """Turns at the nominal speed after which the period is estimated."""
 _MOST_SEARCHED = 1000
-"""Maximum number of scans of the search; more are decimated, to keep it within a fraction of a second."""
+"""Maximum number of scans of the search and of the alignment; more are decimated, to keep them within a
+fraction of a second."""
 
 
 class LiveAngles:
@@ -47,12 +51,7 @@ class LiveAngles:
         if not scans:
             return None
         if self._motion.measures:
-            track = self._motion.track()
-            if track is None or len(track) < 2:
-                return None
-            arrived = np.array([scan.host_time_ns for scan in scans], dtype=np.float64)
-            angles = np.interp(arrived, track.host_time_ns.astype(np.float64), track.angles_rad)
-            return np.asarray(angles - angles[0])
+            return _measured(scans, self._motion.track())
         times = _times_s(scans)
         self._search(scans, times)
         if self._period_s is None:
@@ -81,12 +80,38 @@ class LiveAngles:
             self.learn(found.period_s)
 
 
+def _measured(scans: Sequence[Scan], track: Track | None) -> NDArray[np.float64] | None:
+    """(scans,) angle relative to the first scan by the device's readings, rad; None while there are too few.
+
+    Scans and readings arrive late on a busy computer, so both clocks are aligned as for the stored capture.
+    """
+    if track is None or len(scans) < _FEWEST_FITTED:
+        return None
+    try:
+        clock = fit_clock(*_stamps(scans))
+        last = len(scans) - 1
+        some = np.unique(np.append(np.arange(0, last, -(-len(scans) // _MOST_SEARCHED)), last))
+        arrived = np.array([scans[number].host_time_ns for number in some], dtype=np.int64)
+        times = clock.times_s[some]
+        aligned = align(replace(clock, times_s=times, index=clock.index[some]), arrived, track)
+    except DataError:
+        return None
+    angles = np.interp(clock.times_s, times, aligned.angles_rad)
+    return np.asarray(angles - angles[0])
+
+
+def _stamps(scans: Sequence[Scan]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """(scans,) radar time, ms, and number of each scan."""
+    stamps = np.array([scan.radar_time_ms for scan in scans], dtype=np.float64)
+    return stamps, np.array([scan.scan_id for scan in scans], dtype=np.int64)
+
+
 def _times_s(scans: Sequence[Scan]) -> NDArray[np.float64]:
     """(scans,) seconds since the first scan, by the radar's clock."""
-    stamps = np.array([scan.radar_time_ms for scan in scans], dtype=np.float64)
+    stamps, numbers = _stamps(scans)
     if len(scans) >= _FEWEST_FITTED:
         try:
-            return fit_clock(stamps, np.array([scan.scan_id for scan in scans])).times_s
+            return fit_clock(stamps, numbers).times_s
         except DataError:
             pass
     return np.asarray((stamps - stamps[0]) * 1e-3)

@@ -24,6 +24,7 @@ from tagid.geometry import ImageGrid
 from tagid.imaging.types import Image
 from tagid.live.angles import LiveAngles
 from tagid.live.ats import GrowingAts
+from tagid.live.speed import GrowingSpeed
 from tagid.live.state import LiveState, Phase, Sinogram
 from tagid.live.views import TOLERANCE_RAD, GrowingViews, capture_so_far, whole_image
 from tagid.motion.device import Motion
@@ -95,6 +96,8 @@ class LiveView:
         self._grid = ImageGrid(grid.extent_m, min(grid.pixels, MAX_PIXELS))
         self._scans: list[Scan] = []
         self._angles = LiveAngles(settings.motion)
+        unknown = settings.motion.nominal_s is None and not settings.motion.measures
+        self._speed = GrowingSpeed() if unknown else None
         self._views = GrowingViews(self._grid, settings.layouts, settings.imaging)
         self._ats = GrowingAts(self._grid, settings.imaging) if settings.imaging.method == "ats" else None
         self._ats_image: Image | None = None
@@ -165,9 +168,23 @@ class LiveView:
         """End the threads; the state is kept. After `settle` the last frame is still computed."""
         self._closing = True
         self._wake.set()
-        for thread in (self._worker, self._fitter, self._reader):
-            if thread is not None and thread.is_alive() and thread is not threading.current_thread():
+        threads = [one for one in (self._worker, self._fitter, self._reader) if one is not None]
+        for thread in threads:
+            if thread.is_alive() and thread is not threading.current_thread():
                 thread.join(_JOIN_S)
+        if not any(thread.is_alive() for thread in threads):
+            self._forget()
+
+    def _forget(self) -> None:
+        """Release the scans, their sums and the recording, which in turn refers to this view.
+
+        Garbage collection would find that cycle only after many scans of a station, each with sums of about
+        10 MB.
+        """
+        self._session, self._stored = None, None
+        self._queue, self._scans = [], []
+        self._views = GrowingViews(self._grid, (), self._settings.imaging)
+        self._ats = self._ats_image = None
 
     def _publish(self, **changes: object) -> None:
         with self._lock:
@@ -232,11 +249,16 @@ class LiveView:
         if not new or session is None:
             return False
         self._scans += new
+        period_s = self._speed.period_s(session, self._scans) if self._speed and not self._over else None
+        if period_s is not None:
+            self._angles.learn(period_s)
         angles = self._angles.of(self._scans)
         shown: dict[str, object] = {}
         if angles is not None:
             shown["turned_rad"] = float(np.abs(angles).max())
         if angles is not None and session.plan.axis_distance_m is not None and not self._no_image:
+            # Before the views: where the speed is found late, all of them are formed at once.
+            self._read_ahead(session, angles)
             try:
                 self._views.update(capture_so_far(session, self._scans), angles, self._in_a_hurry)
                 image, evidence = self._views.image(), self._views.evidence()
@@ -247,7 +269,6 @@ class LiveView:
                 self._fit_ahead()
                 image = self._ats_image or image
                 shown |= {"views": self._views.count, "image": image, "evidence": evidence}
-                self._read_ahead(session, angles)
         sinogram, snr = self._sinogram(session)
         seconds = (self._scans[-1].radar_time_ms - self._scans[0].radar_time_ms) * 1e-3
         lost = session.intake.scans_lost

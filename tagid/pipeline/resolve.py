@@ -62,6 +62,11 @@ def with_angles(capture: Capture, motion: str | None = None) -> Capture:
         angles = measured_angles(capture.samples, clock, capture.host_time_ns, track)
         motion = motion or capture.motion.url
     else:
+        if device.measures and capture.motion.not_resolved:
+            raise DataError(
+                f"the measured angles were not assigned to the scans: {capture.motion.not_resolved}",
+                "Use the period from the scans: --motion free.",
+            )
         angles = device.resolve(capture.samples, clock.times_s, clock.sigma_s)
     found = replace(angles.info, scan_period_s=clock.period_s, clock_residual_ms=clock.residual_ms)
     return replace(

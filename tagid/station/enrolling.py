@@ -12,6 +12,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -83,6 +84,19 @@ class Taken:
     error: TagidError | None = None
 
 
+@dataclass(frozen=True, eq=False)
+class Expected:
+    """A capture of the enrolment that is to be recorded.
+
+    Attributes:
+        note: text stored with it.
+        add: called with its file, the capture with angles, and its answer.
+    """
+
+    note: str
+    add: Callable[[Path, Capture, Identification], None]
+
+
 @dataclass(frozen=True)
 class Stored:
     """An enrolled object.
@@ -137,6 +151,7 @@ class Enrolling:
         self._lock = threading.Lock()
         self._state = EnrolmentState()
         self._count = 0
+        self._begun = 0
 
     @property
     def state(self) -> EnrolmentState:
@@ -159,6 +174,7 @@ class Enrolling:
         with self._alone() as before:
             if before.subject is None:
                 self._count = 0
+                self._begun += 1
                 self._state = EnrolmentState(subject)
             else:
                 self._state = replace(before, subject=subject, proposal=None)
@@ -169,8 +185,8 @@ class Enrolling:
         with self._alone():
             self._state = EnrolmentState()
 
-    def next_note(self) -> str:
-        """Note for the next capture. Raises EnrolmentError if no capture can be added."""
+    def expect(self) -> Expected:
+        """The next capture, before it is recorded. Raises EnrolmentError if no capture can be added."""
         state = self._state
         if state.subject is None:
             raise EnrolmentError("no enrolment was begun", "Enter the name of the object first.")
@@ -178,12 +194,16 @@ class Enrolling:
             raise _busy()
         if len(state.captures) >= MOST:
             raise EnrolmentError(f"there are {MOST} captures already", "Remove one that disagrees.")
-        return f"enrolling {state.subject.name}, capture {self._count + 1}"
+        note = f"enrolling {state.subject.name}, capture {self._count + 1}"
+        return Expected(note, partial(self._add, self._begun))
 
-    def add(self, path: Path, capture: Capture, answer: Identification) -> None:
-        """Add a recorded capture with its angles, and measure; errors become the state's trouble."""
+    def _add(self, begun: int, path: Path, capture: Capture, answer: Identification) -> None:
+        """Add a recorded capture with its angles, and measure; errors become the state's trouble.
+
+        A capture of an enrolment that was ended while it was recorded is of another object, and is not added.
+        """
         with self._alone(wait=True) as before:
-            if before.subject is None:
+            if before.subject is None or begun != self._begun:
                 return
             self._count += 1
             self._state = replace(before, measuring=True)

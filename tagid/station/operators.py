@@ -50,11 +50,14 @@ class Operators:
                 self._left_at[key] = self._clock()
 
     def take(self, key: str, force: bool = False) -> bool:
-        """Take the lock; False if another connected key has it, unless forced."""
+        """Take the lock; False if another key has it, unless forced.
+
+        A key keeps it during the grace period: its browser may be reloading the page.
+        """
         with self._lock:
             if not self._connections.get(key):
                 return False
-            if self._operator in (None, key) or force or not self._connections.get(self._operator or ""):
+            if self._operator in (None, key) or force:
                 self._operator = key
                 return True
             return False

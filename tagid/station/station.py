@@ -120,7 +120,8 @@ class Station:
         Raises as `start`, and EnrolmentError if the enrolment takes no capture.
         """
         with self._starting:
-            return self._start(key, self.enrolling.next_note(), self.enrolling.add)
+            expected = self.enrolling.expect()
+            return self._start(key, expected.note, expected.add)
 
     def _start(self, key: str | None, note: str, then: Then | None = None) -> int:
         if self._scan is not None and self._scan.running:

@@ -1,16 +1,18 @@
 """Memory, threads and open files of a station over many scans of the emulator.
 
-    python tests/benchmarks/bench_station.py [--scans 2000] [--every 50]
+    python tests/benchmarks/bench_station.py [--scans 2000] [--every 50] [--minutes 90]
 
 Each scan is a whole turn at 60 rpm, as fast as it is read, with live image, reading, picture and history. A
 page is connected and receives every frame, and the history is requested after each scan. One layout is
 enrolled. Captures are removed after their scan. Prints scans, resident memory (MB), threads and open files,
-one line per `--every` scans, and the slope of the memory over the second half of the run.
+one line per `--every` scans, and the slope of the memory over the second half of the run. After `--minutes`
+it ends with the scans so far.
 """
 
 from __future__ import annotations
 
 import argparse
+import math
 import os
 import sys
 import tempfile
@@ -57,8 +59,8 @@ def slope_mb(loads: list[Load]) -> float:
     return float(np.polyfit([one.scans for one in loads], [one.resident_mb for one in loads], 1)[0] * 1000)
 
 
-def run(home: Path, scans: int, every: int) -> list[Load]:
-    """Scan with a station in this process; the state after every so many scans."""
+def run(home: Path, scans: int, every: int, seconds: float) -> list[Load]:
+    """Scan with a station in this process; the state after every so many scans, and after the last one."""
     os.environ |= {"TAGID_CONFIG": f"{home}/c.toml", "TAGID_DATA": f"{home}/data"}
     from tagid.station import server as web_server
     from tagid.station.server import Server
@@ -72,6 +74,7 @@ def run(home: Path, scans: int, every: int) -> list[Load]:
     place.mkdir()
     station = Station(source(place, RADAR, rpm=60), healthy)
     loads = []
+    until = time.monotonic() + seconds
     with Server(station, "127.0.0.1", 0) as server:
         page, _ = joined(server.port)
         reader = threading.Thread(target=watch, args=(page,), name="page", daemon=True)
@@ -84,9 +87,12 @@ def run(home: Path, scans: int, every: int) -> list[Load]:
             assert len(Asks(server.url, {}).get("/api/v1/history").json()["items"]) == min(number, 50)
             for path in place.iterdir():
                 path.unlink()
-            if number % every == 0:
+            late = time.monotonic() > until
+            if number % every == 0 or number == scans or late:
                 loads.append(Load.now(number))
                 show(loads[-1])
+            if late:
+                break
     reader.join(30)
     return loads
 
@@ -109,14 +115,15 @@ def main() -> None:
     words = argparse.ArgumentParser(description=__doc__)
     words.add_argument("--scans", type=int, default=2000)
     words.add_argument("--every", type=int, default=50)
+    words.add_argument("--minutes", type=float, default=math.inf)
     asked = words.parse_args()
     began = time.process_time()
     with tempfile.TemporaryDirectory() as home:
-        loads = run(Path(home), asked.scans, asked.every)
+        loads = run(Path(home), asked.scans, asked.every, asked.minutes * 60)
     late = loads[len(loads) // 2 :]
     if len(late) > 1:
         sys.stdout.write(f"slope of the second half: {slope_mb(late):+.2f} MB per 1000 scans\n")
-    sys.stdout.write(f"{(time.process_time() - began) / asked.scans:.2f} s of processor time per scan\n")
+    sys.stdout.write(f"{(time.process_time() - began) / loads[-1].scans:.2f} s of processor time per scan\n")
 
 
 if __name__ == "__main__":

@@ -347,7 +347,8 @@ def test_anybody_stops_a_scan_and_a_table_that_stops_half_way_is_told(
     scan = first.until("frame", lambda m: m["scan"]["number"] == 2 and not m["scan"]["running"])["scan"]
     assert scan["phase"] == "failed" and scan["note"].startswith("the table stopped")
     assert table.stopped.is_set()
-    kept = [read_any(path) for path in sorted((tmp_path / "out").glob("*.tagid.h5"))]
+    paths = sorted((tmp_path / "out").glob("*.tagid.h5"), key=lambda path: path.stat().st_mtime_ns)
+    kept = [read_any(path) for path in paths]
     assert len(kept) == 2 and not any(capture.complete for capture in kept)
     assert kept[1].views >= 10, "what was recorded is kept"
     table.breaks_after = None

@@ -72,6 +72,40 @@ def test_an_object_is_measured_stored_named_and_undone(serve, tmp_path: Path) ->
     assert len(notes) == 4 and all(Path(name).exists() for name in notes), "every capture is kept"
 
 
+def test_a_reload_and_a_second_tab_in_the_middle_of_an_enrolment_lose_nothing(serve, tmp_path: Path) -> None:
+    radars = poses("mine", own_object(tmp_path) + "&rate=1")
+    one = serve(lambda: next(radars))
+    client = Asks(one.url, OWN)
+    first, key = joined(one.port)
+    assert client.post("/api/v1/enrolment", name="gate-4", key=key).status == 200
+    assert client.post("/api/v1/enrolment/capture", key=key).status == 202
+    first.until("frame", lambda m: m["scan"]["scans"] > 5)
+    # The page is reloaded while the object turns, and while another tab looks on.
+    second, other = joined(one.port)
+    first.close()
+    refused = client.post("/api/v1/enrolment/cancel", key=other)
+    assert (refused.status, refused.json()["error"]["code"]) == (403, "not_operator")
+    first, again = joined(one.port, key)
+    assert again == key
+    for tab in (first, second):
+        seen = tab.until("status", lambda m: len(m["enrolment"]["captures"]) == 1)["enrolment"]
+        assert seen["subject"]["name"] == "gate-4"
+    assert ended(one)["phase"] == "done"
+    assert client.post("/api/v1/enrolment/capture", key=key).status == 202, "it still operates"
+    first.until("status", lambda m: len(m["enrolment"]["captures"]) == 2)
+    # The first tab is closed; the second one takes over and ends what was begun.
+    assert ended(one)["phase"] == "done"
+    first.close()
+    second.say(type="take")
+    second.until("operator", lambda m: m["you"])
+    assert client.post("/api/v1/enrolment/capture", key=other).status == 202
+    second.until("status", lambda m: m["enrolment"]["proposal"])
+    assert client.post("/api/v1/enrolment/store", key=other).json()["stored"]["name"] == "gate-4"
+    rows = client.get("/api/v1/history").json()["items"]
+    assert len(rows) == 3 and all(Path(row["file"]).exists() for row in rows)
+    second.close()
+
+
 def test_only_the_operator_enrols(serve) -> None:
     one = serve()
     operator, key = joined(one.port)

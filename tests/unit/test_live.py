@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import gc
 import io
 import threading
-from dataclasses import replace
+import time
+import weakref
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import cast
@@ -25,6 +29,7 @@ from tagid.live.ats import PIECE_VIEWS, GrowingAts
 from tagid.live.engine import LiveSettings, LiveView
 from tagid.live.evidence import GrowingEvidence
 from tagid.live.image import GrowingImage
+from tagid.live.speed import GrowingSpeed
 from tagid.live.state import LiveState, Phase
 from tagid.live.views import GrowingViews, capture_so_far
 from tagid.motion.urls import open_motion
@@ -252,6 +257,99 @@ def test_a_recording_is_shown_to_its_last_frame(tmp_path: Path, layouts: list[La
     assert last.image is not None
     assert np.abs(last.image.values - whole.values).max() < 1e-5 * np.abs(whole.values).max()
     assert [t.name for t in threading.enumerate() if t.name.startswith("live-")] == []
+
+
+@dataclass(frozen=True)
+class Turning:
+    """Scans of an emulated object, 10 s per turn, as a recording of unknown speed hands them over."""
+
+    session: Session
+    scans: list[Scan]
+
+    @classmethod
+    def of(cls, scene: str, folder: Path, turns: float) -> Turning:
+        config = plan_window(1.0, 0.5, 0.0, RadarConfig(base_integration_index=15))
+        plan = RecordingPlan(config, 1.0, motion="free", max_seconds=10.0 * turns)
+        sessions: list[Session] = []
+        scans: list[Scan] = []
+        watch = Watch(began=sessions.append, scan=scans.append)
+        radar = open_radar(f"emulator://{scene}?rpm=6&seed=2&snr=10")
+        record(radar, open_motion("free?rpm=6"), plan, folder / f"{scene}.tagid.h5", watch)
+        return cls(sessions[0], scans)
+
+    def part(self, turns: float) -> list[Scan]:
+        """The scans of the first turns."""
+        return [s for s in self.scans if s.radar_time_ms - self.scans[0].radar_time_ms <= 1e4 * turns]
+
+
+@pytest.mark.parametrize(
+    ("scene", "earliest", "latest"),
+    [("helmet-120", 0.35, 0.45), ("helmet-linear", 0.55, 0.65), ("container-90", 1.1, 1.25), ("empty", 9, 9)],
+)
+def test_an_unknown_speed_is_found_as_soon_as_the_scans_repeat(
+    tmp_path: Path, scene: str, earliest: float, latest: float
+) -> None:
+    """A wrong multiple or a chance repetition would show an image of nothing, and read a wrong turn."""
+    turning = Turning.of(scene, tmp_path, 1.3)
+    speed = GrowingSpeed()
+    found: list[tuple[float, float]] = []
+    for count in range(1, len(turning.scans) + 1, 2):
+        period = speed.period_s(turning.session, turning.scans[:count])
+        if period is not None:
+            found.append((count / len(turning.scans) * 1.3, period))
+    if scene == "empty":
+        assert found == []
+        return
+    assert earliest < found[0][0] < latest
+    assert [period for _, period in found] == pytest.approx([10.0] * len(found), rel=5e-3)
+    assert len(found) < 10, "a new estimate forms all views again"
+
+
+def test_image_and_answer_precede_the_end_of_a_turn_of_unknown_speed(
+    tmp_path: Path, layouts: list[Layout]
+) -> None:
+    turning = Turning.of("helmet-120", tmp_path, 1.2)
+    with LiveView(LiveSettings(open_motion("free"), layouts, imaging=ImagingSettings(pixels=48))) as view:
+        view.began(turning.session)
+        half = turning.part(0.55)
+        for number, scan in enumerate(half):
+            view.scan(scan)
+            if number % 10 == 0:
+                wait_for(lambda seen=number: view.state.scans > seen)
+        wait_for(lambda: view.state.scans == len(half) and view.state.image is not None)
+        assert view.state.turned_rad == pytest.approx(0.55 * 2 * np.pi, rel=0.02)
+        assert max(view.state.evidence, key=lambda one: one.share).layout == "helmet-120"
+        for scan in turning.scans[len(half) :]:
+            view.scan(scan)
+        wait_for(lambda: view.state.answer is not None)
+        answer, final = view.state.answer, view.state.final
+    assert answer is not None and answer.reading is not None and not final
+    assert answer.reading.layout == "helmet-120"
+
+
+def wait_for(condition: Callable[[], object]) -> None:
+    end = time.monotonic() + 120
+    while not condition():
+        assert time.monotonic() < end, "it did not happen"
+        time.sleep(0.01)
+
+
+def test_a_closed_view_holds_no_scans_and_is_freed_without_the_garbage_collector(
+    tmp_path: Path, layouts: list[Layout]
+) -> None:
+    """The recording refers to its view by the callback for gaps, and the view to the recording."""
+    gc.collect()
+    gc.disable()
+    try:
+        with LiveView(LiveSettings(open_motion("free?rpm=20"), layouts)) as view:
+            recorded(tmp_path, view, gap=lambda gap, view=view: view.note("a gap"))
+            held = [weakref.ref(view), weakref.ref(view._views), weakref.ref(view._session.intake)]
+            wait_for(lambda: view._views.count > 5)
+        assert held[1]() is None, "the sums go with the end of the view"
+        del view
+        assert [one() for one in held] == [None, None, None]
+    finally:
+        gc.enable()
 
 
 def test_a_view_that_fails_or_hangs_costs_no_scan(tmp_path: Path) -> None:

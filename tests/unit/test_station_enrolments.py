@@ -61,7 +61,7 @@ def enrolling(registry: Registry) -> Enrolling:
 
 def add(enrolling: Enrolling, *captures) -> EnrolmentState:
     for one in captures:
-        enrolling.add(Path("a.tagid.h5"), one, Identification("unknown", None, one.uuid, None))
+        enrolling.expect().add(Path("a.tagid.h5"), one, Identification("unknown", None, one.uuid, None))
     return enrolling.state
 
 
@@ -70,9 +70,9 @@ def test_a_capture_of_another_object_is_named_and_replaced(
 ) -> None:
     first, second, third, other = captures
     with pytest.raises(EnrolmentError):
-        enrolling.next_note()
+        enrolling.expect()
     enrolling.describe(Subject("gate-4", "helmet", "The blue one"))
-    assert enrolling.next_note() == "enrolling gate-4, capture 1"
+    assert enrolling.expect().note == "enrolling gate-4, capture 1"
     assert "no majority" in str(add(enrolling, first, other).trouble)
     state = add(enrolling, second)
     assert str(state.trouble).startswith("capture 2 has a reflector") and state.proposal is None
@@ -94,6 +94,24 @@ def test_a_capture_of_another_object_is_named_and_replaced(
     enrolling.cancel()
     assert enrolling.state.subject is None and enrolling.state.captures == ()
     assert {"gate-4", "gate-5"}.isdisjoint(layout.name for layout in registry.layouts())
+
+
+def test_a_capture_belongs_to_the_enrolment_that_it_was_recorded_for(enrolling: Enrolling, captures) -> None:
+    """An operator may end an enrolment and begin another while a capture is being recorded."""
+    unread = Identification("unknown", None, captures[0].uuid, None)
+    enrolling.describe(Subject("gate-4"))
+    late = enrolling.expect()
+    enrolling.describe(Subject("gate-5"))  # only a new name
+    late.add(Path("a.tagid.h5"), captures[0], unread)
+    assert [one.number for one in enrolling.state.captures] == [1]
+    late = enrolling.expect()
+    enrolling.cancel()
+    late.add(Path("b.tagid.h5"), captures[1], unread)
+    assert enrolling.state.subject is None and enrolling.state.captures == ()
+    enrolling.describe(Subject("gate-6"))
+    late.add(Path("b.tagid.h5"), captures[1], unread)
+    assert enrolling.state.captures == () and not enrolling.state.measuring
+    assert [one.number for one in add(enrolling, captures[1]).captures] == [1]
 
 
 def test_an_object_that_is_enrolled_already_is_refused(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import threading
 from dataclasses import replace
 from math import inf
 from pathlib import Path
@@ -11,11 +12,12 @@ import numpy as np
 import pytest
 
 from tagid.capture import Capture
-from tagid.errors import ConfigError, ModelError
+from tagid.errors import ConfigError, DeviceError, DeviceTimeoutError, ModelError
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
-from tagid.live.engine import LiveSettings
+from tagid.live.engine import LiveSettings, LiveView
 from tagid.live.sure import EarlyEnding, check_angle_known, ended_answer
 from tagid.metadata import Ending, Track
+from tagid.motion.device import MotionStoppedError
 from tagid.motion.turntable import FreeTurntable
 from tagid.motion.urls import open_motion
 from tagid.pipeline.diagnosis import recording_remarks, turn_share
@@ -135,6 +137,35 @@ def test_without_a_bound_the_whole_turn_is_recorded(tmp_path: Path, why: str) ->
     assert ending.remark.endswith(told[why]) if why in told else not ending.remark
     assert capture.radar.ended == Ending("turn")
     assert capture.motion.resolved is not None and capture.motion.resolved.turns > 1.2
+
+
+@pytest.mark.parametrize("error", [MotionStoppedError("it fell"), DeviceTimeoutError("no scan arrived")])
+def test_a_scan_that_fails_leaves_no_thread_and_no_ending(tmp_path: Path, error: DeviceError) -> None:
+    motion = FreeTurntable(20.0)
+    checks = []
+
+    def check() -> None:
+        checks.append(1)
+        if len(checks) > 25:
+            raise error
+
+    motion.check = check  # type: ignore[method-assign]
+    known = settings(motion)
+    config = plan_window(1.0, 0.5, 0.0, RadarConfig(base_integration_index=13))
+    plan = RecordingPlan(config, 1.0, motion=URL)
+    radar = open_radar("emulator://helmet-120?rpm=20&seed=2")
+    with (
+        pytest.raises(type(error), match=error.message) as failed,
+        LiveView(known) as view,
+        EarlyEnding(known, CALIBRATION) as ending,
+    ):
+        watch = ending.watching(Watch(began=view.began, scan=view.scan, ended=view.ended))
+        record(radar, motion, plan, tmp_path / "x.tagid.h5", watch)
+    assert ending.enough() is None
+    kept = read_capture(tmp_path / "x.tagid.h5")
+    assert kept.views == 26 and not kept.complete and kept.radar.ended is None
+    assert str(tmp_path / "x.tagid.h5") in failed.value.remedy
+    assert [one.name for one in threading.enumerate() if one.name.startswith(("live-", "motion-"))] == []
 
 
 class _Uncalibrated(FreeTurntable):

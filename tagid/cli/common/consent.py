@@ -5,11 +5,11 @@ Scripts confirm with --yes; without it and without a terminal nothing moves.
 
 from __future__ import annotations
 
-import sys
 from typing import Annotated
 
 import typer
 
+from tagid.cli.common.prompts import can_ask, confirm
 from tagid.errors import CaptureInterrupted, UsageError
 
 Yes = Annotated[
@@ -38,16 +38,12 @@ def agree(what: str, yes: bool, warning: str = "") -> None:
         typer.echo(f"{warning}.", err=True)
     if yes:
         return
-    if not sys.stdin.isatty():
+    if not can_ask():
         raise UsageError(
             f"{what}, and there is no terminal to confirm it on",
             "Make sure that the area around it is clear, then add --yes.",
         )
-    try:
-        agreed = typer.confirm(f"{what}. Is the area clear?", default=False, err=True)
-    except typer.Abort:
-        agreed = False
-    if not agreed:
+    if not confirm(f"{what}. Is the area clear?", default=False):
         raise CaptureInterrupted("declined: nothing was moved")
 
 

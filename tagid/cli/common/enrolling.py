@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from tagid.cli.common.frame import Output, Terminal
+from tagid.cli.common.prompts import can_ask, confirm
 from tagid.config import load_config
 from tagid.errors import CaptureInterrupted, LayoutConflictError, TagidError, UsageError
 from tagid.result import Result
@@ -152,16 +153,12 @@ def agree(terminal: Terminal, shown: RenderableType, question: str, yes: bool) -
 
     Returns whether it was shown. Raises CaptureInterrupted if the user declines: nothing is stored then.
     """
-    if yes or terminal.output != Output.human or not (sys.stdin.isatty() and sys.stderr.isatty()):
+    if yes or terminal.output != Output.human or not (can_ask() and sys.stderr.isatty()):
         return False
     from rich.console import Console
 
     Console(stderr=True, highlight=False).print(shown)
-    try:
-        agreed = typer.confirm(question, default=False, err=True)
-    except typer.Abort:
-        agreed = False
-    if not agreed:
+    if not confirm(question, default=False):
         raise CaptureInterrupted("declined: nothing was stored")
     return True
 

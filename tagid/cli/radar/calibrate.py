@@ -11,6 +11,7 @@ import typer
 
 from tagid.cli.common import options
 from tagid.cli.common.frame import Terminal, command
+from tagid.cli.common.prompts import can_ask, read_line
 from tagid.cli.radar.device import open_configured, radar_url
 from tagid.config import Config, data_folder, load_config
 from tagid.constants import CAPTURE_SUFFIX
@@ -115,7 +116,7 @@ class _Session:
 
 def _steps(step: str | None, distance: float | None) -> str:
     if step is None:
-        asks = sys.stdin.isatty() and sys.stderr.isatty()
+        asks = can_ask() and sys.stderr.isatty()
         step = "empty" if distance is None else "both" if asks else "target"
         if distance is None and asks:
             raise UsageError(
@@ -133,10 +134,12 @@ def _steps(step: str | None, distance: float | None) -> str:
 
 def _ask(what: str) -> None:
     typer.echo(f"{what}, then press Enter.", err=True)
-    if not sys.stdin.readline():
+    try:
+        read_line()
+    except EOFError:
         raise UsageError(
             "no confirmation was received", "Without a terminal, use --step empty and then --step target."
-        )
+        ) from None
 
 
 def _put_back(device: P440, before: RadarConfig) -> None:

@@ -102,22 +102,6 @@ class EmulatorCore:
         self._identity = identity or Identity()
         self._now = booted_s
         self._booted_at = 0.0
-        self._handlers: dict[MessageType, Callable[[Message], bytes]] = {
-            _T.SET_CONFIG_REQUEST: self._set_config,
-            _T.GET_CONFIG_REQUEST: self._get_config,
-            _T.CONTROL_REQUEST: self._control,
-            _T.SERVER_CONNECT_REQUEST: lambda m: _confirm(_T.SERVER_CONNECT_CONFIRM, m),
-            _T.SERVER_DISCONNECT_REQUEST: lambda m: _confirm(_T.SERVER_DISCONNECT_CONFIRM, m),
-            _T.SET_FILTER_REQUEST: self._set_filter,
-            _T.GET_FILTER_REQUEST: self._get_filter,
-            _T.GET_STATUSINFO_REQUEST: lambda m: self._firmware.status_info(m.id, self._identity),
-            _T.REBOOT_REQUEST: self._reboot,
-            _T.SET_OPMODE_REQUEST: self._set_opmode,
-            _T.GET_OPMODE_REQUEST: lambda m: encode(_T.GET_OPMODE_CONFIRM, m.id, mode=self._state.opmode),
-            _T.SET_SLEEPMODE_REQUEST: self._set_sleep,
-            _T.GET_SLEEPMODE_REQUEST: lambda m: self._firmware.sleep_mode(m.id, self._state.sleep),
-            _T.SET_BAUD_REQUEST: self._set_baud,
-        }
 
     def follow(self, monotonic: Callable[[float], float]) -> None:
         """Tell a source that needs it which time.monotonic() corresponds to an emulated time."""
@@ -164,7 +148,7 @@ class EmulatorCore:
             message = decode(packet)
         except MalformedMessage as error:
             return [_invalid(packet, error.status)]
-        handler = self._handlers.get(message.type)
+        handler = _HANDLERS.get(message.type)
         if handler is None or (message.type in SERVER_ONLY and not self._firmware.server):
             return [_invalid(packet, Status.UNRECOGNISED)]
         if message.type in _MRM_REQUESTS and self._state.opmode != OPMODE_MRM:
@@ -175,7 +159,7 @@ class EmulatorCore:
         if message.type is _T.CONTROL_REQUEST and message["scan_count"] == 0:
             for _ in range(self._firmware.residual_scans):
                 residual += self.step() if self.scanning else []
-        return [*residual, handler(message)]
+        return [*residual, handler(self, message)]
 
     def hold_back(self, now_s: float) -> None:
         """Advance the time without a scan: the link is full, and the radar waits for it."""
@@ -340,3 +324,22 @@ def _confirm(confirm: MessageType, request: Message, status: Status = Status.OK)
 def _invalid(packet: bytes, status: Status) -> bytes:
     bad_type, bad_id = int.from_bytes(packet[:2], "big"), int.from_bytes(packet[2:4], "big")
     return encode(_T.INVALID_MESSAGE_CONFIRM, bad_id, bad_type=bad_type, bad_id=bad_id, status=int(status))
+
+
+_HANDLERS: Final[dict[MessageType, Callable[[EmulatorCore, Message], bytes]]] = {
+    _T.SET_CONFIG_REQUEST: EmulatorCore._set_config,
+    _T.GET_CONFIG_REQUEST: EmulatorCore._get_config,
+    _T.CONTROL_REQUEST: EmulatorCore._control,
+    _T.SERVER_CONNECT_REQUEST: lambda core, m: _confirm(_T.SERVER_CONNECT_CONFIRM, m),
+    _T.SERVER_DISCONNECT_REQUEST: lambda core, m: _confirm(_T.SERVER_DISCONNECT_CONFIRM, m),
+    _T.SET_FILTER_REQUEST: EmulatorCore._set_filter,
+    _T.GET_FILTER_REQUEST: EmulatorCore._get_filter,
+    _T.GET_STATUSINFO_REQUEST: lambda core, m: core._firmware.status_info(m.id, core._identity),
+    _T.REBOOT_REQUEST: EmulatorCore._reboot,
+    _T.SET_OPMODE_REQUEST: EmulatorCore._set_opmode,
+    _T.GET_OPMODE_REQUEST: lambda core, m: encode(_T.GET_OPMODE_CONFIRM, m.id, mode=core._state.opmode),
+    _T.SET_SLEEPMODE_REQUEST: EmulatorCore._set_sleep,
+    _T.GET_SLEEPMODE_REQUEST: lambda core, m: core._firmware.sleep_mode(m.id, core._state.sleep),
+    _T.SET_BAUD_REQUEST: EmulatorCore._set_baud,
+}
+"""A table of functions, not of bound methods: a radar that refers to itself is freed late, with its scene."""

@@ -1,0 +1,166 @@
+"""`tagid scan --until-sure` as a user runs it: with the live view, on a robot, and when something fails."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tagid.motion.calibration import Calibration, remember
+from tagid.motion.emulation.truth import TrueAngle
+from tagid.storage.importers import read_any
+from tagid.tags.sequential.looks import LOOKS
+from tests.cli.on_a_terminal import run
+from tests.e2e.test_scan import TAGID, emulator, environment
+from tests.e2e.test_scan_roomba import robot, scan_words, wait_until
+
+pytestmark = pytest.mark.realtime
+
+RADAR = "emulator://helmet-120?rpm=4&rate=1&seed=2"
+
+
+@pytest.fixture
+def home(tmp_path: Path) -> dict[str, str]:
+    """Few scans per second, which the emulated radar makes in time on a busy computer, too."""
+    return environment(tmp_path) | {"TAGID_RADAR_INTEGRATION": "15"}
+
+
+def live_words(radar: str, folder: Path) -> list[str]:
+    return ["scan", "--until-sure", "--live", "--radar", radar, "--motion", "free?rpm=4", "--axis-distance",
+            "1", "--method", "bp", "--save-dir", str(folder), "--output", "json"]  # fmt: skip
+
+
+def shown_end(home: dict[str, str], path: str) -> dict[str, Any]:
+    """What `tagid show` says of the end of a capture, after a look at its text."""
+    words = [*TAGID, "show", path]
+    text = subprocess.run(words, capture_output=True, text=True, env=home, check=True).stdout
+    assert "was certain" in " ".join(text.split())
+    words += ["--output", "json"]
+    found = subprocess.run(words, capture_output=True, text=True, env=home, check=True).stdout
+    return json.loads(found)["data"]["ended"]
+
+
+def sure(ended: dict[str, Any]) -> bool:
+    """Whether a scan of the helmet ended early, with the bound of the shipped calibration."""
+    assert (ended["reason"], ended.get("layout")) == ("sure", "helmet-120"), ended
+    return ended["share"] in LOOKS[1:] and ended["p_value"] <= 5e-4
+
+
+def test_a_live_scan_ends_when_it_is_sure_and_says_so_on_the_screen(
+    home: dict[str, str], tmp_path: Path
+) -> None:
+    ended = run(home, live_words(RADAR, tmp_path / "out"), (40, 140))
+    assert ended.code == 0, ended
+    data = json.loads(ended.out)["data"]
+    assert (data["items"][0]["status"], data["items"][0]["layout"]) == ("identified", "helmet-120")
+    assert sure(data["ended"])
+    screen = ended.sent.decode(errors="replace")
+    assert "because helmet-120 was certain" in screen and "\x1b[?1049l" in screen, "the screen is given back"
+    assert data["live"]["frames"] > 3
+    assert shown_end(home, data["files"]["capture"]) == data["ended"]
+    capture = read_any(Path(data["files"]["capture"]))
+    assert capture.complete and data["ended"]["share"] < np.ptp(capture.angles_rad) / (2 * np.pi) < 1
+
+
+def test_a_calibrated_robot_stands_at_once_when_it_is_sure(home: dict[str, str], tmp_path: Path) -> None:
+    with robot(home, "--wheel-base", "235", "--slip", "0.01", "--seed", "3") as there:
+        port = there["url"].partition("://")[2].partition("?")[0]
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setenv("TAGID_DATA", home["TAGID_DATA"])
+            remember(port, Calibration(235.0, 0.005, 2.3))
+        words = [word.replace("step=3", "step=2") for word in scan_words(there, tmp_path)]
+        done = subprocess.run(
+            [*words, "--yes", "--until-sure"], capture_output=True, text=True, env=home, timeout=120
+        )
+        assert "Traceback" not in done.stderr
+        document = json.loads(done.stdout)
+        assert done.returncode == 0, (document["errors"], done.stderr[-300:])
+        assert not any("whole" in message for message in document["messages"]), document["messages"]
+        truth = TrueAngle(there["truth"])
+        wait_until(lambda: not truth.state()["moving"])
+        state = truth.state()
+        clock_s = time.time() - time.monotonic()
+    data = document["data"]
+    assert sure(data["ended"])
+    assert 0.6 < abs(state["angle_rad"]) / (2 * np.pi) < 1
+    capture = read_any(Path(data["files"]["capture"]))
+    last_scan_s = int(capture.host_time_ns[-1]) * 1e-9 - clock_s
+    assert state["still_since_s"] - last_scan_s < 0.5
+    assert state["mode"] == 1
+    assert shown_end(home, data["files"]["capture"]) == data["ended"]
+
+
+def journal_size(folder: Path) -> int:
+    return max((path.stat().st_size for path in folder.glob("*.journal")), default=0)
+
+
+def test_a_radar_that_is_unplugged_in_the_middle_ends_the_scan_and_keeps_it(
+    home: dict[str, str], tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    with emulator(home, "--scene", "helmet-120", "--rpm", "4") as (url, radar):
+        unplug = threading.Thread(
+            target=lambda: (wait_until(lambda: journal_size(out) > 20_000, 60), radar.kill())
+        )
+        unplug.start()
+        ended = run({**home, "TAGID_RADAR_RESUME_S": "0"}, live_words(url, out), (40, 140))
+        unplug.join()
+    assert ended.code == 4, ended
+    (error,) = json.loads(ended.out)["errors"]
+    assert error["code"] == "device_timeout"
+    assert "\x1b[?1049l" in ended.sent.decode(errors="replace"), "the screen is given back"
+    (path,) = out.glob("*.tagid.h5")
+    assert str(path) in error["remedy"]
+    kept = read_any(path)
+    assert kept.views > 10 and not kept.complete and kept.radar.ended is None
+    assert not list(out.glob("*.journal"))
+
+
+def test_a_full_disk_ends_a_live_scan_and_the_journal_is_recovered(
+    home: dict[str, str], tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    limit = (
+        "import resource, signal, sys; signal.signal(signal.SIGXFSZ, signal.SIG_IGN);"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (40_000, resource.RLIM_INFINITY));"
+        "from tagid.cli.app import main; main()"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", limit, *live_words(RADAR, out)],
+        capture_output=True, text=True, env=home, timeout=120,
+    )  # fmt: skip
+    assert "Traceback" not in done.stderr, done.stderr
+    (error,) = json.loads(done.stdout)["errors"]
+    assert (done.returncode, error["code"]) == (1, "disk_full") and "tagid recover" in error["remedy"], error
+    (journal,) = out.iterdir()
+    recovered = subprocess.run([*TAGID, "recover", str(journal)], capture_output=True, text=True, env=home)
+    assert recovered.returncode == 0, recovered.stderr
+    (path,) = out.glob("*.tagid.h5")
+    assert read_any(path).views > 5 and not read_any(path).complete
+
+
+def test_a_robot_that_is_stopped_half_way_ends_the_scan_with_its_reason(
+    home: dict[str, str], tmp_path: Path
+) -> None:
+    with robot(home, "--wheel-base", "235", "--slip", "0", "--event", "cliff@5") as there:
+        words = [word.replace("step=3", "step=2") for word in scan_words(there, tmp_path)]
+        words = words[len(TAGID) :]
+        ended = run(home, [*words, "--yes", "--until-sure", "--live"], (40, 140))
+        truth = TrueAngle(there["truth"])
+        wait_until(lambda: not truth.state()["moving"])
+        assert 0.2 < abs(truth.state()["angle_rad"]) / (2 * np.pi) < 0.6
+    (error,) = json.loads(ended.out)["errors"]
+    assert ended.code == 4 and error["code"] == "motion_stopped", error
+    assert "\x1b[?1049l" in ended.sent.decode(errors="replace"), "the screen is given back"
+    (path,) = tmp_path.glob("*.tagid.h5")
+    assert str(path) in error["remedy"]
+    kept = read_any(path)
+    assert not kept.complete and kept.radar.ended is None
+    assert np.ptp(kept.angles_rad) > 1, "the angles so far are kept"
