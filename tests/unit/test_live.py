@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -338,16 +338,19 @@ def test_a_closed_view_holds_no_scans_and_is_freed_without_the_garbage_collector
     tmp_path: Path, layouts: list[Layout]
 ) -> None:
     """The recording refers to its view by the callback for gaps, and the view to the recording."""
+
+    def held() -> list[Any]:
+        with LiveView(LiveSettings(open_motion("free?rpm=20"), layouts)) as view:
+            recorded(tmp_path, view, gap=lambda gap: view.note("a gap"))
+            found = [weakref.ref(view), weakref.ref(view._views), weakref.ref(view._session.intake)]
+            wait_for(lambda: view._views.count > 5)
+        assert found[1]() is None, "the sums go with the end of the view"
+        return found
+
     gc.collect()
     gc.disable()
     try:
-        with LiveView(LiveSettings(open_motion("free?rpm=20"), layouts)) as view:
-            recorded(tmp_path, view, gap=lambda gap, view=view: view.note("a gap"))
-            held = [weakref.ref(view), weakref.ref(view._views), weakref.ref(view._session.intake)]
-            wait_for(lambda: view._views.count > 5)
-        assert held[1]() is None, "the sums go with the end of the view"
-        del view
-        assert [one() for one in held] == [None, None, None]
+        assert [one() for one in held()] == [None, None, None]
     finally:
         gc.enable()
 

@@ -42,18 +42,9 @@ from tagid.tags.bodies.reflectors_fit import (
 )
 from tagid.tags.bodies.ring import PairSearch, Ring, peaks
 from tagid.tags.bodies.spectra import Spectra, centred
+from tagid.tags.bodies.starts import FREE, OTHER, Ringed, Row, Start
 from tagid.tags.bodies.symmetric import MOST, symmetric_left
 from tagid.tags.layouts.layout import Layout
-
-
-@dataclass(frozen=True)
-class _Start:
-    """An arrangement found on a ring: energy left of the coarse spectra, and where."""
-
-    left: float
-    centre: complex
-    radius_m: float
-    angles: tuple[float, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,32 +54,6 @@ class _Amplitudes:
     body: NDArray[np.complex128]
     reflectors: NDArray[np.complex128]
     body_energy: float
-
-
-@dataclass(frozen=True, eq=False)
-class _Ringed:
-    """Nominal radii (K,) and heights (K,) of reflectors about their centre, m."""
-
-    radii: NDArray[np.float64]
-    heights: NDArray[np.float64]
-
-
-@dataclass(frozen=True, eq=False)
-class _Row:
-    """A start to be fitted.
-
-    Attributes:
-        role: FREE, OTHER or the name of a layout.
-        key: of rows that only differ in the pattern or the start, one is kept.
-        batch: one row.
-    """
-
-    role: str
-    key: tuple[object, ...]
-    batch: Batch
-
-
-FREE, OTHER = "<free>", "<other>"
 
 
 def read_on_body(
@@ -256,8 +221,8 @@ class BodyReader:
         return self.spectra.noise_energy * max(freedom, 1) / (self.spectra.views - 1)
 
     def _finished(
-        self, rows: Sequence[_Row], few: Batch, wide: Batch
-    ) -> tuple[list[_Row], Batch, NDArray[np.float64]]:
+        self, rows: Sequence[Row], few: Batch, wide: Batch
+    ) -> tuple[list[Row], Batch, NDArray[np.float64]]:
         """Arrangements fitted to the end: with few terms, and with many where there are views for them."""
         batch, left = self.fitter.fitted(few, 4)
         if self.spectra.views < self.settings.through_views or self.body.turns:
@@ -275,7 +240,7 @@ class BodyReader:
         through, more = self.fitter.fitted(begun, 6)
         return [*rows, *rows, *(rows[int(i)] for i in small)], joined([batch, through]), np.append(left, more)
 
-    def _through(self, rings: Sequence[float]) -> tuple[list[_Row], Batch, NDArray[np.float64]]:
+    def _through(self, rings: Sequence[float]) -> tuple[list[Row], Batch, NDArray[np.float64]]:
         """Arrangements on an enrolled body that the wave passes through, with many terms from the start.
 
         Five terms hold arrangements that few terms tell from the layout: this is for echoes of which few
@@ -297,7 +262,7 @@ class BodyReader:
             for i in peaks(values.max(axis=0), 2):
                 offset = offsets[int(values[:, i].argmax())]
                 batch = self.batch(layout, centre, offset, turned_by(layout, i), THROUGH)
-                rows.append(_Row(layout.name, (layout.name,), batch))
+                rows.append(Row(layout.name, (layout.name,), batch))
         batch, left = self.coarse_fitter.fitted(joined([row.batch for row in rows]), 3)
         rows, batch = self._kept(rows, batch, left)
         batch, left = self.fitter.fitted(batch, 6)
@@ -318,9 +283,7 @@ class BodyReader:
         noise = self.noise * len(self.coarse.wavenumbers) / len(self.spectra.wavenumbers)
         return (alone - max(left, noise)) / max(alone - noise, 1e-30)
 
-    def _kept(
-        self, rows: Sequence[_Row], batch: Batch, left: NDArray[np.float64]
-    ) -> tuple[list[_Row], Batch]:
+    def _kept(self, rows: Sequence[Row], batch: Batch, left: NDArray[np.float64]) -> tuple[list[Row], Batch]:
         """The best row of each key, and of each role those that may still matter."""
         room = {FREE: 5, OTHER: 8}
         used: dict[str, int] = {}
@@ -355,12 +318,12 @@ class BodyReader:
         middle = [float(np.mean(some)) for some in (small, large) if some]
         centres = np.array(grid, dtype=np.complex128)
         echoes = self.body.echo(thin, centres, np.zeros(len(centres)))
-        starts: list[_Start] = []
+        starts: list[Start] = []
         for radius in middle:
             count = 36 if radius < self.settings.wide_m else 60
             left, angles = PairSearch(thin, radius, count).left(centres, echoes)
             starts += [
-                _Start(float(value), centre, radius, (float(pair[0]), float(pair[1])))
+                Start(float(value), centre, radius, (float(pair[0]), float(pair[1])))
                 for value, centre, pair in zip(left, grid, angles, strict=True)
             ]
         starts.sort(key=lambda s: s.left)
@@ -377,7 +340,7 @@ class BodyReader:
         pose = self.poses[0].pose
         return pose if self.body.turns else Pose((centre.real, centre.imag))
 
-    def _searched(self, rings: Sequence[float], centre: complex) -> list[tuple[Ring, list[_Start]]]:
+    def _searched(self, rings: Sequence[float], centre: complex) -> list[tuple[Ring, list[Start]]]:
         """Every ring about a centre, and the best sets of each size on it."""
         return [self._on_ring(self.coarse, radius, centre, self.settings.most, 16) for radius in rings]
 
@@ -389,7 +352,7 @@ class BodyReader:
         most: int,
         keep: int,
         pattern: Pattern = OPEN,
-    ) -> tuple[Ring, list[_Start]]:
+    ) -> tuple[Ring, list[Start]]:
         """The best sets of each size on one ring; open patterns contain the facing ones' first term."""
         count = int(np.clip(round(2 * np.pi * radius / self.settings.ring_step_m), 48, 90))
         pose = self._body_at(centre)
@@ -399,11 +362,11 @@ class BodyReader:
         for sets, values in ring.best(most, keep).values():
             for indices, value in zip(sets, values, strict=True):
                 angles = tuple(float(a) for a in ring.angles[indices])
-                starts.append(_Start(ring.energy - float(value), centre, radius, angles))
+                starts.append(Start(ring.energy - float(value), centre, radius, angles))
         return ring, starts
 
     def _row(
-        self, start: _Start, ring: _Ringed, limits: tuple[float, float, float], pattern: Pattern, free: bool
+        self, start: Start, ring: Ringed, limits: tuple[float, float, float], pattern: Pattern, free: bool
     ) -> Batch:
         """One row at a start; limits: least, largest and first radius offset, m."""
         k = len(start.angles)
@@ -430,34 +393,29 @@ class BodyReader:
             one * 0.0,
         )
 
-    def _ring_row(self, start: _Start, pattern: Pattern, free: bool) -> Batch:
+    def _ring_row(self, start: Start, pattern: Pattern, free: bool) -> Batch:
         k = len(start.angles)
         low, high = (0.02, 0.075) if start.radius_m < self.settings.wide_m else (0.078, 0.2)
         limits = (low - start.radius_m, high - start.radius_m, 0.0)
-        return self._row(start, _Ringed(np.full(k, start.radius_m), np.zeros(k)), limits, pattern, free)
+        return self._row(start, Ringed(np.full(k, start.radius_m), np.zeros(k)), limits, pattern, free)
 
-    def _free_rows(
-        self, starts: Sequence[_Start], patterns: Sequence[Pattern] = (FACING, OPEN)
-    ) -> list[_Row]:
+    def _free_rows(self, starts: Sequence[Start], patterns: Sequence[Pattern] = (FACING, OPEN)) -> list[Row]:
         """The best of each number and ring size with every angle free, by each pattern."""
         seen: dict[tuple[int, bool], int] = {}
-        rows: list[_Row] = []
+        rows: list[Row] = []
         for start in starts:
             key = (len(start.angles), start.radius_m < self.settings.wide_m)
             seen[key] = seen.get(key, 0) + 1
             if seen[key] == 1:
                 rows += [
-                    _Row(FREE, (FREE, *key), self._ring_row(start, pattern, free=True))
-                    for pattern in patterns
+                    Row(FREE, (FREE, *key), self._ring_row(start, pattern, free=True)) for pattern in patterns
                 ]
         return rows
 
-    def _rigid_rows(
-        self, starts: Sequence[_Start], patterns: Sequence[Pattern] = (FACING, OPEN)
-    ) -> list[_Row]:
+    def _rigid_rows(self, starts: Sequence[Start], patterns: Sequence[Pattern] = (FACING, OPEN)) -> list[Row]:
         """The best of each bin of arrangements, turning and growing as a whole, by each pattern."""
         seen: set[tuple[int, ...]] = set()
-        rows: list[_Row] = []
+        rows: list[Row] = []
         for start in starts:
             if len(seen) == self.settings.arrangements:
                 break
@@ -465,16 +423,16 @@ class BodyReader:
             if key not in seen:
                 seen.add(key)
                 rows += [
-                    _Row(OTHER, (OTHER, *key), self._ring_row(start, pattern, free=False))
+                    Row(OTHER, (OTHER, *key), self._ring_row(start, pattern, free=False))
                     for pattern in patterns
                 ]
         return rows
 
-    def _layout_rows(self, layout: Layout, searched: Sequence[tuple[Ring, list[_Start]]]) -> list[_Row]:
+    def _layout_rows(self, layout: Layout, searched: Sequence[tuple[Ring, list[Start]]]) -> list[Row]:
         """The best two starts of a layout, by both patterns."""
         radii, angles, _ = off_axis(layout)
         priors = self.settings.priors
-        starts: list[_Start] = []
+        starts: list[Start] = []
         for ring, some in searched:
             offset = ring.radius_m - float(radii.mean())
             if not priors.radius_low_m <= offset <= priors.radius_high_m:
@@ -484,14 +442,14 @@ class BodyReader:
             value = ring.explained(turned_on(angles, count))
             for i in peaks(value, 2):
                 turned = tuple(float(a) for a in angles + i * step)
-                starts.append(_Start(ring.energy - float(value[i]), some[0].centre, ring.radius_m, turned))
+                starts.append(Start(ring.energy - float(value[i]), some[0].centre, ring.radius_m, turned))
         starts.sort(key=lambda s: s.left)
-        rows: list[_Row] = []
+        rows: list[Row] = []
         for start in starts[:2]:
             offset = start.radius_m - float(radii.mean())
             for pattern in (FACING, OPEN):
                 batch = self.batch(layout, start.centre, offset, start.angles, pattern)
-                rows.append(_Row(layout.name, (layout.name,), batch))
+                rows.append(Row(layout.name, (layout.name,), batch))
         return rows
 
     def batch(
@@ -506,8 +464,8 @@ class BodyReader:
         radii, _, heights = off_axis(layout)
         priors = self.settings.priors
         limits = (priors.radius_low_m, priors.radius_high_m, offset_m)
-        start = _Start(0.0, centre, float(radii.mean()), tuple(angles))
-        return self._row(start, _Ringed(radii, heights), limits, pattern, free=False)
+        start = Start(0.0, centre, float(radii.mean()), tuple(angles))
+        return self._row(start, Ringed(radii, heights), limits, pattern, free=False)
 
     def _compared(
         self, ranked: list[Placed], free: list[Placed], rigid: list[Placed], per_term: float
