@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
 
     from tagid.planning.plan import Plan, Setup, Wanted
+    from tagid.planning.rates import Expected
 
 
 def register(app: typer.Typer) -> None:
@@ -50,6 +51,9 @@ def register(app: typer.Typer) -> None:
             str, typer.Option("--layout", "--layouts", help="Layout of the tag.")
         ] = "container-90",
         file: options.LayoutFile = None,
+        enrolled: Annotated[
+            bool, typer.Option("--enrolled", help="The untagged body is enrolled (tagid enroll --body).")
+        ] = False,
         want: Annotated[
             float | None,
             typer.Option(
@@ -69,7 +73,7 @@ def register(app: typer.Typer) -> None:
         from tagid.planning.plan import invert
         from tagid.planning.plan import plan as work_out
 
-        setup = setup_from(Asked(reflector, body, distance, pii, gain, rpm, layout, file))
+        setup = setup_from(Asked(reflector, body, distance, pii, gain, rpm, layout, file, enrolled))
         found = work_out(setup)
         wanted = None if want is None else invert(setup, want)
         data = {**_data(found), "wanted": None if wanted is None else _wanted_data(wanted)}
@@ -89,10 +93,11 @@ class Asked:
         rpm: float,
         layout: str,
         file: Path | None,
+        enrolled: bool = False,
     ) -> None:
         self.reflector, self.body, self.distance_m = reflector, body, distance_m
         self.integration, self.gain, self.rpm = integration, gain, rpm
-        self.layout, self.file = layout, file
+        self.layout, self.file, self.enrolled = layout, file, enrolled
 
 
 def setup_from(asked: Asked) -> Setup:
@@ -120,12 +125,12 @@ def setup_from(asked: Asked) -> Setup:
         asked.rpm,
         LinkBudget(transmit_gain=config["radar.gain"], integration=config["radar.integration"]),
         config["imaging.extent_m"],
+        asked.enrolled,
     )
 
 
 def _data(found: Plan) -> dict[str, Any]:
     setup, rates = found.setup, found.rates
-    shares = {name: getattr(rates, name) for name in ("named", "refused", "wrong")}
     return {
         "reflector": str(setup.reflector),
         "body": str(setup.body),
@@ -144,13 +149,20 @@ def _data(found: Plan) -> dict[str, Any]:
         "recording_s": found.recording_s,
         "centre_m": found.centre_m,
         "body_moves_beyond_m": found.moved_m,
-        "rates": {name: [one.value, one.low, one.high] for name, one in shares.items()},
+        "body_enrolled": setup.enrolled,
+        "rates": _rates_data(rates),
+        "rates_if_enrolled": None if found.if_enrolled is None else _rates_data(found.if_enrolled),
         "rates_source": rates.source,
         "rates_note": rates.note,
         "budget": [
             {"name": t.name, "value": t.value, "unit": t.unit, "source": t.source} for t in found.terms
         ],
     }
+
+
+def _rates_data(rates: Expected) -> dict[str, list[float]]:
+    shares = {name: getattr(rates, name) for name in ("named", "refused", "wrong")}
+    return {name: [one.value, one.low, one.high] for name, one in shares.items()}
 
 
 def _wanted_data(wanted: Wanted) -> dict[str, Any]:
@@ -214,12 +226,17 @@ def _rows(found: Plan) -> list[tuple[str, str]]:
                 f"beyond {found.moved_m * 1e3:.1f} mm the echo of the moving body exceeds a reflector's",
             )
         )
-    rates = found.rates
-    rows += [
-        ("expected", f"named {rates.named}, refused {rates.refused}, wrong {rates.wrong}"),
+    rows += _rates_rows("expected, body enrolled" if setup.enrolled else "expected", found.rates)
+    if found.if_enrolled is not None:
+        rows += _rates_rows("body enrolled", found.if_enrolled)
+    return rows
+
+
+def _rates_rows(name: str, rates: Expected) -> list[tuple[str, str]]:
+    return [
+        (name, f"named {rates.named}, refused {rates.refused}, wrong {rates.wrong}"),
         ("", f"measured: {rates.source}" + (f"; {rates.note}" if rates.note else "")),
     ]
-    return rows
 
 
 def _reached(wanted: Wanted, table: Any) -> RenderableType:

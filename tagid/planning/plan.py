@@ -50,6 +50,7 @@ class Setup:
         rpm: turns per minute.
         budget: radar and antennas.
         extent_m: width of the image, which determines the range window.
+        enrolled: whether the untagged body is enrolled.
     """
 
     layout: Layout
@@ -59,12 +60,15 @@ class Setup:
     rpm: float
     budget: LinkBudget
     extent_m: float = 0.5
+    enrolled: bool = False
 
     def __post_init__(self) -> None:
         if not 0 < self.rpm <= 1000:
             raise UsageError(f"the speed of the table is {self.rpm} rpm", "Give more than 0 and up to 1000.")
         if not 0.05 <= self.distance_m <= 20:
             raise UsageError(f"the distance is {self.distance_m:g} m", "Give 0.05 to 20, in metres.")
+        if self.enrolled and self.body.kind == "none":
+            raise UsageError("a bare tag has no body to enrol", "Give --body, or omit --enrolled.")
 
 
 @dataclass(frozen=True)
@@ -85,6 +89,7 @@ class Plan:
         moved_m: offset from the axis beyond which the moving echo of the body exceeds that of a reflector,
             m; None without a body.
         rates: measured rates of the reader under such conditions.
+        if_enrolled: the same if the untagged body were enrolled; None without a body, or where it is.
         terms: every number of the link budget.
     """
 
@@ -101,6 +106,7 @@ class Plan:
     centre_m: float
     moved_m: float | None
     rates: Expected
+    if_enrolled: Expected | None
     terms: tuple[Term, ...]
 
 
@@ -125,6 +131,7 @@ def plan(setup: Setup) -> Plan:
     view = sample + 10 * float(np.log10(scans / views))
     noise = NOISE_COUNTS * 2.0 ** ((setup.budget.integration - NOISE_INDEX) / 2)
     strongest = sample + max(0.0, body_db or 0.0)
+    body = _class_of(setup.body)
     return Plan(
         setup,
         rcs_dbsm(length),
@@ -138,7 +145,8 @@ def plan(setup: Setup) -> Plan:
         OVERLAP_TURNS * 60 / setup.rpm,
         CENTRE_TOLERANCE_M,
         None if body_db is None else moved_distance_m(body_db),
-        expected(_class_of(setup.body), views, view),
+        expected(body, views, view, enrolled=setup.enrolled),
+        None if setup.enrolled or body == "none" else expected(body, views, view, enrolled=True),
         setup.budget.terms(),
     )
 

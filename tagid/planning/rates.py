@@ -25,6 +25,7 @@ class Measured:
         body: "none", or the body that carried the tag.
         views, snr_db: of the recordings; SNR per reflector in one sample of one view.
         scenes: number of recordings. named, wrong: number named correctly and wrongly.
+        enrolled: whether the untagged body was enrolled.
     """
 
     body: str
@@ -33,6 +34,7 @@ class Measured:
     scenes: int
     named: int
     wrong: int
+    enrolled: bool = False
 
 
 @dataclass(frozen=True)
@@ -83,7 +85,7 @@ def known_bodies() -> list[str]:
     return sorted({row.body for row in _table()[0]})
 
 
-def expected(body: str, views: int, snr_db: float) -> Expected:
+def expected(body: str, views: int, snr_db: float, *, enrolled: bool = False) -> Expected:
     """The rates of a recording, linear in SNR between the rows of the table.
 
     Views beyond the largest number in the table add energy: each doubling counts as 3 dB. Between numbers of
@@ -93,13 +95,15 @@ def expected(body: str, views: int, snr_db: float) -> Expected:
         body: one of `known_bodies`.
         views: views per turn.
         snr_db: per reflector in one sample of one view, dB.
+        enrolled: whether the untagged body is enrolled.
 
     Raises UsageError for a body without a table.
     """
     rows, sources = _table()
-    rows = tuple(row for row in rows if row.body == body)
+    rows = tuple(row for row in rows if row.body == body and row.enrolled == enrolled)
     if not rows:
-        raise UsageError(f"no rates were measured on a {body!r}", f"Use {', '.join(known_bodies())}.")
+        known = "enrolled " * enrolled + body
+        raise UsageError(f"no rates were measured on a {known!r}", f"Use {', '.join(known_bodies())}.")
     numbers = sorted({row.views for row in rows})
     note = ""
     if views > numbers[-1]:
@@ -122,7 +126,7 @@ def expected(body: str, views: int, snr_db: float) -> Expected:
         wilson(named, scenes),
         wilson(max(0.0, 1 - named - wrong), scenes),
         wilson(wrong, scenes),
-        sources["none" if body == "none" else "bodies"],
+        sources["enrolled" if enrolled else "none" if body == "none" else "bodies"],
         note,
     )
 

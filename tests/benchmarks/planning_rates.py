@@ -17,8 +17,9 @@ from typing import Any
 ROOT = Path(__file__).resolve().parents[2]
 RESULTS = ROOT / "docs" / "results"
 OUT = ROOT / "tagid" / "planning" / "rates.json"
-BARE = (RESULTS / "identification.md", "The paper's four layouts", "none")
-BODIES = (RESULTS / "reader-bodies-before.md", "Our simulator, blind", None)
+BARE = (RESULTS / "identification.md", "The paper's four layouts")
+BODIES = RESULTS / "reader-bodies-after.md"
+MODES = {"bodies": "Our simulator, blind", "enrolled": "Our simulator, enrolled"}
 BODY_VIEWS = 36
 
 
@@ -43,7 +44,7 @@ def count(cell: str, scenes: int) -> int:
     return round(float(cell.split()[0]) / 100 * scenes)
 
 
-def row(entry: dict[str, str], body: str, views: int) -> dict[str, Any]:
+def row(entry: dict[str, str], body: str, views: int, enrolled: bool = False) -> dict[str, Any]:
     scenes = int(entry["scenes"])
     named, wrong = count(entry["correct"], scenes), count(entry["wrong"], scenes)
     return {
@@ -53,26 +54,25 @@ def row(entry: dict[str, str], body: str, views: int) -> dict[str, Any]:
         "scenes": scenes,
         "named": named,
         "wrong": wrong,
+        "enrolled": enrolled,
     }
 
 
 def main() -> None:
     rows: list[dict[str, Any]] = []
-    path, heading, _ = BARE
-    bare_page = path.read_text()
-    for table in tables(section(bare_page, heading)):
+    path, heading = BARE
+    page = path.read_text()
+    sources = {"none": source(path, heading, page)}
+    for table in tables(section(page, heading)):
         if {"views", "SNR dB", "correct"} <= set(table[0]):
             rows += [row(entry, "none", int(entry["views"])) for entry in table]
-    path, heading, _ = BODIES
-    body_page = path.read_text()
-    for table in tables(section(body_page, heading)):
-        if {"body", "SNR dB", "correct"} <= set(table[0]) and "enrolled" not in table[0]:
-            kept = [entry for entry in table if entry["body"] != "none"]
-            rows += [row(entry, entry["body"], BODY_VIEWS) for entry in kept]
-    sources = {
-        "none": source(BARE[0], BARE[1], bare_page),
-        "bodies": source(BODIES[0], BODIES[1], body_page),
-    }
+    page = BODIES.read_text()
+    for mode, heading in MODES.items():
+        sources[mode] = source(BODIES, heading, page)
+        for table in tables(section(page, heading)):
+            if {"body", "SNR dB", "correct"} <= set(table[0]) and "enrolled" not in table[0]:
+                kept = [entry for entry in table if entry["body"] != "none"]
+                rows += [row(entry, entry["body"], BODY_VIEWS, mode == "enrolled") for entry in kept]
     OUT.write_text(json.dumps({"format": 1, "sources": sources, "rows": rows}, indent=1) + "\n")
     print(f"{len(rows)} rows in {OUT.relative_to(ROOT)}")
 
