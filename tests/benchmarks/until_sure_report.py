@@ -77,8 +77,8 @@ def falsely_ended(row: Row, calibration: EndingCalibration) -> bool:
 
 HEAD = """# Ending a scan when the answer is certain
 
-- Command: `python tests/benchmarks/until_sure.py` with `null`, `whole`, `tags`, `speed` and `bodies`, each
-  with `--purpose report`, then `report`
+- Command: `python tests/benchmarks/until_sure.py` with `null` and `whole` (`--first 2000`), `tags`, `speed`
+  and `bodies`, each with `--purpose report`, then `report`
 - Commit: {commit}
 - Machine: {machine}, {cores} cores, Python {python}, numpy {numpy}, busy with other programs
 - Date: {date}
