@@ -503,7 +503,7 @@ def _contested(
     wanted = gaps_deg(np.angle(place[off])) if off.any() else np.zeros(0)
     apart = difference_deg(gaps_deg(best.angles), wanted) > settings.body.other_deg
     # On the axis a wall does not move: there its shadow on the reflectors tells of it.
-    wall = _walled(reading, settings) or bare.evidence.outward > settings.outward
+    wall = _walled(reading, settings) or bare.evidence.outward > settings.outward or bool(reading.body.name)
     if best.layout == bare.layout or not apart or not wall:
         return replace(bare, body=reading)
     if own.left <= settings.better * max(_share(reading, best.left), settings.body.priors.model_error):
