@@ -141,7 +141,7 @@ def stored(path: Path) -> list[Row]:
 def tasks(arguments: argparse.Namespace) -> Iterator[Task]:
     """Scenes in the order in which they are read: rounds of the shuffled grid."""
     grid = [cell for cell in scenes.cells(tuple(arguments.worlds)) if cell.views in arguments.views]
-    for number in range(arguments.rounds):
+    for number in range(arguments.first, arguments.first + arguments.rounds):
         shuffled = list(grid)
         random.Random(f"{ORDER_SEED}/{number}").shuffle(shuffled)
         for cell in shuffled:
@@ -273,20 +273,20 @@ def document(rows: list[Row], arguments: argparse.Namespace) -> str:
     """The page: how it was measured, then the tables."""
     used = [row for row in rows if row.population == arguments.population]
     cells, grid = len({row.cell for row in used}), len(scenes.cells(("own", "full-wave")))
-    last = max((row.number for row in used), default=0)
+    numbers = sorted({row.number for row in used}) or [0]
     views, modes = (" ".join(map(str, some)) for some in (arguments.views, arguments.modes))
     lines = [
         f"# Reading tags on bodies: {arguments.label}",
         "",
         f"Command: `python tests/benchmarks/reading_bodies.py --label {arguments.label} --population "
-        f"{arguments.population} --views {views} --modes {modes}` (continued until the time was up).",
+        f"{arguments.population} --views {views} --modes {modes} --first {arguments.first}` (continued until the time was up).",
         f"Commit: {commit()}.",
         f"Machine: {platform.machine()}, {os.cpu_count()} cores, one thread per scene, Python "
         f"{platform.python_version()}, numpy {np.__version__}. Date: {datetime.now(UTC):%Y-%m-%d}.",
         "Seconds are processor times, with enrolment where a body is enrolled.",
         f"{len(used)} scenes in {cells} of the {grid} cells.",
-        f"Seeds: population `{arguments.population}`, numbers 0",
-        f"to {last} (`seed_of` in reading_bodies_scenes.py). SHA-256 of the sealed seeds:",
+        f"Seeds: population `{arguments.population}`, numbers {numbers[0]}",
+        f"to {numbers[-1]} (`seed_of` in reading_bodies_scenes.py). SHA-256 of the sealed seeds:",
         f"{scenes.SEALED_SHA256}.",
         METHOD,
     ]
@@ -324,6 +324,7 @@ def main() -> None:
     parser.add_argument("--modes", nargs="+", choices=tuple(MODES), default=["blind"])
     parser.add_argument("--views", nargs="+", type=int, default=list(scenes.VIEWS), help="numbers of views")
     parser.add_argument("--rounds", type=int, default=1, help="scenes per cell")
+    parser.add_argument("--first", type=int, default=0, help="first number: those seen before are spent")
     parser.add_argument("--seconds", type=float, default=1e9, help="stop reading after this time")
     parser.add_argument(
         "--most", type=int, default=10**9, help="read at most so many scenes more; 0 only writes the table"

@@ -257,30 +257,26 @@ def _undisputed(
     """A name without a body, taken back where other reflectors on a round body explain the echo better.
 
     A weak echo is explained to the noise by many arrangements of points; then it counts which explains most.
-    Where points leave little beyond the noise no body is tried; where they leave much, the reflectors are
-    hidden in some views, and the name rests on the bare reading.
+    Reflectors that are hidden in some views are explained by their layout on a body, which counts for it.
+    Where points leave little beyond the noise no body is tried.
     """
     if reading.status != "identified" or reading.kind is not Kind.BARE or points is None:
         return reading
-    own = points.layouts[0]
-    if own.layout != reading.layout or points.unexplained > settings.points.unexplained or spectra.noise <= 0:
-        return reading
+    own = next((placed.left for placed in points.layouts if placed.layout == reading.layout), inf)
     margin = settings.disputed_nats * spectra.noise + settings.points.unexplained * points.tag
-    if own.left - BODY_LEAVES * spectra.noise_energy <= margin:
+    if spectra.noise <= 0 or own - BODY_LEAVES * spectra.noise_energy <= margin:
         return reading
     from tagid.tags.bodies.reader import read_on_body
 
     body = read_on_body(spectra, layouts, settings.body.body, settings.body, [complex(*reading.centre_m)])
     if body is None:
         return reading
-    layout = next(one for one in layouts if one.name == reading.layout)
-    wanted = gaps_deg(off_axis(layout)[1])
-    others = [
-        placed
-        for placed in (*body.layouts, *body.others)
-        if difference_deg(gaps_deg(placed.angles), wanted) > settings.body.other_deg
-    ]
-    if not others or min(placed.charged for placed in others) >= own.left - margin:
+    wanted = gaps_deg(off_axis(next(one for one in layouts if one.name == reading.layout))[1])
+    alike, others = [own], [inf]
+    for placed in (*body.layouts, *body.others, *([body.free] if body.free else [])):
+        same = difference_deg(gaps_deg(placed.angles), wanted) <= settings.body.other_deg
+        (alike if same else others).append(placed.charged)
+    if min(others) >= min(alike) - margin:
         return reading
     return replace(
         reading,
