@@ -279,8 +279,8 @@ def document(rows: list[Row], arguments: argparse.Namespace) -> str:
         f"# Reading tags on bodies: {arguments.label}",
         "",
         f"Command: `python tests/benchmarks/reading_bodies.py --label {arguments.label} --population "
-        f"{arguments.population} --views {views} --modes {modes} --first {arguments.first}` (continued until the "
-        "time was up).",
+        f"{arguments.population} --views {views} --modes {modes} --first {arguments.first}`",
+        "(continued until the time was up).",
         f"Commit: {commit()}.",
         f"Machine: {platform.machine()}, {os.cpu_count()} cores, one thread per scene, Python "
         f"{platform.python_version()}, numpy {np.__version__}. Date: {datetime.now(UTC):%Y-%m-%d}.",
