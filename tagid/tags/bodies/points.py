@@ -47,9 +47,9 @@ class PointSettings:
             45 mm, reflectors 150 degrees apart are only 3 mm closer than opposite ones,
         wobble_rad: where the pair's angle has no error: a turntable's wobble of 0.01 rad moves two directions
             apart by up to twice that.
-        sigmas: standard deviations of the measured places that are added to both. Pairs of a ring crowd at
-            its diameter (their spacings follow the arcsine law), where another pair is as likely as the
-            opposite one from 2 standard deviations on.
+        sigmas: standard deviations of the measured places that are added,
+        pair_sigmas: or of a pair's. Pairs of a ring crowd at its diameter (their spacings follow the arcsine
+            law), where another pair is as likely as the opposite one from 2 standard deviations on.
         noise_sigmas: so many standard deviations of the noise's energy are no error of the model.
         unexplained: largest share of the echo that a layout may leave.
         lead: smallest lead, see `PointReading.lead`.
@@ -61,7 +61,8 @@ class PointSettings:
     displaced_m: float = 0.004
     pair_m: float = 0.4e-3
     wobble_rad: float = 0.02
-    sigmas: float = 2.0
+    sigmas: float = 3.0
+    pair_sigmas: float = 2.0
     noise_sigmas: float = 2.0
     unexplained: float = 0.05
     lead: float = 0.5
@@ -76,12 +77,13 @@ class PointSettings:
             error_m: of a place, from what points do not explain.
             layout: the layout.
         """
-        built = self.displaced_m
+        built, sigmas = self.displaced_m, self.sigmas
         if len(points.places) == 2:
+            sigmas = self.pair_sigmas
             # The middle's distance is the lever by which their angle changes each one's distance from it.
             lever = float(np.hypot(*layout.positions[:, :2].mean(axis=0)))
             built = float(np.hypot(self.pair_m, lever * self.wobble_rad / 2))
-        return float(np.sqrt(built**2 + (self.sigmas * points.spread_m) ** 2 + error_m**2))
+        return float(np.sqrt(built**2 + (sigmas * points.spread_m) ** 2 + error_m**2))
 
 
 @dataclass(frozen=True, eq=False)
