@@ -13,6 +13,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.protocols.websockets.wsproto_impl import WSProtocol
 
 from tagid.errors import PortInUseError, UsageError
+from tagid.station.memory import return_large_blocks
 from tagid.station.security import MOST_BODY_BYTES, Pairing
 from tagid.station.station import Station
 from tagid.station.web import build
@@ -136,6 +137,7 @@ class Server:
         self._thread = threading.Thread(target=self._serve, name="station-web", daemon=True)
 
     def __enter__(self) -> Server:
+        return_large_blocks()
         self._thread.start()
         if self._pairing is not None:
             self._pairing.begin()
