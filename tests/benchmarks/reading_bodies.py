@@ -279,7 +279,8 @@ def document(rows: list[Row], arguments: argparse.Namespace) -> str:
         f"# Reading tags on bodies: {arguments.label}",
         "",
         f"Command: `python tests/benchmarks/reading_bodies.py --label {arguments.label} --population "
-        f"{arguments.population} --views {views} --modes {modes} --first {arguments.first}`",
+        f"{arguments.population} --worlds {' '.join(arguments.worlds)} --views {views} --modes {modes} "
+        f"--first {arguments.first}`",
         "(continued until the time was up).",
         f"Commit: {commit()}.",
         f"Machine: {platform.machine()}, {os.cpu_count()} cores, one thread per scene, Python "
@@ -290,6 +291,7 @@ def document(rows: list[Row], arguments: argparse.Namespace) -> str:
         f"to {numbers[-1]} (`seed_of` in reading_bodies_scenes.py). SHA-256 of the sealed seeds:",
         f"{scenes.SEALED_SHA256}.",
         METHOD,
+        *([arguments.note, ""] if arguments.note else []),
     ]
     for world in ("own", "full-wave"):
         for mode in MODES:
@@ -333,6 +335,7 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--work", type=Path, default=ROOT / "build" / "reading-bodies", help="results folder")
     parser.add_argument("--out", type=Path, default=ROOT / "docs" / "results", help="folder of the table")
+    parser.add_argument("--note", default="", help="a paragraph for the page")
     parser.add_argument("--quick", action="store_true", help="40 scenes, table to the terminal only")
     arguments = parser.parse_args()
     if scenes.sealed_hash() != scenes.SEALED_SHA256:
