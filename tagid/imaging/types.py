@@ -83,6 +83,14 @@ class BasebandScans:
     center_hz: float | None = None
 
     @property
+    def bandwidth_hz(self) -> float:
+        """Width of the pulse's band, Hz; the sampling rate where `independent_samples` is unknown."""
+        size = self.samples.size
+        independent = self.independent_samples if self.independent_samples > 0 else float(size)
+        rate = self.wave_speed_m_s / (2 * self.range_step_m)
+        return min(independent / size, 1.0) * rate
+
+    @property
     def wavenumber(self) -> float:
         """k of the carrier, rad/m (one way)."""
         return 2 * np.pi * self.carrier_hz / self.wave_speed_m_s

@@ -12,7 +12,6 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tagid.constants import SPEED_OF_LIGHT
 from tagid.imaging.types import BasebandScans, PointResponse
 
 
@@ -24,16 +23,13 @@ def whitened(scans: BasebandScans) -> BasebandScans:
     """
     if len(scans.noise_shape) < 2:
         return scans
-    step = scans.range_step_m
-    rate = SPEED_OF_LIGHT / (2 * step)
-    width = min(scans.independent_samples / scans.samples.size or 1.0, 1.0) * rate
     shape = np.array(scans.noise_shape)
-    at = np.linspace(-0.5, 0.5, len(shape)) * width
+    at = np.linspace(-0.5, 0.5, len(shape)) * scans.bandwidth_hz
 
     def filtered(rows: NDArray[np.complexfloating], spacing_m: float) -> NDArray[np.complex128]:
         """Rows (..., n) of equal spacing in one-way range, behind the filter."""
         n = rows.shape[-1]
-        frequency = np.fft.fftfreq(2 * n, 2 * spacing_m / SPEED_OF_LIGHT)
+        frequency = np.fft.fftfreq(2 * n, 2 * spacing_m / scans.wave_speed_m_s)
         gain = 1 / np.sqrt(np.interp(frequency, at, shape))
         return np.asarray(np.fft.ifft(np.fft.fft(rows, 2 * n, axis=-1) * gain, axis=-1)[..., :n])
 
@@ -41,7 +37,7 @@ def whitened(scans: BasebandScans) -> BasebandScans:
     peak = abs(response[len(response) // 2])
     return replace(
         scans,
-        samples=(filtered(scans.samples, step) / peak).astype(np.complex64),
+        samples=(filtered(scans.samples, scans.range_step_m) / peak).astype(np.complex64),
         response=PointResponse(response / peak, scans.response.step_m),
         noise_std=scans.noise_std / float(np.sqrt(shape.mean())) / peak,
         noise_density=scans.noise_density / peak**2,

@@ -19,7 +19,7 @@ from functools import cache
 from types import ModuleType
 
 import numpy as np
-from enrolled_scenes import DISTANCE_M, captured, scene_maker
+from enrolled_scenes import DISTANCE_M, recorded, scene_maker
 from identification_scenes import SETS
 from numpy.typing import NDArray
 
@@ -177,16 +177,7 @@ def capture_of(
         name = f"{carrier.body}@{layout.name}@{size_mm}".replace("-", "~")
         if name not in made._cache:
             made._cache[name] = _superposed(made, carrier.body, single, layout)
-    scan, _ = made.make(
-        name,
-        rng,
-        reference=single,
-        views=views,
-        distance=DISTANCE_M,
-        centre=(place.real, place.imag),
-        snr_db=snr_db,
-    )
-    return captured(scan)
+    return recorded(name, rng, single, views, place, snr_db)
 
 
 def _superposed(

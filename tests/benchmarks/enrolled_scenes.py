@@ -6,32 +6,23 @@ that folder's own `scenes.py`.
 
 from __future__ import annotations
 
-import importlib.util
-import os
-import sys
 import zlib
 from functools import lru_cache
-from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 import numpy as np
+from reading_bodies_scenes import captured, full_wave
 
 from tagid.capture import Capture
 
-SHARED = Path(os.environ.get("TAGID_SHARED", Path(__file__).resolve().parents[3] / "shared"))
 DISTANCE_M = 1.0
 
 
 @lru_cache(maxsize=1)
 def scene_maker() -> ModuleType:
     """The scene maker beside the responses, which then knows sums too."""
-    file = SHARED / "fullwave" / "scenes.py"
-    spec = importlib.util.spec_from_file_location("fullwave_scenes", file)
-    if spec is None or spec.loader is None or not file.is_file():
-        sys.exit(f"{file} is missing: set TAGID_SHARED to the folder that holds fullwave/")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+    module = full_wave()
     plain = module.response
 
     def response(name: str) -> Any:
@@ -51,24 +42,20 @@ def capture_of(solved: str, key: str, snr_db: float, offset_mm: float, views: in
     base = solved.split("_")[0]
     one = f"free{'40' if solved.endswith('40') else '20'}_one" if base == "shell" else f"{base}_one-{base}"
     offset = offset_mm * 1e-3 * np.exp(2j * np.pi * rng.uniform())
+    return recorded(solved, rng, one, views, offset, snr_db)
+
+
+def recorded(
+    name: str, rng: np.random.Generator, reference: str, views: int, place: complex, snr_db: float
+) -> Capture:
+    """A capture of what the scene maker knows by a name, standing at x + jy, m; SNR against the reference."""
     scan, _ = scene_maker().make(
-        solved,
+        name,
         rng,
-        reference=one,
+        reference=reference,
         views=views,
         distance=DISTANCE_M,
-        centre=(offset.real, offset.imag),
+        centre=(place.real, place.imag),
         snr_db=snr_db,
     )
     return captured(scan)
-
-
-def captured(scan: dict[str, Any]) -> Capture:
-    """A scan of the scene maker as a capture."""
-    return Capture(
-        scan["samples"],
-        float(scan["range_start_m"]),
-        float(scan["range_step_m"]),
-        angles_rad=scan["angles_rad"],
-        axis_distance_m=float(scan["axis_distance_m"]),
-    )

@@ -18,6 +18,7 @@ from dataclasses import asdict, dataclass
 from functools import lru_cache
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 from identification_scenes import SETS
@@ -337,14 +338,18 @@ def _full_wave(cell: Cell, rng: np.random.Generator) -> Drawn:
         wobble=0.01,
         distance_error=rng.uniform(-0.015, 0.015),
     )
-    capture = Capture(
+    return Drawn(captured(scan), layouts, name, solved)
+
+
+def captured(scan: dict[str, Any]) -> Capture:
+    """A scan of the scene maker as a capture."""
+    return Capture(
         samples=scan["samples"],
         range_start_m=float(scan["range_start_m"]),
         range_step_m=float(scan["range_step_m"]),
         angles_rad=scan["angles_rad"],
         axis_distance_m=float(scan["axis_distance_m"]),
     )
-    return Drawn(capture, layouts, name, solved)
 
 
 def cells(worlds: tuple[str, ...]) -> list[Cell]:

@@ -16,7 +16,7 @@ from tagid.geometry import Aperture
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.imaging.types import BasebandScans
 from tagid.simulate.noise import NoiseShape, draw_noise
-from tagid.tags.bodies.arrangement import difference_deg, gaps_deg, merged, resolution_deg
+from tagid.tags.bodies.arrangement import difference_deg, gaps_deg, layout_gaps_deg, merged, resolution_deg
 from tagid.tags.bodies.body_reading import BodySettings
 from tagid.tags.bodies.calibration import Bound, Calibration, Stratum, largest
 from tagid.tags.bodies.decide import BodyDecision
@@ -27,7 +27,7 @@ from tagid.tags.bodies.revolution import RoundBody
 from tagid.tags.bodies.ring import PairSearch, Ring
 from tagid.tags.bodies.spectra import Spectra, centred
 from tagid.tags.bodies.subtract import without_body
-from tagid.tags.layouts.layout import builtin_layouts
+from tagid.tags.layouts.layout import Layout, builtin_layouts
 from tagid.tags.matching.contest import ContestSettings
 from tagid.tags.matching.matcher import ReaderSettings, read_tag
 from tagid.tags.verdicts.verdict import ADVICE, Code
@@ -349,3 +349,10 @@ def test_free_positions_are_read_like_a_turntable() -> None:
     free = scans.with_aperture(Aperture(scans.aperture.positions))
     assert np.allclose(Spectra.of(free).data, Spectra.of(scans).data)
     assert truth in {layout.name for layout in LAYOUTS}
+
+
+def test_a_layout_on_the_axis_has_no_gaps() -> None:
+    """It can be enrolled, and is compared with arrangements around a body like any other."""
+    middle = Layout("middle", np.array([[0.01, 0.0], [-0.01, 0.0]]))
+    assert len(layout_gaps_deg(middle)) == 0
+    assert np.allclose(layout_gaps_deg(builtin_layouts()["container-90"]), [90.0, 270.0])

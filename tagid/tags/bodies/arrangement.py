@@ -98,3 +98,9 @@ def off_axis(
     off = np.abs(place) > AXIS_M
     heights = np.asarray(layout.heights, dtype=np.float64)[off]
     return np.abs(place[off]), np.angle(place[off]), heights
+
+
+def layout_gaps_deg(layout: Layout) -> NDArray[np.float64]:
+    """(K,) `gaps_deg` of a layout's reflectors off the axis; empty where all are on it."""
+    angles = off_axis(layout)[1]
+    return gaps_deg(angles) if len(angles) else np.zeros(0)

@@ -99,12 +99,12 @@ def _starts(
     for centre in centres:
         search = LayoutSearch(spectra, body.echo(spectra, np.full(len(turns), centre), turns), centre)
         for layout in layouts:
-            for offset in _offsets(layout, settings):
+            for offset in settings.radius_offsets_m(float(off_axis(layout)[0].mean())):
                 explained = search.explained(layout, offset, FACING)
-                for i, turn in zip(explained.argmax(axis=0), turns, strict=True):
-                    value = float(explained[int(i), len(every) % len(turns)])
+                best = zip(explained.argmax(axis=0), explained.max(axis=0), turns, strict=True)
+                for i, value, turn in best:
                     pose = Pose((centre.real, centre.imag), float(turn))
-                    every.append(_Start(value, pose, layout, turned_by(layout, int(i)), offset))
+                    every.append(_Start(float(value), pose, layout, turned_by(layout, int(i)), offset))
     every.sort(key=lambda start: -start.explained)
     kept: list[_Start] = []
     for one in every:
@@ -114,9 +114,3 @@ def _starts(
         if len(kept) == STARTS:
             break
     return kept
-
-
-def _offsets(layout: Layout, settings: BodySettings) -> tuple[float, ...]:
-    """Apparent radii tried, relative to the nominal ones, m."""
-    wide = float(off_axis(layout)[0].mean()) >= settings.wide_m
-    return (0.0,) if wide else settings.rings_m

@@ -75,6 +75,10 @@ class BodySettings:
     ring_step_m: float = 5.5e-3
     noise_nats: float = 25.0
 
+    def radius_offsets_m(self, radius_m: float) -> tuple[float, ...]:
+        """Radii tried about a nominal one, relative to it, m."""
+        return self.rings_m if radius_m < self.wide_m else (0.0,)
+
 
 @dataclass(frozen=True, eq=False)
 class Placed:

@@ -99,8 +99,7 @@ def rings_of(layouts: Sequence[Layout], settings: BodySettings) -> list[float]:
             nominal.append(value)
     found: list[float] = []
     for value in nominal:
-        offsets = settings.rings_m if value < settings.wide_m else (0.0,)
-        found += [value + offset for offset in offsets]
+        found += [value + offset for offset in settings.radius_offsets_m(value)]
     kept: list[float] = []
     for value in sorted(found):
         if not kept or value - kept[-1] > 8e-3:

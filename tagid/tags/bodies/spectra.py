@@ -11,7 +11,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tagid.constants import SPEED_OF_LIGHT
 from tagid.errors import DataError
 from tagid.imaging.types import BasebandScans
 
@@ -80,10 +79,8 @@ class Spectra:
             )
         size = scans.samples.size
         independent = scans.independent_samples if scans.independent_samples > 0 else float(size)
-        rate = SPEED_OF_LIGHT / (2 * scans.range_step_m)
-        width = min(independent / size, 1.0) * rate
-        offsets = np.linspace(-0.5, 0.5, frequencies) * BAND_SHARE * width
-        turn = 4 * np.pi / SPEED_OF_LIGHT * offsets
+        offsets = np.linspace(-0.5, 0.5, frequencies) * BAND_SHARE * scans.bandwidth_hz
+        turn = 4 * np.pi / scans.wave_speed_m_s * offsets
         if wavenumbers is not None:
             turn = wavenumbers - 2 * scans.wavenumber
         kernel = np.exp(-1j * turn[:, None] * (scans.ranges_m - distance)[None])

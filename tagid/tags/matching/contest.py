@@ -13,7 +13,7 @@ from math import inf
 import numpy as np
 
 from tagid.imaging.types import BasebandScans
-from tagid.tags.bodies.arrangement import difference_deg, gaps_deg, off_axis
+from tagid.tags.bodies.arrangement import difference_deg, gaps_deg, layout_gaps_deg
 from tagid.tags.bodies.body_reading import BodyReading, BodySettings
 from tagid.tags.bodies.calibration import Bound, Calibration
 from tagid.tags.bodies.decide import BodyDecision, decide_on_body, score, tag_snr_db
@@ -266,12 +266,14 @@ def _undisputed(
     margin = settings.disputed_nats * spectra.noise + settings.points.unexplained * points.tag
     if spectra.noise <= 0 or own - BODY_LEAVES * spectra.noise_energy <= margin:
         return reading
-    from tagid.tags.bodies.reader import read_on_body
+    body = reading.body
+    if body is None or body.body.name:
+        from tagid.tags.bodies.reader import read_on_body
 
-    body = read_on_body(spectra, layouts, settings.body.body, settings.body, [complex(*reading.centre_m)])
+        body = read_on_body(spectra, layouts, settings.body.body, settings.body, [complex(*reading.centre_m)])
     if body is None:
         return reading
-    wanted = gaps_deg(off_axis(next(one for one in layouts if one.name == reading.layout))[1])
+    wanted = layout_gaps_deg(next(one for one in layouts if one.name == reading.layout))
     alike, others = [own], [inf]
     for placed in (*body.layouts, *body.others, *([body.free] if body.free else [])):
         same = difference_deg(gaps_deg(placed.angles), wanted) <= settings.body.other_deg
@@ -493,10 +495,7 @@ def _contested(
 ) -> Reading:
     """A bare name, taken back where another arrangement on a body leaves far less of the echo."""
     best = min((*reading.layouts, *reading.others), key=lambda placed: placed.left)
-    layout = next(one for one in layouts if one.name == bare.layout)
-    place = layout.positions[:, 0] + 1j * layout.positions[:, 1]
-    off = np.abs(place) > 0.01
-    wanted = gaps_deg(np.angle(place[off])) if off.any() else np.zeros(0)
+    wanted = layout_gaps_deg(next(one for one in layouts if one.name == bare.layout))
     apart = difference_deg(gaps_deg(best.angles), wanted) > settings.body.other_deg
     # On the axis a wall does not move: there its shadow on the reflectors tells of it.
     wall = _walled(reading, settings) or bare.evidence.outward > settings.outward or bool(reading.body.name)
