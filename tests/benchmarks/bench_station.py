@@ -1,12 +1,13 @@
 """Memory, threads and open files of a station over many scans of the emulator.
 
-    python tests/benchmarks/bench_station.py [--scans 2000] [--every 50] [--minutes 90]
+    python tests/benchmarks/bench_station.py [--scans 2000] [--every 50] [--minutes 90] [--idle 1440]
 
 Each scan is a whole turn at 60 rpm, as fast as it is read, with live image, reading, picture and history. A
 page is connected and receives every frame, and the history is requested after each scan. One layout is
 enrolled. Captures are removed after their scan. Prints scans, resident memory (MB), threads and open files,
 one line per `--every` scans, and the slope of the memory over the second half of the run. After `--minutes`
-it ends with the scans so far.
+it ends with the scans so far. With `--idle` the station then waits that many minutes, with the page connected
+and its health watched, and prints one line every ten minutes and the slope per day.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "e2e"))
 from station_harness import Asks, Raw, healthy, joined, source
 
+IDLE_S = 600.0
 RADAR = "emulator://helmet-120?rpm=60&seed=2"
 
 
@@ -54,13 +56,26 @@ class Load:
         return cls(scans, resident, threading.active_count(), len(list(Path("/proc/self/fd").iterdir())))
 
 
+@dataclass(frozen=True)
+class Run:
+    """What a run has shown.
+
+    Attributes:
+        scanning: the state after every so many scans, and after the last one.
+        idle: the state every ten minutes without a scan, the first at the end of the last scan.
+    """
+
+    scanning: list[Load]
+    idle: list[Load]
+
+
 def slope_mb(loads: list[Load]) -> float:
     """Growth of the memory, MB per 1000 scans, by least squares."""
     return float(np.polyfit([one.scans for one in loads], [one.resident_mb for one in loads], 1)[0] * 1000)
 
 
-def run(home: Path, scans: int, every: int, seconds: float) -> list[Load]:
-    """Scan with a station in this process; the state after every so many scans, and after the last one."""
+def run(home: Path, scans: int, every: int, seconds: float, idle_minutes: float) -> Run:
+    """Scan with a station in this process, then let it wait."""
     os.environ |= {"TAGID_CONFIG": f"{home}/c.toml", "TAGID_DATA": f"{home}/data"}
     from tagid.station import server as web_server
     from tagid.station.server import Server
@@ -93,8 +108,15 @@ def run(home: Path, scans: int, every: int, seconds: float) -> list[Load]:
                 show(loads[-1])
             if late:
                 break
+        idle = [Load.now(loads[-1].scans)]
+        until = time.monotonic() + idle_minutes * 60
+        while (left := until - time.monotonic()) > 0:
+            time.sleep(min(IDLE_S, left))
+            idle.append(Load.now(loads[-1].scans))
+            show(idle[-1])
+        assert reader.is_alive(), "the page lost its connection"
     reader.join(30)
-    return loads
+    return Run(loads, idle)
 
 
 def watch(page: Raw) -> None:
@@ -116,14 +138,18 @@ def main() -> None:
     words.add_argument("--scans", type=int, default=2000)
     words.add_argument("--every", type=int, default=50)
     words.add_argument("--minutes", type=float, default=math.inf)
+    words.add_argument("--idle", type=float, default=0.0, help="minutes")
     asked = words.parse_args()
-    began = time.process_time()
     with tempfile.TemporaryDirectory() as home:
-        loads = run(Path(home), asked.scans, asked.every, asked.minutes * 60)
+        seen = run(Path(home), asked.scans, asked.every, asked.minutes * 60, asked.idle)
+    loads = seen.scanning
     late = loads[len(loads) // 2 :]
     if len(late) > 1:
         sys.stdout.write(f"slope of the second half: {slope_mb(late):+.2f} MB per 1000 scans\n")
-    sys.stdout.write(f"{(time.process_time() - began) / loads[-1].scans:.2f} s of processor time per scan\n")
+    if len(seen.idle) > 2:
+        days = asked.idle / 1440
+        growth = seen.idle[-1].resident_mb - seen.idle[0].resident_mb
+        sys.stdout.write(f"idle for {asked.idle:g} minutes: {growth:+.2f} MB, {growth / days:+.1f} MB per day\n")
 
 
 if __name__ == "__main__":
