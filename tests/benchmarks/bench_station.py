@@ -147,9 +147,9 @@ def main() -> None:
     if len(late) > 1:
         sys.stdout.write(f"slope of the second half: {slope_mb(late):+.2f} MB per 1000 scans\n")
     if len(seen.idle) > 2:
-        days = asked.idle / 1440
         growth = seen.idle[-1].resident_mb - seen.idle[0].resident_mb
-        sys.stdout.write(f"idle for {asked.idle:g} minutes: {growth:+.2f} MB, {growth / days:+.1f} MB per day\n")
+        per_day = growth * 1440 / asked.idle
+        sys.stdout.write(f"idle for {asked.idle:g} minutes: {growth:+.2f} MB, {per_day:+.1f} MB per day\n")
 
 
 if __name__ == "__main__":
