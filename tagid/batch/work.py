@@ -51,7 +51,9 @@ def work(source: Source, job: Job) -> Outcome:
                 return Outcome(record, reused=True, cpu_s=time.process_time() - began)
             capture = load_capture(path, job.load, turn=False)
         with watch.stage("prepare"):
-            prepared = PreparedCapture(prepare(capture, job.load.motion_for(capture)), job.settings)
+            prepared = PreparedCapture(
+                prepare(capture, job.load.motion_for(capture), job.settings.extent_m), job.settings
+            )
         answer = identify(
             prepared, job.layouts, registry_version=job.registry_version, signatures=job.signatures
         )

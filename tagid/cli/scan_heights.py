@@ -230,7 +230,8 @@ def _read(config: Config, joined: Capture) -> Identification:
 
     known = imaging.open_registry().contents()
     try:
-        prepared = PreparedCapture(prepare(joined), imaging.settings_from(config))
+        settings = imaging.settings_from(config)
+        prepared = PreparedCapture(prepare(joined, extent_m=settings.extent_m), settings)
         return identify(prepared, known.layouts, registry_version=known.version, signatures=known.signatures)
     except TagidError as error:
         return imaging.failed(joined.uuid, error)

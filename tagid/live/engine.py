@@ -333,7 +333,7 @@ class LiveView:
         settings = self._settings
         try:
             answer = identify(
-                prepare(capture),
+                prepare(capture, extent_m=settings.imaging.extent_m),
                 settings.layouts,
                 settings.imaging,
                 settings.registry_version,

@@ -14,6 +14,7 @@ from tagid.capture import Capture
 from tagid.config import Config
 from tagid.errors import ConfigError, UsageError
 from tagid.pipeline.prepared import prepare
+from tagid.pipeline.settings import ImagingSettings
 from tagid.storage.importers import read_any
 
 BACKGROUNDS = ("mean", "median", "reference", "none")
@@ -46,6 +47,7 @@ class LoadSettings:
             capture was recorded with it.
         wave_speed_m_s: replaces the wave speed of the capture, m/s.
         reference: recording of the empty scene to subtract; None for no subtraction.
+        extent_m: width of the image, m, which tells how many views are needed.
     """
 
     cable_delay_ps: float = 0.0
@@ -58,6 +60,7 @@ class LoadSettings:
     as_recorded: bool = False
     wave_speed_m_s: float | None = None
     reference: Capture | None = None
+    extent_m: float = ImagingSettings.extent_m
 
     @classmethod
     def of(
@@ -87,6 +90,7 @@ class LoadSettings:
             config.values["motion.url"].source == "default",
             as_recorded,
             reference=_reference(config) if background == "reference" else None,
+            extent_m=config["imaging.extent_m"],
         )
 
     def described(self) -> dict[str, Any]:
@@ -156,7 +160,7 @@ def load_capture(source: Path | Capture, settings: LoadSettings | None = None, t
         from tagid.recording.calibration import without_background
 
         capture = without_background(capture, settings.reference)
-    return prepare(capture, settings.motion_for(capture)) if turn else capture
+    return prepare(capture, settings.motion_for(capture), settings.extent_m) if turn else capture
 
 
 def _reference(config: Config) -> Capture:

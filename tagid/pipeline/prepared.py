@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from tagid.capture import Capture
 from tagid.errors import UsageError
 from tagid.geometry import ImageGrid
+from tagid.imaging.lengths import views_needed
 from tagid.imaging.preprocess import PreprocessSettings, nominal, preprocess
 from tagid.imaging.types import BasebandScans
 from tagid.pipeline.join import heights_of, without_background_of_each_height
@@ -21,20 +22,22 @@ from tagid.pipeline.settings import ImagingSettings, Progress, Stopwatch
 if TYPE_CHECKING:
     from tagid.imaging.pulsefit import PulseEstimate
 
-MAX_VIEWS = 360
-"""Scans are averaged into at most this many views per turn: 1 degree, the paper's step, displaces a reflector
-at a radius of 0.25 m by 4.4 mm, less than an eighth of a wavelength."""
-MAX_POSITIONS = 2000
-"""Views of free antenna positions are decimated, not averaged, to this number."""
+MAX_VIEWS = 2000
+"""Most views of a turn or a path, so that an image takes seconds. Those of free antenna positions are
+decimated, not averaged."""
 
 
-def prepare(capture: Capture, motion: str | None = None) -> Capture:
-    """The capture as required by imaging: known angles, one revolution, at most 360 views.
+def prepare(
+    capture: Capture, motion: str | None = None, extent_m: float = ImagingSettings.extent_m
+) -> Capture:
+    """The capture as required by imaging: known angles, one revolution, as many views as the image needs.
 
     Args:
         capture: any capture.
         motion: URL of the motion device; None keeps the angles of the capture, or estimates the rotation
             period from the data if it has none.
+        extent_m: width of the image, m. Denser scans are averaged into the views that it needs
+            (`tagid.imaging.lengths.views_needed`).
 
     Raises:
         DataError: the angles are neither known nor found in the data.
@@ -43,7 +46,9 @@ def prepare(capture: Capture, motion: str | None = None) -> Capture:
         from tagid.pipeline.turn import resolve_turn
 
         capture = resolve_turn(capture, motion)
-    return one_turn(capture, MAX_VIEWS if capture.antenna_positions_m is None else MAX_POSITIONS)
+    if capture.antenna_positions_m is not None:
+        return one_turn(capture, MAX_VIEWS)
+    return one_turn(capture, min(views_needed(extent_m, capture.wavelength_m), MAX_VIEWS))
 
 
 class PreparedCapture:

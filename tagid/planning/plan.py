@@ -11,8 +11,8 @@ import numpy as np
 from tagid.capture import Capture
 from tagid.constants import CENTER_FREQUENCY_HZ, SPEED_OF_LIGHT
 from tagid.errors import ConfigError, UsageError
+from tagid.imaging.lengths import views_needed
 from tagid.motion.turntable import OVERLAP_TURNS
-from tagid.pipeline.prepared import MAX_VIEWS
 from tagid.planning.rates import Expected, expected
 from tagid.radar.settings import RadarConfig
 from tagid.recording.inspection import thinned
@@ -127,7 +127,7 @@ def plan(setup: Setup) -> Plan:
             "12 are needed",
             "Reduce the speed or the integration.",
         )
-    views = min(scans, MAX_VIEWS)
+    views = min(scans, views_needed(setup.extent_m, SPEED_OF_LIGHT / CENTER_FREQUENCY_HZ))
     view = sample + 10 * float(np.log10(scans / views))
     noise = NOISE_COUNTS * 2.0 ** ((setup.budget.integration - NOISE_INDEX) / 2)
     strongest = sample + max(0.0, body_db or 0.0)

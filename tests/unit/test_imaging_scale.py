@@ -10,7 +10,8 @@ import pytest
 from tagid.capture import Capture
 from tagid.errors import UsageError
 from tagid.imaging.bandcheck import band_warning
-from tagid.imaging.lengths import finest_cell_m, search_range_m
+from tagid.imaging.lengths import finest_cell_m, search_range_m, views_needed
+from tagid.pipeline.prepared import prepare
 from tagid.pipeline.reconstruct import reconstruct
 from tagid.pipeline.settings import ImagingSettings
 
@@ -75,6 +76,36 @@ def test_a_wrong_wave_speed_gives_another_image() -> None:
         for c in (capture, replace(capture, wave_speed_m_s=1.3 * AIR))
     )
     assert wrong > right + 0.05
+
+
+def test_an_object_of_many_wavelengths_keeps_its_views() -> None:
+    """At 24 GHz averaging to one degree would turn the phase of an echo at 0.2 m by three radians a view."""
+    lam = VACUUM / 24e9
+    scans = capture_of(24e9, VACUUM, views=800)
+    place = np.array([16.0, 0.0])
+    antenna = 13 * np.stack([np.cos(-scans.angles_rad), np.sin(-scans.angles_rad)], axis=1) * 4
+    ranges = 52 + 0.12 * np.arange(-200, 201)
+    distance = np.linalg.norm(antenna - place, axis=1)
+    t = 2 * (ranges[None, :] - distance[:, None])
+    echoes = np.exp(-(t**2) / (2 * (np.sqrt(np.log(10)) / (np.pi * 0.43)) ** 2)) * np.cos(2 * np.pi * t)
+    dense = replace(
+        scans,
+        samples=echoes.astype(np.float32),
+        range_start_m=float(ranges[0] * lam),
+        axis_distance_m=52 * lam,
+    )
+    prepared = prepare(dense)
+    assert prepared.views == 800
+    assert prepare(dense, extent_m=0.1).views == 437
+    settings = ImagingSettings(method="bp", extent_m=0.5, pixels=400, focus_m=0.0, held_out=False)
+    image = reconstruct(prepared, settings).image
+    row, column = np.unravel_index(int(np.argmax(np.abs(image.values))), image.values.shape)
+    assert np.hypot(image.grid.axis[column] - 16 * lam, image.grid.axis[row]) < lam / 8
+
+
+def test_views_of_a_p440_are_the_papers() -> None:
+    assert views_needed(0.5, VACUUM / 3.95e9) == 360
+    assert views_needed(1.0, VACUUM / 3.95e9) == 720
 
 
 def test_lengths_of_a_p440_are_the_known_ones() -> None:
