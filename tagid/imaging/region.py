@@ -26,6 +26,8 @@ from tagid.imaging.rangefocus import (
 
 _MARGIN_RESOLUTIONS = 4.5
 """Range resolutions (c / 2B) about the strong echoes: 0.4 m for a P440."""
+_CLEAR_RESOLUTIONS = 0.5
+"""Range resolutions between an echo and the edge of an image that shows it."""
 _MAX_PIXELS = 360
 
 
@@ -64,8 +66,8 @@ def choose_region(
     Args:
         capture: scans with antenna_positions_m.
         grid: size wanted.
-        centre_m: (x, y) of the image's middle, m; None is the origin where the strongest echo lies in the
-            grid about it, and else the middle of all strong echoes.
+        centre_m: (x, y) of the image's middle, m; None is the origin where a grid about it shows all strong
+            echoes, or, with an extent that may not be changed, the strongest; else the middle of them.
         search_m: half width of the delay search, one-way m; 0 takes the ranges as given, None: as wide as
             `rangefocus.search_range_m`.
         background: as in `PreprocessSettings`.
@@ -101,8 +103,8 @@ def choose_region(
                 capture = replace(capture, range_start_m=capture.range_start_m - focus.delay_m)
     extent = grid.extent
     if centre_m is None:
-        margin = _MARGIN_RESOLUTIONS * capture.wave_speed_m_s / (2 * capture.bandwidth_hz)
-        centre_m, extent = _about_echoes(points, grid.extent, free[0], margin)
+        resolution = capture.wave_speed_m_s / (2 * capture.bandwidth_hz)
+        centre_m, extent = _about_echoes(points, grid.extent, free[0], resolution)
     pixels = grid.pixels
     if free[1]:
         pixels = int(np.clip(np.ceil(extent / coarsest_pixel_m(lam)), pixels, max(pixels, _MAX_PIXELS)))
@@ -112,10 +114,16 @@ def choose_region(
 
 
 def _about_echoes(
-    points: tuple[EchoPoint, ...], extent: float, free: bool, margin_m: float
+    points: tuple[EchoPoint, ...], extent: float, free: bool, resolution_m: float
 ) -> tuple[tuple[float, float], float]:
-    """Middle and side of a square with the strong echoes; the one about the origin where it has the first."""
-    if not points or max(abs(points[0].x_m), abs(points[0].y_m)) < extent / 2:
+    """Middle and side of a square with the strong echoes.
+
+    It is the one about the origin where that shows all of them, or, if its size is given, the strongest.
+    """
+    margin_m = _MARGIN_RESOLUTIONS * resolution_m
+    wanted = points if free else points[:1]
+    reach = max((max(abs(p.x_m), abs(p.y_m)) for p in wanted), default=0.0)
+    if not points or reach < extent / 2 - _CLEAR_RESOLUTIONS * resolution_m:
         return (0.0, 0.0), extent
     if not free:
         # A square of given size about the middle of far echoes would show none of them.

@@ -97,6 +97,16 @@ def test_methods_image_a_rail_without_being_told_where_to_look(method: str) -> N
     assert localise(peaks, POINTS, radius).detected == 2
 
 
+def test_an_image_about_the_origin_must_show_all_strong_echoes() -> None:
+    """The strongest echo lies inside the default square, the other does not."""
+    near = np.array([[0.1, 0.4], [0.5, 3.6]])
+    region = choose_region(rail(0.0, near, views=300), ImageGrid(1.0, 128), None, 0.0, free=(True, True))
+    reach = np.abs(near - np.array(region.centre_m)).max()
+    assert reach < region.grid.extent / 2
+    given = choose_region(rail(0.0, near, views=300), ImageGrid(1.0, 128), None, 0.0)
+    assert (given.centre_m, given.grid.extent) == ((0.0, 0.0), 1.0)
+
+
 def test_a_given_centre_is_imaged_and_the_delay_left_alone() -> None:
     settings = ImagingSettings(method="bp", extent_m=0.5, pixels=64, centre_m=(0.5, 3.6), delay_m=0.0)
     result = reconstruct(prepare(rail(0.0, views=300)), settings)
