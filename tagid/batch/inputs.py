@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import os
 import re
-import zipfile
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +16,7 @@ from tagid import files
 from tagid.constants import CAPTURE_SUFFIX
 from tagid.errors import DataError, MissingExtraError, StorageError, displayable
 from tagid.storage import mrm_ret, npz
+from tagid.storage.image import is_image
 from tagid.storage.journal_lock import being_recorded
 
 SUFFIXES = (CAPTURE_SUFFIX, ".h5", ".hdf5", ".npz", ".prd", ".out", ".csv", ".tagid.journal", ".journal")
@@ -161,7 +161,7 @@ def is_recording(path: Path) -> bool:
         if name.endswith(".csv"):
             return mrm_ret.is_mrm_ret(head)
         if name.endswith(".npz") and head.startswith(npz.MAGIC):
-            return not _is_image(path)
+            return not is_image(path)
     except (OSError, StorageError):
         return True
     return True
@@ -169,16 +169,6 @@ def is_recording(path: Path) -> bool:
 
 def _journal_under_way(path: Path) -> bool:
     return path.name.lower().endswith(".journal") and being_recorded(path)
-
-
-def _is_image(path: Path) -> bool:
-    """Whether an NPZ file contains an image of `tagid reconstruct --out` and no scans."""
-    try:
-        with zipfile.ZipFile(path) as file:
-            names = set(file.namelist())
-    except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError):
-        return False
-    return "image.npy" in names and "samples.npy" not in names
 
 
 def _nothing(

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from tagid.cli.common.frame import Terminal, command, group_command
+from tagid.cli.common.outputs import check_drawing
 from tagid.errors import LayoutConflictError
 from tagid.result import Result
 
@@ -83,6 +84,7 @@ def register(app: typer.Typer) -> None:
         from tagid.cli.common.imaging import open_registry
         from tagid.files import write_bytes
 
+        check_drawing("--png", png, (".png",))
         one = open_registry().signature("object" if of_object else "body", name)
         if png is not None:
             from tagid.report.signature_plot import to_png

@@ -10,6 +10,7 @@ import typer
 
 from tagid.cli.common import options
 from tagid.cli.common.frame import Terminal, command
+from tagid.cli.common.outputs import check_drawing
 from tagid.config import Config, load_config
 from tagid.errors import EXIT_BATCH, EXIT_FAILED, TagidError, UsageError, displayable
 from tagid.result import Result, Status
@@ -89,6 +90,7 @@ def run(terminal: Terminal, files: list[Path], overrides: dict[str, object], vie
     from tagid.pipeline.load import LoadSettings, load_capture
     from tagid.pipeline.prepared import PreparedCapture
 
+    check_drawing("--png", view.png, (".png",), files)
     config = load_config(overrides)
     registry = imaging.open_registry()
     known = registry.contents()

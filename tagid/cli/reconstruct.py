@@ -9,6 +9,7 @@ import typer
 
 from tagid.cli.common import options
 from tagid.cli.common.frame import Terminal, command
+from tagid.cli.common.outputs import check_drawing
 from tagid.config import load_config
 from tagid.errors import UsageError
 from tagid.result import Result
@@ -134,6 +135,9 @@ def register(app: typer.Typer) -> None:
             raise UsageError("--calibrate and --ats do not apply to volumes", "Omit them.")
         if (calibrate or ats) and preset != "field":
             raise UsageError("--calibrate and --ats require --preset field", "Omit them.")
+        check_drawing("--png", png, (".png",), [file])
+        if not volume:
+            check_drawing("--out", out, (".npz",), [file])
         config = load_config(
             {
                 "imaging.method": method,

@@ -9,6 +9,7 @@ import typer
 
 from tagid.cli.common import options
 from tagid.cli.common.frame import Terminal, command
+from tagid.cli.common.outputs import check_drawing
 from tagid.config import load_config
 from tagid.constants import CAPTURE_SUFFIX
 from tagid.result import Result
@@ -55,11 +56,12 @@ def register(app: typer.Typer) -> None:
         from tagid.report.charts import draw_recording
         from tagid.storage.importers import remarks
 
+        # NAME.png next to the capture is the image of `scan` and must be kept.
+        target = png or file.with_name(file.name.removesuffix(CAPTURE_SUFFIX) + ".show.png")
+        check_drawing("--png", target, (".png",), [file])
         config = load_config({"radar.cable_delay_ps": cable_delay})
         capture = load_capture(file, LoadSettings.of(config, node=node), turn=False)
         summary = inspect(capture)
-        # NAME.png next to the capture is the image of `scan` and must be kept.
-        target = png or file.with_name(file.name.removesuffix(CAPTURE_SUFFIX) + ".show.png")
         draw_recording(
             thinned(capture)[0], target, file.name, changing_only=changing, turning=_turns(summary, capture)
         )

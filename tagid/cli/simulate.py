@@ -10,7 +10,8 @@ import typer
 
 from tagid.cli.common import options, response_options
 from tagid.cli.common.frame import Terminal, command
-from tagid.errors import DataError, StorageError, UsageError
+from tagid.cli.common.outputs import check_new
+from tagid.errors import DataError, UsageError
 from tagid.result import Result
 
 if TYPE_CHECKING:
@@ -99,8 +100,7 @@ def register(app: typer.Typer) -> None:
         )
         from tagid.storage.exporters import export
 
-        if out.exists() and not force:
-            raise StorageError(f"{out} exists already", "Choose another name, or add --force.")
+        check_new(out, force)
         place = Placement(
             parse_point("--centre", centre), float(np.deg2rad(rotation)), parse_elevation(elevation)
         )

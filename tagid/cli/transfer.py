@@ -9,6 +9,7 @@ import typer
 
 from tagid.cli.common import options
 from tagid.cli.common.frame import Terminal, command
+from tagid.cli.common.outputs import check_new
 from tagid.config import load_config
 from tagid.constants import CAPTURE_SUFFIX
 from tagid.errors import StorageError, UsageError
@@ -153,6 +154,5 @@ def _target(source: Path, out: Path | None, suffix: str, force: bool) -> Path:
                 stem = stem.removesuffix(ending)
                 break
         out = source.with_name(stem + suffix)
-    if out.exists() and not force:
-        raise StorageError(f"{out} exists already", "Choose another name with --out, or add --force.")
+    check_new(out, force, "Choose another name with --out, or add --force.")
     return out

@@ -11,8 +11,8 @@ import typer
 
 from tagid.cli.common import options
 from tagid.cli.common.frame import Terminal, command
+from tagid.cli.common.outputs import check_drawing, check_new
 from tagid.config import Config, load_config
-from tagid.errors import StorageError, UsageError
 from tagid.result import Result
 
 if TYPE_CHECKING:
@@ -50,8 +50,7 @@ def register(app: typer.Typer) -> None:
         from tagid.pipeline.load import LoadSettings, load_capture
         from tagid.storage.exporters import export
 
-        if out.exists() and not force:
-            raise StorageError(f"{out} exists already", "Choose another name, or add --force.")
+        check_new(out, force)
         config = load_config(
             {
                 "motion.url": motion,
@@ -93,14 +92,13 @@ class Outputs:
     surface: Path | None = None
 
     def checked(self) -> dict[str, Path]:
-        """The files by kind. Raises UsageError if a name does not have the suffix of its kind."""
+        """The files by kind. Raises as `check_drawing`."""
         found: dict[str, Path] = {}
         for kind, path in vars(self).items():
             if path is None:
                 continue
-            suffix = ".ply" if kind == "surface" else f".{kind}"
-            if kind != "png" and path.suffix != suffix:
-                raise UsageError(f"{path} does not end in {suffix}", f"Give a name that ends in {suffix}.")
+            option = "--out" if kind == "npz" else f"--{kind}"
+            check_drawing(option, path, (".ply" if kind == "surface" else f".{kind}",))
             found[kind] = path
         return found
 

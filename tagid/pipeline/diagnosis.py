@@ -15,10 +15,9 @@ import numpy as np
 
 from tagid.capture import Capture
 from tagid.errors import DataError
-from tagid.geometry import ImageGrid
-from tagid.imaging.backprojection import backproject
-from tagid.imaging.preprocess import PreprocessSettings, preprocess, remove_background
+from tagid.imaging.preprocess import remove_background
 from tagid.pipeline.answer import Cause, Identification
+from tagid.pipeline.axis_search import bright_offsets
 from tagid.pipeline.identify import identify
 from tagid.pipeline.prepared import PreparedCapture
 from tagid.pipeline.resolve import speed_contradiction
@@ -28,15 +27,6 @@ from tagid.tags.reading.reflectors import Reflector
 
 WHOLE_TURN = 0.97
 """Smallest share of a revolution that counts as complete: a gap of 10 degrees does not impair reading."""
-AXIS_SEARCH_M = 0.2
-"""Half-width of the search for a wrong axis distance, m: misread tape, or antenna mount not included."""
-_AXIS_STEP_M = 5e-3
-_AXIS_NEAR_M = 0.02
-"""Errors that the reader corrects are not reported as causes."""
-_AXIS_TRIES = 3
-_AXIS_VIEWS = 90
-_GRID = ImageGrid(0.5, 72)
-"""Covers the largest built-in layout off the axis, with the pixel size of the axis-distance search."""
 _ALIKE_DB = 10.0
 """Detected reflectors within this level of the strongest may belong to a tag."""
 _MOST_REFLECTORS = 6
@@ -127,7 +117,7 @@ def _of_the_axis(prepared: PreparedCapture, layouts: Sequence[Layout]) -> list[C
     given = capture.axis_distance_m
     if given is None or capture.angles_rad is None:
         return []
-    for offset in _bright_offsets(prepared):
+    for offset in bright_offsets(capture, prepared.settings.background):
         moved = replace(capture, axis_distance_m=given + offset)
         try:
             found = identify(PreparedCapture(moved, prepared.settings), layouts)
@@ -145,34 +135,6 @@ def _of_the_axis(prepared: PreparedCapture, layouts: Sequence[Layout]) -> list[C
                 )
             ]
     return []
-
-
-def _bright_offsets(prepared: PreparedCapture) -> list[float]:
-    """Offsets of the axis distance, m, with the brightest image, outside the reader's own search range.
-
-    The measure is sum |f|^8 of the backprojection, as in `tagid.imaging.autofocus`.
-    """
-    capture = prepared.given
-    wide = PreprocessSettings(
-        prepared.settings.background, matched_filter=True, extent_m=_GRID.extent, margin_m=AXIS_SEARCH_M
-    )
-    every = max(1, capture.views // _AXIS_VIEWS)
-    try:
-        scans = preprocess(capture.select(slice(None, None, every)), settings=wide)
-    except DataError:
-        return []
-    given = float(capture.axis_distance_m or 0.0)
-    steps = round(AXIS_SEARCH_M / _AXIS_STEP_M)
-    offsets = np.linspace(-AXIS_SEARCH_M, AXIS_SEARCH_M, 2 * steps + 1)
-    offsets = offsets[given + offsets > _GRID.extent / 2]
-    images = (
-        backproject(scans.with_aperture(scans.aperture.with_axis_distance(given + offset)), _GRID).values
-        for offset in offsets
-    )
-    bright = np.array([(np.abs(image).astype(np.float64) ** 8).sum() for image in images])
-    peaks = [i for i in range(1, len(bright) - 1) if bright[i] >= max(bright[i - 1], bright[i + 1])]
-    peaks = [i for i in peaks if abs(offsets[i]) > _AXIS_NEAR_M]
-    return [float(offsets[i]) for i in sorted(peaks, key=lambda i: -bright[i])[:_AXIS_TRIES]]
 
 
 def _of_the_place(

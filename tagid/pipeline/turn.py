@@ -18,6 +18,7 @@ from tagid.imaging.operator import ForwardOperator
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.imaging.sparse import omp
 from tagid.motion.urls import open_motion
+from tagid.pipeline.axis_search import bright_offsets
 from tagid.pipeline.resolve import has_angles, one_turn, with_angles
 
 MULTIPLES = (1, 2, 3, 4)
@@ -90,7 +91,8 @@ def _with_checked_speed(capture: Capture, told: Capture, nominal_s: float) -> Ca
     """The capture with its stated speed, and the speed measured in its scans if the two differ.
 
     A stated speed is contradicted if the scans repeat with a different period, and six fixed points explain
-    them clearly better (`_BETTER`) at a multiple of that period than at the stated one.
+    them clearly better (`_BETTER`) at a multiple of that period than at the stated one, which no other axis
+    distance makes good.
     """
     resolved = told.motion.resolved
     if resolved is None or resolved.kind != "free" or resolved.period_s is None:
@@ -117,9 +119,23 @@ def _with_checked_speed(capture: Capture, told: Capture, nominal_s: float) -> Ca
     except DataError:
         # No repetition, or nothing to image: the stated speed cannot be checked.
         return told
-    if not best:
+    if not best or _explained_elsewhere(told, left / _BETTER):
         return told
     return replace(told, motion=replace(told.motion, resolved=replace(resolved, measured_rpm=60 / best)))
+
+
+def _explained_elsewhere(told: Capture, share: float) -> bool:
+    """Whether the stated speed leaves less than a share unexplained at another axis distance.
+
+    At a wrong distance, fixed points explain no speed, and a slower one least badly, because its shorter arc
+    of views is easier to explain.
+    """
+    turn = one_turn(told, _VIEWS)
+    distance = turn.axis_distance_m or 0.0
+    return any(
+        unexplained_share(replace(turn, axis_distance_m=distance + offset)) < share
+        for offset in bright_offsets(turn)
+    )
 
 
 def unexplained_share(capture: Capture) -> float:

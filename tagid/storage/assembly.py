@@ -17,22 +17,31 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.capture import Capture
-from tagid.errors import DataError, FileFormatError
+from tagid.errors import DataError, FileFormatError, displayable
 
 MAX_JSON_BYTES = 64 << 20
 """Longest settings text accepted, characters."""
 
 
 def encode_settings(settings: dict[str, Any]) -> str:
-    """JSON text of a settings dict; numpy values become plain ones, non-finite ones become null."""
+    """JSON text of a settings dict; numpy values become plain ones, non-finite ones become null.
+
+    Bytes of a text that are not UTF-8 (a note or a device name typed on a Latin-1 terminal) become \\xNN: as
+    halves of surrogate pairs they would make the whole file unreadable.
+    """
     return json.dumps(_plain(settings), allow_nan=False, sort_keys=True)
 
 
-def decode_settings(text: str | bytes, where: str) -> dict[str, Any]:
+def decode_settings(text: str | bytes, where: str, repair: bool = False) -> dict[str, Any]:
     """A dict from JSON text in a file.
 
+    Args:
+        text: the JSON text.
+        where: the file and field, for messages.
+        repair: show halves of surrogate pairs as \\uNNNN instead of refusing the file.
+
     Raises:
-        FileFormatError: too long, not JSON, or not an object; `where` names the file and field.
+        FileFormatError: too long, not JSON, or not an object.
     """
     if len(text) > MAX_JSON_BYTES:
         raise FileFormatError(
@@ -43,7 +52,9 @@ def decode_settings(text: str | bytes, where: str) -> dict[str, Any]:
     except (ValueError, RecursionError) as error:
         raise FileFormatError(f"{where}: the settings are not JSON") from error
     half = "\\ud" if isinstance(text, str) else b"\\ud"
-    if half in text.lower():  # type: ignore[operator]
+    if repair:
+        value = _plain(value)
+    elif half in text.lower():  # type: ignore[operator]
         _check_unicode(json.dumps(value, ensure_ascii=False), where)
     if not isinstance(value, dict):
         raise FileFormatError(f"{where}: the settings are a JSON {type(value).__name__}, expected an object")
@@ -165,16 +176,16 @@ def _digest(capture: Capture) -> str:
 
 def _plain(value: Any) -> Any:
     if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
+        return {displayable(str(key)): _plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple | set | frozenset):
         return [_plain(item) for item in value]
     if isinstance(value, np.ndarray | np.generic):
         return _plain(value.tolist())
     if isinstance(value, float):
         return value if math.isfinite(value) else None
-    if value is None or isinstance(value, bool | int | str):
+    if value is None or isinstance(value, bool | int):
         return value
-    return str(value)
+    return displayable(str(value))
 
 
 def _short(value: Any) -> str:

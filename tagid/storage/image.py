@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import io
 import json
+import zipfile
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -63,3 +64,13 @@ def write_image(path: Path, image: GriddedImage) -> None:
         settings=np.array(json.dumps(image.settings, default=str)),
     )
     write_bytes(path, buffer.getvalue())
+
+
+def is_image(path: Path) -> bool:
+    """Whether an NPZ file contains an image or a volume of `tagid reconstruct --out`, and no scans."""
+    try:
+        with zipfile.ZipFile(path) as file:
+            names = set(file.namelist())
+    except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError):
+        return False
+    return not names.isdisjoint(("image.npy", "volume.npy")) and "samples.npy" not in names

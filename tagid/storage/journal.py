@@ -314,9 +314,9 @@ class JournalStream:
             if kind == _SCAN_KIND:
                 yield _parse_scan(self.path, payload)
             elif kind == _END:
-                self.summary = decode_settings(payload, f"{self.path} (end record)")
+                self.summary = decode_settings(payload, f"{self.path} (end record)", repair=True)
             elif kind == _MOTION:
-                self._add_motion(decode_settings(payload, f"{self.path} (motion record)"))
+                self._add_motion(decode_settings(payload, f"{self.path} (motion record)", repair=True))
 
     def _add_motion(self, part: dict[str, Any]) -> None:
         if not all(isinstance(part.get(name), list) for name in _READINGS):
@@ -348,7 +348,8 @@ def open_journal(path: Path) -> Iterator[JournalStream]:
             raise FileFormatError(
                 f"{path}: the header of the journal is truncated or damaged", "Nothing can be recovered."
             )
-        header = decode_settings(payload, f"{path} (header)")
+        # A recording is never refused because of a note: journals of earlier versions may hold such texts.
+        header = decode_settings(payload, f"{path} (header)", repair=True)
         dropped = size - PREAMBLE.size - record_bytes(payload)
         yield JournalStream(path, size, records, header, bytes_dropped=dropped)
 

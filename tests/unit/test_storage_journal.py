@@ -302,3 +302,28 @@ def test_full_disk_in_the_middle_keeps_what_was_written(tmp_path: Path) -> None:
     assert [s.scan_id for s in journal.scans] == list(range(acknowledged))
     assert journal.bytes_dropped == 0 and journal.summary is None
     np.testing.assert_array_equal(journal.scans[-1].samples, np.full(300, acknowledged - 1))
+
+
+BYTE_OF_LATIN_1 = "Kopfh\udcf6rer"
+"""A note as Python reads it from a Latin-1 terminal: half of a surrogate pair stands for the byte F6."""
+
+
+def test_a_note_that_is_not_utf_8_costs_no_recording(tmp_path: Path) -> None:
+    header = HEADER | {"object": {"note": BYTE_OF_LATIN_1}}
+    with JournalWriter(tmp_path / "j", header) as journal:
+        journal.append(100, 10**18, 0.0, scan(0))
+        journal.close({"motion": {"url": "roomba+serial:///dev/\udce4"}})
+    capture = journal_to_capture(read_journal(tmp_path / "j"))
+    assert capture.object.note == "Kopfh\\xf6rer" and capture.motion.url == "roomba+serial:///dev/\\xe4"
+
+
+def test_a_journal_whose_header_holds_half_a_surrogate_pair_is_recovered(tmp_path: Path) -> None:
+    header = HEADER | {"object": {"note": BYTE_OF_LATIN_1, "label": "\ud800"}}
+    write(tmp_path / "j", 3)
+    data = (tmp_path / "j").read_bytes()
+    first = pack_record(1, json.dumps(HEADER, sort_keys=True).encode())
+    assert data.count(first) == 1
+    (tmp_path / "j").write_bytes(data.replace(first, pack_record(1, json.dumps(header).encode())))
+    capture = journal_to_capture(read_journal(tmp_path / "j"))
+    assert capture.views == 3
+    assert (capture.object.note, capture.object.label) == ("Kopfh\\xf6rer", "\\ud800")

@@ -40,3 +40,17 @@ def test_a_speed_that_is_given_is_not_doubted() -> None:
 def test_angles_that_are_there_stay() -> None:
     capture, _ = simulate_capture(scene_from_name("container-90", 1), Acquisition(views=36), 1)
     assert resolve_turn(capture) is capture
+
+
+@pytest.mark.parametrize(
+    ("name", "axis_error"), [("container-90", 0.1), ("helmet-120", -0.1), ("helmet-linear", 0.1)]
+)
+def test_a_wrong_axis_distance_does_not_contradict_the_right_speed(name: str, axis_error: float) -> None:
+    found = resolve_turn(recording(name, 1.34, 5, axis_error), "free?rpm=2")
+    assert found.motion.resolved.measured_rpm is None
+
+
+@pytest.mark.parametrize("axis_error", [0.0, 0.015])
+def test_a_wrong_speed_is_contradicted(axis_error: float) -> None:
+    found = resolve_turn(recording("container-90", 1.34, 5, axis_error), "free?rpm=3")
+    assert found.motion.resolved.measured_rpm == pytest.approx(2.0, rel=0.01)

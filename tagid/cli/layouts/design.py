@@ -10,6 +10,7 @@ import typer
 
 from tagid.cli.common import enrolling
 from tagid.cli.common.frame import Terminal, command
+from tagid.cli.common.outputs import check_new
 from tagid.config import load_config
 from tagid.errors import UsageError
 from tagid.result import Result
@@ -78,6 +79,7 @@ def register(app: typer.Typer) -> None:
         out: Annotated[
             Path | None, typer.Option("--out", help="Write the layouts as TOML.", show_default=False)
         ] = None,
+        force: Annotated[bool, typer.Option("--force", help="Overwrite an existing file.")] = False,
         enroll: Annotated[bool, typer.Option("--enroll", help="Enrol all layouts, or none.")] = False,
         yes: enrolling.Yes = False,
     ) -> Result:
@@ -87,7 +89,16 @@ def register(app: typer.Typer) -> None:
         """
         from tagid.cli.common.imaging import open_registry
         from tagid.tags.layouts.design import design as make
+        from tagid.tags.layouts.layout import is_name
 
+        if prefix is not None and not is_name(f"{prefix}-01"):
+            # Checked before the search, whose remedies are other options.
+            raise UsageError(
+                f"--prefix {prefix[:80]!r} is not valid",
+                "Use up to 60 of a-z, 0-9, dot, dash and underscore; begin with a letter or digit.",
+            )
+        if out is not None:
+            check_new(out, force)
         rules = rules_from(reflectors, slots, spacing, mirror, seed, heights)
         beside = [] if alone else open_registry().layouts()
         chosen = object_from(target, rows, radius, height)

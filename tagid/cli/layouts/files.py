@@ -10,7 +10,7 @@ import typer
 
 from tagid.cli.common import enrolling
 from tagid.cli.common.frame import Terminal, command
-from tagid.errors import StorageError
+from tagid.cli.common.outputs import check_new
 from tagid.result import Result
 
 if TYPE_CHECKING:
@@ -41,8 +41,7 @@ def register(app: typer.Typer) -> None:
         from tagid.cli.common.imaging import open_registry
         from tagid.tags.enrolling.layout_file import write_layouts
 
-        if file.exists() and not force:
-            raise StorageError(f"{file} exists already", "Choose another name, or add --force.")
+        check_new(file, force)
         registry = open_registry()
         contents = registry.contents()
         signatures = [one for one in contents.signatures if not names or one.name in names]

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from tagid.cli.common.frame import Terminal, command
-from tagid.errors import StorageError, UsageError
+from tagid.cli.common.outputs import check_new
+from tagid.errors import UsageError
 from tagid.result import Result
 
 if TYPE_CHECKING:
@@ -60,8 +61,7 @@ def register(app: typer.Typer) -> None:
             for path in paths:
                 if path.suffix.lower() not in known:
                     raise UsageError(f"{option} {path}: unknown suffix", f"Use {', '.join(known)}.")
-                if path.exists() and not force:
-                    raise StorageError(f"{path} exists already", "Choose another name, or add --force.")
+                check_new(path, force)
         size_m = size * 1e-3
         sheets.check_size(size_m)
         for path in made:

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from tagid.cli.common.frame import Terminal, command
+from tagid.cli.common.outputs import check_drawing
 from tagid.errors import UsageError
 from tagid.result import Result
 
@@ -59,10 +60,9 @@ def register(app: typer.Typer) -> None:
                     f"{file} contains no layout {name[:80]!r}", f"It contains {', '.join(found)}."
                 )
             layout = found[name]
-        if template is not None and template.suffix.lower() not in (".pdf", ".svg"):
-            raise UsageError(
-                f"a template is a .pdf or .svg, not {template.name!r}", "e.g. --template tag.pdf"
-            )
+        check_drawing("--png", png, (".png",))
+        check_drawing("--svg", svg, (".svg",))
+        check_drawing("--template", template, (".pdf", ".svg"))
         plan = layout_sheet.plan(layout)
         written = []
         for path, content in ((png, to_png), (svg, to_svg)):

@@ -1,0 +1,80 @@
+"""Checks of the files that a command will write, made before its work: a recording is never overwritten."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+from tagid.errors import StorageError, UsageError
+from tagid.files import storage_error
+
+
+def check_new(path: Path, force: bool, how: str = "Choose another name, or add --force.") -> None:
+    """Raises StorageError if a file exists that may not be overwritten, or if nothing can be written there.
+
+    Args:
+        path: file to write.
+        force: whether an existing file may be overwritten.
+        how: what to do about an existing file.
+    """
+    if _exists(path):
+        if path.is_dir():
+            raise StorageError(f"{path}: is a folder, not a file", "Give the path of a file.")
+        if not force:
+            raise StorageError(f"{path} exists already", how)
+    _check_folder(path)
+
+
+def check_drawing(
+    option: str, path: Path | None, suffixes: Sequence[str], inputs: Sequence[Path] = ()
+) -> None:
+    """Check a file that is made from others and may replace an earlier one of its kind.
+
+    Args:
+        option: as the user wrote it, for messages.
+        path: file to write; None: not requested.
+        suffixes: of its kind, in lower case, e.g. ".png".
+        inputs: files that the command reads.
+
+    Raises:
+        UsageError: another suffix, or one of the inputs. StorageError: a folder, an NPZ file that is not an
+            image, or nothing can be written there.
+    """
+    from tagid.storage.image import is_image
+
+    if path is None:
+        return
+    if path.suffix.lower() not in suffixes:
+        raise UsageError(
+            f"{option} {path} does not end in {' or '.join(suffixes)}",
+            f"Give a name that does, e.g. {option} NAME{suffixes[0]}.",
+        )
+    if _exists(path):
+        if path.is_dir():
+            raise StorageError(f"{path}: is a folder, not a file", "Give the path of a file.")
+        if any(_exists(one) and one.samefile(path) for one in inputs):
+            raise UsageError(f"{option} {path} is the file that is read", "Choose another name.")
+        if path.suffix.lower() == ".npz" and not is_image(path):
+            raise StorageError(f"{path} exists already and is not an image", "Choose another name.")
+    _check_folder(path)
+
+
+def _exists(path: Path) -> bool:
+    try:
+        return path.exists()
+    except OSError as error:  # a name that is too long, for example
+        raise storage_error(error, path, "writing") from None
+
+
+def _check_folder(path: Path) -> None:
+    folder = path.parent
+    if not _exists(folder):
+        raise StorageError(f"{path}: the folder {folder} does not exist", "Create it, or choose another.")
+    if not folder.is_dir():
+        raise StorageError(f"{path}: {folder} is not a folder", "Check the path.")
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise StorageError(
+            f"{path}: no permission to write into {folder}",
+            "Check the permissions, or choose another.",
+        )

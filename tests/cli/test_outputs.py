@@ -1,0 +1,73 @@
+"""Files that a command writes: never a recording, refused before the work, one clear error."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.cli.test_bad_input import npz
+
+
+def stored(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("reconstruct", "mine.npz", "--method", "bp", "--out", "mine.npz"),
+        ("reconstruct", "mine.npz", "--method", "bp", "--out", "other.npz"),
+        ("reconstruct", "mine.npz", "--method", "bp", "--out", "scan.tagid.h5"),
+        ("reconstruct", "mine.npz", "--method", "bp", "--png", "scan.tagid.h5"),
+        ("reconstruct", "mine.npz", "--method", "bp", "--png", "link.png"),
+        ("show", "mine.npz", "--png", "mine.npz"),
+        ("show", "mine.npz", "--png", "scan.tagid.h5"),
+        ("identify", "mine.npz", "--png", "mine.npz"),
+        ("layouts", "show", "helmet-120", "--png", "mine.npz"),
+        ("layouts", "design", "--object", "mug", "--count", "2", "--out", "tags.toml"),
+    ],
+)
+def test_no_recording_and_no_layouts_are_overwritten(tagid, tmp_path: Path, words: tuple[str, ...]) -> None:
+    for name in ("mine.npz", "other.npz", "scan.tagid.h5", "tags.toml"):
+        (tmp_path / name).write_bytes(npz())
+    (tmp_path / "link.png").symlink_to("mine.npz")
+    before = stored(tmp_path)
+    done = tagid(*words, "--output", "json")
+    assert done.code in (1, 2) and done.json["errors"][0]["remedy"]
+    assert stored(tmp_path) == before
+
+
+def test_an_image_may_be_made_again(tagid, tmp_path: Path) -> None:
+    (tmp_path / "mine.npz").write_bytes(npz())
+    words = ("reconstruct", "mine.npz", "--method", "bp", "--out", "image.npz", "--png", "image.png")
+    for _ in range(2):
+        assert tagid(*words).code == 0
+    assert "image" in np.load(tmp_path / "image.npz")
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [("none/x.png", "does not exist"), ("x.bmp", "does not end in .png"), ("a" * 300 + ".png", "too long")],
+)
+def test_a_picture_that_cannot_be_written_is_refused_before_the_work(
+    tagid, tmp_path: Path, name: str, said: str
+) -> None:
+    (tmp_path / "mine.npz").write_bytes(npz())
+    done = tagid("identify", "mine.npz", "--png", name, "--output", "json")
+    assert done.code in (1, 2) and not done.json["data"]
+    assert said in done.json["errors"][0]["message"]
+
+
+def test_a_capture_with_a_name_that_is_too_long_is_one_clear_error(tagid) -> None:
+    done = tagid("simulate", "helmet-120", "--out", "a" * 300 + ".tagid.h5", "--output", "json")
+    assert done.code == 1 and "too long" in done.json["errors"][0]["message"]
+
+
+def test_an_invalid_prefix_is_not_blamed_on_other_options(tagid) -> None:
+    done = tagid(
+        "layouts", "design", "--object", "mug", "--count", "2", "--prefix", "Mine/x", "--output", "json"
+    )
+    (error,) = done.json["errors"]
+    assert done.code == 2 and "--prefix" in error["message"] and "a-z" in error["remedy"]
