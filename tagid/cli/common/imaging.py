@@ -273,10 +273,22 @@ def draw(result: Reconstruction, answer: Identification | None, png: Path) -> No
         for reflector in reading.reflectors:
             markers.append(Marker(reflector.x_m, reflector.y_m, str(offset), reflector.matched))
             offset += 1
-    name = "ATS, paper" if result.image.settings.get("preset") == "paper" else result.method.upper()
+    name = method_shown(result)
     title = name if answer is None else f"{headline(answer)}  ({name})"
     image = result.image
     draw_image(image.values, image.grid.extent, png, title=title, reflectors=markers, centre_m=image.centre_m)
+
+
+def method_shown(result: Reconstruction) -> str:
+    """The method as a picture's title names it: ATS may show the paper's variant, or a linear solution."""
+    from tagid.imaging.ats.adapt import linear_iterations
+
+    if result.image.settings.get("preset") == "paper":
+        return "ATS, paper"
+    iterations = linear_iterations(result.image.settings.get("prior", ""))
+    if iterations is None:
+        return result.method.upper()
+    return "ATS, backprojection" if iterations <= 1 else "ATS, linear solution"
 
 
 def in_terminal(result: Reconstruction) -> RenderableType:
