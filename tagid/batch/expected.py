@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import csv
 import io
-import math
 import os
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
@@ -19,6 +18,7 @@ from typing import Any
 from tagid import files
 from tagid.batch.inputs import Source, is_url
 from tagid.errors import UsageError, displayable
+from tagid.proportion import wilson
 from tagid.report.records import ItemRecord
 
 MAX_BYTES = 64 << 20
@@ -182,15 +182,15 @@ class Comparison:
         """Accuracy with its 95 % interval (Wilson 1927), confusion matrix and misses, plain JSON values."""
         total = self.counts.total()
         hits = sum(count for (expected, answer), count in self.counts.items() if expected == answer)
-        low, high = wilson(hits, total)
+        interval = wilson(hits / total if total else 0.0, total)
         rows = sorted({expected for expected, _ in self.counts})
         columns = sorted({answer for _, answer in self.counts} | set(rows), key=_names_first)
         return {
             "items": total,
             "correct": hits,
             "accuracy": hits / total if total else None,
-            "accuracy_low": low,
-            "accuracy_high": high,
+            "accuracy_low": interval.low,
+            "accuracy_high": interval.high,
             "not_in_manifest": self.not_expected,
             "confusion": {
                 "expected": rows,
@@ -203,17 +203,3 @@ class Comparison:
 
 def _names_first(answer: str) -> tuple[bool, str]:
     return answer in (*NO_LAYOUT, "failed"), answer
-
-
-def wilson(hits: int, total: int) -> tuple[float, float]:
-    """95 % interval of a proportion (E. B. Wilson, 1927); (0, 1) for an empty sample.
-
-    >>> [round(v, 3) for v in wilson(9, 10)]
-    [0.596, 0.982]
-    """
-    if total == 0:
-        return 0.0, 1.0
-    z = 1.959964
-    p, w = hits / total, z * z / total
-    middle, half = (p + w / 2) / (1 + w), z * math.sqrt(p * (1 - p) / total + w / (4 * total)) / (1 + w)
-    return max(0.0, middle - half), min(1.0, middle + half)

@@ -27,6 +27,7 @@ import numpy as np
 from identification_images import read_image
 from identification_scenes import SETS, TWISTS, Condition, Recorded, record
 
+from tagid.proportion import wilson
 from tagid.tags.matching.matcher import read_tag
 from tagid.tags.reading.decision import DecisionSettings, Evidence, decide
 from tagid.tags.reading.field import MatchedField
@@ -104,17 +105,9 @@ def one(task: tuple[Condition, str, int]) -> Outcome:
     return Outcome(condition, method, outcome, seconds, evidence, right)
 
 
-def wilson(hits: int, total: int) -> tuple[float, float]:
-    """95 % interval of a proportion (Wilson 1927)."""
-    z = 1.959964
-    p, w = hits / total, z * z / total
-    middle, half = (p + w / 2) / (1 + w), z * np.sqrt(p * (1 - p) / total + w / (4 * total)) / (1 + w)
-    return max(0.0, middle - half), min(1.0, middle + half)
-
-
 def cell(hits: int, total: int) -> str:
-    low, high = wilson(hits, total)
-    return f"{100 * hits / total:.1f} ({100 * low:.1f}..{100 * high:.1f})"
+    interval = wilson(hits / total, total)
+    return f"{100 * hits / total:.1f} ({100 * interval.low:.1f}..{100 * interval.high:.1f})"
 
 
 def table(head: str, rows: Iterable[tuple[str, list[Outcome]]], columns: tuple[str, ...] = OUTCOMES) -> None:
