@@ -75,6 +75,7 @@ def reconstruct(
     watch = Stopwatch()
     grid = ImageGrid(settings.extent_m, settings.pixels)
     region: Region | None = None
+    free_extent, free_pixels = settings.free_size
     if prepared.given.antenna_positions_m is not None:
         with watch.stage("focus"):
             region = choose_region(
@@ -83,8 +84,9 @@ def reconstruct(
                 settings.centre_m,
                 settings.delay_m,
                 settings.background,
-                settings.free_size,
                 settings.towards_m,
+                free_extent=free_extent,
+                free_pixels=free_pixels,
             )
         grid = region.grid
         settings = replace(settings, extent_m=grid.extent, pixels=grid.pixels)
@@ -94,7 +96,7 @@ def reconstruct(
             "images of a turntable are always centred on the rotation axis",
             "Omit --centre, or give a larger --extent.",
         )
-    elif settings.free_size[1]:
+    elif free_pixels:
         finest = finest_cell_m(prepared.given.wavelength_m)
         pixels = int(np.clip(np.ceil(grid.extent / finest), grid.pixels, max(grid.pixels, MOST_FREE_PIXELS)))
         grid = ImageGrid(grid.extent, pixels)

@@ -61,7 +61,9 @@ def bent(sagitta_m: float, delay_m: float, noise: float = 0.2) -> Capture:
 @pytest.mark.parametrize(("sagitta_m", "delay_m"), [(0.0, -0.5), (0.06, 0.9), (-0.1, 0.3)])
 def test_a_bent_path_off_the_middle_knows_its_delay_and_its_side(sagitta_m: float, delay_m: float) -> None:
     """A path in one upright plane has two sides alike; a few centimetres of bend leave ghosts there."""
-    region = choose_region(bent(sagitta_m, delay_m), ImageGrid(0.5, 128), None, free=(True, True))
+    region = choose_region(
+        bent(sagitta_m, delay_m), ImageGrid(0.5, 128), None, free_extent=True, free_pixels=True
+    )
     assert region.focus is not None
     assert region.focus.reliable
     assert region.focus.delay_m == pytest.approx(delay_m, abs=0.008)
