@@ -327,7 +327,7 @@ def _histories() -> list[list[str]]:
 
 def _read_history(place: Path) -> list[str]:
     history = History(place / "data" / "history.sqlite")
-    found = [str(row["capture_uuid"]) for row in history.find(Filter(), oldest_first=True)]
+    found = [str(entry.capture_uuid) for entry in history.find(Filter(), oldest_first=True)]
     history.add(history.begin("a test", {}), [_record(999)])
     assert history.count() == len(found) + 1
     return found
