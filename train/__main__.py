@@ -6,6 +6,7 @@ Every step can be killed and started again; none repeats what is there.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -100,7 +101,7 @@ def evaluate(work: Folder = WORK, scenes: Scenes = SCENES, ats_every: AtsEvery =
     from train.card import figures_table, measure
 
     console = Console(soft_wrap=True)
-    console.print(figures_table(measure(work, scenes, ats_every)[2]), markup=False)
+    console.print(figures_table(measure(work, scenes, ats_every).figures), markup=False)
 
 
 @app.command()
@@ -116,14 +117,13 @@ def export(
     from tagid.models_store import FOLDER
     from train.card import measure, write_card
     from train.export import export as write_model
-    from train.export import plain, training_record
+    from train.origin import Origin
 
-    folder = out or FOLDER.resolve()
-    network, contract, figures = measure(
-        work, scenes, ats_every, training_record(seed, scenes, ats_every, epochs)
-    )
-    path = write_model(network, contract, {name: plain(f) for name, f in figures.items()}, folder)
-    card = write_card(folder, contract, figures, path)
+    measured = measure(work, scenes, ats_every)
+    origin = Origin.of(seed, scenes, ats_every, epochs)
+    contract = replace(measured.contract, training=asdict(origin))
+    path = write_model(measured.network, contract, measured.figures, out or FOLDER.resolve())
+    card = write_card(measured, origin, path)
     Console(stderr=True).print(
         f"wrote {path} ({path.stat().st_size / 1e3:.0f} kB) and {card}", soft_wrap=True
     )

@@ -5,8 +5,8 @@ The card is written by the same run that measured, so that it cannot tell of ano
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from tagid.files import write_bytes
 from tagid.tags.network.detector import Contract
@@ -15,6 +15,7 @@ from train.evaluate import Figures, calibrate, conditions, maxima_figures, outco
 from train.fit import load_network
 from train.images import METHODS
 from train.network import DetectorNetwork
+from train.origin import Origin
 from train.plans import plans
 
 PFA = 0.01
@@ -50,17 +51,34 @@ autofocus leaves.
 HEADER = "| condition | images | reflectors | recall | precision | false in empty | rms | presence told |"
 
 
-def measure(
-    work: Path, scenes: int, ats_every: int, training: dict[str, Any] | None = None
-) -> tuple[DetectorNetwork, Contract, dict[str, Figures]]:
-    """The trained network, its contract from the validation scenes, its figures on the test scenes.
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """A trained network with what it is worth.
+
+    Attributes:
+        network: trained.
+        contract: its calibration, from the validation scenes; `training` is empty.
+        figures: on the test scenes, by condition.
+    """
+
+    network: DetectorNetwork
+    contract: Contract
+    figures: dict[str, Figures]
+
+
+def measure(work: Path, scenes: int, ats_every: int) -> Measured:
+    """Calibrate the trained network and measure it.
+
+    Args:
+        work: folder of the dataset and the checkpoint.
+        scenes, ats_every: size of the dataset, as in `train.dataset.Plan`.
 
     Raises StorageError if the dataset or the checkpoint is missing.
     """
     split = plans(scenes, ats_every)
     network = load_network(work / "checkpoint.pt")
     validation = load(work, split["validation"])
-    contract = calibrate(network, validation, training or {})
+    contract = calibrate(network, validation)
     test = load(work, split["test"])
     found = outcomes(network, test, contract)
     threshold = contract.threshold(PFA)
@@ -72,7 +90,7 @@ def measure(
         held, seen_now = validation.part(validation.method == i), test.part(test.method == i)
         if len(held) and len(seen_now):
             figures[f"{method}, local maxima"] = maxima_figures(held, seen_now, PFA)
-    return network, contract, figures
+    return Measured(network, contract, figures)
 
 
 def figures_table(figures: dict[str, Figures]) -> str:
@@ -86,21 +104,21 @@ def figures_table(figures: dict[str, Figures]) -> str:
     return "\n".join(rows)
 
 
-def write_card(folder: Path, contract: Contract, figures: dict[str, Figures], model: Path) -> Path:
-    """Write `reflector_detector.md` beside the model."""
+def write_card(measured: Measured, origin: Origin, model: Path) -> Path:
+    """Write the card of a model beside its file; returns its path."""
     parameters = sum(p.numel() for p in DetectorNetwork().parameters())
     text = CARD.format(
-        scenes=contract.training.get("scenes"),
-        ats_every=contract.training.get("ats_every"),
-        commit=contract.training.get("commit"),
-        seed=contract.training.get("seed"),
+        scenes=origin.scenes,
+        ats_every=origin.ats_every,
+        commit=origin.commit,
+        seed=origin.seed,
         parameters=f"{parameters:,}",
         size=round(model.stat().st_size / 1e3),
         thresholds=", ".join(
-            f"{value:.2f} for {100 * float(rate):g} %" for rate, value in contract.thresholds.items()
+            f"{value:.2f} for {100 * float(rate):g} %" for rate, value in measured.contract.thresholds.items()
         ),
-        table=figures_table(figures),
+        table=figures_table(measured.figures),
     )
-    path = folder / f"{model.stem}.md"
+    path = model.with_suffix(".md")
     write_bytes(path, text.encode())
     return path

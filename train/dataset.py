@@ -30,6 +30,14 @@ SEED_BASES = {"train": 0, "validation": 10_000_000, "test": 20_000_000}
 
 
 @dataclass(frozen=True)
+class ImageOf:
+    """One image of a dataset: the seed of its scene, and the imaging method."""
+
+    seed: int
+    method: str
+
+
+@dataclass(frozen=True)
 class Plan:
     """Which scenes a dataset holds.
 
@@ -54,14 +62,14 @@ class Plan:
         """Number of files."""
         return -(-self.scenes // SHARD)
 
-    def samples(self, shard: int) -> list[tuple[int, str]]:
-        """(seed, method) of every image of a shard."""
+    def images(self, shard: int) -> list[ImageOf]:
+        """Every image of a shard."""
         found = []
         for i in range(shard * SHARD, min((shard + 1) * SHARD, self.scenes)):
             seed = SEED_BASES[self.split] + i
-            found.append((seed, METHODS[0]))
+            found.append(ImageOf(seed, METHODS[0]))
             if self.ats_every and i % self.ats_every == 0:
-                found.append((seed, METHODS[1]))
+                found.append(ImageOf(seed, METHODS[1]))
         return found
 
 
@@ -93,21 +101,21 @@ class Samples:
         return Samples(**{name: value[keep] for name, value in vars(self).items()})
 
 
-def make_shard(samples: list[tuple[int, str]], distribution: Distribution) -> Samples:
-    """The images of one shard."""
-    n = len(samples)
+def make_shard(images: list[ImageOf], distribution: Distribution) -> Samples:
+    """The images of one shard with their truths."""
+    n = len(images)
     relative = np.zeros((n, 2, GRID.pixels, GRID.pixels), dtype=np.float16)
     reflectors = np.full((n, MOST_REFLECTORS, 2), np.nan, dtype=np.float32)
     ghosts = np.full((n, MOST_GHOSTS, 3), np.nan, dtype=np.float32)
     rows = []
-    for i, (seed, method) in enumerate(samples):
-        scene = draw_scene(seed, distribution)
-        seen = network_input(scene.capture, method, seed % 1000)
+    for i, image in enumerate(images):
+        scene = draw_scene(image.seed, distribution)
+        seen = network_input(scene.capture, image.method, image.seed % 1000)
         relative[i] = seen.relative.real, seen.relative.imag
         reflectors[i, : len(scene.reflectors_m)] = scene.reflectors_m
         for j, ghost in enumerate(scene.ghosts[:MOST_GHOSTS]):
             ghosts[i, j] = *ghost.centre_m, ghost.radius_m
-        rows.append((seen.snr_db, seen.views, METHODS.index(method), scene.snr_db))
+        rows.append((seen.snr_db, seen.views, METHODS.index(image.method), scene.snr_db))
     columns = np.array(rows)
     return Samples(
         relative,
@@ -120,12 +128,19 @@ def make_shard(samples: list[tuple[int, str]], distribution: Distribution) -> Sa
     )
 
 
-def _write(task: tuple[Path, list[tuple[int, str]], Distribution]) -> Path:
-    path, samples, distribution = task
-    made = make_shard(samples, distribution)
-    with replacing(path) as file:
+@dataclass(frozen=True)
+class _Shard:
+    """A shard that is to be made: its file, its images, and how scenes are drawn."""
+
+    path: Path
+    images: list[ImageOf]
+    distribution: Distribution
+
+
+def _write(shard: _Shard) -> None:
+    made = make_shard(shard.images, shard.distribution)
+    with replacing(shard.path) as file:
         np.savez(file, **vars(made))
-    return path
 
 
 def build(
@@ -152,10 +167,10 @@ def build(
         raise StorageError(f"{about}: {error}", "Choose a folder that can be written.") from error
     tasks = []
     for shard in range(plan.shards):
-        samples = plan.samples(shard)
-        path = about.parent / f"{shard:04d}-{len(samples)}.npz"
+        images = plan.images(shard)
+        path = about.parent / f"{shard:04d}-{len(images)}.npz"
         if not path.exists():
-            tasks.append((path, samples, dist))
+            tasks.append(_Shard(path, images, dist))
     done = plan.shards - len(tasks)
     if progress:
         progress(done, plan.shards)
@@ -174,7 +189,7 @@ def load(folder: Path, plan: Plan) -> Samples:
 
     def shards() -> Iterator[dict[str, NDArray[np.generic]]]:
         for shard in range(plan.shards):
-            path = folder / plan.split / f"{shard:04d}-{len(plan.samples(shard))}.npz"
+            path = folder / plan.split / f"{shard:04d}-{len(plan.images(shard))}.npz"
             try:
                 with np.load(path, allow_pickle=False) as file:
                     yield {name: file[name] for name in Samples.__dataclass_fields__}

@@ -6,7 +6,6 @@ Calibration and thresholds come from the validation scenes, every figure that is
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import torch
@@ -98,8 +97,11 @@ def _logit(p: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(np.log(q / (1 - q)))
 
 
-def calibrate(network: DetectorNetwork, validation: Samples, training: dict[str, Any]) -> Contract:
-    """The contract whose probabilities, sigmas and thresholds hold on the validation scenes."""
+def calibrate(network: DetectorNetwork, validation: Samples) -> Contract:
+    """The contract whose probabilities, sigmas and thresholds hold on the validation scenes.
+
+    Its `training` is empty.
+    """
     raw = outcomes(network, validation)
     logits = _logit(np.array([d.probability for o in raw for d in o.detections]))
     labels = np.array([hit for o in raw for hit in o.hits], dtype=np.float64)
@@ -114,7 +116,7 @@ def calibrate(network: DetectorNetwork, validation: Samples, training: dict[str,
     best = [max((d.probability for d in o.detections), default=0.0) for o in raw]
     empty = sigmoid(slope * _logit(np.array(best)) + intercept)[there == 0]
     thresholds = {f"{pfa:g}": float(np.quantile(empty, 1 - pfa)) for pfa in PFA}
-    return Contract(slope, intercept, present[0], present[1], scale, thresholds, training)
+    return Contract(slope, intercept, present[0], present[1], scale, thresholds, {})
 
 
 @dataclass(frozen=True)

@@ -6,11 +6,10 @@ in the file's metadata, so that model and promise cannot be parted.
 
 from __future__ import annotations
 
-import subprocess
 import warnings
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -19,26 +18,8 @@ from tagid import __version__
 from tagid.models_store import FOLDER, OPSET, Tensor, entry_of, write_entry
 from tagid.tags.network.detector import CELLS, CONTRACT_KEY, MODEL, Contract
 from tagid.tags.network.planes import GRID, PLANES
+from train.evaluate import Figures
 from train.network import CHANNELS, DetectorNetwork
-
-
-def training_record(seed: int, scenes: int, ats_every: int, epochs: int) -> dict[str, Any]:
-    """What made the model: commit, seed, dataset, versions."""
-    from train.distributions import Distribution
-
-    done = subprocess.run(
-        ["git", "rev-parse", "HEAD"], cwd=Path(__file__).parent, capture_output=True, text=True, check=False
-    )
-    return {
-        "commit": done.stdout.strip() or "unknown",
-        "seed": seed,
-        "scenes": scenes,
-        "ats_every": ats_every,
-        "epochs": epochs,
-        "distribution": Distribution().fingerprint(),
-        "torch": str(torch.__version__).split("+")[0],
-        "tagid": __version__,
-    }
 
 
 def onnx_bytes(network: DetectorNetwork, contract: Contract) -> bytes:
@@ -73,9 +54,15 @@ def onnx_bytes(network: DetectorNetwork, contract: Contract) -> bytes:
 
 
 def export(
-    network: DetectorNetwork, contract: Contract, figures: dict[str, Any], folder: Path = FOLDER
+    network: DetectorNetwork, contract: Contract, figures: Mapping[str, Figures], folder: Path = FOLDER
 ) -> Path:
     """Write the model and its entry in the manifest; the file's path.
+
+    Args:
+        network: trained.
+        contract: its calibration, with what made it.
+        figures: by condition, for the manifest.
+        folder: of the models.
 
     Raises:
         ModelError: the exported graph is not what `Detector` takes. StorageError: it cannot be written.
@@ -83,13 +70,13 @@ def export(
     content = onnx_bytes(network, contract)
     planes = Tensor("float32", (1, PLANES, GRID.pixels, GRID.pixels))
     outputs = {"cells": Tensor("float32", (1, CHANNELS, CELLS, CELLS)), "present": Tensor("float32", (1,))}
-    facts = {"purpose": "reflectors in an image of a turn", "source": "train/", "figures": figures}
+    shown = {name: _rounded(one) for name, one in figures.items()}
+    facts = {"purpose": "reflectors in an image of a turn", "source": "train/", "figures": shown}
     write_entry(entry_of(MODEL, content, {"planes": planes}, outputs, facts), content, folder)
     return folder / f"{MODEL}.onnx"
 
 
-def plain(value: Any) -> Any:
-    """Figures as JSON values, floats rounded to four digits."""
-    numbers = asdict(value) if hasattr(value, "__dataclass_fields__") else dict(value)
-    rounded = {k: round(v, 4) if isinstance(v, float) else v for k, v in numbers.items()}
-    return {k: None if isinstance(v, float) and not np.isfinite(v) else v for k, v in rounded.items()}
+def _rounded(figures: Figures) -> dict[str, float | None]:
+    """Figures as JSON values: floats to four digits, None for nan."""
+    rounded = {k: round(v, 4) if isinstance(v, float) else v for k, v in asdict(figures).items()}
+    return {k: v if np.isfinite(v) else None for k, v in rounded.items()}

@@ -13,7 +13,7 @@ from typing import Any
 
 from tagid import __version__
 from tagid.batch.inputs import Source
-from tagid.batch.job import Job, Outcome
+from tagid.batch.job import Answered, Job, Outcome
 from tagid.batch.local import TICK_S, Done, Results, Task, Tasks
 from tagid.batch.work import failed_record, unexpected, work
 from tagid.errors import ClusterError, MissingExtraError, TagidError
@@ -146,11 +146,11 @@ class _Remote:
                 f"{RETRIES + 1} workers died with this file (out of memory, or a fault in a library)",
                 "Inspect the file with `tagid show`; other files are not affected.",
             )
-            return Outcome(failed_record(source, error))
+            return Answered(failed_record(source, error))
         except (self._distributed.client.FutureCancelledError, TimeoutError, OSError) as fault:
             raise self._gone() from fault
         except Exception as error:
-            return Outcome(failed_record(source, unexpected(source, error)))
+            return Answered(failed_record(source, unexpected(source, error)))
 
     def _check(self) -> None:
         if self._client.status not in ("running", "connecting"):

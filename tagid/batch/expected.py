@@ -8,17 +8,18 @@ from __future__ import annotations
 
 import csv
 import io
-import math
 import os
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 from tagid import files
 from tagid.batch.inputs import Source, is_url
 from tagid.errors import UsageError, displayable
+from tagid.proportion import wilson
+from tagid.report.records import ItemRecord
 
 MAX_BYTES = 64 << 20
 NO_LAYOUT = ("no_tag", "unknown", "ambiguous")
@@ -144,9 +145,14 @@ class _Finder:
         return name if is_url(name) else os.path.normpath(self._folders[0] / name)
 
 
-def answer_of(record: Mapping[str, Any]) -> str:
-    """The answer as one word: the layout if identified, else the status."""
-    return str(record["layout"] if record["status"] == "identified" else record["status"])
+@dataclass(frozen=True)
+class Miss:
+    """An item whose answer was not the expected one, and the reason it gave."""
+
+    file: str
+    expected: str
+    answer: str
+    reason: str
 
 
 @dataclass
@@ -155,63 +161,45 @@ class Comparison:
 
     Attributes:
         counts: number of items by (expected, answer).
-        misses: the first items whose answer was not the expected one.
+        misses: the items whose answer was not the expected one.
         not_expected: number of items that the manifest does not name.
     """
 
     counts: Counter[tuple[str, str]] = field(default_factory=Counter)
-    misses: list[dict[str, Any]] = field(default_factory=list)
+    misses: list[Miss] = field(default_factory=list)
     not_expected: int = 0
 
-    def add(self, record: Mapping[str, Any]) -> None:
-        """Count one record with its `expected` and `correct`."""
-        expected = record.get("expected")
-        if expected is None:
+    def add(self, record: ItemRecord) -> None:
+        """Count one judged record."""
+        if record.expected is None:
             self.not_expected += 1
             return
-        answer = answer_of(record)
-        self.counts[expected, answer] += 1
-        if answer != expected:
-            self.misses.append(
-                {"file": record["file"], "expected": expected, "answer": answer, "reason": record["reason"]}
-            )
+        self.counts[record.expected, record.answer] += 1
+        if not record.correct:
+            self.misses.append(Miss(record.file, record.expected, record.answer, record.reason))
 
     def to_dict(self) -> dict[str, Any]:
         """Accuracy with its 95 % interval (Wilson 1927), confusion matrix and misses, plain JSON values."""
         total = self.counts.total()
         hits = sum(count for (expected, answer), count in self.counts.items() if expected == answer)
-        low, high = wilson(hits, total)
+        interval = wilson(hits / total if total else 0.0, total)
         rows = sorted({expected for expected, _ in self.counts})
         columns = sorted({answer for _, answer in self.counts} | set(rows), key=_names_first)
         return {
             "items": total,
             "correct": hits,
             "accuracy": hits / total if total else None,
-            "accuracy_low": low,
-            "accuracy_high": high,
+            "accuracy_low": interval.low,
+            "accuracy_high": interval.high,
             "not_in_manifest": self.not_expected,
             "confusion": {
                 "expected": rows,
                 "answers": columns,
                 "counts": [[self.counts[row, column] for column in columns] for row in rows],
             },
-            "misses": self.misses,
+            "misses": [asdict(miss) for miss in self.misses],
         }
 
 
 def _names_first(answer: str) -> tuple[bool, str]:
     return answer in (*NO_LAYOUT, "failed"), answer
-
-
-def wilson(hits: int, total: int) -> tuple[float, float]:
-    """95 % interval of a proportion (E. B. Wilson, 1927); (0, 1) for an empty sample.
-
-    >>> [round(v, 3) for v in wilson(9, 10)]
-    [0.596, 0.982]
-    """
-    if total == 0:
-        return 0.0, 1.0
-    z = 1.959964
-    p, w = hits / total, z * z / total
-    middle, half = (p + w / 2) / (1 + w), z * math.sqrt(p * (1 - p) / total + w / (4 * total)) / (1 + w)
-    return max(0.0, middle - half), min(1.0, middle + half)

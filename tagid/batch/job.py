@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
@@ -15,6 +14,7 @@ from tagid import __version__
 from tagid.models_store import manifest
 from tagid.pipeline.load import LoadSettings
 from tagid.pipeline.settings import ImagingSettings
+from tagid.report.records import ItemRecord, Thumbnails
 from tagid.tags.bodies.signature import Signature
 from tagid.tags.bodies.signature_file import to_bytes
 from tagid.tags.enrolling.registry import RegistryContents
@@ -86,23 +86,35 @@ class Job:
 
 
 @dataclass(frozen=True)
-class Outcome:
-    """Result of one item.
+class Answered:
+    """An item that was processed.
 
     Attributes:
-        record: the identification as plain JSON values (`tagid.batch.work.RECORD_VERSION`).
-        image, sinogram: small pictures as PNG; empty if there is none.
-        drawing: scales of the pictures and positions of the layout's reflectors, plain JSON values.
-        reused: the answer of an earlier run is reused; `record` then only names the content.
+        record: its identification, or why there is none.
+        pictures: its small pictures.
         cpu_s: processor time used, s.
     """
 
-    record: Mapping[str, Any]
-    image: bytes = b""
-    sinogram: bytes = b""
-    drawing: Mapping[str, Any] = field(default_factory=dict)
-    reused: bool = False
+    record: ItemRecord
+    pictures: Thumbnails = field(default_factory=Thumbnails)
     cpu_s: float = 0.0
+
+
+@dataclass(frozen=True)
+class Known:
+    """An item whose answer an earlier run has left.
+
+    Attributes:
+        content_sha256: hex sha256 of its file.
+        cpu_s: processor time used, s.
+    """
+
+    content_sha256: str
+    cpu_s: float = 0.0
+
+
+Outcome = Answered | Known
+"""Result of one item."""
 
 
 def _sha256(value: Any) -> str:

@@ -19,7 +19,7 @@ from multiprocessing import resource_tracker
 from multiprocessing.connection import wait as wait_for
 
 from tagid.batch.inputs import Source
-from tagid.batch.job import Job, Outcome
+from tagid.batch.job import Answered, Job, Outcome
 from tagid.batch.work import failed_record, unexpected, work
 from tagid.constants import BLAS_THREADS
 from tagid.errors import TagidError
@@ -140,7 +140,7 @@ class _Pool:
                     "the process that worked on this file died (out of memory, or a fault in a library)",
                     "Inspect the file with `tagid show`; other files are not affected.",
                 )
-                yield Done(task, Outcome(failed_record(task.source, error)))
+                yield Done(task, Answered(failed_record(task.source, error)))
             finally:
                 _stop(alone)
 
@@ -162,7 +162,7 @@ def _outcome(source: Source, future: Future[Outcome]) -> Outcome:
     except BrokenProcessPool:
         raise
     except Exception as error:
-        return Outcome(failed_record(source, unexpected(source, error)))
+        return Answered(failed_record(source, unexpected(source, error)))
 
 
 _END = object()

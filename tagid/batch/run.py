@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any
 
 from tagid import files, interrupts
-from tagid.batch.expected import Comparison, Expectations, answer_of
+from tagid.batch.expected import Comparison, Expectations
 from tagid.batch.inputs import Collected, Source
-from tagid.batch.job import Job
+from tagid.batch.job import Job, Known
 from tagid.batch.local import Runner, Task, Tasks
 from tagid.batch.spool import FILE_NAME, Spool
 from tagid.batch.tally import SUMMARY_VERSION, Tally
@@ -23,7 +23,8 @@ from tagid.batch.watch import FolderWatch
 from tagid.errors import TagidError
 from tagid.report.lines import GrowingLines
 from tagid.report.page import PageSettings, write_page
-from tagid.report.tables import line_of, total_s, write_csv, write_json, write_jsonl, write_junit
+from tagid.report.records import ItemRecord, StoredItem
+from tagid.report.tables import write_csv, write_json, write_jsonl, write_junit
 from tagid.storage.history import History, utc_text
 
 FILES = ("report.html", "items.csv", "items.jsonl", "junit.xml", "summary.json")
@@ -115,7 +116,7 @@ class _Run:
         self._started = utc_text()
         self._clock = time.monotonic()
         self._reused = 0
-        self._to_remember: list[dict[str, Any]] = []
+        self._to_remember: list[ItemRecord] = []
         self._written = (0.0, 0.0)
         self._count_written = 0
 
@@ -129,11 +130,14 @@ class _Run:
                     task, outcome = result.task, result.outcome
                     with interrupts.deferred():
                         record = self._spool.put(task.position, task.source.name, self._fingerprint, outcome)
-                        lines.add(line_of(self._judged(record, task.position)))
-                        self._keep(record, outcome.reused)
+                        lines.add(self._judged(record, task.position).to_json() + "\n")
+                        if isinstance(outcome, Known):
+                            self._reused += 1
+                        else:
+                            self._keep(record)
                         done += 1
                     self._tell(done)
-                    if self._plan.fail_fast and record["status"] == "failed":
+                    if self._plan.fail_fast and record.status == "failed":
                         break
                 elif self._plan.watch is not None and self._due(done):
                     with interrupts.deferred():
@@ -162,20 +166,20 @@ class _Run:
                 self._sources.append(source)
             yield Task(position, source)
 
-    def _keep(self, record: dict[str, Any], reused: bool) -> None:
-        if reused:
-            self._reused += 1
-        elif self._hooks.history is not None:
-            history, run = self._hooks.history
-            self._to_remember.append(record)
-            try:
-                history.add(run, self._to_remember)
-            except TagidError:
-                # Another process has locked it, or the disk is full: the answers stay in the spool.
-                if len(self._to_remember) > _MOST_TO_REMEMBER:
-                    raise
-            else:
-                self._to_remember.clear()
+    def _keep(self, record: ItemRecord) -> None:
+        """Record a new answer in the history, with those that could not be recorded before."""
+        if self._hooks.history is None:
+            return
+        history, run = self._hooks.history
+        self._to_remember.append(record)
+        try:
+            history.add(run, [one.document for one in self._to_remember])
+        except TagidError:
+            # Another process has locked it, or the disk is full: the answers stay in the spool.
+            if len(self._to_remember) > _MOST_TO_REMEMBER:
+                raise
+        else:
+            self._to_remember.clear()
 
     def _tell(self, done: int) -> None:
         fresh = done - self._reused
@@ -185,16 +189,16 @@ class _Run:
         left = max(len(self._sources) - done, 0) / rate if rate > 0 else None
         self._hooks.progress(min(done, len(self._sources)), len(self._sources), rate, left)
 
-    def _judged(self, record: dict[str, Any], position: int) -> dict[str, Any]:
+    def _judged(self, record: ItemRecord, position: int) -> ItemRecord:
         """The record with its expected answer."""
         expectations = self._plan.expectations
-        expected = None if expectations is None else expectations.of(self._sources[position])
-        correct = None if expected is None else answer_of(record) == expected
-        return {**record, "expected": expected, "correct": correct}
+        return record.judged(None if expectations is None else expectations.of(self._sources[position]))
 
-    def _records(self) -> Iterator[dict[str, Any]]:
-        for position, record, _, _ in self._spool.items():
-            yield self._judged(record, position)
+    def _judged_item(self, item: StoredItem) -> ItemRecord:
+        return self._judged(item.record, item.position)
+
+    def _records(self) -> Iterator[ItemRecord]:
+        return map(self._judged_item, self._spool.items())
 
     def _due(self, done: int) -> bool:
         """Whether a watched folder's report should be rewritten."""
@@ -207,13 +211,13 @@ class _Run:
         longest = []
         for record in self._records():
             tally.add(record)
-            longest.append(total_s(record))
+            longest.append(record.total_s)
         summary = self._summary(tally, sorted(longest), done, interrupted)
         out = self._plan.out
         write_csv(out / "items.csv", self._records())
         write_jsonl(out / "items.jsonl", self._records())
         write_junit(out / "junit.xml", self._records(), summary)
-        write_page(out / "report.html", self._spool, self._judged, summary, self._plan.page)
+        write_page(out / "report.html", self._spool, self._judged_item, summary, self._plan.page)
         # The last file written proves that the others exist.
         write_json(out / "summary.json", summary)
         self._written = (time.monotonic(), time.monotonic() - began)

@@ -7,28 +7,20 @@ stopped or killed can be resumed.
 from __future__ import annotations
 
 import contextlib
-import json
 import sqlite3
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
 
 from tagid import interrupts
-from tagid.batch.job import Outcome
+from tagid.batch.job import Known, Outcome
 from tagid.errors import DiskFullError, StorageError, TagidError
+from tagid.report.records import Drawing, ItemRecord, StoredItem, Thumbnails, drawing_json
 
 FILE_NAME = ".tagid-report.sqlite"
 _VERSION = 1
 _APPLICATION_ID = 0x74616773  # "tags"
 _KEPT_FAILURES = ("bad_file", "bad_data")
 """Failures that the same content always produces; others, such as a lost worker, are retried."""
-
-
-class Pictures(NamedTuple):
-    """The pictures of an item, PNG; empty if there is none."""
-
-    image: bytes
-    sinogram: bytes
 
 
 class Spool:
@@ -113,26 +105,27 @@ class Spool:
             rows = self._db.execute("SELECT content, status, record FROM kept").fetchall()
         return frozenset(content for content, status, record in rows if _final(status, record))
 
-    def put(self, position: int, name: str, job: str, outcome: Outcome) -> dict[str, Any]:
-        """Store a result; return its record, which for a reused answer is the earlier one under this name."""
-        record = dict(outcome.record)
-        drawing, image, sinogram = json.dumps(dict(outcome.drawing)), outcome.image, outcome.sinogram
+    def put(self, position: int, name: str, job: str, outcome: Outcome) -> ItemRecord:
+        """Store a result; return its record, which for a known answer is the earlier one under this name."""
         with interrupts.deferred(), self._told():
-            if outcome.reused:
+            if isinstance(outcome, Known):
                 text, drawing, image, sinogram = self._db.execute(
                     "SELECT record, drawing, image, sinogram FROM kept WHERE content = ? AND job = ?",
-                    (record["content_sha256"], job),
+                    (outcome.content_sha256, job),
                 ).fetchone()
-                record = _renamed(json.loads(text), name)
+                record = ItemRecord.from_json(text).renamed(name)
+            else:
+                record, pictures = outcome.record, outcome.pictures
+                drawing, image, sinogram = drawing_json(pictures.drawing), pictures.image, pictures.sinogram
             self._db.execute(
                 "INSERT OR REPLACE INTO item VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)",
                 (
                     position,
                     name,
-                    record["content_sha256"],
+                    record.content_sha256,
                     job,
-                    record["status"],
-                    json.dumps(record, sort_keys=False, allow_nan=False),
+                    record.status,
+                    record.to_json(),
                     drawing,
                     image,
                     sinogram,
@@ -140,26 +133,22 @@ class Spool:
             )
         return record
 
-    def records(self) -> Iterator[dict[str, Any]]:
-        """Every record in the order of the inputs, read lazily."""
-        for _, record, _, _ in self.items():
-            yield record
-
-    def items(self) -> Iterator[tuple[int, dict[str, Any], dict[str, Any], int]]:
-        """(position, record, drawing, size of its pictures in bytes) in the order of the inputs."""
+    def items(self) -> Iterator[StoredItem]:
+        """All items in the order of the inputs, read lazily."""
         with self._told():
             query = (
                 "SELECT position, record, drawing, length(image) + length(sinogram)"
                 " FROM item ORDER BY position"
             )
             for position, record, drawing, size in self._db.execute(query):
-                yield position, json.loads(record), json.loads(drawing), size
+                yield StoredItem(position, ItemRecord.from_json(record), Drawing.from_json(drawing), size)
 
-    def pictures(self, position: int) -> Pictures:
+    def pictures(self, position: int) -> Thumbnails:
         """The pictures of one item."""
         with self._told():
-            row = self._db.execute("SELECT image, sinogram FROM item WHERE position = ?", (position,))
-            return Pictures(*row.fetchone())
+            query = "SELECT image, sinogram, drawing FROM item WHERE position = ?"
+            image, sinogram, drawing = self._db.execute(query, (position,)).fetchone()
+            return Thumbnails(image, sinogram, Drawing.from_json(drawing))
 
     def count(self) -> int:
         """Number of finished items."""
@@ -192,14 +181,4 @@ def _clear(error: sqlite3.Error, path: Path) -> TagidError:
 
 
 def _final(status: str, record: str) -> bool:
-    if status != "failed":
-        return True
-    return (json.loads(record).get("error") or {}).get("code") in _KEPT_FAILURES
-
-
-def _renamed(record: dict[str, Any], name: str) -> dict[str, Any]:
-    error: dict[str, str] | None = record.get("error")
-    if error:
-        error = {**error, "message": error["message"].replace(str(record["file"]), name)}
-        record = {**record, "error": error, "reason": error["message"]}
-    return {**record, "file": name}
+    return status != "failed" or ItemRecord.from_json(record).error_code in _KEPT_FAILURES

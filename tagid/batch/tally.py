@@ -6,16 +6,23 @@ The page's header, summary.json and the exit code are all derived from them.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 from tagid.batch.expected import Comparison
 from tagid.errors import EXIT_BATCH, EXIT_OK, EXIT_UNCERTAIN
-from tagid.report.tables import total_s, verdict
+from tagid.report.records import ItemRecord
 from tagid.storage.history import STATUSES
 
 SUMMARY_VERSION = 1
+
+
+@dataclass(frozen=True)
+class _Copy:
+    """One of the files that hold a capture."""
+
+    file: str
+    content_sha256: str | None
 
 
 @dataclass
@@ -28,7 +35,7 @@ class Tally:
         verdicts: number of test cases with a "failure" or an "error".
         items_s: processing time of all items, s.
         comparison: comparison with the manifest; None without one.
-        uuids: files and contents by capture UUID.
+        copies: files by the UUID of their capture.
         models: sha256 of the models that were used.
     """
 
@@ -38,37 +45,37 @@ class Tally:
     verdicts: Counter[str] = field(default_factory=Counter)
     items_s: float = 0.0
     comparison: Comparison | None = None
-    uuids: dict[str, list[tuple[str, str]]] = field(default_factory=dict)
+    copies: dict[str, list[_Copy]] = field(default_factory=dict)
     models: set[str] = field(default_factory=set)
 
-    def add(self, record: Mapping[str, Any]) -> None:
+    def add(self, record: ItemRecord) -> None:
         """Count one record."""
         self.items += 1
-        self.status[record["status"]] += 1
-        if record["status"] == "identified":
-            self.layout[record["layout"]] += 1
-        found = verdict(record)
+        self.status[record.status] += 1
+        if record.status == "identified":
+            self.layout[record.answer] += 1
+        found = record.verdict()
         if found:
-            self.verdicts[found[0]] += 1
-        self.items_s += total_s(record)
+            self.verdicts[found.kind] += 1
+        self.items_s += record.total_s
         if self.comparison is not None:
             self.comparison.add(record)
-        if record["capture_uuid"]:
-            where = self.uuids.setdefault(record["capture_uuid"], [])
-            where.append((record["file"], record["content_sha256"]))
-        if record["model_sha256"]:
-            self.models.add(record["model_sha256"])
+        if record.capture_uuid:
+            copy = _Copy(record.file, record.content_sha256)
+            self.copies.setdefault(record.capture_uuid, []).append(copy)
+        if record.model_sha256:
+            self.models.add(record.model_sha256)
 
     def duplicates(self) -> list[dict[str, Any]]:
         """Captures found in several files: copies, or different scans with the same UUID."""
         return [
             {
                 "capture_uuid": uuid,
-                "files": [name for name, _ in where],
-                "same_content": len({content for _, content in where}) == 1,
+                "files": [copy.file for copy in copies],
+                "same_content": len({copy.content_sha256 for copy in copies}) == 1,
             }
-            for uuid, where in self.uuids.items()
-            if len(where) > 1
+            for uuid, copies in self.copies.items()
+            if len(copies) > 1
         ]
 
     def exit_code(self) -> int:

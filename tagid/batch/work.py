@@ -13,13 +13,12 @@ import time
 import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from tagid import files
 from tagid.batch.inputs import Source, filesystem
-from tagid.batch.job import MAX_CAPTURE_BYTES, Job, Outcome
+from tagid.batch.job import MAX_CAPTURE_BYTES, Answered, Job, Known, Outcome
 from tagid.errors import FileFormatError, StorageError, TagidError, displayable
 from tagid.pipeline.answer import Identification
 from tagid.pipeline.identify import identify
@@ -27,6 +26,7 @@ from tagid.pipeline.load import load_capture
 from tagid.pipeline.prepared import PreparedCapture, prepare
 from tagid.pipeline.reconstruct import reconstruct
 from tagid.pipeline.settings import Stopwatch
+from tagid.report.records import ItemRecord, Thumbnails
 from tagid.report.thumbnails import draw_pictures
 from tagid.storage.history import utc_text
 from tagid.tags.bodies.hypothesis import Kind
@@ -36,19 +36,25 @@ RECORD_VERSION = 1
 _CHUNK = 1 << 20
 
 
+@dataclass(frozen=True)
+class Content:
+    """What a file holds: hex sha256 and size, bytes."""
+
+    sha256: str
+    size_bytes: int
+
+
 def work(source: Source, job: Job) -> Outcome:
     """Identify one item; the content of its file never causes an exception."""
     watch = Stopwatch()
     began = time.process_time()
-    facts: dict[str, Any] = {"sha256": None, "size": None}
-    image = sinogram = b""
-    drawing: dict[str, Any] = {}
+    content: Content | None = None
+    pictures = Thumbnails()
     try:
         with watch.stage("load"), local_copy(source) as path:
-            facts["sha256"], facts["size"] = content_sha256(path)
-            if facts["sha256"] in job.known:
-                record = {"file": source.name, "content_sha256": facts["sha256"]}
-                return Outcome(record, reused=True, cpu_s=time.process_time() - began)
+            content = content_of(path)
+            if content.sha256 in job.known:
+                return Known(content.sha256, time.process_time() - began)
             capture = load_capture(path, job.load, turn=False)
         with watch.stage("prepare"):
             prepared = PreparedCapture(
@@ -61,13 +67,13 @@ def work(source: Source, job: Job) -> Outcome:
             watch.seconds[name] = watch.seconds.get(name, 0.0) + seconds
         if job.pictures:
             with watch.stage("pictures"):
-                image, sinogram, drawing = _pictures(prepared, answer, job)
+                pictures = _pictures(prepared, answer, job)
     except TagidError as error:
         answer = _failed(source, error)
     except Exception as error:
         answer = _failed(source, unexpected(source, error))
-    record = make_record(source, answer, watch.seconds, facts["sha256"], facts["size"])
-    return Outcome(record, image, sinogram, drawing, cpu_s=time.process_time() - began)
+    record = make_record(source, answer, watch.seconds, content)
+    return Answered(record, pictures, time.process_time() - began)
 
 
 def unexpected(source: Source, error: BaseException) -> TagidError:
@@ -84,32 +90,29 @@ def unexpected(source: Source, error: BaseException) -> TagidError:
 
 
 def make_record(
-    source: Source,
-    answer: Identification,
-    seconds: dict[str, float],
-    sha256: str | None = None,
-    size: int | None = None,
-) -> dict[str, Any]:
-    """An item's record: the JSON of its identification, with file, content and time."""
-    return {
+    source: Source, answer: Identification, seconds: dict[str, float], content: Content | None
+) -> ItemRecord:
+    """An item's record: its identification, with file, content (None: unreadable), s per stage and time."""
+    document = {
         "schema": "tagid.report.item",
         "schema_version": RECORD_VERSION,
         "file": source.name,
-        "content_sha256": sha256,
-        "size_bytes": size,
+        "content_sha256": content.sha256 if content else None,
+        "size_bytes": content.size_bytes if content else None,
         **answer.to_dict(),
         "seconds": {name: round(value, 4) for name, value in seconds.items()},
         "time_utc": utc_text(),
     }
+    return ItemRecord(document)
 
 
-def failed_record(source: Source, error: TagidError) -> dict[str, Any]:
+def failed_record(source: Source, error: TagidError) -> ItemRecord:
     """The record of an item that no worker could complete."""
-    return make_record(source, _failed(source, error), {})
+    return make_record(source, _failed(source, error), {}, None)
 
 
-def content_sha256(path: Path) -> tuple[str, int]:
-    """Hex sha256 and size of a file, read in blocks. Raises StorageError, or FileFormatError if too large."""
+def content_of(path: Path) -> Content:
+    """What a file holds, read in blocks. Raises StorageError, or FileFormatError if too large."""
     digest = hashlib.sha256()
     size = 0
     try:
@@ -124,7 +127,7 @@ def content_sha256(path: Path) -> tuple[str, int]:
                 _check_size(size, str(path))
     except OSError as error:
         raise files.storage_error(error, path, "reading") from error
-    return digest.hexdigest(), size
+    return Content(digest.hexdigest(), size)
 
 
 @contextmanager
@@ -173,11 +176,10 @@ def _failed(source: Source, error: TagidError) -> Identification:
     return Identification("failed", None, None, None, error=entry)
 
 
-def _pictures(
-    prepared: PreparedCapture, answer: Identification, job: Job
-) -> tuple[bytes, bytes, dict[str, Any]]:
+def _pictures(prepared: PreparedCapture, answer: Identification, job: Job) -> Thumbnails:
     result = reconstruct(pictured(prepared, answer))
-    layout = next((one for one in job.layouts if one.name == answer.to_dict()["layout"]), None)
+    named = answer.reading.layout if answer.reading else None
+    layout = next((one for one in job.layouts if one.name == named), None)
     return draw_pictures(prepared.given, result, answer, layout)
 
 

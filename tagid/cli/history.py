@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from tagid.cli.common.frame import Terminal, command
 from tagid.errors import UsageError
 from tagid.result import Result
+
+if TYPE_CHECKING:
+    from tagid.storage.history import Filter, History
 
 _SHOWN = 20
 
@@ -74,7 +77,7 @@ def register(app: typer.Typer) -> None:
         return _list(terminal, store, wanted)
 
 
-def _export(store: Any, file: Path | None, wanted: Any) -> Result:
+def _export(store: History, file: Path | None, wanted: Filter) -> Result:
     from rich.text import Text
 
     from tagid.storage.history_export import export
@@ -85,7 +88,7 @@ def _export(store: Any, file: Path | None, wanted: Any) -> Result:
     return Result("history", {"path": str(file), "rows": rows}, Text(f"{rows} identifications in {file}"))
 
 
-def _list(terminal: Terminal, store: Any, wanted: Any) -> Result:
+def _list(terminal: Terminal, store: History, wanted: Filter) -> Result:
     from dataclasses import replace
 
     from rich.table import Table
@@ -96,21 +99,22 @@ def _list(terminal: Terminal, store: Any, wanted: Any) -> Result:
     total = store.count(wanted)
     if terminal.output == "human" and wanted.limit is None:
         wanted = replace(wanted, limit=_SHOWN)
-    rows = list(store.find(wanted))
-    data = {"history": str(store.path), "total": total, "items": rows}
+    entries = list(store.find(wanted))
+    items = [entry.to_json() for entry in entries]
+    data = {"history": str(store.path), "total": total, "items": items}
     shown = Table("time (UTC)", "file", "answer", "score", "margin", "by", box=None)
     colours = {"identified": "green", "failed": "red"}
-    for row in rows:
-        answer = row["layout"] if row["status"] == "identified" else row["status"].replace("_", " ")
+    for entry in entries:
+        answer = entry.layout or "" if entry.status == "identified" else entry.status.replace("_", " ")
         shown.add_row(
-            row["time_utc"][:19].replace("T", " "),
-            Text(row["file"]),
-            Text(answer, style=colours.get(row["status"], "yellow")),
-            f"{row['score']:.2f}",
-            f"{row['margin']:.2f}",
-            row["command"],
+            entry.time_utc[:19].replace("T", " "),
+            Text(entry.file),
+            Text(answer, style=colours.get(entry.status, "yellow")),
+            f"{entry.score:.2f}",
+            f"{entry.margin:.2f}",
+            entry.command,
         )
-    notes = (f"the newest {len(rows)} of {total}; --limit shows more",) if total > len(rows) else ()
+    notes = (f"the newest {len(entries)} of {total}; --limit shows more",) if total > len(entries) else ()
     if not total:
         notes = ("no matching entries",)
-    return Result("history", data, shown, messages=notes, csv=csv_text(rows))
+    return Result("history", data, shown, messages=notes, csv=csv_text(entries))

@@ -151,12 +151,12 @@ def register(app: typer.Typer) -> None:
             }
         )
         if volume:
-            from tagid.cli.volume import Outputs, make_volume
+            from tagid.cli.volume import Asked, Outputs, make_volume
 
             loading = replace(LoadSettings.of(config, background), wave_speed_m_s=wave_speed)
             outputs = Outputs(out, vti, ply, png, webp, surface)
-            shape = imaging.parse_place(heights, "--heights"), levels, held_out
-            return make_volume(terminal, load_capture(file, loading), config, background, shape, outputs)
+            asked = Asked(background, imaging.parse_place(heights, "--heights"), levels, held_out)
+            return make_volume(terminal, load_capture(file, loading), config, asked, outputs)
         given = imaging.settings_from(config, background, focus)
         if (calibrate or ats) and given.method not in ("ats", "auto"):
             raise UsageError(f"--calibrate and --ats have no effect with {given.method}", "Use --method ats.")

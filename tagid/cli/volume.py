@@ -17,6 +17,7 @@ from tagid.result import Result
 
 if TYPE_CHECKING:
     from tagid.capture import Capture
+    from tagid.imaging.volume import Volume
 
 
 def register(app: typer.Typer) -> None:
@@ -103,21 +104,31 @@ class Outputs:
         return found
 
 
+@dataclass(frozen=True)
+class Asked:
+    """What the command line says of a volume beside the configuration.
+
+    Attributes:
+        background: as `--background`.
+        heights_m, levels: lowest and highest height, m, and number of levels; None: as `VolumeSettings`.
+        held_out: whether to compute how well it predicts held-out views.
+    """
+
+    background: str
+    heights_m: tuple[float, float] | None
+    levels: int | None
+    held_out: bool
+
+
 def make_volume(
-    terminal: Terminal,
-    capture: Capture,
-    config: Config,
-    background: str,
-    shape: tuple[tuple[float, float] | None, int | None, bool],
-    outputs: Outputs,
+    terminal: Terminal, capture: Capture, config: Config, asked: Asked, outputs: Outputs
 ) -> Result:
     """Reconstruct a volume and write it.
 
     Args:
         capture: loaded.
         config: with the method, the extent and the pixels.
-        background: as `--background`.
-        shape: lowest and highest height, levels, and whether to compute the held-out residual.
+        asked: what the command line says.
         outputs: files to write.
     """
     from rich.console import Group
@@ -132,10 +143,10 @@ def make_volume(
         method,
         config["imaging.extent_m"],
         config["imaging.pixels"],
-        shape[0],
-        shape[1],
-        "none" if background == "reference" else background,
-        shape[2],
+        asked.heights_m,
+        asked.levels,
+        "none" if asked.background == "reference" else asked.background,
+        asked.held_out,
     )
     begun = time.monotonic()
     with terminal.progress("volume", total=1.0) as advance:
@@ -166,7 +177,7 @@ def make_volume(
     return Result("reconstruct", data, Group(*(Text(line) for line in lines)))
 
 
-def _write(volume: Any, files: dict[str, Path]) -> None:
+def _write(volume: Volume, files: dict[str, Path]) -> None:
     from tagid.report.volume_picture import draw_projections, write_turning
     from tagid.storage.volume import write_surface, write_volume
 

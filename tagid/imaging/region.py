@@ -58,8 +58,10 @@ def choose_region(
     centre_m: tuple[float, float] | None,
     search_m: float | None = None,
     background: Background = "mean",
-    free: tuple[bool, bool] = (False, False),
     towards_m: tuple[float, float] | None = None,
+    *,
+    free_extent: bool = False,
+    free_pixels: bool = False,
 ) -> Region:
     """Delay and region of a capture of free antenna positions.
 
@@ -71,9 +73,10 @@ def choose_region(
         search_m: half width of the delay search, one-way m; 0 takes the ranges as given, None: as wide as
             `rangefocus.search_range_m`.
         background: as in `PreprocessSettings`.
-        free: whether extent and pixels may be changed to hold the echoes and to resolve their ripples.
         towards_m: a point (x, y) on the side of a straight path that is wanted, m; None: the image's centre,
             or the origin.
+        free_extent: whether the extent may be changed to hold the strong echoes.
+        free_pixels: whether the pixels may be increased to resolve their ripples.
 
     Raises:
         DataError: as `preprocess`. UsageError: the search is too wide.
@@ -104,9 +107,9 @@ def choose_region(
     extent = grid.extent
     if centre_m is None:
         resolution = capture.wave_speed_m_s / (2 * capture.bandwidth_hz)
-        centre_m, extent = _about_echoes(points, grid.extent, free[0], resolution)
+        centre_m, extent = _about_echoes(points, grid.extent, free_extent, resolution)
     pixels = grid.pixels
-    if free[1]:
+    if free_pixels:
         pixels = int(np.clip(np.ceil(extent / coarsest_pixel_m(lam)), pixels, max(pixels, _MAX_PIXELS)))
     grid = ImageGrid(extent, pixels)
     shift = np.array([*centre_m, 0.0])

@@ -94,6 +94,12 @@ class _Loop:
             future.cancel()
             raise
 
+    def close(self, opened: AsyncExitStack) -> None:
+        """Close what was opened on the loop, then stop it."""
+        with contextlib.suppress(TagidError, OSError):
+            self.run(opened.aclose(), 10, "closing")
+        self.end()
+
     def end(self) -> None:
         """Stop the loop and wait for it."""
 
@@ -169,7 +175,7 @@ class BridgeLink:
         try:
             self.bridge = self._loop.run(self._open(), _OPEN_S, f"connecting to {address.target}")
         except BaseException:
-            self._shut()
+            self._loop.close(self._stack)
             raise
 
     def __repr__(self) -> str:
@@ -258,12 +264,7 @@ class BridgeLink:
         if self._relaxed and not self._armed:
             with contextlib.suppress(TagidError):
                 self.disarm()
-        self._shut()
-
-    def _shut(self) -> None:
-        with contextlib.suppress(TagidError, OSError):
-            self._loop.run(self._stack.aclose(), 10, "closing")
-        self._loop.end()
+        self._loop.close(self._stack)
 
 
 class CharacteristicLink:
@@ -292,7 +293,7 @@ class CharacteristicLink:
         try:
             self._client = self._loop.run(self._open(), _OPEN_S, f"connecting to {address.target}")
         except BaseException:
-            self._shut()
+            self._loop.close(self._stack)
             raise
 
     def __repr__(self) -> str:
@@ -367,10 +368,5 @@ class CharacteristicLink:
     def close(self) -> None:
         """Close the link; a helper that was not ended by `disarm` then connects and stops the table."""
         self._closing = True
-        self._shut()
+        self._loop.close(self._stack)
         self._guard.release(farewell=False)
-
-    def _shut(self) -> None:
-        with contextlib.suppress(TagidError, OSError):
-            self._loop.run(self._stack.aclose(), 10, "closing")
-        self._loop.end()

@@ -8,7 +8,7 @@ from tagid.capture import Capture
 from tagid.errors import DataError
 from tagid.geometry import ImageGrid
 from tagid.imaging.backprojection import backproject
-from tagid.imaging.preprocess import PreprocessSettings, preprocess
+from tagid.imaging.preprocess import Background, PreprocessSettings, preprocess
 
 AXIS_SEARCH_M = 0.2
 """Half-width of the search for a wrong axis distance, m: misread tape, or antenna mount not included."""
@@ -21,7 +21,7 @@ _GRID = ImageGrid(0.5, 72)
 """Covers the largest built-in layout off the axis, with the pixel size of the axis-distance search."""
 
 
-def bright_offsets(capture: Capture, background: str = "mean") -> list[float]:
+def bright_offsets(capture: Capture, background: Background = "mean") -> list[float]:
     """Offsets of the axis distance, m, with the brightest image, outside the reader's own search range.
 
     The measure is sum |f|^8 of the backprojection, as in `tagid.imaging.autofocus`.

@@ -70,35 +70,10 @@ def reconstruct(
         MissingExtraError: the requested engine is not installed.
     """
     prepared = as_prepared(capture, settings)
-    settings = prepared.settings
-    method = "ats" if settings.method == "auto" else settings.method
+    method = "ats" if prepared.settings.method == "auto" else prepared.settings.method
     watch = Stopwatch()
-    grid = ImageGrid(settings.extent_m, settings.pixels)
-    region: Region | None = None
-    if prepared.given.antenna_positions_m is not None:
-        with watch.stage("focus"):
-            region = choose_region(
-                prepared.given,
-                grid,
-                settings.centre_m,
-                settings.delay_m,
-                settings.background,
-                settings.free_size,
-                settings.towards_m,
-            )
-        grid = region.grid
-        settings = replace(settings, extent_m=grid.extent, pixels=grid.pixels)
-        prepared = PreparedCapture(region.capture, settings)
-    elif settings.centre_m is not None:
-        raise UsageError(
-            "images of a turntable are always centred on the rotation axis",
-            "Omit --centre, or give a larger --extent.",
-        )
-    elif settings.free_size[1]:
-        finest = finest_cell_m(prepared.given.wavelength_m)
-        pixels = int(np.clip(np.ceil(grid.extent / finest), grid.pixels, max(grid.pixels, MOST_FREE_PIXELS)))
-        grid = ImageGrid(grid.extent, pixels)
-        settings = replace(settings, pixels=pixels)
+    placed = _placed(prepared, watch)
+    prepared, settings, grid, region = placed.prepared, placed.settings, placed.grid, placed.region
     _check_extent(prepared.given, grid)
     prepared.choose_pulse(progress)
     matched = IMAGING_METHODS[method].matched_filter
@@ -121,39 +96,102 @@ def reconstruct(
         sharp = IMAGING_METHODS[method].sparse and not linear
         if settings.restore and sharp and settings.preset != "paper":
             image = restore(image, scans.wavenumber)
+    facts = _facts(prepared, scans, image, _Found(focus, region, outside, predicted))
+    centre_m = image.centre_m if region is None else region.centre_m
+    image = replace(image, centre_m=centre_m, settings={**image.settings, **facts})
+    seconds = {**prepared.watch.seconds, **watch.seconds}
+    return Reconstruction(
+        image, method, focus, scans.aperture.views, seconds, region, prepared.pulse_estimate
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Placed:
+    """The capture as seen from the middle of its image, with the settings and the grid of that image.
+
+    Attributes:
+        region: path delay and position for free antenna positions; None for a turntable.
+    """
+
+    prepared: PreparedCapture
+    settings: ImagingSettings
+    grid: ImageGrid
+    region: Region | None
+
+
+def _placed(prepared: PreparedCapture, watch: Stopwatch) -> _Placed:
+    """Where the image lies and how large it is. Raises UsageError for a turntable's image off the axis."""
+    settings = prepared.settings
+    grid = ImageGrid(settings.extent_m, settings.pixels)
+    free_extent, free_pixels = settings.free_size
+    if prepared.given.antenna_positions_m is not None:
+        with watch.stage("focus"):
+            region = choose_region(
+                prepared.given,
+                grid,
+                settings.centre_m,
+                settings.delay_m,
+                settings.background,
+                settings.towards_m,
+                free_extent=free_extent,
+                free_pixels=free_pixels,
+            )
+        settings = replace(settings, extent_m=region.grid.extent, pixels=region.grid.pixels)
+        return _Placed(PreparedCapture(region.capture, settings), settings, region.grid, region)
+    if settings.centre_m is not None:
+        raise UsageError(
+            "images of a turntable are always centred on the rotation axis",
+            "Omit --centre, or give a larger --extent.",
+        )
+    if free_pixels:
+        finest = finest_cell_m(prepared.given.wavelength_m)
+        pixels = int(np.clip(np.ceil(grid.extent / finest), grid.pixels, max(grid.pixels, MOST_FREE_PIXELS)))
+        grid = ImageGrid(grid.extent, pixels)
+        settings = replace(settings, pixels=pixels)
+    return _Placed(prepared, settings, grid, None)
+
+
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """What was found beside the image; None for what was not searched or not found."""
+
+    focus: AxisFocus | None
+    region: Region | None
+    outside: Outside | None
+    predicted: HeldOut | None
+
+
+def _facts(prepared: PreparedCapture, scans: BasebandScans, image: Image, found: _Found) -> dict[str, Any]:
+    """What the image's settings say of its data, as JSON values."""
+    region = found.region
     facts: dict[str, Any] = {
         "tool_version": __version__,
         "capture_uuid": prepared.given.uuid,
         "views": scans.aperture.views,
         "axis_distance_m": scans.aperture.axis_distance,
-        "background": settings.background,
+        "background": prepared.settings.background,
         "wavelength_m": scans.wavelength_m,
     }
-    if focus is not None:
-        facts["focus"] = focus.facts()
+    if found.focus is not None:
+        facts["focus"] = found.focus.facts()
     elif region is not None and region.focus is not None:
         facts["focus"] = region.focus.facts()
-    if outside is not None:
-        facts["outside"] = outside.facts()
+    if found.outside is not None:
+        facts["outside"] = found.outside.facts()
     warning = band_warning(prepared.given)
     if warning:
         facts["warnings"] = [warning]
-    if predicted is not None:
-        facts["held_out"] = predicted.facts()
+    if found.predicted is not None:
+        facts["held_out"] = found.predicted.facts()
     learned = image.settings.get("calibration", {}).get("axis")
     if learned:
         facts["axis_distance_m"] = learned["distance_m"]
     if region is not None:
-        found = region.focus
-        facts |= {"path_delay_m": found.delay_m if found else 0.0, "mirrored": region.mirrored}
-        facts |= {"centre_m": list(region.centre_m), "extent_m": grid.extent}
-        image = replace(image, centre_m=region.centre_m)
+        delay_m = region.focus.delay_m if region.focus else 0.0
+        facts |= {"path_delay_m": delay_m, "mirrored": region.mirrored}
+        facts |= {"centre_m": list(region.centre_m), "extent_m": region.grid.extent}
     facts["pulse"] = _pulse_facts(prepared)
-    image = replace(image, settings={**image.settings, **facts})
-    seconds = {**prepared.watch.seconds, **watch.seconds}
-    return Reconstruction(
-        image, method, focus, scans.aperture.views, seconds, region, prepared.pulse_estimate
-    )
+    return facts
 
 
 _NO_PREDICTION = ("range-doppler",)

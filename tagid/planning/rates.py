@@ -12,9 +12,7 @@ from functools import lru_cache
 from importlib import resources
 
 from tagid.errors import UsageError
-
-_Z = 1.959964
-"""Two-sided 95 % quantile of the normal distribution."""
+from tagid.proportion import wilson
 
 
 @dataclass(frozen=True)
@@ -45,6 +43,12 @@ class Rate:
     low: float
     high: float
 
+    @classmethod
+    def of(cls, share: float, scenes: float) -> Rate:
+        """The rate of a share of `scenes` recordings."""
+        interval = wilson(share, scenes)
+        return cls(share, interval.low, interval.high)
+
     def __str__(self) -> str:
         return f"{100 * self.value:.0f} % ({100 * self.low:.0f} to {100 * self.high:.0f})"
 
@@ -64,13 +68,6 @@ class Expected:
     wrong: Rate
     source: str
     note: str = ""
-
-
-def wilson(share: float, scenes: float) -> Rate:
-    """The 95 % interval of a share of `scenes` trials (E. B. Wilson, 1927)."""
-    centre = (share + _Z**2 / (2 * scenes)) / (1 + _Z**2 / scenes)
-    half = _Z / (1 + _Z**2 / scenes) * math.sqrt(share * (1 - share) / scenes + _Z**2 / (4 * scenes**2))
-    return Rate(share, max(0.0, centre - half), min(1.0, centre + half))
 
 
 @lru_cache(maxsize=1)
@@ -123,9 +120,9 @@ def expected(body: str, views: int, snr_db: float, *, enrolled: bool = False) ->
     if snr_db < lowest:
         note = f"the table ends at {lowest:g} dB; below it, fewer tags are named"
     return Expected(
-        wilson(named, scenes),
-        wilson(max(0.0, 1 - named - wrong), scenes),
-        wilson(wrong, scenes),
+        Rate.of(named, scenes),
+        Rate.of(max(0.0, 1 - named - wrong), scenes),
+        Rate.of(wrong, scenes),
         sources["enrolled" if enrolled else "none" if body == "none" else "bodies"],
         note,
     )

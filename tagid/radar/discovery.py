@@ -21,9 +21,8 @@ USB_VENDOR: Final = 0x1027
 USB_PRODUCTS: Final = {0x0005: "P440", 0x0003: "P410"}
 """USB numbers 1027:0005 and 1027:0003, as Linux shows them (hexadecimal)."""
 
-LIMIT_S: Final = 3.0
 _ASKING_S: Final = 2.1
-"""Shorter than the limit of three seconds, to leave time for the program to start."""
+"""`tagid radar find` is to end within three seconds, the start of the program included."""
 _ANSWER_S: Final = 0.65
 _ATTEMPTS: Final = 3
 _MOST_ADDRESSES: Final = 64

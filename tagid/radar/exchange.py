@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from typing import Any, Final
+from typing import Final
+
+import numpy as np
 
 from tagid.errors import DeviceRejectedError, DeviceRestartedError, DeviceTimeoutError, UsageError
 from tagid.radar.assembler import WINDOW, Statistics
@@ -17,9 +19,9 @@ from tagid.radar.messages import (
     MalformedMessage,
     Message,
     MessageType,
+    Request,
     Status,
     decode,
-    encode,
     status_text,
 )
 from tagid.radar.scan_info import SCAN_INFO_HEAD, Fragment, read_fragment
@@ -65,28 +67,35 @@ class Exchange:
         """Timeout for an answer that queues behind fragments on a slow line, s."""
         return self.timeout + _BACKLOG * self.link.packet_time_s
 
-    def request(self, request: MessageType, **fields: Any) -> Message:
-        """Send a request that does not start a run; return its confirm."""
-        confirm = self.exchange(request, fields, self.patience_s)
+    def request(self, kind: MessageType, **fields: int | np.void) -> Message:
+        """Send a request that does not start a run; return its confirm. Raises as `exchange`."""
+        confirm = self.exchange(Request(kind, fields), self.patience_s)
         assert isinstance(confirm, Message)
         return confirm
 
-    def exchange(
-        self, request: MessageType, fields: dict[str, Any], patience: float, attempts: int | None = None
-    ) -> Message | Fragment:
+    def exchange(self, request: Request, patience: float, attempts: int | None = None) -> Message | Fragment:
         """Send a request until its confirm arrives (requests are idempotent; repeats carry the same id).
 
         If the request starts a run, the run's first fragment is returned and also kept for the assembler.
+
+        Args:
+            request: to send.
+            patience: wait for one answer, s.
+            attempts: number of times it is sent; None: as the exchange was made.
+
+        Raises:
+            UsageError: a value does not fit its field.
+            DeviceTimeoutError: no answer. DeviceRejectedError: the radar does not know the request.
+            DeviceRestartedError: the radar rebooted meanwhile.
         """
         message_id, self.next_id = self.next_id, (self.next_id + 1) & 0xFFFF
         try:
-            packet = encode(request, message_id, **fields)
+            packet = request.encode(message_id)
         except ValueError as error:
             raise UsageError(
                 f"the request cannot be encoded: {error}", "Give a value within the limits."
             ) from error
         bytes_before, heard = self._bytes_in_vain(), 0
-        starts = request is _T.CONTROL_REQUEST and fields.get("scan_count", 0) > 0
         attempts = attempts or self.attempts
         for attempt in range(attempts):
             self.statistics.retries += attempt > 0
@@ -100,26 +109,27 @@ class Exchange:
                     continue
                 heard += 1
                 if isinstance(message, Fragment):
-                    if starts and (message.id - message_id) & 0xFFFF < 2 * WINDOW:
+                    if request.starts_run() and (message.id - message_id) & 0xFFFF < 2 * WINDOW:
                         self.early.append(message)
                         return message
-                    if self.scanning and request is _T.GET_CONFIG_REQUEST:
+                    if self.scanning and request.type is _T.GET_CONFIG_REQUEST:
                         self.early.append(message)
                     else:
                         self._left_over(message)
-                elif message.id == message_id and message.type == request + 0x100:
+                elif message.id == message_id and message.type == request.type + 0x100:
                     return message
                 else:
-                    self._refused(message, request, message_id)
+                    self._refused(message, request.type, message_id)
         strange = self._bytes_in_vain() - bytes_before
         if strange and not heard:
             raise DeviceTimeoutError(
-                f"something answers at {self.link}, but not as a P440 ({request.name} sent {attempts} times)",
+                f"something answers at {self.link}, but not as a P440 "
+                f"({request.type.name} sent {attempts} times)",
                 "Check the address and port; on a serial line, the framing (usb or uart), the baud rate, and "
                 "that the device is a P440.",
             )
         raise DeviceTimeoutError(
-            f"the radar at {self.link} did not answer {request.name} ({attempts} tries)", NO_ANSWER
+            f"the radar at {self.link} did not answer {request.type.name} ({attempts} tries)", NO_ANSWER
         )
 
     def _bytes_in_vain(self) -> int:

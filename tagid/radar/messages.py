@@ -6,7 +6,8 @@ The client, the emulator and the file importers share this table, so they cannot
 from __future__ import annotations
 
 import enum
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any, Final
 
@@ -296,6 +297,27 @@ class Message:
         """A field: a Python int for integers, an array or record otherwise."""
         value = self.fields[field]
         return int(value) if isinstance(value, np.integer) else value
+
+
+@dataclass(frozen=True, eq=False)
+class Request:
+    """A message to the radar, without the id that each one gets when it is sent.
+
+    Attributes:
+        type: its type.
+        fields: values by name, as in `MESSAGES[type]`; those that are absent are zero.
+    """
+
+    type: MessageType
+    fields: Mapping[str, int | np.void] = field(default_factory=dict)
+
+    def starts_run(self) -> bool:
+        """Whether scans follow."""
+        return self.type is MessageType.CONTROL_REQUEST and bool(self.fields.get("scan_count", 0))
+
+    def encode(self, message_id: int) -> bytes:
+        """The bytes of the message. Raises as `encode`."""
+        return encode(self.type, message_id, **self.fields)
 
 
 def encode(message_type: MessageType, message_id: int, **fields: Any) -> bytes:

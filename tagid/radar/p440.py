@@ -29,6 +29,7 @@ from tagid.radar.messages import (
     SLEEP_ACTIVE,
     Message,
     MessageType,
+    Request,
     Status,
     encode,
 )
@@ -214,7 +215,7 @@ class P440:
         if time.monotonic() < ask_from:
             return False
         try:
-            self._talk.exchange(_T.GET_OPMODE_REQUEST, {}, _POLL_S, attempts=1)
+            self._talk.exchange(Request(_T.GET_OPMODE_REQUEST), _POLL_S, attempts=1)
         except DeviceTimeoutError:
             return False
         return True
@@ -327,13 +328,14 @@ class P440:
 
     def _start(self, count: int, interval_us: int, patience: float) -> None:
         """Start a run; its first scan also counts as confirm, so a lost confirm does not start it twice."""
-        fields = {"scan_count": count, "interval_us": interval_us}
-        confirm = self._talk.exchange(_T.CONTROL_REQUEST, fields, patience)
+        request = Request(_T.CONTROL_REQUEST, {"scan_count": count, "interval_us": interval_us})
+        confirm = self._talk.exchange(request, patience)
         if isinstance(confirm, Message):
             accept(confirm, "start scanning")
 
     def _stop(self, attempts: int | None = None) -> Message:
-        confirm = self._talk.exchange(_T.CONTROL_REQUEST, {"scan_count": 0}, self._talk.patience_s, attempts)
+        request = Request(_T.CONTROL_REQUEST, {"scan_count": 0})
+        confirm = self._talk.exchange(request, self._talk.patience_s, attempts)
         assert isinstance(confirm, Message)
         self._talk.scanning = False
         return confirm

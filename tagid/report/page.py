@@ -8,20 +8,21 @@ from __future__ import annotations
 import base64
 import hashlib
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from tagid.errors import UsageError
 from tagid.files import replacing_text
-from tagid.report.tables import total_s
+from tagid.report.records import ItemRecord, StoredItem, Thumbnails
 from tagid.report.thumbnails import smaller
 
 if TYPE_CHECKING:
     from markupsafe import Markup
 
-Record = dict[str, Any]
+Judge = Callable[[StoredItem], ItemRecord]
+"""Gives the record of an item with its expected answer."""
 SMALL_SIDE = 32
 SMALL_BYTES = 900
 """Approximate size of a picture reduced to `SMALL_SIDE` px."""
@@ -36,8 +37,8 @@ class PageSettings:
     """Settings of the page.
 
     Attributes:
-            title: title of the page.
-            megabytes: size limit of all pictures together.
+        title: title of the page.
+        megabytes: size limit of all pictures together.
     """
 
     title: str = "Radar tag identification"
@@ -51,19 +52,19 @@ class PageSettings:
 class Items(Protocol):
     """Source of records and pictures, e.g. `tagid.batch.spool.Spool`."""
 
-    def items(self) -> Iterator[tuple[int, Record, dict[str, Any], int]]:
-        """(position, record, drawing, bytes of its pictures) in the order of the inputs."""
+    def items(self) -> Iterator[StoredItem]:
+        """All items in the order of the inputs."""
         ...
 
-    def pictures(self, position: int) -> tuple[bytes, bytes]:
-        """Image and sinogram of one item, PNG."""
+    def pictures(self, position: int) -> Thumbnails:
+        """The pictures of one item."""
         ...
 
 
 def write_page(
     path: Path,
     items: Items,
-    judged: Callable[[Record, int], Record],
+    judged: Judge,
     summary: Mapping[str, Any],
     settings: PageSettings,
 ) -> None:
@@ -72,7 +73,7 @@ def write_page(
     Args:
         path: the file.
         items: records with their pictures.
-        judged: adds `expected` and `correct` to the record of a position.
+        judged: the record of an item with its expected answer.
         summary: content of summary.json.
         settings: of the page.
 
@@ -111,9 +112,9 @@ def write_page(
 class _Content:
     """The generators used by the template."""
 
-    def __init__(self, items: Items, judged: Callable[[Record, int], Record], settings: PageSettings) -> None:
+    def __init__(self, items: Items, judged: Judge, settings: PageSettings) -> None:
         self._items, self._judged = items, judged
-        self._size = _allot(((p, judged(r, p), n) for p, r, _, n in items.items()), settings.megabytes)
+        self._size = _allot(items, judged, settings.megabytes)
         self.left_out = sum(1 for size in self._size.values() if size == 0)
         self.small = sum(1 for size in self._size.values() if size == 1)
 
@@ -121,36 +122,41 @@ class _Content:
         """The table's cells of each item, in the order that page.js expects."""
         from jinja2.utils import htmlsafe_json_dumps
 
-        for position, record, _, _ in self._items.items():
-            r = self._judged(record, position)
-            measured = round(r["score"], 4), round(r["margin"], 4), total_s(r)
-            who = position, r["file"], r["status"], r["layout"] or "", r["label"]
-            size = self._size.get(position, -1)
-            yield htmlsafe_json_dumps([*who, *measured, r["expected"], r["correct"], size])
+        for item in self._items.items():
+            r = self._judged(item)
+            measured = round(r.score, 4), round(r.margin, 4), r.total_s
+            who = item.position, r.file, r.status, r.layout or "", r.label
+            size = self._size.get(item.position, -1)
+            yield htmlsafe_json_dumps([*who, *measured, r.expected, r.correct, size])
 
     def details(self) -> Iterator[tuple[int, Markup]]:
         """The details of each item: its record and drawing data."""
         from jinja2.utils import htmlsafe_json_dumps
 
-        for position, record, drawing, _ in self._items.items():
-            yield position, htmlsafe_json_dumps({**self._judged(record, position), "drawing": drawing})
+        for item in self._items.items():
+            drawing = {} if item.drawing is None else asdict(item.drawing)
+            yield item.position, htmlsafe_json_dumps({**self._judged(item).document, "drawing": drawing})
 
     def pictures(self) -> Iterator[tuple[int, str, str]]:
         """(position, image, sinogram) in base64; without those over budget."""
         for position, size in self._size.items():
             if size == 0:
                 continue
-            image, sinogram = self._items.pictures(position)
+            full = self._items.pictures(position)
+            image, sinogram = full.image, full.sinogram
             if size == 1:
                 image, sinogram = smaller(image, SMALL_SIDE), b""
             yield position, base64.b64encode(image).decode(), base64.b64encode(sinogram).decode()
 
 
-def _allot(items: Iterator[tuple[int, Record, int]], megabytes: float) -> dict[int, int]:
+def _allot(items: Items, judged: Judge, megabytes: float) -> dict[int, int]:
     """Position -> 2 full pictures, 1 a small one, 0 none, by expected interest; only those that
     have pictures."""
-    wanted = [(_interest(record), position, size) for position, record, size in items if size]
-    wanted.sort()
+    wanted = sorted(
+        (_interest(judged(item)), item.position, item.picture_bytes)
+        for item in items.items()
+        if item.picture_bytes
+    )
     budget = megabytes * 1e6
     total = sum(size * _BASE64 for _, _, size in wanted)
     full = budget if total <= budget else budget * _FULL_SHARE
@@ -168,11 +174,11 @@ def _allot(items: Iterator[tuple[int, Record, int]], megabytes: float) -> dict[i
     return allotted
 
 
-def _interest(record: Record) -> tuple[int, float]:
+def _interest(record: ItemRecord) -> tuple[int, float]:
     """Sort key, most interesting first: misses, then unidentified items, then narrow decisions."""
-    if record["correct"] is False:
-        return 0, record["margin"]
-    return (2 if record["status"] == "identified" else 1), record["margin"]
+    if record.correct is False:
+        return 0, record.margin
+    return (2 if record.status == "identified" else 1), record.margin
 
 
 def _verbatim(text: str) -> Markup:

@@ -14,9 +14,8 @@ from typing import Any, TextIO
 from xml.sax.saxutils import quoteattr
 
 from tagid.files import replacing_text
+from tagid.report.records import ItemRecord
 from tagid.storage.spreadsheet import cell
-
-Record = Mapping[str, Any]
 
 STAGES = ("load", "prepare", "preprocess", "read", "pictures")
 CSV_COLUMNS = (
@@ -30,28 +29,22 @@ CSV_COLUMNS = (
 _NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
-def total_s(record: Record) -> float:
-    """Seconds of all stages of an item."""
-    return round(float(sum(record["seconds"].values())), 4)
-
-
-def row_of(record: Record) -> dict[str, Any]:
-    """A record as one flat row with `CSV_COLUMNS`; unknown values are None."""
-    centre = record["centre_m"] or (None, None)
-    error = record["error"] or {}
-    own = {
-        "centre_x_m": centre[0],
-        "centre_y_m": centre[1],
-        "reflectors": len(record["reflectors"]),
-        "error_code": error.get("code"),
-        "error_remedy": error.get("remedy"),
-        "total_s": total_s(record),
-        **{f"{stage}_s": record["seconds"].get(stage) for stage in STAGES},
+def _cells(record: ItemRecord) -> list[object]:
+    """A record's values of `CSV_COLUMNS`; unknown ones are None."""
+    x, y = record.centre_m
+    derived = {
+        "centre_x_m": x,
+        "centre_y_m": y,
+        "reflectors": record.reflectors,
+        "error_code": record.error_code,
+        "error_remedy": record.error_remedy,
+        "total_s": record.total_s,
+        **{f"{stage}_s": record.stage_s(stage) for stage in STAGES},
     }
-    return {name: own[name] if name in own else record.get(name) for name in CSV_COLUMNS}
+    return [derived[name] if name in derived else record.document.get(name) for name in CSV_COLUMNS]
 
 
-def write_csv(path: Path, records: Iterable[Record]) -> None:
+def write_csv(path: Path, records: Iterable[ItemRecord]) -> None:
     """items.csv: UTF-8, RFC 4180, cells as `spreadsheet.cell` makes them.
 
     Raises StorageError, DiskFullError.
@@ -60,19 +53,14 @@ def write_csv(path: Path, records: Iterable[Record]) -> None:
         table = csv.writer(file)
         table.writerow(CSV_COLUMNS)
         for record in records:
-            table.writerow([cell(value) for value in row_of(record).values()])
+            table.writerow([cell(value) for value in _cells(record)])
 
 
-def line_of(record: Record) -> str:
-    """A record as a line of items.jsonl."""
-    return json.dumps(record, allow_nan=False) + "\n"
-
-
-def write_jsonl(path: Path, records: Iterable[Record]) -> None:
+def write_jsonl(path: Path, records: Iterable[ItemRecord]) -> None:
     """items.jsonl: one JSON document per line. Raises StorageError, DiskFullError."""
     with replacing_text(path) as file:
         for record in records:
-            file.write(line_of(record))
+            file.write(record.to_json() + "\n")
 
 
 def write_json(path: Path, value: Mapping[str, Any]) -> None:
@@ -81,7 +69,7 @@ def write_json(path: Path, value: Mapping[str, Any]) -> None:
         file.write(json.dumps(value, indent=2, allow_nan=False) + "\n")
 
 
-def write_junit(path: Path, records: Iterable[Record], summary: Mapping[str, Any]) -> None:
+def write_junit(path: Path, records: Iterable[ItemRecord], summary: Mapping[str, Any]) -> None:
     """junit.xml: one test case per object, after the JUnit and Jenkins schema.
 
     An object passes if the answer matches the manifest or, without one, if it is identified. An
@@ -103,33 +91,14 @@ def write_junit(path: Path, records: Iterable[Record], summary: Mapping[str, Any
         file.write("</testsuite>\n</testsuites>\n")
 
 
-def verdict(record: Record) -> tuple[str, str] | None:
-    """("error" or "failure", reason) of an item; None if it passes."""
-    if record["status"] == "failed":
-        return "error", record["reason"]
-    expected = record.get("expected")
-    if expected is None:
-        return (
-            None
-            if record["status"] == "identified"
-            else ("failure", f"{record['status']}: {record['reason']}")
-        )
-    if record["correct"]:
-        return None
-    answer = record["layout"] if record["status"] == "identified" else record["status"]
-    reason = f" ({record['reason']})" if record["reason"] else ""
-    return "failure", f"expected {expected}, found {answer}{reason}"
-
-
-def _case(file: TextIO, record: Record) -> None:
-    file.write(f'<testcase classname="tagid" name={_quoted(record["file"])} time="{total_s(record):.4f}"')
-    found = verdict(record)
+def _case(file: TextIO, record: ItemRecord) -> None:
+    file.write(f'<testcase classname="tagid" name={_quoted(record.file)} time="{record.total_s:.4f}"')
+    found = record.verdict()
     if found is None:
         file.write("/>\n")
         return
-    kind, why = found
-    code = str((record["error"] or {}).get("code", record["status"]))
-    file.write(f"><{kind} type={_quoted(code)} message={_quoted(why)}/></testcase>\n")
+    code = record.error_code or record.status
+    file.write(f"><{found.kind} type={_quoted(code)} message={_quoted(found.reason)}/></testcase>\n")
 
 
 def _quoted(text: str) -> str:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import io
 import math
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +18,7 @@ from tagid.pipeline.reconstruct import Reconstruction
 from tagid.recording.curves import RecordingCurves
 from tagid.report.charts import resample_views
 from tagid.report.colours import to_decibels, viridis
+from tagid.report.records import Drawing, Thumbnails
 from tagid.tags.layouts.layout import Layout
 
 IMAGE_SIDE = 96
@@ -31,19 +31,14 @@ LEVELS = 32
 
 def draw_pictures(
     capture: Capture, result: Reconstruction, answer: Identification, layout: Layout | None
-) -> tuple[bytes, bytes, dict[str, Any]]:
-    """Image and sinogram as PNG, and the data for drawing around them.
+) -> Thumbnails:
+    """Image and sinogram of an identified capture.
 
     Args:
         capture: prepared, as it was identified.
         result: its image.
         answer: its identification.
         layout: the layout of the answer; None if there is none.
-
-    Returns:
-        (image, sinogram, drawing): drawing has `method`, `extent_m`, `centre_m`, `image_db`, `layout_m`
-        (positions of the layout's reflectors), `range_m` (first, last), `angle_deg` (first, last; None
-        without angles), `views`, `sinogram_db`.
     """
     image = _png(to_decibels(_fitted(np.abs(result.image.values)), IMAGE_DB)[::-1], IMAGE_DB)
     sinogram = _png(_sinogram(capture), SINOGRAM_DB)
@@ -54,23 +49,18 @@ def draw_pictures(
         placed = [[round(float(x), 5), round(float(y), 5)] for x, y in points]
     angles = capture.angles_rad
     ranges = capture.ranges_m
-    return (
-        image,
-        sinogram,
-        {
-            "method": result.method,
-            "extent_m": result.image.grid.extent,
-            "centre_m": [round(float(value), 5) for value in result.image.centre_m],
-            "image_db": IMAGE_DB,
-            "layout_m": placed,
-            "range_m": [round(float(ranges[0]), 4), round(float(ranges[-1]), 4)],
-            "angle_deg": None
-            if angles is None
-            else [round(math.degrees(float(angles[i])), 1) for i in (0, -1)],
-            "views": capture.views,
-            "sinogram_db": SINOGRAM_DB,
-        },
+    drawing = Drawing(
+        method=result.method,
+        extent_m=result.image.grid.extent,
+        centre_m=[round(float(value), 5) for value in result.image.centre_m],
+        image_db=IMAGE_DB,
+        layout_m=placed,
+        range_m=[round(float(ranges[0]), 4), round(float(ranges[-1]), 4)],
+        angle_deg=None if angles is None else [round(math.degrees(float(angles[i])), 1) for i in (0, -1)],
+        views=capture.views,
+        sinogram_db=SINOGRAM_DB,
     )
+    return Thumbnails(image, sinogram, drawing)
 
 
 def smaller(png: bytes, side: int) -> bytes:

@@ -42,7 +42,6 @@ _OPEN_PATHS = (
     "/api/v1/openapi.json",
 )
 """Paths that need no token, because they reveal nothing about the station."""
-_API = "/api/"
 POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; connect-src 'self'; "
     "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"

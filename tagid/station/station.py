@@ -11,7 +11,6 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from tagid.config import data_folder
 from tagid.doctor import Finding, examine
@@ -24,7 +23,7 @@ from tagid.station.reports import ReportRun, Reports
 from tagid.station.scans import COMMAND, ScanRun, Then, picture_of
 from tagid.station.setup import Source
 from tagid.station.wiring import Wiring, wiring
-from tagid.storage.history import FILE_NAME, Filter, History
+from tagid.storage.history import FILE_NAME, Entry, Filter, History
 from tagid.tags.enrolling.registry import Registry
 from tagid.tags.layouts.layout import Layout
 
@@ -218,7 +217,7 @@ class Station:
         if missing:
             self._health_due = min(self._health_due, time.monotonic() + MISSING_EVERY_S)
 
-    def history(self, wanted: Filter) -> list[dict[str, Any]]:
+    def history(self, wanted: Filter) -> list[Entry]:
         """Entries of the history, newest first, at most `HISTORY_LIMIT`. Raises StorageError."""
         return list(History(data_folder() / FILE_NAME).find(wanted))
 
@@ -239,17 +238,17 @@ class Station:
     def captures(self, entries: tuple[int, ...]) -> list[Path]:
         """The capture files of entries of the history, each once, without those no longer on the disk."""
         folder = self.source.reading().folder
-        rows = {int(row["id"]): row for row in self.history(Filter(numbers=entries))}
+        known = {entry.id: entry for entry in self.history(Filter(numbers=entries))}
         found: dict[Path, None] = {}
         for number in entries:
-            path = _own_file(rows[number], folder) if number in rows else None
+            path = _own_file(known[number], folder) if number in known else None
             if path is not None and path.is_file():
                 found[path] = None
         return list(found)
 
     def _capture(self, number: int) -> Path:
-        rows = self.history(Filter(number=number, limit=1))
-        path = _own_file(rows[0], self.source.reading().folder) if rows else None
+        found = self.history(Filter(number=number, limit=1))
+        path = _own_file(found[0], self.source.reading().folder) if found else None
         if path is None:
             raise NoSuchItemError(f"the station has no capture of entry {number}")
         return path
@@ -268,10 +267,10 @@ class Station:
             self._health_thread.join(_STOP_S)
 
 
-def _own_file(row: dict[str, Any], folder: Path) -> Path | None:
+def _own_file(entry: Entry, folder: Path) -> Path | None:
     """The file of an entry of the history; None unless it is a scan in the station's folder."""
-    path = Path(row["file"])
-    own = row["command"] in (COMMAND, "scan") and path.resolve().parent == folder.resolve()
+    path = Path(entry.file)
+    own = entry.command in (COMMAND, "scan") and path.resolve().parent == folder.resolve()
     return path if own else None
 
 

@@ -27,7 +27,7 @@ from tagid.station.requests import (
     number_in,
 )
 from tagid.station.station import Station
-from tagid.storage.history import Filter, csv_text
+from tagid.storage.history import Entry, Filter, csv_text
 
 REPORT_POLICY = (
     "sandbox allow-scripts; default-src 'none'; img-src data:; style-src 'unsafe-inline'; "
@@ -65,14 +65,14 @@ class HistoryHandlers:
         ]
 
     async def history(self, request: Request) -> Response:
-        return as_json({"items": await self._rows(request)})
+        return as_json(_items(await self._entries(request)))
 
     async def history_csv(self, request: Request) -> Response:
-        text = csv_text(await self._rows(request))
+        text = csv_text(await self._entries(request))
         return attached(text, "text/csv; charset=utf-8", "tagid-history.csv")
 
     async def history_json(self, request: Request) -> Response:
-        text = wire.to_text({"items": await self._rows(request)})
+        text = wire.to_text(_items(await self._entries(request)))
         return attached(text, "application/json", "tagid-history.json")
 
     async def picture(self, request: Request) -> Response:
@@ -85,13 +85,13 @@ class HistoryHandlers:
 
     async def captures(self, request: Request) -> Response:
         """The captures of a selection with the list of their answers, as one archive."""
-        rows = await self._rows(request)
-        numbers = tuple(int(row["id"]) for row in rows)
+        entries = await self._entries(request)
+        numbers = tuple(entry.id for entry in entries)
         paths = await run_in_threadpool(self._station.captures, numbers)
         if not paths:
             raise NoSuchItemError("none of the captures is on this computer", "Select others.")
         headers = {"content-disposition": 'attachment; filename="tagid-captures.zip"'}
-        return _Stream(archive(paths, rows), headers)
+        return _Stream(archive(paths, entries), headers)
 
     async def start(self, request: Request) -> Response:
         asked = await body(request)
@@ -128,7 +128,7 @@ class HistoryHandlers:
             raise NoSuchItemError("there is no such report", "Begin one with POST /api/v1/reports.")
         return run
 
-    async def _rows(self, request: Request) -> list[dict[str, Any]]:
+    async def _entries(self, request: Request) -> list[Entry]:
         wanted: Filter = filter_of(request)
         return await run_in_threadpool(self._station.history, wanted)
 
@@ -147,15 +147,19 @@ class _Stream(StreamingResponse):
             self._pieces.close()
 
 
-def archive(paths: list[Path], rows: list[dict[str, Any]]) -> Generator[bytes]:
+def _items(entries: list[Entry]) -> wire.Json:
+    return {"items": [entry.to_json() for entry in entries]}
+
+
+def archive(paths: list[Path], entries: list[Entry]) -> Generator[bytes]:
     """A ZIP archive of captures, not compressed again, with history.csv and history.json; in pieces.
 
     A capture that disappears meanwhile is left out.
     """
     out = _Pieces()
     with zipfile.ZipFile(out, "w", zipfile.ZIP_STORED) as packed:
-        packed.writestr("history.csv", csv_text(rows))
-        packed.writestr("history.json", json.dumps({"items": rows}, indent=1))
+        packed.writestr("history.csv", csv_text(entries))
+        packed.writestr("history.json", json.dumps(_items(entries), indent=1))
         for path in paths:
             try:
                 file = path.open("rb")

@@ -11,10 +11,10 @@ import json
 import platform
 import sqlite3
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 from tagid import __version__
 from tagid.errors import StorageError, UsageError
@@ -47,8 +47,58 @@ _COLUMNS: dict[str, str] = {
     "error_code": "TEXT",
     "error_message": "TEXT",
 }
-FIELDS = ("id", "command", *_COLUMNS)
-"""Columns of a row of `History.find`."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One identification of the history; None where a value is unknown or does not apply.
+
+    Attributes:
+        id: its number.
+        command: that made it.
+        time_utc: ISO 8601, ms.
+        file, content_sha256, capture_uuid: what was identified.
+        status: of `STATUSES`.
+        layout, label: the answer; `label` is its readable name.
+        score, margin, rotation_deg, centre_x_m, centre_y_m, missing, extra: as in the contract's
+            Identification.
+        registry_version, model_sha256, tool_version: what it was made with.
+        total_s: processing time, s.
+        reason: why the object was not named.
+        error_code, error_message: of a failed identification.
+    """
+
+    id: int
+    command: str
+    time_utc: str
+    file: str
+    content_sha256: str | None
+    capture_uuid: str | None
+    status: str
+    layout: str | None
+    label: str
+    score: float
+    margin: float
+    rotation_deg: float | None
+    centre_x_m: float | None
+    centre_y_m: float | None
+    missing: int
+    extra: int
+    registry_version: int | None
+    model_sha256: str | None
+    tool_version: str
+    total_s: float
+    reason: str
+    error_code: str | None
+    error_message: str | None
+
+    def to_json(self) -> dict[str, Any]:
+        """Its fields as plain JSON values, in the order of `FIELDS`."""
+        return dict(vars(self))
+
+
+FIELDS = tuple(each.name for each in fields(Entry))
+"""Names of an entry's fields, which are the columns of an export."""
 TYPES = {"id": int, "command": str} | {
     name: {"TEXT": str, "REAL": float, "INTEGER": int}[kind.split()[0]] for name, kind in _COLUMNS.items()
 }
@@ -161,8 +211,8 @@ class History:
                 numbers.append(number)
         return numbers
 
-    def find(self, wanted: Filter | None = None, *, oldest_first: bool = False) -> Iterator[dict[str, Any]]:
-        """Rows with `FIELDS`, read lazily: the newest ones, by default newest first."""
+    def find(self, wanted: Filter | None = None, *, oldest_first: bool = False) -> Iterator[Entry]:
+        """The newest matching entries, read lazily, by default newest first."""
         where, values = _conditions(wanted or Filter())
         limit = f" LIMIT {int(wanted.limit)}" if wanted and wanted.limit else ""
         columns = ", ".join(f"run.{name}" if name == "command" else f"i.{name}" for name in FIELDS)
@@ -174,7 +224,7 @@ class History:
             query = f"SELECT * FROM ({query}) ORDER BY id"
         with self._database.connection() as connection:
             for row in connection.execute(query, values):
-                yield dict(zip(FIELDS, row, strict=True))
+                yield Entry(*row)
 
     def count(self, wanted: Filter | None = None) -> int:
         """Number of matching rows, without the limit."""
@@ -194,12 +244,21 @@ class History:
         return [{"x_m": x, "y_m": y, "amplitude_db": db, "matched": bool(m)} for x, y, db, m in rows]
 
 
-def csv_text(rows: Iterable[Mapping[str, Any]]) -> str:
-    """Rows of `History.find` as CSV, safe to open in a spreadsheet."""
+def write_csv(file: TextIO, entries: Iterable[Entry]) -> int:
+    """Write entries as CSV, safe to open in a spreadsheet; returns their number."""
+    table = csv.writer(file)
+    table.writerow(FIELDS)
+    count = 0
+    for entry in entries:
+        table.writerow([cell(value) for value in vars(entry).values()])
+        count += 1
+    return count
+
+
+def csv_text(entries: Iterable[Entry]) -> str:
+    """Entries as CSV, safe to open in a spreadsheet."""
     text = io.StringIO()
-    table = csv.DictWriter(text, FIELDS)
-    table.writeheader()
-    table.writerows({name: cell(value) for name, value in row.items()} for row in rows)
+    write_csv(text, entries)
     return text.getvalue()
 
 

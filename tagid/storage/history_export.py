@@ -5,7 +5,6 @@ Rows are written in batches, so that memory stays small for any history.
 
 from __future__ import annotations
 
-import csv
 import itertools
 from collections.abc import Iterator
 from io import RawIOBase
@@ -14,8 +13,7 @@ from typing import Any
 
 from tagid import files
 from tagid.errors import MissingExtraError, UsageError
-from tagid.storage.history import FIELDS, TYPES, Filter, History
-from tagid.storage.spreadsheet import cell
+from tagid.storage.history import FIELDS, TYPES, Entry, Filter, History, write_csv
 
 _BATCH = 10_000
 
@@ -29,27 +27,17 @@ def export(history: History, wanted: Filter, path: Path) -> int:
         UsageError: another suffix. MissingExtraError: Parquet without pyarrow.
         StorageError, DiskFullError: the file cannot be written; no partial file is left.
     """
-    rows = history.find(wanted, oldest_first=True)
+    entries = history.find(wanted, oldest_first=True)
     suffix = path.suffix.lower()
     if suffix == ".csv":
-        return _csv(rows, path)
+        with files.replacing_text(path) as file:
+            return write_csv(file, entries)
     if suffix in (".parquet", ".pq"):
-        return _parquet(rows, path)
+        return _parquet(entries, path)
     raise UsageError(f"cannot tell the format from {path.name!r}", "Name it .parquet or .csv.")
 
 
-def _csv(rows: Iterator[dict[str, Any]], path: Path) -> int:
-    count = 0
-    with files.replacing_text(path) as file:
-        table = csv.DictWriter(file, FIELDS)
-        table.writeheader()
-        for row in rows:
-            table.writerow({name: cell(value) for name, value in row.items()})
-            count += 1
-    return count
-
-
-def _parquet(rows: Iterator[dict[str, Any]], path: Path) -> int:
+def _parquet(entries: Iterator[Entry], path: Path) -> int:
     try:
         import pyarrow as pa
         import pyarrow.parquet as pq
@@ -71,7 +59,7 @@ def _parquet(rows: Iterator[dict[str, Any]], path: Path) -> int:
         pa.PythonFile(_Sink(file), mode="w") as sink,
         pq.ParquetWriter(sink, schema) as writer,
     ):
-        while some := list(itertools.islice(rows, _BATCH)):
+        while some := list(itertools.islice(entries, _BATCH)):
             writer.write_batch(_batch(pa, schema, some))
             count += len(some)
     return count
@@ -101,11 +89,11 @@ class _Sink:
         """Does nothing: the caller closes the file."""
 
 
-def _batch(pa: Any, schema: Any, rows: list[dict[str, Any]]) -> Any:
+def _batch(pa: Any, schema: Any, entries: list[Entry]) -> Any:
     from datetime import datetime
 
-    columns = {name: [row[name] for row in rows] for name in FIELDS}
-    columns["time_utc"] = [datetime.fromisoformat(text) for text in columns["time_utc"]]
+    columns = {name: [getattr(entry, name) for entry in entries] for name in FIELDS}
+    columns["time_utc"] = [datetime.fromisoformat(entry.time_utc) for entry in entries]
     return pa.record_batch(
         [pa.array(columns[name], type=schema.field(name).type) for name in FIELDS], schema=schema
     )

@@ -86,7 +86,7 @@ def try_task(task: Task) -> Outcome:
 
 def _try_rail(task: Task) -> Outcome:
     capture, delay = draw_rail(task.name, task.seed)
-    focus = choose_region(capture, ImageGrid(0.5, 128), None, free=(True, True)).focus
+    focus = choose_region(capture, ImageGrid(0.5, 128), None, free_extent=True, free_pixels=True).focus
     assert focus is not None
     lam = capture.wavelength_m
     guess = float("nan") if focus.best_m is None else (focus.best_m - delay) / lam

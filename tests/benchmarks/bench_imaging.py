@@ -67,14 +67,20 @@ def _cells(values: np.ndarray) -> list[str]:
     return [report.interval(column, d) for column, d in zip(values.T, DIGITS, strict=True)]
 
 
-class ObjectCell(NamedTuple):
-    """An extended object at the angles range(first, last, step), and the rows wanted."""
+class Case(NamedTuple):
+    """An extended object at the angles range(first, last, step)."""
 
-    rows: tuple[str, ...]
     name: str
     first_deg: int
     last_deg: int
     step_deg: int
+
+
+class ObjectCell(NamedTuple):
+    """A case with one seed, and the rows wanted."""
+
+    rows: tuple[str, ...]
+    case: Case
     seed: int
 
 
@@ -87,8 +93,9 @@ def score_object(cell: ObjectCell) -> dict[str, tuple[tuple[float, ...], np.ndar
     The far-off peak is the brightest pixel farther than 4 cm from the outline, against the brightest one; a
     cylinder is seen where the brightest pixel within 2 cm of its surface is at most 10 dB down.
     """
-    thing = OBJECTS[cell.name]()
-    angles = np.arange(cell.first_deg, cell.last_deg, cell.step_deg)
+    case = cell.case
+    thing = OBJECTS[case.name]()
+    angles = np.arange(case.first_deg, case.last_deg, case.step_deg)
     problem = object_problem(thing, angles, 20.0, cell.seed)
     x, y = np.meshgrid(problem.grid.axis, problem.grid.axis)
     near = thing.outline(problem.grid, 0.04) > np.exp(-0.5)
@@ -107,11 +114,11 @@ def score_object(cell: ObjectCell) -> dict[str, tuple[tuple[float, ...], np.ndar
     return results
 
 
-def _objects(run: Run, name: str, cases: dict[str, tuple[str, int, int, int]]) -> str:
-    """Table and figure of extended objects: case -> (object, first, last, step of the angle)."""
+def _objects(run: Run, name: str, cases: dict[str, Case]) -> str:
+    """Table and figure of extended objects, by the label of each case."""
     seeds = run.seeds
     cells = [
-        ObjectCell(tuple(r for r in SHOWN if r in run.rows_of(seed)), *case, seed)
+        ObjectCell(tuple(r for r in SHOWN if r in run.rows_of(seed)), case, seed)
         for case in cases.values()
         for seed in range(seeds)
     ]
@@ -120,14 +127,14 @@ def _objects(run: Run, name: str, cases: dict[str, tuple[str, int, int, int]]) -
     lines, pictures = [], []
     for i, (label, case) in enumerate(cases.items()):
         of_case = results[i * seeds : (i + 1) * seeds]
-        thing = OBJECTS[case[0]]()
+        thing = OBJECTS[case.name]()
         pictures.append([thing.outline(thing.grid)])
         for row in shown:
             values = np.array([r[row][0] for r in of_case if row in r])
             cell = [report.interval(column, d) for column, d in zip(values.T, (1, 3, 1, 1, 2), strict=True)]
             lines.append([label, row, str(len(values)), *cell])
             pictures[-1].append(of_case[0][row][1])
-    extents = [OBJECTS[case[0]]().extent_m for case in cases.values()]
+    extents = [OBJECTS[case.name]().extent_m for case in cases.values()]
     path = run.pictures / f"imaging-{name}.png"
     report.picture_grid(pictures, extents, list(cases), ["outline", *shown], path)
     return report.table(("object", "method", "seeds", *OBJECT_SCORES), lines)
@@ -135,7 +142,7 @@ def _objects(run: Run, name: str, cases: dict[str, tuple[str, int, int, int]]) -
 
 def objects(run: Run) -> str:
     """(3) Can in a cardboard box, two bottles, two cans, metal box: 360 views."""
-    return _objects(run, "objects", {name: (name, 0, 360, 1) for name in OBJECTS})
+    return _objects(run, "objects", {name: Case(name, 0, 360, 1) for name in OBJECTS})
 
 
 TWO_CANS = "two cans 68.58 cm apart"
@@ -143,12 +150,12 @@ TWO_CANS = "two cans 68.58 cm apart"
 
 def skip_cans(run: Run) -> str:
     """(4) Skip angles of 10, 20 and 30 degrees on the two cans."""
-    return _objects(run, "skip-cans", {f"skip {s} deg": (TWO_CANS, 0, 360, s) for s in (10, 20, 30)})
+    return _objects(run, "skip-cans", {f"skip {s} deg": Case(TWO_CANS, 0, 360, s) for s in (10, 20, 30)})
 
 
 def partial(run: Run) -> str:
     """(5) 90, 180 and 270 degrees of a turn on the two cans: does the second one stay visible?"""
-    return _objects(run, "partial", {f"0 to {a} deg": (TWO_CANS, 0, a, 1) for a in (90, 180, 270)})
+    return _objects(run, "partial", {f"0 to {a} deg": Case(TWO_CANS, 0, a, 1) for a in (90, 180, 270)})
 
 
 class TagCell(NamedTuple):

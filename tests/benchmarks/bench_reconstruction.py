@@ -19,8 +19,10 @@ import platform
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -76,35 +78,62 @@ def simulate(points: np.ndarray, views: int, noise: float, rng: np.random.Genera
     )
 
 
-def prepared(
-    count: int, views: int, noise: float, seed: int
-) -> tuple[np.ndarray, BasebandScans, BasebandScans]:
-    """True points, and scans without and with matched filter; no clutter, so no background is removed."""
-    rng = np.random.default_rng([FIRST_SEED + seed, count])
-    points = rng.uniform(-0.22, 0.22, (count, 2))
-    capture = simulate(points, views, noise, rng)
+@dataclass(frozen=True)
+class Scene:
+    """Random points, how they are recorded, and the model of LPIPS, if any."""
+
+    count: int
+    views: int
+    noise: float
+    seed: int
+    lpips: Path | None = None
+
+
+class Scores(NamedTuple):
+    """Scores of one image, in the order of the table's columns."""
+
+    psnr_db: float
+    mse: float
+    rmse_m: float
+    detected: float
+    false: float
+    lpips: float
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """True points (count, 2), m, and scans without and with matched filter."""
+
+    points: np.ndarray
+    raw: BasebandScans
+    matched: BasebandScans
+
+
+def prepared(scene: Scene) -> Prepared:
+    """A scene's scans; there is no clutter, so no background is removed."""
+    rng = np.random.default_rng([FIRST_SEED + scene.seed, scene.count])
+    points = rng.uniform(-0.22, 0.22, (scene.count, 2))
+    capture = simulate(points, scene.views, scene.noise, rng)
     raw = preprocess(capture, settings=PreprocessSettings("none", False, extent_m=GRID.extent))
     matched = preprocess(capture, settings=PreprocessSettings("none", True, extent_m=GRID.extent))
-    return points, raw, matched
+    return Prepared(points, raw, matched)
 
 
-def score_scene(job: tuple[int, int, float, int, Path | None]) -> dict[str, tuple[float, ...]]:
-    """Method -> (PSNR, MSE, localisation RMSE, detected share, false detections, LPIPS) of one scene."""
-    count, views, noise, seed, model = job
-    points, raw, matched = prepared(count, views, noise, seed)
-    truth = truth_image(points, GRID)
+def score_scene(scene: Scene) -> dict[str, Scores]:
+    """The scores of every method."""
+    made = prepared(scene)
+    truth = truth_image(made.points, GRID)
     scores = {}
     for name, method in METHODS.items():
-        image = method(raw, matched)
-        found = localise(pick_peaks(image, MOST_PEAKS), points)
-        perceptual = lpips(image.values, truth, model) if model else float("nan")
-        scores[name] = (
-            psnr(image.values, truth),
-            mse(image.values, truth),
-            found.rmse_m,
-            found.detected / count,
-            float(found.false),
-            perceptual,
+        image = method(made.raw, made.matched)
+        found = localise(pick_peaks(image, MOST_PEAKS), made.points)
+        scores[name] = Scores(
+            psnr_db=psnr(image.values, truth),
+            mse=mse(image.values, truth),
+            rmse_m=found.rmse_m,
+            detected=found.detected / scene.count,
+            false=float(found.false),
+            lpips=lpips(image.values, truth, scene.lpips) if scene.lpips else float("nan"),
         )
     return scores
 
@@ -128,7 +157,7 @@ def print_scores(seeds: int, jobs: int, model: Path | None) -> None:
     with context.Pool(jobs) as pool:
         for noise in NOISES:
             for views in VIEWS:
-                scenes = [(n, views, noise, seed, model) for n in POINTS for seed in range(seeds)]
+                scenes = [Scene(n, views, noise, seed, model) for n in POINTS for seed in range(seeds)]
                 results = pool.map(score_scene, scenes, chunksize=1)
                 for name in METHODS:
                     table = np.array([result[name] for result in results])
@@ -145,11 +174,11 @@ def print_seconds(repeats: int) -> None:
     for views in VIEWS:
         took: dict[str, list[float]] = {name: [] for name in ("BP", "FISTA", "ATS")}
         for seed in range(repeats):
-            _, raw, matched = prepared(1 + seed % 4, views, 0.316, seed)
+            made = prepared(Scene(1 + seed % 4, views, 0.316, seed))
             for name in took:
-                METHODS[name](raw, matched)
+                METHODS[name](made.raw, made.matched)
                 start = time.process_time()
-                METHODS[name](raw, matched)
+                METHODS[name](made.raw, made.matched)
                 took[name].append(time.process_time() - start)
         ratio = np.median(np.array(took["ATS"]) / np.array(took["FISTA"]))
         cells = [f"{np.median(took[name]):.3f}" for name in took]

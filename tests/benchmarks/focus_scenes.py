@@ -7,18 +7,16 @@ wavelengths, so the same family serves a P440 and a sonar in air.
 
 from __future__ import annotations
 
-import importlib.util
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
-from types import ModuleType
 
 import numpy as np
+from reading_bodies_scenes import SHARED, captured, full_wave
 
 from tagid.capture import Capture, Pulse
 from tagid.waveform import analytic_pulse, nominal_pulse
 
-FULL_WAVE = Path(__file__).resolve().parents[3] / "shared" / "fullwave" / "scenes.py"
+FULL_WAVE = SHARED / "fullwave" / "scenes.py"
 """Full-wave responses are measured data that does not belong to the repository; without them that family is
 left out."""
 
@@ -296,14 +294,6 @@ class FocusScene:
     radar: str
 
 
-def _module() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("full_wave_scenes", FULL_WAVE)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
 def draw_error(rng: np.random.Generator, lam: float) -> float:
     """Error of the distance given: none in a third of the scenes, else up to 0.4 wavelengths."""
     return 0.0 if rng.random() < 1 / 3 else float(rng.uniform(-0.4, 0.4)) * lam
@@ -312,7 +302,6 @@ def draw_error(rng: np.random.Generator, lam: float) -> float:
 def full_wave_scene(name: str, seed: int) -> FocusScene:
     """A full-wave response, up to 8 mm off the axis, at 0.9 to 1.1 m, in a room."""
     rng = np.random.default_rng([seed, 4, FULL_WAVE_OBJECTS.index(name)])
-    module = _module()
     base = name.split("_")[0]
     if base.startswith("free"):
         reference = base + "_one"
@@ -321,18 +310,14 @@ def full_wave_scene(name: str, seed: int) -> FocusScene:
     else:
         reference = f"{base}_one-{base}"
     distance = float(rng.uniform(0.9, 1.1))
-    scan, _ = module.make(
+    scan, _ = full_wave().make(
         name, rng, reference=reference, views=int(rng.choice([36, 72, 120, 360])), distance=distance,
         centre=tuple(rng.uniform(-0.008, 0.008, 2)), pol=str(rng.choice(["V", "V", "H"])),
         snr_db=float(rng.uniform(10, 30)), room=bool(rng.random() < 0.7),
     )  # fmt: skip
     error = draw_error(rng, P440.wavelength_m)
     scan["axis_distance_m"] = distance + error
-    capture = Capture(
-        scan["samples"], float(scan["range_start_m"]), float(scan["range_step_m"]), scan["angles_rad"],
-        axis_distance_m=distance + error,
-    )  # fmt: skip
-    return FocusScene(capture, distance, P440.wavelength_m, 0.5, f"full wave: {name}", "P440")
+    return FocusScene(captured(scan), distance, P440.wavelength_m, 0.5, f"full wave: {name}", "P440")
 
 
 def draw_scene(family: str, radar: Radar, seed: int, views: int | None = None) -> FocusScene:

@@ -27,6 +27,7 @@ import numpy as np
 from identification_images import read_image
 from identification_scenes import SETS, TWISTS, Condition, Recorded, record
 
+from tagid.proportion import wilson
 from tagid.tags.matching.matcher import read_tag
 from tagid.tags.reading.decision import DecisionSettings, Evidence, decide
 from tagid.tags.reading.field import MatchedField
@@ -52,13 +53,31 @@ class Outcome:
     right: bool = False
 
 
-def by_reader(recorded: Recorded, enrolled: str) -> tuple[str, str, Evidence | None]:
-    """The product: (status, layout, evidence)."""
+@dataclass(frozen=True)
+class Said:
+    """What a method says of a recording: its status, the likeliest layout, and any evidence."""
+
+    status: str
+    layout: str
+    evidence: Evidence | None = None
+
+
+@dataclass(frozen=True)
+class Task:
+    """One scene of a condition, and the method that reads it."""
+
+    condition: Condition
+    method: str
+    number: int
+
+
+def by_reader(recorded: Recorded, enrolled: str) -> Said:
+    """The product."""
     reading = read_tag(recorded.scans, SETS[enrolled])
-    return reading.status, reading.nearest, reading.evidence
+    return Said(reading.status, reading.nearest, reading.evidence)
 
 
-def by_limit(recorded: Recorded, enrolled: str) -> tuple[str, str, Evidence | None]:
+def by_limit(recorded: Recorded, enrolled: str) -> Said:
     """Likelihood ratio of templates with rotation and centre free; distance, pulse and noise are known."""
     matched = MatchedField(recorded.scans, 0.16)
     settings = SearchSettings(
@@ -67,20 +86,21 @@ def by_limit(recorded: Recorded, enrolled: str) -> tuple[str, str, Evidence | No
     fits = search(matched, SETS[enrolled], settings)
     n = matched.independent_samples
     gain = [fit.explained / matched.noise_variance - fit.layout.size * np.log(n) for fit in fits]
-    return "identified", fits[int(np.argmax(gain))].layout.name, None
+    return Said("identified", fits[int(np.argmax(gain))].layout.name)
 
 
-def by_estimated_limit(recorded: Recorded, enrolled: str) -> tuple[str, str, Evidence | None]:
+def by_estimated_limit(recorded: Recorded, enrolled: str) -> Said:
     """The same with distance and noise estimated: the reader's best layout, without its right to refuse."""
-    return "identified", read_tag(recorded.scans, SETS[enrolled]).nearest, None
+    return Said("identified", read_tag(recorded.scans, SETS[enrolled]).nearest)
 
 
-def by_image(method: str, finder: str, recorded: Recorded, enrolled: str) -> tuple[str, str, Evidence | None]:
+def by_image(method: str, finder: str, recorded: Recorded, enrolled: str) -> Said:
     """An image, its reflectors by local maxima or the network, and the likeliest layout for them."""
-    return (*read_image(recorded.capture, SETS[enrolled], method, finder), None)
+    reading = read_image(recorded.capture, SETS[enrolled], method, finder)
+    return Said(reading.status, reading.matches[0].layout.name)
 
 
-METHODS: dict[str, Callable[[Recorded, str], tuple[str, str, Evidence | None]]] = {
+METHODS: dict[str, Callable[[Recorded, str], Said]] = {
     "reader": by_reader,
     "limit, known": by_limit,
     "limit, estimated": by_estimated_limit,
@@ -92,29 +112,20 @@ METHODS: dict[str, Callable[[Recorded, str], tuple[str, str, Evidence | None]]] 
 """Rows by method."""
 
 
-def one(task: tuple[Condition, str, int]) -> Outcome:
+def one(task: Task) -> Outcome:
     """One scene, recorded and read."""
-    condition, method, number = task
-    recorded = record(condition, number)
+    recorded = record(task.condition, task.number)
     start = time.perf_counter()
-    status, name, evidence = METHODS[method](recorded, condition.enrolled)
+    said = METHODS[task.method](recorded, task.condition.enrolled)
     seconds = time.perf_counter() - start
-    right = name == recorded.name
-    outcome = status if status != "identified" else "correct" if right else "wrong"
-    return Outcome(condition, method, outcome, seconds, evidence, right)
-
-
-def wilson(hits: int, total: int) -> tuple[float, float]:
-    """95 % interval of a proportion (Wilson 1927)."""
-    z = 1.959964
-    p, w = hits / total, z * z / total
-    middle, half = (p + w / 2) / (1 + w), z * np.sqrt(p * (1 - p) / total + w / (4 * total)) / (1 + w)
-    return max(0.0, middle - half), min(1.0, middle + half)
+    right = said.layout == recorded.name
+    outcome = said.status if said.status != "identified" else "correct" if right else "wrong"
+    return Outcome(task.condition, task.method, outcome, seconds, said.evidence, right)
 
 
 def cell(hits: int, total: int) -> str:
-    low, high = wilson(hits, total)
-    return f"{100 * hits / total:.1f} ({100 * low:.1f}..{100 * high:.1f})"
+    interval = wilson(hits / total, total)
+    return f"{100 * hits / total:.1f} ({100 * interval.low:.1f}..{100 * interval.high:.1f})"
 
 
 def table(head: str, rows: Iterable[tuple[str, list[Outcome]]], columns: tuple[str, ...] = OUTCOMES) -> None:
@@ -139,7 +150,7 @@ class Runner:
     def run(self, condition: Condition, scenes: int, method: str = "reader") -> list[Outcome]:
         key = condition, method, scenes
         if key not in self.known:
-            tasks = [(condition, method, i) for i in range(scenes)]
+            tasks = [Task(condition, method, i) for i in range(scenes)]
             self.known[key] = list(self.pool.imap(one, tasks, chunksize=4))
             wrong = [i for i, o in enumerate(self.known[key]) if o.outcome == "wrong"]
             print(condition, method, f"wrong: {wrong}" if wrong else "", file=sys.stderr, flush=True)

@@ -6,7 +6,7 @@ These rows show what each step of the textbook way costs against reading in the 
 
 from __future__ import annotations
 
-from constellation import read_constellation
+from constellation import ConstellationReading, read_constellation
 
 from tagid.capture import Capture
 from tagid.imaging.ats.fit import AtsSettings, fit
@@ -18,11 +18,12 @@ from train.evaluate import local_maxima
 from train.images import focused_scans
 
 
-def read_image(capture: Capture, layouts: tuple[Layout, ...], method: str, finder: str) -> tuple[str, str]:
-    """(status, layout) by an image ("bp" or "ats") and a finder ("maxima" or "network")."""
+def read_image(
+    capture: Capture, layouts: tuple[Layout, ...], method: str, finder: str
+) -> ConstellationReading:
+    """A capture read by an image ("bp" or "ats") and a finder ("maxima" or "network")."""
     scans = focused_scans(capture, method)
     image = backproject(scans, GRID) if method == "bp" else fit(scans, GRID, AtsSettings()).image
     seen = NetworkInput.of(image, scans)
     found = local_maxima(seen) if finder == "maxima" else shipped_detector().detect(seen, 1.0).found
-    reading = read_constellation(found, layouts)
-    return reading.status, reading.matches[0].layout.name
+    return read_constellation(found, layouts)

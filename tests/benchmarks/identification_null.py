@@ -97,10 +97,18 @@ def scene_of(group: str, rng: np.random.Generator, seed: int) -> tuple[Scene, st
     return scene, name
 
 
-def sample(task: tuple[str, int]) -> Sample:
+@dataclass(frozen=True)
+class Task:
+    """One scene of a group."""
+
+    group: str
+    number: int
+
+
+def sample(task: Task) -> Sample:
     """One recording of a random number of views and noise, read."""
-    group, number = task
-    seed = FIRST_SEED + number
+    group = task.group
+    seed = FIRST_SEED + task.number
     rng = np.random.default_rng([seed, GROUPS.index(group)])
     scene, kind = scene_of(group, rng, seed)
     radius, turn = 0.01 * np.sqrt(rng.uniform()), rng.uniform(0, 2 * np.pi)
@@ -176,7 +184,7 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=2)
     arguments = parser.parse_args()
     scenes = 80 if arguments.short else arguments.scenes
-    tasks = [(g, i) for g in GROUPS for i in range(scenes if g == "unenrolled" else scenes // 4)]
+    tasks = [Task(g, i) for g in GROUPS for i in range(scenes if g == "unenrolled" else scenes // 4)]
     with multiprocessing.get_context("fork").Pool(arguments.jobs) as pool:
         samples = list(pool.imap(sample, tasks, chunksize=4))
     groups = {g: [s for s in samples if s.group == g] for g in GROUPS}

@@ -12,7 +12,7 @@ import multiprocessing
 import os
 import platform
 import sys
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from multiprocessing.pool import Pool
 from pathlib import Path
@@ -56,15 +56,41 @@ def with_own_echoes(scene: Scene, rng: np.random.Generator) -> Scene:
     return replace(scene, object=(*kept, shell, handle, rim))
 
 
-def errors(task: tuple[str, bool, int, int, int, int]) -> tuple[np.ndarray, np.ndarray]:
-    """(K, 2) errors of one scene's reflectors in one recording, m, in the object's frame, turn and place
-    fitted; (K, 2) told by the scans."""
-    enrolled, echoes, views, snr, number, again = task
-    condition = Condition("tagged", enrolled, views, snr)
-    scene, name = draw_scene(condition, number)
-    if echoes:
-        scene = with_own_echoes(scene, np.random.default_rng([FIRST_SEED + number, 2]))
-    recorded: Recorded = record_scene(scene, name, condition, number + 1000 * again)
+@dataclass(frozen=True)
+class Recording:
+    """A recording of one object.
+
+    Attributes:
+        enrolled: the set of layouts that the object is drawn from.
+        own_echoes: whether its body echoes, too.
+        views, snr_db: of the recording.
+        number: of the object.
+        again: of the recording of that object, from 0.
+    """
+
+    enrolled: str
+    own_echoes: bool
+    views: int
+    snr_db: int
+    number: int
+    again: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class Errors:
+    """Errors (K, 2), m, of K reflectors: after fitting turn and place, and as the scans tell them."""
+
+    made: np.ndarray
+    told: np.ndarray
+
+
+def errors(one: Recording) -> Errors:
+    """The errors of the reflectors' places in one recording."""
+    condition = Condition("tagged", one.enrolled, one.views, one.snr_db)
+    scene, name = draw_scene(condition, one.number)
+    if one.own_echoes:
+        scene = with_own_echoes(scene, np.random.default_rng([FIRST_SEED + one.number, 2]))
+    recorded: Recorded = record_scene(scene, name, condition, one.number + 1000 * one.again)
     scans, _ = focus_axis_distance(recorded.scans, ImageGrid(0.5, 128), 0.03)
     field = MatchedField(fold_views(scans, RADIUS_M), RADIUS_M)
     truth = recorded.positions[:, :2]
@@ -76,7 +102,7 @@ def errors(task: tuple[str, bool, int, int, int, int]) -> tuple[np.ndarray, np.n
     left = np.empty_like(found)
     left[pair.partner] = found @ np.array([[c, s], [-s, c]]) + pair.shift_m - object_frame[pair.partner]
     told = position_covariances(field, found)
-    return left, np.sqrt(np.diagonal(told, axis1=1, axis2=2))
+    return Errors(left, np.sqrt(np.diagonal(told, axis1=1, axis2=2)))
 
 
 def repeated(pool: Pool, scenes: int, repeats: int = 4) -> None:
@@ -85,8 +111,10 @@ def repeated(pool: Pool, scenes: int, repeats: int = 4) -> None:
     print("| object | error mm | same in all mm | scatter mm |")
     print("|---|---|---|---|")
     for enrolled in ("helmet-16", "mug-8"):
-        tasks = [(enrolled, True, 36, 20, i, again) for i in range(scenes) for again in range(repeats)]
-        made = np.array([left for left, _ in pool.imap(errors, tasks, 4)])
+        tasks = [
+            Recording(enrolled, True, 36, 20, i, again) for i in range(scenes) for again in range(repeats)
+        ]
+        made = np.array([one.made for one in pool.imap(errors, tasks, 4)])
         made = made.reshape(scenes, repeats, *made.shape[1:])
         mean = made.mean(axis=1, keepdims=True)
         scatter = np.mean((made - mean) ** 2) * repeats / (repeats - 1)
@@ -113,8 +141,10 @@ def main() -> None:
         for enrolled in ("helmet-16", "mug-8"):
             for echoes in (False, True):
                 for views, snr in CONDITIONS:
-                    tasks = [(enrolled, echoes, views, snr, i, 0) for i in range(scenes)]
-                    made, told = (np.array(side) for side in zip(*pool.imap(errors, tasks, 4), strict=True))
+                    tasks = [Recording(enrolled, echoes, views, snr, i) for i in range(scenes)]
+                    found = list(pool.imap(errors, tasks, 4))
+                    made = np.array([one.made for one in found])
+                    told = np.array([one.told for one in found])
                     # 2 K coordinates less turn and shift leave 2 K - 3.
                     lost = made.size / (made.size - 3 * len(made))
                     rms = 1e3 * np.sqrt(np.mean(made**2) * lost)

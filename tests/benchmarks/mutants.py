@@ -463,13 +463,13 @@ def _reasons() -> dict[tuple[str, str], str]:
 
 
 def _row(name: str, one: Result) -> str:
-    from identification import wilson
+    from tagid.proportion import wilson
 
-    low, high = wilson(one.killed, max(one.tried, 1))
-    share = 100 * one.killed / max(one.tried, 1)
+    share = one.killed / max(one.tried, 1)
+    interval = wilson(share, max(one.tried, 1))
     return (
-        f"| {name} | {one.places} | {one.tried} | {one.killed} | {one.timeouts} | {share:.1f} % | "
-        f"{100 * low:.0f} to {100 * high:.0f} % |"
+        f"| {name} | {one.places} | {one.tried} | {one.killed} | {one.timeouts} | {100 * share:.1f} % | "
+        f"{100 * interval.low:.0f} to {100 * interval.high:.0f} % |"
     )
 
 

@@ -21,10 +21,10 @@ import numpy as np
 from syscalls import Close, Operation, Recording, Sync, Write, record
 
 from tagid.batch.inputs import Source, collect
-from tagid.batch.job import Job, Outcome
+from tagid.batch.job import Answered, Job, Known, Outcome
 from tagid.batch.local import Done, Results, Tasks
 from tagid.batch.run import FILES, Plan, run_batch
-from tagid.batch.work import content_sha256, make_record
+from tagid.batch.work import content_of, make_record
 from tagid.capture import Capture
 from tagid.config import change_file, change_settings, read_file
 from tagid.errors import TagidError
@@ -32,6 +32,7 @@ from tagid.pipeline.answer import Identification
 from tagid.pipeline.load import LoadSettings
 from tagid.pipeline.settings import ImagingSettings
 from tagid.recording import session
+from tagid.report.records import Thumbnails
 from tagid.storage.hdf5 import read_capture, write_capture
 from tagid.storage.history import Filter, History
 from tagid.storage.journal import JournalWriter
@@ -317,7 +318,7 @@ def _history() -> None:
 
 def _record(number: int) -> dict[str, Any]:
     source = Source(f"/{number}", f"{number}")
-    return make_record(source, Identification("no_tag", None, f"uuid-{number}", 4), {})
+    return dict(make_record(source, Identification("no_tag", None, f"uuid-{number}", 4), {}, None).document)
 
 
 def _histories() -> list[list[str]]:
@@ -326,7 +327,7 @@ def _histories() -> list[list[str]]:
 
 def _read_history(place: Path) -> list[str]:
     history = History(place / "data" / "history.sqlite")
-    found = [str(row["capture_uuid"]) for row in history.find(Filter(), oldest_first=True)]
+    found = [str(entry.capture_uuid) for entry in history.find(Filter(), oldest_first=True)]
     history.add(history.begin("a test", {}), [_record(999)])
     assert history.count() == len(found) + 1
     return found
@@ -349,14 +350,13 @@ def _answers(again: list[str], tell: bool) -> Callable[[Tasks, Job], Results]:
         for task in tasks:
             assert task is not None
             source = task.source
-            digest, size = content_sha256(Path(source.location))
-            if digest in job.known:
-                outcome = Outcome({"file": source.name, "content_sha256": digest}, reused=True)
-            else:
+            content = content_of(Path(source.location))
+            outcome: Outcome = Known(content.sha256)
+            if content.sha256 not in job.known:
                 again.append(source.name)
-                answer = Identification("no_tag", None, f"uuid-{digest[:8]}", 4)
-                record = make_record(source, answer, {"load": 0.1}, digest, size)
-                outcome = Outcome(record, image=bytes.fromhex(digest) * 200)
+                answer = Identification("no_tag", None, f"uuid-{content.sha256[:8]}", 4)
+                record = make_record(source, answer, {"load": 0.1}, content)
+                outcome = Answered(record, Thumbnails(image=bytes.fromhex(content.sha256) * 200))
             yield Done(task, outcome)
             if tell:
                 _tell(_DONE)

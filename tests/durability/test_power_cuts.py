@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
@@ -20,24 +21,27 @@ DENSITY = {
 """Cases, and how many states of each."""
 
 
+@dataclass(frozen=True)
+class Traced:
+    """A case, and the system calls that it made."""
+
+    name: str
+    recording: Recording
+
+
 @pytest.fixture(scope="module", params=DENSITY)
-def case(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Recording]:
-    name: str = request.param
-    return name, recorded(name, tmp_path_factory.mktemp("recorded"))
+def case(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Traced:
+    return Traced(request.param, recorded(request.param, tmp_path_factory.mktemp("recorded")))
 
 
-def test_nothing_acknowledged_is_lost_in_any_state(case: tuple[str, Recording], tmp_path: Path) -> None:
-    name, recording = case
-    found = try_all(name, recording, tmp_path, DENSITY[name])
+def test_nothing_acknowledged_is_lost_in_any_state(case: Traced, tmp_path: Path) -> None:
+    found = try_all(case.name, case.recording, tmp_path, DENSITY[case.name])
     total = found.pop("")
     assert not found, found.most_common(5)
     assert total > 10, "states without a fault"
 
 
 @pytest.mark.parametrize("kind", ["files", "folders"])
-def test_the_states_show_what_a_missing_sync_loses(
-    case: tuple[str, Recording], kind: str, tmp_path: Path
-) -> None:
-    name, recording = case
-    found = try_all(name, unsynced(recording, kind), tmp_path, Density(0, 20), first=True)
+def test_the_states_show_what_a_missing_sync_loses(case: Traced, kind: str, tmp_path: Path) -> None:
+    found = try_all(case.name, unsynced(case.recording, kind), tmp_path, Density(0, 20), first=True)
     assert sum(found.values()) > found[""], f"no state shows that {kind} are not synced"

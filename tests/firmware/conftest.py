@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import json
 import os
 import select
 import time
 import tty
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import asynccontextmanager, contextmanager
 from typing import Any
 
 import pytest
 
+from firmware_tools.cli.app import app
 from firmware_tools.virtual.backend import open_backend
 from firmware_tools.virtual.process import BoardProcess
+from tagid.cli.common.frame import serve
 from tagid.motion.bridge.client import Bridge
 from tagid.motion.bridge.find import Backends, find
 
@@ -32,6 +35,22 @@ CONFIG: dict[str, Any] = {
 
 STOP = bytes.fromhex("000000009100000000839100000000" + "80")
 """What the bridge writes to stop the robot (docs/bridge.md), three times at every boot."""
+
+
+Command = Callable[..., tuple[int, dict[str, Any]]]
+"""Runs `tagid-firmware WORDS --output json`; returns its exit code and its document."""
+
+
+@pytest.fixture
+def firmware(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Command:
+    """The firmware's command line, in this process."""
+
+    def go(*words: str) -> tuple[int, dict[str, Any]]:
+        monkeypatch.setattr("sys.argv", ["tagid-firmware", *words, "--output", "json"])
+        code = serve(app)
+        return code, json.loads(capsys.readouterr().out)
+
+    return go
 
 
 class Wire:

@@ -157,7 +157,8 @@ def test_a_bond_survives_the_boards_restart(wire: Wire, tmp_path_factory: pytest
                     from tagid.motion.bridge.client import Bridge
 
                     async with Bridge(heard, passkey=passkey, backends=backends, timeout=20.0) as bridge:
-                        assert len(await bridge.request(Op.TIME)) > 0
+                        uptime_us = int.from_bytes((await bridge.request(Op.TIME))[:8], "little")
+                        assert 0 < uptime_us < 600e6, "the clock of a board that has just started"
 
     asyncio.run(run())
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import fcntl
 import hashlib
-import json
 import os
 import random
 import struct
@@ -12,8 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from firmware_tools.cli.app import app
-from tagid.cli.common.frame import serve
+from tests.firmware.conftest import Command
 from tests.firmware.esp32_rom import EspRom
 
 OFFSETS = {"esp32": 0x1000, "esp32c3": 0}
@@ -33,17 +31,8 @@ def image(chip_id: int = 0, size: int = 600_000, text: bytes = b"MicroPython v1.
     )
 
 
-def run(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *words: str
-) -> tuple[int, dict[str, object]]:
-    """Exit code and JSON document of a command line."""
-    monkeypatch.setattr("sys.argv", ["tagid-firmware", *words, "--output", "json"])
-    code = serve(app)
-    return code, json.loads(capsys.readouterr().out)
-
-
 @pytest.fixture
-def flash(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):  # type: ignore[no-untyped-def]
+def flash(tmp_path: Path, firmware: Command):  # type: ignore[no-untyped-def]
     """Runs the command on an image and a port; returns exit code, data, and the first error's words."""
 
     def go(
@@ -64,7 +53,7 @@ def flash(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Captur
             "--no-stub",
             *more,
         ]
-        code, document = run(monkeypatch, capsys, *words)
+        code, document = firmware(*words)
         errors = document["errors"]
         assert isinstance(errors, list)
         text = " ".join(f"{e['message']} {e['remedy']}" for e in errors)
@@ -127,16 +116,16 @@ def test_wrong_images(flash, data: bytes, words: str) -> None:  # type: ignore[n
     assert code == 1 and words in text
 
 
-def test_the_hash_decides(flash, tmp_path: Path, monkeypatch, capsys) -> None:  # type: ignore[no-untyped-def]
+def test_the_hash_decides(flash, firmware: Command, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
     code, _, text = flash(image(), "/dev/null", digest="0" * 64)
     assert code == 1 and "is not the expected image" in text
     code, _, text = flash(image(), "/dev/null", digest="abc")
     assert code == 2 and "not a SHA-256" in text
     path = tmp_path / "image.bin"
-    code, document = run(monkeypatch, capsys, "flash", str(path), "--port", "/dev/null")
+    code, document = firmware("flash", str(path), "--port", "/dev/null")
     assert code == 2 and hashlib.sha256(image()).hexdigest() in document["errors"][0]["message"]  # type: ignore[index]
     path.with_name("image.bin.sha256").write_text("0" * 64 + "  image.bin\n")
-    code, document = run(monkeypatch, capsys, "flash", str(path), "--port", "/dev/null")
+    code, document = firmware("flash", str(path), "--port", "/dev/null")
     assert code == 1 and "expected 0000" in document["errors"][0]["message"]  # type: ignore[index]
 
 
@@ -156,7 +145,7 @@ def test_ports_that_cannot_be_used(flash, tmp_path: Path) -> None:  # type: igno
         os.close(master)
 
 
-def test_no_board_and_several(flash, monkeypatch, capsys, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+def test_no_board_and_several(firmware: Command, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
     from serial.tools import list_ports
     from serial.tools.list_ports_common import ListPortInfo
 
@@ -171,11 +160,11 @@ def test_no_board_and_several(flash, monkeypatch, capsys, tmp_path: Path) -> Non
     (tmp_path / "image.bin").write_bytes(image())
     words = ("flash", str(tmp_path / "image.bin"), "--sha256", hashlib.sha256(image()).hexdigest())
     plugged(("/dev/ttyACM5", 0x1209, 1))
-    code, document = run(monkeypatch, capsys, *words)
+    code, document = firmware(*words)
     assert (
         code == 4
         and "no board is connected (USB serial ports: /dev/ttyACM5)" in document["errors"][0]["message"]
     )  # type: ignore[index]
     plugged(("/dev/ttyUSB1", 0x1A86, 0x7523), ("/dev/ttyUSB0", 0x10C4, 0xEA60))
-    code, document = run(monkeypatch, capsys, *words)
+    code, document = firmware(*words)
     assert code == 2 and "/dev/ttyUSB0 (CP210x), /dev/ttyUSB1 (CH340)" in document["errors"][0]["message"]  # type: ignore[index]

@@ -9,7 +9,7 @@ import os
 import subprocess
 import threading
 import tty
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -17,25 +17,10 @@ import pytest
 
 from firmware_tools.board import Python, open_board
 from firmware_tools.build import Build, compile_firmware, read_build, write_build
-from firmware_tools.cli.app import app
 from firmware_tools.provision import BONDS, CONFIG, TRIES, make_config, provision
-from tagid.cli.common.frame import serve
 from tagid.errors import ConfigError, DeviceError, DeviceRejectedError, FileFormatError, StorageError
+from tests.firmware.conftest import Command
 from tests.firmware.microvm import FOLDER, needs_vm
-
-Run = Callable[..., tuple[int, dict[str, Any]]]
-
-
-@pytest.fixture
-def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
-    """Exit code and JSON document of a command line."""
-
-    def go(*words: str) -> tuple[int, dict[str, Any]]:
-        monkeypatch.setattr("sys.argv", ["tagid-firmware", *words, "--output", "json"])
-        code = serve(app)
-        return code, json.loads(capsys.readouterr().out)
-
-    return go
 
 
 class Pty:
@@ -87,19 +72,19 @@ def board() -> Iterator[Pty]:
 
 
 @needs_vm
-def test_a_bare_board_becomes_a_bridge_and_is_the_same_as_the_build(board: Pty, run: Run) -> None:
-    code, document = run("verify", "--port", board.path)
+def test_a_bare_board_becomes_a_bridge_and_is_the_same_as_the_build(board: Pty, firmware: Command) -> None:
+    code, document = firmware("verify", "--port", board.path)
     assert code == 1 and document["data"]["files"]["main.py"] == "missing"
     assert "no configuration file" in document["data"]["problem"]
 
-    code, document = run("provision", "--name", "robot-7", "--chip", "esp32c3", "--port", board.path)
+    code, document = firmware("provision", "--name", "robot-7", "--chip", "esp32c3", "--port", board.path)
     assert code == 0, document["errors"]
     data = document["data"]
     assert data["written"][-1] == "main.py" and len(data["written"]) == 10
     assert data["config"]["passkey"].isdigit() and len(data["config"]["passkey"]) == 6
     assert data["config"]["uart_tx"] == 6 and data["python"]["version"] == "1.27.0"
 
-    code, document = run("verify", "--port", board.path)
+    code, document = firmware("verify", "--port", board.path)
     assert code == 0 and set(document["data"]["files"].values()) == {"same"}
     # The pass-key is not for everyone who can plug in a cable and read a log.
     assert data["config"]["passkey"] not in json.dumps(document)
@@ -107,17 +92,17 @@ def test_a_bare_board_becomes_a_bridge_and_is_the_same_as_the_build(board: Pty, 
 
     # Another name: only the configuration is written, and main.py around it.
     words = ("provision", "--name", "robot-8", "--passkey", "123456", "--port", board.path)
-    code, document = run(*words)
+    code, document = firmware(*words)
     assert document["data"]["written"] == ["bridge.json", "main.py"]
-    assert run(*words)[1]["data"]["written"] == []
+    assert firmware(*words)[1]["data"]["written"] == []
 
     with open_board(board.path) as raw:
         raw.write("bonds.json", b"[]")
         raw.write("tagid_bridge/ring.mpy", b"M\x06damaged")
-    code, document = run("verify", "--port", board.path)
+    code, document = firmware("verify", "--port", board.path)
     assert code == 1 and document["data"]["files"]["tagid_bridge/ring.mpy"] == "differs"
     # Who paired under the old pass-key must pair again under the new one.
-    code, document = run(*[word.replace("123456", "654321") for word in words])
+    code, document = firmware(*[word.replace("123456", "654321") for word in words])
     assert code == 0 and "tagid_bridge/ring.mpy" in document["data"]["written"]
     with open_board(board.path) as raw:
         assert raw.read("bonds.json") is None
@@ -203,7 +188,7 @@ def test_the_usual_pins_of_each_chip_are_free() -> None:
 
 
 @needs_vm
-def test_an_old_micropython_is_told(board: Pty, run: Run) -> None:
+def test_an_old_micropython_is_told(board: Pty, firmware: Command) -> None:
     with open_board(board.path) as raw:
         # As a board with MicroPython 1.18 would answer.
         raw.run("import sys\nclass I:\n def __getitem__(s, i): return (1, 18, 0)\n _mpy = 5\nclass S: pass")
@@ -240,8 +225,10 @@ def test_a_half_written_flash_and_a_foreign_device_are_told_apart() -> None:
         (("--name", "a", "--chip", "esp8266"), "there is no chip 'esp8266'"),
     ],
 )
-def test_configurations_that_the_board_would_refuse(run: Run, words: tuple[str, ...], message: str) -> None:
-    code, document = run("provision", *words, "--port", "/dev/null")
+def test_configurations_that_the_board_would_refuse(
+    firmware: Command, words: tuple[str, ...], message: str
+) -> None:
+    code, document = firmware("provision", *words, "--port", "/dev/null")
     assert code == 2 and message in document["errors"][0]["message"]
 
 
@@ -256,16 +243,18 @@ def test_configurations_that_the_board_would_refuse(run: Run, words: tuple[str, 
         ('{"brc_inverted": 1}', "brc_inverted must be true or false"),
     ],
 )
-def test_configuration_files_with_mistakes(run: Run, tmp_path: Path, text: str, message: str) -> None:
+def test_configuration_files_with_mistakes(
+    firmware: Command, tmp_path: Path, text: str, message: str
+) -> None:
     path = tmp_path / "bridge.json"
     path.write_text(text)
-    code, document = run("provision", "--name", "a", "--config", str(path), "--port", "/dev/null")
+    code, document = firmware("provision", "--name", "a", "--config", str(path), "--port", "/dev/null")
     assert code == 2 and message in document["errors"][0]["message"]
 
 
-def test_a_build_is_the_same_every_time_and_checked_when_read(run: Run, tmp_path: Path) -> None:
+def test_a_build_is_the_same_every_time_and_checked_when_read(firmware: Command, tmp_path: Path) -> None:
     folder = tmp_path / "bridge"
-    code, document = run("build", "--out", str(folder))
+    code, document = firmware("build", "--out", str(folder))
     assert code == 0 and document["data"]["version"] == "1.1.0"
     build = read_build(folder)
     assert build.hashes == compile_firmware().hashes

@@ -2,29 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import threading
-from collections.abc import Callable, Iterator
-from typing import Any
+from collections.abc import Iterator
 
 import pytest
 
-from firmware_tools.cli.app import app
 from firmware_tools.virtual.process import BoardProcess
-from tagid.cli.common.frame import serve
-from tests.firmware.conftest import CONFIG, PASSKEY, Wire
-
-Run = Callable[..., tuple[int, dict[str, Any]]]
-
-
-@pytest.fixture
-def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
-    def go(*words: str) -> tuple[int, dict[str, Any]]:
-        monkeypatch.setattr("sys.argv", ["tagid-firmware", *words, "--output", "json"])
-        code = serve(app)
-        return code, json.loads(capsys.readouterr().out)
-
-    return go
+from tests.firmware.conftest import CONFIG, PASSKEY, Command, Wire
 
 
 @pytest.fixture
@@ -50,9 +34,9 @@ def robot(wire: Wire) -> Iterator[bytearray]:
     thread.join(10)
 
 
-def test_every_step_of_a_good_bridge(board: BoardProcess, robot: bytearray, run: Run) -> None:
+def test_every_step_of_a_good_bridge(board: BoardProcess, robot: bytearray, firmware: Command) -> None:
     words = ("selftest", "robot-7", "--passkey", PASSKEY, "--hci", board.hci, "--listen", "1")
-    code, document = run(*words)
+    code, document = firmware(*words)
     steps = {step["name"]: step for step in document["data"]["steps"]}
     assert code == 0, document["errors"]
     assert [step["verdict"] for step in steps.values()].count("passed") == 7
@@ -63,30 +47,30 @@ def test_every_step_of_a_good_bridge(board: BoardProcess, robot: bytearray, run:
     assert bytes(robot) == bytes((128, 149, 2, 22, 35))
 
 
-def test_steps_that_fail_say_what_to_look_at(run: Run) -> None:
+def test_steps_that_fail_say_what_to_look_at(firmware: Command) -> None:
     with BoardProcess({**CONFIG, "brc_pin": None}) as board:
         words = ("selftest", board.address, "--passkey", PASSKEY, "--hci", board.hci)
         # TX and RX are joined, but the robot is asked: it "answers" with the question.
-        code, document = run(*words)
+        code, document = firmware(*words)
         verdicts = {step["name"]: step["verdict"] for step in document["data"]["steps"]}
         assert code == 1 and verdicts["robot"] == "failed" and verdicts["BRC"] == "skipped"
-        code, document = run(*words, "--loopback")
+        code, document = firmware(*words, "--loopback")
         assert code == 0, document["errors"]
-        code, document = run("selftest", board.address, "--passkey", "111111", "--hci", board.hci)
+        code, document = firmware("selftest", board.address, "--passkey", "111111", "--hci", board.hci)
         assert code == 4 and "refused the pairing" in document["errors"][0]["message"]
-        code, document = run("selftest", "robot-9", "--hci", board.hci, "--listen", "1")
+        code, document = firmware("selftest", "robot-9", "--hci", board.hci, "--listen", "1")
         assert code == 4 and "no bridge called 'robot-9'" in document["errors"][0]["message"]
-    code, document = run("selftest", "robot-7", "--hci", board.hci)
+    code, document = firmware("selftest", "robot-7", "--hci", board.hci)
     assert code == 4 and "no virtual controller" in document["errors"][0]["message"]
 
 
-def test_a_p440_is_compared_and_stored(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_p440_is_compared_and_stored(firmware: Command, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TAGID_RADAR_GAIN", "40")
-    code, document = run("p440", "--radar", "emulator://helmet-120")
+    code, document = firmware("p440", "--radar", "emulator://helmet-120")
     assert code == 0 and document["data"]["differs"] == ["transmit_gain"] and not document["data"]["stored"]
     assert any("transmit_gain" in message for message in document["messages"])
     words = ("p440", "--radar", "emulator://helmet-120", "--store", "--start-ps", "15000", "--node", "7")
-    code, document = run(*words)
+    code, document = firmware(*words)
     after = document["data"]["after"]
     assert code == 0 and document["data"]["stored"]
     # What the radar keeps lies on its own grid (measured on recordings: 15000 becomes 14999).
@@ -97,5 +81,5 @@ def test_a_p440_is_compared_and_stored(run: Run, monkeypatch: pytest.MonkeyPatch
         1,
     )
     assert document["data"]["status"]["mrm_version"]
-    code, document = run("p440", "--radar", "emulator://helmet-120", "--start-ps", "50000")
+    code, document = firmware("p440", "--radar", "emulator://helmet-120", "--start-ps", "50000")
     assert code == 2 and "scan window ends" in document["errors"][0]["message"]

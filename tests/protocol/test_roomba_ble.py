@@ -13,6 +13,8 @@ import pytest
 
 pytest.importorskip("bumble", reason="needs bumble: pip install 'tagid[virtual]'")
 
+from robots import turned
+
 from firmware_tools.virtual.process import BoardProcess
 from tagid.errors import DeviceError, DeviceGoneError
 from tagid.motion.emulation.body import BodySettings
@@ -60,14 +62,6 @@ def robot(board: BoardProcess) -> Roomba:
     motion = open_motion(url_of(board))
     assert isinstance(motion, Roomba)
     return motion
-
-
-def turned(motion: Roomba, radians: float) -> None:
-    deadline = time.monotonic() + 20
-    while abs(motion.turned_rad) < radians:
-        motion.check()
-        assert time.monotonic() < deadline
-        time.sleep(0.005)
 
 
 @pytest.fixture

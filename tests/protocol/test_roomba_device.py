@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import serial
+from robots import turned
 
 from tagid.errors import DeviceError, DeviceGoneError, DeviceTimeoutError, PortInUseError
 from tagid.motion.device import MotionStoppedError
@@ -40,14 +41,6 @@ def robot_at(host: RoombaHost, options: str = "") -> Roomba:
     motion = open_motion(f"roomba+serial://{host.port.path}{options}")
     assert isinstance(motion, Roomba)
     return motion
-
-
-def turned(motion: Roomba, radians: float) -> None:
-    deadline = time.monotonic() + 20
-    while abs(motion.turned_rad) < radians:
-        motion.check()
-        assert time.monotonic() < deadline
-        time.sleep(0.005)
 
 
 def truth_at_last_reading(host: RoombaHost, motion: Roomba) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -28,11 +29,19 @@ def own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TAGID_DATA", str(tmp_path))
 
 
+@dataclass(frozen=True)
+class Emulated:
+    """An emulated table, and the path of its serial port."""
+
+    core: ComximCore
+    path: str
+
+
 @pytest.fixture
-def comxim() -> Iterator[tuple[ComximCore, PtyPort]]:
+def comxim() -> Iterator[Emulated]:
     core = ComximCore(now_s=time.monotonic())
     with PtyPort(core) as port:
-        yield core, port
+        yield Emulated(core, port.path)
 
 
 def turn_and_compare(motion: DrivenMotion, table: TurningTable, radians: float) -> None:
@@ -58,18 +67,15 @@ def turn_and_compare(motion: DrivenMotion, table: TurningTable, radians: float) 
 
 @pytest.mark.realtime
 @pytest.mark.parametrize("direction", ["ccw", "cw"])
-def test_a_comxim_table_tells_its_angle(comxim: tuple[ComximCore, PtyPort], direction: str) -> None:
-    core, port = comxim
-    motion = open_motion(f"comxim+serial://{port.path}?direction={direction}&turns=1")
+def test_a_comxim_table_tells_its_angle(comxim: Emulated, direction: str) -> None:
+    motion = open_motion(f"comxim+serial://{comxim.path}?direction={direction}&turns=1")
     assert isinstance(motion, DrivenMotion)
-    turn_and_compare(motion, core.table, 0.3)
+    turn_and_compare(motion, comxim.core.table, 0.3)
 
 
 @pytest.mark.realtime
 @pytest.mark.parametrize("direction", ["ccw", "cw"])
-def test_the_direction_is_that_of_the_makers_documents(
-    comxim: tuple[ComximCore, PtyPort], direction: str
-) -> None:
+def test_the_direction_is_that_of_the_makers_documents(direction: str) -> None:
     """SETDIR(0) is left, clockwise; TURNCONTINUE=1 is clockwise (docs/motion.md): byte for byte."""
     sent: list[bytes] = []
 
@@ -110,10 +116,9 @@ def test_a_table_wired_the_other_way_round_is_told_by_its_setting() -> None:
 
 
 @pytest.mark.realtime
-def test_a_table_that_cannot_turn_is_told_within_seconds(comxim: tuple[ComximCore, PtyPort]) -> None:
-    core, port = comxim
-    core.table.blocked = True
-    motion = open_motion(f"comxim+serial://{port.path}")
+def test_a_table_that_cannot_turn_is_told_within_seconds(comxim: Emulated) -> None:
+    comxim.core.table.blocked = True
+    motion = open_motion(f"comxim+serial://{comxim.path}")
     begin = time.monotonic()
     motion.start()
     with pytest.raises(MotionStoppedError, match="nothing turns"):

@@ -263,7 +263,7 @@ def test_a_disk_that_fills_up_leaves_the_old_page(make_report, captures: Path, t
         f"    resource.setrlimit(resource.RLIMIT_FSIZE, ({len(before) // 2},) * 2)\n"
         "    summary = json.loads((out / 'summary.json').read_text())\n"
         "    try: write_page(out / 'report.html', spool,"
-        " lambda r, p: {**r, 'expected': None, 'correct': None}, summary, PageSettings('new'))\n"
+        " lambda item: item.record.judged(None), summary, PageSettings('new'))\n"
         "    except DiskFullError as error: print(error)\n"
     )
     done = subprocess.run(

@@ -193,7 +193,7 @@ def test_a_worker_that_dies_costs_its_item_only(
         "def local_copy(source):\n    if source.name.endswith('bad.tagid.h5'): os._exit(9)\n"
         "    return copy(source)\nwork.local_copy = local_copy\n"
     )
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
     finished = make_report(captures, runner=partial(run_local, workers=2))
     assert finished.summary["by_status"] == {
         "identified": 3, "unknown": 0, "ambiguous": 0, "no_tag": 1, "failed": 1

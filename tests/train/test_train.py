@@ -12,7 +12,7 @@ import torch
 from tagid.errors import StorageError, UsageError
 from tagid.models_store import open_model
 from tagid.tags.network.detector import CELL_M, CELLS, MODEL, Contract, Detector
-from train.dataset import MOST_REFLECTORS, Plan, Samples, build, load, make_shard
+from train.dataset import MOST_REFLECTORS, ImageOf, Plan, Samples, build, load, make_shard
 from train.distributions import Distribution, ObjectDistribution
 from train.evaluate import Figures, score
 from train.export import export
@@ -24,7 +24,7 @@ from train.targets import cell_targets, make_batch, symmetry
 
 @pytest.fixture(scope="module")
 def few() -> Samples:
-    return make_shard([(seed, "bp") for seed in range(8)], Distribution())
+    return make_shard([ImageOf(seed, "bp") for seed in range(8)], Distribution())
 
 
 def test_a_seed_is_a_scene() -> None:
@@ -36,7 +36,7 @@ def test_a_seed_is_a_scene() -> None:
 def test_images_are_bright_where_the_truth_says() -> None:
     """Of simple objects: a metal body off the axis outshines its tag in the image."""
     simple = replace(Distribution(), object=ObjectDistribution(physical=0.0))
-    few = make_shard([(seed, "bp") for seed in range(10)], simple)
+    few = make_shard([ImageOf(seed, "bp") for seed in range(10)], simple)
     hits = total = 0
     for i in range(len(few)):
         if few.scene_snr_db[i] < 8:

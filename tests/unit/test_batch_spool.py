@@ -8,9 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from tagid.batch.job import Outcome
+from tagid.batch.job import Answered, Known
 from tagid.batch.spool import Spool
 from tagid.errors import StorageError
+from tagid.report.records import Drawing, ItemRecord, StoredItem, Thumbnails
 
 
 @pytest.fixture
@@ -24,32 +25,46 @@ def spool(path: Path) -> Iterator[Spool]:
         yield opened
 
 
-def answered(name: str, content: str | None, status: str = "identified", **more: object) -> Outcome:
+def drawing_of(name: str) -> Drawing:
+    return Drawing(
+        method=name,
+        extent_m=0.5,
+        centre_m=[0.0, 0.01],
+        image_db=30.0,
+        layout_m=[[0.1, 0.0], [0.0, 0.1]],
+        range_m=[0.5, 1.5],
+        angle_deg=None,
+        views=12,
+        sinogram_db=30.0,
+    )
+
+
+def answered(name: str, content: str | None, status: str = "identified", **more: object) -> Answered:
     record = {"file": name, "content_sha256": content, "status": status, "error": None, **more}
-    return Outcome(record, image=b"image " + name.encode(), sinogram=b"s", drawing={"of": name})
+    return Answered(ItemRecord(record), Thumbnails(b"image " + name.encode(), b"s", drawing_of(name)))
 
 
-def failed(name: str, content: str | None, code: str) -> Outcome:
+def failed(name: str, content: str | None, code: str) -> Answered:
     error = {"code": code, "message": f"{name}: no", "remedy": "none"}
     return answered(name, content, "failed", error=error, reason=f"{name}: no")
 
 
-def reused(content: str) -> Outcome:
-    return Outcome({"file": "x", "content_sha256": content}, reused=True)
+def places(spool: Spool) -> list[tuple[int, str]]:
+    return [(item.position, item.record.file) for item in spool.items()]
 
 
 def test_what_is_put_is_read_in_the_order_of_the_inputs(spool: Spool) -> None:
     for position, name in ((7, "c"), (0, "a"), (3, "b")):
-        assert spool.put(position, name, "job", answered(name, name * 64))["file"] == name
-    assert [record["file"] for record in spool.records()] == ["a", "b", "c"]
-    assert [(p, drawing, size) for p, _, drawing, size in spool.items()] == [
-        (0, {"of": "a"}, 8), (3, {"of": "b"}, 8), (7, {"of": "c"}, 8)
-    ]  # fmt: skip
-    assert spool.pictures(3) == (b"image b", b"s")
+        assert spool.put(position, name, "job", answered(name, name * 64)).file == name
+    assert list(spool.items()) == [
+        StoredItem(position, answered(name, name * 64).record, drawing_of(name), picture_bytes=8)
+        for position, name in ((0, "a"), (3, "b"), (7, "c"))
+    ]
+    assert spool.pictures(3) == Thumbnails(b"image b", b"s", drawing_of("b"))
     assert spool.count() == 3
     spool.put(3, "b", "job", answered("b", "f" * 64, "no_tag"))  # a watched file that changed
     assert spool.count() == 3
-    assert [record["status"] for record in spool.records()] == ["identified", "no_tag", "identified"]
+    assert [item.record.status for item in spool.items()] == ["identified", "no_tag", "identified"]
 
 
 def test_answers_of_the_same_content_and_job_are_taken_over(spool: Spool) -> None:
@@ -58,10 +73,10 @@ def test_answers_of_the_same_content_and_job_are_taken_over(spool: Spool) -> Non
     spool.put(2, "unread", "job", answered("unread", None, "failed", error={"code": "storage"}))
     assert spool.take_over("job") == {"A"}
     assert spool.count() == 0
-    record = spool.put(5, "moved", "job", reused("A"))
-    assert (record["file"], record["status"]) == ("moved", "identified")
-    assert spool.pictures(5) == (b"image a", b"s")
-    assert [(p, r["file"], d) for p, r, d, _ in spool.items()] == [(5, "moved", {"of": "a"})]
+    record = spool.put(5, "moved", "job", Known("A"))
+    assert (record.file, record.status) == ("moved", "identified")
+    assert spool.pictures(5) == Thumbnails(b"image a", b"s", drawing_of("a"))
+    assert places(spool) == [(5, "moved")]
     # The answer is kept for the run after the next one, too; that of the other job is gone.
     assert spool.take_over("job") == {"A"}
     assert spool.take_over("another job") == frozenset()
@@ -79,7 +94,7 @@ def test_the_newest_answer_of_a_content_is_the_one_that_stays(spool: Spool) -> N
     spool.take_over("job")
     spool.put(0, "a", "job", answered("a", "A", "identified"))
     assert spool.take_over("job") == {"A"}
-    assert spool.put(0, "a", "job", reused("A"))["status"] == "identified"
+    assert spool.put(0, "a", "job", Known("A")).status == "identified"
 
 
 @pytest.mark.parametrize(
@@ -89,8 +104,8 @@ def test_failures_that_another_try_may_mend_are_tried_again(spool: Spool, code: 
     spool.put(0, "old", "job", failed("old", "A", code))
     assert spool.take_over("job") == ({"A"} if kept else frozenset())
     if kept:
-        record = spool.put(0, "new", "job", reused("A"))
-        assert record["error"]["message"] == record["reason"] == "new: no"
+        record = spool.put(0, "new", "job", Known("A"))
+        assert record.document["error"]["message"] == record.reason == "new: no"
 
 
 def test_a_run_goes_on_in_the_file_unless_it_is_to_be_fresh(path: Path) -> None:
@@ -140,8 +155,8 @@ def test_a_view_in_the_file_is_never_read(path: Path) -> None:
 
 def test_a_record_keeps_the_order_of_its_fields_and_no_number_that_json_lacks(spool: Spool) -> None:
     spool.put(0, "a", "job", answered("a", "A", zone=1, area=2))
-    (record,) = spool.records()
-    assert list(record) == ["file", "content_sha256", "status", "error", "zone", "area"]
+    (item,) = spool.items()
+    assert list(item.record.document) == ["file", "content_sha256", "status", "error", "zone", "area"]
     with pytest.raises(ValueError, match="JSON"):
         spool.put(1, "b", "job", answered("b", "B", score=float("nan")))
 

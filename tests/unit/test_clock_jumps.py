@@ -106,5 +106,5 @@ def test_the_history_stays_in_order(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     for number, shift in enumerate((0, -1, 1)):
         now += timedelta(hours=shift)
         history.add(run, [record | numbers | {"file": str(number)}])
-    assert [row["file"] for row in history.find()] == ["2", "1", "0"]
-    assert [row["file"] for row in history.find(Filter(limit=1))] == ["2"]
+    assert [entry.file for entry in history.find()] == ["2", "1", "0"]
+    assert [entry.file for entry in history.find(Filter(limit=1))] == ["2"]

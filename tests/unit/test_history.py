@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from tagid.errors import MissingExtraError, StorageError, UsageError
-from tagid.storage.history import FIELDS, Filter, History
+from tagid.storage.history import FIELDS, TYPES, Entry, Filter, History
 from tagid.storage.history_export import export
 
 
@@ -53,11 +53,33 @@ def history(tmp_path: Path) -> History:
 def test_what_is_kept_comes_back(history: History) -> None:
     run = history.begin("report", {"imaging": {"pixels": 128}})
     (number,) = history.add(run, [record()])
-    (row,) = history.find()
-    assert tuple(row) == FIELDS
-    assert (row["command"], row["layout"], row["centre_y_m"], row["total_s"]) == (
-        "report", "helmet-120", -0.002, 0.75
-    )  # fmt: skip
+    (entry,) = history.find()
+    assert tuple(entry.to_json()) == FIELDS == tuple(TYPES)
+    assert entry == Entry(
+        id=number,
+        command="report",
+        time_utc=record()["time_utc"],
+        file=record()["file"],
+        content_sha256="ab" * 32,
+        capture_uuid="uuid-0",
+        status="identified",
+        layout="helmet-120",
+        label=record()["label"],
+        score=record()["score"],
+        margin=record()["margin"],
+        rotation_deg=record()["rotation_deg"],
+        centre_x_m=record()["centre_m"][0],
+        centre_y_m=-0.002,
+        missing=0,
+        extra=record()["extra"],
+        registry_version=record()["registry_version"],
+        model_sha256=None,
+        tool_version="0.1.0",
+        total_s=0.75,
+        reason=record()["reason"],
+        error_code=None,
+        error_message=None,
+    )
     assert history.reflectors(number) == record()["reflectors"]
 
 
@@ -68,7 +90,7 @@ def test_filters(history: History) -> None:
     history.add(report, [record(9, status="unknown", layout=None), record(12, status="failed", error=failed)])
 
     def found(**wanted: object) -> list[str]:
-        return [row["capture_uuid"] for row in history.find(Filter(**wanted))]  # type: ignore[arg-type]
+        return [entry.capture_uuid for entry in history.find(Filter(**wanted))]  # type: ignore[arg-type]
 
     assert found() == ["uuid-12", "uuid-9", "uuid-2", "uuid-1", "uuid-0"]
     assert found(status="unknown") == ["uuid-9"]

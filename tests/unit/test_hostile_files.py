@@ -223,11 +223,12 @@ def test_onnxruntime_writes_nothing_into_the_users_folders(tmp_path: Path) -> No
 
 
 def test_a_csv_of_the_terminal_is_neutral(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    from tagid.report.records import ItemRecord
     from tagid.report.tables import CSV_COLUMNS, write_csv
 
     record: dict[str, Any] = dict.fromkeys(CSV_COLUMNS, "=1+1")
     record |= {"centre_m": None, "reflectors": [], "error": None, "seconds": {}, "correct": None}
-    write_csv(tmp_path / "items.csv", [record])
+    write_csv(tmp_path / "items.csv", [ItemRecord(record)])
     rows = list(csv.reader(io.StringIO((tmp_path / "items.csv").read_text())))
     assert rows[0] == list(CSV_COLUMNS)
     assert all(not value.startswith(("=", "+", "-", "@")) for value in rows[1])

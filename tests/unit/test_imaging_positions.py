@@ -61,7 +61,9 @@ def bent(sagitta_m: float, delay_m: float, noise: float = 0.2) -> Capture:
 @pytest.mark.parametrize(("sagitta_m", "delay_m"), [(0.0, -0.5), (0.06, 0.9), (-0.1, 0.3)])
 def test_a_bent_path_off_the_middle_knows_its_delay_and_its_side(sagitta_m: float, delay_m: float) -> None:
     """A path in one upright plane has two sides alike; a few centimetres of bend leave ghosts there."""
-    region = choose_region(bent(sagitta_m, delay_m), ImageGrid(0.5, 128), None, free=(True, True))
+    region = choose_region(
+        bent(sagitta_m, delay_m), ImageGrid(0.5, 128), None, free_extent=True, free_pixels=True
+    )
     assert region.focus is not None
     assert region.focus.reliable
     assert region.focus.delay_m == pytest.approx(delay_m, abs=0.008)
@@ -100,7 +102,9 @@ def test_methods_image_a_rail_without_being_told_where_to_look(method: str) -> N
 def test_an_image_about_the_origin_must_show_all_strong_echoes() -> None:
     """The strongest echo lies inside the default square, the other does not."""
     near = np.array([[0.1, 0.4], [0.5, 3.6]])
-    region = choose_region(rail(0.0, near, views=300), ImageGrid(1.0, 128), None, 0.0, free=(True, True))
+    region = choose_region(
+        rail(0.0, near, views=300), ImageGrid(1.0, 128), None, 0.0, free_extent=True, free_pixels=True
+    )
     reach = np.abs(near - np.array(region.centre_m)).max()
     assert reach < region.grid.extent / 2
     given = choose_region(rail(0.0, near, views=300), ImageGrid(1.0, 128), None, 0.0)

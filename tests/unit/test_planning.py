@@ -11,7 +11,7 @@ import pytest
 
 from tagid.errors import UsageError
 from tagid.planning.plan import GAP_DB, Setup, gap, invert, moved_distance_m, plan
-from tagid.planning.rates import expected, wilson
+from tagid.planning.rates import expected
 from tagid.radar.settings import RadarConfig
 from tagid.recording.plan import plan_window
 from tagid.recording.sources import emulated_scene
@@ -100,7 +100,6 @@ def test_rates_are_those_of_the_tables_and_between_them() -> None:
     assert expected("can", 36, 10).source != low.source
     with pytest.raises(UsageError, match="no rates"):
         expected("teapot", 36, 10)
-    assert (wilson(0.5, 100).low, wilson(0.5, 100).high) == pytest.approx((0.4038, 0.5962), abs=1e-4)
 
 
 def test_what_is_wanted_is_reached_by_the_least_effort() -> None:

@@ -15,9 +15,10 @@ import pytest
 
 from tagid import files
 from tagid.errors import DataError, DiskFullError, FileFormatError, StorageError
-from tagid.metadata import ObjectInfo, RadarInfo, RadarSettings
+from tagid.metadata import MotionInfo, ObjectInfo, RadarInfo, RadarSettings
 from tagid.storage.journal import JournalWriter, read_journal
 from tagid.storage.journal_capture import journal_to_capture
+from tagid.storage.journal_header import JournalHeader
 from tagid.storage.journal_records import pack_record
 
 HEADER = {
@@ -62,6 +63,28 @@ def test_what_is_written_is_read_back(tmp_path: Path) -> None:
         HEADER["uuid"],
         ObjectInfo(label="helmet"),
     )
+
+
+def test_every_field_of_a_recordings_header_reaches_the_capture(tmp_path: Path) -> None:
+    header = JournalHeader(
+        range_start_m=0.4,
+        range_step_m=0.009149,
+        axis_distance_m=1.5,
+        antenna_height_m=0.1,
+        antenna_separation_m=0.2,
+        radar=RadarInfo(serial=7, config=RadarSettings(base_integration_index=11)),
+        motion=MotionInfo(url="free?rpm=2"),
+        object=ObjectInfo(label="helmet"),
+        created_utc="2024-05-01T10:00:00+00:00",
+        tool_version="0.1.0",
+    )
+    with JournalWriter(tmp_path / "j", header.to_json()) as journal:
+        journal.append(0, 10**18, 0.0, scan(0))
+        journal.close()
+    capture = journal_to_capture(read_journal(tmp_path / "j"))
+    for name in JournalHeader.__dataclass_fields__:
+        assert getattr(capture, name) == getattr(header, name), name
+    assert JournalHeader(0.4, 0.009).uuid != JournalHeader(0.4, 0.009).uuid
 
 
 def test_the_bytes_are_those_of_the_documented_layout(tmp_path: Path) -> None:

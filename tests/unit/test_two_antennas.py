@@ -142,7 +142,7 @@ def test_a_path_of_pairs_is_imaged_where_the_echoes_are() -> None:
     distance = (np.linalg.norm(one - point, axis=1) + np.linalg.norm(other - point, axis=1)) / 2
     samples = analytic_echo(STEP_M * np.arange(500) - distance[:, None]).real.astype(np.float32)
     capture = Capture(samples, 0.0, STEP_M, antenna_positions_m=one, receive_positions_m=other)
-    region = choose_region(capture, ImageGrid(0.5, 64), None, 0.0, "none", (True, True))
+    region = choose_region(capture, ImageGrid(0.5, 64), None, 0.0, "none", free_extent=True, free_pixels=True)
     assert np.hypot(region.points[0].x_m - 0.3, region.points[0].y_m - 1.8) < 0.02
     scans = preprocess(region.capture, settings=PreprocessSettings("none", True, extent_m=region.grid.extent))
     place = pick_peaks(backproject(scans, region.grid), 1)[0] + np.array(region.centre_m)

@@ -19,8 +19,6 @@ EVENT: Final = "7d1c0003-3a6e-4f52-9b0d-7461676964b1"
 INFO: Final = "7d1c0004-3a6e-4f52-9b0d-7461676964b1"
 
 PROTOCOL: Final = 2
-DEADMAN_MS: Final = 400
-"""The bridge's default dead-man timeout, ms: longest time without a write from an armed host."""
 
 
 class Op(IntEnum):

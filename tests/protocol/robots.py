@@ -1,0 +1,16 @@
+"""What the tests of robots wait for."""
+
+from __future__ import annotations
+
+import time
+
+from tagid.motion.roomba.device import Roomba
+
+
+def turned(motion: Roomba, radians: float) -> None:
+    """Return once the robot has turned so far; fail after 20 s, or where the motion does."""
+    deadline = time.monotonic() + 20
+    while abs(motion.turned_rad) < radians:
+        motion.check()
+        assert time.monotonic() < deadline
+        time.sleep(0.005)
