@@ -171,10 +171,8 @@ def register(app: typer.Typer) -> None:
             delay_m=delay_search if focus else 0.0,
             restore=beam,
             held_out=held_out,
-            free_size=(
-                config.values["imaging.extent_m"].source == "default",
-                config.values["imaging.pixels"].source == "default",
-            ),
+            free_extent=config.values["imaging.extent_m"].source == "default",
+            free_pixels=config.values["imaging.pixels"].source == "default",
         )
         loading = replace(LoadSettings.of(config, background), wave_speed_m_s=wave_speed)
         prepared = PreparedCapture(load_capture(file, loading), settings)

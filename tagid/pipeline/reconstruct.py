@@ -123,7 +123,6 @@ def _placed(prepared: PreparedCapture, watch: Stopwatch) -> _Placed:
     """Where the image lies and how large it is. Raises UsageError for a turntable's image off the axis."""
     settings = prepared.settings
     grid = ImageGrid(settings.extent_m, settings.pixels)
-    free_extent, free_pixels = settings.free_size
     if prepared.given.antenna_positions_m is not None:
         with watch.stage("focus"):
             region = choose_region(
@@ -133,8 +132,8 @@ def _placed(prepared: PreparedCapture, watch: Stopwatch) -> _Placed:
                 settings.delay_m,
                 settings.background,
                 settings.towards_m,
-                free_extent=free_extent,
-                free_pixels=free_pixels,
+                free_extent=settings.free_extent,
+                free_pixels=settings.free_pixels,
             )
         settings = replace(settings, extent_m=region.grid.extent, pixels=region.grid.pixels)
         return _Placed(PreparedCapture(region.capture, settings), settings, region.grid, region)
@@ -143,7 +142,7 @@ def _placed(prepared: PreparedCapture, watch: Stopwatch) -> _Placed:
             "images of a turntable are always centred on the rotation axis",
             "Omit --centre, or give a larger --extent.",
         )
-    if free_pixels:
+    if settings.free_pixels:
         finest = finest_cell_m(prepared.given.wavelength_m)
         pixels = int(np.clip(np.ceil(grid.extent / finest), grid.pixels, max(grid.pixels, MOST_FREE_PIXELS)))
         grid = ImageGrid(grid.extent, pixels)

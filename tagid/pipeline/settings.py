@@ -46,7 +46,8 @@ class ImagingSettings:
         restore: show sparse images at the resolution of the data (`tagid.imaging.restore`), or single pixels.
         held_out: compute how well the image predicts held-out views
             (`tagid.imaging.heldout`).
-        free_size: whether extent and pixels may be adapted to the echoes of free antenna positions.
+        free_extent: whether the extent may be adapted to the echoes of free antenna positions.
+        free_pixels: whether the number of pixels may be adapted to the wavelength.
         pulse: "auto", the pulse of the capture or else the nominal one of its band; "nominal"; or "estimate",
             estimated from the scans if that fits them better (`tagid.imaging.pulsefit`).
         false_accept: probability of identifying an object without an enrolled tag.
@@ -65,7 +66,8 @@ class ImagingSettings:
     towards_m: tuple[float, float] | None = None
     restore: bool = True
     held_out: bool = True
-    free_size: tuple[bool, bool] = (False, False)
+    free_extent: bool = False
+    free_pixels: bool = False
     ats: AtsSettings = field(default_factory=AtsSettings)
     pulse: str = "auto"
     false_accept: float = 1e-3

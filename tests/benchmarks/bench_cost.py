@@ -313,7 +313,7 @@ def pulse_estimates() -> str:
         (f"turn, {views} views, 96 x 96", simulate(points, views, 0.316, rng), turn) for views in (36, 360)
     ]
     cases += [
-        ("rail, 600 views, about 2.2 m", rail, {"free_size": (True, True)}),
+        ("rail, 600 views, about 2.2 m", rail, {"free_extent": True, "free_pixels": True}),
         ("rail, 600 views, 4 m, 256 x 256", rail, {"extent_m": 4.0, "pixels": 256}),
     ]
     rows = []

@@ -68,9 +68,7 @@ def residuals(task: Task) -> dict[str, float | bool | str]:
     found: dict[str, float | bool | str] = {"views": capture.views}
     began = time.process_time()
     for method in METHODS:
-        settings = ImagingSettings(
-            method=method, extent_m=extent, pixels=96, focus_m=0.0, free_size=(False, True)
-        )
+        settings = ImagingSettings(method=method, extent_m=extent, pixels=96, focus_m=0.0, free_pixels=True)
         image = reconstruct(capture, settings).image
         told = image.settings.get("held_out")
         if told is None:

@@ -199,7 +199,7 @@ def print_pulse_seconds() -> None:
             seconds = []
             for pulse in ("nominal", "estimate"):
                 settings = ImagingSettings(
-                    method=method, free_size=(True, True), pulse=pulse, background="none"
+                    method=method, free_extent=True, free_pixels=True, pulse=pulse, background="none"
                 )
                 start = time.process_time()
                 reconstruct(capture, settings)

@@ -346,7 +346,7 @@ def try_rail(cell: RailCell) -> RailFound:
     capture, delay = rail_capture(cell)
     scores, images, error, extent = [], [], float("nan"), 1.0
     for method in RAIL_ROWS:
-        result = reconstruct(capture, ImagingSettings(method=method, free_size=(True, True)))
+        result = reconstruct(capture, ImagingSettings(method=method, free_extent=True, free_pixels=True))
         assert result.region is not None
         focus = result.region.focus
         error = 1e3 * (focus.delay_m - delay) if focus is not None else float("nan")

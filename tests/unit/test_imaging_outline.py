@@ -81,7 +81,7 @@ def image_of(center_hz: float, speed: float) -> Reconstruction:
         bandwidth_hz=0.43 * center_hz,
         wave_speed_m_s=speed,
     )
-    settings = ImagingSettings(extent_m=12.5 * lam, free_size=(False, True))
+    settings = ImagingSettings(extent_m=12.5 * lam, free_pixels=True)
     return reconstruct(capture, settings)
 
 

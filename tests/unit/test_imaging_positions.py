@@ -88,7 +88,7 @@ def test_noise_alone_gives_no_delay() -> None:
 
 @pytest.mark.parametrize("method", ["bp", "bp-raw", "polar", "omp"])
 def test_methods_image_a_rail_without_being_told_where_to_look(method: str) -> None:
-    settings = ImagingSettings(method=method, free_size=(True, True))
+    settings = ImagingSettings(method=method, free_extent=True, free_pixels=True)
     result = reconstruct(prepare(rail(0.42, views=300)), settings)
     assert result.region is not None
     assert result.region.mirrored
@@ -175,7 +175,7 @@ def test_config_names_the_methods_that_exist() -> None:
 
 def test_ranges_as_given_are_imaged_about_the_strong_echoes() -> None:
     """`--no-focus` with free positions: no delay is searched, and the image is not about the origin."""
-    settings = ImagingSettings(method="bp", delay_m=0.0, free_size=(True, True))
+    settings = ImagingSettings(method="bp", delay_m=0.0, free_extent=True, free_pixels=True)
     result = reconstruct(prepare(rail(0.0, views=150)), settings)
     assert result.region is not None
     assert result.region.focus is None
@@ -190,7 +190,7 @@ def test_ranges_as_given_are_imaged_about_the_strong_echoes() -> None:
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_one_side_of_a_straight_path_is_chosen(side: float) -> None:
     """A straight rail cannot tell its sides apart; a point on one of them says which is wanted."""
-    settings = ImagingSettings(method="bp", free_size=(True, True), towards_m=(0.0, side))
+    settings = ImagingSettings(method="bp", free_extent=True, free_pixels=True, towards_m=(0.0, side))
     result = reconstruct(prepare(rail(0.42, views=150)), settings)
     assert result.region is not None
     assert result.region.mirrored
