@@ -59,10 +59,12 @@ RECORDINGS = (
     Recording(36, 5),
     Recording(36, 0),
 )
+BODY_RECORDINGS, OBJECT_RECORDINGS = 6, 2
+"""So many of them are read with the body enrolled, and with the object."""
 GRID_VIEWS, GRID_SNRS_DB = (12, 18, 24, 36, 72), (0.0, 5.0, 10.0, 15.0, 20.0, 30.0)
 MODES = ("blind", "body", "object")
-ROUND = ("free24", "closed25", "rim45", "plastic40", "closed32", "cup33")
-"""Bodies of revolution, but for a seam, and tags alone: to be read without enrolment."""
+ROUND = ("free24", "closed25", "wide45", "plastic40", "closed32", "cup33")
+"""Bodies of revolution, and tags alone: to be read without enrolment."""
 ENROLMENT = Recording(72, 20)
 TOGETHER = "two objects"
 
@@ -219,15 +221,16 @@ def is_null(task: Task) -> bool:
 def tasks(names: Sequence[str], numbers: int, nulls: int) -> list[Task]:
     """Every reading of a set of objects, in an order drawn once."""
     found = []
-    for recording in RECORDINGS:
+    for i, recording in enumerate(RECORDINGS):
         for name in names:
             own = range(numbers if truth_of(name) else nulls)
-            found += [Task("blind", name, "", "", recording, i) for i in own]
+            found += [Task("blind", name, "", "", recording, n) for n in own]
             base = base_of(name)
-            if base:
-                found += [Task("body", name, base, "", recording, i) for i in range(numbers)]
+            if base and i < BODY_RECORDINGS:
+                found += [Task("body", name, base, "", recording, n) for n in range(numbers)]
+            if base and i < OBJECT_RECORDINGS:
                 known = [n for n in names if base_of(n) == base and n != base]
-                found += [Task("object", name, k, "", recording, i) for k in known for i in range(1)]
+                found += [Task("object", name, one, "", recording, 0) for one in known]
     tagged = [name for name in names if truth_of(name)]
     for recording in RECORDINGS[:3]:
         found += [Task("blind", a, "", b, recording, 0) for a, b in pairwise(tagged)]

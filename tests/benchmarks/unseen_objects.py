@@ -20,11 +20,11 @@ from tagid.simulate.response import Ring
 SWEEP = Sweep(
     frequencies=21,
     rings=(
-        *(Ring(d, "V", h) for h in (-0.1, 0.0, 0.1) for d in (0.8, 1.2)),
+        *(Ring(d, "V", h) for h in (0.0, 0.1) for d in (0.8, 1.2)),
         *(Ring(d, "H") for d in (0.8, 1.2)),
     ),
 )
-"""Upright polarisation from three heights, so that a tag may stand higher or lower than the antenna."""
+"""Upright polarisation from two heights: the tag may stand lower than the antenna."""
 
 LAYOUTS = {"c90": "container-90", "c180": "container-180", "h120": "helmet-120", "lin": "helmet-linear"}
 """Ending of an object's name: the built-in layout that it carries. Any other ending carries none."""
@@ -44,11 +44,14 @@ def _closed25() -> Mesh:
     return _profile(0.009, (0, -40), (25, -40), (25, 40), (0, 40))
 
 
+def _wide45() -> Mesh:
+    """A wide can, open, with a rim of 4 mm."""
+    return _profile(0.010, (0, -50), (45, -50), (45, 50), (49, 50))
+
+
 def _rim45() -> Mesh:
-    """A wide can, open, with a rim of 4 mm and an upright seam that stands off its wall."""
-    can = _profile(0.010, (0, -50), (45, -50), (45, 50), (49, 50))
-    fin = shapes.plate(0.005, 0.090, 0.010).moved((0.0, 0.0495, 0.0))
-    return Mesh.join(can, fin)
+    """The same with an upright seam that stands off its wall."""
+    return Mesh.join(_wide45(), shapes.plate(0.005, 0.090, 0.010).moved((0.0, 0.0495, 0.0)))
 
 
 def _plastic40() -> Mesh:
@@ -94,10 +97,6 @@ def _mug31() -> Mesh:
     return Mesh.join(shapes.can(0.031, 0.095, 0.009), handle)
 
 
-def _tin() -> Mesh:
-    return shapes.box((0.048, 0.076, 0.085), 0.0095)
-
-
 DEVELOPMENT = {
     "free24_c180": Object(None, 24, ring(45, 10, 190)),
     "free24_one": Object(None, 24, ((0, 0),)),
@@ -108,6 +107,9 @@ DEVELOPMENT = {
     "rim45": Object(_rim45),
     "rim45_c90": Object(_rim45, 20, ring(57, 150, 240)),
     "rim45_three": Object(_rim45, 20, ring(57, 150, 240, 20)),
+    "wide45": Object(_wide45),
+    "wide45_c180": Object(_wide45, 30, ring(62, 15, 195)),
+    "wide45_c90": Object(_wide45, 20, ring(57, 150, 240)),
     "plastic40": Object(_plastic40),
     "plastic40_c180": Object(_plastic40, 20, ring(51, 40, 220)),
     "plastic40_pair140": Object(_plastic40, 30, ring(57, 40, 180)),
@@ -135,8 +137,6 @@ SEALED = {
     "mug31": Object(_mug31),
     "mug31_c180": Object(_mug31, 30, ring(49, 30, 210)),
     "mug31_pair60": Object(_mug31, 20, ring(45, 0, 60)),
-    "tin": Object(_tin),
-    "tin_c180": Object(_tin, 20, ring(50, 90, 270)),
     "shell70": Object(_shell70),
     "shell70_h120": Object(_shell70, 40, ring(112, 70, 190, 310)),
     "shell70_lin": Object(_shell70, 20, ((90, 0), (90, 180), (0, 0))),
