@@ -82,13 +82,13 @@ def decide_on_body(reading: BodyReading, settings: BodyDecision) -> Verdict:
     gain = r.body_left - min(placed.left for placed in (*r.layouts, *r.others))
     if gain < s.no_tag_nats * r.variance + s.no_tag_share * r.energy:
         return Verdict("no_tag", Code.NO_TAG, f"{name} without reflectors explains the echo")
-    if r.unexplained > most_unexplained(r, s):
-        code = Code.UNEXPLAINED if r.body.name else Code.BODY
-        return Verdict(
-            "unknown",
-            code,
-            f"{best.layout} on {name} leaves {min(r.unexplained, 1):.0%} of its echo unexplained",
-        )
+    left = Verdict(
+        "unknown",
+        Code.UNEXPLAINED if r.body.name else Code.BODY,
+        f"{best.layout} on {name} leaves {min(r.unexplained, 1):.0%} of its echo unexplained",
+    )
+    if r.unexplained > s.unexplained:
+        return left
     if abs(r.pose.centre) > s.centre_m:
         return Verdict(
             "unknown",
@@ -130,4 +130,5 @@ def decide_on_body(reading: BodyReading, settings: BodyDecision) -> Verdict:
         return Verdict(
             "unknown", Code.OTHER, f"another arrangement on {name} explains the echo about as well"
         )
-    return Verdict("identified")
+    # Last: where another test speaks against the layout, its reason says more.
+    return left if r.unexplained > most_unexplained(r, s) else Verdict("identified")
