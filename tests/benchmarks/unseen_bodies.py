@@ -324,6 +324,8 @@ def report(found: dict[Task, Answer]) -> list[str]:
         "object": "The tagged object enrolled from three captures",
     }
     for mode, title in titles.items():
+        if not any(named(mode)(task) for task in found):
+            continue
         lines += [f"## {title}", "", "Named rightly:", "", *rows(found, named(mode), False)]
         lines += [f"Not named rightly: {refusals(found, named(mode))}.", ""]
     full, half = RECORDINGS[:2], RECORDINGS[2:4]
@@ -348,11 +350,9 @@ def report(found: dict[Task, Answer]) -> list[str]:
     wrong = sum(a.outcome == "wrong" for a in null)
     lines += [f"Named: {wrong} of {len(null)}; 95 % upper bound: {most(wrong, len(null))}. Not named:", ""]
     for mode in MODES:
-        lines += [
-            f"{mode.capitalize()}:",
-            "",
-            *rows(found, lambda t, m=mode: t.mode == m and is_null(t), True),
-        ]
+        own = {t: a for t, a in found.items() if t.mode == mode and is_null(t)}
+        if own:
+            lines += [f"{mode.capitalize()}:", "", *rows(own, is_null, True)]
     wrong = sum(a.outcome == "wrong" for a in found.values())
     lines += [f"Named wrongly in all: {wrong} of {len(found)}; at most {most(wrong, len(found))}.", ""]
     lines += [f"- {a.key}: {a.layout} ({a.kind})" for a in found.values() if a.outcome == "wrong"]
