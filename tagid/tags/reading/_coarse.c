@@ -20,7 +20,8 @@ WIDE static void coarse_points(const Field *g, const Coarse *c, double *far, flo
 {
     const int64_t n = g->views, w = g->width;
     float *base = scratch, *re = base + 2 * n;
-    int32_t *index = (int32_t *)(re + 2 * n * c->kinds), *moved = index + n;
+    float *restrict seen = re + 2 * n * c->kinds;
+    int32_t *index = (int32_t *)(seen + 2 * n), *moved = index + n;
     for (int64_t i = 0; i < c->count; i++) {
         const double *point = c->points + 3 * i;
         distances(g, point, 0.0, far);
@@ -51,13 +52,18 @@ WIDE static void coarse_points(const Field *g, const Coarse *c, double *far, flo
             turned(phase, &tr, &ti);
             for (int64_t v = 0; v < n; v++)
                 moved[v] = entry(g, far[v] + c->offsets[o]);
+            for (int64_t v = 0; v < n; v++) {
+                const float *t = c->table + 2 * (g->entries * v + moved[v]);
+                seen[v] = t[0];
+                seen[n + v] = t[1];
+            }
             for (int64_t a = 0; a < c->kinds; a++) {
-                const float *x = re + 2 * n * a, *y = x + n;
+                const float *restrict x = re + 2 * n * a, *restrict y = x + n;
                 float sr = 0.0f, si = 0.0f;
+#pragma omp simd reduction(+ : sr, si)
                 for (int64_t v = 0; v < n; v++) {
-                    const float *t = c->table + 2 * (g->entries * v + moved[v]);
-                    sr += x[v] * t[0] + y[v] * t[1];
-                    si += x[v] * t[1] - y[v] * t[0];
+                    sr += x[v] * seen[v] + y[v] * seen[n + v];
+                    si += x[v] * seen[n + v] - y[v] * seen[v];
                 }
                 float *out = c->images + 2 * (c->count * (c->shifts * a + o) + i);
                 out[0] = sr * tr - si * ti;
@@ -173,7 +179,7 @@ static PyObject *coarse(PyObject *self, PyObject *args)
     if (!(c.fixed = take(&h, o[5], 8 * c.kinds * c.count * g.width, 1)) ||
         !(c.images = take(&h, o[6], 8 * c.kinds * c.shifts * c.count, 1)))
         goto done;
-    double *far = malloc((size_t)g.views * 8 + (size_t)(4 + 2 * c.kinds) * (size_t)g.views * 4);
+    double *far = malloc((size_t)g.views * 8 + (size_t)(6 + 2 * c.kinds) * (size_t)g.views * 4);
     if (!far) {
         PyErr_NoMemory();
         goto done;

@@ -10,7 +10,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#define LANES 8 /* numbers of coordinates are padded to a multiple */
+#define LANES 4 /* numbers of coordinates are padded to a multiple */
 #define MOST 24 /* points of a set, at most */
 
 typedef struct {

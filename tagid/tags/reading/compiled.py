@@ -23,7 +23,7 @@ if any(getattr(one, "ARGUMENTS", 0) != 1 for one in (_matched, _coarse)):  # bui
 
 MOST_POINTS = 24
 """Points of one set, at most."""
-_LANES = 8
+_LANES = 4
 """Numbers of coordinates are padded to a multiple of this."""
 
 Pattern = tuple[float, float, float]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -261,7 +262,11 @@ class CoarseGrid:
 
     @classmethod
     def of(cls, layout: Layout, settings: SearchSettings) -> CoarseGrid:
-        """The grid of a layout."""
+        """The grid of a layout; those used last are kept."""
+        return _grid_of(layout, settings)
+
+    @classmethod
+    def _made(cls, layout: Layout, settings: SearchSettings) -> CoarseGrid:
         turn = 2 * np.pi / layout.symmetry
         rotations = np.arange(0, turn - 1e-9, _rotation_step(layout, settings))
         count = int(np.floor(settings.centre_range_m / settings.centre_step_m))
@@ -317,6 +322,11 @@ class CoarseGrid:
         typical = (trust * seen).sum(axis=0) / np.maximum(trust.sum(axis=0), 1e-9)
         seen = trust * seen + (1 - trust) * typical
         return charge(explained, seen, balance, axis=0)
+
+
+@lru_cache(maxsize=64)
+def _grid_of(layout: Layout, settings: SearchSettings) -> CoarseGrid:
+    return CoarseGrid._made(layout, settings)
 
 
 def _level(field: MatchedField, height_m: float) -> float:
