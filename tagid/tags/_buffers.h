@@ -7,7 +7,8 @@
 #include <stdint.h>
 
 /* Wider vectors where the processor has them, decided when the module is loaded. */
-#if defined(__GNUC__) && !defined(__clang__) && defined(__x86_64__) && defined(__linux__) && defined(__GLIBC__)
+#if defined(__GNUC__) && !defined(__clang__) && defined(__x86_64__) && defined(__linux__) &&                 \
+    defined(__GLIBC__)
 #define WIDE __attribute__((target_clones("arch=haswell", "default")))
 #else
 #define WIDE
@@ -39,7 +40,8 @@ static inline void *take(Held *h, PyObject *from, int64_t bytes, int writable)
         return NULL;
     h->count++;
     if (bytes >= 0 && b->len != bytes) {
-        PyErr_Format(PyExc_ValueError, "a buffer of %zd bytes where %lld are expected", b->len, (long long)bytes);
+        PyErr_Format(PyExc_ValueError, "a buffer of %zd bytes where %lld are expected", b->len,
+                     (long long)bytes);
         return NULL;
     }
     return b->buf;

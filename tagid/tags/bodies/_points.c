@@ -1,7 +1,8 @@
-/* The linear model of points and their double bounce at one arrangement: what it leaves, and which way is down.
+/* The linear model of points and their double bounce at one arrangement: what it leaves, and which way is
+ * down.
  *
- * `tagid.tags.bodies.points` holds the formula, and does the same with numpy where no compiler was present. Only
- * the stable ABI and the buffer protocol are used.
+ * `tagid.tags.bodies.points` holds the formula, and does the same with numpy where no compiler was present.
+ * Only the stable ABI and the buffer protocol are used.
  */
 #include "../_buffers.h"
 #include <math.h>
@@ -103,14 +104,15 @@ typedef struct {
 } Slopes;
 
 /* Waves of points and pairs at the first frequency. */
-INLINE void prepare(const Spectra *g, const double *places, const double *heights, int count, double *away, Wave *single,
-                    Wave *bounce, Slopes *s)
+INLINE void prepare(const Spectra *g, const double *places, const double *heights, int count, double *away,
+                    Wave *single, Wave *bounce, Slopes *s)
 {
     const int64_t n = g->views;
     for (int k = 0; k < count; k++)
         for (int64_t v = 0; v < n; v++) {
             const double x = g->antenna[v] - places[2 * k], y = g->antenna[n + v] - places[2 * k + 1];
-            const double up = g->height[v] - heights[k], d = sqrt(x * x + y * y + up * up), near = g->distance / d;
+            const double up = g->height[v] - heights[k], d = sqrt(x * x + y * y + up * up),
+                         near = g->distance / d;
             away[n * k + v] = d;
             s->toward[k][v] = -x / d;
             s->toward[k][n + v] = -y / d;
@@ -136,8 +138,8 @@ INLINE void prepare(const Spectra *g, const double *places, const double *height
 }
 
 /* Derivatives (2 K, 2, 2, views) of both columns at one frequency. */
-INLINE void derive(const Spectra *g, double kappa, int count, const Wave *single, const Wave *bounce, const Slopes *s,
-                   double *slopes)
+INLINE void derive(const Spectra *g, double kappa, int count, const Wave *single, const Wave *bounce,
+                   const Slopes *s, double *slopes)
 {
     const int64_t n = g->views;
     memset(slopes, 0, (size_t)(8 * count * n) * sizeof(double));
@@ -145,7 +147,8 @@ INLINE void derive(const Spectra *g, double kappa, int count, const Wave *single
     for (int k = 0; k < count; k++)
         for (int axis = 0; axis < 2; axis++) {
             double *restrict re = slopes + 4 * n * (2 * k + axis), *restrict im = re + n;
-            const double *restrict a = single[k].phase, *restrict b = a + n, *restrict t = s->toward[k] + n * axis;
+            const double *restrict a = single[k].phase, *restrict b = a + n,
+                                   *restrict t = s->toward[k] + n * axis;
             for (int64_t v = 0; v < n; v++) {
                 re[v] = kappa * b[v] * t[v];
                 im[v] = -kappa * a[v] * t[v];
@@ -157,7 +160,8 @@ INLINE void derive(const Spectra *g, double kappa, int count, const Wave *single
                 const int k = end ? s->other[p] : s->one[p];
                 const double along = end ? -s->along[p][axis] : s->along[p][axis];
                 double *restrict re = slopes + 4 * n * (2 * k + axis) + 2 * n, *restrict im = re + n;
-                const double *restrict a = bounce[p].phase, *restrict b = a + n, *restrict t = s->toward[k] + n * axis;
+                const double *restrict a = bounce[p].phase, *restrict b = a + n,
+                                       *restrict t = s->toward[k] + n * axis;
                 for (int64_t v = 0; v < n; v++) {
                     const double w = 0.5 * kappa * (t[v] + along);
                     re[v] += b[v] * w;
@@ -173,8 +177,8 @@ typedef struct {
 } Result;
 
 /* Least squares with the amplitudes eliminated (Kaufman 1975), frequency after frequency. */
-WIDE static void linear_model(const Spectra *g, const double *places, const double *heights, int count, double *scratch,
-                              const Result *out)
+WIDE static void linear_model(const Spectra *g, const double *places, const double *heights, int count,
+                              double *scratch, const Result *out)
 {
     const int64_t n = g->views;
     const int cols = count > 1 ? 2 : 1, moves = 2 * count, pairs = count * (count - 1) / 2;
@@ -203,7 +207,8 @@ WIDE static void linear_model(const Spectra *g, const double *places, const doub
         for (int p = 0; p < pairs; p++)
             for (int64_t v = 0; v < 2 * n; v++)
                 q[2 * n + v] += bounce[p].phase[v];
-        /* Orthonormal columns by Gram and Schmidt, the second in two steps, which is as exact as reflections. */
+        /* Orthonormal columns by Gram and Schmidt, the second in two steps, which is as exact as reflections.
+         */
         double size[2] = {0.0, 0.0}, overlap[2] = {0.0, 0.0}, found[2][2] = {{0.0, 0.0}, {0.0, 0.0}};
         memcpy(rest, g->data + 2 * n * f, (size_t)(2 * n) * sizeof(double));
         for (int c = 0; c < cols; c++) {
@@ -276,8 +281,8 @@ static PyObject *linear(PyObject *self, PyObject *args)
     Spectra g;
     Result out;
     const double *places, *heights;
-    if (!PyArg_ParseTuple(args, "OOO(ddd)OOOOO", o, o + 1, o + 2, &g.first, &g.step, &g.distance, o + 3, o + 4, o + 5,
-                          o + 6, o + 7))
+    if (!PyArg_ParseTuple(args, "OOO(ddd)OOOOO", o, o + 1, o + 2, &g.first, &g.step, &g.distance, o + 3,
+                          o + 4, o + 5, o + 6, o + 7))
         return NULL;
     if (!(g.height = take(&h, o[1], -1, 0)))
         return finished(&h);
@@ -297,7 +302,8 @@ static PyObject *linear(PyObject *self, PyObject *args)
         return finished(&h);
     }
     if (!(places = take(&h, o[3], 16 * count, 0)) || !(out.left = take(&h, o[5], 8, 1)) ||
-        !(out.normal = take(&h, o[6], 32 * count * count, 1)) || !(out.gradient = take(&h, o[7], 16 * count, 1)))
+        !(out.normal = take(&h, o[6], 32 * count * count, 1)) ||
+        !(out.gradient = take(&h, o[7], 16 * count, 1)))
         return finished(&h);
     const int64_t pairs = count * (count - 1) / 2;
     double *scratch = malloc((size_t)(g.views * (6 + 15 * count + 4 * pairs)) * sizeof(double));
@@ -305,10 +311,8 @@ static PyObject *linear(PyObject *self, PyObject *args)
         PyErr_NoMemory();
         return finished(&h);
     }
-    Py_BEGIN_ALLOW_THREADS
-    linear_model(&g, places, heights, (int)count, scratch, &out);
-    Py_END_ALLOW_THREADS
-    free(scratch);
+    Py_BEGIN_ALLOW_THREADS linear_model(&g, places, heights, (int)count, scratch, &out);
+    Py_END_ALLOW_THREADS free(scratch);
     return finished(&h);
 }
 
@@ -319,8 +323,15 @@ static PyMethodDef methods[] = {
 };
 
 static struct PyModuleDef module = {
-    PyModuleDef_HEAD_INIT, "_points", "Compiled model of points (see tagid.tags.bodies.points).", -1, methods,
-    NULL, NULL, NULL, NULL,
+    PyModuleDef_HEAD_INIT,
+    "_points",
+    "Compiled model of points (see tagid.tags.bodies.points).",
+    -1,
+    methods,
+    NULL,
+    NULL,
+    NULL,
+    NULL,
 };
 
 PyMODINIT_FUNC PyInit__points(void)

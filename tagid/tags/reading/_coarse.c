@@ -1,4 +1,5 @@
-/* The coarse search: images of b for several patterns and range offsets, and what every place of a layout explains.
+/* The coarse search: images of b for several patterns and range offsets, and what every place of a layout
+ * explains.
  *
  * coarse:   b and the constant part of the templates of many points
  * energies: of every rotation and shift of a layout, on these images
@@ -36,7 +37,8 @@ WIDE static void coarse_points(const Field *g, const Coarse *c, double *far, flo
             lit(g, &pattern, point, c->facing + 2 * i, own, own + n);
             memset(out, 0, (size_t)(2 * w) * sizeof(float));
             for (int64_t v = 0; v < n; v++) {
-                const float x = own[v], y = own[n + v], *restrict profile = g->profiles + 2 * w * (int64_t)index[v];
+                const float x = own[v],
+                            y = own[n + v], *restrict profile = g->profiles + 2 * w * (int64_t)index[v];
                 for (int64_t j = 0; j < w; j += LANES)
                     for (int l = 0; l < LANES; l++) {
                         out[j + l] += x * profile[j + l] - y * profile[w + j + l];
@@ -99,11 +101,11 @@ WIDE static void grid_energies(const Grid *g)
                 const double aty = (place[1] + g->shifts[2 * s + 1]) / g->step, py = aty + half;
                 const double last = (double)(side - 1), before = (double)(side - 2);
                 const double nx = rint(atx) + half, ny = rint(aty) + half;
-                const int64_t ix = (int64_t)(nx < 0 ? 0 : nx > last ? last : nx);
-                const int64_t iy = (int64_t)(ny < 0 ? 0 : ny > last ? last : ny);
+                const int64_t ix = (int64_t)(nx > 0 ? (nx < last ? nx : last) : 0);
+                const int64_t iy = (int64_t)(ny > 0 ? (ny < last ? ny : last) : 0);
                 rows[i] = g->fixed + 2 * w * (side * iy + ix);
-                const int64_t lx = (int64_t)(px < 0 ? 0 : px > before ? before : px);
-                const int64_t ly = (int64_t)(py < 0 ? 0 : py > before ? before : py);
+                const int64_t lx = (int64_t)(px > 0 ? (px < before ? px : before) : 0);
+                const int64_t ly = (int64_t)(py > 0 ? (py < before ? py : before) : 0);
                 base[i] = side * ly + lx;
                 fx[i] = (float)(px - (double)lx);
                 fy[i] = (float)(py - (double)ly);
@@ -184,10 +186,8 @@ static PyObject *coarse(PyObject *self, PyObject *args)
         PyErr_NoMemory();
         goto done;
     }
-    Py_BEGIN_ALLOW_THREADS
-    coarse_points(&g, &c, far, (float *)(far + g.views));
-    Py_END_ALLOW_THREADS
-    free(far);
+    Py_BEGIN_ALLOW_THREADS coarse_points(&g, &c, far, (float *)(far + g.views));
+    Py_END_ALLOW_THREADS free(far);
 done:
     return finished(&h);
 }
@@ -199,8 +199,8 @@ static PyObject *energies(PyObject *self, PyObject *args)
     Py_ssize_t half, size;
     Held h = {.count = 0};
     Grid g;
-    if (!PyArg_ParseTuple(args, "OOOOOnndddddO", o, o + 1, o + 2, o + 3, o + 4, &half, &size, &g.step, &g.template_energy,
-                          &g.balance, &g.visible, &g.views, o + 5))
+    if (!PyArg_ParseTuple(args, "OOOOOnndddddO", o, o + 1, o + 2, o + 3, o + 4, &half, &size, &g.step,
+                          &g.template_energy, &g.balance, &g.visible, &g.views, o + 5))
         return NULL;
     g.half = half;
     g.size = size;
@@ -230,23 +230,29 @@ static PyObject *energies(PyObject *self, PyObject *args)
     if (!(g.gram = take(&h, o[4], 16 * g.rotations * size * size, 0)) ||
         !(g.out = take(&h, o[5], 4 * g.offsets * g.rotations * g.places, 1)))
         goto done;
-    Py_BEGIN_ALLOW_THREADS
-    grid_energies(&g);
-    Py_END_ALLOW_THREADS
-done:
-    return finished(&h);
+    Py_BEGIN_ALLOW_THREADS grid_energies(&g);
+    Py_END_ALLOW_THREADS done : return finished(&h);
 }
 
 static PyMethodDef methods[] = {
-    {"coarse", coarse, METH_VARARGS, "coarse(tables, table, points, facing, patterns, offsets, fixed, images)"},
+    {"coarse", coarse, METH_VARARGS,
+     "coarse(tables, table, points, facing, patterns, offsets, fixed, images)"},
     {"energies", energies, METH_VARARGS,
-     "energies(images, fixed, placed, shifts, gram, half, size, step, template_energy, balance, visible, views, out)"},
+     "energies(images, fixed, placed, shifts, gram, half, size, step, template_energy, balance, visible, "
+     "views, out)"},
     {NULL, NULL, 0, NULL},
 };
 
 static struct PyModuleDef module = {
-    PyModuleDef_HEAD_INIT, "_coarse", "Compiled loops of the coarse search (see tagid.tags.reading.compiled).", -1,
-    methods, NULL, NULL, NULL, NULL,
+    PyModuleDef_HEAD_INIT,
+    "_coarse",
+    "Compiled loops of the coarse search (see tagid.tags.reading.compiled).",
+    -1,
+    methods,
+    NULL,
+    NULL,
+    NULL,
+    NULL,
 };
 
 PyMODINIT_FUNC PyInit__coarse(void)

@@ -1,7 +1,7 @@
 /* Templates of points in the basis of the range profiles, and least squares on them.
  *
- * `tagid.tags.reading` holds the formulas, and does the same with numpy where no compiler was present. Only the
- * stable ABI and the buffer protocol are used. Complex numbers are pairs of real ones.
+ * `tagid.tags.reading` holds the formulas, and does the same with numpy where no compiler was present. Only
+ * the stable ABI and the buffer protocol are used. Complex numbers are pairs of real ones.
  */
 #ifndef TAGID_FIELD_H
 #define TAGID_FIELD_H
@@ -35,8 +35,9 @@ INLINE void turned(double cycles, float *c, float *s)
     const float t = 6.283185307179586f * (r - 0.25f * (float)q), z = t * t;
     /* Minimax polynomials up to pi / 4 (S. Moshier, Cephes). */
     const float sine = ((-1.9515295891e-4f * z + 8.3321608736e-3f) * z - 1.6666654611e-1f) * z * t + t;
-    const float cosine = ((2.443315711809948e-5f * z - 1.388731625493765e-3f) * z + 4.166664568298827e-2f) * z * z -
-                         0.5f * z + 1.0f;
+    const float cosine =
+        ((2.443315711809948e-5f * z - 1.388731625493765e-3f) * z + 4.166664568298827e-2f) * z * z - 0.5f * z +
+        1.0f;
     const float a = q & 1 ? sine : cosine, b = q & 1 ? cosine : sine;
     *c = (q + 1) & 2 ? -a : a;
     *s = q & 2 ? -b : b;
@@ -75,8 +76,8 @@ INLINE void phases(const Field *g, const double *restrict d, float *restrict re,
 }
 
 /* Phase times the pattern's amplitude, of a point that faces `facing`; (0, 0) is no side. */
-INLINE void lit(const Field *g, const Pattern *p, const double *point, const double *facing, float *restrict re,
-                       float *restrict im)
+INLINE void lit(const Field *g, const Pattern *p, const double *point, const double *facing,
+                float *restrict re, float *restrict im)
 {
     if (p->floor >= 1.0 || (facing[0] == 0.0 && facing[1] == 0.0))
         return;
@@ -95,7 +96,7 @@ INLINE void lit(const Field *g, const Pattern *p, const double *point, const dou
 
 /* One template (2, views, width) from its profile and phase in every view, less its mean over each circle. */
 INLINE void template(const Field *g, const int32_t *index, const float *re, const float *im, int64_t stride,
-                            int whole, float *restrict out, float *restrict sums)
+                     int whole, float *restrict out, float *restrict sums)
 {
     const int64_t n = g->views, w = g->width;
     float *restrict real = out, *restrict imaginary = out + n * w;
@@ -198,8 +199,8 @@ static inline int field_of(Held *h, PyObject *tables, Field *g)
 {
     PyObject *antennas, *middle, *circle, *profiles;
     Py_ssize_t circles, width;
-    if (!PyArg_ParseTuple(tables, "OOOOnnddd", &antennas, &middle, &circle, &profiles, &circles, &width, &g->start,
-                          &g->step, &g->wavenumber))
+    if (!PyArg_ParseTuple(tables, "OOOOnnddd", &antennas, &middle, &circle, &profiles, &circles, &width,
+                          &g->start, &g->step, &g->wavenumber))
         return 0;
     if (!(g->middle = take(h, middle, -1, 0)))
         return 0;

@@ -104,10 +104,10 @@ WIDE static void evaluate_sets(const Scene *s, const Evaluation *e)
     for (int64_t i = 0; i < e->count; i++)
         place(s, i, e->points + 3 * i, e->facing + 2 * i, e->offset[i]);
     for (int64_t h = 0; h < e->groups; h++) {
-        double(*gram)[2] = (double(*)[2])(e->gram + 2 * k * k * h);
+        double (*gram)[2] = (double (*)[2])(e->gram + 2 * k * k * h);
         for (int64_t i = 0; i < k; i++)
             relate(s, e->sets + h * k, k, i, i, gram);
-        e->explained[h] = explain(s, e->sets + h * k, k, gram, (double(*)[2])(e->amplitudes + 2 * k * h));
+        e->explained[h] = explain(s, e->sets + h * k, k, gram, (double (*)[2])(e->amplitudes + 2 * k * h));
     }
 }
 
@@ -147,7 +147,8 @@ INLINE void place_free(const Scene *s, const Points *p, int64_t i, const double 
 WIDE static void search_points(const Scene *s, const Points *p)
 {
     const int64_t k = p->size, axes = p->axes, moves = axes * k;
-    double start[3 * MOST], trial[6 * MOST], joint[3 * MOST], value[6 * MOST + 1], gram[MOST * MOST][2], x[MOST][2];
+    double start[3 * MOST], trial[6 * MOST], joint[3 * MOST], value[6 * MOST + 1], gram[MOST * MOST][2],
+        x[MOST][2];
     double changed[MOST * MOST][2], step = p->step;
     int32_t set[MOST];
     value[0] = 0.0;
@@ -198,9 +199,9 @@ WIDE static void search_points(const Scene *s, const Points *p)
 }
 
 typedef struct {
-    const double *positions; /* (K, 2) */
-    const double *heights;   /* (K,) */
-    const double *facing;    /* (K, 2) */
+    const double *positions;         /* (K, 2) */
+    const double *heights;           /* (K,) */
+    const double *facing;            /* (K, 2) */
     const double *low, *high, *step; /* (D,) */
     int64_t size, axes, first, last;
     double balance, template_energy, visible;
@@ -274,8 +275,9 @@ WIDE static void search_layout(const Scene *s, const Layout *l, double *at)
     }
 }
 
-WIDE static void look_points(const Field *g, const Pattern *p, const double *points, const double *facing, double offset,
-                             int64_t count, int32_t *index, float *turn, double *far, float *re)
+WIDE static void look_points(const Field *g, const Pattern *p, const double *points, const double *facing,
+                             double offset, int64_t count, int32_t *index, float *turn, double *far,
+                             float *re)
 {
     const int64_t n = g->views;
     float *im = re + n;
@@ -293,13 +295,14 @@ WIDE static void look_points(const Field *g, const Pattern *p, const double *poi
 }
 
 /* (N, 2) sum over the views of conj(turn) table[v][index]. */
-WIDE static void read_table(const float *table, int64_t entries, const int32_t *index, const float *turn, int64_t count,
-                            int64_t views, double *out)
+WIDE static void read_table(const float *table, int64_t entries, const int32_t *index, const float *turn,
+                            int64_t count, int64_t views, double *out)
 {
     for (int64_t i = 0; i < count; i++) {
         float re = 0.0f, im = 0.0f;
         for (int64_t v = 0; v < views; v++) {
-            const float *t = table + 2 * (entries * v + index[views * i + v]), *a = turn + 2 * (views * i + v);
+            const float *t = table + 2 * (entries * v + index[views * i + v]),
+                        *a = turn + 2 * (views * i + v);
             re += a[0] * t[0] + a[1] * t[1];
             im += a[0] * t[1] - a[1] * t[0];
         }
@@ -310,13 +313,15 @@ WIDE static void read_table(const float *table, int64_t entries, const int32_t *
 
 /* (N, P + 1, 2) <template, other> of every point, and (N,) its own energy. */
 WIDE static void overlap_points(const Field *g, const int32_t *index, const float *turn, int64_t count,
-                                const float *others, int64_t size, double *shared, double *own, float *scratch)
+                                const float *others, int64_t size, double *shared, double *own,
+                                float *scratch)
 {
     const int64_t n = g->views * g->width;
     float *one = scratch, *sums = one + 2 * n;
     for (int64_t i = 0; i < count; i++) {
         double none;
-        template(g, index + g->views * i, turn + 2 * g->views * i, turn + 2 * g->views * i + 1, 2, 0, one, sums);
+        template(g, index + g->views * i, turn + 2 * g->views * i, turn + 2 * g->views * i + 1, 2, 0, one,
+                 sums);
         inner(one, one, n, own + i, &none);
         for (int64_t k = 0; k < size; k++)
             inner(one, others + 2 * n * k, n, shared + 2 * (size * i + k), shared + 2 * (size * i + k) + 1);
@@ -333,8 +338,8 @@ static PyObject *evaluate(PyObject *self, PyObject *args)
     Pattern p;
     Evaluation e;
     Scene s = {.pattern = &p};
-    if (!PyArg_ParseTuple(args, "O(ddd)OOOOOniOOO", &tables, &p.edge, &p.softness, &p.floor, o, o + 1, o + 2, o + 3, o + 4,
-                          &size, &s.whole, o + 5, o + 6, o + 7))
+    if (!PyArg_ParseTuple(args, "O(ddd)OOOOOniOOO", &tables, &p.edge, &p.softness, &p.floor, o, o + 1, o + 2,
+                          o + 3, o + 4, &size, &s.whole, o + 5, o + 6, o + 7))
         return NULL;
     if (!field_of(&h, tables, &g) || !(s.data = take(&h, o[0], 8 * g.views * g.width, 0)) ||
         !(e.offset = take(&h, o[3], -1, 0)))
@@ -349,8 +354,10 @@ static PyObject *evaluate(PyObject *self, PyObject *args)
         return finished(&h);
     }
     e.groups = taken(&h) / 4 / size;
-    if (!below(e.sets, e.groups * size, e.count) || !(e.amplitudes = take(&h, o[5], 16 * e.groups * size, 1)) ||
-        !(e.explained = take(&h, o[6], 8 * e.groups, 1)) || !(e.gram = take(&h, o[7], 16 * e.groups * size * size, 1)))
+    if (!below(e.sets, e.groups * size, e.count) ||
+        !(e.amplitudes = take(&h, o[5], 16 * e.groups * size, 1)) ||
+        !(e.explained = take(&h, o[6], 8 * e.groups, 1)) ||
+        !(e.gram = take(&h, o[7], 16 * e.groups * size * size, 1)))
         return finished(&h);
     void *room = malloc(room_of(&g, e.count));
     if (!room) {
@@ -358,10 +365,8 @@ static PyObject *evaluate(PyObject *self, PyObject *args)
         return finished(&h);
     }
     lay_out(&s, &g, e.count, room);
-    Py_BEGIN_ALLOW_THREADS
-    evaluate_sets(&s, &e);
-    Py_END_ALLOW_THREADS
-    free(room);
+    Py_BEGIN_ALLOW_THREADS evaluate_sets(&s, &e);
+    Py_END_ALLOW_THREADS free(room);
     return finished(&h);
 }
 
@@ -375,8 +380,8 @@ static PyObject *move_points(PyObject *self, PyObject *args)
     Pattern p;
     Points m;
     Scene s = {.pattern = &p, .whole = 0};
-    if (!PyArg_ParseTuple(args, "O(ddd)OO(ddddd)nOOO", &tables, &p.edge, &p.softness, &p.floor, o, o + 1, &m.no_side,
-                          &m.offset, &m.step, &m.reach, &m.rise, &rounds, o + 2, o + 3, o + 4))
+    if (!PyArg_ParseTuple(args, "O(ddd)OO(ddddd)nOOO", &tables, &p.edge, &p.softness, &p.floor, o, o + 1,
+                          &m.no_side, &m.offset, &m.step, &m.reach, &m.rise, &rounds, o + 2, o + 3, o + 4))
         return NULL;
     m.rounds = rounds;
     if (!field_of(&h, tables, &g) || !(s.data = take(&h, o[0], 8 * g.views * g.width, 0)) ||
@@ -386,7 +391,8 @@ static PyObject *move_points(PyObject *self, PyObject *args)
     if (!(m.places = take(&h, o[2], -1, 1)) || !(m.explained = take(&h, o[4], 8, 1)))
         return finished(&h);
     m.axes = m.size ? h.held[h.count - 2].len / 8 / m.size : 0;
-    if (m.size < 1 || m.size > MOST || m.axes < 2 || m.axes > 3 || rounds < 0 || h.held[h.count - 2].len != 8 * m.size * m.axes) {
+    if (m.size < 1 || m.size > MOST || m.axes < 2 || m.axes > 3 || rounds < 0 ||
+        h.held[h.count - 2].len != 8 * m.size * m.axes) {
         refused("points do not fit together");
         return finished(&h);
     }
@@ -396,10 +402,8 @@ static PyObject *move_points(PyObject *self, PyObject *args)
         return finished(&h);
     }
     lay_out(&s, &g, 2 * m.size, room);
-    Py_BEGIN_ALLOW_THREADS
-    search_points(&s, &m);
-    Py_END_ALLOW_THREADS
-    free(room);
+    Py_BEGIN_ALLOW_THREADS search_points(&s, &m);
+    Py_END_ALLOW_THREADS free(room);
     return finished(&h);
 }
 
@@ -414,8 +418,9 @@ static PyObject *move_layouts(PyObject *self, PyObject *args)
     Layout l;
     Scene s = {.pattern = &p, .whole = 0};
     double *places;
-    if (!PyArg_ParseTuple(args, "O(ddd)OOOOOOO(ddd)nnO", &tables, &p.edge, &p.softness, &p.floor, o, o + 1, o + 2, o + 3,
-                          o + 4, o + 5, o + 6, &l.balance, &l.template_energy, &l.visible, &first, &last, o + 7))
+    if (!PyArg_ParseTuple(args, "O(ddd)OOOOOOO(ddd)nnO", &tables, &p.edge, &p.softness, &p.floor, o, o + 1,
+                          o + 2, o + 3, o + 4, o + 5, o + 6, &l.balance, &l.template_energy, &l.visible,
+                          &first, &last, o + 7))
         return NULL;
     l.first = first;
     l.last = last;
@@ -445,11 +450,8 @@ static PyObject *move_layouts(PyObject *self, PyObject *args)
         return finished(&h);
     }
     lay_out(&s, &g, l.size, room);
-    Py_BEGIN_ALLOW_THREADS
-    for (int64_t i = 0; i < starts; i++)
-        search_layout(&s, &l, places + l.axes * i);
-    Py_END_ALLOW_THREADS
-    free(room);
+    Py_BEGIN_ALLOW_THREADS for (int64_t i = 0; i < starts; i++) search_layout(&s, &l, places + l.axes * i);
+    Py_END_ALLOW_THREADS free(room);
     return finished(&h);
 }
 
@@ -464,7 +466,8 @@ static PyObject *look(PyObject *self, PyObject *args)
     const double *points, *facing;
     int32_t *index;
     float *turn;
-    if (!PyArg_ParseTuple(args, "O(ddd)OOdOO", &tables, &p.edge, &p.softness, &p.floor, o, o + 1, &offset, o + 2, o + 3))
+    if (!PyArg_ParseTuple(args, "O(ddd)OOdOO", &tables, &p.edge, &p.softness, &p.floor, o, o + 1, &offset,
+                          o + 2, o + 3))
         return NULL;
     if (!field_of(&h, tables, &g) || !(points = take(&h, o[0], -1, 0)))
         goto done;
@@ -477,10 +480,9 @@ static PyObject *look(PyObject *self, PyObject *args)
         PyErr_NoMemory();
         goto done;
     }
-    Py_BEGIN_ALLOW_THREADS
-    look_points(&g, &p, points, facing, offset, count, index, turn, far, (float *)(far + g.views));
-    Py_END_ALLOW_THREADS
-    free(far);
+    Py_BEGIN_ALLOW_THREADS look_points(&g, &p, points, facing, offset, count, index, turn, far,
+                                       (float *)(far + g.views));
+    Py_END_ALLOW_THREADS free(far);
 done:
     return finished(&h);
 }
@@ -503,16 +505,14 @@ static PyObject *correlate(PyObject *self, PyObject *args)
         refused("points and views do not fit together");
         goto done;
     }
-    if (!(turn = take(&h, o[2], 8 * pairs, 0)) || !(out = take(&h, o[3], 16 * count, 1)) || !(table = take(&h, o[0], -1, 0)))
+    if (!(turn = take(&h, o[2], 8 * pairs, 0)) || !(out = take(&h, o[3], 16 * count, 1)) ||
+        !(table = take(&h, o[0], -1, 0)))
         goto done;
     const int64_t entries = taken(&h) / 8 / views;
     if (!below(index, pairs, entries))
         goto done;
-    Py_BEGIN_ALLOW_THREADS
-    read_table(table, entries, index, turn, count, views, out);
-    Py_END_ALLOW_THREADS
-done:
-    return finished(&h);
+    Py_BEGIN_ALLOW_THREADS read_table(table, entries, index, turn, count, views, out);
+    Py_END_ALLOW_THREADS done : return finished(&h);
 }
 
 static PyObject *overlaps(PyObject *self, PyObject *args)
@@ -548,21 +548,22 @@ static PyObject *overlaps(PyObject *self, PyObject *args)
         PyErr_NoMemory();
         goto done;
     }
-    Py_BEGIN_ALLOW_THREADS
-    overlap_points(&g, index, turn, count, others, size, shared, own, scratch);
-    Py_END_ALLOW_THREADS
-    free(scratch);
+    Py_BEGIN_ALLOW_THREADS overlap_points(&g, index, turn, count, others, size, shared, own, scratch);
+    Py_END_ALLOW_THREADS free(scratch);
 done:
     return finished(&h);
 }
 
 static PyMethodDef methods[] = {
     {"evaluate", evaluate, METH_VARARGS,
-     "evaluate(tables, pattern, data, points, facing, offsets, sets, size, whole, amplitudes, explained, gram)"},
+     "evaluate(tables, pattern, data, points, facing, offsets, sets, size, whole, amplitudes, explained, "
+     "gram)"},
     {"move_points", move_points, METH_VARARGS,
-     "move_points(tables, pattern, data, centre, (no_side, offset, step, reach, rise), rounds, places, amplitudes, explained)"},
+     "move_points(tables, pattern, data, centre, (no_side, offset, step, reach, rise), rounds, places, "
+     "amplitudes, explained)"},
     {"move_layouts", move_layouts, METH_VARARGS,
-     "move_layouts(tables, pattern, data, positions, heights, facing, step, low, high, (balance, template_energy, visible), "
+     "move_layouts(tables, pattern, data, positions, heights, facing, step, low, high, (balance, "
+     "template_energy, visible), "
      "first, last, places)"},
     {"look", look, METH_VARARGS, "look(tables, pattern, points, facing, offset, index, turn)"},
     {"correlate", correlate, METH_VARARGS, "correlate(table, index, turn, views, out)"},
@@ -571,8 +572,15 @@ static PyMethodDef methods[] = {
 };
 
 static struct PyModuleDef module = {
-    PyModuleDef_HEAD_INIT, "_matched", "Compiled inner loops of the tag reader (see tagid.tags.reading.compiled).", -1,
-    methods, NULL, NULL, NULL, NULL,
+    PyModuleDef_HEAD_INIT,
+    "_matched",
+    "Compiled inner loops of the tag reader (see tagid.tags.reading.compiled).",
+    -1,
+    methods,
+    NULL,
+    NULL,
+    NULL,
+    NULL,
 };
 
 PyMODINIT_FUNC PyInit__matched(void)

@@ -296,7 +296,7 @@ class CoarseGrid:
         rows = [coarse] * size if isinstance(coarse, CoarseImage) else coarse
         first = rows[0]
         if is_compiled() and size <= MOST_POINTS and all(image is first for image in rows):
-            return CoarseGridTask(
+            task = CoarseGridTask(
                 first.images,
                 first.static,
                 self.placed,
@@ -307,7 +307,8 @@ class CoarseGrid:
                 balance,
                 FULLY_VISIBLE,
                 first.views,
-            ).energies()
+            )
+            return task.energies().astype(np.float64)
         points = self.placed[:, None] + self.shifts[None, :, None]
         gram = full_gram[:, None] - static_overlap(rows, points)
         visibility = np.real(np.diagonal(gram, axis1=-2, axis2=-1)) / template_energy
