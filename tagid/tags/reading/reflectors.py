@@ -166,8 +166,8 @@ def refine_positions(
     """
     k, axes = positions.shape
     if field.tables is not None and k <= MOST_POINTS:
-        rise = field.height_scale if axes > 2 else 1.0
-        steps = PointSteps(_FIRST_STEP_M, reach_m, rise, _ROUNDS, look.offset_m, NO_SIDE_M)
+        scale = field.height_scale if axes > 2 else 1.0
+        steps = PointSteps(_FIRST_STEP_M, reach_m, scale, _ROUNDS, look.offset_m, NO_SIDE_M)
         return field.tables.moved_points(positions, look.centre_m, look.aspect.numbers, steps)
     start = positions
     places = positions.copy()
