@@ -6,6 +6,7 @@ Filter and response come from one place because the forward operator is only as 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,14 +77,42 @@ def design_filter(pulse: Pulse, capture: Capture, *, matched: bool, oversampling
     P is the spectrum of the pulse, W a raised cosine that is flat over the pulse's -10 dB band and ends at
     half the decimated rate, so that the decimation folds nothing back.
 
+    The last few filters are kept: the captures of a batch mostly have one pulse and one range window.
+
     Raises:
         DataError: the capture's range step is too coarse for the band, or the pulse is absurdly long.
     """
-    pulse = normalised(pulse)
+    samples = np.ascontiguousarray(pulse.samples)
+    axis = _Axis(
+        capture.bins,
+        capture.range_step_m,
+        capture.wave_speed_m_s,
+        capture.center_frequency_hz,
+        capture.samples.dtype.kind != "c",
+    )
+    return _designed(samples.tobytes(), samples.dtype.str, pulse.step, axis, matched, oversampling)
+
+
+@dataclass(frozen=True)
+class _Axis:
+    """What a filter takes of a capture; the names are those of `Capture`."""
+
+    bins: int
+    range_step_m: float
+    wave_speed_m_s: float
+    center_frequency_hz: float
+    is_real: bool
+
+
+@lru_cache(maxsize=8)
+def _designed(
+    samples: bytes, kind: str, step: float, capture: _Axis, matched: bool, oversampling: float
+) -> BandFilter:
+    pulse = normalised(Pulse(np.frombuffer(samples, dtype=kind), step))
     low, high = band_of(pulse)
     bandwidth = high - low
     input_rate = capture.wave_speed_m_s / (2 * capture.range_step_m)
-    is_real = capture.samples.dtype.kind != "c"
+    is_real = capture.is_real
     _check_rate(is_real, input_rate, low, high)
     # No wrap-around: the pulse, its reflection (the matched filter) and the ringing of W must fit in the pad.
     duration = (1 + matched) * len(pulse.samples) * pulse.step + 24 / bandwidth

@@ -31,9 +31,9 @@ $python -m pip install --quiet --upgrade --no-compile --target "$root/opt/site" 
     --implementation cp --python-version 3.11 --platform manylinux_2_28_aarch64 \
     --platform manylinux_2_27_aarch64 --platform manylinux_2_17_aarch64 --platform manylinux2014_aarch64 $needed
 cp -rL tagid tests/benchmarks/arm_images.py "$root/opt/tagid/"
-rm -f "$root"/opt/tagid/tagid/imaging/*.so "$root"/opt/tagid/tagid/imaging/ats/*.so
-for source in imaging/_kernel imaging/ats/_field; do
-    chroot "$root" sh -c "cd /opt/tagid/tagid && gcc -O3 -fno-math-errno -fno-trapping-math -shared -fPIC -pthread \
+find "$root/opt/tagid/tagid" -name "*.so" -delete
+for source in imaging/_kernel imaging/ats/_field tags/reading/_matched tags/reading/_coarse tags/bodies/_points; do
+    chroot "$root" sh -c "cd /opt/tagid/tagid && gcc -O3 -fno-math-errno -fno-trapping-math -fopenmp-simd -shared -fPIC -pthread \
         -I/usr/include/python3.11 $source.c -o $source.abi3.so -lm"
 done
 

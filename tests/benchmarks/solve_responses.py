@@ -102,20 +102,21 @@ OBJECTS = {
 }
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("names", nargs="*", choices=[*OBJECTS, []], help="objects; all that are missing")
+def main(objects: dict[str, Object], sweep: Sweep) -> None:
+    """Solve the objects that the command line names, or all that are missing."""
+    parser = argparse.ArgumentParser(description="Solves objects into response files.")
+    parser.add_argument("names", nargs="*", choices=[*objects, []], help="objects; all that are missing")
     parser.add_argument("--out", type=Path, default=OUT, help="folder of the files")
     given = parser.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
-    for name in given.names or [n for n in OBJECTS if not (given.out / f"{n}.npz").exists()]:
+    for name in given.names or [n for n in objects if not (given.out / f"{n}.npz").exists()]:
         begun, cpu = time.monotonic(), time.process_time()
-        thing = OBJECTS[name]
-        response = solve_response(name, thing.mesh(), SWEEP, thing.reflectors_m)
+        thing = objects[name]
+        response = solve_response(name, thing.mesh(), sweep, thing.reflectors_m)
         write_response(given.out / f"{name}.npz", response)
         spent = f"{time.monotonic() - begun:.0f} s, {time.process_time() - cpu:.0f} s of one core"
         print(f"{name}: {response.provenance['mesh']}; {spent}", flush=True)
 
 
 if __name__ == "__main__":
-    main()
+    main(OBJECTS, SWEEP)

@@ -15,13 +15,16 @@ from tagid.errors import FileFormatError, RegistryError
 from tagid.pipeline.answer import Identification
 from tagid.pipeline.identify import aspect_spectra, identify
 from tagid.tags.bodies.enrolled import EnrolledBody, Searches, hypotheses, signature_wavenumbers
-from tagid.tags.bodies.hypothesis import Kind, Pose
+from tagid.tags.bodies.hypothesis import Explanation, Kind, Pose
 from tagid.tags.bodies.joint import Named, enrol_signature
+from tagid.tags.bodies.revolution import RoundBody
 from tagid.tags.bodies.signature import Signature, echo
 from tagid.tags.bodies.signature_file import to_bytes
 from tagid.tags.enrolling.layout_file import read_entries, write_layouts
 from tagid.tags.enrolling.registry import Registry
 from tagid.tags.layouts.layout import Layout, builtin_layouts
+from tagid.tags.matching.contest import ContestSettings, _contested
+from tagid.tags.verdicts.verdict import Code
 
 GOLDEN = Path(__file__).parents[1] / "data" / "registry-v1.sqlite"
 LAYOUTS = list(builtin_layouts().values())
@@ -65,6 +68,23 @@ def test_an_untagged_body_and_another_tag_are_not_named(mug: Signature) -> None:
     assert read(MUG, mug).status == "no_tag"
     for other in (ring(10, 150), ring(200)):
         assert read(MUG.plus(other), mug).status in ("unknown", "ambiguous", "no_tag")
+
+
+def test_an_enrolled_body_with_another_tag_contradicts_a_name_without_a_body(mug: Signature) -> None:
+    """The mug has no wall that shows here: that it is the enrolled one is what counts."""
+    answer = read(MUG.plus(ring(10, 150)), mug)
+    reading = answer.reading
+    assert reading is not None and reading.body is not None and reading.body.body.name == "mug"
+    seen = replace(reading.body, front_m=0.0, body_energy=0.0)
+    own = Explanation(Kind.BARE, "", "container-90", 0.2, None, Pose())
+    evidence = replace(reading.evidence, outward=0.0)
+    bare = replace(reading, status="identified", layout="container-90", kind=Kind.BARE, evidence=evidence)
+    taken = _contested(bare, own, seen, LAYOUTS, ContestSettings())
+    assert (taken.status, taken.layout, taken.code) == ("unknown", None, Code.OTHER)
+    assert (
+        _contested(bare, own, replace(seen, body=RoundBody()), LAYOUTS, ContestSettings()).layout
+        == bare.layout
+    )
 
 
 def test_an_enrolled_object_is_named_as_a_whole(mug: Signature, tagged: Signature) -> None:

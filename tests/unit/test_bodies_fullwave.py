@@ -6,6 +6,7 @@ in them.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from tagid.simulate.presets import room_clutter
 from tagid.simulate.response import Response
 from tagid.simulate.response_file import read_response
 from tagid.simulate.response_scene import response_scene
+from tagid.tags.bodies.decide import BodyDecision, decide_on_body
 from tagid.tags.bodies.hypothesis import Kind
 from tagid.tags.layouts.layout import builtin_layouts
 from tagid.tags.matching.matcher import read_tag
@@ -70,6 +72,18 @@ def test_a_foreign_tag_on_the_can_is_not_named(snr_db: float) -> None:
     """Two reflectors 130 degrees apart, which a smaller ring would make a pair at 90."""
     reading = read("can30_foreign", snr_db)
     assert reading.layout is None and reading.code is not Code.NONE and reading.advice
+
+
+def test_a_loud_tag_may_leave_no_more_than_the_model_does() -> None:
+    """A helmet shell with its tag, read as a pair on a round body, leaves 12 %; noise may leave as much."""
+    body = read("can30_c180", 20.0).body
+    assert body is not None and body.unexplained < 0.03 and body.tag > 50 * body.noise
+    settings = BodyDecision()
+    assert decide_on_body(body, settings).status == "identified"
+    shell = replace(body, unexplained=0.12)
+    assert decide_on_body(shell, settings).code is Code.BODY
+    weak = replace(shell, noise=body.tag / 3, variance=body.tag / 900)
+    assert decide_on_body(weak, settings).status == "identified"
 
 
 @pytest.mark.parametrize("snr_db", [20.0, 10.0])

@@ -16,12 +16,21 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tagid.tags.bodies.spectra import Spectra, centred
 from tagid.tags.layouts.layout import Layout
+
+_compiled: Any
+try:
+    from tagid.tags.bodies import _points as _compiled  # type: ignore[attr-defined, no-redef]
+except ImportError:  # no compiler at installation
+    _compiled = None
+if getattr(_compiled, "ARGUMENTS", 0) != 1:  # built before the present source
+    _compiled = None
 
 REACH_M = 0.14
 """Reflectors are looked for up to this distance from the axis."""
@@ -227,6 +236,25 @@ class _Grid:
         return cls(places, waves, np.maximum(energies, 1e-9))
 
 
+@dataclass(frozen=True, eq=False)
+class _Linear:
+    """The model at one arrangement, amplitudes eliminated (Kaufman 1975).
+
+    Attributes:
+        left: energy left.
+        normal: (2 K, 2 K) real inner products of the slopes along every reflector's x and y.
+        gradient: (2 K,) those of the slopes with what is left.
+    """
+
+    left: float
+    normal: NDArray[np.float64]
+    gradient: NDArray[np.float64]
+
+
+_MOST_COMPILED = 16
+"""Points that the compiled model takes, at most."""
+
+
 class PointFitter:
     """Fits arrangements of points to spectra.
 
@@ -238,6 +266,10 @@ class PointFitter:
     def __init__(self, spectra: Spectra, variance: float) -> None:
         self.spectra = spectra
         self.variance = variance
+        antenna, data = spectra.antenna, spectra.data
+        self._antenna = np.stack([antenna.real, antenna.imag])
+        self._data = np.ascontiguousarray(np.stack([data.real, data.imag], axis=1))
+        self._height = np.ascontiguousarray(spectra.height_m, dtype=np.float64)
 
     @cached_property
     def grid(self) -> _Grid:
@@ -289,56 +321,56 @@ class PointFitter:
         name: str | None,
     ) -> PlacedPoints:
         """Levenberg-Marquardt with the amplitudes eliminated (Kaufman 1975)."""
-        waves = _waves(self.spectra, places, heights, slopes=True)
-        rest, amplitudes, q = self._solved(centred(waves.columns))
-        left, damping = float(np.sum(np.abs(rest) ** 2)), 1e-3
+        at, damping = self._linear(places, heights), 1e-3
         for _ in range(rounds):
             steps = moves(places)
-            slope = centred(np.einsum("pfcv,fc->pfv", waves.slopes, amplitudes))
-            slope = np.tensordot(steps, slope, axes=1)
-            slope = slope - (q @ (q.conj().swapaxes(1, 2) @ slope[..., None]))[..., 0]
-            flat = slope.reshape(len(steps), -1)
-            normal = np.real(flat.conj() @ flat.T)
-            gradient = np.real(flat.conj() @ rest.ravel())
+            normal, gradient = steps @ at.normal @ steps.T, steps @ at.gradient
             gain = 0.0
             for _ in range(4):
                 load = damping * np.diag(normal) + 1e-12 * np.trace(normal) + 1e-300
                 move = np.linalg.solve(normal + np.diag(load), gradient) @ steps
                 trial = places + move[0::2] + 1j * move[1::2]
                 if np.abs(trial).max() < REACH_M + 0.02 and np.abs(move).max() < 0.02:
-                    after = _waves(self.spectra, trial, heights, slopes=True)
-                    found = self._solved(centred(after.columns))
-                    trial_left = float(np.sum(np.abs(found[0]) ** 2))
-                    if trial_left < left:
-                        gain, left, places, waves = left - trial_left, trial_left, trial, after
-                        rest, amplitudes, q = found
+                    after = self._linear(trial, heights)
+                    if after.left < at.left:
+                        gain, places, at = at.left - after.left, trial, after
                         damping /= 5
                         break
                 damping *= 8
-            if gain < 1e-4 * left:
+            if gain < 1e-4 * at.left:
                 break
-        spread = 0.0 if name else self._spread(places, waves, amplitudes, q)
-        spread *= float(np.sqrt(max(left / (self.variance * rest.size), 1.0)))
-        return PlacedPoints(places, heights, left, name, spread)
+        spread = 0.0 if name else self._spread(places, at)
+        spread *= float(np.sqrt(max(at.left / (self.variance * self.spectra.data.size), 1.0)))
+        return PlacedPoints(places, heights, at.left, name, spread)
 
-    def _spread(
-        self,
-        places: NDArray[np.complex128],
-        waves: _Waves,
-        amplitudes: NDArray[np.complex128],
-        q: NDArray[np.complex128],
-    ) -> float:
-        """`PlacedPoints.spread_m`, from the Fisher information of the places, amplitudes eliminated."""
+    def _linear(self, places: NDArray[np.complex128], heights: NDArray[np.float64]) -> _Linear:
+        """The model at an arrangement."""
+        size = 2 * len(places)
+        if _compiled is not None and len(places) <= _MOST_COMPILED:
+            left, normal, gradient = np.empty(1), np.empty((size, size)), np.empty(size)
+            kappa = self.spectra.wavenumbers
+            step = float(kappa[1] - kappa[0]) if len(kappa) > 1 else 0.0
+            scalars = (float(kappa[0]), step, self.spectra.distance_m)
+            there = self._antenna, self._height, self._data, scalars, _plain(places), heights
+            _compiled.linear(*there, left, normal, gradient)
+            return _Linear(float(left[0]), normal, gradient)
+        waves = _waves(self.spectra, places, heights, slopes=True)
+        rest, amplitudes, q = self._solved(centred(waves.columns))
         slope = centred(np.einsum("pfcv,fc->pfv", waves.slopes, amplitudes))
         slope = slope - (q @ (q.conj().swapaxes(1, 2) @ slope[..., None]))[..., 0]
-        flat = slope.reshape(len(slope), -1)
-        information = 2 / self.variance * np.real(flat.conj() @ flat.T)
-        load = 1e-9 * np.trace(information) * np.eye(len(flat))
+        flat = slope.reshape(size, -1)
+        gradient = np.real(flat.conj() @ rest.ravel())
+        return _Linear(float(np.sum(np.abs(rest) ** 2)), np.real(flat.conj() @ flat.T), gradient)
+
+    def _spread(self, places: NDArray[np.complex128], at: _Linear) -> float:
+        """`PlacedPoints.spread_m`, from the Fisher information of the places, amplitudes eliminated."""
+        information = 2 / self.variance * at.normal
+        load = 1e-9 * np.trace(information) * np.eye(len(information))
         covariance = np.linalg.inv(information + load)
         one = np.ones(len(places), dtype=np.complex128)
         moves = [_plain(one), _plain(1j * one), _plain(1j * (places - places.mean()))]
         rigid = np.linalg.qr(np.stack(moves, axis=1))[0]
-        shape = np.eye(len(flat)) - rigid @ rigid.T
+        shape = np.eye(len(information)) - rigid @ rigid.T
         return float(np.sqrt(max(np.trace(shape @ covariance @ shape), 0.0) / len(places)))
 
 
@@ -446,7 +478,7 @@ def _joined(fitter: PointFitter, base: PlacedPoints) -> PlacedPoints:
     """An arrangement with one reflector more, where most of what it leaves comes from."""
     rest = fitter.rest(base.places, base.heights)
     grid = fitter.grid
-    power = np.abs(np.einsum("fgv,fv->fg", grid.waves.conj(), rest[::_THINNED])) ** 2
+    power = np.abs((grid.waves @ rest[::_THINNED].conj()[..., None])[..., 0]) ** 2
     power = (power / grid.energies).sum(axis=0)
     power[np.abs(grid.places[:, None] - base.places[None]).min(axis=1) <= APART_M] = -1.0
     place = grid.places[int(np.argmax(power))]

@@ -34,6 +34,11 @@ class Aspect:
     floor: float = 0.0
 
     @property
+    def numbers(self) -> tuple[float, float, float]:
+        """The three numbers, in the order that the compiled loops take."""
+        return self.cos_edge, self.softness, self.floor
+
+    @property
     def uniform(self) -> bool:
         """Whether every side is alike."""
         return self.floor >= 1.0
@@ -101,7 +106,14 @@ class Appearance:
 
     def fixed(self, field: MatchedField, points: NDArray[np.float64]) -> FixedPoints:
         """The templates of many points (N, 2 or 3), m, in a form that needs little memory."""
-        weight = self.aspect.weight(field.antenna, points, outward(points, self.centre_m))
+        facing = outward(points, self.centre_m)
+        if field.tables is not None:
+            heights = points[:, 2] if points.shape[1] == 3 else np.zeros(len(points))
+            places = np.column_stack([points[:, :2], heights])
+            return FixedPoints(
+                field, *field.tables.looked(places, facing, self.offset_m, self.aspect.numbers)
+            )
+        weight = self.aspect.weight(field.antenna, points, facing)
         return field.fixed(self._distances(field, points), weight)
 
     def _distances(self, field: MatchedField, points: NDArray[np.float64]) -> NDArray[np.float64]:

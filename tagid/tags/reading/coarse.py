@@ -96,6 +96,11 @@ class CoarseImage:
         """The images at a height, m, for several patterns, which share the distances."""
         disc = CoarseDisc.of(radius_m)
         points = disc.points
+        if field.tables is not None and not field.several_heights:
+            facing = outward(points, np.zeros(2), COARSE_NO_SIDE_M)
+            places = np.column_stack([points, np.full(len(points), height_m)])
+            found = field.tables.coarse(places, facing, [one.numbers for one in aspects], offsets_m)
+            return [cls(disc, one, field.views, *own) for one, *own in zip(aspects, *found, strict=True)]
         parts: list[list[CoarseParts]] = []
         size = max(1, _BLOCK // field.views)
         for at in range(0, len(points), size):

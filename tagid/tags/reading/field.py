@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from tagid.errors import DataError
 from tagid.imaging.types import BasebandScans
 from tagid.signal import median
+from tagid.tags.reading.compiled import FieldTables, read_table
 
 FINE_STEP_M = 5e-4
 """Range step of the tables, read at the nearest entry: baseband varies over c / B = 176 mm, so half a step is
@@ -137,6 +138,7 @@ class MatchedField:
         template_energy: ||s_p||^2 of a point inside, before its constant part is taken out.
         independent_samples: n of the criterion, of those bins.
         noise_variance: variance of b(p) / ||s_p|| from noise alone, 0 where unknown.
+        tables: the same for the compiled loops; None where they were not compiled.
     """
 
     def __init__(
@@ -169,6 +171,10 @@ class MatchedField:
         self._profiles = range_profiles.profiles
         self._table = np.ascontiguousarray(coordinates @ self._profiles.conj().T)
         self.template_energy = float(self.views * median(np.sum(np.abs(self._profiles) ** 2, axis=1)))
+        axis = range_profiles.start_m, FINE_STEP_M, self.wavenumber
+        self.tables = FieldTables.of(
+            self._antennas, self._groups, self._profiles, axis, coordinates, self._table
+        )
 
     @property
     def views(self) -> int:
@@ -321,12 +327,25 @@ class FixedPoints:
         else:
             rows = rows - rows.mean(axis=0)
         table = np.ascontiguousarray(rows @ self._field._profiles.conj().T)
+        if self._field.tables is not None:
+            return read_table(table, self._index, self._turn)
         out = np.empty(len(self._index), dtype=np.complex128)
         size = max(1, _BLOCK // self._field.views)
         for at in range(0, len(out), size):
             here = slice(at, at + size)
             out[here] = np.vecdot(self._turn[here], _read(table, self._index[here]))
         return out
+
+    def overlaps(self, others: NDArray[np.complex64]) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
+        """(N, P) <s_p, other> with templates (P, views * rank), and (N,) ||s_p||^2."""
+        if self._field.tables is not None:
+            return self._field.tables.overlaps(self._index, self._turn, others)
+        shared, own = [], []
+        for part in self.templates():
+            shared.append((part @ others.conj().T).conj())
+            plain = part.view(np.float32)
+            own.append(np.einsum("np,np->n", plain, plain))
+        return np.concatenate(shared).astype(np.complex128), np.concatenate(own).astype(np.float64)
 
     def templates(self) -> Iterator[NDArray[np.complex64]]:
         """(n, views * rank) templates of a part of the points after another."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +16,10 @@ from numpy.typing import NDArray
 from tagid.signal import median
 from tagid.tags.layouts.layout import Layout, rotation_matrix
 from tagid.tags.reading.aspect import PATTERNS, ROUND, TRANSPARENT, Appearance, Aspect, outward
-from tagid.tags.reading.coarse import CoarseImage, static_overlap
+from tagid.tags.reading.coarse import IMAGE_STEP_M, CoarseImage, static_overlap
+from tagid.tags.reading.compiled import MOST_POINTS, CoarseGridTask, LayoutShape, LayoutSteps, is_compiled
 from tagid.tags.reading.field import MatchedField
+from tagid.tags.reading.squares import explained_by, separate_sets, whole_grams
 
 ALIKE = 0.25
 """Spread of the logarithm of a tag's amplitudes: its reflectors differ by up to 20 %, and by aspect."""
@@ -135,20 +138,6 @@ class Values:
     visibility: NDArray[np.float64]
     explained: NDArray[np.float64]
     charged: NDArray[np.float64]
-
-
-def least_squares(
-    b: NDArray[np.complex128], gram: NDArray[np.complex128]
-) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
-    """Amplitudes (..., K) = G^-1 b and explained energy (...) = b^H G^-1 b; G is loaded by 1e-2 of itself."""
-    k = b.shape[-1]
-    size = np.maximum(np.abs(np.trace(gram, axis1=-2, axis2=-1)) / k, 1e-30)  # one that nobody sees is 0
-    load = 1e-2 * size[..., None, None] * np.eye(k)
-    amplitudes = np.linalg.solve(gram + load, b[..., None])[..., 0]
-    explained = np.real(np.sum(b.conj() * amplitudes, axis=-1))
-    return np.asarray(amplitudes, dtype=np.complex128), np.maximum(
-        np.asarray(explained, dtype=np.float64), 0.0
-    )
 
 
 def visible_sizes(
@@ -273,7 +262,11 @@ class CoarseGrid:
 
     @classmethod
     def of(cls, layout: Layout, settings: SearchSettings) -> CoarseGrid:
-        """The grid of a layout."""
+        """The grid of a layout; those used last are kept."""
+        return _grid_of(layout, settings)
+
+    @classmethod
+    def _made(cls, layout: Layout, settings: SearchSettings) -> CoarseGrid:
         turn = 2 * np.pi / layout.symmetry
         rotations = np.arange(0, turn - 1e-9, _rotation_step(layout, settings))
         count = int(np.floor(settings.centre_range_m / settings.centre_step_m))
@@ -301,6 +294,21 @@ class CoarseGrid:
         """
         size = self.placed.shape[1]
         rows = [coarse] * size if isinstance(coarse, CoarseImage) else coarse
+        first = rows[0]
+        if is_compiled() and size <= MOST_POINTS and all(image is first for image in rows):
+            task = CoarseGridTask(
+                first.images,
+                first.static,
+                self.placed,
+                self.shifts,
+                full_gram,
+                IMAGE_STEP_M,
+                template_energy,
+                balance,
+                FULLY_VISIBLE,
+                first.views,
+            )
+            return task.energies().astype(np.float64)
         points = self.placed[:, None] + self.shifts[None, :, None]
         gram = full_gram[:, None] - static_overlap(rows, points)
         visibility = np.real(np.diagonal(gram, axis1=-2, axis2=-1)) / template_energy
@@ -317,6 +325,11 @@ class CoarseGrid:
         return charge(explained, seen, balance, axis=0)
 
 
+@lru_cache(maxsize=64)
+def _grid_of(layout: Layout, settings: SearchSettings) -> CoarseGrid:
+    return CoarseGrid._made(layout, settings)
+
+
 def _level(field: MatchedField, height_m: float) -> float:
     """Height of the coarse image in which a reflector is read: 0 for all where heights do not show, m."""
     return round(float(height_m), 3) if field.several_heights else 0.0
@@ -330,8 +343,7 @@ def _coarse_starts(
     rotations, shifts, placed = grid.rotations, grid.shifts, grid.placed
     levels = np.array([_level(field, height) for height in np.asarray(layout.heights)])
     rows = [images[level] for level in levels]
-    weight = rows[0].aspect.weight(field.antenna, placed, outward(placed, np.zeros(2)))
-    gram = field.full_gram(field.distances(placed, levels), weight)
+    gram = whole_grams(field, rows[0].aspect, placed, levels, outward(placed, np.zeros(2)))
     scores = grid.energies(rows, gram, field.template_energy, settings.balance)
     starts: list[tuple[float, ...]] = []
     elevation = (0.0,) if field.several_heights else ()
@@ -360,14 +372,19 @@ def _evaluate(
     heights = np.broadcast_to(np.asarray(layout.heights), points.shape[:-1])
     if places.shape[1] > 4:
         heights = heights + places[:, 4, None]
-    d = field.distances(points, heights)
     facing = outward(layout.positions, np.zeros(2)) @ turned
-    templates = field.templates(d + places[:, 3, None, None], aspect.weight(field.antenna, points, facing))
-    b, gram = field.correlate(templates), field.gram(templates)
-    amplitudes, explained = least_squares(b, gram)
-    visibility = np.real(np.diagonal(gram, axis1=-2, axis2=-1)) / field.template_energy
-    sizes = visible_sizes(amplitudes, visibility)
-    return Values(amplitudes, sizes, visibility, explained, charge(explained, sizes, balance))
+    found = explained_by(
+        field,
+        aspect,
+        np.concatenate([points, heights[..., None]], axis=2).reshape(-1, 3),
+        facing.reshape(-1, 2),
+        np.repeat(places[:, 3], layout.size),
+        separate_sets(*points.shape[:2]),
+    )
+    visibility = np.real(np.diagonal(found.gram, axis1=-2, axis2=-1)) / field.template_energy
+    sizes = visible_sizes(found.amplitudes, visibility)
+    charged = charge(found.explained, sizes, balance)
+    return Values(found.amplitudes, sizes, visibility, found.explained, charged)
 
 
 def _best_fit(
@@ -414,6 +431,13 @@ def _refine(
         low, high = np.append(low, -ELEVATION_RANGE_M), np.append(high, ELEVATION_RANGE_M)
         step = np.append(step, ELEVATION_STEP_M)
     unit = np.eye(count)
+
+    if field.tables is not None and layout.size <= MOST_POINTS:
+        facing = outward(layout.positions, np.zeros(2))
+        shape = LayoutShape(layout.positions, np.asarray(layout.heights), facing)
+        scales = (settings.balance, field.template_energy, FULLY_VISIBLE)
+        steps = LayoutSteps(step, low, high, rounds)
+        return field.tables.moved_layouts(starts, shape, aspect.numbers, steps, scales)
 
     def charged(at: NDArray[np.float64]) -> NDArray[np.float64]:
         return _evaluate(field, layout, aspect, at, settings.balance).charged

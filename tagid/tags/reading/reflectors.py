@@ -16,14 +16,18 @@ from numpy.typing import NDArray
 from tagid.imaging.types import BasebandScans
 from tagid.signal import median
 from tagid.tags.layouts.layout import MIN_SPACING_M
-from tagid.tags.reading.aspect import TRANSPARENT, Appearance
+from tagid.tags.reading.aspect import NO_SIDE_M, TRANSPARENT, Appearance, outward
+from tagid.tags.reading.compiled import MOST_POINTS, Explained, PointSteps
 from tagid.tags.reading.field import MatchedField
-from tagid.tags.reading.hypotheses import least_squares
+from tagid.tags.reading.squares import explained_by, least_squares
 from tagid.tags.reading.views import fold_views
 
 DETECTION_NATS = 18.0
 """Smallest |a|^2 ||s||^2 over the noise level of a detected peak: the largest of about 1000 independent cells
 of exponential noise exceeds it with a probability of 1000 exp(-18) = 1.5e-5."""
+
+_FIRST_STEP_M, _ROUNDS = 2e-3, 6
+"""First step of the refinement of free positions, and its rounds."""
 
 NOISE_MARGIN = 2.0
 """Largest factor by which the residual's level may exceed the stated noise, which is estimated away from the
@@ -160,30 +164,33 @@ def refine_positions(
     Takes a parabolic step in all coordinates jointly if that improves the fit, else in the single best
     coordinate. Positions stay within +- `reach_m` of the start, heights within `height_scale` times as much.
     """
-    start = positions
     k, axes = positions.shape
+    if field.tables is not None and k <= MOST_POINTS:
+        scale = field.height_scale if axes > 2 else 1.0
+        steps = PointSteps(_FIRST_STEP_M, reach_m, scale, _ROUNDS, look.offset_m, NO_SIDE_M)
+        return field.tables.moved_points(positions, look.centre_m, look.aspect.numbers, steps)
+    start = positions
     places = positions.copy()
     unit = np.eye(axes * k).reshape(axes * k, k, axes)
     rise = np.array([1.0, 1.0, field.height_scale][:axes])
-    unit, reach, step = unit * rise, reach_m * rise, 2e-3
+    unit, reach, step = unit * rise, reach_m * rise, _FIRST_STEP_M
 
-    def explained(points: NDArray[np.float64]) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
-        templates = look.templates(field, points)
-        return least_squares(field.correlate(templates), field.gram(templates))
+    def explained(points: NDArray[np.float64], sets: NDArray[np.intp]) -> Explained:
+        facing = outward(points, look.centre_m)
+        return explained_by(field, look.aspect, points, facing, look.offset_m, sets)
 
+    alone = np.arange(k)[None]
     # A trial moves one point along one axis: the templates of the others are those of the start.
     count = np.arange(2 * axes * k)
     owner = np.tile(np.repeat(np.arange(k), axes), 2)
     which = np.tile(np.arange(k), (len(count) + 1, 1))
     which[1 + count, owner] = k + count
-    first, second = which[:, :, None], which[:, None, :]
 
-    for _ in range(6):
+    for _ in range(_ROUNDS):
         trial = places + np.concatenate([np.zeros((1, k, axes)), unit * step, -unit * step])
         trial = np.clip(trial, start - reach, start + reach)
         moved = trial[1 + count, owner]
-        templates = look.templates(field, np.concatenate([trial[0], moved]))
-        value = least_squares(field.correlate(templates)[which], field.gram(templates)[first, second])[1]
+        value = explained(np.concatenate([trial[0], moved]), which).explained
         plus, minus = value[1 : axes * k + 1], value[axes * k + 1 :]
         bend = 2 * value[0] - plus - minus
         slope = (plus - minus) / 2
@@ -191,10 +198,10 @@ def refine_positions(
         joint = places + np.clip(jump, -2, 2).reshape(k, axes) * rise * step
         joint = np.clip(joint, start - reach, start + reach)
         best = int(np.argmax(value))
-        places = joint if explained(joint[None])[1][0] >= value[best] else trial[best]
+        places = joint if explained(joint, alone).explained[0] >= value[best] else trial[best]
         step *= 0.7
-    amplitudes, energy = explained(places[None])
-    return places, amplitudes[0], float(energy[0])
+    last = explained(places, alone)
+    return places, last.amplitudes[0], float(last.explained[0])
 
 
 def clean(

@@ -19,7 +19,6 @@ from tagid.tags.reading.hypotheses import (
     ELEVATION_RANGE_M,
     Fit,
     SearchSettings,
-    least_squares,
     visible_sizes,
 )
 from tagid.tags.reading.reflectors import (
@@ -29,6 +28,7 @@ from tagid.tags.reading.reflectors import (
     distances_between,
     refine_positions,
 )
+from tagid.tags.reading.squares import least_squares
 from tagid.tags.reading.uneven import UnevenFit
 
 
@@ -100,7 +100,7 @@ def rivals(disc: SearchDisc, best: Fit, noise: float, search: SearchSettings) ->
 def _further(disc: SearchDisc, best: Fit, uneven: UnevenFit) -> float:
     """Largest energy that one additional point explains beyond the uneven fit."""
     gap = distances_between(disc.points[:, None], best.points[None], disc.field.height_scale).min(axis=1)
-    return float(np.where(gap > MIN_SPACING_M, uneven.gains(disc.field, disc.fixed.templates()), 0.0).max())
+    return float(np.where(gap > MIN_SPACING_M, uneven.gains(disc.field, disc.fixed), 0.0).max())
 
 
 def _free_energies(disc: SearchDisc, best: Fit) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

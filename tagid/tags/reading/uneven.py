@@ -6,14 +6,13 @@ this fit, the residual of such a reflector would be mistaken for additional refl
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tagid.tags.reading.aspect import outward
-from tagid.tags.reading.field import MatchedField
+from tagid.tags.reading.field import FixedPoints, MatchedField
 from tagid.tags.reading.hypotheses import Fit
 
 ORDERS, VIEWS_PER_ORDER = 3, 8
@@ -98,19 +97,9 @@ class UnevenFit:
             ),
         )
 
-    def gains(self, field: MatchedField, others: Iterable[NDArray[np.complex64]]) -> NDArray[np.float64]:
-        """(N,) energy that each additional template explains beyond the uneven fit.
-
-        Args:
-            field: matched field of the scans.
-            others: the templates in parts (n, views * rank).
-        """
-        return np.concatenate([self._gains(field, part) for part in others])
-
-    def _gains(self, field: MatchedField, others: NDArray[np.complex64]) -> NDArray[np.float64]:
-        shared = (others @ self.templates.conj().T).conj()
-        parts = others.view(np.float32)
-        own = np.einsum("np,np->n", parts, parts)
+    def gains(self, field: MatchedField, others: FixedPoints) -> NDArray[np.float64]:
+        """(N,) energy that each of many additional points explains beyond the uneven fit."""
+        shared, own = others.overlaps(self.templates)
         left = own - np.real(np.sum((shared @ self.inverse) * shared.conj(), axis=1))
-        power = np.abs(others @ self.residual.conj()) ** 2
+        power = np.abs(others.correlate(self.residual)) ** 2
         return np.asarray(power / np.maximum(left, 0.05 * field.template_energy), dtype=np.float64)

@@ -1,0 +1,65 @@
+/* Buffers that a call from Python hands over, with the sizes that they must have. */
+#ifndef TAGID_BUFFERS_H
+#define TAGID_BUFFERS_H
+#define PY_SSIZE_T_CLEAN
+#define Py_LIMITED_API 0x030b0000
+#include <Python.h>
+#include <stdint.h>
+
+/* Wider vectors where the processor has them, decided when the module is loaded. */
+#if defined(__GNUC__) && !defined(__clang__) && defined(__x86_64__) && defined(__linux__) &&                 \
+    defined(__GLIBC__)
+#define WIDE __attribute__((target_clones("arch=haswell", "default")))
+#else
+#define WIDE
+#endif
+
+/* What is not inlined before the clones are made stays narrow. */
+#if defined(__GNUC__)
+#define INLINE static inline __attribute__((always_inline))
+#else
+#define INLINE static inline
+#endif
+
+typedef struct {
+    Py_buffer held[16];
+    int count;
+} Held;
+
+static inline void release(Held *h)
+{
+    while (h->count > 0)
+        PyBuffer_Release(&h->held[--h->count]);
+}
+
+/* A contiguous buffer of so many bytes (any, where negative); NULL with an error set. */
+static inline void *take(Held *h, PyObject *from, int64_t bytes, int writable)
+{
+    Py_buffer *b = &h->held[h->count];
+    if (PyObject_GetBuffer(from, b, writable ? PyBUF_CONTIG : PyBUF_CONTIG_RO) < 0)
+        return NULL;
+    h->count++;
+    if (bytes >= 0 && b->len != bytes) {
+        PyErr_Format(PyExc_ValueError, "a buffer of %zd bytes where %lld are expected", b->len,
+                     (long long)bytes);
+        return NULL;
+    }
+    return b->buf;
+}
+
+/* Bytes of the buffer taken last. */
+static inline int64_t taken(const Held *h) { return h->held[h->count - 1].len; }
+
+static inline int refused(const char *why)
+{
+    PyErr_SetString(PyExc_ValueError, why);
+    return 0;
+}
+
+/* The end of every call: None, or the error that is set. */
+static inline PyObject *finished(Held *h)
+{
+    release(h);
+    return PyErr_Occurred() ? NULL : Py_BuildValue("");
+}
+#endif

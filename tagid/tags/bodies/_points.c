@@ -1,0 +1,346 @@
+/* The linear model of points and their double bounce at one arrangement: what it leaves, and which way is
+ * down.
+ *
+ * `tagid.tags.bodies.points` holds the formula, and does the same with numpy where no compiler was present.
+ * Only the stable ABI and the buffer protocol are used.
+ */
+#include "../_buffers.h"
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#define MOST 16 /* points, at most */
+#define PAIRS (MOST * (MOST - 1) / 2)
+#define LOAD 1e-9
+#define SPACING 0.06 /* of two reflectors whose bounce has the amplitude 1, m */
+
+typedef struct {
+    const double *antenna; /* (2, views) */
+    const double *height;  /* (views,) */
+    const double *data;    /* (F, 2, views) */
+    int64_t views, frequencies;
+    double first, step, distance; /* kappa of the first frequency and between two; d */
+} Spectra;
+
+typedef struct {
+    double *phase; /* (2, views) now, at one frequency, with its spreading loss */
+    double *turn;  /* (2, views) from one frequency to the next */
+} Wave;
+
+/* exp(-j kappa path) times an amplitude, and its change from one frequency to the next. */
+INLINE void begin(const Spectra *g, Wave *w, int64_t v, double path, double amplitude)
+{
+    const double first = g->first * path, step = g->step * path;
+    w->phase[v] = amplitude * cos(first);
+    w->phase[g->views + v] = -amplitude * sin(first);
+    w->turn[v] = cos(step);
+    w->turn[g->views + v] = -sin(step);
+}
+
+INLINE void advance(const Spectra *g, const Wave *w)
+{
+    double *restrict re = w->phase, *restrict im = re + g->views;
+    const double *restrict tr = w->turn, *restrict ti = tr + g->views;
+    for (int64_t v = 0; v < g->views; v++) {
+        const double a = re[v] * tr[v] - im[v] * ti[v], b = re[v] * ti[v] + im[v] * tr[v];
+        re[v] = a;
+        im[v] = b;
+    }
+}
+
+/* Takes out what is constant over the views of a column (2, views). */
+INLINE void centre(double *restrict x, int64_t n)
+{
+    for (int part = 0; part < 2; part++, x += n) {
+        double mean = 0.0;
+#pragma omp simd reduction(+ : mean)
+        for (int64_t v = 0; v < n; v++)
+            mean += x[v];
+        mean /= (double)n;
+        for (int64_t v = 0; v < n; v++)
+            x[v] -= mean;
+    }
+}
+
+/* <a, b> of columns (2, views). */
+INLINE void inner(const double *restrict a, const double *restrict b, int64_t n, double *out)
+{
+    double re = 0.0, im = 0.0;
+#pragma omp simd reduction(+ : re, im)
+    for (int64_t v = 0; v < n; v++) {
+        re += a[v] * b[v] + a[n + v] * b[n + v];
+        im += a[v] * b[n + v] - a[n + v] * b[v];
+    }
+    out[0] = re;
+    out[1] = im;
+}
+
+/* y -= c x. */
+INLINE void subtract(double *restrict y, const double *restrict x, const double *c, int64_t n)
+{
+    for (int64_t v = 0; v < n; v++) {
+        y[v] -= c[0] * x[v] - c[1] * x[n + v];
+        y[n + v] -= c[0] * x[n + v] + c[1] * x[v];
+    }
+}
+
+/* x scaled to length 1; its length. */
+INLINE double scale(double *restrict x, int64_t n)
+{
+    double size[2];
+    inner(x, x, n, size);
+    size[0] = sqrt(size[0]);
+    const double part = size[0] > 0.0 ? 1.0 / size[0] : 0.0;
+    for (int64_t v = 0; v < 2 * n; v++)
+        x[v] *= part;
+    return size[0];
+}
+
+/* dR / dx and dR / dy (2, views) of every point, dD / dx and dD / dy (2,) of every pair. */
+typedef struct {
+    double *toward[MOST];
+    double along[PAIRS][2];
+    int one[PAIRS], other[PAIRS], pairs;
+} Slopes;
+
+/* Waves of points and pairs at the first frequency. */
+INLINE void prepare(const Spectra *g, const double *places, const double *heights, int count, double *away,
+                    Wave *single, Wave *bounce, Slopes *s)
+{
+    const int64_t n = g->views;
+    for (int k = 0; k < count; k++)
+        for (int64_t v = 0; v < n; v++) {
+            const double x = g->antenna[v] - places[2 * k], y = g->antenna[n + v] - places[2 * k + 1];
+            const double up = g->height[v] - heights[k], d = sqrt(x * x + y * y + up * up),
+                         near = g->distance / d;
+            away[n * k + v] = d;
+            s->toward[k][v] = -x / d;
+            s->toward[k][n + v] = -y / d;
+            begin(g, single + k, v, d - g->distance, near * near);
+        }
+    s->pairs = 0;
+    for (int i = 0; i < count; i++)
+        for (int k = i + 1; k < count; k++) {
+            const int p = s->pairs++;
+            const double x = places[2 * i] - places[2 * k], y = places[2 * i + 1] - places[2 * k + 1];
+            const double up = heights[i] - heights[k], gap = sqrt(x * x + y * y + up * up);
+            const double apart = gap > 1e-3 ? gap : 1e-3;
+            s->one[p] = i;
+            s->other[p] = k;
+            s->along[p][0] = x / apart;
+            s->along[p][1] = y / apart;
+            for (int64_t v = 0; v < n; v++) {
+                const double a = away[n * i + v], b = away[n * k + v];
+                begin(g, bounce + p, v, (a + b + apart) / 2 - g->distance,
+                      g->distance * g->distance / (a * b) * SPACING / apart);
+            }
+        }
+}
+
+/* Derivatives (2 K, 2, 2, views) of both columns at one frequency. */
+INLINE void derive(const Spectra *g, double kappa, int count, const Wave *single, const Wave *bounce,
+                   const Slopes *s, double *slopes)
+{
+    const int64_t n = g->views;
+    memset(slopes, 0, (size_t)(8 * count * n) * sizeof(double));
+    /* -j kappa (a + j b) = kappa b - j kappa a */
+    for (int k = 0; k < count; k++)
+        for (int axis = 0; axis < 2; axis++) {
+            double *restrict re = slopes + 4 * n * (2 * k + axis), *restrict im = re + n;
+            const double *restrict a = single[k].phase, *restrict b = a + n,
+                                   *restrict t = s->toward[k] + n * axis;
+            for (int64_t v = 0; v < n; v++) {
+                re[v] = kappa * b[v] * t[v];
+                im[v] = -kappa * a[v] * t[v];
+            }
+        }
+    for (int p = 0; p < s->pairs; p++)
+        for (int end = 0; end < 2; end++)
+            for (int axis = 0; axis < 2; axis++) {
+                const int k = end ? s->other[p] : s->one[p];
+                const double along = end ? -s->along[p][axis] : s->along[p][axis];
+                double *restrict re = slopes + 4 * n * (2 * k + axis) + 2 * n, *restrict im = re + n;
+                const double *restrict a = bounce[p].phase, *restrict b = a + n,
+                                       *restrict t = s->toward[k] + n * axis;
+                for (int64_t v = 0; v < n; v++) {
+                    const double w = 0.5 * kappa * (t[v] + along);
+                    re[v] += b[v] * w;
+                    im[v] -= a[v] * w;
+                }
+            }
+}
+
+typedef struct {
+    double *left;     /* (1,) */
+    double *normal;   /* (2 K, 2 K) */
+    double *gradient; /* (2 K,) */
+} Result;
+
+/* Least squares with the amplitudes eliminated (Kaufman 1975), frequency after frequency. */
+WIDE static void linear_model(const Spectra *g, const double *places, const double *heights, int count,
+                              double *scratch, const Result *out)
+{
+    const int64_t n = g->views;
+    const int cols = count > 1 ? 2 : 1, moves = 2 * count, pairs = count * (count - 1) / 2;
+    Wave single[MOST], bounce[PAIRS];
+    Slopes s;
+    double *at = scratch, *away = at, *q = away + n * count, *rest, *slopes;
+    at = q + 4 * n;
+    rest = at;
+    slopes = rest + 2 * n;
+    at = slopes + 8 * n * count;
+    for (int k = 0; k < count; k++, at += 6 * n) {
+        single[k] = (Wave){at, at + 2 * n};
+        s.toward[k] = at + 4 * n;
+    }
+    for (int p = 0; p < pairs; p++, at += 4 * n)
+        bounce[p] = (Wave){at, at + 2 * n};
+    prepare(g, places, heights, count, away, single, bounce, &s);
+    memset(out->normal, 0, (size_t)(moves * moves) * sizeof(double));
+    memset(out->gradient, 0, (size_t)moves * sizeof(double));
+    *out->left = 0.0;
+    for (int64_t f = 0; f < g->frequencies; f++) {
+        memset(q, 0, (size_t)(4 * n) * sizeof(double));
+        for (int k = 0; k < count; k++)
+            for (int64_t v = 0; v < 2 * n; v++)
+                q[v] += single[k].phase[v];
+        for (int p = 0; p < pairs; p++)
+            for (int64_t v = 0; v < 2 * n; v++)
+                q[2 * n + v] += bounce[p].phase[v];
+        /* Orthonormal columns by Gram and Schmidt, the second in two steps, which is as exact as reflections.
+         */
+        double size[2] = {0.0, 0.0}, overlap[2] = {0.0, 0.0}, found[2][2] = {{0.0, 0.0}, {0.0, 0.0}};
+        memcpy(rest, g->data + 2 * n * f, (size_t)(2 * n) * sizeof(double));
+        for (int c = 0; c < cols; c++) {
+            double *own = q + 2 * n * c;
+            centre(own, n);
+            for (int again = 0; c && again < 2; again++) {
+                double part[2];
+                inner(q, own, n, part);
+                subtract(own, q, part, n);
+                overlap[0] += part[0];
+                overlap[1] += part[1];
+            }
+            size[c] = scale(own, n);
+            inner(own, rest, n, found[c]);
+            subtract(rest, own, found[c], n);
+        }
+        double energy[2], amplitude[2][2] = {{0.0, 0.0}, {0.0, 0.0}};
+        inner(rest, rest, n, energy);
+        *out->left += energy[0];
+        const double cross = sqrt(overlap[0] * overlap[0] + overlap[1] * overlap[1]);
+        double most = size[0] > size[1] ? size[0] : size[1];
+        most = most > cross ? most : cross;
+        const double load = LOAD * most + 1e-300;
+        if (cols > 1) {
+            amplitude[1][0] = found[1][0] / (size[1] + load);
+            amplitude[1][1] = found[1][1] / (size[1] + load);
+        }
+        const double *a1 = amplitude[1];
+        amplitude[0][0] = (found[0][0] - overlap[0] * a1[0] + overlap[1] * a1[1]) / (size[0] + load);
+        amplitude[0][1] = (found[0][1] - overlap[0] * a1[1] - overlap[1] * a1[0]) / (size[0] + load);
+        const double *a0 = amplitude[0];
+        derive(g, g->first + (double)f * g->step, count, single, bounce, &s, slopes);
+        for (int p = 0; p < moves; p++) {
+            double *restrict re = slopes + 4 * n * p, *restrict im = re + n;
+            const double *restrict br = re + 2 * n, *restrict bi = re + 3 * n;
+            for (int64_t v = 0; v < n; v++) {
+                const double x = re[v], y = im[v];
+                re[v] = a0[0] * x - a0[1] * y + a1[0] * br[v] - a1[1] * bi[v];
+                im[v] = a0[0] * y + a0[1] * x + a1[0] * bi[v] + a1[1] * br[v];
+            }
+            centre(re, n);
+            for (int c = 0; c < cols; c++) {
+                double part[2];
+                inner(q + 2 * n * c, re, n, part);
+                subtract(re, q + 2 * n * c, part, n);
+            }
+            double value[2];
+            inner(re, rest, n, value);
+            out->gradient[p] += value[0];
+            for (int o = 0; o <= p; o++) {
+                inner(re, slopes + 4 * n * o, n, value);
+                out->normal[moves * p + o] += value[0];
+            }
+        }
+        for (int k = 0; k < count; k++)
+            advance(g, single + k);
+        for (int p = 0; p < pairs; p++)
+            advance(g, bounce + p);
+    }
+    for (int p = 0; p < moves; p++)
+        for (int o = 0; o < p; o++)
+            out->normal[moves * o + p] = out->normal[moves * p + o];
+}
+
+static PyObject *linear(PyObject *self, PyObject *args)
+{
+    (void)self;
+    PyObject *o[8];
+    Held h = {.count = 0};
+    Spectra g;
+    Result out;
+    const double *places, *heights;
+    if (!PyArg_ParseTuple(args, "OOO(ddd)OOOOO", o, o + 1, o + 2, &g.first, &g.step, &g.distance, o + 3,
+                          o + 4, o + 5, o + 6, o + 7))
+        return NULL;
+    if (!(g.height = take(&h, o[1], -1, 0)))
+        return finished(&h);
+    g.views = taken(&h) / 8;
+    if (!(g.antenna = take(&h, o[0], 16 * g.views, 0)) || !(g.data = take(&h, o[2], -1, 0)))
+        return finished(&h);
+    g.frequencies = g.views ? taken(&h) / 16 / g.views : 0;
+    if (g.frequencies < 1 || taken(&h) != 16 * g.views * g.frequencies) {
+        refused("spectra and antennas do not fit together");
+        return finished(&h);
+    }
+    if (!(heights = take(&h, o[4], -1, 0)))
+        return finished(&h);
+    const int64_t count = taken(&h) / 8;
+    if (count < 1 || count > MOST) {
+        refused("too few points, or too many");
+        return finished(&h);
+    }
+    if (!(places = take(&h, o[3], 16 * count, 0)) || !(out.left = take(&h, o[5], 8, 1)) ||
+        !(out.normal = take(&h, o[6], 32 * count * count, 1)) ||
+        !(out.gradient = take(&h, o[7], 16 * count, 1)))
+        return finished(&h);
+    const int64_t pairs = count * (count - 1) / 2;
+    double *scratch = malloc((size_t)(g.views * (6 + 15 * count + 4 * pairs)) * sizeof(double));
+    if (!scratch) {
+        PyErr_NoMemory();
+        return finished(&h);
+    }
+    Py_BEGIN_ALLOW_THREADS linear_model(&g, places, heights, (int)count, scratch, &out);
+    Py_END_ALLOW_THREADS free(scratch);
+    return finished(&h);
+}
+
+static PyMethodDef methods[] = {
+    {"linear", linear, METH_VARARGS,
+     "linear(antenna, height, data, (first, step, distance), places, heights, left, normal, gradient)"},
+    {NULL, NULL, 0, NULL},
+};
+
+static struct PyModuleDef module = {
+    PyModuleDef_HEAD_INIT,
+    "_points",
+    "Compiled model of points (see tagid.tags.bodies.points).",
+    -1,
+    methods,
+    NULL,
+    NULL,
+    NULL,
+    NULL,
+};
+
+PyMODINIT_FUNC PyInit__points(void)
+{
+    PyObject *made = PyModule_Create(&module);
+    /* `tagid.tags.bodies.points` uses no build of other arguments. */
+    if (made && PyModule_AddIntConstant(made, "ARGUMENTS", 1) < 0) {
+        Py_DECREF(made);
+        return NULL;
+    }
+    return made;
+}

@@ -1,0 +1,351 @@
+"""The compiled inner loops of the reader: templates of points, what they explain, and where it is most.
+
+Where no compiler was present at installation `FieldTables.of` gives None, and callers do the same with numpy.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+_matched: Any
+_coarse: Any
+try:
+    from tagid.tags.reading import _coarse, _matched  # type: ignore[attr-defined, no-redef]
+except ImportError:  # no compiler at installation
+    _matched = _coarse = None
+if any(getattr(one, "ARGUMENTS", 0) != 1 for one in (_matched, _coarse)):  # built before the present source
+    _matched = _coarse = None
+
+MOST_POINTS = 24
+"""Points of one set, at most."""
+_LANES = 4
+"""Numbers of coordinates are padded to a multiple of this."""
+
+Pattern = tuple[float, float, float]
+"""Edge, softness and floor of an `Aspect`."""
+
+
+def is_compiled() -> bool:
+    """True if the C extension runs; False where numpy stands in for it."""
+    return _matched is not None
+
+
+@dataclass(frozen=True, eq=False)
+class Explained:
+    """Least squares of the data on sets of points.
+
+    Attributes:
+        amplitudes: (H, K) G^-1 b of every set, G loaded by 1e-2 of itself.
+        explained: (H,) b^H G^-1 b.
+        gram: (H, K, K) G, not loaded.
+    """
+
+    amplitudes: NDArray[np.complex128]
+    explained: NDArray[np.float64]
+    gram: NDArray[np.complex128]
+
+
+@dataclass(frozen=True)
+class PointSteps:
+    """How free points move.
+
+    Attributes:
+        step_m: of the first round; the others are 0.7 of the one before.
+        reach_m: largest distance from the start, in every coordinate; heights move `rise` times as far.
+        rise: see there.
+        rounds: number of rounds.
+        offset_m: range offset.
+        no_side_m: a point nearer than this to the centre has no outward side.
+    """
+
+    step_m: float
+    reach_m: float
+    rise: float
+    rounds: int
+    offset_m: float
+    no_side_m: float
+
+
+@dataclass(frozen=True, eq=False)
+class LayoutShape:
+    """A layout at rotation zero: positions (K, 2) and heights (K,), m, and what reflectors face (K, 2)."""
+
+    positions: NDArray[np.float64]
+    heights: NDArray[np.float64]
+    facing: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class LayoutSteps:
+    """How a layout moves: first step, lower and upper limit of every coordinate (D,), and which rounds."""
+
+    step: NDArray[np.float64]
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
+    rounds: range
+
+
+@dataclass(frozen=True, eq=False)
+class FieldTables:
+    """A matched field in the form that the compiled loops take.
+
+    Attributes:
+        field: antennas (ways, 3, views), their middles (3, views), circle of each view (views,), profiles
+            (entries, 2, width) as real and imaginary parts, and the scalars that belong to them.
+        data: (2, views, width) float32, the scans in the basis.
+        table: (views, entries) inner products of the profiles with the scans.
+        views, rank, width: numbers of views, of coordinates, and of coordinates with their padding.
+    """
+
+    field: tuple[Any, ...]
+    data: NDArray[np.float32]
+    table: NDArray[np.complex64]
+    views: int
+    rank: int
+    width: int
+
+    @classmethod
+    def of(
+        cls,
+        antennas: Sequence[NDArray[np.float64]],
+        groups: Sequence[NDArray[np.intp]],
+        profiles: NDArray[np.complex64],
+        axis: tuple[float, float, float],
+        data: NDArray[np.complex64],
+        table: NDArray[np.complex64],
+    ) -> FieldTables | None:
+        """The tables of a field; None where the loops were not compiled.
+
+        Args:
+            antennas: (views, 3) positions of one antenna or of two, m.
+            groups: views of each antenna height.
+            profiles: (entries, rank) coordinates of the range profiles.
+            axis: distance of the first profile and between profiles, m, and the carrier's wavenumber, rad/m.
+            data: (views, rank) coordinates of the scans.
+            table: (views, entries) inner products of the profiles with the scans.
+        """
+        if _matched is None:
+            return None
+        ways = np.ascontiguousarray(np.stack([np.asarray(one, dtype=np.float64).T for one in antennas]))
+        circle = np.empty(ways.shape[2], dtype=np.int32)
+        for number, views in enumerate(groups):
+            circle[views] = number
+        rank = profiles.shape[1]
+        width = -(-rank // _LANES) * _LANES
+        split = np.zeros((len(profiles), 2, width), dtype=np.float32)
+        split[:, 0, :rank], split[:, 1, :rank] = profiles.real, profiles.imag
+        middle = np.ascontiguousarray(ways.mean(axis=0))
+        field = (ways, middle, circle, split, len(groups), width, *(float(x) for x in axis))
+        return cls(field, _split(data, rank, width), table, ways.shape[2], rank, width)
+
+    def explained(
+        self,
+        points: NDArray[np.float64],
+        facing: NDArray[np.float64],
+        offsets: NDArray[np.float64],
+        pattern: Pattern,
+        sets: NDArray[np.integer],
+        whole: bool = False,
+    ) -> Explained:
+        """Least squares on sets (H, K) of points (N, 3) that face (N, 2), with range offsets (N,), m.
+
+        `whole` leaves what is constant over the views in the templates.
+        """
+        h, k = sets.shape
+        found = Explained(
+            np.empty((h, k), dtype=np.complex128), np.empty(h), np.empty((h, k, k), dtype=np.complex128)
+        )
+        _matched.evaluate(
+            self.field,
+            pattern,
+            self.data,
+            _plain(points),
+            _plain(facing),
+            _plain(offsets),
+            np.ascontiguousarray(sets, dtype=np.int32),
+            k,
+            whole,
+            found.amplitudes,
+            found.explained,
+            found.gram,
+        )
+        return found
+
+    def moved_points(
+        self,
+        places: NDArray[np.float64],
+        centre_m: NDArray[np.floating],
+        pattern: Pattern,
+        steps: PointSteps,
+    ) -> tuple[NDArray[np.float64], NDArray[np.complex128], float]:
+        """Free places near the start (K, 2 or 3), their amplitudes, and what they explain.
+
+        The points face away from `centre_m`, see `Appearance`.
+        """
+        found = np.array(places, dtype=np.float64, order="C")
+        amplitudes, explained = np.empty(len(found), dtype=np.complex128), np.empty(1)
+        numbers = (steps.no_side_m, steps.offset_m, steps.step_m, steps.reach_m, steps.rise)
+        _matched.move_points(
+            self.field,
+            pattern,
+            self.data,
+            _plain(centre_m),
+            numbers,
+            steps.rounds,
+            found,
+            amplitudes,
+            explained,
+        )
+        return found, amplitudes, float(explained[0])
+
+    def moved_layouts(
+        self,
+        places: NDArray[np.float64],
+        shape: LayoutShape,
+        pattern: Pattern,
+        steps: LayoutSteps,
+        scales: tuple[float, float, float],
+    ) -> NDArray[np.float64]:
+        """(H, 4 or 5) places of a layout, as of `Fit.place`, after parabolic steps from all starts.
+
+        Args:
+            places: where to begin.
+            shape: the layout.
+            pattern: of its reflectors.
+            steps: see there.
+            scales: balance, energy of a template, and the visibility from which amplitudes are trusted.
+        """
+        found = np.array(places, dtype=np.float64, order="C")
+        _matched.move_layouts(
+            self.field,
+            pattern,
+            self.data,
+            _plain(shape.positions),
+            _plain(shape.heights),
+            _plain(shape.facing),
+            _plain(steps.step),
+            _plain(steps.low),
+            _plain(steps.high),
+            scales,
+            steps.rounds.start,
+            steps.rounds.stop,
+            found,
+        )
+        return found
+
+    def looked(
+        self, points: NDArray[np.float64], facing: NDArray[np.float64], offset_m: float, pattern: Pattern
+    ) -> tuple[NDArray[np.int32], NDArray[np.complex64]]:
+        """(N, views) range profile, and phase times amplitude, of points (N, 3) that face (N, 2)."""
+        index = np.empty((len(points), self.views), dtype=np.int32)
+        turn = np.empty((len(points), self.views), dtype=np.complex64)
+        _matched.look(self.field, pattern, _plain(points), _plain(facing), offset_m, index, turn)
+        return index, turn
+
+    def overlaps(
+        self, index: NDArray[np.int32], turn: NDArray[np.complex64], others: NDArray[np.complex64]
+    ) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
+        """(N, P) <s_p, other> of points as of `looked` with others (P, views * rank), and (N,) ||s_p||^2."""
+        shared = np.empty((len(index), len(others)), dtype=np.complex128)
+        own = np.empty(len(index))
+        there = np.stack([_split(one.reshape(self.views, -1), self.rank, self.width) for one in others])
+        _matched.overlaps(self.field, index, turn, there, shared, own)
+        return shared, own
+
+    def coarse(
+        self,
+        points: NDArray[np.float64],
+        facing: NDArray[np.float64],
+        patterns: Sequence[Pattern],
+        offsets_m: Sequence[float],
+    ) -> tuple[NDArray[np.complex64], NDArray[np.complex64]]:
+        """Constant parts (patterns, N, rank) and b (patterns, offsets, N) of points (N, 3), facing (N, 2)."""
+        fixed = np.empty((len(patterns), len(points), 2, self.width), dtype=np.float32)
+        images = np.empty((len(patterns), len(offsets_m), len(points)), dtype=np.complex64)
+        _coarse.coarse(
+            self.field,
+            self.table,
+            _plain(points),
+            _plain(facing),
+            np.array(patterns, dtype=np.float64),
+            np.array(offsets_m, dtype=np.float64),
+            fixed,
+            images,
+        )
+        static = np.empty((*fixed.shape[:2], self.rank), dtype=np.complex64)
+        static.real, static.imag = fixed[:, :, 0, : self.rank], fixed[:, :, 1, : self.rank]
+        return static, images
+
+
+def read_table(
+    table: NDArray[np.complex64], index: NDArray[np.int32], turn: NDArray[np.complex64]
+) -> NDArray[np.complex128]:
+    """(N,) sum over the views of conj(turn) (N, views) times a table (views, entries) at index (N, views)."""
+    out = np.empty(len(index), dtype=np.complex128)
+    _matched.correlate(table, index, turn, index.shape[1], out)
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class CoarseGridTask:
+    """A layout's hypotheses on one coarse image.
+
+    Attributes:
+        images: (offsets, side, side) complex64.
+        static: (side, side, rank) complex64.
+        placed: (A, K, 2) rotated reflectors, m.
+        shifts: (S, 2) m.
+        gram: (A, K, K) of whole templates.
+        step_m: of a pixel.
+        template_energy, balance: see `CoarseGrid.energies`.
+        visible: visibility from which an amplitude is taken as measured.
+        views: number of views.
+    """
+
+    images: NDArray[np.complex64]
+    static: NDArray[np.complex64]
+    placed: NDArray[np.float64]
+    shifts: NDArray[np.float64]
+    gram: NDArray[np.complex128]
+    step_m: float
+    template_energy: float
+    balance: float
+    visible: float
+    views: int
+
+    def energies(self) -> NDArray[np.float32]:
+        """(offsets, A, S) charged energies, as of `CoarseGrid.energies`."""
+        rotations, size = self.placed.shape[:2]
+        out = np.empty((len(self.images), rotations, len(self.shifts)), dtype=np.float32)
+        _coarse.energies(
+            self.images,
+            self.static,
+            _plain(self.placed),
+            _plain(self.shifts),
+            np.ascontiguousarray(self.gram, dtype=np.complex128),
+            self.static.shape[0] // 2,
+            size,
+            self.step_m,
+            self.template_energy,
+            self.balance,
+            self.visible,
+            float(self.views),
+            out,
+        )
+        return out
+
+
+def _plain(values: NDArray[np.floating]) -> NDArray[np.float64]:
+    return np.ascontiguousarray(values, dtype=np.float64)
+
+
+def _split(values: NDArray[np.complex64], rank: int, width: int) -> NDArray[np.float32]:
+    """(2, views, width) real and imaginary parts of (views, rank), padded."""
+    out = np.zeros((2, len(values), width), dtype=np.float32)
+    out[0, :, :rank], out[1, :, :rank] = values.real, values.imag
+    return out

@@ -1,0 +1,149 @@
+"""Solved objects that had no part in making the reader: bodies, tags on them, foreign tags.
+
+Dimensions, reflector sizes, mounting radii, places, materials and shapes differ from tests/data/responses and
+from ../shared/fullwave. Objects of development may serve to find faults and to choose constants; sealed ones
+are only reported.
+
+    PYTHONPATH=. OMP_NUM_THREADS=1 python tests/benchmarks/unseen_objects.py --out build/unseen
+
+solves those whose files are missing, in about half an hour of one core.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from solve_responses import Object, main
+
+from tagid.simulate.fullwave import Mesh, Sweep, shapes
+from tagid.simulate.response import Ring
+
+SWEEP = Sweep(
+    frequencies=21,
+    rings=(
+        *(Ring(d, "V", h) for h in (0.0, 0.1) for d in (0.8, 1.2)),
+        *(Ring(d, "H") for d in (0.8, 1.2)),
+    ),
+)
+"""Upright polarisation from two heights: the tag may stand lower than the antenna."""
+
+LAYOUTS = {"c90": "container-90", "c180": "container-180", "h120": "helmet-120", "lin": "helmet-linear"}
+"""Ending of an object's name: the built-in layout that it carries. Any other ending carries none."""
+
+
+def ring(radius_mm: float, *degrees: float) -> tuple[tuple[float, float], ...]:
+    """Places on a ring."""
+    return tuple((radius_mm, angle) for angle in degrees)
+
+
+def _profile(edge_m: float, *points_mm: tuple[float, float]) -> Mesh:
+    """A metal surface of revolution through points (radius, z)."""
+    return shapes.revolved(1e-3 * np.array(points_mm), edge_m)
+
+
+def _closed25() -> Mesh:
+    return _profile(0.009, (0, -40), (25, -40), (25, 40), (0, 40))
+
+
+def _wide45() -> Mesh:
+    """A wide can, open, with a rim of 4 mm."""
+    return _profile(0.010, (0, -50), (45, -50), (45, 50), (49, 50))
+
+
+def _rim45() -> Mesh:
+    """The same with an upright seam that stands off its wall."""
+    return Mesh.join(_wide45(), shapes.plate(0.005, 0.090, 0.010).moved((0.0, 0.0495, 0.0)))
+
+
+def _plastic40() -> Mesh:
+    return shapes.can(0.040, 0.100, 0.0095, shapes.sheet(2.3, 0.003))
+
+
+def _shell76() -> Mesh:
+    return shapes.helmet((0.076, 0.098, 0.070), 0.020, 0.0100, shapes.sheet(3.0, 0.0025))
+
+
+def _box55() -> Mesh:
+    return shapes.box((0.055, 0.055, 0.100), 0.010)
+
+
+def _mug38() -> Mesh:
+    """Ceramic, with a ceramic handle."""
+    wall = shapes.sheet(4.5, 0.0025)
+    handle = shapes.handle(0.040, 0.026, 0.055, 0.012, 0.009, wall).moved(turn_rad=np.deg2rad(225))
+    return Mesh.join(shapes.can(0.038, 0.080, 0.009, wall), handle)
+
+
+def _closed32() -> Mesh:
+    return _profile(0.009, (0, -50), (32, -50), (32, 50), (0, 50))
+
+
+def _oval() -> Mesh:
+    """A metal bottle of 58 by 76 mm with a neck."""
+    profile = 1e-3 * np.array([(0, -55), (33.5, -55), (33.5, 35), (16, 55), (16, 70)])
+    return shapes.revolved(profile, 0.0095, (29 / 33.5, 38 / 33.5))
+
+
+def _cup33() -> Mesh:
+    return shapes.can(0.033, 0.095, 0.009, shapes.sheet(6.0, 0.002))
+
+
+def _shell70() -> Mesh:
+    return shapes.helmet((0.070, 0.088, 0.085), 0.015, 0.0105, shapes.sheet(2.6, 0.004))
+
+
+def _mug31() -> Mesh:
+    """Metal, with a tall handle."""
+    handle = shapes.handle(0.033, 0.024, 0.070, 0.010, 0.009).moved(turn_rad=np.deg2rad(120))
+    return Mesh.join(shapes.can(0.031, 0.095, 0.009), handle)
+
+
+DEVELOPMENT = {
+    "free24_c180": Object(None, 24, ring(45, 10, 190)),
+    "free24_one": Object(None, 24, ((0, 0),)),
+    "closed25": Object(_closed25),
+    "closed25_c90": Object(_closed25, 20, ring(41, 20, 110)),
+    "closed25_c180": Object(_closed25, 30, ring(47, 30, 210)),
+    "closed25_pair65": Object(_closed25, 30, ring(47, 0, 65)),
+    "rim45": Object(_rim45),
+    "rim45_c90": Object(_rim45, 20, ring(57, 150, 240)),
+    "rim45_three": Object(_rim45, 20, ring(57, 150, 240, 20)),
+    "wide45": Object(_wide45),
+    "wide45_c180": Object(_wide45, 30, ring(62, 15, 195)),
+    "wide45_c90": Object(_wide45, 20, ring(57, 150, 240)),
+    "plastic40": Object(_plastic40),
+    "plastic40_c180": Object(_plastic40, 20, ring(51, 40, 220)),
+    "plastic40_pair140": Object(_plastic40, 30, ring(57, 40, 180)),
+    "mug38": Object(_mug38),
+    "mug38_c90": Object(_mug38, 30, ring(55, 0, 90)),
+    "box55": Object(_box55),
+    "box55_c180": Object(_box55, 20, ring(45, 0, 180)),
+    "box55_pair120": Object(_box55, 20, ring(45, 0, 120)),
+    "shell76": Object(_shell76),
+    "shell76_h120": Object(_shell76, 30, ring(114, 15, 135, 255)),
+    "shell76_lin": Object(_shell76, 20, ((90, 0), (90, 180), (0, 0))),
+}
+"""Objects on which faults may be found and constants chosen."""
+
+SEALED = {
+    "closed32": Object(_closed32),
+    "closed32_c180": Object(_closed32, 20, ring(44, 25, 205)),
+    "closed32_c90": Object(_closed32, 30, ring(51, 65, 155)),
+    "closed32_pair140": Object(_closed32, 30, ring(51, 0, 140)),
+    "cup33": Object(_cup33),
+    "cup33_c90": Object(_cup33, 20, ring(45, 10, 100)),
+    "cup33_four": Object(_cup33, 20, ring(45, 0, 90, 160, 260)),
+    "oval": Object(_oval),
+    "oval_c90": Object(_oval, 20, ring(52, 45, 135)),
+    "mug31": Object(_mug31),
+    "mug31_c180": Object(_mug31, 30, ring(49, 30, 210)),
+    "mug31_pair60": Object(_mug31, 20, ring(45, 0, 60)),
+    "shell70": Object(_shell70),
+    "shell70_h120": Object(_shell70, 40, ring(112, 70, 190, 310)),
+    "shell70_lin": Object(_shell70, 20, ((90, 0), (90, 180), (0, 0))),
+}
+"""Objects that are only reported."""
+
+OBJECTS = {**DEVELOPMENT, **SEALED}
+
+if __name__ == "__main__":
+    main(OBJECTS, SWEEP)

@@ -1,0 +1,156 @@
+"""Recordings of the solved objects of `unseen_objects`, made by the package's own simulator of responses.
+
+Everything that a recording may have is drawn: the object's place, turn and height, the antenna's distance and
+polarisation, a wrong axis distance, uneven rotation, an unstated pulse, coloured noise, interference, a room.
+SNR is against one reflector of the tag: what the tag adds to its body, its peak per view, RMS over a turn,
+times sqrt(2 / K) for K reflectors, each of which an opaque body hides for half of the turn.
+"""
+
+from __future__ import annotations
+
+import zlib
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from unseen_objects import LAYOUTS, OBJECTS
+
+from tagid.capture import Capture
+from tagid.geometry import Aperture
+from tagid.simulate import Acquisition, Interference, NoiseShape, Placement, Wobble, random_pulse
+from tagid.simulate.capture import simulate_capture
+from tagid.simulate.presets import room_clutter
+from tagid.simulate.render import PulseTable, render_bodies
+from tagid.simulate.response import Response
+from tagid.simulate.response_file import read_response
+from tagid.simulate.response_scene import ResponseBody
+from tagid.simulate.scattering import Body, Floats, Returns
+from tagid.simulate.scene import Scene, StaticReturns
+
+TURN = 2 * np.pi * np.arange(24) / 24
+"""Angles at which echoes are measured for the SNR and the room."""
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Number of views, and SNR in dB, of a recording."""
+
+    views: int
+    snr_db: float
+
+    @property
+    def label(self) -> str:
+        """Heading of its column."""
+        return f"{self.views} views, {self.snr_db:.0f} dB"
+
+
+@dataclass(frozen=True, eq=False)
+class Beside:
+    """A body that stands elsewhere on the same turntable, at (x, y), m."""
+
+    body: Body
+    place_m: tuple[float, float]
+
+    def returns(self, antennas: Floats) -> Returns:
+        """As of the body there; waves that go from one body to the other are left out."""
+        shift = np.array([*self.place_m, 0.0])
+        own = self.body.returns(antennas - shift)
+        return Returns(own.points + shift, own.amplitudes)
+
+
+def base_of(name: str) -> str:
+    """The untagged body of an object; "" for a tag alone."""
+    base = name.split("_")[0]
+    return base if base in OBJECTS else ""
+
+
+def truth_of(name: str) -> str:
+    """The built-in layout that an object carries; "" for none."""
+    return LAYOUTS.get(name.partition("_")[2], "")
+
+
+@cache
+def response(folder: Path, name: str) -> Response:
+    """A solved object."""
+    return read_response(folder / f"{name}.npz")
+
+
+def level(folder: Path, name: str, acquisition: Acquisition, polarisation: str) -> float:
+    """Echo of one reflector of an object's tag; an untagged body has that of its first tag."""
+    base = base_of(name)
+    tagged = name if OBJECTS[name].places else next(n for n in OBJECTS if n != name and base_of(n) == base)
+    whole = response(folder, tagged)
+    tag = whole.without(response(folder, base)) if base else whole
+    distance = acquisition.axis_distance_m
+    out = np.zeros((len(TURN), acquisition.range_window.bins), dtype=np.complex128)
+    antennas = Aperture.turntable(TURN, distance, 0.0).positions
+    body = ResponseBody(tag, polarisation, distance)
+    table = PulseTable.of(acquisition.pulse)
+    plain = Acquisition(axis_distance_m=distance, window=acquisition.window)
+    render_bodies((body,), Placement(), antennas, plain, table, out)
+    peak = np.abs(out).max(axis=1)
+    return float(np.sqrt((peak**2).mean() * 2 / max(len(OBJECTS[tagged].places), 2)))
+
+
+@dataclass(frozen=True)
+class Circumstances:
+    """Everything else about a recording; the same for the same draw.
+
+    Attributes:
+        acquisition: without views and SNR.
+        polarisation: "V" or "H".
+        seed: of noise, wobble and room.
+    """
+
+    acquisition: Acquisition
+    polarisation: str
+    seed: int
+
+
+def drawn(key: str, *, enrolled: bool = False) -> Circumstances:
+    """Circumstances drawn for a key.
+
+    Args:
+        key: any text.
+        enrolled: height, polarisation and pulse are those of the enrolment, which the caller sets.
+    """
+    rng = np.random.default_rng(zlib.crc32(key.encode()))
+    polarisation = "H" if rng.uniform() < 0.25 else "V"
+    # Heights between the solved ones are interpolated, which costs 3 % of a body's echo.
+    height = -0.1 if polarisation == "V" and rng.uniform() < 0.5 else 0.0
+    offset = 0.010 * rng.uniform() * np.exp(2j * np.pi * rng.uniform())
+    tone = Interference(0.0, float(rng.uniform(3.1e9, 4.8e9)), 0.5) if rng.uniform() < 0.25 else None
+    colour = float(rng.uniform() * (rng.uniform() < 0.5))
+    pulse = random_pulse(rng) if rng.uniform() < 0.5 else None
+    acquisition = Acquisition(
+        axis_distance_m=float(rng.uniform(0.92, 1.1) if enrolled else rng.uniform(0.8, 1.25)),
+        axis_distance_error_m=float(rng.uniform(-0.02, 0.02)),
+        pulse=pulse,
+        noise=NoiseShape(colour, tone),
+        placement=Placement((offset.real, offset.imag), float(rng.uniform(0, 2 * np.pi)), height),
+        wobble=Wobble(speed=0.01 if rng.uniform() < 0.5 else 0.0),
+    )
+    return Circumstances(acquisition, polarisation, int(rng.integers(2**31)))
+
+
+def recorded(
+    folder: Path, name: str, how: Recording, where: Circumstances, second: str | None = None
+) -> Capture:
+    """A capture of an object, or of two side by side, the same for the same arguments."""
+    acquisition = replace(where.acquisition, views=how.views, snr_db=how.snr_db)
+    distance = acquisition.axis_distance_m
+    unit = level(folder, name, acquisition, where.polarisation)
+    body = ResponseBody(response(folder, name), where.polarisation, distance, 1 / unit)
+    bodies: tuple[Body, ...] = (body,)
+    if second is not None:
+        other = ResponseBody(response(folder, second), where.polarisation, distance, 1 / unit)
+        bodies = (Beside(body, (0.075, 0.0)), Beside(other, (-0.075, 0.01)))
+    rng = np.random.default_rng(where.seed)
+    out = np.zeros((len(TURN), acquisition.range_window.bins), dtype=np.complex128)
+    antennas = Aperture.turntable(TURN, distance, 0.0).positions
+    render_bodies(bodies, Placement(), antennas, acquisition, PulseTable.of(acquisition.pulse), out)
+    room = room_clutter(rng)
+    room = StaticReturns(room.ranges_m, room.amplitudes * max(1.0, float(np.abs(out).max())))
+    scene = Scene(name, bodies, room=room, reference_amplitude=1.0)
+    return simulate_capture(scene, acquisition, int(rng.integers(2**31)))[0]
