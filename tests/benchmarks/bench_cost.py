@@ -25,8 +25,9 @@ from typing import Any
 import numpy as np
 from bench_heldout import Task, capture_of
 from bench_reconstruction import simulate
-from imaging_report import PICTURES, commit, curves, table, write_block
+from imaging_report import PICTURES, curves, table, write_block
 from imaging_unknowns import RAILS, RailCell, rail_capture
+from provenance import commit
 
 from tagid.capture import Capture
 from tagid.geometry import ImageGrid
@@ -376,7 +377,7 @@ def main() -> None:
             load = f"load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores"
             of = {"priors": f"{3 * len(SCENES)} scenes, each once", "pulse": "8 scenes, each once"}
             scenes = of.get(name, f"1 scene, best of {repeats}")
-            text = f"{command}, {scenes}, {load}, {commit()}\n\n{work()}"
+            text = f"{command}, {scenes}, {load}, commit {commit()}\n\n{work()}"
             if name == "growth" and options.write:
                 varied = ("views", "pixels", "bins")
                 text += "".join(f"\n![Time against {k}](../pictures/cost-{k}.png)" for k in varied) + "\n"

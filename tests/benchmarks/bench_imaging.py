@@ -39,6 +39,7 @@ from imaging_scenes import (
     random_points,
     score,
 )
+from provenance import commit
 
 DIGITS = (1, 2, 3, 1, 0, 2, 2)
 SLOW = ("ATS paper",)
@@ -261,7 +262,7 @@ def main() -> None:
         text = work(run)
         arguments = f"{name} --quick" if options.quick else f"{name} --seeds {seeds}"
         machine = f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"
-        made = f"`python tests/benchmarks/bench_imaging.py {arguments}`, {report.commit()}, "
+        made = f"`python tests/benchmarks/bench_imaging.py {arguments}`, commit {commit()}, "
         made += f"{date.today()}, {machine}, numpy {np.__version__}.\n\n"
         shown = "".join(f"\n![{title}](../pictures/{figure}.png)\n" for figure in figures)
         print(f"{title}\n\n{made}{text}", flush=True)

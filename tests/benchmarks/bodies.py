@@ -30,11 +30,12 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import numpy as np
 from bodies_scenes import FULLWAVE, OWN, RECORDINGS, ROOT, Scene, captured, drawn, tagged, unnamed
-from reading_bodies import commit, wilson
+from provenance import commit
 from scipy.stats import beta
 
 from tagid.capture import Capture
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
+from tagid.proportion import wilson
 from tagid.tags.layouts.layout import builtin_layouts
 from tagid.tags.matching.matcher import read_tag
 from train.population import STATEMENT, draw
@@ -201,8 +202,8 @@ def _read_all(tasks: Sequence[Task], run: Run):  # type: ignore[no-untyped-def]
 
 def cell(hits: int, total: int) -> str:
     """Counts with Wilson's 95 % interval."""
-    low, high = wilson(hits, total)
-    return f"{hits}/{total} ({100 * low:.0f}..{100 * high:.0f} %)"
+    interval = wilson(hits / total, total)
+    return f"{hits}/{total} ({100 * interval.low:.0f}..{100 * interval.high:.0f} %)"
 
 
 def most(hits: int, total: int) -> str:

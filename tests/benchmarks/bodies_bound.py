@@ -24,7 +24,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 from bodies_scenes import FULLWAVE, generator
 from numpy.typing import NDArray
-from reading_bodies import commit
+from provenance import commit
 from scipy.special import log_ndtr
 
 from tagid.capture import Capture

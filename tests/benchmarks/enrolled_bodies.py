@@ -30,7 +30,7 @@ import numpy as np
 from enrolled_designed import CARRIERS, ENROLLED, DesignedScene, designed_scenes
 from enrolled_designed import capture_of as designed_capture
 from enrolled_scenes import DISTANCE_M, capture_of
-from reading_bodies import commit
+from provenance import commit
 
 from tagid.errors import TagidError
 from tagid.pipeline.identify import aspect_spectra, identify

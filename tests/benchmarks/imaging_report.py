@@ -11,7 +11,6 @@ import multiprocessing
 import os
 import platform
 import re
-import subprocess
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -20,12 +19,12 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
+from provenance import ROOT, commit
 
 from tagid.report.axes import Axes, colour_bar
 from tagid.report.canvas import Canvas
 from tagid.report.colours import BLUE, GREEN, INK, ORANGE, colourise, to_decibels
 
-ROOT = Path(__file__).resolve().parents[2]
 RESULTS = ROOT / "docs" / "results"
 PICTURES = ROOT / "docs" / "pictures"
 DYNAMIC_RANGE_DB = 30.0
@@ -84,21 +83,11 @@ def resumed(work: Callable[[Job], dict[str, float]], jobs: Sequence[Job], run: A
     return found
 
 
-def commit() -> str:
-    """The commit that is checked out, with "+" where files differ from it."""
-
-    def git(*words: str) -> str:
-        return subprocess.run(["git", "-C", ROOT, *words], capture_output=True, text=True, check=True).stdout
-
-    changed = git("status", "--porcelain", "--untracked-files=no")
-    return f"commit {git('rev-parse', '--short=10', 'HEAD').strip()}{'+' if changed else ''}"
-
-
 def heading(title: str, command: str, seeds: str) -> str:
     """Title of a page of results and where its tables come from."""
     machine = f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"
     return (
-        f"# {title}\n\n- Command: `{command}`\n- Commit: {commit().removeprefix('commit ')}\n"
+        f"# {title}\n\n- Command: `{command}`\n- Commit: {commit()}\n"
         f"- Machine: {machine}, numpy {np.__version__}\n- Date: {date.today()}\n- Seeds: {seeds}\n"
     )
 

@@ -39,6 +39,8 @@ from datetime import UTC, datetime
 from importlib import import_module
 from pathlib import Path
 
+from provenance import commit
+
 ROOT = Path(__file__).resolve().parents[2]
 REASONS = Path(__file__).with_name("mutants_reasons.toml")
 LIBRARIES = ("numpy", "scipy", "h5py", "hypothesis", "PIL", "serial", "rich", "typer", "jinja2", "_pytest")
@@ -308,7 +310,7 @@ def run(name: str, mutants: list[Mutant], places: int, seed: int) -> Result:
         timeouts=timeouts,
         seconds=spent,
         seed=seed,
-        commit=_commit(),
+        commit=commit(),
         date=datetime.now(UTC).strftime("%Y-%m-%d"),
         survivors=tuple(survivors),
     )
@@ -390,16 +392,6 @@ def _tests(copy: Path, target: Target, limit_s: float) -> int | None:
 
 
 # Page
-
-
-def _commit() -> str:
-    """The commit that is checked out, with "+" where files differ from it."""
-
-    def git(*words: str) -> str:
-        return subprocess.run(["git", "-C", ROOT, *words], capture_output=True, text=True, check=True).stdout
-
-    changed = git("status", "--porcelain", "--untracked-files=no")
-    return f"{git('rev-parse', '--short=10', 'HEAD').strip()}{'+' if changed else ''}"
 
 
 def page(results: list[Result]) -> str:

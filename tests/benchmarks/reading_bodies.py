@@ -13,7 +13,6 @@ import multiprocessing
 import os
 import platform
 import random
-import subprocess
 import sys
 import time
 from collections import Counter
@@ -28,12 +27,14 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import numpy as np
 import reading_bodies_scenes as scenes
+from provenance import commit
 from reading_bodies_scenes import Cell
 
 from tagid.errors import TagidError
 from tagid.pipeline.identify import aspect_spectra, identify
 from tagid.pipeline.prepared import prepare
 from tagid.pipeline.settings import ImagingSettings
+from tagid.proportion import wilson
 from tagid.tags.bodies.joint import Named, enrol_signature
 from tagid.tags.bodies.signature import Signature
 
@@ -150,18 +151,10 @@ def tasks(arguments: argparse.Namespace) -> Iterator[Task]:
                     yield Task(cell, mode, arguments.population, number)
 
 
-def wilson(hits: int, total: int) -> tuple[float, float]:
-    """95 % interval of a proportion (Wilson 1927)."""
-    z = 1.959964
-    p, w = hits / total, z * z / total
-    middle, half = (p + w / 2) / (1 + w), z * np.sqrt(p * (1 - p) / total + w / (4 * total)) / (1 + w)
-    return max(0.0, middle - half), min(1.0, middle + half)
-
-
 def share(hits: int, total: int) -> str:
     """Per cent with its interval."""
-    low, high = wilson(hits, total)
-    return f"{100 * hits / total:.1f} ({100 * low:.1f}..{100 * high:.1f})"
+    interval = wilson(hits / total, total)
+    return f"{100 * hits / total:.1f} ({100 * interval.low:.1f}..{100 * interval.high:.1f})"
 
 
 def table(head: str, groups: Iterable[tuple[str, list[Row]]]) -> list[str]:
@@ -247,14 +240,6 @@ def section(rows: list[Row], world: str, mode: str) -> list[str]:
         for r in wrong
     ]
     return [*lines, ""]
-
-
-def commit() -> str:
-    """The commit that is measured; TAGID_COMMIT where the sources are not a checkout."""
-    if "TAGID_COMMIT" in os.environ:
-        return os.environ["TAGID_COMMIT"]
-    words = ["git", "-C", str(ROOT), "describe", "--always", "--dirty", "--abbrev=10"]
-    return subprocess.run(words, capture_output=True, text=True, check=False).stdout.strip() or "unknown"
 
 
 METHOD = """

@@ -32,7 +32,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import numpy as np
 from bodies import cell, most, reader_hash
-from reading_bodies import ROOT, commit
+from provenance import ROOT, commit
 from unseen_objects import DEVELOPMENT, OBJECTS, SEALED
 from unseen_scenes import Circumstances, Recording, base_of, drawn, recorded, truth_of
 

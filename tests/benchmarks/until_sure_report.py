@@ -11,7 +11,8 @@ from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
-from reading_bodies import commit, outcome_of, share
+from provenance import commit
+from reading_bodies import outcome_of, share
 
 from tagid.tags.sequential.calibration import EndingCalibration
 from tagid.tags.sequential.looks import LOOKS, SPENT, Look, agreed
