@@ -76,6 +76,68 @@ def test_undo_says_what_it_undid_and_redo_takes_it_back(here: Callable[..., Ran]
     assert here("layouts", "export", "all.toml", "mine", "--force").code == 0
 
 
+@pytest.mark.parametrize(
+    ("option", "value", "remedy"),
+    [
+        ("--snr", "1e9", "-100 to 300 dB"),
+        ("--snr", "-1e9", "-100 to 300 dB"),
+        ("--snr", "nan", "-100 to 300 dB"),
+        ("--snr", "inf", "-100 to 300 dB"),
+        ("--noise", "nan", "0 to 1e+06"),
+        ("--noise", "inf", "0 to 1e+06"),
+        ("--unlike", "nan", "0 to 20 dB"),
+        ("--axis-distance", "nan", "Give metres"),
+        ("--axis-distance", "inf", "Give metres"),
+        ("--axis-distance", "1000", "Give metres"),
+        ("--axis-error", "nan", "Give metres"),
+        ("--axis-error", "-1", "Give metres"),
+        ("--antenna-height", "inf", "Give metres"),
+        ("--antenna-height", "1e9", "Give metres"),
+        ("--wobble", "nan", "0.01 for 1 %"),
+        ("--wobble", "inf", "0.01 for 1 %"),
+        ("--wobble", "-0.1", "0.01 for 1 %"),
+        ("--centre", "4,-2", "4 m? Give metres"),
+        ("--centre", "0,1e300", "Give metres"),
+        ("--seed", "-1", "--seed"),
+    ],
+)
+def test_numbers_that_cannot_be_simulated_are_refused_with_their_range(
+    here: Callable[..., Ran], tmp_path: Path, option: str, value: str, remedy: str
+) -> None:
+    done = here("simulate", "helmet-120", "--views", 12, option, value, "--out", "x.tagid.h5")
+    assert done.code == 2 and remedy in " ".join(done.err.split()), done.err
+    assert not list(tmp_path.glob("x*"))
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("p440", "--snr", "1e9"),
+        ("p440", "--snr", "nan"),
+        ("p440", "--centre", "4,-2"),
+        ("p440", "--axis-distance", "inf"),
+        ("p440", "--wobble", "nan"),
+        ("p440", "--delay-ms", "nan"),
+        ("p440", "--delay-ms", "inf"),
+        ("p440", "--seed", "-1"),
+        ("roomba", "--slip-noise", "nan"),
+        ("roomba", "--encoder-noise", "inf"),
+        ("roomba", "--truth", "70000"),
+        ("comxim", "--rate-error", "nan"),
+        ("comxim", "--rate-error", "inf"),
+    ],
+)
+def test_numbers_that_cannot_be_emulated_are_refused(
+    here: Callable[..., Ran], monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...]
+) -> None:
+    def listening(*_: object) -> None:
+        raise AssertionError("the emulator started")
+
+    monkeypatch.setattr("tagid.cli.emulate.motion.announce", listening)
+    done = here("emulate", *words)
+    assert done.code == 2 and ("Give" in done.err or "range" in done.err), done.err
+
+
 def test_an_own_layout_is_simulated_emulated_and_its_truth_kept(
     here: Callable[..., Ran], home: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
