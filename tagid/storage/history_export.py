@@ -13,11 +13,12 @@ from pathlib import Path
 from typing import Any
 
 from tagid import files
-from tagid.errors import MissingExtraError, UsageError
+from tagid.errors import MissingExtraError, StorageError, UsageError
 from tagid.storage.history import FIELDS, TYPES, Filter, History
 from tagid.storage.spreadsheet import cell
 
 _BATCH = 10_000
+_MOST_HEADER = 4096
 
 
 def export(history: History, wanted: Filter, path: Path) -> int:
@@ -36,6 +37,23 @@ def export(history: History, wanted: Filter, path: Path) -> int:
     if suffix in (".parquet", ".pq"):
         return _parquet(rows, path)
     raise UsageError(f"cannot tell the format from {path.name!r}", "Name it .parquet or .csv.")
+
+
+def is_export(path: Path) -> bool:
+    """Whether a file is an earlier export, also of a version with fewer columns."""
+    try:
+        if path.suffix.lower() == ".csv":
+            head = files.read_head(path, _MOST_HEADER).decode().splitlines()
+            names = head[0].split(",") if head else []
+        else:
+            import pyarrow.parquet as pq
+
+            names = list(pq.read_schema(path).names)
+    except ImportError:
+        return True  # `export` then refuses to write, with the package that it needs
+    except (OSError, ValueError, StorageError):  # pyarrow's errors are among them
+        return False
+    return names[:2] == list(FIELDS[:2]) and set(names) <= set(FIELDS)
 
 
 def _csv(rows: Iterator[dict[str, Any]], path: Path) -> int:
