@@ -56,6 +56,7 @@ class Expected:
     Attributes:
         named, refused, wrong: of tags that are enrolled.
         source: the table.
+        scenes: fewest recordings of the table's rows used, to which the intervals refer.
         note: how the recording lies outside the table; "" if inside.
     """
 
@@ -63,6 +64,7 @@ class Expected:
     refused: Rate
     wrong: Rate
     source: str
+    scenes: int
     note: str = ""
 
 
@@ -71,6 +73,15 @@ def wilson(share: float, scenes: float) -> Rate:
     centre = (share + _Z**2 / (2 * scenes)) / (1 + _Z**2 / scenes)
     half = _Z / (1 + _Z**2 / scenes) * math.sqrt(share * (1 - share) / scenes + _Z**2 / (4 * scenes**2))
     return Rate(share, max(0.0, centre - half), min(1.0, centre + half))
+
+
+def scenes_for(rate: float) -> int:
+    """Number of scenes, all of them named, whose 95 % interval begins at a rate below 1.
+
+    >>> scenes_for(0.99), round(wilson(1.0, scenes_for(0.99)).low, 4)
+    (381, 0.99)
+    """
+    return math.ceil(_Z**2 * rate / (1 - rate))
 
 
 @lru_cache(maxsize=1)
@@ -127,6 +138,7 @@ def expected(body: str, views: int, snr_db: float, *, enrolled: bool = False) ->
         wilson(max(0.0, 1 - named - wrong), scenes),
         wilson(wrong, scenes),
         sources["enrolled" if enrolled else "none" if body == "none" else "bodies"],
+        scenes,
         note,
     )
 

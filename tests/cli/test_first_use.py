@@ -282,6 +282,21 @@ def test_a_capture_is_not_joined_with_itself(here: Callable[..., Ran], tmp_path:
     assert here("join", "b.tagid.h5", "a.tagid.h5", "--out", "c.tagid.h5").code == 0
 
 
+def test_a_plan_does_not_promise_a_rate_that_the_table_does_not(here: Callable[..., Ran]) -> None:
+    words = ("plan", "--reflector", "octahedron:40mm")
+    told = here(*words, "--want", 0.99)
+    text = " ".join(told.out.split())
+    data = here(*words, "--want", 0.99, "--output", "json").json["data"]
+    named, scenes = data["wanted"]["reflector"]["rates"]["named"], data["wanted"]["reflector"]["rates_scenes"]
+    assert named[0] >= 0.99 > named[1] and scenes == data["rates_scenes"] < 381
+    assert f"named 100 % ({100 * named[1]:.0f} to 100), {scenes} scenes" in text
+    assert f"the table cannot promise 99 %: with {scenes} scenes" in text and "381 scenes" in text
+    assert "in 99.5 % of readings" in " ".join(here(*words, "--want", 0.995).out.split())
+    modest = here(*words, "--want", 0.5, "--output", "json").json["data"]
+    assert modest["wanted"]["reflector"]["rates"]["named"][1] >= 0.5
+    assert modest["wanted_remark"] == "" and "cannot promise" in data["wanted_remark"]
+
+
 def test_watch_makes_its_folder(here: Callable[..., Ran], tmp_path: Path) -> None:
     assert here("report", "--watch", "in/box", "--idle-stop", 0.2, "--out", "r", "--jobs", 1).code == 0
     assert (tmp_path / "in" / "box").is_dir()
