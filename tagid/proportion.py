@@ -34,3 +34,12 @@ def wilson(share: float, trials: float) -> Interval:
     middle = (share + w / 2) / (1 + w)
     half = _Z * math.sqrt(share * (1 - share) / trials + w / (4 * trials)) / (1 + w)
     return Interval(max(0.0, middle - half), min(1.0, middle + half))
+
+
+def trials_for(rate: float) -> int:
+    """Number of trials, all of them successful, whose 95 % interval begins at a rate below 1.
+
+    >>> trials_for(0.99), round(wilson(1.0, trials_for(0.99)).low, 4)
+    (381, 0.99)
+    """
+    return math.ceil(_Z**2 * rate / (1 - rate))

@@ -35,6 +35,8 @@ def register(app: typer.Typer) -> None:
                     f"tagid config {action} needs a setting" + (" and a value" * (action == "set")),
                     "e.g. `tagid config set motion.axis_distance_m 1.0`, `tagid config unset radar.url`.",
                 )
+            if value is not None:
+                _check_url(name, value)
             path = change_file(name, value)
             text = f"{name} = {value}" if value is not None else f"{name} reset to its default"
             return Result("config", {"path": str(path), name: value}, Text(f"{text} ({path})"))
@@ -60,3 +62,19 @@ def register(app: typer.Typer) -> None:
             },
         }
         return Result("config", data, table)
+
+
+def _check_url(name: str, value: str) -> None:
+    """Raises UsageError, with the valid forms, for a device URL that no command could open."""
+    from contextlib import suppress
+
+    from tagid.errors import MissingExtraError
+    from tagid.motion.urls import open_motion
+    from tagid.radar.urls import parse_radar_url
+
+    if name == "radar.url":
+        parse_radar_url(value)
+    elif name == "motion.url":
+        # A package that a device needs may be installed later.
+        with suppress(MissingExtraError):
+            open_motion(value)

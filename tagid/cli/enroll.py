@@ -119,6 +119,8 @@ def register(app: typer.Typer) -> None:
 
         Example: tagid enroll --body mug first.tagid.h5 second.tagid.h5 third.tagid.h5
         """
+        from tagid.tags.layouts.layout import KINDS
+
         captures = [*(captures or []), *(more or [])]
         ways = [bool(points), file is not None, bool(captures)]
         if sum(ways) != 1:
@@ -135,6 +137,8 @@ def register(app: typer.Typer) -> None:
             raise UsageError("--sigma without --point", "Files and captures contain their accuracy.")
         if body and not captures:
             raise UsageError("--body without captures", "Give three captures of the untagged body.")
+        if kind is not None and kind not in KINDS:
+            raise UsageError(f"--kind is {kind[:80]!r}", f"Use {', '.join(KINDS)}.")
         config = load_config({"motion.url": motion, "motion.axis_distance_m": axis_distance})
         given = Given(str(name), label, enrolling.Wish(force, yes, dry_run))
         if body:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from tagid.cli.common.frame import Terminal, command
+from tagid.cli.common.outputs import check_own
 from tagid.errors import UsageError
 from tagid.result import Result
 
@@ -80,10 +81,11 @@ def register(app: typer.Typer) -> None:
 def _export(store: History, file: Path | None, wanted: Filter) -> Result:
     from rich.text import Text
 
-    from tagid.storage.history_export import export
+    from tagid.storage.history_export import export, is_export
 
     if file is None:
         raise UsageError("export needs a file", "Give e.g. `tagid history export answers.parquet`.")
+    check_own(file, is_export, "an export of the history")
     rows = export(store, wanted, file)
     return Result("history", {"path": str(file), "rows": rows}, Text(f"{rows} identifications in {file}"))
 

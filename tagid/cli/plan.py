@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -77,6 +78,8 @@ def register(app: typer.Typer) -> None:
         found = work_out(setup)
         wanted = None if want is None else invert(setup, want)
         data = {**_data(found), "wanted": None if wanted is None else _wanted_data(wanted)}
+        if wanted is not None and want is not None:
+            data["wanted_remark"] = _doubt(wanted, want)
         return Result("plan", data, _drawn(found, wanted, want))
 
 
@@ -153,6 +156,7 @@ def _data(found: Plan) -> dict[str, Any]:
         "rates": _rates_data(rates),
         "rates_if_enrolled": None if found.if_enrolled is None else _rates_data(found.if_enrolled),
         "rates_source": rates.source,
+        "rates_scenes": rates.scenes,
         "rates_note": rates.note,
         "budget": [
             {"name": t.name, "value": t.value, "unit": t.unit, "source": t.source} for t in found.terms
@@ -171,6 +175,22 @@ def _wanted_data(wanted: Wanted) -> dict[str, Any]:
         "distance": None if wanted.distance is None else _data(wanted.distance),
         "integration": None if wanted.integration is None else _data(wanted.integration),
     }
+
+
+def _doubt(wanted: Wanted, want: float) -> str:
+    """One sentence if the measured table cannot promise a rate that its shares reach; otherwise ""."""
+    from tagid.proportion import trials_for
+
+    plans = [one for one in (wanted.plan, wanted.distance, wanted.integration) if one is not None]
+    lowest = min(plans, key=lambda one: one.rates.named.low, default=None)
+    if lowest is None or lowest.rates.named.low >= want:
+        return ""
+    rates = lowest.rates
+    return (
+        f"the table cannot promise {100 * want:g} %: with {rates.scenes} scenes, the 95 % interval goes down "
+        f"to {100 * rates.named.low:.0f} % ({trials_for(want)} scenes, all named, would be needed); "
+        "leave a margin (a larger reflector, more integration) and check it with repeated scans"
+    )
 
 
 def _drawn(found: Plan, wanted: Wanted | None, want: float | None) -> RenderableType:
@@ -192,11 +212,13 @@ def _drawn(found: Plan, wanted: Wanted | None, want: float | None) -> Renderable
     for name, text in _rows(found):
         outcome.add_row(name, text)
     parts: list[RenderableType] = [Text("link budget", "bold"), budget, Text("recording", "bold"), outcome]
-    if wanted is not None:
+    if wanted is not None and want is not None:
         parts += [
-            Text(f"named in {want:.0%} of readings, one change at a time", "bold"),
+            Text(f"expected to be named in {100 * want:g} % of readings, one change at a time", "bold"),
             _reached(wanted, table()),
         ]
+        if doubt := _doubt(wanted, want):
+            parts.append(Text(doubt, "yellow"))
     return Group(*parts)
 
 
@@ -235,20 +257,34 @@ def _rows(found: Plan) -> list[tuple[str, str]]:
 def _rates_rows(name: str, rates: Expected) -> list[tuple[str, str]]:
     return [
         (name, f"named {rates.named}, refused {rates.refused}, wrong {rates.wrong}"),
-        ("", f"measured: {rates.source}" + (f"; {rates.note}" if rates.note else "")),
+        (
+            "",
+            f"measured: {rates.source}; {rates.scenes} scenes" + (f"; {rates.note}" if rates.note else ""),
+        ),
     ]
 
 
 def _reached(wanted: Wanted, table: Any) -> RenderableType:
-    one = wanted.plan
-    table.add_row("reflector", "none up to 60 mm" if one is None else f"{one.setup.reflector} or larger")
-    one = wanted.distance
-    table.add_row("distance", "none beyond 0.6 m" if one is None else f"{one.setup.distance_m:g} m or closer")
-    one = wanted.integration
-    told = (
-        "none"
-        if one is None
-        else (f"--pii {one.setup.budget.integration} or more: {one.views} views, {one.snr_view_db:.1f} dB")
+    def row(name: str, one: Plan | None, none: str, told: Callable[[Plan], str]) -> None:
+        if one is None:
+            table.add_row(name, none)
+        else:
+            rates = one.rates
+            table.add_row(name, f"{told(one)}: named {rates.named}, {rates.scenes} scenes")
+
+    row("reflector", wanted.plan, "none up to 60 mm", lambda one: f"{one.setup.reflector} or larger")
+    row(
+        "distance",
+        wanted.distance,
+        "none beyond 0.6 m",
+        lambda one: f"{one.setup.distance_m:g} m or closer",
     )
-    table.add_row("integration", told)
+    row(
+        "integration",
+        wanted.integration,
+        "none",
+        lambda one: (
+            f"--pii {one.setup.budget.integration} or more, {one.views} views, {one.snr_view_db:.1f} dB"
+        ),
+    )
     return table  # type: ignore[no-any-return]

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from tagid.simulate import Scene
 
 PULSES = ("nominal", "random")
+MAX_UNLIKE_DB = 20.0
 
 
 def register(app: typer.Typer) -> None:
@@ -32,7 +33,7 @@ def register(app: typer.Typer) -> None:
         reflector: options.Reflector = None,
         elevation: options.Elevation = "0m",
         unlike: Annotated[
-            float, typer.Option("--unlike", help="Spread of the reflectors' strengths, dB.", min=0, max=20)
+            float, typer.Option("--unlike", help="Spread of the reflectors' strengths, 0 to 20 dB.")
         ] = 0.0,
         scene: Annotated[
             str | None,
@@ -100,6 +101,8 @@ def register(app: typer.Typer) -> None:
         )
         from tagid.storage.exporters import export
 
+        if not 0 <= unlike <= MAX_UNLIKE_DB:  # Click compares with the limits, which NaN passes
+            raise UsageError(f"--unlike is {unlike:g} dB", f"Give 0 to {MAX_UNLIKE_DB:g} dB.")
         check_new(out, force)
         place = Placement(
             parse_point("--centre", centre), float(np.deg2rad(rotation)), parse_elevation(elevation)

@@ -20,7 +20,7 @@ class Cause:
     """A likely cause of a failed identification.
 
     Attributes:
-        code: "speed", "partial_turn", "axis_distance" or "off_centre"; stable, for programs.
+        code: "speed", "scans_lost", "partial_turn", "axis_distance" or "off_centre"; stable, for programs.
         text: what the scans show.
         remedy: what to do.
     """

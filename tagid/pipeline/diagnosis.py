@@ -1,19 +1,19 @@
 """Diagnosis of objects that were not named: the likely cause in the recording, and its remedy.
 
 A verdict (`tagid.tags.verdicts`) states which test failed. This module searches for the cause: a wrong
-speed, a partial revolution, a wrong axis distance, an object off the axis. A cause is stated only if the
-scans confirm it; it never changes the answer.
+speed, lost scans, a partial revolution, a wrong axis distance, an object off the axis. A cause is stated only
+if the scans confirm it; it never changes the answer.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import permutations
 
 import numpy as np
 
-from tagid.capture import Capture
+from tagid.capture import Capture, ViewFlag
 from tagid.errors import DataError
 from tagid.imaging.preprocess import remove_background
 from tagid.pipeline.answer import Cause, Identification
@@ -27,6 +27,7 @@ from tagid.tags.reading.reflectors import Reflector
 
 WHOLE_TURN = 0.97
 """Smallest share of a revolution that counts as complete: a gap of 10 degrees does not impair reading."""
+_LOSS = int(ViewFlag.AFTER_LOSS | ViewFlag.AFTER_GAP)
 _ALIKE_DB = 10.0
 """Detected reflectors within this level of the strongest may belong to a tag."""
 _MOST_REFLECTORS = 6
@@ -38,12 +39,68 @@ _PLACE_TRIES = 3
 
 def turn_share(capture: Capture) -> float | None:
     """Share of a turn that the views of a capture cover, up to 1; None for free antenna positions."""
+    gap = _widest_gap(capture)
+    return None if gap is None else gap.share
+
+
+@dataclass(frozen=True)
+class _Gap:
+    """The widest gap between the views of a turn.
+
+    Attributes:
+        share: share of a turn that is covered. The uncovered part is the gap minus the usual step.
+        sides: indexes of the two views beside the gap.
+    """
+
+    share: float
+    sides: tuple[int, int]
+
+
+def _widest_gap(capture: Capture) -> _Gap | None:
+    """The widest gap; None for free antenna positions or a single view."""
     if capture.angles_rad is None or capture.views < 2:
         return None
-    angles = np.sort(np.mod(capture.angles_rad, 2 * np.pi))
-    gaps = np.diff(np.append(angles, angles[0] + 2 * np.pi))
-    # The uncovered part is the widest gap minus the usual step between views.
-    return float(np.clip(1 - (gaps.max() - median(gaps)) / (2 * np.pi), 0, 1))
+    wrapped = np.mod(capture.angles_rad, 2 * np.pi)
+    order = np.argsort(wrapped)
+    gaps = np.diff(np.append(wrapped[order], wrapped[order[0]] + 2 * np.pi))
+    widest = int(np.argmax(gaps))
+    share = float(np.clip(1 - (gaps[widest] - median(gaps)) / (2 * np.pi), 0, 1))
+    return _Gap(share, (int(order[widest]), int(order[(widest + 1) % len(order)])))
+
+
+def _uncovered(capture: Capture) -> Cause | None:
+    """The cause of views that do not cover a turn: lost scans, or a recording of less than a turn.
+
+    Scans were lost if the object was recorded over more of the turn than the views cover, or, where the
+    recorded turns are unknown, if a view beside the gap is flagged and the recording does not begin there.
+    """
+    gap = None if ended_early(capture) else _widest_gap(capture)
+    if gap is None or gap.share >= WHOLE_TURN:
+        return None
+    covered = f"the views cover {gap.share * 360:.0f} of 360 degrees"
+    turns = capture.motion.resolved.turns if capture.motion.resolved else None
+    radar, flags = capture.radar, capture.flags
+    if turns is None:
+        beside = 0 if flags is None else int(np.bitwise_or.reduce(flags[list(gap.sides)]))
+        inside = bool(beside & _LOSS) and not beside & ViewFlag.FIRST
+    else:
+        inside = gap.share < min(turns, 1.0) - (1 - WHOLE_TURN)
+    lost = (radar.scans_lost or 0) + (radar.scans_dropped or 0)
+    flagged = flags is not None and bool(np.any(flags & _LOSS))
+    if not inside or not (lost or radar.gap_count or flagged):
+        return Cause(
+            "partial_turn",
+            covered,
+            "Record slightly more than one full turn; `tagid scan` does so if the speed is right.",
+        )
+    scans = "scans were" if not lost else "1 scan was" if lost == 1 else f"{lost} scans were"
+    recorded = "" if turns is None else f", although {turns:.2f} turns were recorded"
+    return Cause(
+        "scans_lost",
+        f"{scans} lost: {covered}{recorded}",
+        "Check cable, switch and load of this computer with `tagid radar monitor`, which counts lost scans "
+        "(docs/radar.md, Faults), then record again.",
+    )
 
 
 def ended_early(capture: Capture) -> bool:
@@ -53,16 +110,12 @@ def ended_early(capture: Capture) -> bool:
 
 
 def recording_remarks(capture: Capture) -> tuple[str, ...]:
-    """Problems of a recording, one sentence each: a wrong speed, a partial revolution."""
+    """Problems of a recording, one sentence each: a wrong speed, lost scans, a partial revolution."""
     remarks = []
     if told := speed_contradiction(capture.motion.resolved):
         remarks.append(told)
-    share = None if ended_early(capture) else turn_share(capture)
-    if share is not None and share < WHOLE_TURN:
-        remarks.append(
-            f"the views cover {share * 360:.0f} of 360 degrees: reflectors that face away in all of them are "
-            "not seen"
-        )
+    if cause := _uncovered(capture):
+        remarks.append(f"{cause.text}; reflectors that face away in all of them are not seen")
     return tuple(remarks)
 
 
@@ -99,15 +152,8 @@ def _of_the_turn(capture: Capture) -> list[Cause]:
                 "which estimates the speed from the scans.",
             )
         )
-    share = None if ended_early(capture) else turn_share(capture)
-    if share is not None and share < WHOLE_TURN:
-        causes.append(
-            Cause(
-                "partial_turn",
-                f"the views cover {share * 360:.0f} of 360 degrees",
-                "Record slightly more than one full turn; `tagid scan` does so if the speed is right.",
-            )
-        )
+    if cause := _uncovered(capture):
+        causes.append(cause)
     return causes
 
 

@@ -28,7 +28,7 @@ def join(captures: Sequence[Capture]) -> Capture:
             the metadata of radar and object.
 
     Raises:
-        UsageError: fewer than two captures.
+        UsageError: fewer than two captures, or one of them twice.
         DataError: different range windows, bands or media, or no geometry.
     """
     if len(captures) < 2:
@@ -36,6 +36,12 @@ def join(captures: Sequence[Capture]) -> Capture:
     first = captures[0]
     for number, other in enumerate(captures[1:], start=2):
         _check(first, other, number)
+        for earlier, one in enumerate(captures[: number - 1], start=1):
+            if one.uuid == other.uuid and np.array_equal(one.samples, other.samples):
+                raise UsageError(
+                    f"captures {earlier} and {number} are the same recording",
+                    "Give each recording once; one from every antenna height.",
+                )
     apertures = [capture.aperture() for capture in captures]
     pairs = any(aperture.half_baseline is not None for aperture in apertures)
     one = np.concatenate([aperture.antennas[0] for aperture in apertures])

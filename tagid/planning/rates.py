@@ -60,6 +60,7 @@ class Expected:
     Attributes:
         named, refused, wrong: of tags that are enrolled.
         source: the table.
+        scenes: fewest recordings of the table's rows used, to which the intervals refer.
         note: how the recording lies outside the table; "" if inside.
     """
 
@@ -67,6 +68,7 @@ class Expected:
     refused: Rate
     wrong: Rate
     source: str
+    scenes: int
     note: str = ""
 
 
@@ -124,6 +126,7 @@ def expected(body: str, views: int, snr_db: float, *, enrolled: bool = False) ->
         Rate.of(max(0.0, 1 - named - wrong), scenes),
         Rate.of(wrong, scenes),
         sources["enrolled" if enrolled else "none" if body == "none" else "bodies"],
+        scenes,
         note,
     )
 

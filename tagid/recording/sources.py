@@ -83,8 +83,6 @@ def emulated_scene(name: str, options: dict[str, str]) -> TurningScene:
         raise UsageError(f"scene {name}: cable_delay is {values['cable_delay']}", "Give picoseconds.")
     x, comma, y = texts["centre"].partition(",")
     centre = (_number(name, "centre", x), _number(name, "centre", y if comma else "none"))
-    if not 0 <= values["wobble"] < 0.5:
-        raise UsageError(f"scene {name}: wobble is {values['wobble']}", "Give 0 to 0.5, e.g. 0.01 for 1 %.")
     acquisition = Acquisition(
         axis_distance_m=values["axis_distance"],
         antenna_height_m=values["antenna_height"],

@@ -12,12 +12,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.capture import Pulse
+from tagid.config import IMPLAUSIBLE_AXIS_M
 from tagid.constants import RANGE_STEP_M
 from tagid.errors import UsageError
 from tagid.simulate.noise import NoiseShape
 from tagid.simulate.snr import REFERENCES
 
 MAX_SAMPLES = 50_000_000
+SNR_RANGE_DB = (-100.0, 300.0)
+"""Beyond it, samples of single precision hold noise only, or none."""
+MAX_NOISE_STD = 1e6
+MAX_CENTRE_M = 1.0
+"""A farther object is not on a turntable: its place was probably given in millimetres."""
+MAX_WOBBLE = 0.5
+"""Beyond it, the table would stop or turn back."""
 
 
 @dataclass(frozen=True)
@@ -59,6 +67,12 @@ class Placement:
             raise UsageError(
                 "the object's placement is not finite", "Give numbers for centre, rotation and height."
             )
+        farthest = max(self.centre_m, key=abs)
+        if abs(farthest) >= MAX_CENTRE_M:
+            raise UsageError(
+                f"the object's centre is {farthest:g} m off the axis. {farthest:g} m? Give metres",
+                f"e.g. {farthest / 1000:g} for {farthest:g} mm; less than {MAX_CENTRE_M:g} m.",
+            )
 
     def apply(self, points: NDArray[np.floating]) -> NDArray[np.float64]:
         """Positions on the table of points (n, 2) of the object, m."""
@@ -77,6 +91,12 @@ class Wobble:
 
     speed: float = 0.0
     radial_m: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.speed < MAX_WOBBLE:
+            raise UsageError(f"the wobble is {self.speed}", "Give 0 to 0.5, e.g. 0.01 for 1 %.")
+        if not 0 <= self.radial_m < MAX_CENTRE_M:
+            raise UsageError(f"the axis wobbles by {self.radial_m} m", "Give metres, e.g. 0.001.")
 
 
 @dataclass(frozen=True)
@@ -152,6 +172,7 @@ class Acquisition:
     recording: Recording = field(default_factory=Recording)
 
     def __post_init__(self) -> None:
+        self._check_places()
         if self.views < 1 or not (np.isfinite(self.turns) and self.turns > 0):
             raise UsageError(f"{self.views} views per turn and {self.turns} turns", "Give positive numbers.")
         if self.views * self.turns * self.range_window.bins > MAX_SAMPLES:
@@ -159,8 +180,8 @@ class Acquisition:
                 f"{self.views} views x {self.turns} turns x {self.range_window.bins} bins are too many",
                 f"Stay below {MAX_SAMPLES:,} samples.",
             )
-        if not (self.axis_distance_m > 0 and self.period_s > 0 and self.range_window.bins > 0):
-            raise UsageError("axis distance, period and bins must be positive", "Give positive numbers.")
+        if not (0 < self.period_s < np.inf and self.range_window.bins > 0):
+            raise UsageError("period and bins must be positive", "Give positive numbers.")
         if not 0 <= self.antenna_separation_m < self.axis_distance_m:
             raise UsageError(
                 f"the antennas are {self.antenna_separation_m} m apart",
@@ -174,8 +195,30 @@ class Acquisition:
             raise UsageError(f"the beam width is {self.beam_width_rad} rad", "Give 0 to 2 pi.")
         if self.snr_reference not in REFERENCES:
             raise UsageError(f"the SNR refers to {self.snr_reference!r}", f"Use {' or '.join(REFERENCES)}.")
-        if self.noise_std is not None and self.noise_std < 0:
-            raise UsageError(f"the noise has a standard deviation of {self.noise_std}", "Give 0 or more.")
+        if self.noise_std is not None and not 0 <= self.noise_std <= MAX_NOISE_STD:
+            raise UsageError(
+                f"the noise has a standard deviation of {self.noise_std}", f"Give 0 to {MAX_NOISE_STD:g}."
+            )
+        low, high = SNR_RANGE_DB
+        if self.snr_db is not None and not low <= self.snr_db <= high:
+            raise UsageError(
+                f"the SNR is {self.snr_db:g} dB",
+                f"Give {low:g} to {high:g} dB, e.g. 20; {high:g} dB is practically no noise.",
+            )
+
+    def _check_places(self) -> None:
+        """Raises UsageError for distances and heights that are no numbers, or obviously not metres."""
+        stated = self.axis_distance_m + self.axis_distance_error_m
+        for what, value, positive in (
+            ("axis distance", self.axis_distance_m, True),
+            ("stated axis distance (true distance plus error)", stated, True),
+            ("antenna height", self.antenna_height_m, False),
+        ):
+            if not abs(value) < IMPLAUSIBLE_AXIS_M or (positive and value <= 0):
+                raise UsageError(
+                    f"the {what} is {value:g} m",
+                    f"Give metres, less than {IMPLAUSIBLE_AXIS_M:g}, e.g. 1.0 (1 for 100 cm or 1000 mm).",
+                )
 
     @property
     def scans(self) -> int:

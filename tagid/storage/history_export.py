@@ -12,10 +12,11 @@ from pathlib import Path
 from typing import Any
 
 from tagid import files
-from tagid.errors import MissingExtraError, UsageError
+from tagid.errors import MissingExtraError, StorageError, UsageError
 from tagid.storage.history import FIELDS, TYPES, Entry, Filter, History, write_csv
 
 _BATCH = 10_000
+_MOST_HEADER = 4096
 
 
 def export(history: History, wanted: Filter, path: Path) -> int:
@@ -35,6 +36,23 @@ def export(history: History, wanted: Filter, path: Path) -> int:
     if suffix in (".parquet", ".pq"):
         return _parquet(entries, path)
     raise UsageError(f"cannot tell the format from {path.name!r}", "Name it .parquet or .csv.")
+
+
+def is_export(path: Path) -> bool:
+    """Whether a file is an earlier export, also of a version with fewer columns."""
+    try:
+        if path.suffix.lower() == ".csv":
+            head = files.read_head(path, _MOST_HEADER).decode().splitlines()
+            names = head[0].split(",") if head else []
+        else:
+            import pyarrow.parquet as pq
+
+            names = list(pq.read_schema(path).names)
+    except ImportError:
+        return True  # `export` then refuses to write, with the package that it needs
+    except (OSError, ValueError, StorageError):  # pyarrow's errors are among them
+        return False
+    return names[:2] == list(FIELDS[:2]) and set(names) <= set(FIELDS)
 
 
 def _parquet(entries: Iterator[Entry], path: Path) -> int:

@@ -37,6 +37,7 @@ from tagid.storage.assembly import (
     text,
 )
 from tagid.storage.metadata import PARTS, VERSION_KEY, metadata_of, read_metadata, stored_version
+from tagid.storage.units import check_units
 
 MAGIC = b"PK"
 
@@ -131,7 +132,10 @@ def read_npz(path: Path) -> Capture:
     if "pulse" in arrays:
         fields["pulse"] = _pulse(path, arrays)
     fields |= _provenance(path, arrays, ours)
-    return build_capture(path, samples=samples, **fields)
+    capture = build_capture(path, samples=samples, **fields)
+    if not ours:
+        check_units(path, capture)
+    return capture
 
 
 def encode_npz(capture: Capture) -> bytes:

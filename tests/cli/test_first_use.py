@@ -19,6 +19,8 @@ from command_server import Ran
 
 from tagid.cli.app import app
 from tagid.cli.common.frame import serve
+from tagid.errors import DeviceError
+from tagid.motion.discovery import Found
 from tagid.storage.importers import read_any
 
 POINTS = ("--point", "0.1,0", "--point", "-0.05,0.03", "--point", "0.02,-0.09")
@@ -66,7 +68,10 @@ def test_undo_says_what_it_undid_and_redo_takes_it_back(here: Callable[..., Ran]
     assert here("enroll", "mine", *POINTS).code == 0
     undone = here("layouts", "undo")
     assert "undone: " in undone.out and "removed mine" in undone.out
-    assert "added mine" in here("layouts", "redo").out
+    redone = here("layouts", "redo")
+    assert "redone: command line" in redone.out and "added mine" in redone.out
+    history = here("layouts", "--history", COLUMNS="80").out
+    assert len(re.findall(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d ", history)) >= 6 and "…" not in history
     nothing = here("layouts", "redo")
     assert nothing.code == 1 and "nothing to redo" in nothing.err
     assert here("layouts", "export", "all.toml").code == 0
@@ -74,6 +79,68 @@ def test_undo_says_what_it_undid_and_redo_takes_it_back(here: Callable[..., Ran]
     refused = here("layouts", "export", "all.toml", "mine")
     assert refused.code == 1 and "--force" in refused.err and (tmp_path / "all.toml").read_bytes() == before
     assert here("layouts", "export", "all.toml", "mine", "--force").code == 0
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "remedy"),
+    [
+        ("--snr", "1e9", "-100 to 300 dB"),
+        ("--snr", "-1e9", "-100 to 300 dB"),
+        ("--snr", "nan", "-100 to 300 dB"),
+        ("--snr", "inf", "-100 to 300 dB"),
+        ("--noise", "nan", "0 to 1e+06"),
+        ("--noise", "inf", "0 to 1e+06"),
+        ("--unlike", "nan", "0 to 20 dB"),
+        ("--axis-distance", "nan", "Give metres"),
+        ("--axis-distance", "inf", "Give metres"),
+        ("--axis-distance", "1000", "Give metres"),
+        ("--axis-error", "nan", "Give metres"),
+        ("--axis-error", "-1", "Give metres"),
+        ("--antenna-height", "inf", "Give metres"),
+        ("--antenna-height", "1e9", "Give metres"),
+        ("--wobble", "nan", "0.01 for 1 %"),
+        ("--wobble", "inf", "0.01 for 1 %"),
+        ("--wobble", "-0.1", "0.01 for 1 %"),
+        ("--centre", "4,-2", "4 m? Give metres"),
+        ("--centre", "0,1e300", "Give metres"),
+        ("--seed", "-1", "--seed"),
+    ],
+)
+def test_numbers_that_cannot_be_simulated_are_refused_with_their_range(
+    here: Callable[..., Ran], tmp_path: Path, option: str, value: str, remedy: str
+) -> None:
+    done = here("simulate", "helmet-120", "--views", 12, option, value, "--out", "x.tagid.h5")
+    assert done.code == 2 and remedy in " ".join(done.err.split()), done.err
+    assert not list(tmp_path.glob("x*"))
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("p440", "--snr", "1e9"),
+        ("p440", "--snr", "nan"),
+        ("p440", "--centre", "4,-2"),
+        ("p440", "--axis-distance", "inf"),
+        ("p440", "--wobble", "nan"),
+        ("p440", "--delay-ms", "nan"),
+        ("p440", "--delay-ms", "inf"),
+        ("p440", "--seed", "-1"),
+        ("roomba", "--slip-noise", "nan"),
+        ("roomba", "--encoder-noise", "inf"),
+        ("roomba", "--truth", "70000"),
+        ("comxim", "--rate-error", "nan"),
+        ("comxim", "--rate-error", "inf"),
+    ],
+)
+def test_numbers_that_cannot_be_emulated_are_refused(
+    here: Callable[..., Ran], monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...]
+) -> None:
+    def listening(*_: object) -> None:
+        raise AssertionError("the emulator started")
+
+    monkeypatch.setattr("tagid.cli.emulate.motion.announce", listening)
+    done = here("emulate", *words)
+    assert done.code == 2 and ("Give" in done.err or "range" in done.err), done.err
 
 
 def test_an_own_layout_is_simulated_emulated_and_its_truth_kept(
@@ -158,6 +225,76 @@ def test_serial_ports_are_listed_without_bluetooth(here: Callable[..., Ran]) -> 
     assert {port.device for port in list_ports.comports()} <= listed
     if listed:
         assert ran.code == 0
+
+
+def test_devices_found_without_bluetooth_are_a_success_with_a_note(
+    here: Callable[..., Ran], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def no_bluetooth(*_: object) -> list[Found]:
+        raise DeviceError("there is no Bluetooth controller", "Plug one in.")
+
+    port = Found(url="roomba+serial:///dev/ttyUSB9", what="USB serial", where="/dev/ttyUSB9")
+    monkeypatch.setattr("tagid.motion.discovery.bluetooth_devices", no_bluetooth)
+    monkeypatch.setattr("tagid.motion.discovery.serial_devices", lambda: [port])
+    found = here("motion", "find")
+    assert found.code == 0 and "error:" not in found.err and "no Bluetooth controller" in found.err
+    document = here("motion", "find", "--output", "json").json
+    assert document["status"] == "success" and not document["errors"] and document["messages"]
+    monkeypatch.setattr("tagid.motion.discovery.serial_devices", lambda: [])
+    nothing = here("motion", "find")
+    assert nothing.code == 4 and "error: there is no Bluetooth controller" in nothing.err
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "remedy"),
+    [
+        ("radar.url", "http://x", "udp://HOST"),
+        ("radar.url", "192.168.1.100", "udp://HOST"),
+        ("motion.url", "turntable", "free?rpm=2"),
+        ("motion.url", "free?rpm=fast", "number"),
+    ],
+)
+def test_a_url_that_no_command_could_open_is_not_stored(
+    here: Callable[..., Ran], tmp_path: Path, name: str, value: str, remedy: str
+) -> None:
+    refused = here("config", "set", name, value)
+    assert refused.code == 2 and remedy in " ".join(refused.err.split()), refused.err
+    assert here("config", "--output", "json").json["data"]["settings"][name]["source"] == "default"
+    for url in ("udp://192.168.1.100", "emulator://helmet-120?seed=1"):
+        assert here("config", "set", "radar.url", url).code == 0
+    assert here("config", "set", "motion.url", "free?rpm=2").code == 0
+
+
+def test_a_kind_is_checked_before_the_captures_are_read(here: Callable[..., Ran]) -> None:
+    refused = here("enroll", "mine", "--kind", "foo", "--capture", "none.tagid.h5")
+    assert (
+        refused.code == 2 and "--kind is 'foo'" in refused.err and "helmet, container, other" in refused.err
+    )
+
+
+def test_a_capture_is_not_joined_with_itself(here: Callable[..., Ran], tmp_path: Path) -> None:
+    assert here("simulate", "helmet-120", "--views", 24, "--out", "a.tagid.h5").code == 0
+    other = ("--antenna-height", 0.2, "--seed", 1, "--out", "b.tagid.h5")
+    assert here("simulate", "helmet-120", "--views", 24, *other).code == 0
+    refused = here("join", "b.tagid.h5", "a.tagid.h5", "a.tagid.h5", "--out", "c.tagid.h5")
+    assert refused.code == 2 and "captures 2 and 3 are the same recording" in refused.err
+    assert not (tmp_path / "c.tagid.h5").exists()
+    assert here("join", "b.tagid.h5", "a.tagid.h5", "--out", "c.tagid.h5").code == 0
+
+
+def test_a_plan_does_not_promise_a_rate_that_the_table_does_not(here: Callable[..., Ran]) -> None:
+    words = ("plan", "--reflector", "octahedron:40mm")
+    told = here(*words, "--want", 0.99)
+    text = " ".join(told.out.split())
+    data = here(*words, "--want", 0.99, "--output", "json").json["data"]
+    named, scenes = data["wanted"]["reflector"]["rates"]["named"], data["wanted"]["reflector"]["rates_scenes"]
+    assert named[0] >= 0.99 > named[1] and scenes == data["rates_scenes"] < 381
+    assert f"named 100 % ({100 * named[1]:.0f} to 100), {scenes} scenes" in text
+    assert f"the table cannot promise 99 %: with {scenes} scenes" in text and "381 scenes" in text
+    assert "in 99.5 % of readings" in " ".join(here(*words, "--want", 0.995).out.split())
+    modest = here(*words, "--want", 0.5, "--output", "json").json["data"]
+    assert modest["wanted"]["reflector"]["rates"]["named"][1] >= 0.5
+    assert modest["wanted_remark"] == "" and "cannot promise" in data["wanted_remark"]
 
 
 def test_watch_makes_its_folder(here: Callable[..., Ran], tmp_path: Path) -> None:

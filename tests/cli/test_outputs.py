@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tagid.cli.common.outputs import check_own
+from tagid.cli.common.truth import is_truth
+from tagid.recording.radars import emulated_object
+from tagid.storage.history_export import is_export
 from tests.cli.test_bad_input import npz
 
 
@@ -27,16 +32,38 @@ def stored(folder: Path) -> dict[str, bytes]:
         ("identify", "mine.npz", "--png", "mine.npz"),
         ("layouts", "show", "helmet-120", "--png", "mine.npz"),
         ("layouts", "design", "--object", "mug", "--count", "2", "--out", "tags.toml"),
+        ("history", "export", "table.csv"),
+        ("history", "export", "other.parquet"),
+        ("emulate", "p440", "--truth", "mine.npz"),
+        ("emulate", "p440", "--truth", "notes.json"),
     ],
 )
 def test_no_recording_and_no_layouts_are_overwritten(tagid, tmp_path: Path, words: tuple[str, ...]) -> None:
     for name in ("mine.npz", "other.npz", "scan.tagid.h5", "tags.toml"):
         (tmp_path / name).write_bytes(npz())
+    (tmp_path / "table.csv").write_text("name,price\nhelmet,12\n")
+    (tmp_path / "other.parquet").write_bytes(b"PAR1 something else PAR1")
+    (tmp_path / "notes.json").write_text('{"note": "mine"}')
     (tmp_path / "link.png").symlink_to("mine.npz")
     before = stored(tmp_path)
     done = tagid(*words, "--output", "json")
     assert done.code in (1, 2) and done.json["errors"][0]["remedy"]
     assert stored(tmp_path) == before
+
+
+def test_an_export_and_a_truth_file_may_be_made_again(tagid, tmp_path: Path) -> None:
+    for name in ("answers.csv", "answers.parquet"):
+        for _ in range(2):
+            done = tagid("history", "export", name, "--output", "json")
+            assert done.code == 0, done.err
+    truth = tmp_path / "truth.json"
+    assert not is_truth(truth)
+    about = emulated_object("emulator://helmet-120?rotation=30")
+    assert about is not None
+    truth.write_text(json.dumps(about.to_json()))
+    check_own(truth, is_truth, "a truth file")
+    (tmp_path / "answers.csv").write_text("")
+    assert not is_export(tmp_path / "answers.csv") and not is_truth(tmp_path / "answers.csv")
 
 
 def test_an_image_may_be_made_again(tagid, tmp_path: Path) -> None:

@@ -20,13 +20,16 @@ from selenium.webdriver.common.keys import Keys
 from station_harness import ENDLESS, Asks, alone, own_object, poses
 from station_harness import wait as until
 
+from tagid.config import data_folder
 from tagid.doctor import examine
+from tagid.pipeline.answer import Identification
 from tagid.radar.emulation.core import EmulatorCore
 from tagid.radar.emulation.emulator import ServeOptions, UdpEmulator
 from tagid.radar.settings import RadarConfig
 from tagid.recording.sources import emulated_scene
 from tagid.station import live_socket, station
 from tagid.station.server import Server
+from tagid.storage.history import FILE_NAME, History
 
 PIXELS = """
 const canvas = document.getElementById(arguments[0]);
@@ -125,6 +128,22 @@ def test_the_main_road_by_keyboard_alone(browser: Any, station_alone: Server) ->
     wait(browser, lambda: not browser.find_element(By.ID, "viewer").is_displayed())
     assert browser.switch_to.active_element == button
     assert [entry["message"] for entry in browser.get_log("browser")] == []
+
+
+def test_the_history_says_why_nothing_was_named(browser: Any, serve: Callable[..., Server]) -> None:
+    error = {"code": "data", "message": "the scans do not <b>repeat</b>", "remedy": "Record 1.3 turns."}
+    record = Identification("failed", None, None, None, error=error).to_dict()
+    history = History(data_folder() / FILE_NAME)
+    station_url = serve().url
+    history.add(history.begin("station", {}), [{"file": "scan.tagid.h5", **record}])
+    size(browser, 390, 844, True)
+    browser.get(station_url)
+    view(browser, "history")
+    wait(browser, lambda: browser.find_elements(By.CSS_SELECTOR, "#history li"))
+    (row,) = browser.find_elements(By.CSS_SELECTOR, "#history li")
+    assert "Failed" in row.text and "the scans do not <b>repeat</b>" in row.text
+    assert problems(browser) == []
+    assert browser.execute_script("return document.documentElement.scrollWidth <= innerWidth")
 
 
 @pytest.mark.parametrize("shape", [(390, 844, True), (1180, 820, False)], ids=["phone", "tablet"])

@@ -375,6 +375,22 @@ def test_the_emulator_sees_a_body_off_the_axis_as_the_simulator_does() -> None:
     assert source.snr.summed_db is not None and source.snr.summed_db > 20
 
 
+def test_the_true_pose_of_an_emulated_scene_is_that_at_time_zero() -> None:
+    scene = scene_of("none")
+    config = SimpleNamespace(samples=288, scan_start_ps=3000, base_integration_index=11)
+
+    def turning(rotation_deg: float) -> TurningScene:
+        placed = Placement((0.0, 0.0), np.deg2rad(rotation_deg))
+        return TurningScene(scene, rpm=7.0, seed=6, acquisition=Acquisition(placement=placed, noise_std=0.1))
+
+    source, start_s = turning(30.0), 10.0
+    told = source.about().truth
+    assert told is not None and told.rotation_deg == pytest.approx(30)
+    then = turning(30.0 + 6 * source.rpm * start_s).clean(0.0, config)
+    np.testing.assert_allclose(source.clean(start_s, config), then, atol=1e-6 * np.abs(then).max())
+    assert not np.allclose(source.clean(0.0, config), then, atol=1e-2 * np.abs(then).max())
+
+
 def test_reflectors_stand_off_the_middle_of_their_body() -> None:
     made = tagged_object(
         np.array([[0.045, 0.0]]),

@@ -43,6 +43,40 @@ def test_generic_file_of_another_radar(tmp_path: Path) -> None:
     assert c.object == ObjectInfo(label="box 3") and c.complete
 
 
+def turn(views: int = 36, **changes: Any) -> dict[str, Any]:
+    scans = np.random.default_rng(views).standard_normal((views, 16))
+    return {"samples": scans, "angles_rad": np.arange(views) * 2 * np.pi / views, **changes}
+
+
+@pytest.mark.parametrize("views", [8, 36, 360, 1440])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_angles_in_degrees_are_refused_with_the_conversion(tmp_path: Path, views: int, sign: int) -> None:
+    degrees = sign * np.arange(views) * 360 / views
+    with pytest.raises(FileFormatError, match="these are degrees") as raised:
+        read_any(npz(tmp_path / "a.npz", **turn(views, angles_rad=degrees)))
+    assert "deg2rad" in raised.value.remedy
+    assert read_any(npz(tmp_path / "b.npz", **turn(views, angles_rad=np.deg2rad(degrees)))).views == views
+
+
+def test_ranges_in_millimetres_are_refused_with_the_conversion(tmp_path: Path) -> None:
+    changes = {"range_start_m": 300.0, "range_step_m": 9.15, "axis_distance_m": 1000.0}
+    with pytest.raises(FileFormatError, match="these are millimetres") as raised:
+        read_any(npz(tmp_path / "a.npz", **turn(**changes)))
+    assert "by 1000" in raised.value.remedy
+    metres = {name: value / 1000 for name, value in changes.items()}
+    assert read_any(npz(tmp_path / "b.npz", **turn(**metres))).axis_distance_m == 1.0
+
+
+def test_many_turns_in_radians_and_long_ranges_of_a_narrow_band_are_no_wrong_units(tmp_path: Path) -> None:
+    turns = np.arange(600) * 0.7
+    assert read_any(npz(tmp_path / "a.npz", **turn(600, angles_rad=turns))).views == 600
+    coarse = turn(range_step_m=9.15, bandwidth_hz=5e6, center_frequency_hz=1e8, axis_distance_m=1000.0)
+    assert read_any(npz(tmp_path / "b.npz", **coarse)).range_step_m == 9.15
+    own = tmp_path / "own.npz"
+    export(capture(angles_rad=np.arange(capture().views) * 360.0 / capture().views), own)
+    assert read_any(own).angles_rad is not None
+
+
 @pytest.mark.parametrize(
     ("dtype", "scale", "expected"),
     [

@@ -128,7 +128,7 @@ Elevation = Annotated[
 ObjectCentre = Annotated[
     str, typer.Option("--centre", help="Offset of the object from the axis, X,Y in metres.")
 ]
-Seed = Annotated[int, typer.Option("--seed", help="Random seed.")]
+Seed = Annotated[int, typer.Option("--seed", help="Random seed.", min=0)]
 LayoutFile = Annotated[
     Path | None,
     typer.Option(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from tagid.errors import StorageError, UsageError
@@ -23,6 +23,24 @@ def check_new(path: Path, force: bool, how: str = "Choose another name, or add -
             raise StorageError(f"{path}: is a folder, not a file", "Give the path of a file.")
         if not force:
             raise StorageError(f"{path} exists already", how)
+    _check_folder(path)
+
+
+def check_own(path: Path, own: Callable[[Path], bool], what: str) -> None:
+    """Check a file that may replace an earlier one of its kind, which its content tells.
+
+    Args:
+        path: file to write.
+        own: whether an existing file is of the kind.
+        what: the kind, for messages, e.g. "an export of the history".
+
+    Raises StorageError: a folder, another file, or nothing can be written there.
+    """
+    if _exists(path):
+        if path.is_dir():
+            raise StorageError(f"{path}: is a folder, not a file", "Give the path of a file.")
+        if not own(path):
+            raise StorageError(f"{path} exists already and is not {what}", "Choose another name.")
     _check_folder(path)
 
 

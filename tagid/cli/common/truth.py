@@ -7,7 +7,7 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tagid.errors import DataError, FileFormatError
+from tagid.errors import DataError, FileFormatError, StorageError
 
 if TYPE_CHECKING:
     from tagid.metadata import ObjectInfo
@@ -30,6 +30,14 @@ def read_truth(path: Path) -> ObjectInfo:
             f"{path}: is not a truth file ({str(error)[:120]})",
             "Give a file written by `tagid emulate p440 --truth FILE`.",
         ) from None
+
+
+def is_truth(path: Path) -> bool:
+    """Whether a file is one that `tagid emulate p440 --truth FILE` wrote."""
+    try:
+        return read_truth(path).truth is not None
+    except (FileFormatError, StorageError):
+        return False
 
 
 def truth_of(url: str, file: Path | None) -> ObjectInfo | None:

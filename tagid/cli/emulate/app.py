@@ -12,6 +12,8 @@ import typer
 from tagid import interrupts
 from tagid.cli.common import options, response_options
 from tagid.cli.common.frame import Terminal, command
+from tagid.cli.common.outputs import check_own
+from tagid.cli.common.truth import is_truth
 from tagid.cli.emulate import motion as emulate_motion
 from tagid.errors import UsageError
 from tagid.result import Result
@@ -130,6 +132,8 @@ def register(app: typer.Typer) -> None:
         from tagid.recording.sources import emulated_recording, emulated_scene
         from tagid.simulate import Acquisition
 
+        if truth is not None:
+            check_own(truth, is_truth, "a truth file")
         faults = Faults(
             lose=lose, duplicate=duplicate, reorder=reorder, delay=delay, delay_s=delay_ms * 1e-3, seed=seed
         )

@@ -22,7 +22,10 @@ from tagid.errors import UsageError
 from tagid.result import Result
 
 _Truth = Annotated[
-    int, typer.Option("--truth", help="UDP port that serves the true angle; 0 takes any free one.")
+    int,
+    typer.Option(
+        "--truth", help="UDP port that serves the true angle; 0 takes any free one.", min=0, max=65535
+    ),
 ]
 
 

@@ -83,10 +83,16 @@ def _history() -> Result:
     from tagid.cli.common.imaging import open_registry
 
     registry = open_registry()
-    table = Table("version", "time (UTC)", "change", "kind", "name", "source", box=None)
+    table = Table(box=None)
+    for heading in ("version", "time (UTC)", "change", "kind"):
+        table.add_column(heading, no_wrap=True)
+    # Long names and sources continue on the next line, nothing is cut.
+    table.add_column("name", overflow="fold")
+    table.add_column("source", overflow="fold")
     rows: list[dict[str, Any]] = []
     for one in registry.history():
-        table.add_row(str(one.version), one.time_utc, one.action, one.kind, one.name, one.source)
+        time = one.time_utc[:19].replace("T", " ")
+        table.add_row(str(one.version), time, one.action, one.kind, one.name, one.source)
         rows.append(
             {
                 "version": one.version,

@@ -168,13 +168,13 @@ def _restored(name: str, verb: str, step: Callable[[Registry], Restored]) -> Res
         if names
     ]
     lines = [
-        f"{verb}: {done.undone}" if verb == "undone" else "redone",
+        f"{verb}: {done.undone}",
         f"  {'; '.join(parts) or 'no difference'}",
         f"{_count(contents.layouts, contents.signatures)} enrolled now, registry version {done.version}",
     ]
     data = {
         "registry_version": done.version,
-        "undone": done.undone,
+        verb: done.undone,
         "added": list(done.added),
         "removed": list(done.removed),
         "restored": list(done.changed),

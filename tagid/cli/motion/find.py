@@ -36,11 +36,16 @@ def register(group: typer.Typer) -> None:
             raise UsageError(f"--seconds is {seconds}", "Give 0.1 to 60.")
         found = serial_devices()
         errors: tuple[dict[str, str], ...] = ()
+        notes: tuple[str, ...] = ()
         if bluetooth:
             try:
                 found += bluetooth_devices(seconds, hci)
             except TagidError as error:
-                errors = ({"code": error.code, "message": error.message, "remedy": error.remedy},)
+                if found:
+                    # Devices were found, so the command succeeded; that Bluetooth was not searched is a note.
+                    notes = (f"Bluetooth was not searched: {error.message}. {error.remedy}".strip(),)
+                else:
+                    errors = ({"code": error.code, "message": error.message, "remedy": error.remedy},)
         if not found and not errors:
             message = "no robot or table was found"
             errors = (
@@ -55,8 +60,7 @@ def register(group: typer.Typer) -> None:
         for one in found:
             table.add_row(one.where, one.what, "" if one.signal_dbm is None else f"{one.signal_dbm} dBm")
         urls = to_copy([one.url for one in found if one.url], "tagid motion info {}")
-        status = "success" if not errors else "partial" if found else "error"
-        code = EXIT_OK if found else EXIT_DEVICE
+        status, code = ("success", EXIT_OK) if found else ("error", EXIT_DEVICE)
         data = {"devices": [asdict(one) for one in found]}
         human = Group(table, urls) if found else None
-        return Result("motion find", data, human, status, code, errors=errors)  # type: ignore[arg-type]
+        return Result("motion find", data, human, status, code, notes, errors)  # type: ignore[arg-type]

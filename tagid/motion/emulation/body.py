@@ -51,7 +51,8 @@ class BodySettings:
     def __post_init__(self) -> None:
         if not 100 <= self.wheel_base_mm <= 1000:
             raise UsageError(f"the wheel base is {self.wheel_base_mm} mm", "Give 100 to 1000 mm.")
-        if not 0 <= self.slip < 0.9 or self.slip_noise < 0 or self.encoder_noise < 0 or self.lag_s < 0:
+        spreads = (self.slip_noise, self.encoder_noise, self.lag_s)
+        if not 0 <= self.slip < 0.9 or not all(0 <= value < math.inf for value in spreads):
             raise UsageError("slip, noise or lag is out of range", "Give 0 or more, slip < 0.9.")
 
 

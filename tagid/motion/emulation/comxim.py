@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from typing import Final
 
-from tagid.motion.emulation.table import TurningTable
+from tagid.motion.emulation.table import TurningTable, check_rate_error
 
 _COMMAND: Final = re.compile(r"CT\+([A-Z]+)\(([-0-9.,]*)\)")
 _UNKNOWN, _OUT_OF_RANGE = 80, 81
@@ -31,6 +31,7 @@ class ComximCore:
         fail: int | None = None,
         backwards: bool = False,
     ) -> None:
+        check_rate_error(rate_error)
         self.table = TurningTable(now_s)
         self._rate_error = rate_error
         self._fail = fail

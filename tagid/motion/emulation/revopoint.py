@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from typing import Final
 
-from tagid.motion.emulation.table import TurningTable
+from tagid.motion.emulation.table import TurningTable, check_rate_error
 
 _TEXT: Final = re.compile(r"\+(CT|QT),([A-Z]+)(?:=(-?[0-9.]+))?")
 _UNKNOWN, _OUT_OF_RANGE = "001", "007"
@@ -22,6 +22,7 @@ class RevopointCore:
     baud = 0
 
     def __init__(self, rate_error: float = 0.02, now_s: float = 0.0) -> None:
+        check_rate_error(rate_error)
         self.table = TurningTable(now_s)
         self._rate_error = rate_error
         self._period_s = 35.0

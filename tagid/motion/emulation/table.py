@@ -6,6 +6,14 @@ import math
 from bisect import bisect_right
 from collections import deque
 
+from tagid.errors import UsageError
+
+
+def check_rate_error(rate_error: float) -> None:
+    """Raises UsageError unless a table with this relative error of its speed turns forwards."""
+    if not abs(rate_error) < 1:
+        raise UsageError(f"the rate error is {rate_error}", "Give less than 1, e.g. 0.02 for 2 %.")
+
 
 class TurningTable:
     """A plate that turns at the last commanded speed; times are seconds of one clock."""

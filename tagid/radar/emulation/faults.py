@@ -7,6 +7,7 @@ request that arrives after the next start would reveal a fault of the network, n
 from __future__ import annotations
 
 import heapq
+import math
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -40,7 +41,7 @@ class Faults:
         for field in fields(self):
             value = getattr(self, field.name)
             if field.name in ("delay_s", "seed"):
-                if value < 0:
+                if not 0 <= value < math.inf:
                     raise UsageError(f"fault setting {field.name} is {value}", "Give zero or more.")
             elif not 0 <= value <= 1:
                 raise UsageError(f"fault probability {field.name} is {value}", "Give a number from 0 to 1.")

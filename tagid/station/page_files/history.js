@@ -55,6 +55,8 @@ function historyRow(one) {
     button.addEventListener("click", () => showPicture(one.id, nameOf(one)));
     row.append(button);
   }
+  const why = one.status === "identified" ? "" : one.reason;
+  if (why) row.append(element("span", why, "why quiet"));
   return row;
 }
 

@@ -103,7 +103,7 @@ class Restored:
 
     Attributes:
         version: of the registry from now on.
-        undone: source of the change that was undone, as in the history.
+        undone: source of the change that was undone, or redone, as in the history.
         added, removed, changed: names of the entries that came back, went, or became another version again.
     """
 
@@ -299,7 +299,8 @@ class Registry:
     def redo(self) -> Restored:
         """Take the last `undo` back. Raises RegistryError where nothing was undone since the last change."""
         with self._database.transaction() as connection:
-            steps = _Steps.of(self._deeds(connection))
+            deeds = self._deeds(connection)
+            steps = _Steps.of(deeds)
             if not steps.redo:
                 raise RegistryError(
                     "there is nothing to redo: the last change was not an undo",
@@ -307,7 +308,8 @@ class Registry:
                     "any version.",
                 )
             target = steps.redo[-1]
-            return self._restore(connection, target, f"{_FORWARD}{target}", "the last undo")
+            redone = dict(deeds).get(target, f"the changes up to version {target}")
+            return self._restore(connection, target, f"{_FORWARD}{target}", redone)
 
     def _restore(self, connection: sqlite3.Connection, target: int, source: str, undone: str) -> Restored:
         """Make all entries what they were at a version, by new changes."""

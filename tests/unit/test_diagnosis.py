@@ -1,0 +1,78 @@
+"""What is named as the cause of views that do not cover a turn: lost scans, or too short a recording."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tagid.capture import Capture, ViewFlag
+from tagid.metadata import MotionInfo, RadarInfo, ResolvedMotion
+from tagid.pipeline.diagnosis import recording_remarks, with_causes
+from tagid.pipeline.identify import identify
+from tagid.pipeline.load import load_capture
+from tagid.pipeline.prepared import PreparedCapture
+from tagid.simulate.acquisition import Acquisition
+from tagid.simulate.capture import simulate_capture
+from tagid.simulate.presets import scene_from_name
+from tagid.tags.layouts.layout import builtin_layouts
+
+
+def turns_with_a_hole(turns: float, lost: RadarInfo) -> Capture:
+    """Scans of `turns` turns without those between 200 and 274 degrees of each."""
+    angles = np.deg2rad(np.arange(0, 360 * turns, 2.0))
+    kept = angles[~((np.rad2deg(angles) % 360 > 201) & (np.rad2deg(angles) % 360 < 273))]
+    samples = np.random.default_rng(1).normal(size=(len(kept), 192)).astype(np.float32)
+    motion = MotionInfo(resolved=ResolvedMotion(turns=turns))
+    return Capture(samples, 0.1, 0.0091, kept, axis_distance_m=1.0, radar=lost, motion=motion)
+
+
+@pytest.mark.parametrize("turns", [1.0, 1.5])
+def test_lost_scans_are_the_cause_of_a_gap_inside_a_full_turn(turns: float) -> None:
+    capture = load_capture(turns_with_a_hole(turns, RadarInfo(scans_lost=2496)))
+    (remark,) = recording_remarks(capture)
+    assert remark.startswith(
+        f"2496 scans were lost: the views cover 288 of 360 degrees, although {turns:.2f}"
+    )
+    assert recording_remarks(load_capture(turns_with_a_hole(turns, RadarInfo(scans_lost=1))))[0].startswith(
+        "1 scan was lost: "
+    )
+
+
+def test_a_gap_in_which_the_object_did_not_turn_is_none_of_lost_scans() -> None:
+    whole = turns_with_a_hole(1.0, RadarInfo(scans_lost=3))
+    assert whole.angles_rad is not None
+    part = whole.select(whole.angles_rad < np.deg2rad(201))
+    part = replace(part, motion=MotionInfo(resolved=ResolvedMotion(turns=200 / 360)))
+    assert recording_remarks(part)[0].startswith("the views cover 2")
+
+
+@pytest.mark.parametrize(("first", "lost"), [(False, True), (True, False)])
+def test_without_recorded_turns_the_flags_beside_the_gap_decide(first: bool, lost: bool) -> None:
+    capture = turns_with_a_hole(1.0, RadarInfo())
+    assert capture.angles_rad is not None
+    flags = np.zeros(capture.views, dtype=np.uint8)
+    flags[np.argmax(capture.angles_rad > np.deg2rad(250))] = ViewFlag.AFTER_LOSS | (
+        ViewFlag.FIRST if first else ViewFlag.NONE
+    )
+    (remark,) = recording_remarks(replace(capture, flags=flags, motion=MotionInfo()))
+    assert remark.startswith("scans were lost: ") == lost
+
+
+def test_a_refused_answer_names_lost_scans_with_the_remedy() -> None:
+    capture, _ = simulate_capture(scene_from_name("empty", 3), Acquisition(views=180, snr_db=10.0), seed=3)
+    assert capture.angles_rad is not None
+    hole = (capture.angles_rad > np.deg2rad(200)) & (capture.angles_rad < np.deg2rad(272))
+    scans = replace(
+        capture.select(np.flatnonzero(~hole)),
+        radar=RadarInfo(scans_lost=35),
+        motion=MotionInfo(resolved=ResolvedMotion(turns=1.0)),
+    )
+    prepared = PreparedCapture(load_capture(scans))
+    layouts = list(builtin_layouts().values())
+    answer = with_causes(identify(prepared, layouts), prepared, layouts)
+    assert answer.status == "no_tag"
+    (cause,) = answer.causes
+    assert cause.code == "scans_lost" and "35 scans were lost" in cause.text
+    assert "tagid radar monitor" in cause.remedy and "one full turn" not in cause.remedy
