@@ -36,8 +36,8 @@ def join(captures: Sequence[Capture]) -> Capture:
     first = captures[0]
     for number, other in enumerate(captures[1:], start=2):
         _check(first, other, number)
-        for earlier, one in enumerate(captures[: number - 1], start=1):
-            if one.uuid == other.uuid and np.array_equal(one.samples, other.samples):
+        for earlier, before in enumerate(captures[: number - 1], start=1):
+            if before.uuid == other.uuid and np.array_equal(before.samples, other.samples):
                 raise UsageError(
                     f"captures {earlier} and {number} are the same recording",
                     "Give each recording once; one from every antenna height.",

@@ -54,7 +54,7 @@ def _degrees(angles: NDArray[np.float64]) -> bool:
     if len(angles) < 4:
         return False
     steps = np.diff(angles)
-    step = median(np.abs(steps))
+    step = float(median(np.abs(steps)))
     turn = float(np.ptp(angles)) + step
     even = float(np.ptp(steps)) <= _EVEN * step
     return step >= _LEAST_STEP and even and _TURN_DEG[0] <= turn <= _TURN_DEG[1]
