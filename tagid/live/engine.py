@@ -232,6 +232,7 @@ class LiveView:
                 if self._take():
                     time.sleep(max(0.0, FRAME_S - (time.monotonic() - began)))
             if self._stored is not None:
+                self._count_the_rest()
                 self._last_frame(self._stored)
         except TagidError as error:
             self._publish(note=f"no live image: {error.message}")
@@ -276,6 +277,15 @@ class LiveView:
             scans=len(self._scans), lost=lost, seconds=seconds, sinogram=sinogram, snr_db=snr, **shown
         )
         return True
+
+    def _count_the_rest(self) -> None:
+        """Number and angle of all scans: the last ones of a late view were in no frame."""
+        with self._lock:
+            new, self._queue = self._queue, []
+        self._scans += new
+        angles = self._angles.of(self._scans) if self._scans else None
+        turned = self._state.turned_rad if angles is None else float(np.abs(angles).max())
+        self._publish(scans=len(self._scans), turned_rad=turned)
 
     def _in_a_hurry(self) -> bool:
         """Whether the view is to end; remaining scans are then not shown."""

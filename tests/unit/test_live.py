@@ -259,6 +259,21 @@ def test_a_recording_is_shown_to_its_last_frame(tmp_path: Path, layouts: list[La
     assert [t.name for t in threading.enumerate() if t.name.startswith("live-")] == []
 
 
+def test_a_view_that_is_late_ends_with_the_angle_that_was_recorded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, layouts: list[Layout]
+) -> None:
+    """On a busy computer the last scans of a turn arrive after the last frame that shows scans."""
+    monkeypatch.setattr(LiveView, "_take", lambda _: False)
+    with LiveView(LiveSettings(open_motion("free?rpm=20"), [], imaging=ImagingSettings(pixels=48))) as view:
+        capture = recorded(tmp_path, view)
+        prepared = PreparedCapture(load_capture(capture), ImagingSettings(pixels=48))
+        view.settle(prepared.given, identify(prepared, layouts))
+    assert view.state.final
+    assert view.state.turned_rad is not None
+    assert view.state.turned_rad > 2 * np.pi
+    assert view.state.scans == capture.views
+
+
 @dataclass(frozen=True)
 class Turning:
     """Scans of an emulated object, 10 s per turn, as a recording of unknown speed hands them over."""
