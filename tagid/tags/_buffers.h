@@ -62,4 +62,20 @@ static inline PyObject *finished(Held *h)
     release(h);
     return PyErr_Occurred() ? NULL : Py_BuildValue("");
 }
+
+/* Defines a module of these methods. `ARGUMENTS` counts the changes of their arguments: Python uses no build
+ * of others. */
+#define MODULE(name, about, methods, arguments)                                                              \
+    static struct PyModuleDef module = {                                                                     \
+        PyModuleDef_HEAD_INIT, #name, about, -1, methods, NULL, NULL, NULL, NULL,                            \
+    };                                                                                                       \
+    PyMODINIT_FUNC PyInit_##name(void)                                                                       \
+    {                                                                                                        \
+        PyObject *made = PyModule_Create(&module);                                                           \
+        if (made && PyModule_AddIntConstant(made, "ARGUMENTS", arguments) < 0) {                             \
+            Py_DECREF(made);                                                                                 \
+            return NULL;                                                                                     \
+        }                                                                                                    \
+        return made;                                                                                         \
+    }
 #endif

@@ -322,25 +322,4 @@ static PyMethodDef methods[] = {
     {NULL, NULL, 0, NULL},
 };
 
-static struct PyModuleDef module = {
-    PyModuleDef_HEAD_INIT,
-    "_points",
-    "Compiled model of points (see tagid.tags.bodies.points).",
-    -1,
-    methods,
-    NULL,
-    NULL,
-    NULL,
-    NULL,
-};
-
-PyMODINIT_FUNC PyInit__points(void)
-{
-    PyObject *made = PyModule_Create(&module);
-    /* `tagid.tags.bodies.points` uses no build of other arguments. */
-    if (made && PyModule_AddIntConstant(made, "ARGUMENTS", 1) < 0) {
-        Py_DECREF(made);
-        return NULL;
-    }
-    return made;
-}
+MODULE(_points, "Compiled model of points (see tagid.tags.bodies.points).", methods, 1)

@@ -571,25 +571,4 @@ static PyMethodDef methods[] = {
     {NULL, NULL, 0, NULL},
 };
 
-static struct PyModuleDef module = {
-    PyModuleDef_HEAD_INIT,
-    "_matched",
-    "Compiled inner loops of the tag reader (see tagid.tags.reading.compiled).",
-    -1,
-    methods,
-    NULL,
-    NULL,
-    NULL,
-    NULL,
-};
-
-PyMODINIT_FUNC PyInit__matched(void)
-{
-    PyObject *made = PyModule_Create(&module);
-    /* `tagid.tags.reading.compiled` uses no build of other arguments. */
-    if (made && PyModule_AddIntConstant(made, "ARGUMENTS", 1) < 0) {
-        Py_DECREF(made);
-        return NULL;
-    }
-    return made;
-}
+MODULE(_matched, "Compiled inner loops of the tag reader (see tagid.tags.reading.compiled).", methods, 1)
