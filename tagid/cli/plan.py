@@ -78,9 +78,10 @@ def register(app: typer.Typer) -> None:
         found = work_out(setup)
         wanted = None if want is None else invert(setup, want)
         data = {**_data(found), "wanted": None if wanted is None else _wanted_data(wanted)}
+        doubt = ""
         if wanted is not None and want is not None:
-            data["wanted_remark"] = _doubt(wanted, want)
-        return Result("plan", data, _drawn(found, wanted, want))
+            data["wanted_remark"] = doubt = _doubt(wanted, want)
+        return Result("plan", data, _drawn(found, wanted, want, doubt))
 
 
 class Asked:
@@ -193,7 +194,7 @@ def _doubt(wanted: Wanted, want: float) -> str:
     )
 
 
-def _drawn(found: Plan, wanted: Wanted | None, want: float | None) -> RenderableType:
+def _drawn(found: Plan, wanted: Wanted | None, want: float | None, doubt: str) -> RenderableType:
     from rich.console import Group
     from rich.table import Table
     from rich.text import Text
@@ -217,7 +218,7 @@ def _drawn(found: Plan, wanted: Wanted | None, want: float | None) -> Renderable
             Text(f"expected to be named in {100 * want:g} % of readings, one change at a time", "bold"),
             _reached(wanted, table()),
         ]
-        if doubt := _doubt(wanted, want):
+        if doubt:
             parts.append(Text(doubt, "yellow"))
     return Group(*parts)
 

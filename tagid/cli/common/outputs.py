@@ -18,11 +18,8 @@ def check_new(path: Path, force: bool, how: str = "Choose another name, or add -
         force: whether an existing file may be overwritten.
         how: what to do about an existing file.
     """
-    if _exists(path):
-        if path.is_dir():
-            raise StorageError(f"{path}: is a folder, not a file", "Give the path of a file.")
-        if not force:
-            raise StorageError(f"{path} exists already", how)
+    if _is_file(path) and not force:
+        raise StorageError(f"{path} exists already", how)
     _check_folder(path)
 
 
@@ -36,11 +33,8 @@ def check_own(path: Path, own: Callable[[Path], bool], what: str) -> None:
 
     Raises StorageError: a folder, another file, or nothing can be written there.
     """
-    if _exists(path):
-        if path.is_dir():
-            raise StorageError(f"{path}: is a folder, not a file", "Give the path of a file.")
-        if not own(path):
-            raise StorageError(f"{path} exists already and is not {what}", "Choose another name.")
+    if _is_file(path) and not own(path):
+        raise StorageError(f"{path} exists already and is not {what}", "Choose another name.")
     _check_folder(path)
 
 
@@ -68,9 +62,7 @@ def check_drawing(
             f"{option} {path} does not end in {' or '.join(suffixes)}",
             f"Give a name that does, e.g. {option} NAME{suffixes[0]}.",
         )
-    if _exists(path):
-        if path.is_dir():
-            raise StorageError(f"{path}: is a folder, not a file", "Give the path of a file.")
+    if _is_file(path):
         if any(_exists(one) and one.samefile(path) for one in inputs):
             raise UsageError(f"{option} {path} is the file that is read", "Choose another name.")
         if path.suffix.lower() == ".npz" and not is_image(path):
@@ -83,6 +75,14 @@ def _exists(path: Path) -> bool:
         return path.exists()
     except OSError as error:  # a name that is too long, for example
         raise storage_error(error, path, "writing") from None
+
+
+def _is_file(path: Path) -> bool:
+    """Whether a file is there. Raises StorageError for a folder."""
+    there = _exists(path)
+    if there and path.is_dir():
+        raise StorageError(f"{path}: is a folder, not a file", "Give the path of a file.")
+    return there
 
 
 def _check_folder(path: Path) -> None:

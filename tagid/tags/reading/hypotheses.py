@@ -261,12 +261,9 @@ class CoarseGrid:
     placed: NDArray[np.float64]
 
     @classmethod
+    @lru_cache(maxsize=64)
     def of(cls, layout: Layout, settings: SearchSettings) -> CoarseGrid:
         """The grid of a layout; those used last are kept."""
-        return _grid_of(layout, settings)
-
-    @classmethod
-    def _made(cls, layout: Layout, settings: SearchSettings) -> CoarseGrid:
         turn = 2 * np.pi / layout.symmetry
         rotations = np.arange(0, turn - 1e-9, _rotation_step(layout, settings))
         count = int(np.floor(settings.centre_range_m / settings.centre_step_m))
@@ -323,11 +320,6 @@ class CoarseGrid:
         typical = (trust * seen).sum(axis=0) / np.maximum(trust.sum(axis=0), 1e-9)
         seen = trust * seen + (1 - trust) * typical
         return charge(explained, seen, balance, axis=0)
-
-
-@lru_cache(maxsize=64)
-def _grid_of(layout: Layout, settings: SearchSettings) -> CoarseGrid:
-    return CoarseGrid._made(layout, settings)
 
 
 def _level(field: MatchedField, height_m: float) -> float:
