@@ -162,16 +162,18 @@ def held_out_words(settings: dict[str, Any]) -> list[str]:
 
 def prior_words(settings: dict[str, Any]) -> list[str]:
     """The prior that ats took instead of its defaults, if it tried any."""
+    from tagid.imaging.ats.adapt import linear_iterations
+
     prior, tried = settings.get("prior"), settings.get("prior_trials")
     if not prior or not tried:
         return []
     residual = f"leaves {100 * tried[prior]:.1f} % of views that its fit did not see"
-    if prior in ("linear 0", "linear 1"):
+    iterations = linear_iterations(prior)
+    if iterations is not None and iterations <= 1:
         return [
             f"no scene model predicts better than backprojection: the image is backprojection ({residual})"
         ]
-    if prior.startswith("linear"):
-        iterations = prior.removeprefix("linear ")
+    if iterations is not None:
         return [
             f"linear solution after {iterations} iterations: {residual}, the default prior "
             f"{100 * tried['default']:.1f} %"
