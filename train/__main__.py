@@ -28,6 +28,7 @@ Scenes = Annotated[int, typer.Option(help="Training scenes; a tenth of it again 
 Jobs = Annotated[int, typer.Option(help="Processes.")]
 AtsEvery = Annotated[int, typer.Option(help="Image every so many-th scene by ATS too; 0 for none.")]
 Epochs = Annotated[int, typer.Option(help="Passes over the dataset.")]
+Device = Annotated[str, typer.Option(help="Of torch: cpu, or cuda on a computer with a GPU.")]
 Seed = Annotated[int, typer.Option(help="Of weights, order and symmetries.")]
 WORK = Path("build/train")
 SCENES = 6000
@@ -67,6 +68,8 @@ def fit(
     ats_every: AtsEvery = 4,
     epochs: Epochs = EPOCHS,
     seed: Seed = 0,
+    jobs: Jobs = 1,
+    device: Device = "cpu",
 ) -> None:
     """Train the network on the dataset. Example: python -m train fit --epochs 12"""
     from train.dataset import load
@@ -89,9 +92,10 @@ def fit(
             load(work, split["train"]),
             load(work, split["validation"]),
             work / "checkpoint.pt",
-            FitSettings(epochs=epochs, seed=seed),
+            FitSettings(epochs=epochs, seed=seed, device=device),
             lambda step, steps, _: show(step, steps),
             report,
+            jobs,
         )
 
 
@@ -137,10 +141,11 @@ def all_steps(
     ats_every: AtsEvery = 4,
     epochs: Epochs = EPOCHS,
     seed: Seed = 0,
+    device: Device = "cpu",
 ) -> None:
     """Dataset, fit and export in one run, which rebuilds the shipped model. Example: python -m train all"""
     dataset(work, scenes, jobs, ats_every)
-    fit(work, scenes, ats_every, epochs, seed)
+    fit(work, scenes, ats_every, epochs, seed, jobs, device)
     export(work, scenes, ats_every, epochs, seed)
 
 

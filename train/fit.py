@@ -7,12 +7,15 @@ gives the same weights as one that was not.
 from __future__ import annotations
 
 import io
-from collections.abc import Callable
+import multiprocessing
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import nn
 from torch.optim import AdamW, Optimizer
 from torch.optim.lr_scheduler import LRScheduler
@@ -21,7 +24,7 @@ from tagid.errors import StorageError
 from tagid.files import read_bytes, write_bytes
 from train.dataset import Samples
 from train.network import DetectorNetwork
-from train.targets import loss, make_batch
+from train.targets import Batch, loss, make_batch
 
 Parts = dict[str, nn.Module | Optimizer | LRScheduler]
 
@@ -36,6 +39,7 @@ class FitSettings:
         decay: weight decay.
         seed: of weights, order and symmetries.
         threads: of torch; sums depend on it in the last digits.
+        device: of torch, "cpu" or "cuda"; sums depend on it in the last digits.
         hidden: planes of the input that are shown as zeros, to measure what they are worth.
     """
 
@@ -45,6 +49,7 @@ class FitSettings:
     decay: float = 1e-4
     seed: int = 0
     threads: int = 2
+    device: str = "cpu"
     hidden: tuple[int, ...] = ()
 
 
@@ -65,6 +70,7 @@ def fit(
     settings: FitSettings | None = None,
     progress: Callable[[int, int, float], None] | None = None,
     report: Callable[[Epoch], None] | None = None,
+    jobs: int = 1,
 ) -> DetectorNetwork:
     """Train, or finish training.
 
@@ -74,14 +80,17 @@ def fit(
         settings: see there; those of the checkpoint must agree.
         progress: called with (step, steps, loss).
         report: called after every epoch.
+        jobs: processes that prepare batches; the weights do not depend on them.
 
     Raises StorageError if the checkpoint is damaged or of other settings.
     """
     s = settings or FitSettings()
     torch.set_num_threads(s.threads)
     torch.manual_seed(s.seed)
-    torch.use_deterministic_algorithms(True)
+    # On a GPU some gradients have no deterministic kernel: the weights then differ in the last digits.
+    torch.use_deterministic_algorithms(True, warn_only=s.device != "cpu")
     network = DetectorNetwork()
+    network.to(s.device)
     optimiser = AdamW(network.parameters(), lr=s.rate, weight_decay=s.decay)
     steps = s.epochs * (len(training) // s.batch)
     schedule = torch.optim.lr_scheduler.OneCycleLR(
@@ -90,33 +99,72 @@ def fit(
     parts: Parts = {"network": network, "optimiser": optimiser, "schedule": schedule}
     own = {**asdict(s), "samples": len(training)}
     first = _resume(checkpoint, parts, own)
-    for epoch in range(first, s.epochs):
-        rng = np.random.default_rng((s.seed, epoch))
-        order = rng.permutation(len(training))
-        network.train()
-        total = 0.0
-        count = len(training) // s.batch
-        for step in range(count):
-            which = order[step * s.batch : (step + 1) * s.batch]
-            batch = make_batch(training, which, rng.integers(0, 8, len(which)))
-            batch.planes[:, list(s.hidden)] = 0
-            cells, present = network(batch.planes)
-            value = loss(cells, present, batch)
-            optimiser.zero_grad()
-            value.backward()
-            nn.utils.clip_grad_norm_(network.parameters(), 5.0)
-            optimiser.step()
-            schedule.step()
-            total += float(value.detach())
-            if progress:
-                progress(epoch * count + step + 1, steps, float(value.detach()))
-        _save(checkpoint, parts, own, epoch + 1)
-        if report:
-            report(
-                Epoch(epoch + 1, s.epochs, total / max(1, count), mean_loss(network, validation, s.hidden))
-            )
+    with _batches(training, jobs) as batches:
+        for epoch in range(first, s.epochs):
+            rng = np.random.default_rng((s.seed, epoch))
+            order = rng.permutation(len(training))
+            network.train()
+            total = 0.0
+            count = len(training) // s.batch
+            draws = [
+                Draw(order[step * s.batch : (step + 1) * s.batch], rng.integers(0, 8, s.batch))
+                for step in range(count)
+            ]
+            for step, made in enumerate(batches(draws)):
+                batch = made.to(s.device)
+                batch.planes[:, list(s.hidden)] = 0
+                cells, present = network(batch.planes)
+                value = loss(cells, present, batch)
+                optimiser.zero_grad()
+                value.backward()
+                nn.utils.clip_grad_norm_(network.parameters(), 5.0)
+                optimiser.step()
+                schedule.step()
+                total += float(value.detach())
+                if progress:
+                    progress(epoch * count + step + 1, steps, float(value.detach()))
+            _save(checkpoint, parts, own, epoch + 1)
+            if report:
+                report(
+                    Epoch(
+                        epoch + 1, s.epochs, total / max(1, count), mean_loss(network, validation, s.hidden)
+                    )
+                )
+    network.to("cpu")
     network.eval()
     return network
+
+
+@dataclass(frozen=True, eq=False)
+class Draw:
+    """A batch that is to be made: the samples' indexes and the symmetry of each, 0 to 7."""
+
+    which: NDArray[np.intp]
+    symmetries: NDArray[np.intp]
+
+
+_samples: Samples | None = None
+
+
+def _receive(samples: Samples) -> None:
+    global _samples  # sent once to each process, not with every batch
+    _samples = samples
+    torch.set_num_threads(1)
+
+
+def _arrays(draw: Draw) -> tuple[NDArray[np.float32], ...]:
+    assert _samples is not None
+    return make_batch(_samples, draw.which, draw.symmetries).arrays()
+
+
+@contextmanager
+def _batches(training: Samples, jobs: int) -> Iterator[Callable[[list[Draw]], Iterator[Batch]]]:
+    """A function from draws to their batches in order, prepared ahead by so many processes."""
+    if jobs < 2:
+        yield lambda draws: (make_batch(training, d.which, d.symmetries) for d in draws)
+        return
+    with multiprocessing.get_context("spawn").Pool(jobs, _receive, (training,)) as pool:
+        yield lambda draws: map(Batch.of, pool.imap(_arrays, draws))
 
 
 def mean_loss(
@@ -124,11 +172,12 @@ def mean_loss(
 ) -> float:
     """Loss of a network that is not training."""
     network.eval()
+    device = next(network.parameters()).device
     total = 0.0
     with torch.no_grad():
         for start in range(0, len(samples), batch):
             which = np.arange(start, min(start + batch, len(samples)))
-            made = make_batch(samples, which)
+            made = make_batch(samples, which).to(device)
             made.planes[:, list(hidden)] = 0
             cells, present = network(made.planes)
             total += float(loss(cells, present, made)) * len(which)
@@ -154,7 +203,7 @@ def _resume(
     if not path.exists():
         return 0
     try:
-        state = torch.load(io.BytesIO(read_bytes(path)), weights_only=True)
+        state = torch.load(io.BytesIO(read_bytes(path)), map_location="cpu", weights_only=True)
         if state["own"] != own:
             raise StorageError(f"{path}: is of another training", "Choose another folder, or remove it.")
         for name, part in parts.items():
@@ -168,7 +217,7 @@ def load_network(path: Path) -> DetectorNetwork:
     """The network of a checkpoint, ready to be used. Raises StorageError."""
     network = DetectorNetwork()
     try:
-        state = torch.load(io.BytesIO(read_bytes(path)), weights_only=True)
+        state = torch.load(io.BytesIO(read_bytes(path)), map_location="cpu", weights_only=True)
         network.load_state_dict(state["network"])
     except (KeyError, RuntimeError, ValueError, EOFError) as error:
         raise StorageError(f"{path}: damaged checkpoint: {error}", "Train again.") from error

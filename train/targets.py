@@ -7,6 +7,7 @@ Points", 2019): a focal loss that spares the neighbours of a hit.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 import torch
@@ -34,6 +35,19 @@ class Batch:
     near: Tensor
     offset: Tensor
     present: Tensor
+
+    @classmethod
+    def of(cls, arrays: tuple[NDArray[np.float32], ...]) -> Self:
+        """From arrays in the order of the attributes."""
+        return cls(*(torch.from_numpy(v) for v in arrays))
+
+    def arrays(self) -> tuple[NDArray[np.float32], ...]:
+        """In the order of the attributes, to travel between processes."""
+        return tuple(value.numpy() for value in vars(self).values())
+
+    def to(self, device: torch.device | str) -> Self:
+        """The same tensors on a device of torch."""
+        return type(self)(*(value.to(device) for value in vars(self).values()))
 
 
 def symmetry(
@@ -67,9 +81,9 @@ def make_batch(
         rows.append(cell_targets(reflectors, ghosts))
     heat, ghost, near, offset = (np.stack([row[k] for row in rows]) for k in range(4))
     present = np.isfinite(samples.reflectors[which][:, 0, 0])
-    return Batch(
-        *(
-            torch.from_numpy(np.ascontiguousarray(v, dtype=np.float32))
+    return Batch.of(
+        tuple(
+            np.ascontiguousarray(v, dtype=np.float32)
             for v in (np.stack(planes), heat, ghost, near, offset, present)
         )
     )

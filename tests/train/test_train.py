@@ -119,7 +119,7 @@ def test_training_learns_and_goes_on_where_it_was_killed(few: Samples, tmp_path:
     with pytest.raises(KilledError):
         fit(few, few, tmp_path / "cut.pt", settings, progress=kill)
     losses: list[float] = []
-    resumed = fit(few, few, tmp_path / "cut.pt", settings, report=lambda e: losses.append(e.training))
+    resumed = fit(few, few, tmp_path / "cut.pt", settings, report=lambda e: losses.append(e.training), jobs=2)
     assert len(losses) == 2
     for a, b in zip(whole.state_dict().values(), resumed.state_dict().values(), strict=True):
         assert torch.equal(a, b)
