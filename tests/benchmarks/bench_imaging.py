@@ -12,13 +12,10 @@ Objects: exact series for cans and bottles, physical optics for boxes, noise 20 
 from __future__ import annotations
 
 import argparse
-import os
-import platform
 import sys
-from collections.abc import Callable
-from datetime import date
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -32,40 +29,38 @@ from imaging_scenes import (
     GRID,
     OBJECTS,
     ROWS,
-    SCORES,
     Problem,
     field_problem,
+    held_out_percent,
     object_problem,
+    perceptual,
     random_points,
-    score,
 )
-from provenance import commit
 
-DIGITS = (1, 2, 3, 1, 0, 2, 2)
-SLOW = ("ATS paper",)
-"""Rows that get fewer seeds, as their images take many seconds each."""
+from train.metrics import localise, pick_peaks, psnr
+
+MOST_PEAKS = 8
 SHOWN = tuple(row for row in ROWS if row != "blank" and not row.endswith("bare"))
 """Rows of the figures."""
+
+
+class Column(NamedTuple):
+    """A score, its heading and its digits."""
+
+    name: str
+    title: str
+    digits: int
 
 
 class Run(NamedTuple):
     """How much is computed."""
 
     seeds: int
-    slow_seeds: int
     quick: bool
     jobs: int
     pictures: Path
-    resume: Path | None = None
-    minutes: float = 0.0
-
-    def rows_of(self, seed: int) -> tuple[str, ...]:
-        """Rows computed for a seed: the slow ones have few."""
-        return tuple(row for row in ROWS if row not in SLOW or seed < self.slow_seeds)
-
-
-def _cells(values: np.ndarray) -> list[str]:
-    return [report.interval(column, d) for column, d in zip(values.T, DIGITS, strict=True)]
+    draw: bool
+    pieces: report.Pieces
 
 
 class Case(NamedTuple):
@@ -78,67 +73,81 @@ class Case(NamedTuple):
 
 
 class ObjectCell(NamedTuple):
-    """A case with one seed, and the rows wanted."""
+    """A case and a seed."""
 
-    rows: tuple[str, ...]
     case: Case
     seed: int
 
 
-OBJECT_SCORES = ("PSNR (dB)", "LPIPS", "far-off peak (dB)", "cylinders seen", "seconds")
+OBJECT_COLUMNS = (
+    Column("held_out", "held-out residual (%)", 1),
+    Column("lpips", "LPIPS", 3),
+    Column("psnr_db", "PSNR (dB)", 1),
+    Column("far_db", "far-off peak (dB)", 1),
+    Column("seen", "cylinders seen", 1),
+    Column("seconds", "seconds", 2),
+)
 
 
-def score_object(cell: ObjectCell) -> dict[str, tuple[tuple[float, ...], np.ndarray]]:
-    """Row -> scores of an extended object, and the image's magnitude.
+def object_scene(case: Case, seed: int) -> Problem:
+    """A case seen with noise 20 dB under the peak."""
+    return object_problem(case.name, np.arange(case.first_deg, case.last_deg, case.step_deg), 20.0, seed)
+
+
+def score_object(cell: ObjectCell) -> dict[str, dict[str, float]]:
+    """The members of `OBJECT_COLUMNS` of every row.
 
     The far-off peak is the brightest pixel farther than 4 cm from the outline, against the brightest one; a
     cylinder is seen where the brightest pixel within 2 cm of its surface is at most 10 dB down.
     """
-    case = cell.case
-    thing = OBJECTS[case.name]()
-    angles = np.arange(case.first_deg, case.last_deg, case.step_deg)
-    problem = object_problem(thing, angles, 20.0, cell.seed)
+    problem = object_scene(cell.case, cell.seed)
+    thing = OBJECTS[cell.case.name]()
     x, y = np.meshgrid(problem.grid.axis, problem.grid.axis)
     near = thing.outline(problem.grid, 0.04) > np.exp(-0.5)
-    results = {}
-    for row in cell.rows:
-        psnr_db, _, perceptual, *_, seconds = score(problem, row)
-        values = np.abs(problem.image(row)[0].values)
-        magnitude = values / max(float(values.max()), 1e-30)
-        off = float(20 * np.log10(max(float(magnitude[~near].max()), 1e-6)))
+    scores = {}
+    for row in SHOWN:
+        image, seconds = problem.image(row)
+        magnitude = np.abs(image.values) / max(float(np.abs(image.values).max()), 1e-30)
         seen = [
             float(magnitude[np.hypot(x - cx, y - cy) < radius + 0.02].max()) > 10 ** (-10 / 20)
             for cx, cy, radius in thing.circles
         ]
-        count = float(np.sum(seen)) if seen else float("nan")
-        results[row] = (psnr_db, perceptual, off, count, seconds), magnitude.astype(np.float32)
-    return results
+        scores[row] = {
+            "held_out": held_out_percent(problem, row),
+            "lpips": perceptual(image, problem.truth),
+            "psnr_db": psnr(image.values, problem.truth),
+            "far_db": float(20 * np.log10(max(float(magnitude[~near].max()), 1e-6))),
+            "seen": float(np.sum(seen)) if seen else float("nan"),
+            "seconds": seconds,
+        }
+    return scores
 
 
 def _objects(run: Run, name: str, cases: dict[str, Case]) -> str:
     """Table and figure of extended objects, by the label of each case."""
-    seeds = run.seeds
-    cells = [
-        ObjectCell(tuple(r for r in SHOWN if r in run.rows_of(seed)), case, seed)
-        for case in cases.values()
-        for seed in range(seeds)
-    ]
-    results = report.spread(score_object, cells, run.jobs)
-    shown = [row for row in SHOWN if row in results[0]]
-    lines, pictures = [], []
-    for i, (label, case) in enumerate(cases.items()):
-        of_case = results[i * seeds : (i + 1) * seeds]
-        thing = OBJECTS[case.name]()
-        pictures.append([thing.outline(thing.grid)])
-        for row in shown:
-            values = np.array([r[row][0] for r in of_case if row in r])
-            cell = [report.interval(column, d) for column, d in zip(values.T, (1, 3, 1, 1, 2), strict=True)]
-            lines.append([label, row, str(len(values)), *cell])
-            pictures[-1].append(of_case[0][row][1])
-    extents = [OBJECTS[case.name]().extent_m for case in cases.values()]
-    path = run.pictures / f"imaging-{name}.png"
-    report.picture_grid(pictures, extents, list(cases), ["outline", *shown], path)
-    return report.table(("object", "method", "seeds", *OBJECT_SCORES), lines)
+    cells = [ObjectCell(case, seed) for case in cases.values() for seed in range(run.seeds)]
+    found = report.resumed(score_object, cells, run.pieces)
+    text = _table(found, cases, "object", OBJECT_COLUMNS)
+    if run.draw:
+        problems = {label: object_scene(case, 0) for label, case in cases.items()}
+        _same_scene_picture(problems, run.pictures / f"imaging-{name}.png", "outline")
+    return text
+
+
+def _table(
+    found: dict[Any, dict[str, dict[str, float]]], cases: dict[str, Any], kind: str, columns: Sequence[Column]
+) -> str:
+    """A line for every case and row, with the mean over the seeds and its interval."""
+    lines = []
+    for label, case in cases.items():
+        scores = [score for cell, score in found.items() if cell.case == case]
+        for row in SHOWN if scores else ():
+            values = [
+                report.interval(np.array([s[row][c.name] for s in scores], dtype=float), c.digits)
+                for c in columns
+            ]
+            lines.append([label, row, str(len(scores)), *values])
+    return report.table((kind, "method", "seeds", *(c.title for c in columns)), lines)
 
 
 def objects(run: Run) -> str:
@@ -160,48 +169,58 @@ def partial(run: Run) -> str:
 
 
 class TagCell(NamedTuple):
-    """A tag in the field's scene, and the rows wanted."""
+    """A layout in the field's scene, and a seed."""
 
-    rows: tuple[str, ...]
-    layout: str
+    case: str
     seed: int
 
 
-def score_tag(cell: TagCell) -> dict[str, tuple[tuple[float, ...], np.ndarray]]:
-    """Row -> scores of a tag on its object, clutter removed, and the image's magnitude."""
-    problem = field_problem(cell.layout, cell.seed)
-    results = {}
-    for row in cell.rows:
-        scores = score(problem, row)
-        results[row] = scores, np.abs(problem.image(row)[0].values).astype(np.float32)
-    return results
+TAG_COLUMNS = (
+    Column("where_mm", "localisation (mm)", 1),
+    Column("detected", "detected (%)", 0),
+    Column("false", "false", 2),
+    Column("held_out", "held-out residual (%)", 1),
+    Column("lpips", "LPIPS", 3),
+    Column("psnr_db", "PSNR (dB)", 1),
+    Column("seconds", "seconds", 2),
+)
+
+
+def score_tag(cell: TagCell) -> dict[str, dict[str, float]]:
+    """The members of `TAG_COLUMNS` of every row, for a tag on its object, clutter removed."""
+    problem = field_problem(cell.case, cell.seed)
+    scores = {}
+    for row in SHOWN:
+        image, seconds = problem.image(row)
+        found = localise(pick_peaks(image, MOST_PEAKS), problem.points)
+        scores[row] = {
+            "where_mm": found.rmse_m * 1e3,
+            "detected": 100 * found.detected / len(problem.points),
+            "false": float(found.false),
+            "held_out": held_out_percent(problem, row),
+            "lpips": perceptual(image, problem.truth),
+            "psnr_db": psnr(image.values, problem.truth),
+            "seconds": seconds,
+        }
+    return scores
 
 
 def tags(run: Run) -> str:
     """(6) The mug's and the helmet's tags, on their objects, in a room, 15 dB SNR, 360 views."""
     layouts = ("container-90", "container-180", "helmet-120", "helmet-linear")
-    lines, pictures = [], []
-    for layout in layouts:
-        cells = [
-            TagCell(tuple(r for r in SHOWN if r in run.rows_of(seed)), layout, seed)
-            for seed in range(run.seeds)
-        ]
-        results = report.spread(score_tag, cells, run.jobs)
-        pictures.append([field_problem(layout, 0).truth])
-        for row in (r for r in SHOWN if r in results[0]):
-            values = np.array([r[row][0] for r in results if row in r])
-            lines.append([layout, row, str(len(values)), *_cells(values)])
-            pictures[-1].append(results[0][row][1])
-    shown = ["truth", *(r for r in SHOWN if r in results[0])]
-    path = run.pictures / "imaging-tags.png"
-    report.picture_grid(pictures, [0.4] * len(layouts), list(layouts), shown, path)
-    return report.table(("tag", "method", "seeds", *SCORES), lines)
+    cells = [TagCell(layout, seed) for layout in layouts for seed in range(run.seeds)]
+    found = report.resumed(score_tag, cells, run.pieces)
+    text = _table(found, {layout: layout for layout in layouts}, "tag", TAG_COLUMNS)
+    if run.draw:
+        problems = {layout: field_problem(layout, 0) for layout in layouts}
+        _same_scene_picture(problems, run.pictures / "imaging-tags.png")
+    return text
 
 
-def _same_scene_picture(problems: dict[str, Problem], path: Path) -> None:
+def _same_scene_picture(problems: dict[str, Problem], path: Path, truth: str = "truth") -> None:
     pictures = [[p.truth, *(np.abs(p.image(r)[0].values) for r in SHOWN)] for p in problems.values()]
     extents = [p.grid.extent for p in problems.values()]
-    report.picture_grid(pictures, extents, list(problems), ["truth", *SHOWN], path)
+    report.picture_grid(pictures, extents, list(problems), [truth, *SHOWN], path)
 
 
 def methods(run: Run) -> str:
@@ -211,7 +230,8 @@ def methods(run: Run) -> str:
         "36 views, noise 0.316": random_points(4, 36, 0.316, 1),
         "12 views": random_points(4, 12, 0.1, 1),
     }
-    _same_scene_picture(problems, run.pictures / "imaging-methods.png")
+    if run.draw:
+        _same_scene_picture(problems, run.pictures / "imaging-methods.png")
     return f"Four points, {GRID.extent} m, dB below each maximum; noise 0.1 where none is said.\n"
 
 
@@ -239,11 +259,10 @@ def main() -> None:
     parser.add_argument("--list", action="store_true", help="name the experiments")
     parser.add_argument("--quick", action="store_true", help="one seed, fewer cases")
     parser.add_argument("--seeds", type=int, default=10)
-    parser.add_argument("--slow-seeds", type=int, default=10, help="seeds of the paper's method")
     parser.add_argument("--jobs", type=int, default=1, help="processes")
-    parser.add_argument("--resume", type=Path, help="file that keeps what is done")
-    parser.add_argument("--minutes", type=float, default=0.0, help="stop after so many, with --resume")
+    report.Pieces.add_options(parser)
     parser.add_argument("--write", action="store_true", help="put table and figure into docs/")
+    parser.add_argument("--no-pictures", action="store_true", help="leave the figures as they are")
     options = parser.parse_args()
     if options.list:
         for name, (title, _, _) in EXPERIMENTS.items():
@@ -254,16 +273,15 @@ def main() -> None:
         parser.error(f"no experiment {', '.join(sorted(unknown))}; there are {', '.join(EXPERIMENTS)}")
     pictures = report.PICTURES if options.write else Path.cwd()
     seeds = 1 if options.quick else options.seeds
-    run = Run(
-        seeds, options.slow_seeds, options.quick, options.jobs, pictures, options.resume, options.minutes
-    )
     for name in options.experiment or EXPERIMENTS:
         title, work, figures = EXPERIMENTS[name]
+        pieces = report.Pieces.of(options)
+        draw = not options.no_pictures
+        run = Run(seeds, options.quick, options.jobs, pictures, draw, pieces)
         text = work(run)
         arguments = f"{name} --quick" if options.quick else f"{name} --seeds {seeds}"
-        machine = f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"
-        made = f"`python tests/benchmarks/bench_imaging.py {arguments}`, commit {commit()}, "
-        made += f"{date.today()}, {machine}, numpy {np.__version__}.\n\n"
+        made = f"`python tests/benchmarks/bench_imaging.py {arguments}`, "
+        made += "; ".join(sorted(pieces.made) or [report.made_with()]) + ".\n\n"
         shown = "".join(f"\n![{title}](../pictures/{figure}.png)\n" for figure in figures)
         print(f"{title}\n\n{made}{text}", flush=True)
         if options.write:

@@ -14,20 +14,20 @@ import imaging_report as report
 import numpy as np
 from imaging_scenes import (
     GRID,
-    LPIPS_MODEL,
     ROWS,
     Problem,
     close_points,
     cramer_rao_mm,
     drawn_points,
     held_out_percent,
+    perceptual,
 )
 from scipy.ndimage import maximum_filter
 
 from tagid.geometry import ImageGrid
 from tagid.imaging.restore import beam_sigma_m, restore
 from tagid.imaging.types import Image
-from train.metrics import blank, localise, lpips, pick_peaks, psnr, truth_image
+from train.metrics import blank, localise, pick_peaks, psnr, truth_image
 
 CASES = ((360, 0.316), (36, 0.316), (12, 0.1))
 """Views, and standard deviation of the noise."""
@@ -109,9 +109,8 @@ def score_points(cell: PointCell) -> dict[str, float]:
     truth = truth_image(problem.points, problem.grid, problem.amplitudes, beam_sigma_m(wavenumber))
     held_out = held_out_percent(problem, cell.row) if cell.row in ROWS else float("nan")
     bound = cramer_rao_mm(problem.points, cell.views, cell.noise, problem.amplitudes)
-    perceived = lpips(shown.values, truth, LPIPS_MODEL) if LPIPS_MODEL.is_file() else float("nan")
-    quality = psnr(shown.values, truth)
-    return asdict(PointScore(where, bound, missed, false, amplitude, held_out, quality, perceived, seconds))
+    quality, seen = psnr(shown.values, truth), perceptual(shown, truth)
+    return asdict(PointScore(where, bound, missed, false, amplitude, held_out, quality, seen, seconds))
 
 
 def amplitude_error_db(shown: Image, problem: Problem, radius_m: float = 0.015) -> float:
@@ -139,7 +138,7 @@ def points(run: Any) -> str:
         for views, noise in CASES
         for seed in range(run.seeds)
     ]
-    found = report.resumed(score_points, cells, run)
+    found = report.resumed(score_points, cells, run.pieces)
     own, equal = [], []
     for views, noise in CASES:
         for row in rows:
@@ -215,7 +214,7 @@ def resolution(run: Any) -> str:
         for apart in APART_MM
         for seed in range(run.seeds)
     ]
-    found = report.resumed(score_close, cells, run)
+    found = report.resumed(score_close, cells, run.pieces)
     lines = []
     for row in rows:
         done = [c for c in cells if c in found and c.row == row]

@@ -6,6 +6,7 @@ the script that made it replaces it as a whole, so that no figure is ever typed 
 
 from __future__ import annotations
 
+import argparse
 import json
 import multiprocessing
 import os
@@ -14,6 +15,7 @@ import re
 import sys
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from datetime import date
 from pathlib import Path
 from typing import Any, TypeVar
@@ -58,29 +60,82 @@ def spread(work: Callable[[Job], Result], jobs: Sequence[Job], processes: int) -
         return pool.map(work, jobs, chunksize=1)
 
 
-def resumed(work: Callable[[Job], dict[str, float]], jobs: Sequence[Job], run: Any) -> dict[Job, Any]:
-    """work(job) of every job (a NamedTuple), kept in `run.resume`, so that a long table is made in pieces.
+@dataclass(frozen=True)
+class Pieces:
+    """How a long table is made in pieces.
 
-    After `run.minutes` it returns what there is; the next call with the same file goes on.
+    Attributes:
+        file: keeps every result (JSON lines); such files may be joined by `cat`.
+        minutes: stop after so many; 0 computes all.
+        part: (i, n) computes the i-th of n parts, from 0 on, and makes no table.
+        made: what the results were made with; `resumed` fills it.
+    """
+
+    file: Path | None = None
+    minutes: float = 0.0
+    part: tuple[int, int] | None = None
+    made: set[str] = field(default_factory=set)
+
+    @classmethod
+    def add_options(cls, parser: argparse.ArgumentParser) -> None:
+        """--resume, --minutes and --part."""
+        parser.add_argument("--resume", type=Path, help="file that keeps what is done")
+        parser.add_argument("--minutes", type=float, default=0.0, help="stop after so many, with --resume")
+        parser.add_argument("--part", help="I/N: compute the I-th of N parts, from 0 on, with --resume")
+
+    @classmethod
+    def of(cls, given: argparse.Namespace) -> Pieces:
+        """From the parsed options; the parts must be numbers I < N."""
+        part = None
+        if given.part:
+            i, n = (int(word) for word in given.part.split("/"))
+            if not 0 <= i < n or given.resume is None:
+                raise SystemExit("--part I/N needs 0 <= I < N and --resume")
+            part = (i, n)
+        return cls(given.resume, given.minutes, part)
+
+
+def resumed(work: Callable[[Job], dict[str, Any]], jobs: Sequence[Job], pieces: Pieces) -> dict[Job, Any]:
+    """work(job) of every job (a NamedTuple), kept in `pieces.file`, so that a long table is made in pieces.
+
+    After `pieces.minutes` it returns what there is; the next call with the same file goes on. With
+    `pieces.part`, a run of neighbouring jobs, it ends the program once that part is computed.
     """
     found: dict[Job, Any] = {}
     name = work.__name__
-    if run.resume is not None and run.resume.exists():
-        known = [json.loads(line) for line in run.resume.read_text().splitlines()]
-        kept = {json.dumps(entry["job"]): entry["found"] for entry in known if entry["work"] == name}
-        found = {job: kept[key] for job in jobs if (key := json.dumps(job)) in kept}
+    if pieces.file is not None and pieces.file.exists():
+        known = [json.loads(line) for line in pieces.file.read_text().splitlines()]
+        kept = {json.dumps(entry["job"]): entry for entry in known if entry["work"] == name}
+        entries = {job: kept[key] for job in jobs if (key := json.dumps(job)) in kept}
+        found = {job: entry["found"] for job, entry in entries.items()}
+        pieces.made.update(entry["made"] for entry in entries.values())
+    mine = list(jobs)
+    if pieces.part is not None:
+        i, n = pieces.part
+        mine = mine[i * len(jobs) // n : (i + 1) * len(jobs) // n]
+    here = made_with()
     began = time.monotonic()
-    for job in jobs:
+    for job in mine:
         if job in found:
             continue
-        if run.minutes and time.monotonic() - began > 60 * run.minutes:
+        if pieces.minutes and time.monotonic() - began > 60 * pieces.minutes:
             print(f"{len(found)} of {len(jobs)} done; run again with the same --resume", file=sys.stderr)
             break
         found[job] = work(job)
-        if run.resume is not None:
-            with run.resume.open("a") as file:
-                print(json.dumps({"work": name, "job": job, "found": found[job]}), file=file)
+        pieces.made.add(here)
+        if pieces.file is not None:
+            entry = {"work": name, "made": here, "job": job, "found": found[job]}
+            with pieces.file.open("a") as file:
+                print(json.dumps(entry), file=file)
+    if pieces.part is not None:
+        raise SystemExit(0)
     return found
+
+
+def made_with() -> str:
+    """Commit, date and machine, in words."""
+    machine = f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"
+    return f"commit {commit()}, {date.today()}, {machine}, numpy {np.__version__}"
 
 
 def heading(title: str, command: str, seeds: str) -> str:

@@ -5,9 +5,11 @@ Shared by `bench_imaging.py`'s experiments, so that every table has the same row
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -34,13 +36,13 @@ from tagid.simulate import (
 )
 from tagid.simulate import simulate_capture as record_scene
 from tagid.waveform import nominal_pulse, pulse_at
-from train.metrics import blank, localise, lpips, mse, pick_peaks, psnr, truth_image
+from train.metrics import blank, lpips, truth_image
 
 GRID = ImageGrid(0.7, 96)
 AXIS_DISTANCE_M = 1.0
-MOST_PEAKS = 8
 FIRST_SEED = 20_000
-LPIPS_MODEL = Path(__file__).resolve().parents[3] / "shared" / "data" / "lpips" / "lpips_sq.onnx"
+SHARED = Path(os.environ.get("TAGID_SHARED", Path(__file__).resolve().parents[3] / "shared"))
+LPIPS_MODEL = SHARED / "data" / "lpips" / "lpips_sq.onnx"
 
 ROWS = {
     "blank": ("", ""),
@@ -90,36 +92,24 @@ class Problem:
         return preprocess(self.capture, settings=settings)
 
     def image(self, row: str) -> tuple[Image, float]:
-        """Image of a row of `ROWS` and the seconds that it took, preprocessing not counted."""
+        """Image of a row of `ROWS` and its seconds of processor time, preprocessing not counted."""
         method, preset = ROWS[row]
         if not method:
             return blank(self.grid), 0.0
         scans = self.scans(METHODS[method].matched_filter)
         if (method, preset) not in self.made:
-            start = time.perf_counter()
+            start = time.process_time()
             image = make_image(scans, self.grid, method, self.seed, preset or "field")
-            self.made[method, preset] = image, time.perf_counter() - start
+            self.made[method, preset] = image, time.process_time() - start
         image, seconds = self.made[method, preset]
         if METHODS[method].sparse and preset != "paper" and not row.endswith("bare"):
             image = restore(image, scans.wavenumber)
         return image, seconds
 
 
-SCORES = ("PSNR (dB)", "MSE x 1000", "LPIPS", "localisation (mm)", "detected (%)", "false", "seconds")
-
-
-def score(problem: Problem, row: str) -> tuple[float, ...]:
-    """The numbers of `SCORES` for one method on one problem; nan where one does not apply."""
-    image, seconds = problem.image(row)
-    model = LPIPS_MODEL if LPIPS_MODEL.is_file() else None
-    perceptual = lpips(image.values, problem.truth, model) if model else float("nan")
-    where, detected, false = float("nan"), float("nan"), float("nan")
-    if len(problem.points):
-        found = localise(pick_peaks(image, MOST_PEAKS), problem.points)
-        where, false = found.rmse_m * 1e3, float(found.false)
-        detected = 100 * found.detected / len(problem.points)
-    error = mse(image.values, problem.truth) * 1e3
-    return psnr(image.values, problem.truth), error, perceptual, where, detected, false, seconds
+def perceptual(image: Image, truth: np.ndarray) -> float:
+    """LPIPS against the drawn truth; nan where its model is not at hand."""
+    return lpips(image.values, truth, LPIPS_MODEL) if LPIPS_MODEL.is_file() else float("nan")
 
 
 def echoes(points: np.ndarray, angles: np.ndarray, ranges: np.ndarray) -> np.ndarray:
@@ -311,14 +301,22 @@ OBJECTS: dict[str, Callable[[], Object]] = {
 }
 
 
-def object_problem(thing: Object, angles_deg: np.ndarray, snr_db: float, seed: int) -> Problem:
-    """A recording of an object at some angles (degrees) of a whole turn of 360 scans."""
-    acquisition = Acquisition(
-        views=360, axis_distance_m=AXIS_DISTANCE_M, snr_db=snr_db, recording=Recording("float32")
-    )
-    capture, truth = record_scene(Scene("object", thing.bodies), acquisition, seed=FIRST_SEED + seed)
-    del truth
+@cache
+def _object_echo(name: str) -> tuple[Capture, float]:
+    """A whole turn of 360 scans of an object without noise, and the peak of its envelope."""
+    acquisition = Acquisition(views=360, axis_distance_m=AXIS_DISTANCE_M, recording=Recording("float32"))
+    capture, truth = record_scene(Scene("object", OBJECTS[name]().bodies), acquisition)
+    return capture, truth.levels.reflector
+
+
+def object_problem(name: str, angles_deg: np.ndarray, snr_db: float, seed: int) -> Problem:
+    """A recording of an object at some angles (degrees) of a whole turn; the seed draws the noise."""
+    whole, peak = _object_echo(name)
+    rng = np.random.default_rng([FIRST_SEED + seed, 71])
+    noise = peak * 10 ** (-snr_db / 20) * rng.standard_normal(whole.samples.shape)
+    capture = replace(whole, samples=(whole.samples + noise).astype(np.float32))
     chosen = capture.select(np.asarray(angles_deg, dtype=np.intp))
+    thing = OBJECTS[name]()
     return Problem(chosen, thing.grid, thing.outline(thing.grid), seed=seed)
 
 

@@ -5,13 +5,14 @@ Part of `bench_imaging.py`, which runs, prints and writes them.
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
 import imaging_report as report
 import numpy as np
-from imaging_scenes import AXIS_DISTANCE_M, FIRST_SEED, GRID, wobbling_problem
+from imaging_scenes import AXIS_DISTANCE_M, FIRST_SEED, GRID, SHARED, wobbling_problem
 
 from tagid.capture import Capture, Pulse
 from tagid.constants import RANGE_STEP_M, SPEED_OF_LIGHT
@@ -24,7 +25,7 @@ from tagid.imaging.pulsefit import estimate_pulse
 from tagid.imaging.restore import restore
 from tagid.imaging.types import BasebandScans
 from tagid.pipeline.methods import METHODS, make_image
-from tagid.pipeline.reconstruct import reconstruct
+from tagid.pipeline.reconstruct import Reconstruction, reconstruct
 from tagid.pipeline.settings import ImagingSettings
 from tagid.report.axes import Axes
 from tagid.report.canvas import Canvas
@@ -36,7 +37,7 @@ from train.distributions import PulseDistribution
 from train.metrics import localise, pick_peaks, psnr, truth_image
 from train.scenes import draw_pulse
 
-MEASURED = Path(__file__).resolve().parents[3] / "shared" / "data" / "p440" / "pulse.npz"
+MEASURED = SHARED / "data" / "p440" / "pulse.npz"
 
 
 class Run(Protocol):
@@ -46,6 +47,8 @@ class Run(Protocol):
     quick: bool
     jobs: int
     pictures: Path
+    draw: bool
+    pieces: report.Pieces
 
 
 class Cell(NamedTuple):
@@ -299,25 +302,11 @@ RAILS = ("straight", "off the middle, raised", "bent by 6 cm, heights vary")
 
 
 class RailCell(NamedTuple):
-    """A path of 600 positions past two reflectors, its ranges off by up to a metre."""
+    """A path of 600 positions past two reflectors, its ranges off by up to a metre, and a method."""
 
     path: str
     seed: int
-
-
-class RailFound(NamedTuple):
-    """What came of one recording.
-
-    Attributes:
-        delay_mm: error of the path delay.
-        scores: (methods, 3) detected, localisation error (mm), seconds.
-        images, extent_m: magnitudes, and the side of the square.
-    """
-
-    delay_mm: float
-    scores: np.ndarray
-    images: list[np.ndarray]
-    extent_m: float
+    method: str
 
 
 def rail_capture(cell: RailCell) -> tuple[Capture, float]:
@@ -341,42 +330,51 @@ def rail_capture(cell: RailCell) -> tuple[Capture, float]:
     return Capture(samples.astype(np.float32), 0.0, RANGE_STEP_M, antenna_positions_m=antenna), delay
 
 
-def try_rail(cell: RailCell) -> RailFound:
-    """One path through every method, as `tagid reconstruct` does it without being told where to look."""
-    capture, delay = rail_capture(cell)
-    scores, images, error, extent = [], [], float("nan"), 1.0
-    for method in RAIL_ROWS:
-        result = reconstruct(capture, ImagingSettings(method=method, free_extent=True, free_pixels=True))
-        assert result.region is not None
-        focus = result.region.focus
-        error = 1e3 * (focus.delay_m - delay) if focus is not None else float("nan")
-        image, extent = result.image, result.image.grid.extent
-        found = localise(pick_peaks(image, 2, separation_m=0.3) + image.centre_m, RAIL_POINTS, 0.15)
-        scores.append((found.detected, found.rmse_m * 1e3, sum(result.seconds.values())))
-        images.append(np.abs(image.values).astype(np.float32))
-    return RailFound(error, np.array(scores, dtype=float), images, extent)
+def image_rail(cell: RailCell) -> Reconstruction:
+    """One path as `tagid reconstruct` images it without being told where to look."""
+    settings = ImagingSettings(method=cell.method, free_extent=True, free_pixels=True)
+    return reconstruct(rail_capture(cell)[0], settings)
+
+
+def score_rail(cell: RailCell) -> dict[str, float]:
+    """Error of the path delay (mm), reflectors seen, localisation error (mm), seconds of processor time."""
+    delay = rail_capture(cell)[1]
+    began = time.process_time()
+    result = image_rail(cell)
+    seconds = time.process_time() - began
+    assert result.region is not None
+    focus = result.region.focus
+    error = 1e3 * (focus.delay_m - delay) if focus is not None else float("nan")
+    image = result.image
+    found = localise(pick_peaks(image, 2, separation_m=0.3) + image.centre_m, RAIL_POINTS, 0.15)
+    return {
+        "delay_mm": error, "detected": found.detected, "where_mm": found.rmse_m * 1e3, "seconds": seconds
+    }  # fmt: skip
 
 
 def rails(run: Run) -> str:
     """Two reflectors 2 to 4 m from a path of 3.4 m, 600 positions, path delay unknown within 1 m."""
-    lines, pictures, extents = [], [], []
-    for path in RAILS[:1] if run.quick else RAILS:
-        found = report.spread(try_rail, [RailCell(path, seed) for seed in range(run.seeds)], run.jobs)
-        delay = np.sqrt(np.mean([r.delay_mm**2 for r in found]))
+    paths = RAILS[:1] if run.quick else RAILS
+    cells = [RailCell(p, seed, m) for p in paths for m in RAIL_ROWS for seed in range(run.seeds)]
+    found = report.resumed(score_rail, cells, run.pieces)
+    lines = []
+    for path in paths:
         for i, method in enumerate(RAIL_ROWS):
-            values = np.array([r.scores[i] for r in found])
-            cells = [
-                f"{100 * values[:, 0].mean() / len(RAIL_POINTS):.0f}",
-                *(report.interval(values[:, k], 1) for k in (1, 2)),
-            ]
-            first = [path, str(len(found)), f"{delay:.1f}"] if i == 0 else [""] * 3
-            lines.append([*first, METHODS[method].title, *cells])
-        pictures.append(found[0].images)
-        extents.append(found[0].extent_m)
-    titles = [METHODS[method].title for method in RAIL_ROWS]
-    report.picture_grid(
-        pictures, extents, list(RAILS[: len(pictures)]), titles, run.pictures / "imaging-rails.png"
-    )
+            some = [found[c] for c in cells if c in found and (c.path, c.method) == (path, method)]
+            if not some:
+                continue
+            column = {name: np.array([s[name] for s in some], dtype=float) for name in some[0]}
+            delay = np.sqrt(np.mean(column["delay_mm"] ** 2))
+            seen = f"{100 * column['detected'].mean() / len(RAIL_POINTS):.0f}"
+            values = [report.interval(column[name], 1) for name in ("where_mm", "seconds")]
+            first = [path, str(len(some)), f"{delay:.1f}"] if i == 0 else [""] * 3
+            lines.append([*first, METHODS[method].title, seen, *values])
+    if run.draw:
+        images = [[image_rail(RailCell(p, 0, m)).image for m in RAIL_ROWS] for p in paths]
+        pictures = [[np.abs(image.values) for image in row] for row in images]
+        titles = [METHODS[method].title for method in RAIL_ROWS]
+        extents = [row[-1].grid.extent for row in images]
+        report.picture_grid(pictures, extents, list(paths), titles, run.pictures / "imaging-rails.png")
     columns = (
         "path",
         "seeds",
