@@ -4,10 +4,10 @@
     python tests/benchmarks/unseen_bodies.py --set sealed --write docs/results
 
 Blind, with nothing but the built-in layouts; with the untagged body enrolled from three captures; with the
-tagged object enrolled from three. Objects of development served to find faults, sealed ones are only
-reported. Every answer becomes a line of a JSONL file in --work, so that a run can be stopped and continued;
-answers of another version of the reader are not used again. `--grid` reads each tagged object at every SNR
-and number of views, everything else alike, and lists where more signal made an answer worse.
+tagged object enrolled from three. Objects of development and opened ones served to find faults, sealed ones
+are only reported. Every answer becomes a line of a JSONL file in --work, so that a run can be stopped and
+continued; answers of another version of the reader are not used again. `--grid` reads each tagged object at
+every SNR and number of views, everything else alike, and lists where more signal made an answer worse.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 import numpy as np
 from bodies import cell, most, reader_hash
 from provenance import ROOT, commit
-from unseen_objects import DEVELOPMENT, OBJECTS, SEALED
+from unseen_objects import DEVELOPMENT, OBJECTS, OPENED, ROUND, SEALED
 from unseen_scenes import Circumstances, Recording, base_of, drawn, recorded, truth_of
 
 from tagid.errors import TagidError
@@ -46,7 +46,7 @@ from tagid.storage.exporters import export
 from tagid.tags.bodies.signature import Signature
 from tagid.tags.layouts.layout import Layout, builtin_layouts
 
-SETS = {"development": DEVELOPMENT, "sealed": SEALED}
+SETS = {"development": DEVELOPMENT, "opened": OPENED, "sealed": SEALED}
 RECORDINGS = (
     Recording(36, 20),
     Recording(36, 10),
@@ -63,8 +63,6 @@ BODY_RECORDINGS, OBJECT_RECORDINGS = 6, 2
 """So many of them are read with the body enrolled, and with the object."""
 GRID_VIEWS, GRID_SNRS_DB = (12, 18, 24, 36, 72), (0.0, 5.0, 10.0, 15.0, 20.0, 30.0)
 MODES = ("blind", "body", "object")
-ROUND = ("free24", "closed25", "wide45", "plastic40", "closed32", "cup33")
-"""Bodies of revolution, and tags alone: to be read without enrolment."""
 ENROLMENT = Recording(72, 20)
 TOGETHER = "two objects"
 

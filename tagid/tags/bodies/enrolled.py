@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 from tagid.constants import SPEED_OF_LIGHT
 from tagid.tags.bodies.hypothesis import Candidate, Enrolled, ObjectMatch
 from tagid.tags.bodies.posing import Match, PoseSearch, match, refine
-from tagid.tags.bodies.signature import Signature, angular, near_field, same_wavenumbers
-from tagid.tags.bodies.spectra import Spectra
+from tagid.tags.bodies.signature import Signature, angular, echo, near_field, same_wavenumbers
+from tagid.tags.bodies.spectra import Spectra, centred
+from tagid.tags.bodies.stray import Stray, strongest_stray
 
 FREQUENCY_STEP_HZ = 0.2e9
 """Spacing of the frequencies of signatures: the range window of `Spectra` is 0.65 m wide, so spectra
@@ -24,6 +25,8 @@ vary over c / (2 x 0.65 m) = 0.23 GHz. The frequencies are multiples of it, what
 SLACK_M = 5e-3
 """A tag's ring is centred on the body to this, standard deviation a coordinate; the centre of a signature is
 that of its first capture."""
+BEYOND_M = 0.02
+"""A reflector that the enrolled object lacks is searched so far beyond the circle that holds its echo, m."""
 ROUND_NOISE_SHARE = 0.5
 """A signature whose turning echo is noise to this share is that of a body of revolution."""
 
@@ -148,7 +151,13 @@ class EnrolledObject:
     def match(self, spectra: Spectra) -> ObjectMatch:
         """Its best pose."""
         best = self.placed(spectra)
-        return ObjectMatch(best.pose, best.left, self.noise_share(spectra))
+        return ObjectMatch(best.pose, best.left, self.noise_share(spectra), best.mirrored)
+
+    def stray(self, spectra: Spectra, found: ObjectMatch) -> Stray:
+        """The strongest reflector in what it leaves in that pose."""
+        one = self.signature.mirrored() if found.mirrored else self.signature
+        own = centred(echo(spectra, one, found.pose))
+        return strongest_stray(spectra, own, found.pose.centre, self.signature.radius_m + BEYOND_M)
 
     def placed(self, spectra: Spectra) -> Match:
         """Its best pose, and whether it is that of the mirror image."""

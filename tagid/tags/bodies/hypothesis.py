@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.tags.bodies.spectra import Spectra
+from tagid.tags.bodies.stray import Stray
 
 
 class Kind(StrEnum):
@@ -98,11 +99,13 @@ class ObjectMatch:
         pose: where it stands.
         left: energy left.
         noise_share: energy that the noise in the enrolled signature adds, as a share of the scans' noise.
+        mirrored: it is the mirror image that stands there, as where the object turned the other way.
     """
 
     pose: Pose
     left: float
     noise_share: float
+    mirrored: bool = False
 
 
 class ObjectModel(Protocol):
@@ -120,6 +123,10 @@ class ObjectModel(Protocol):
 
     def match(self, spectra: Spectra) -> ObjectMatch:
         """Its best pose."""
+        ...
+
+    def stray(self, spectra: Spectra, found: ObjectMatch) -> Stray:
+        """The strongest reflector in what it leaves in that pose."""
         ...
 
 
