@@ -8,6 +8,7 @@ import threading
 import time
 from collections import defaultdict
 from contextlib import AbstractContextManager
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -52,6 +53,12 @@ class Witness(UdpLink):
         return packet
 
 
+def dropped(port: int) -> int:
+    """Datagrams that this computer dropped at a UDP port, as nobody took them in time (Linux, proc(5))."""
+    rows = (line.split() for line in Path("/proc/net/udp").read_text().splitlines()[1:])
+    return sum(int(row[-1]) for row in rows if int(row[1].rpartition(":")[2], 16) == port)
+
+
 FAULTS = [
     {"lose": 0.0},
     {"lose": 0.1, "duplicate": 0.2},
@@ -79,13 +86,13 @@ def test_every_complete_scan_is_delivered_once_and_in_order(faults: dict[str, fl
             first_id = radar._talk.next_id  # the CONTROL request's, and so the first scan's
             got = list(radar.scans(400))
             statistics = radar.statistics
+            overrun = dropped(link.local_port)
         complete = sorted(scan_id for (scan_id, _), parts in link.parts.items() if len(parts) == 3)
         assert [scan.scan_id for scan in got] == complete
         check(got, first_id, config.samples)
-        if faults.get("lose"):
-            assert statistics.lost_scans == 400 - len(got) > 0
-        else:
-            assert len(got) == 400
+        assert statistics.lost_scans == 400 - len(got)
+        # A radar at its own pace does not wait for a computer that is busy with something else.
+        assert (len(got) < 400) == bool(faults.get("lose") or overrun)
         assert (statistics.duplicate > 0) == ("duplicate" in faults)
 
 

@@ -14,7 +14,13 @@ from bodies_synthetic import MUG, TAG, Thing, capture, ring
 from tagid.errors import FileFormatError, RegistryError
 from tagid.pipeline.answer import Identification
 from tagid.pipeline.identify import aspect_spectra, identify
-from tagid.tags.bodies.enrolled import EnrolledBody, Searches, hypotheses, signature_wavenumbers
+from tagid.tags.bodies.enrolled import (
+    EnrolledBody,
+    EnrolledObject,
+    Searches,
+    hypotheses,
+    signature_wavenumbers,
+)
 from tagid.tags.bodies.hypothesis import Explanation, Kind, Pose
 from tagid.tags.bodies.joint import Named, enrol_signature
 from tagid.tags.bodies.revolution import RoundBody
@@ -99,6 +105,40 @@ def test_an_enrolled_object_is_named_as_a_whole(mug: Signature, tagged: Signatur
         assert answer.status != "identified" or answer.reading.layout != "mug-7"  # type: ignore[union-attr]
     twin = replace(tagged, name="mug-8")
     assert read(MUG.plus(TAG), tagged, twin).status == "ambiguous"
+
+
+@pytest.mark.parametrize("seed", [50, 51, 52])
+def test_a_weak_reflector_that_an_object_lacks_shows_in_noise(tagged: Signature, seed: int) -> None:
+    """Its energy is less than the error of the level of the noise, but it stands in one place."""
+
+    def named(thing: Thing) -> bool:
+        taken = capture(thing, seed, centre=0.004 - 0.004j, rotation=1.0, views=36, noise=0.5)
+        reading = identify(taken, LAYOUTS, None, 1, (tagged,)).reading
+        return reading is not None and reading.layout == "mug-7"
+
+    assert named(MUG.plus(TAG))
+    assert not named(MUG.plus(TAG).plus(ring(320, amplitude=0.5)))
+
+
+def test_the_strongest_reflector_left_is_found_where_it_stands(tagged: Signature) -> None:
+    model = EnrolledObject(tagged, Searches(tagged.order))
+    for extra, noise in ((ring(320), 0.1), (ring(250, radius=0.06), 0.5)):
+        more = capture(MUG.plus(TAG).plus(extra), 4, centre=0.004 - 0.004j, rotation=1.0, noise=noise)
+        spectra = aspect_spectra(more)
+        stray = model.stray(spectra, model.match(spectra))
+        place = 0.004 - 0.004j + extra.points[0] * np.exp(1j)
+        assert stray.nats > 30 and abs(complex(*stray.place_m) - place) < 0.012
+        same = aspect_spectra(capture(MUG.plus(TAG), 4, centre=0.004 - 0.004j, rotation=1.0, noise=noise))
+        assert model.stray(same, model.match(same)).nats < 20
+
+
+def test_a_bare_pair_whose_centre_lies_far_off_the_axis_is_not_named() -> None:
+    """Two reflectors 69 degrees apart on 56 mm have the spacing of the pair 90 degrees apart on 45 mm."""
+    half = np.rad2deg(np.arcsin(0.045 / np.sqrt(2) / 0.056))
+    for thing, status in ((ring(76, 76 + 2 * half, radius=0.056), "unknown"), (TAG, "identified")):
+        reading = identify(capture(thing, 1, centre=0.003 + 0.002j, views=36), LAYOUTS, None, 1).reading
+        assert reading is not None and reading.status == status
+        assert (reading.code is Code.OFF_CENTRE) == (status == "unknown")
 
 
 def test_signatures_of_another_band_take_no_part(tagged: Signature) -> None:

@@ -25,12 +25,8 @@ class ObjectDecision:
         model: plus this share of what it explains beyond a body of revolution. Full-wave objects leave up to
             0.03 % of that at the distance of their enrolment; the same object with one reflector of its tag
             missing, on a handle 17 dB over the tag, leaves 1.2 %.
-        turning: or this share of what it explains beyond the best body without a tag, if that is more than
-            `noise`: a table whose speed varies by 1 % leaves 2 %, spread over all places.
         stray_nats: a single reflector explains no more of what is left than noise may, in variances: over 400
-            places noise reaches 14, and 20 in one of 10^5 captures,
-        stray: or no more than this share of what the object explains beyond a body of revolution: that uneven
-            speed leaves 0.5 % in one place, the missing reflector 1.2 %.
+            places noise reaches 14, and 20 in one of 10^5 captures; or no more than `model` allows.
         second: another object that leaves at most so many noise energies more is as good.
     """
 
@@ -38,9 +34,7 @@ class ObjectDecision:
     noise: float = 0.35
     tag: float = 0.10
     model: float = 0.003
-    turning: float = 0.03
     stray_nats: float = 20.0
-    stray: float = 0.008
     second: float = 0.5
 
 
@@ -67,17 +61,19 @@ class ObjectReading:
     stray: float = 0.0
     stray_nats: float = 0.0
 
+    def model_error(self, settings: ObjectDecision) -> float:
+        """Energy that the error of the signature itself may leave, in noise energies."""
+        tag = settings.tag * max(self.beyond_body, 0.0)
+        return min(settings.model * max(self.beyond_round, 0.0), tag)
+
     def allowed(self, settings: ObjectDecision) -> float:
         """The largest excess with which it is named, in noise energies."""
-        beyond = max(self.beyond_body, 0.0)
-        spread = max(settings.noise, settings.turning * beyond)
-        tag = settings.tag * beyond
-        return min(spread, tag) + min(settings.model * max(self.beyond_round, 0.0), tag)
+        tag = settings.tag * max(self.beyond_body, 0.0)
+        return min(settings.noise, tag) + self.model_error(settings)
 
     def has_stray(self, settings: ObjectDecision) -> bool:
         """Whether a reflector that the object does not have stands in what it leaves."""
-        model = min(settings.stray * max(self.beyond_round, 0.0), settings.tag * max(self.beyond_body, 0.0))
-        return self.stray_nats > settings.stray_nats and self.stray > model
+        return self.stray_nats > settings.stray_nats and self.stray > self.model_error(settings)
 
 
 def read_objects(

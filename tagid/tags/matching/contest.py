@@ -107,10 +107,11 @@ def settle(
     if done is not None:
         if points is not None and _pointed(bare, points, settings):
             own = replace(own, layout=done.layout, left=float(np.clip(points.unexplained, 0, 1)))
-        done = _undisputed(replace(done, hypotheses=(own,)), points, spectra, layouts, settings)
-        return _promised(done, points, spectra, settings)
-    contested = _against_bodies(_Bare(bare, own, points, opaque), spectra, layouts, enrolled, settings)
-    return _promised(_undisputed(contested, points, spectra, layouts, settings), points, spectra, settings)
+        settled = replace(done, hypotheses=(own,))
+    else:
+        settled = _against_bodies(_Bare(bare, own, points, opaque), spectra, layouts, enrolled, settings)
+    settled = _undisputed(_near_axis(settled, layouts, settings), points, spectra, layouts, settings)
+    return _promised(settled, points, spectra, settings)
 
 
 def _without_body(
@@ -239,6 +240,27 @@ def _in_place(bare: Reading, points: PointReading, settings: PointSettings) -> R
         layout=None,
         code=Code.DISPLACED,
         reason=f"reflectors lie {points.displaced_m * 1e3:.1f} mm from the nearest layout's",
+    )
+
+
+def _near_axis(reading: Reading, layouts: Sequence[Layout], settings: ContestSettings) -> Reading:
+    """The name of a bare pair, taken back where the pair's centre lies far off the axis.
+
+    Two bare reflectors have nothing but their spacing and their place: those of another angle on a ring of
+    another radius are an enrolled pair about a centre that is not the object's.
+    """
+    if reading.status != "identified" or reading.kind is not Kind.BARE:
+        return reading
+    layout = next(one for one in layouts if one.name == reading.layout)
+    off = abs(complex(*reading.centre_m))
+    if len(layout.positions) > 2 or off <= settings.decision.centre_m:
+        return reading
+    return replace(
+        reading,
+        status="unknown",
+        layout=None,
+        code=Code.OFF_CENTRE,
+        reason=f"a pair in the spacing of {layout.name}, but its centre lies {off * 1e3:.0f} mm off the axis",
     )
 
 
