@@ -429,9 +429,9 @@ def read_points(
     def limit_m(p: PlacedPoints) -> float:
         return settings.limit_m(p, _error_m(spectra, p, settings), own)
 
-    # Double bounce has an amplitude per frequency, which one reflector does without; each costs log V nats
-    # (Schwarz 1978). A round body near its own centre is one point.
-    bounce = spectra.noise * len(spectra.wavenumbers) * float(np.log(spectra.views))
+    # Double bounce has an amplitude per frequency, which one reflector does without. A round body near its
+    # own centre is one point.
+    bounce = spectra.amplitude_cost
 
     def charged(p: PlacedPoints) -> float:
         return p.left + bounce * (len(p.places) > 1)
