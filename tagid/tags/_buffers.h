@@ -6,13 +6,7 @@
 #include <Python.h>
 #include <stdint.h>
 
-/* Wider vectors where the processor has them, decided when the module is loaded. */
-#if defined(__GNUC__) && !defined(__clang__) && defined(__x86_64__) && defined(__linux__) &&                 \
-    defined(__GLIBC__)
-#define WIDE __attribute__((target_clones("arch=haswell", "default")))
-#else
-#define WIDE
-#endif
+#include "../_wide.h"
 
 /* What is not inlined before the clones are made stays narrow. */
 #if defined(__GNUC__)
