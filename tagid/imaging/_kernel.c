@@ -19,11 +19,16 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "../_wide.h"
-
 #if !defined(_WIN32)
 #include <pthread.h>
 #define HAVE_THREADS 1
+#endif
+
+/* Wider vectors where the processor has them, decided when the module is loaded; the loops stay plain C. */
+#if defined(__GNUC__) && !defined(__clang__) && defined(__x86_64__) && defined(__linux__) && defined(__GLIBC__)
+#define WIDE __attribute__((target_clones("arch=haswell", "default")))
+#else
+#define WIDE
 #endif
 
 #define BLOCK 512

@@ -14,7 +14,11 @@
 #include <stdint.h>
 #include <string.h>
 
-#include "../../_wide.h"
+#if defined(__GNUC__) && !defined(__clang__) && defined(__x86_64__) && defined(__linux__) && defined(__GLIBC__)
+#define WIDE __attribute__((target_clones("arch=haswell", "default")))
+#else
+#define WIDE
+#endif
 
 #define TAPS 4
 

@@ -164,8 +164,10 @@ typedef struct {
     float *out; /* (O, A, S) */
 } Grid;
 
-WIDE static void grid_energies(const Grid *g)
+WIDE static void grid_energies(const Grid *given)
 {
+    /* A copy that no store can change. */
+    const Grid own_grid = *given, *g = &own_grid;
     const int64_t side = 2 * g->half + 1, k = g->size, w = g->width;
     for (int64_t a = 0; a < g->rotations; a++)
         for (int64_t s = 0; s < g->places; s++) {
@@ -190,10 +192,12 @@ WIDE static void grid_energies(const Grid *g)
             }
             for (int64_t i = 0; i < k; i++)
                 for (int64_t j = 0; j <= i; j++) {
+                    const float *restrict one = rows[i], *restrict other = rows[j];
                     float re = 0.0f, im = 0.0f;
-                    for (int64_t q = 0; q < 2 * w; q += 2) {
-                        re += rows[i][q] * rows[j][q] + rows[i][q + 1] * rows[j][q + 1];
-                        im += rows[i][q] * rows[j][q + 1] - rows[i][q + 1] * rows[j][q];
+#pragma omp simd reduction(+ : re, im)
+                    for (int64_t q = 0; q < w; q++) {
+                        re += one[2 * q] * other[2 * q] + one[2 * q + 1] * other[2 * q + 1];
+                        im += one[2 * q] * other[2 * q + 1] - one[2 * q + 1] * other[2 * q];
                     }
                     const double *full = g->gram + 2 * (k * (k * a + i) + j);
                     factor[i * k + j][0] = full[0] - g->views * re;

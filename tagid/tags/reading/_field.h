@@ -180,8 +180,9 @@ INLINE void substitute(int k, double (*g)[2], double (*x)[2])
             x[i][0] -= a[0] * x[s][0] - a[1] * x[s][1];
             x[i][1] -= a[0] * x[s][1] + a[1] * x[s][0];
         }
-        x[i][0] /= g[i * k + i][0];
-        x[i][1] /= g[i * k + i][0];
+        const double part = 1.0 / g[i * k + i][0];
+        x[i][0] *= part;
+        x[i][1] *= part;
     }
     for (int i = k - 1; i >= 0; i--) {
         for (int s = i + 1; s < k; s++) {
@@ -189,8 +190,9 @@ INLINE void substitute(int k, double (*g)[2], double (*x)[2])
             x[i][0] -= a[0] * x[s][0] + a[1] * x[s][1];
             x[i][1] -= a[0] * x[s][1] - a[1] * x[s][0];
         }
-        x[i][0] /= g[i * k + i][0];
-        x[i][1] /= g[i * k + i][0];
+        const double part = 1.0 / g[i * k + i][0];
+        x[i][0] *= part;
+        x[i][1] *= part;
     }
 }
 
