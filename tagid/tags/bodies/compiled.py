@@ -25,9 +25,7 @@ MOST_MOVES = 32
 """Moves of an arrangement, at most."""
 
 
-def waves(
-    path_m: NDArray[np.float64], wavenumbers: NDArray[np.float64]
-) -> NDArray[np.complex128] | None:
+def waves(path_m: NDArray[np.float64], wavenumbers: NDArray[np.float64]) -> NDArray[np.complex128] | None:
     """(F, ...) exp(-j kappa path) of paths (...), m, at equally spaced wavenumbers (F,), rad/m."""
     if _arrangements is None:
         return None

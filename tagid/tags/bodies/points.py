@@ -309,7 +309,7 @@ class PointFitter:
         rounds: int,
         name: str | None,
     ) -> PlacedPoints:
-        """Levenberg-Marquardt with the amplitudes eliminated (Kaufman 1975): of a layout by its name, or free."""
+        """Levenberg-Marquardt with the amplitudes eliminated (Kaufman 1975), free where no name is given."""
         if _compiled is not None and len(places) <= _MOST_COMPILED:
             places, at = self._descended(places, heights, rounds, rigid=name is not None)
         else:

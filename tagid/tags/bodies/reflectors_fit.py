@@ -314,7 +314,7 @@ class Fitter:
         return _Linear(solved.left, normal, gradient)
 
     def _echoes(self, batch: Batch, *, moved: bool) -> NDArray[np.complex128]:
-        """(B, H, F, V) the body's echo at its places, and moved along each of its coordinates; B = 0 for none.
+        """(B, H, F, V) the body's echo at its places, and moved along each coordinate; B = 0 for none.
 
         With `moved` false only at its places.
         """

@@ -78,7 +78,8 @@ class Ring:
     def explained(self, sets: NDArray[np.intp]) -> NDArray[np.float64]:
         """(H,) energies explained by sets (H, n) of angle indices."""
         one = np.s_[None]
-        return set_energies(self.gram[one], self.right[one], self.ridge[one], sets, self.pattern.terms)[0]
+        found = set_energies(self.gram[one], self.right[one], self.ridge[one], sets, self.pattern.terms)
+        return np.asarray(found[0])
 
     def best(self, most: int, keep: int) -> dict[int, tuple[NDArray[np.intp], NDArray[np.float64]]]:
         """The best sets of 1 to `most` reflectors: {n: (sets (keep, n), energies (keep,))}.
