@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import combinations
 from typing import Any
 
@@ -227,13 +227,26 @@ class _Grid:
 
     @classmethod
     def of(cls, spectra: Spectra) -> _Grid:
-        line = np.arange(-REACH_M, REACH_M + GRID_M / 2, GRID_M)
-        places = (line[:, None] + 1j * line[None]).ravel()
-        places = places[np.abs(places) <= REACH_M]
+        """The grid of some scans; the last one is kept for others that see it from the same places."""
         thin = spectra.thinned(_THINNED)
-        waves = centred(thin.waves(np.abs(spectra.antenna[None] - places[:, None])))
-        energies = (waves.real**2 + waves.imag**2).sum(axis=2)
-        return cls(places, waves, np.maximum(energies, 1e-9))
+        return _grid_of(thin.antenna.tobytes(), thin.wavenumbers.tobytes(), thin.distance_m)
+
+
+@lru_cache(maxsize=1)
+def _grid_of(antenna: bytes, wavenumbers: bytes, distance_m: float) -> _Grid:
+    """`_Grid.of` for antenna positions (V,) complex128, m, and wavenumbers (F,) float64, rad/m."""
+    line = np.arange(-REACH_M, REACH_M + GRID_M / 2, GRID_M)
+    places = (line[:, None] + 1j * line[None]).ravel()
+    places = places[np.abs(places) <= REACH_M]
+    kappa, seen_from = np.frombuffer(wavenumbers), np.frombuffer(antenna, dtype=np.complex128)
+    none = np.zeros((len(kappa), len(seen_from)), dtype=np.complex128)
+    spectra = Spectra(none, kappa, seen_from, np.zeros(len(seen_from)), distance_m, 0.0)
+    waves = centred(spectra.waves(np.abs(seen_from[None] - places[:, None])))
+    energies = (waves.real**2 + waves.imag**2).sum(axis=2)
+    found = _Grid(places, waves, np.maximum(energies, 1e-9))
+    for shared in (found.places, found.waves, found.energies):
+        shared.flags.writeable = False
+    return found
 
 
 @dataclass(frozen=True, eq=False)
