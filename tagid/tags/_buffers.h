@@ -6,10 +6,15 @@
 #include <Python.h>
 #include <stdint.h>
 
-/* Wider vectors where the processor has them, decided when the module is loaded. */
+/* Wider vectors where the processor has them, decided when the module is loaded. Not by the name of a
+ * processor: GCC compares `arch=haswell` with the one present, and runs the narrow clone on all later ones. */
 #if defined(__GNUC__) && !defined(__clang__) && defined(__x86_64__) && defined(__linux__) &&                 \
     defined(__GLIBC__)
-#define WIDE __attribute__((target_clones("arch=haswell", "default")))
+#if __GNUC__ >= 12
+#define WIDE __attribute__((target_clones("arch=x86-64-v3", "default")))
+#else
+#define WIDE __attribute__((target_clones("avx2", "default")))
+#endif
 #else
 #define WIDE
 #endif

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -21,13 +22,16 @@ from tagid.simulate.response_scene import response_scene
 from tagid.simulate.scattering import Points
 from tagid.simulate.scene import Scene
 from tagid.simulate.specification import ReflectorSpec
+from tagid.tags.bodies.body_reading import BodySettings
 from tagid.tags.bodies.calibration import Calibration, Stratum
-from tagid.tags.bodies.reflectors_fit import FACING
+from tagid.tags.bodies.hypothesis import Kind
+from tagid.tags.bodies.reader import read_on_body
+from tagid.tags.bodies.reflectors_fit import FACING, FEWEST_TERMS
 from tagid.tags.bodies.revolution import RoundBody
 from tagid.tags.bodies.spectra import Spectra, centred
 from tagid.tags.bodies.symmetric import symmetric_left
 from tagid.tags.layouts.layout import builtin_layouts
-from tagid.tags.matching.contest import ContestSettings
+from tagid.tags.matching.contest import BODY_LEAVES, ContestSettings, _undisputed
 from tagid.tags.matching.matcher import ReaderSettings, read_tag
 from tagid.tags.matching.reading import Reading
 from tagid.tags.matching.vote import read_together
@@ -177,3 +181,34 @@ def test_one_reflector_on_a_can_is_no_pair_without_a_body(snr_db: float, seed: i
     assert reading(np.array([[RING_M, 0.0]]), "can:27mm,height=108mm,seam").layout is None
     pair = builtin_layouts()["container-180"].positions
     assert reading(pair, "none").layout == "container-180"
+
+
+def test_no_body_is_tried_where_its_charge_alone_decides(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a body every arrangement leaves its share of the noise, and is charged for its amplitudes."""
+    spectra = replace(empty(12), noise=1.0)
+    cost, settings = (FEWEST_TERMS - 1) * spectra.amplitude_cost, ContestSettings()
+    tried: list[float] = []
+
+    def read_on_body(*_: object) -> None:
+        tried.append(own)
+
+    monkeypatch.setattr("tagid.tags.bodies.reader.read_on_body", read_on_body)
+    bare = SimpleNamespace(status="identified", kind=Kind.BARE, layout="pair", body=None, centre_m=(0.0, 0.0))
+    floor = BODY_LEAVES * spectra.noise_energy + settings.disputed_nats
+    for own in (floor + 0.5 * cost, floor + 0.99 * cost, floor + 1.01 * cost):
+        points = SimpleNamespace(layouts=[SimpleNamespace(layout="pair", left=own)], tag=0.0)
+        assert _undisputed(bare, points, spectra, LAYOUTS, settings) is bare
+    assert tried == [floor + 1.01 * cost]
+
+
+def test_every_arrangement_on_a_body_pays_for_its_amplitudes() -> None:
+    rng = np.random.default_rng(8)
+    spectra = empty(12)
+    data = rng.standard_normal((9, 12)) + 1j * rng.standard_normal((9, 12))
+    spectra = replace(spectra, data=centred(data), noise=2.0)
+    settings = BodySettings()
+    reading = read_on_body(spectra, LAYOUTS, settings.body, settings)
+    assert reading is not None
+    least = (FEWEST_TERMS - 1) * spectra.amplitude_cost
+    for placed in (*reading.layouts, *reading.others):
+        assert placed.charged - placed.left >= least * (1 - 1e-9)

@@ -11,7 +11,7 @@ from tags_synthetic import synthetic_scans
 from tagid.geometry import Aperture
 from tagid.imaging.types import BasebandScans
 from tagid.tags.bodies import points as point_model
-from tagid.tags.bodies.points import PointFitter
+from tagid.tags.bodies.points import PointFitter, columns
 from tagid.tags.bodies.spectra import Spectra
 from tagid.tags.layouts.layout import builtin_layouts
 from tagid.tags.matching.matcher import read_tag
@@ -146,7 +146,7 @@ def test_points_overlap_with_templates_alike(kind: str, monkeypatch: pytest.Monk
 
 
 @pytest.mark.parametrize("count", [1, 2, 5])
-def test_the_model_of_points_and_bounces_is_the_same(count: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_model_of_points_and_bounces_is_the_same(count: int) -> None:
     rng = np.random.default_rng(count)
     views = 17
     data = rng.standard_normal((9, views)) + 1j * rng.standard_normal((9, views))
@@ -157,12 +157,31 @@ def test_the_model_of_points_and_bounces_is_the_same(count: int, monkeypatch: py
     places = rng.uniform(-0.1, 0.1, count) + 1j * rng.uniform(-0.1, 0.1, count)
     heights = rng.uniform(0, 0.03, count)
     fitter = PointFitter(spectra, 1.0)
-    found = fitter._linear(places, heights)
-    monkeypatch.setattr(point_model, "_compiled", None)
+    still, found = fitter._descended(places, heights, 0, rigid=False)
     wanted = fitter._linear(places, heights)
+    assert np.array_equal(still, places)
     assert found.left == pytest.approx(wanted.left, rel=1e-10)
     assert_alike(found.normal, wanted.normal, 1e-6)
     assert_alike(found.gradient, wanted.gradient, 1e-6)
+
+
+@pytest.mark.parametrize("rigid", [False, True])
+def test_fits_of_points_end_in_the_same_places(rigid: bool) -> None:
+    rng = np.random.default_rng(6)
+    antenna = 1.05 * np.exp(-2j * np.pi * np.arange(17) / 17)
+    kappa, height = 2 * 83.0 + np.linspace(-33, 33, 9), np.full(17, 0.03)
+    exact = np.array([0.04 + 0.01j, -0.03 + 0.05j, 0.02 - 0.06j])
+    empty = Spectra(np.zeros((9, 17), complex), kappa, antenna, height, 1.05, 1e-3)
+    noise = rng.standard_normal((9, 17)) + 1j * rng.standard_normal((9, 17))
+    data = columns(empty, exact, np.zeros(3)).sum(axis=1) + 0.03 * (noise - noise.mean(axis=1, keepdims=True))
+    fitter = PointFitter(replace(empty, data=data), 1e-3)
+    start = exact * np.exp(0.05j) + (0.002 - 0.001j)
+    found, at = fitter._descended(start, np.zeros(3), 8, rigid=rigid)
+    wanted, there = fitter._descended_slowly(start, np.zeros(3), 8, rigid=rigid)
+    assert np.abs(found - wanted).max() < 1e-8
+    assert np.abs(found - exact).max() < 2e-3 < np.abs(start - exact).max()
+    assert at.left == pytest.approx(there.left, rel=1e-8)
+    assert_alike(at.normal, there.normal, 1e-5)
 
 
 def test_without_a_compiler_the_answer_is_the_same(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,5 +1,4 @@
-/* The linear model of points and their double bounce at one arrangement: what it leaves, and which way is
- * down.
+/* Points and their double bounce: where an arrangement of them leaves least, beginning near there.
  *
  * `tagid.tags.bodies.points` holds the formula, and does the same with numpy where no compiler was present.
  * Only the stable ABI and the buffer protocol are used.
@@ -273,16 +272,145 @@ WIDE static void linear_model(const Spectra *g, const double *places, const doub
             out->normal[moves * o + p] = out->normal[moves * p + o];
 }
 
-static PyObject *linear(PyObject *self, PyObject *args)
+/* x of a x = b for a (n, n), by elimination with the largest pivots; what is given is spent. */
+static void solve(int n, double *a, double *b)
+{
+    for (int c = 0; c < n; c++) {
+        int best = c;
+        for (int r = c + 1; r < n; r++)
+            best = fabs(a[n * r + c]) > fabs(a[n * best + c]) ? r : best;
+        for (int k = c; best != c && k < n; k++) {
+            const double swap = a[n * c + k];
+            a[n * c + k] = a[n * best + k];
+            a[n * best + k] = swap;
+        }
+        const double swap = b[c];
+        b[c] = b[best];
+        b[best] = swap;
+        const double part = a[n * c + c] != 0.0 ? 1.0 / a[n * c + c] : 0.0;
+        for (int r = c + 1; r < n; r++) {
+            const double share = a[n * r + c] * part;
+            for (int k = c; k < n; k++)
+                a[n * r + k] -= share * a[n * c + k];
+            b[r] -= share * b[c];
+        }
+    }
+    for (int c = n - 1; c >= 0; c--) {
+        for (int k = c + 1; k < n; k++)
+            b[c] -= a[n * c + k] * b[k];
+        b[c] = a[n * c + c] != 0.0 ? b[c] / a[n * c + c] : 0.0;
+    }
+}
+
+/* How points may move. */
+typedef struct {
+    int rigid, rounds;
+    double reach, step; /* largest distance from the axis, and in one step, m */
+} Freedom;
+
+/* Directions (P, 2 K): the points as a whole, shifted and turned about their middle, or each on its own. */
+static int directions(const double *places, int count, int rigid, double *out)
+{
+    const int size = 2 * count, rows = rigid ? 3 : size;
+    memset(out, 0, (size_t)(rows * size) * sizeof(double));
+    if (!rigid) {
+        for (int i = 0; i < size; i++)
+            out[size * i + i] = 1.0;
+        return rows;
+    }
+    double x = 0.0, y = 0.0;
+    for (int k = 0; k < count; k++) {
+        x += places[2 * k] / count;
+        y += places[2 * k + 1] / count;
+    }
+    for (int k = 0; k < count; k++) {
+        out[2 * k] = out[size + 2 * k + 1] = 1.0;
+        out[2 * size + 2 * k] = y - places[2 * k + 1];
+        out[2 * size + 2 * k + 1] = places[2 * k] - x;
+    }
+    return rows;
+}
+
+/* Levenberg and Marquardt's descent from `places`, which end where the least is left. */
+static void descend(const Spectra *g, const Freedom *free_to, double *places, const double *heights, int count,
+                    double *scratch, const Result *at)
+{
+    enum { SIZE = 2 * MOST };
+    const int size = 2 * count;
+    double steps[SIZE * SIZE], along[SIZE * SIZE], normal[SIZE * SIZE], load[SIZE * SIZE], trial[SIZE];
+    double gradient[SIZE], move[SIZE], new_normal[SIZE * SIZE], new_gradient[SIZE], left, damping = 1e-3;
+    const Result after = {&left, new_normal, new_gradient};
+    linear_model(g, places, heights, count, scratch, at);
+    for (int round = 0; round < free_to->rounds; round++) {
+        const int rows = directions(places, count, free_to->rigid, steps);
+        double trace = 0.0, gain = 0.0;
+        for (int p = 0; p < rows; p++) {
+            gradient[p] = 0.0;
+            for (int i = 0; i < size; i++) {
+                gradient[p] += steps[size * p + i] * at->gradient[i];
+                along[size * p + i] = 0.0;
+                for (int k = 0; k < size; k++)
+                    along[size * p + i] += steps[size * p + k] * at->normal[size * k + i];
+            }
+        }
+        for (int p = 0; p < rows; p++)
+            for (int q = 0; q < rows; q++) {
+                double value = 0.0;
+                for (int i = 0; i < size; i++)
+                    value += along[size * p + i] * steps[size * q + i];
+                normal[rows * p + q] = value;
+                trace += p == q ? value : 0.0;
+            }
+        for (int again = 0; again < 4; again++) {
+            double farthest = 0.0, longest = 0.0;
+            memcpy(load, normal, (size_t)(rows * rows) * sizeof(double));
+            memcpy(move, gradient, (size_t)rows * sizeof(double));
+            for (int p = 0; p < rows; p++)
+                load[rows * p + p] += damping * normal[rows * p + p] + 1e-12 * trace + 1e-300;
+            solve(rows, load, move);
+            for (int i = 0; i < size; i++) {
+                double shift = 0.0;
+                for (int p = 0; p < rows; p++)
+                    shift += move[p] * steps[size * p + i];
+                trial[i] = places[i] + shift;
+                longest = fabs(shift) > longest ? fabs(shift) : longest;
+            }
+            for (int k = 0; k < count; k++) {
+                const double far = hypot(trial[2 * k], trial[2 * k + 1]);
+                farthest = far > farthest ? far : farthest;
+            }
+            if (farthest < free_to->reach && longest < free_to->step) {
+                linear_model(g, trial, heights, count, scratch, &after);
+                if (left < *at->left) {
+                    gain = *at->left - left;
+                    memcpy(places, trial, (size_t)size * sizeof(double));
+                    memcpy(at->normal, new_normal, (size_t)(size * size) * sizeof(double));
+                    memcpy(at->gradient, new_gradient, (size_t)size * sizeof(double));
+                    *at->left = left;
+                    damping /= 5;
+                    break;
+                }
+            }
+            damping *= 8;
+        }
+        if (gain < 1e-4 * *at->left)
+            break;
+    }
+}
+
+static PyObject *fit(PyObject *self, PyObject *args)
 {
     (void)self;
     PyObject *o[8];
     Held h = {.count = 0};
     Spectra g;
     Result out;
-    const double *places, *heights;
-    if (!PyArg_ParseTuple(args, "OOO(ddd)OOOOO", o, o + 1, o + 2, &g.first, &g.step, &g.distance, o + 3,
-                          o + 4, o + 5, o + 6, o + 7))
+    Freedom free_to;
+    double *places;
+    const double *heights;
+    if (!PyArg_ParseTuple(args, "OOO(ddd)(iidd)OOOOO", o, o + 1, o + 2, &g.first, &g.step, &g.distance,
+                          &free_to.rigid, &free_to.rounds, &free_to.reach, &free_to.step, o + 3, o + 4, o + 5,
+                          o + 6, o + 7))
         return NULL;
     if (!(g.height = take(&h, o[1], -1, 0)))
         return finished(&h);
@@ -301,7 +429,7 @@ static PyObject *linear(PyObject *self, PyObject *args)
         refused("too few points, or too many");
         return finished(&h);
     }
-    if (!(places = take(&h, o[3], 16 * count, 0)) || !(out.left = take(&h, o[5], 8, 1)) ||
+    if (!(places = take(&h, o[3], 16 * count, 1)) || !(out.left = take(&h, o[5], 8, 1)) ||
         !(out.normal = take(&h, o[6], 32 * count * count, 1)) ||
         !(out.gradient = take(&h, o[7], 16 * count, 1)))
         return finished(&h);
@@ -311,15 +439,16 @@ static PyObject *linear(PyObject *self, PyObject *args)
         PyErr_NoMemory();
         return finished(&h);
     }
-    Py_BEGIN_ALLOW_THREADS linear_model(&g, places, heights, (int)count, scratch, &out);
+    Py_BEGIN_ALLOW_THREADS descend(&g, &free_to, places, heights, (int)count, scratch, &out);
     Py_END_ALLOW_THREADS free(scratch);
     return finished(&h);
 }
 
 static PyMethodDef methods[] = {
-    {"linear", linear, METH_VARARGS,
-     "linear(antenna, height, data, (first, step, distance), places, heights, left, normal, gradient)"},
+    {"fit", fit, METH_VARARGS,
+     "fit(antenna, height, data, (first, step, distance), (rigid, rounds, reach, step), places, heights, left, "
+     "normal, gradient)"},
     {NULL, NULL, 0, NULL},
 };
 
-MODULE(_points, "Compiled model of points (see tagid.tags.bodies.points).", methods, 1)
+MODULE(_points, "Compiled model of points (see tagid.tags.bodies.points).", methods, 2)

@@ -12,9 +12,9 @@ octahedra of 40 mm, 64 mm apart, it holds 8 % of the echo; with it full-wave tag
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import combinations
 from typing import Any
 
@@ -29,7 +29,7 @@ try:
     from tagid.tags.bodies import _points as _compiled  # type: ignore[attr-defined, no-redef]
 except ImportError:  # no compiler at installation
     _compiled = None
-if getattr(_compiled, "ARGUMENTS", 0) != 1:  # built before the present source
+if getattr(_compiled, "ARGUMENTS", 0) != 2:  # built before the present source
     _compiled = None
 
 REACH_M = 0.14
@@ -227,13 +227,26 @@ class _Grid:
 
     @classmethod
     def of(cls, spectra: Spectra) -> _Grid:
-        line = np.arange(-REACH_M, REACH_M + GRID_M / 2, GRID_M)
-        places = (line[:, None] + 1j * line[None]).ravel()
-        places = places[np.abs(places) <= REACH_M]
+        """The grid of some scans; the last one is kept for others that see it from the same places."""
         thin = spectra.thinned(_THINNED)
-        waves = centred(thin.waves(np.abs(spectra.antenna[None] - places[:, None])))
-        energies = (waves.real**2 + waves.imag**2).sum(axis=2)
-        return cls(places, waves, np.maximum(energies, 1e-9))
+        return _grid_of(thin.antenna.tobytes(), thin.wavenumbers.tobytes(), thin.distance_m)
+
+
+@lru_cache(maxsize=1)
+def _grid_of(antenna: bytes, wavenumbers: bytes, distance_m: float) -> _Grid:
+    """`_Grid.of` for antenna positions (V,) complex128, m, and wavenumbers (F,) float64, rad/m."""
+    line = np.arange(-REACH_M, REACH_M + GRID_M / 2, GRID_M)
+    places = (line[:, None] + 1j * line[None]).ravel()
+    places = places[np.abs(places) <= REACH_M]
+    kappa, seen_from = np.frombuffer(wavenumbers), np.frombuffer(antenna, dtype=np.complex128)
+    none = np.zeros((len(kappa), len(seen_from)), dtype=np.complex128)
+    spectra = Spectra(none, kappa, seen_from, np.zeros(len(seen_from)), distance_m, 0.0)
+    waves = centred(spectra.waves(np.abs(seen_from[None] - places[:, None])))
+    energies = (waves.real**2 + waves.imag**2).sum(axis=2)
+    found = _Grid(places, waves, np.maximum(energies, 1e-9))
+    for shared in (found.places, found.waves, found.energies):
+        shared.flags.writeable = False
+    return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -251,6 +264,8 @@ class _Linear:
     gradient: NDArray[np.float64]
 
 
+_FARTHEST_M, _LONGEST_M = REACH_M + 0.02, 0.02
+"""A fit's points stay within this distance of the axis, and move no further in one step along x or y."""
 _MOST_COMPILED = 16
 """Points that the compiled model takes, at most."""
 
@@ -266,10 +281,6 @@ class PointFitter:
     def __init__(self, spectra: Spectra, variance: float) -> None:
         self.spectra = spectra
         self.variance = variance
-        antenna, data = spectra.antenna, spectra.data
-        self._antenna = np.stack([antenna.real, antenna.imag])
-        self._data = np.ascontiguousarray(np.stack([data.real, data.imag], axis=1))
-        self._height = np.ascontiguousarray(spectra.height_m, dtype=np.float64)
 
     @cached_property
     def grid(self) -> _Grid:
@@ -284,21 +295,13 @@ class PointFitter:
         """A layout near a place, free in turn and centre."""
         positions = at.layout.placed(at.turn_rad, np.asarray(at.centre_m))
         places = np.asarray(positions[:, 0] + 1j * positions[:, 1])
-
-        def moves(now: NDArray[np.complex128]) -> NDArray[np.float64]:
-            turn = 1j * (now - now.mean())
-            unit = np.ones(len(now), dtype=np.complex128)
-            return np.stack([_plain(unit), _plain(1j * unit), _plain(turn)])
-
-        heights = np.asarray(at.layout.heights, dtype=np.float64)
-        return self._fitted(places, heights, moves, rounds, at.layout.name)
+        return self._fitted(places, np.asarray(at.layout.heights, dtype=np.float64), rounds, at.layout.name)
 
     def free(
         self, places: NDArray[np.complex128], heights: NDArray[np.float64], rounds: int = 8
     ) -> PlacedPoints:
         """Points near given places, each free."""
-        eye = np.eye(2 * len(places))
-        return self._fitted(places, heights, lambda now: eye, rounds, None)
+        return self._fitted(places, heights, rounds, None)
 
     def _solved(
         self, cols: NDArray[np.complex128]
@@ -316,21 +319,44 @@ class PointFitter:
         self,
         places: NDArray[np.complex128],
         heights: NDArray[np.float64],
-        moves: Callable[[NDArray[np.complex128]], NDArray[np.float64]],
         rounds: int,
         name: str | None,
     ) -> PlacedPoints:
-        """Levenberg-Marquardt with the amplitudes eliminated (Kaufman 1975)."""
+        """Levenberg-Marquardt with the amplitudes eliminated (Kaufman 1975), free where no name is given."""
+        if _compiled is not None and len(places) <= _MOST_COMPILED:
+            places, at = self._descended(places, heights, rounds, rigid=name is not None)
+        else:
+            places, at = self._descended_slowly(places, heights, rounds, rigid=name is not None)
+        spread = 0.0 if name else self._spread(places, at)
+        spread *= float(np.sqrt(max(at.left / (self.variance * self.spectra.data.size), 1.0)))
+        return PlacedPoints(places, heights, at.left, name, spread)
+
+    def _descended(
+        self, places: NDArray[np.complex128], heights: NDArray[np.float64], rounds: int, *, rigid: bool
+    ) -> tuple[NDArray[np.complex128], _Linear]:
+        """Where the compiled loop ends, and the model there."""
+        size = 2 * len(places)
+        found, left, normal, gradient = _plain(places), np.empty(1), np.empty((size, size)), np.empty(size)
+        tables = self.spectra.tables
+        freedom = (int(rigid), rounds, _FARTHEST_M, _LONGEST_M)
+        there = tables.antenna, tables.height, tables.data, tables.scalars
+        _compiled.fit(*there, freedom, found, np.ascontiguousarray(heights), left, normal, gradient)
+        return found[0::2] + 1j * found[1::2], _Linear(float(left[0]), normal, gradient)
+
+    def _descended_slowly(
+        self, places: NDArray[np.complex128], heights: NDArray[np.float64], rounds: int, *, rigid: bool
+    ) -> tuple[NDArray[np.complex128], _Linear]:
+        """The same by numpy."""
         at, damping = self._linear(places, heights), 1e-3
         for _ in range(rounds):
-            steps = moves(places)
+            steps = _moves(places) if rigid else np.eye(2 * len(places))
             normal, gradient = steps @ at.normal @ steps.T, steps @ at.gradient
             gain = 0.0
             for _ in range(4):
                 load = damping * np.diag(normal) + 1e-12 * np.trace(normal) + 1e-300
                 move = np.linalg.solve(normal + np.diag(load), gradient) @ steps
                 trial = places + move[0::2] + 1j * move[1::2]
-                if np.abs(trial).max() < REACH_M + 0.02 and np.abs(move).max() < 0.02:
+                if np.abs(trial).max() < _FARTHEST_M and np.abs(move).max() < _LONGEST_M:
                     after = self._linear(trial, heights)
                     if after.left < at.left:
                         gain, places, at = at.left - after.left, trial, after
@@ -339,26 +365,15 @@ class PointFitter:
                 damping *= 8
             if gain < 1e-4 * at.left:
                 break
-        spread = 0.0 if name else self._spread(places, at)
-        spread *= float(np.sqrt(max(at.left / (self.variance * self.spectra.data.size), 1.0)))
-        return PlacedPoints(places, heights, at.left, name, spread)
+        return places, at
 
     def _linear(self, places: NDArray[np.complex128], heights: NDArray[np.float64]) -> _Linear:
         """The model at an arrangement."""
-        size = 2 * len(places)
-        if _compiled is not None and len(places) <= _MOST_COMPILED:
-            left, normal, gradient = np.empty(1), np.empty((size, size)), np.empty(size)
-            kappa = self.spectra.wavenumbers
-            step = float(kappa[1] - kappa[0]) if len(kappa) > 1 else 0.0
-            scalars = (float(kappa[0]), step, self.spectra.distance_m)
-            there = self._antenna, self._height, self._data, scalars, _plain(places), heights
-            _compiled.linear(*there, left, normal, gradient)
-            return _Linear(float(left[0]), normal, gradient)
         waves = _waves(self.spectra, places, heights, slopes=True)
         rest, amplitudes, q = self._solved(centred(waves.columns))
         slope = centred(np.einsum("pfcv,fc->pfv", waves.slopes, amplitudes))
         slope = slope - (q @ (q.conj().swapaxes(1, 2) @ slope[..., None]))[..., 0]
-        flat = slope.reshape(size, -1)
+        flat = slope.reshape(2 * len(places), -1)
         gradient = np.real(flat.conj() @ rest.ravel())
         return _Linear(float(np.sum(np.abs(rest) ** 2)), np.real(flat.conj() @ flat.T), gradient)
 
@@ -367,16 +382,20 @@ class PointFitter:
         information = 2 / self.variance * at.normal
         load = 1e-9 * np.trace(information) * np.eye(len(information))
         covariance = np.linalg.inv(information + load)
-        one = np.ones(len(places), dtype=np.complex128)
-        moves = [_plain(one), _plain(1j * one), _plain(1j * (places - places.mean()))]
-        rigid = np.linalg.qr(np.stack(moves, axis=1))[0]
+        rigid = np.linalg.qr(_moves(places).T)[0]
         shape = np.eye(len(information)) - rigid @ rigid.T
         return float(np.sqrt(max(np.trace(shape @ covariance @ shape), 0.0) / len(places)))
 
 
+def _moves(places: NDArray[np.complex128]) -> NDArray[np.float64]:
+    """(3, 2 K) directions of points that move as a whole: along x and y, and turning about their middle."""
+    unit = np.ones(len(places), dtype=np.complex128)
+    return np.stack([_plain(unit), _plain(1j * unit), _plain(1j * (places - places.mean()))])
+
+
 def _plain(places: NDArray[np.complex128]) -> NDArray[np.float64]:
     """(2 K,) x and y, one after the other."""
-    return np.stack([places.real, places.imag], axis=1).ravel()
+    return np.array(places, dtype=np.complex128).view(np.float64)
 
 
 def displaced(one: NDArray[np.complex128], other: NDArray[np.complex128]) -> float:
@@ -429,9 +448,9 @@ def read_points(
     def limit_m(p: PlacedPoints) -> float:
         return settings.limit_m(p, _error_m(spectra, p, settings), own)
 
-    # Double bounce has an amplitude per frequency, which one reflector does without; each costs log V nats
-    # (Schwarz 1978). A round body near its own centre is one point.
-    bounce = spectra.noise * len(spectra.wavenumbers) * float(np.log(spectra.views))
+    # Double bounce has an amplitude per frequency, which one reflector does without. A round body near its
+    # own centre is one point.
+    bounce = spectra.amplitude_cost
 
     def charged(p: PlacedPoints) -> float:
         return p.left + bounce * (len(p.places) > 1)

@@ -30,6 +30,7 @@ from tagid.tags.bodies.layout_search import LayoutSearch, rings_of, turned_by
 from tagid.tags.bodies.reflectors_fit import (
     COMMON,
     FACING,
+    FEWEST_TERMS,
     OPEN,
     RICH,
     THROUGH,
@@ -117,7 +118,7 @@ class BodyReader:
         rows += [row for layout in self.layouts for row in self._layout_rows(layout, searched)]
         batch, left = self.coarse_fitter.fitted(joined([row.batch for row in rows]), 3)
         rows, batch = self._kept(rows, batch, left)
-        simple = replace(batch, terms=np.minimum(batch.terms, FACING.terms - 1))
+        simple = replace(batch, terms=np.minimum(batch.terms, FEWEST_TERMS))
         if self._explained(float(left.min())) < self.settings.hopeless:
             rows, batch = rows + rows, joined([batch, simple])
             left = self.fitter.left(batch)
@@ -126,9 +127,8 @@ class BodyReader:
             if self._is_passed(float(left.min())):
                 more, wide, rest = self._through(rings)
                 rows, batch, left = [*rows, *more], joined([batch, wide]), np.append(left, rest)
-        # An amplitude more per frequency costs log V nats (Schwarz 1978): a pattern that a tag does not need
-        # would let other arrangements imitate it.
-        per_term = self.spectra.noise * len(self.spectra.wavenumbers) * np.log(self.spectra.views)
+        # A pattern that a tag does not need would let other arrangements imitate it.
+        per_term = self.spectra.amplitude_cost
         charged = left + per_term * (batch.terms - 1)
         free: list[Placed] = []
         others: list[Placed] = []

@@ -20,6 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from tagid.tags.bodies.compiled import Arrangements
 from tagid.tags.bodies.hypothesis import BodyModel
 from tagid.tags.bodies.spectra import Spectra, centred
 
@@ -48,6 +49,8 @@ OPEN = Pattern(0, 3)
 THROUGH = Pattern(0, 5)
 RICH = Pattern(0, 7)
 POINTS = Pattern(0, 1)
+FEWEST_TERMS = 2
+"""Of the patterns that are compared on a body."""
 
 
 @dataclass(frozen=True)
@@ -103,6 +106,13 @@ class Batch:
     def some(self, rows: NDArray[np.intp]) -> Batch:
         """Some rows only."""
         return Batch(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
+
+    @property
+    def rows(self) -> Arrangements:
+        """The same for the compiled loop."""
+        return Arrangements(
+            self.at, self.radii, self.heights, self.present, self.tilt, self.terms, self.moves
+        )
 
     @property
     def angles(self) -> NDArray[np.float64]:
@@ -218,6 +228,21 @@ def solve(data: NDArray[np.complex128], cols: NDArray[np.complex128]) -> Solved:
 
 
 @dataclass(frozen=True, eq=False)
+class _Linear:
+    """The model at the places of a batch, amplitudes eliminated.
+
+    Attributes:
+        left: (H,) energies left.
+        normal: (H, P, P) real inner products of the slopes along every move.
+        gradient: (H, P) those of the slopes with what is left.
+    """
+
+    left: NDArray[np.float64]
+    normal: NDArray[np.float64]
+    gradient: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
 class Fitter:
     """Fits batches of arrangements on one body to spectra.
 
@@ -237,6 +262,9 @@ class Fitter:
 
     def left(self, batch: Batch) -> NDArray[np.float64]:
         """(H,) energy left at the places of a batch."""
+        rows = batch.rows
+        if rows.fits():
+            return rows.left(self.spectra.tables, self._echoes(batch, moved=False), np.array(_BODY_STEPS))
         return solve(self.spectra.data, Columns.of(self.spectra, self.body, batch).values).left
 
     def fitted(self, batch: Batch, rounds: int = 6) -> tuple[Batch, NDArray[np.float64]]:
@@ -246,38 +274,60 @@ class Fitter:
         """
         at = batch.at.copy()
         damping = np.full(len(at), 1e-2)
-        rest, slope, left = self._linear(batch)
+        now = self._linear(batch)
+        left, normal, gradient = now.left, now.normal, now.gradient
         cost = self._cost(batch, at, left)
         for turn in range(rounds):
-            step = self._step(batch, at, rest, slope, damping)
+            step = self._step(batch, at, normal, gradient, damping)
             trial = at + np.einsum("hp,hpk->hk", step, batch.moves)
             trial[:, 2] = np.clip(trial[:, 2], batch.low, batch.high)
             last = turn == rounds - 1
-            if last:
-                trial_left = self.left(batch.moved(trial))
-            else:
-                trial_rest, trial_slope, trial_left = self._linear(batch.moved(trial))
+            moved = batch.moved(trial)
+            there = None if last else self._linear(moved)
+            trial_left = self.left(moved) if there is None else there.left
             trial_cost = self._cost(batch, trial, trial_left)
             better = trial_cost < cost
             at[better], left[better], cost[better] = trial[better], trial_left[better], trial_cost[better]
-            if not last:
-                rest[better], slope[better] = trial_rest[better], trial_slope[better]
+            if there is not None:
+                normal[better], gradient[better] = there.normal[better], there.gradient[better]
             damping = np.where(better, damping / 5, damping * 8)
         return batch.moved(at), left
 
-    def _linear(
-        self, batch: Batch
-    ) -> tuple[NDArray[np.complex128], NDArray[np.complex128], NDArray[np.float64]]:
-        """What is left (H, F, V), its slopes (H, F, P, V) along every move, and its energies (H,).
+    def _linear(self, batch: Batch) -> _Linear:
+        """The model at the places of a batch.
 
         The slope is that of Kaufman (1975): derivatives of the columns at fixed amplitudes, projected.
         """
+        rows = batch.rows
+        if rows.fits():
+            steps = np.array(_BODY_STEPS)
+            return _Linear(*rows.linear(self.spectra.tables, self._echoes(batch, moved=True), steps))
         cols = Columns.of(self.spectra, self.body, batch)
         solved = solve(self.spectra.data, cols.values)
         slope = self._reflector_slopes(batch, cols, solved) + self._body_slopes(batch, cols, solved)
         slope -= slope.mean(axis=-1, keepdims=True)
         along = np.linalg.solve(solved.gram, cols.values.conj() @ np.swapaxes(slope, -1, -2))
-        return solved.rest, np.swapaxes(along, -1, -2) @ cols.values - slope, solved.left
+        # Real parts of inner products: those of real and imaginary parts side by side.
+        plain = (np.swapaxes(along, -1, -2) @ cols.values - slope).view(np.float64)
+        normal = (plain @ np.swapaxes(plain, -1, -2)).sum(axis=1)
+        gradient = (plain @ solved.rest.view(np.float64)[..., None])[..., 0].sum(axis=1)
+        return _Linear(solved.left, normal, gradient)
+
+    def _echoes(self, batch: Batch, *, moved: bool) -> NDArray[np.complex128]:
+        """(B, H, F, V) the body's echo at its places, and moved along each coordinate; B = 0 for none.
+
+        With `moved` false only at its places.
+        """
+        if self.body is None:
+            return np.zeros((0, len(batch.at), *self.spectra.data.shape), dtype=np.complex128)
+        there = batch.at[None, :, 3:6]
+        if moved:
+            count = 3 if self.body.turns else 2
+            ahead = np.concatenate([np.zeros((1, 3)), np.diag(_BODY_STEPS)[:count]])
+            there = there + ahead[:, None]
+        flat = there.reshape(-1, 3)
+        echoes = self.body.echo(self.spectra, flat[:, 0] + 1j * flat[:, 1], flat[:, 2])
+        return np.asarray(echoes.reshape(*there.shape[:2], *self.spectra.data.shape))
 
     def _reflector_slopes(self, batch: Batch, cols: Columns, solved: Solved) -> NDArray[np.complex128]:
         """(H, F, P, V) derivative of the reflectors' echo along every move.
@@ -349,20 +399,17 @@ class Fitter:
         self,
         batch: Batch,
         at: NDArray[np.float64],
-        rest: NDArray[np.complex128],
-        slope: NDArray[np.complex128],
+        normal: NDArray[np.float64],
+        gradient: NDArray[np.float64],
         damping: NDArray[np.float64],
     ) -> NDArray[np.float64]:
         """(H, P) damped Gauss-Newton steps along the moves."""
         mean, weight = self._expected(batch)
         common = batch.moves[:, :, :COMMON]
-        # Real parts of inner products: those of real and imaginary parts side by side.
-        plain = slope.view(np.float64)
         scale = 2 / self.variance
-        hessian = scale * (plain @ np.swapaxes(plain, -1, -2)).sum(axis=1)
-        hessian += np.einsum("hpk,k,hqk->hpq", common, weight, common)
-        gradient = scale * (plain @ rest.view(np.float64)[..., None])[..., 0].sum(axis=1)
-        gradient += np.einsum("hpk,k,hk->hp", common, weight, at[:, :COMMON] - mean)
+        weighted = common * weight
+        hessian = scale * normal + weighted @ np.swapaxes(common, -1, -2)
+        gradient = scale * gradient + (weighted @ (at[:, :COMMON] - mean)[..., None])[..., 0]
         size = np.diagonal(hessian, axis1=1, axis2=2)
         load = damping[:, None] * size + np.where(size > 0, 1e-12 * size, 1.0)
         hessian = hessian + load[..., None] * np.eye(hessian.shape[1])

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tagid.tags.bodies import compiled
 from tagid.tags.bodies.reflectors_fit import Pattern
 from tagid.tags.bodies.spectra import Spectra, centred
 
@@ -26,8 +27,8 @@ class Ring:
         pattern: of every reflector.
         angles: (N,) rad.
         energy: of the data that body and room leave, at the frequencies used.
-        gram: (N, N, F, M, M) complex64 inner products of the columns.
-        right: (N, F, M) complex64 inner products with the data.
+        gram: (F, N M, N M) complex64 inner products of the columns, those of one angle side by side.
+        right: (F, N M) complex64 inner products with the data.
         ridge: (F,) added to the diagonal.
     """
 
@@ -60,26 +61,25 @@ class Ring:
             cols = cols - (cols @ unit.conj()[..., None]) * unit[:, None]
             data = data - (data * unit.conj()).sum(axis=-1, keepdims=True) * unit
         narrow = cols.astype(np.complex64)
-        f, m = len(cols), pattern.terms
+        m = pattern.terms
         gram = narrow.conj() @ np.swapaxes(narrow, 1, 2)
         right = (narrow.conj() @ data.astype(np.complex64)[..., None])[..., 0]
         ridge = _RIDGE * np.einsum("fnn->f", gram).real / (count * m)
-        gram = gram.reshape(f, count, m, count, m).transpose(1, 3, 0, 2, 4)
         return cls(
             radius_m,
             pattern,
             angles,
             float((np.abs(data) ** 2).sum()),
-            np.ascontiguousarray(gram),
-            np.ascontiguousarray(right.reshape(f, count, m).transpose(1, 0, 2)),
+            gram,
+            right,
             ridge.astype(np.float32),
         )
 
     def explained(self, sets: NDArray[np.intp]) -> NDArray[np.float64]:
         """(H,) energies explained by sets (H, n) of angle indices."""
-        n = sets.shape[1]
-        total = sum(self.gram[sets[:, k], sets[:, m]] for k in range(n) for m in range(n))
-        return self._energy(np.asarray(total), np.asarray(sum(self.right[sets[:, k]] for k in range(n))))
+        one = np.s_[None]
+        found = set_energies(self.gram[one], self.right[one], self.ridge[one], sets, self.pattern.terms)
+        return np.asarray(found[0])
 
     def best(self, most: int, keep: int) -> dict[int, tuple[NDArray[np.intp], NDArray[np.float64]]]:
         """The best sets of 1 to `most` reflectors: {n: (sets (keep, n), energies (keep,))}.
@@ -106,46 +106,62 @@ class Ring:
     def _extended(self, beam: NDArray[np.intp], gap: int) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
         """Every set of the beam (B, n) with every further angle, each set once."""
         count, n = len(self.angles), beam.shape[1]
-        inner = sum(self.gram[beam[:, k], beam[:, m]] for k in range(n) for m in range(n))
-        cross = sum(self.gram[beam[:, k]] for k in range(n))
-        own = self.gram[np.arange(count), np.arange(count)]
-        cross = np.asarray(cross)
-        total = np.asarray(inner)[:, None] + own[None] + cross + cross.swapaxes(-1, -2).conj()
-        right = np.asarray(sum(self.right[beam[:, k]] for k in range(n)))[:, None] + self.right[None]
-        f, m = right.shape[2:]
-        values = self._energy(total.reshape(-1, f, m, m), right.reshape(-1, f, m))
         sets = np.concatenate(
             [np.repeat(beam, count, axis=0), np.tile(np.arange(count), len(beam))[:, None]], axis=1
         )
         away = np.abs(sets[:, :-1] - sets[:, -1:])
         apart = np.minimum(away, count - away).min(axis=1) >= gap
-        sets, values = np.sort(sets[apart], axis=1), values[apart]
+        sets = np.sort(sets[apart], axis=1)
         key = sets @ (count ** np.arange(n + 1))
-        first = np.unique(key, return_index=True)[1]
-        return sets[first], values[first]
+        sets = sets[np.unique(key, return_index=True)[1]]
+        return sets, self.explained(sets)
 
-    def _energy(self, gram: NDArray[np.complex64], right: NDArray[np.complex64]) -> NDArray[np.float64]:
-        """sum_f b^H G^-1 b of small systems (H, F, M, M), (H, F, M) by Cholesky and forward substitution."""
-        m = right.shape[-1]
-        total = np.zeros(right.shape[:-1], dtype=np.float32)
-        factor: dict[tuple[int, int], NDArray[np.complex64]] = {}
-        solved: list[NDArray[np.complex64]] = []
-        for p in range(m):
-            for q in range(p):
-                value = gram[..., p, q]
-                for s in range(q):
-                    value = value - factor[p, s] * factor[q, s].conj()
-                factor[p, q] = value / factor[q, q]
-            pivot = gram[..., p, p].real + self.ridge
-            for s in range(p):
-                pivot = pivot - np.abs(factor[p, s]) ** 2
-            factor[p, p] = np.sqrt(np.maximum(pivot, 0.5 * self.ridge)).astype(np.complex64)
-            value = right[..., p]
-            for s in range(p):
-                value = value - factor[p, s] * solved[s]
-            solved.append(value / factor[p, p])
-            total += np.abs(solved[p]) ** 2
-        return np.asarray(total.sum(axis=-1), dtype=np.float64)
+
+def set_energies(
+    gram: NDArray[np.complex64],
+    right: NDArray[np.complex64],
+    ridge: NDArray[np.float32],
+    sets: NDArray[np.intp],
+    terms: int,
+) -> NDArray[np.float64]:
+    """(B, H) energies that sets (H, n) of angle indices explain on B rings, see `compiled.set_energies`."""
+    fast = compiled.set_energies(gram, right, ridge, sets, terms)
+    if fast is not None:
+        return fast
+    b, f, size = right.shape
+    blocks = gram.reshape(b, f, size // terms, terms, size // terms, terms)
+    parts = right.reshape(b, f, size // terms, terms)
+    n = sets.shape[1]
+    # (H, B, F, M, M) and (B, F, H, M): indices apart from each other lead.
+    total = sum(blocks[:, :, sets[:, k], :, sets[:, m]] for k in range(n) for m in range(n))
+    given = np.moveaxis(np.asarray(sum(parts[:, :, sets[:, k]] for k in range(n))), 2, 0)
+    return np.ascontiguousarray(_solved_energies(np.asarray(total), given, ridge).T)
+
+
+def _solved_energies(
+    gram: NDArray[np.complex64], right: NDArray[np.complex64], ridge: NDArray[np.float32]
+) -> NDArray[np.float64]:
+    """(H, B) sum_f b^H G^-1 b of small systems (H, B, F, M, M), (H, B, F, M) by Cholesky and substitution."""
+    m = right.shape[-1]
+    total = np.zeros(right.shape[:-1], dtype=np.float32)
+    factor: dict[tuple[int, int], NDArray[np.complex64]] = {}
+    solved: list[NDArray[np.complex64]] = []
+    for p in range(m):
+        for q in range(p):
+            value = gram[..., p, q]
+            for s in range(q):
+                value = value - factor[p, s] * factor[q, s].conj()
+            factor[p, q] = value / factor[q, q]
+        pivot = gram[..., p, p].real + ridge
+        for s in range(p):
+            pivot = pivot - np.abs(factor[p, s]) ** 2
+        factor[p, p] = np.sqrt(np.maximum(pivot, 0.5 * ridge)).astype(np.complex64)
+        value = right[..., p]
+        for s in range(p):
+            value = value - factor[p, s] * solved[s]
+        solved.append(value / factor[p, p])
+        total += np.abs(solved[p]) ** 2
+    return np.asarray(total.sum(axis=-1), dtype=np.float64)
 
 
 def ring_columns(
@@ -158,10 +174,14 @@ def ring_columns(
     distance = np.hypot(plane, spectra.height_m[None])
     facing = ((1 + cosine) / 2) ** 2 if pattern.tilt else 1.0
     weight = facing * (spectra.distance_m / distance) ** 2
-    terms = np.cos(np.arange(pattern.terms)[:, None, None] * np.arccos(np.clip(cosine, -1, 1)))
+    # cos(p psi) by Chebyshev's recurrence.
+    terms = np.ones((max(pattern.terms, 2), *cosine.shape))
+    terms[1] = cosine
+    for p in range(2, pattern.terms):
+        terms[p] = 2 * cosine * terms[p - 1] - terms[p - 2]
     waves = spectra.waves(distance)
     # (F, N, M, V)
-    cols = waves[:, :, None] * (weight * terms).transpose(1, 0, 2)[None]
+    cols = waves[:, :, None] * (weight * terms[: pattern.terms]).transpose(1, 0, 2)[None]
     return centred(cols).reshape(len(waves), len(angles) * pattern.terms, -1)
 
 
@@ -204,31 +224,18 @@ class PairSearch:
         flat = flat - (flat @ unit.conj()[..., None]) * unit[:, :, None]
         data = self.spectra.data[:, None]
         data = data - (data * unit.conj()).sum(axis=-1, keepdims=True) * unit
-        narrow = flat.astype(np.complex64)
-        gram = (narrow.conj() @ np.swapaxes(narrow, -1, -2)).reshape(f, c, n, m, n, m)
-        right = (narrow.conj() @ data.astype(np.complex64)[..., None])[..., 0].reshape(f, c, n, m)
+        narrow = np.swapaxes(flat, 0, 1).astype(np.complex64, order="C")
+        given = np.swapaxes(data, 0, 1).astype(np.complex64)[..., None]
+        gram = narrow.conj() @ np.swapaxes(narrow, -1, -2)
+        right = (narrow.conj() @ given)[..., 0]
         gap = max(round(np.deg2rad(GAP_DEG) * n / (2 * np.pi)), 1)
         a, b = np.triu_indices(n, gap)
-        near = n - (b - a) >= gap
-        a, b = a[near], b[near]
-
-        def both(p: int, q: int) -> NDArray[np.complex64]:
-            part = gram[:, :, :, p, :, q]
-            own = np.diagonal(part, axis1=2, axis2=3)
-            return np.asarray(own[..., a] + own[..., b] + part[..., a, b] + part[..., b, a])
-
-        even, odd = right[..., 0], right[..., 1]
-        first, second = even[..., a] + even[..., b], odd[..., a] + odd[..., b]
-        mean = np.einsum("fcnpnp->fc", gram).real[..., None] / (n * m)
-        top, low, side = both(0, 0).real, both(1, 1).real, both(1, 0)
-        top = top + _RIDGE * mean
-        rest = np.maximum(low + _RIDGE * mean - np.abs(side) ** 2 / top, 0.5 * _RIDGE * mean)
-        explained = np.abs(first) ** 2 / top + np.abs(second - side * first / top) ** 2 / rest
-        total = explained.sum(axis=0)
+        pairs = np.stack([a, b], axis=1)[n - (b - a) >= gap]
+        ridge = _RIDGE * np.einsum("cfnn->cf", gram).real / (n * m)
+        total = set_energies(gram, right, ridge.astype(np.float32), pairs, m)
         best = total.argmax(axis=1)
         energy = (data.real**2 + data.imag**2).sum(axis=(0, 2))
-        found = np.stack([angles[a[best]], angles[b[best]]], axis=1)
-        return np.asarray(energy - total[np.arange(c), best], dtype=np.float64), found
+        return np.asarray(energy - total[np.arange(c), best], dtype=np.float64), angles[pairs[best]]
 
 
 def _leading(

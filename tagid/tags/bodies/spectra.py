@@ -7,12 +7,15 @@ known, and everything that is linear in the amplitudes is solved frequency by fr
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tagid.errors import DataError
 from tagid.imaging.types import BasebandScans
+from tagid.tags.bodies import compiled
+from tagid.tags.bodies.compiled import SpectraTables
 
 FREQUENCIES = 9
 """One frequency per c / (2 * 0.65 m) = 0.23 GHz of the range window would be independent of its neighbours;
@@ -98,6 +101,11 @@ class Spectra:
             noise,
         )
 
+    @cached_property
+    def tables(self) -> SpectraTables:
+        """The same for the compiled loops."""
+        return SpectraTables.of(self.antenna, self.height_m, self.data, self.wavenumbers, self.distance_m)
+
     @property
     def energy(self) -> float:
         """Sum of |data|^2."""
@@ -107,6 +115,11 @@ class Spectra:
     def noise_energy(self) -> float:
         """Expected energy of the noise in `data`; one value per frequency is lost with the room."""
         return float(self.noise * len(self.data) * (self.data.shape[1] - 1))
+
+    @property
+    def amplitude_cost(self) -> float:
+        """Energy charged for an amplitude more at every frequency: log V nats each (Schwarz 1978)."""
+        return float(self.noise * len(self.wavenumbers) * np.log(self.views))
 
     @property
     def views(self) -> int:
@@ -127,6 +140,9 @@ class Spectra:
     def waves(self, distance_m: NDArray[np.float64]) -> NDArray[np.complex128]:
         """(F, ...) exp(-j kappa (R - d)) at distances R (...), m, by recurrence over equal steps of kappa."""
         path = distance_m - self.distance_m
+        fast = compiled.waves(path, self.wavenumbers)
+        if fast is not None:
+            return fast
         out = np.empty((len(self.wavenumbers), *path.shape), dtype=np.complex128)
         out[0] = np.exp(-1j * self.wavenumbers[0] * path)
         if len(out) > 1:

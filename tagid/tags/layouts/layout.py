@@ -51,8 +51,10 @@ def is_name(text: object) -> bool:
 def rotation_matrix(angle_rad: float | NDArray[np.floating]) -> NDArray[np.float64]:
     """(..., 2, 2) matrices R with R @ p = p rotated counter-clockwise by the angle."""
     c, s = np.cos(angle_rad), np.sin(angle_rad)
-    rows = [np.stack([c, -s], axis=-1), np.stack([s, c], axis=-1)]
-    return np.asarray(np.stack(rows, axis=-2), dtype=np.float64)
+    out = np.empty((*np.shape(c), 2, 2))
+    out[..., 0, 0] = out[..., 1, 1] = c
+    out[..., 0, 1], out[..., 1, 0] = -s, s
+    return out
 
 
 def rotational_symmetry(positions: NDArray[np.float64], tolerance_m: float = SYMMETRY_TOLERANCE_M) -> int:

@@ -20,6 +20,7 @@ from tagid.tags.bodies.decide import BodyDecision, decide_on_body, score, tag_sn
 from tagid.tags.bodies.hypothesis import Enrolled, Explanation, Kind, Pose, plausible
 from tagid.tags.bodies.objects import ObjectDecision, ObjectReading, decide_object, read_objects
 from tagid.tags.bodies.points import Place, PointReading, PointSettings, read_points
+from tagid.tags.bodies.reflectors_fit import FEWEST_TERMS
 from tagid.tags.bodies.spectra import Spectra
 from tagid.tags.layouts.layout import Layout
 from tagid.tags.matching.reading import Reading
@@ -280,13 +281,15 @@ def _undisputed(
 
     A weak echo is explained to the noise by many arrangements of points; then it counts which explains most.
     Reflectors that are hidden in some views are explained by their layout on a body, which counts for it.
-    Where points leave little beyond the noise no body is tried.
+    Where points leave little beyond the noise, and what the fewest amplitudes on a body are charged, no body
+    is tried.
     """
     if reading.status != "identified" or reading.kind is not Kind.BARE or points is None:
         return reading
     own = next((placed.left for placed in points.layouts if placed.layout == reading.layout), inf)
     margin = settings.disputed_nats * spectra.noise + settings.points.unexplained * points.tag
-    if spectra.noise <= 0 or own - BODY_LEAVES * spectra.noise_energy <= margin:
+    least = BODY_LEAVES * spectra.noise_energy + (FEWEST_TERMS - 1) * spectra.amplitude_cost
+    if spectra.noise <= 0 or own - least <= margin:
         return reading
     body = reading.body
     if body is None or body.body.name:

@@ -17,59 +17,137 @@ typedef struct {
     float *images; /* (A, O, N, 2) */
 } Coarse;
 
-WIDE static void coarse_points(const Field *g, const Coarse *c, double *far, float *scratch)
+#define BLOCK 64 /* points at a time: each loop runs over points, whose number is known */
+
+typedef struct {
+    double x[BLOCK], y[BLOCK], z[BLOCK], face_x[BLOCK], face_y[BLOCK]; /* m; unit vectors */
+    double far[BLOCK];                                                 /* from the antenna of a view, m */
+    int32_t index[BLOCK];
+    float re[BLOCK], im[BLOCK]; /* phase */
+} Block;
+
+/* Points from `first` on; the last one stands for those that are missing. */
+INLINE void begin_block(const Coarse *c, int64_t first, Block *b)
 {
-    const int64_t n = g->views, w = g->width;
-    float *base = scratch, *re = base + 2 * n;
-    float *restrict seen = re + 2 * n * c->kinds;
-    int32_t *index = (int32_t *)(seen + 2 * n), *moved = index + n;
-    for (int64_t i = 0; i < c->count; i++) {
-        const double *point = c->points + 3 * i;
-        distances(g, point, 0.0, far);
-        for (int64_t v = 0; v < n; v++)
-            index[v] = entry(g, far[v]);
-        phases(g, far, base, base + n);
-        for (int64_t a = 0; a < c->kinds; a++) {
-            const double *p = c->patterns + 3 * a;
-            const Pattern pattern = {p[0], p[1], p[2]};
-            float *own = re + 2 * n * a, *restrict out = c->fixed + 2 * w * (c->count * a + i);
-            memcpy(own, base, (size_t)(2 * n) * sizeof(float));
-            lit(g, &pattern, point, c->facing + 2 * i, own, own + n);
-            memset(out, 0, (size_t)(2 * w) * sizeof(float));
-            for (int64_t v = 0; v < n; v++) {
-                const float x = own[v],
-                            y = own[n + v], *restrict profile = g->profiles + 2 * w * (int64_t)index[v];
-                for (int64_t j = 0; j < w; j += LANES)
-                    for (int l = 0; l < LANES; l++) {
-                        out[j + l] += x * profile[j + l] - y * profile[w + j + l];
-                        out[w + j + l] += x * profile[w + j + l] + y * profile[j + l];
-                    }
-            }
-            for (int64_t j = 0; j < 2 * w; j++)
-                out[j] /= (float)n;
+    for (int64_t i = 0; i < BLOCK; i++) {
+        const int64_t at = first + i < c->count ? first + i : c->count - 1;
+        b->x[i] = c->points[3 * at];
+        b->y[i] = c->points[3 * at + 1];
+        b->z[i] = c->points[3 * at + 2];
+        b->face_x[i] = c->facing[2 * at];
+        b->face_y[i] = c->facing[2 * at + 1];
+    }
+}
+
+/* Distance, profile and phase of every point in one view. */
+INLINE void look_from(const Field *g, int64_t v, Block *b)
+{
+    for (int64_t way = 0; way < g->ways; way++) {
+        const double *at = g->antennas + 3 * g->views * way + v;
+        const double ax = at[0], ay = at[g->views], az = at[2 * g->views];
+        for (int i = 0; i < BLOCK; i++) {
+            const double x = b->x[i] - ax, y = b->y[i] - ay, z = b->z[i] - az;
+            const double d = sqrt(x * x + y * y + z * z);
+            b->far[i] = way ? 0.5 * (b->far[i] + d) : d;
         }
-        for (int64_t o = 0; o < c->shifts; o++) {
-            double phase = g->wavenumber * c->offsets[o] / 3.141592653589793;
-            float tr, ti;
-            turned(phase, &tr, &ti);
-            for (int64_t v = 0; v < n; v++)
-                moved[v] = entry(g, far[v] + c->offsets[o]);
-            for (int64_t v = 0; v < n; v++) {
-                const float *t = c->table + 2 * (g->entries * v + moved[v]);
-                seen[v] = t[0];
-                seen[n + v] = t[1];
-            }
+    }
+    const double per_metre = -g->wavenumber / 3.141592653589793;
+    for (int i = 0; i < BLOCK; i++)
+        b->index[i] = entry(g, b->far[i]);
+    for (int i = 0; i < BLOCK; i++)
+        turned(b->far[i] * per_metre, b->re + i, b->im + i);
+}
+
+/* The phases (2, BLOCK) with a pattern's amplitude. */
+INLINE void light(const Field *g, const double *pattern, int64_t v, const Block *b, float *restrict out)
+{
+    const double edge = pattern[0], slope = 1.0 / (2.0 * pattern[1]), floor = pattern[2];
+    const double mx = g->middle[v], my = g->middle[g->views + v];
+    for (int i = 0; i < BLOCK; i++) {
+        const double x = mx - b->x[i], y = my - b->y[i];
+        const double cosine = (b->face_x[i] * x + b->face_y[i] * y) / sqrt(x * x + y * y);
+        double ramp = (cosine - edge) * slope + 0.5;
+        ramp = ramp > 0.0 ? ramp : 0.0;
+        ramp = ramp < 1.0 ? ramp : 1.0;
+        const double sided = fabs(b->face_x[i]) + fabs(b->face_y[i]);
+        const float w = sided > 0.0 && floor < 1.0 ? (float)(floor + (1.0 - floor) * ramp) : 1.0f;
+        out[i] = b->re[i] * w;
+        out[BLOCK + i] = b->im[i] * w;
+    }
+}
+
+/* out += (x + j y) profile, both (2, width). */
+INLINE void add_turned(const float *restrict profile, float x, float y, int64_t w, float *restrict out)
+{
+#pragma omp simd
+    for (int64_t j = 0; j < w; j++) {
+        out[j] += x * profile[j] - y * profile[w + j];
+        out[w + j] += x * profile[w + j] + y * profile[j];
+    }
+}
+
+/* A row of the table (entries, 2) at the points' distances and an offset: (2, BLOCK). */
+INLINE void read_row(const Field *g, const float *row, const Block *b, double offset, float *restrict out)
+{
+    int32_t at[BLOCK];
+    for (int i = 0; i < BLOCK; i++)
+        at[i] = entry(g, b->far[i] + offset);
+    for (int i = 0; i < BLOCK; i++) {
+        out[i] = row[2 * at[i]];
+        out[BLOCK + i] = row[2 * at[i] + 1];
+    }
+}
+
+/* sum += conj(own) seen, all (2, BLOCK). */
+INLINE void add_products(const float *restrict own, const float *restrict seen, float *restrict sum)
+{
+    for (int i = 0; i < BLOCK; i++) {
+        sum[i] += own[i] * seen[i] + own[BLOCK + i] * seen[BLOCK + i];
+        sum[BLOCK + i] += own[i] * seen[BLOCK + i] - own[BLOCK + i] * seen[i];
+    }
+}
+
+WIDE static void coarse_points(const Field *shared, const Coarse *c, float *sums)
+{
+    /* A copy that no store can change. */
+    const Field own_field = *shared, *g = &own_field;
+    const int64_t w = g->width;
+    float *lit_up = sums + 2 * BLOCK * c->kinds * c->shifts, seen[2 * BLOCK];
+    Block b;
+    for (int64_t first = 0; first < c->count; first += BLOCK) {
+        const int64_t count = c->count - first < BLOCK ? c->count - first : BLOCK;
+        begin_block(c, first, &b);
+        memset(sums, 0, (size_t)(2 * BLOCK * c->kinds * c->shifts) * sizeof(float));
+        for (int64_t a = 0; a < c->kinds; a++)
+            memset(c->fixed + 2 * w * (c->count * a + first), 0, (size_t)(2 * w * count) * sizeof(float));
+        for (int64_t v = 0; v < g->views; v++) {
+            look_from(g, v, &b);
             for (int64_t a = 0; a < c->kinds; a++) {
-                const float *restrict x = re + 2 * n * a, *restrict y = x + n;
-                float sr = 0.0f, si = 0.0f;
-#pragma omp simd reduction(+ : sr, si)
-                for (int64_t v = 0; v < n; v++) {
-                    sr += x[v] * seen[v] + y[v] * seen[n + v];
-                    si += x[v] * seen[n + v] - y[v] * seen[v];
+                float *own = lit_up + 2 * BLOCK * a, *fixed = c->fixed + 2 * w * (c->count * a + first);
+                light(g, c->patterns + 3 * a, v, &b, own);
+                for (int64_t i = 0; i < count; i++)
+                    add_turned(g->profiles + 2 * w * (int64_t)b.index[i], own[i], own[BLOCK + i], w,
+                               fixed + 2 * w * i);
+            }
+            for (int64_t o = 0; o < c->shifts; o++) {
+                read_row(g, c->table + 2 * g->entries * v, &b, c->offsets[o], seen);
+                for (int64_t a = 0; a < c->kinds; a++)
+                    add_products(lit_up + 2 * BLOCK * a, seen, sums + 2 * BLOCK * (c->shifts * a + o));
+            }
+        }
+        const float share = 1.0f / (float)g->views;
+        for (int64_t a = 0; a < c->kinds; a++) {
+            float *fixed = c->fixed + 2 * w * (c->count * a + first);
+            for (int64_t j = 0; j < 2 * w * count; j++)
+                fixed[j] *= share;
+            for (int64_t o = 0; o < c->shifts; o++) {
+                const float *re = sums + 2 * BLOCK * (c->shifts * a + o), *im = re + BLOCK;
+                float *out = c->images + 2 * (c->count * (c->shifts * a + o) + first), tr, ti;
+                turned(g->wavenumber * c->offsets[o] / 3.141592653589793, &tr, &ti);
+                for (int64_t i = 0; i < count; i++) {
+                    out[2 * i] = re[i] * tr - im[i] * ti;
+                    out[2 * i + 1] = re[i] * ti + im[i] * tr;
                 }
-                float *out = c->images + 2 * (c->count * (c->shifts * a + o) + i);
-                out[0] = sr * tr - si * ti;
-                out[1] = sr * ti + si * tr;
             }
         }
     }
@@ -86,8 +164,10 @@ typedef struct {
     float *out; /* (O, A, S) */
 } Grid;
 
-WIDE static void grid_energies(const Grid *g)
+WIDE static void grid_energies(const Grid *given)
 {
+    /* A copy that no store can change. */
+    const Grid own_grid = *given, *g = &own_grid;
     const int64_t side = 2 * g->half + 1, k = g->size, w = g->width;
     for (int64_t a = 0; a < g->rotations; a++)
         for (int64_t s = 0; s < g->places; s++) {
@@ -112,10 +192,12 @@ WIDE static void grid_energies(const Grid *g)
             }
             for (int64_t i = 0; i < k; i++)
                 for (int64_t j = 0; j <= i; j++) {
+                    const float *restrict one = rows[i], *restrict other = rows[j];
                     float re = 0.0f, im = 0.0f;
-                    for (int64_t q = 0; q < 2 * w; q += 2) {
-                        re += rows[i][q] * rows[j][q] + rows[i][q + 1] * rows[j][q + 1];
-                        im += rows[i][q] * rows[j][q + 1] - rows[i][q + 1] * rows[j][q];
+#pragma omp simd reduction(+ : re, im)
+                    for (int64_t q = 0; q < w; q++) {
+                        re += one[2 * q] * other[2 * q] + one[2 * q + 1] * other[2 * q + 1];
+                        im += one[2 * q] * other[2 * q + 1] - one[2 * q + 1] * other[2 * q];
                     }
                     const double *full = g->gram + 2 * (k * (k * a + i) + j);
                     factor[i * k + j][0] = full[0] - g->views * re;
@@ -181,13 +263,13 @@ static PyObject *coarse(PyObject *self, PyObject *args)
     if (!(c.fixed = take(&h, o[5], 8 * c.kinds * c.count * g.width, 1)) ||
         !(c.images = take(&h, o[6], 8 * c.kinds * c.shifts * c.count, 1)))
         goto done;
-    double *far = malloc((size_t)g.views * 8 + (size_t)(6 + 2 * c.kinds) * (size_t)g.views * 4);
-    if (!far) {
+    float *sums = malloc((size_t)(2 * BLOCK * c.kinds * (c.shifts + 1)) * sizeof(float));
+    if (!sums) {
         PyErr_NoMemory();
         goto done;
     }
-    Py_BEGIN_ALLOW_THREADS coarse_points(&g, &c, far, (float *)(far + g.views));
-    Py_END_ALLOW_THREADS free(far);
+    Py_BEGIN_ALLOW_THREADS coarse_points(&g, &c, sums);
+    Py_END_ALLOW_THREADS free(sums);
 done:
     return finished(&h);
 }

@@ -106,14 +106,14 @@ INLINE void template(const Field *g, const int32_t *index, const float *re, cons
         const float *restrict p = g->profiles + 2 * w * (int64_t)index[v];
         float *restrict s = sums + 2 * w * g->circle[v];
         float *restrict r = real + v * w, *restrict i = imaginary + v * w;
-        for (int64_t j = 0; j < w; j += LANES)
-            for (int l = 0; l < LANES; l++) {
-                const float pr = p[j + l], pi = p[w + j + l], tr = a * pr - b * pi, ti = a * pi + b * pr;
-                r[j + l] = tr;
-                i[j + l] = ti;
-                s[j + l] += tr;
-                s[w + j + l] += ti;
-            }
+#pragma omp simd
+        for (int64_t j = 0; j < w; j++) {
+            const float tr = a * p[j] - b * p[w + j], ti = a * p[w + j] + b * p[j];
+            r[j] = tr;
+            i[j] = ti;
+            s[j] += tr;
+            s[w + j] += ti;
+        }
     }
     if (whole)
         return;
@@ -128,11 +128,11 @@ INLINE void template(const Field *g, const int32_t *index, const float *re, cons
     }
     for (int64_t v = 0; v < n; v++) {
         const float *restrict s = sums + 2 * w * g->circle[v];
-        for (int64_t j = 0; j < w; j += LANES)
-            for (int l = 0; l < LANES; l++) {
-                real[v * w + j + l] -= s[j + l];
-                imaginary[v * w + j + l] -= s[w + j + l];
-            }
+#pragma omp simd
+        for (int64_t j = 0; j < w; j++) {
+            real[v * w + j] -= s[j];
+            imaginary[v * w + j] -= s[w + j];
+        }
     }
 }
 
@@ -180,8 +180,9 @@ INLINE void substitute(int k, double (*g)[2], double (*x)[2])
             x[i][0] -= a[0] * x[s][0] - a[1] * x[s][1];
             x[i][1] -= a[0] * x[s][1] + a[1] * x[s][0];
         }
-        x[i][0] /= g[i * k + i][0];
-        x[i][1] /= g[i * k + i][0];
+        const double part = 1.0 / g[i * k + i][0];
+        x[i][0] *= part;
+        x[i][1] *= part;
     }
     for (int i = k - 1; i >= 0; i--) {
         for (int s = i + 1; s < k; s++) {
@@ -189,8 +190,9 @@ INLINE void substitute(int k, double (*g)[2], double (*x)[2])
             x[i][0] -= a[0] * x[s][0] + a[1] * x[s][1];
             x[i][1] -= a[0] * x[s][1] - a[1] * x[s][0];
         }
-        x[i][0] /= g[i * k + i][0];
-        x[i][1] /= g[i * k + i][0];
+        const double part = 1.0 / g[i * k + i][0];
+        x[i][0] *= part;
+        x[i][1] *= part;
     }
 }
 

@@ -6,12 +6,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tagid.errors import DataError
-from tagid.imaging.types import BasebandScans
+from tagid.imaging.types import BasebandScans, PointResponse
 from tagid.signal import median
 from tagid.tags.reading.compiled import FieldTables, read_table
 
@@ -64,7 +65,8 @@ class RangeProfiles:
             )
         start = near - 0.05
         fine = np.arange(start, far + 0.05, FINE_STEP_M)
-        basis, profiles = _range_basis(scans.response(ranges[keep][:, None] - fine[None]))
+        response, bins = scans.response.samples.tobytes(), ranges[keep].tobytes()
+        basis, profiles = _range_basis(response, scans.response.step_m, bins, fine.tobytes())
         return cls(keep, start, basis, profiles, scans.wavenumber)
 
     def coordinates(self, samples: NDArray[np.complex64]) -> NDArray[np.complex64]:
@@ -369,13 +371,28 @@ def _mean_over_views(templates: NDArray[np.complex64]) -> NDArray[np.complex64]:
     return (total / np.float32(templates.shape[-2])).view(np.complex64)
 
 
+@lru_cache(maxsize=2)
 def _range_basis(
-    profiles: NDArray[np.complex128],
+    response: bytes, step_m: float, ranges: bytes, fine: bytes
 ) -> tuple[NDArray[np.complex128], NDArray[np.complex64]]:
-    """Orthonormal basis (bins, rank) of range profiles (bins, n), and their coordinates (n, rank)."""
+    """Orthonormal basis (bins, rank) of range profiles, and their coordinates (n, rank).
+
+    The last ones are kept: captures of one radar at one distance have the same.
+
+    Args:
+        response: samples of a `PointResponse`, complex128.
+        step_m: between them, m.
+        ranges: (bins,) of a scan, float64, m.
+        fine: (n,) distances of the profiles, float64, m.
+    """
+    given = PointResponse(np.frombuffer(response, dtype=np.complex128), step_m)
+    profiles = given(np.frombuffer(ranges)[:, None] - np.frombuffer(fine)[None])
     left, size, right = np.linalg.svd(profiles, full_matrices=False)
     rank = int(np.count_nonzero(size > RANK_FLOOR * size[0]))
-    return left[:, :rank], np.ascontiguousarray((size[:rank, None] * right[:rank]).T.astype(np.complex64))
+    basis = left[:, :rank]
+    coordinates = np.ascontiguousarray((size[:rank, None] * right[:rank]).T.astype(np.complex64))
+    basis.flags.writeable = coordinates.flags.writeable = False
+    return basis, coordinates
 
 
 def _effective_half_width(scans: BasebandScans) -> float:

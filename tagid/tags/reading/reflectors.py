@@ -315,9 +315,10 @@ def distances_between(
 ) -> NDArray[np.float64]:
     """(...) distance of points (..., 2 or 3), m; heights count 1 / `height_scale` (see `MatchedField`)."""
     away = points - other
+    square = away[..., 0] ** 2 + away[..., 1] ** 2
     if away.shape[-1] == 3:
-        away = away / np.array([1.0, 1.0, height_scale])
-    return np.asarray(np.linalg.norm(away, axis=-1))
+        square = square + (away[..., 2] / height_scale) ** 2
+    return np.asarray(np.sqrt(square))
 
 
 def find_reflectors(scans: BasebandScans, settings: FinderSettings | None = None) -> tuple[Reflector, ...]:

@@ -1,0 +1,153 @@
+"""The compiled inner loops of the reading on bodies.
+
+Where no compiler was present at installation every function gives None, and callers do the same with numpy.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+_arrangements: Any
+try:
+    from tagid.tags.bodies import _arrangements  # type: ignore[attr-defined, no-redef]
+except ImportError:  # no compiler at installation
+    _arrangements = None
+if getattr(_arrangements, "ARGUMENTS", 0) != 1:  # built before the present source
+    _arrangements = None
+
+MOST_TERMS = 7
+"""Terms of a pattern, at most."""
+MOST_MOVES = 32
+"""Moves of an arrangement, at most."""
+
+
+def waves(path_m: NDArray[np.float64], wavenumbers: NDArray[np.float64]) -> NDArray[np.complex128] | None:
+    """(F, ...) exp(-j kappa path) of paths (...), m, at equally spaced wavenumbers (F,), rad/m."""
+    if _arrangements is None:
+        return None
+    path = np.ascontiguousarray(path_m, dtype=np.float64)
+    out = np.empty((len(wavenumbers), *path.shape), dtype=np.complex128)
+    _arrangements.waves(path, len(wavenumbers), float(wavenumbers[0]), _step(wavenumbers), out)
+    return out
+
+
+def set_energies(
+    gram: NDArray[np.complex64],
+    right: NDArray[np.complex64],
+    ridge: NDArray[np.float32],
+    sets: NDArray[np.intp],
+    terms: int,
+) -> NDArray[np.float64] | None:
+    """(B, H) sum over f of b^H G^-1 b, G and b the sums over the angles of a set of blocks of a ring.
+
+    Args:
+        gram: (B, F, N M, N M) inner products of the columns of B rings, of N angles and M terms each.
+        right: (B, F, N M) those with the data.
+        ridge: (B, F) added to the diagonal.
+        sets: (H, n) indices of angles.
+        terms: M.
+    """
+    if _arrangements is None or terms > MOST_TERMS:
+        return None
+    rings, frequencies = ridge.shape
+    out = np.empty((rings, len(sets)))
+    index = np.ascontiguousarray(sets, dtype=np.int32)
+    _arrangements.energies(gram, right, ridge, index, rings, frequencies, terms, sets.shape[1], out)
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class SpectraTables:
+    """Spectra in the form that the compiled loops take.
+
+    Attributes:
+        antenna: (2, V) x and y, m.
+        height: (V,) m.
+        data: (F, 2, V) real and imaginary parts.
+        scalars: first wavenumber and the step between two, rad/m; distance to which phases refer, m.
+    """
+
+    antenna: NDArray[np.float64]
+    height: NDArray[np.float64]
+    data: NDArray[np.float64]
+    scalars: tuple[float, float, float]
+
+    @classmethod
+    def of(
+        cls,
+        antenna: NDArray[np.complex128],
+        height_m: NDArray[np.float64],
+        data: NDArray[np.complex128],
+        wavenumbers: NDArray[np.float64],
+        distance_m: float,
+    ) -> SpectraTables:
+        """The tables of `Spectra` of these fields."""
+        return cls(
+            np.stack([antenna.real, antenna.imag]),
+            np.ascontiguousarray(height_m, dtype=np.float64),
+            np.stack([data.real, data.imag], axis=1),
+            (float(wavenumbers[0]), _step(wavenumbers), distance_m),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Arrangements:
+    """Rows of `Batch`, as the compiled loop takes them: see there for the fields."""
+
+    at: NDArray[np.float64]
+    radii: NDArray[np.float64]
+    heights: NDArray[np.float64]
+    present: NDArray[np.float64]
+    tilt: NDArray[np.float64]
+    terms: NDArray[np.float64]
+    moves: NDArray[np.float64]
+
+    def fits(self) -> bool:
+        """Whether the compiled loop takes so many terms and moves, and runs at all."""
+        small = self.terms.max() <= MOST_TERMS and self.moves.shape[1] <= MOST_MOVES
+        return _arrangements is not None and bool(small)
+
+    def left(
+        self, spectra: SpectraTables, echoes: NDArray[np.complex128], steps: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """(H,) energies left, see `linear`."""
+        none = np.empty(0)
+        return self._linear(spectra, echoes[:1], steps, none, none)
+
+    def linear(
+        self, spectra: SpectraTables, echoes: NDArray[np.complex128], steps: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Energies left (H,), and real inner products of the slopes (H, P, P) and with what is left (H, P).
+
+        Args:
+            spectra: the scans.
+            echoes: (B, H, F, V) of the body at its place, and moved along each of its coordinates; B = 0 for
+                no body.
+            steps: (3,) by how much it was moved, m and rad.
+        """
+        rows, moves = self.moves.shape[:2]
+        normal, gradient = np.empty((rows, moves, moves)), np.empty((rows, moves))
+        return self._linear(spectra, echoes, steps, normal, gradient), normal, gradient
+
+    def _linear(
+        self,
+        spectra: SpectraTables,
+        echoes: NDArray[np.complex128],
+        steps: NDArray[np.float64],
+        normal: NDArray[np.float64],
+        gradient: NDArray[np.float64],
+    ) -> NDArray[np.float64]:
+        left = np.empty(len(self.at))
+        rows = (self.at, self.radii, self.heights, self.present, self.tilt, self.terms, self.moves)
+        plain = (np.ascontiguousarray(one, dtype=np.float64) for one in rows)
+        there = spectra.antenna, spectra.height, spectra.data, spectra.scalars
+        _arrangements.linear(*there, *plain, np.ascontiguousarray(echoes), steps, left, normal, gradient)
+        return left
+
+
+def _step(wavenumbers: NDArray[np.float64]) -> float:
+    return float(wavenumbers[1] - wavenumbers[0]) if len(wavenumbers) > 1 else 0.0
