@@ -30,8 +30,9 @@ LEAST_TURNS = 0.25
 _ANCHOR_TURNS = 0.08
 _SMOOTHED_TURNS = 0.012
 _SIGMAS = 4.5
-_VISIBLE = 0.15
-"""Largest change that noise could hide over the lag of the usual change, as a share of it."""
+_VISIBLE, _VISIBLE_BETWEEN = 0.25, 0.15
+"""Largest change that noise could hide over the lag of the usual change, as a share of it: where the
+recording ends with the standstill, and where the object would have gone on."""
 _ABRUPT = 0.3
 """Smallest change beside the standstill, as a share of the usual change over the same angle."""
 _SHOWN = 0.4
@@ -149,9 +150,10 @@ class _Witness:
         still, last = self._still, len(self._echo) - 1
         if self._turns[still.stop - 1] - self._turns[still.first] < LEAST_TURNS or self._usual <= 0:
             return False
-        if _SIGMAS * self._spread / np.sqrt(max(self._width, self._lag)) > _VISIBLE * self._usual:
-            return False
         begins, ends = still.first > 0, still.stop <= last
+        visible = _VISIBLE_BETWEEN if ends else _VISIBLE
+        if _SIGMAS * self._spread / np.sqrt(max(self._width, self._lag)) > visible * self._usual:
+            return False
         if not begins or (ends and not self._abrupt(still.stop + self._lag, still.stop, last + 1)):
             return False
         if not self._abrupt(still.first - 1 - self._lag, 0, still.first):
@@ -182,7 +184,7 @@ class _Witness:
         background = self._echo[moving].mean(axis=0)
         chance = self._noise * (1 / (len(moving) - moving.sum()) + 1 / moving.sum())
         shown = float(((self._mean - background) ** 2).sum()) - chance
-        return shown >= _SHOWN * self._usual
+        return bool(shown >= _SHOWN * self._usual)
 
     def _abrupt(self, centre: int, low: int, high: int) -> bool:
         """Whether the scans around one differ from the still ones about as usual."""

@@ -6,16 +6,20 @@ A free table is not monitored; a device that measures its angle may turn without
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tagid.angles.period import NOMINAL_TOLERANCE
 from tagid.angles.standstill import Still, find_standstill
 from tagid.capture import Capture
 from tagid.errors import DataError
 from tagid.metadata import ResolvedMotion, Standstill
-from tagid.motion.device import Motion
 from tagid.pipeline.resolve import clock_of
+
+if TYPE_CHECKING:
+    from tagid.motion.device import Motion
 
 _SCALES = 3.2
 _LEAST_SCALE = 0.03
@@ -73,12 +77,8 @@ def held(capture: Capture, found: Capture, table: Motion) -> Capture | None:
         kept[moving], spread[moving] = some.angles_rad, some.sigma_rad
         sigma, info = spread, replace(some.info, scan_period_s=resolved.scan_period_s)
         info = replace(info, clock_residual_ms=resolved.clock_residual_ms)
-    stopped_at = float(np.degrees(np.abs(kept[still.first] - kept[0])))
-    info = replace(
-        info,
-        turns=float(np.ptp(kept) / (2 * np.pi)),
-        standstill=_facts(still, times, stopped_at),
-    )
+    turned = np.abs(kept - kept[0]) / (2 * np.pi)
+    info = replace(info, turns=float(turned.max()), standstill=standstill_facts(still, times, turned))
     motion = replace(found.motion, resolved=info)
     return replace(found, angles_rad=kept, angle_sigma_rad=sigma, motion=motion)
 
@@ -95,7 +95,8 @@ def stopped_error(capture: Capture) -> TurnStoppedError | None:
     still = find_standstill(capture.samples, turns, 0.0)
     if still is None or still.stop < capture.views or still.first > _MOVED * capture.views:
         return None
-    return TurnStoppedError(f"{stopped_words(_facts(still, times, None))}, and no turn was complete", REMEDY)
+    where = stopped_words(standstill_facts(still, times, None))
+    return TurnStoppedError(f"{where}, and no turn was complete", REMEDY)
 
 
 def stopped_words(found: Standstill) -> str:
@@ -117,17 +118,28 @@ def without_standstill(capture: Capture) -> Capture:
     found = None if resolved is None else resolved.standstill
     if found is None or capture.views != found.of_scans:
         return capture
-    return capture.select(_moving(Still(found.first_scan, found.first_scan + found.scans), capture.views))
+    still = Still(found.first_scan, found.first_scan + found.scans)
+    return capture.select(np.flatnonzero(_moving(still, capture.views)))
 
 
-def _moving(still: Still, count: int) -> np.ndarray:
+def _moving(still: Still, count: int) -> NDArray[np.bool_]:
     """(count,) True for the scans before and after a standstill, and for its first one."""
     moving = np.ones(count, dtype=bool)
     moving[still.first + 1 : still.stop] = False
     return moving
 
 
-def _facts(still: Still, times: np.ndarray, turned_deg: float | None) -> Standstill:
+def standstill_facts(
+    still: Still, times: NDArray[np.float64], turns: NDArray[np.float64] | None
+) -> Standstill:
+    """A standstill as it is stored.
+
+    Args:
+        still: its scans.
+        times: (scans,) s.
+        turns: (scans,) turns since the first scan; None where the speed is not known.
+    """
+    turned_deg = None if turns is None else 360 * float(turns[still.first])
     goes_on = still.stop < len(times)
     seconds = float(times[min(still.stop, len(times) - 1)] - times[still.first])
     return Standstill(still.first, still.stop - still.first, len(times), seconds, turned_deg, goes_on)

@@ -68,6 +68,9 @@ def resolve_turn(capture: Capture, motion: str | None = None) -> Capture:
         return _with_checked_speed(capture, first, table.nominal_s)
     if resolved is None or resolved.period_s is None or resolved.turns is None:
         return first
+    # Scans of a standstill resemble each other at any period.
+    if stopped_at := stopped_error(capture):
+        raise stopped_at
     shortest, turns = resolved.period_s, resolved.turns
     direction = "cw" if table.direction < 0 else "ccw"
     candidates: dict[int, Capture] = {}
