@@ -17,9 +17,11 @@ from tagid.capture import Capture
 from tagid.errors import DataError
 from tagid.metadata import ResolvedMotion, Standstill
 from tagid.pipeline.resolve import clock_of
+from tagid.tags.verdicts.verdict import ADVICE, Code
 
 if TYPE_CHECKING:
     from tagid.motion.device import Motion
+    from tagid.tags.matching.reading import Reading
 
 _SCALES = 3.2
 _LEAST_SCALE = 0.03
@@ -29,7 +31,10 @@ _ASSUMED_TURNS = 4.0
 _MOVED = 0.25
 """Without a speed: largest share of the recording before the stop. An object that turned would have shown
 its other sides in the rest."""
-REMEDY = "Check what holds the table, and its supply, then record a full turn again."
+REMEDY = ADVICE[Code.STOPPED]
+LEAST_NAMED_TURNS = 0.58
+"""Smallest part of a turn that names an object: a reflector on an opaque object is seen up to 75 degrees
+aside, so before that some side has not been seen, and what is there may be more than the layout has."""
 
 
 class TurnStoppedError(DataError):
@@ -97,6 +102,18 @@ def stopped_error(capture: Capture) -> TurnStoppedError | None:
         return None
     where = stopped_words(standstill_facts(still, times, None))
     return TurnStoppedError(f"{where}, and no turn was complete", REMEDY)
+
+
+def checked_reading(reading: Reading, capture: Capture) -> Reading:
+    """The reading, without its name if the turn stopped before every side of the object was seen."""
+    resolved: ResolvedMotion | None = capture.motion.resolved
+    found = None if resolved is None else resolved.standstill
+    if found is None or reading.status != "identified":
+        return reading
+    if resolved is None or resolved.turns is None or resolved.turns >= LEAST_NAMED_TURNS:
+        return reading
+    reason = f"{stopped_words(found)}, and until then the scans show {reading.layout}, but not every side"
+    return replace(reading, status="unknown", layout=None, code=Code.STOPPED, reason=reason, bound=None)
 
 
 def stopped_words(found: Standstill) -> str:

@@ -126,6 +126,17 @@ def test_a_tag_is_read_from_the_part_before_the_stop() -> None:
     assert spoilt.status != "identified", "with the angles of a table that turned on"
 
 
+def test_less_than_most_of_a_turn_names_nothing() -> None:
+    """A reflector on the far side would be one more than the layout has."""
+    capture = recording("helmet-120", path(0.45), 20, 4)
+    answer = identify(load_capture(capture), list(builtin_layouts().values()))
+    assert (answer.status, answer.reading.layout) == ("unknown", None)
+    assert answer.reading.code.value == "turn_stopped" and answer.reading.advice.startswith(
+        "Check what holds"
+    )
+    assert "show helmet-120, but not every side" in answer.reading.reason
+
+
 @pytest.mark.parametrize("name", ["container-90", "helmet-120"])
 def test_a_stop_without_a_speed_is_an_error_of_its_own(name: str) -> None:
     true = path(0.6, turns=4.0)
