@@ -167,6 +167,21 @@ def test_of_two_hundred_connections_a_bounded_number_is_served(serve) -> None:
     last.close()
 
 
+def test_a_station_that_is_closed_checks_nothing_more(serve) -> None:
+    """The web server still ticks for a moment, and nobody would wait for the thread."""
+    checks: list[object] = []
+    one = serve(check=lambda config: checks.append(config) or [])
+    station = one._station
+    page, _ = joined(one.port)
+    wait(lambda: station.health.checked_at)
+    station.close()
+    before = len(checks)
+    station._health_due = 0.0
+    station.tick()
+    assert len(checks) == before and not any(t.name == "station-health" for t in threading.enumerate())
+    page.close()
+
+
 @pytest.mark.parametrize("sent", [b"", b"GET / HTTP/1.1\r\nHost: "], ids=["nothing", "half a request"])
 def test_connections_that_ask_for_nothing_keep_nobody_out(serve, sent: bytes) -> None:
     """Three hundred of them; each request that follows is answered at once, not after they have expired."""
