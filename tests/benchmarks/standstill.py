@@ -49,7 +49,6 @@ BODIES = (
     ("container-90", "can:28mm"),
     ("container-180", "cup:33mm,wall=4mm"),
     ("helmet-120", "helmet:100mm"),
-    ("points-1", "can:33mm"),
     ("untagged", "cup:33mm,wall=4mm,handle"),
     ("untagged", "can:33mm,seam"),
 )
