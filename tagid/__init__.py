@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from tagid.metadata import ResolvedMotion as ResolvedMotion
     from tagid.metadata import ScanGap as ScanGap
     from tagid.metadata import SimulatedTruth as SimulatedTruth
+    from tagid.metadata import Standstill as Standstill
     from tagid.metadata import Track as Track
     from tagid.motion.device import Motion as Motion
     from tagid.pipeline.answer import Cause as Cause
@@ -157,6 +158,7 @@ _HOMES = {
     "ResolvedMotion": "tagid.metadata",
     "ScanGap": "tagid.metadata",
     "SimulatedTruth": "tagid.metadata",
+    "Standstill": "tagid.metadata",
     "Track": "tagid.metadata",
     "Motion": "tagid.motion.device",
     "Cause": "tagid.pipeline.answer",

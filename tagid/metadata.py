@@ -242,6 +242,26 @@ class RadarInfo(JsonValue):
 
 
 @dataclass(frozen=True)
+class Standstill(JsonValue):
+    """A part of a recording in which the object stood still although it should have turned.
+
+    Attributes:
+        first_scan: index of its first scan.
+        scans, of_scans: its number of scans, and that of the recording.
+        seconds: its duration, s.
+        turned_deg: angle at which the object stopped, not negative; None where the speed is not known.
+        goes_on: whether the object turned again afterwards.
+    """
+
+    first_scan: int
+    scans: int
+    of_scans: int
+    seconds: float
+    turned_deg: float | None = None
+    goes_on: bool = False
+
+
+@dataclass(frozen=True)
 class ResolvedMotion(JsonValue):
     """How the angles of a capture were found.
 
@@ -265,6 +285,7 @@ class ResolvedMotion(JsonValue):
         robot, wheel_base_mm, calibrated: of a Roomba.
         table: device of a commanded table.
         reversed: whether its directions are swapped.
+        standstill: where the scans show that the object stopped; its angle is held there.
         extra: what else the device reports.
     """
 
@@ -299,6 +320,7 @@ class ResolvedMotion(JsonValue):
     calibrated: bool | None = None
     table: str | None = None
     reversed: bool | None = None
+    standstill: Standstill | None = None
     extra: Mapping[str, Any] = field(default_factory=dict)
 
 

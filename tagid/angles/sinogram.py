@@ -116,6 +116,23 @@ def _band_filtered(x: NDArray[np.float32], both: NDArray[np.bool_], parts: int) 
     return np.asarray(np.fft.irfft(spectrum * share, bins, axis=2).reshape(x.shape), dtype=np.float32)
 
 
+def moving_echo(x: NDArray[np.float32], both: NDArray[np.bool_], parts: int = 1) -> NDArray[np.float32]:
+    """The columns of scans in which an echo changes, weighted by its share of their energy.
+
+    Args:
+        x: (scans, bins) without their mean.
+        both: (scans - 1,) True where a scan and the next one were received.
+        parts: 2 where real and imaginary parts are side by side.
+
+    Returns:
+        (scans, columns); no columns where nothing correlates between scans.
+    """
+    x = _band_filtered(x, both, parts)
+    weights = _repeating_share(x, both)
+    chosen = np.flatnonzero(weights)
+    return np.asarray(x[:, chosen] * weights[chosen].astype(np.float32))
+
+
 def _slow_time_lowpass(x: NDArray[np.float32]) -> tuple[NDArray[np.float32], float]:
     """Scans after a low-pass that keeps 98 % of the energy above the noise's flat slow-time spectrum.
 
@@ -148,15 +165,12 @@ def autocorrelate(samples: NDArray[np.generic], times_s: NDArray[np.floating]) -
     x, received, step = uniform_grid(samples, times_s)
     x[received] -= x[received].mean(axis=0)
     both = received[1:] & received[:-1]
-    x = _band_filtered(x, both, 2 if np.iscomplexobj(samples) else 1)
-    weights = _repeating_share(x, both)
-    chosen = np.flatnonzero(weights)
-    if len(chosen) == 0:
+    x = moving_echo(x, both, 2 if np.iscomplexobj(samples) else 1)
+    if x.shape[1] == 0:
         raise DataError(
             "nothing in the scans moves: the period cannot be found",
             "Check that the table turns and that the range window covers it.",
         )
-    x = x[:, chosen] * weights[chosen].astype(np.float32)
     signal = _signal_energy(x, both)
     x, independent = _slow_time_lowpass(x)
     n = len(x)

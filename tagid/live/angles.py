@@ -6,6 +6,7 @@ They are for display; the stored capture gets its angles from the whole recordin
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -14,16 +15,20 @@ from numpy.typing import NDArray
 
 from tagid.angles.align import align
 from tagid.angles.clock import fit_clock
-from tagid.angles.period import MIN_TURNS
+from tagid.angles.period import MIN_TURNS, NOMINAL_TOLERANCE
+from tagid.angles.standstill import LEAST_TURNS, Still, find_standstill
 from tagid.errors import DataError
 from tagid.metadata import Track
 from tagid.motion.device import Motion
+from tagid.pipeline.standstill import standstill_facts, stopped_words
 from tagid.radar.assembler import Scan
 
 _FEWEST_FITTED = 8
 _FEWEST_SEARCHED = 40
 _SEARCHED_TURNS = MIN_TURNS + 0.02
 """Turns at the nominal speed after which the period is estimated."""
+_LOOK_S, _LOOK_SHARE = 1.0, 0.05
+"""Least time between two searches for a standstill, s, and their largest share of the time."""
 _MOST_SEARCHED = 1000
 """Maximum number of scans of the search and of the alignment; more are decimated, to keep them within a
 fraction of a second."""
@@ -41,10 +46,18 @@ class LiveAngles:
         self._period_s = motion.nominal_s
         self._from_data = False
         self._tried = False
+        self._still: Still | None = None
+        self._next_look_s = 0.0
+        self._stopped = ""
 
     def learn(self, period_s: float) -> None:
         """Use a period that was found in the scans, s per turn."""
         self._period_s, self._from_data = period_s, True
+
+    @property
+    def stopped(self) -> str:
+        """Where the object stopped, in words, if the scans show it at a nominal speed; else empty."""
+        return self._stopped
 
     def of(self, scans: Sequence[Scan]) -> NDArray[np.float64] | None:
         """(scans,) angle relative to the first scan, rad; None while unknown."""
@@ -56,7 +69,32 @@ class LiveAngles:
         self._search(scans, times)
         if self._period_s is None:
             return None
-        return np.asarray(self._motion.direction * 2 * math.pi / self._period_s * times)
+        turns = times / self._period_s
+        if self._motion.nominal_s is not None:
+            self._look_for_a_stop(scans, times, turns)
+        if self._still is not None:
+            last = min(self._still.stop, len(turns) - 1)
+            stood = turns[last] - turns[self._still.first]
+            turns[self._still.stop :] -= stood
+            turns[self._still.first : self._still.stop] = turns[self._still.first]
+        return np.asarray(self._motion.direction * 2 * math.pi * turns)
+
+    def _look_for_a_stop(
+        self, scans: Sequence[Scan], times: NDArray[np.float64], turns: NDArray[np.float64]
+    ) -> None:
+        """Look for a standstill, from time to time, within a small share of the time."""
+        now = time.monotonic()
+        if now < self._next_look_s or turns[-1] < LEAST_TURNS:
+            return
+        every = -(-len(scans) // _MOST_SEARCHED)
+        samples = np.stack([scan.samples for scan in scans[::every]])
+        found = find_standstill(samples, turns[::every], NOMINAL_TOLERANCE)
+        self._next_look_s = time.monotonic() + max(_LOOK_S, (time.monotonic() - now) / _LOOK_SHARE)
+        if found is not None:
+            last = found.stop == len(samples)
+            found = Still(found.first * every, len(scans) if last else found.stop * every)
+        self._still = found
+        self._stopped = "" if found is None else stopped_words(standstill_facts(found, times, turns))
 
     def _search(self, scans: Sequence[Scan], times: NDArray[np.float64]) -> None:
         """Correct a nominal speed once the scans cover more than one turn.

@@ -91,6 +91,7 @@ class LiveView:
         self._last_scan_at: float | None = None
         self._answer_at: float | None = None
         self._no_image = False
+        self._stopped = ""
         self._over = False
         grid = settings.imaging
         self._grid = ImageGrid(grid.extent_m, min(grid.pixels, MAX_PIXELS))
@@ -155,6 +156,10 @@ class LiveView:
         self._answered(answer)
         self._stored = prepared
         self._wake.set()
+
+    def explain(self, answer: Identification) -> None:
+        """Replace the final answer by the same one with its likely causes."""
+        self._publish(answer=answer)
 
     def note(self, text: str) -> None:
         """Show a remark."""
@@ -257,6 +262,8 @@ class LiveView:
         shown: dict[str, object] = {}
         if angles is not None:
             shown["turned_rad"] = float(np.abs(angles).max())
+        if self._angles.stopped != self._stopped:
+            self._stopped = shown["note"] = self._angles.stopped
         if angles is not None and session.plan.axis_distance_m is not None and not self._no_image:
             # Before the views: where the speed is found late, all of them are formed at once.
             self._read_ahead(session, angles)

@@ -20,7 +20,8 @@ class Cause:
     """A likely cause of a failed identification.
 
     Attributes:
-        code: "speed", "scans_lost", "partial_turn", "axis_distance" or "off_centre"; stable, for programs.
+        code: "speed", "turn_stopped", "scans_lost", "partial_turn", "axis_distance" or "off_centre"; stable,
+            for programs.
         text: what the scans show.
         remedy: what to do.
     """

@@ -1,8 +1,8 @@
 """Diagnosis of objects that were not named: the likely cause in the recording, and its remedy.
 
 A verdict (`tagid.tags.verdicts`) states which test failed. This module searches for the cause: a wrong
-speed, lost scans, a partial revolution, a wrong axis distance, an object off the axis. A cause is stated only
-if the scans confirm it; it never changes the answer.
+speed, a turn that stopped, lost scans, a partial revolution, a wrong axis distance, an object off the axis. A
+cause is stated only if the scans confirm it; it never changes the answer.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from tagid.pipeline.axis_search import bright_offsets
 from tagid.pipeline.identify import identify
 from tagid.pipeline.prepared import PreparedCapture
 from tagid.pipeline.resolve import speed_contradiction
+from tagid.pipeline.standstill import REMEDY, stopped_words
 from tagid.signal import median
 from tagid.tags.layouts.layout import Layout
 from tagid.tags.reading.reflectors import Reflector
@@ -114,7 +115,9 @@ def recording_remarks(capture: Capture) -> tuple[str, ...]:
     remarks = []
     if told := speed_contradiction(capture.motion.resolved):
         remarks.append(told)
-    if cause := _uncovered(capture):
+    if cause := _stopped(capture):
+        remarks.append(f"{cause.text}; the scans meanwhile are not used")
+    elif cause := _uncovered(capture):
         remarks.append(f"{cause.text}; reflectors that face away in all of them are not seen")
     return tuple(remarks)
 
@@ -152,9 +155,17 @@ def _of_the_turn(capture: Capture) -> list[Cause]:
                 "which estimates the speed from the scans.",
             )
         )
-    if cause := _uncovered(capture):
+    if cause := _stopped(capture) or _uncovered(capture):
         causes.append(cause)
     return causes
+
+
+def _stopped(capture: Capture) -> Cause | None:
+    """The cause of a turn that stopped, as the scans have shown when its angles were found."""
+    resolved = capture.motion.resolved
+    if resolved is None or resolved.standstill is None:
+        return None
+    return Cause("turn_stopped", stopped_words(resolved.standstill), REMEDY)
 
 
 def _of_the_axis(prepared: PreparedCapture, layouts: Sequence[Layout]) -> list[Cause]:

@@ -14,6 +14,7 @@ from tagid.imaging.preprocess import PreprocessSettings
 from tagid.pipeline.answer import Identification
 from tagid.pipeline.prepared import PreparedCapture, as_prepared
 from tagid.pipeline.settings import ImagingSettings, Stopwatch
+from tagid.pipeline.standstill import checked_reading
 
 if TYPE_CHECKING:
     from tagid.tags.bodies.hypothesis import Enrolled
@@ -66,6 +67,7 @@ def identify(
     with watch.stage("read"):
         enrolled = enrolled_hypotheses(prepared.given, signatures, prepared.settings)
         reading = read_tag(scans, layouts, _reader_settings(prepared.settings, spent), enrolled)
+        reading = checked_reading(reading, prepared.given)
     with watch.stage("look again"):
         second = _second_look(prepared, reading)
     labels = {one.name: one.label for one in signatures if one.kind == "object"}

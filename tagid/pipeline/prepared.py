@@ -18,6 +18,7 @@ from tagid.imaging.types import BasebandScans
 from tagid.pipeline.join import heights_of, without_background_of_each_height
 from tagid.pipeline.resolve import has_angles, one_turn
 from tagid.pipeline.settings import ImagingSettings, Progress, Stopwatch
+from tagid.pipeline.standstill import without_standstill
 
 if TYPE_CHECKING:
     from tagid.imaging.pulsefit import PulseEstimate
@@ -48,6 +49,7 @@ def prepare(
         capture = resolve_turn(capture, motion)
     if capture.antenna_positions_m is not None:
         return one_turn(capture, MAX_VIEWS)
+    capture = without_standstill(capture)
     return one_turn(capture, min(views_needed(extent_m, capture.wavelength_m), MAX_VIEWS))
 
 

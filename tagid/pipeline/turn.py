@@ -20,6 +20,7 @@ from tagid.imaging.sparse import omp
 from tagid.motion.urls import open_motion
 from tagid.pipeline.axis_search import bright_offsets
 from tagid.pipeline.resolve import has_angles, one_turn, with_angles
+from tagid.pipeline.standstill import held, stopped_error
 
 MULTIPLES = (1, 2, 3, 4)
 """Symmetries that are tested: a tag of four reflectors can repeat four times per turn."""
@@ -40,25 +41,36 @@ at 15 dB, wrong speeds leave 0.14 to 0.8, the true one 0.02 to 0.1."""
 def resolve_turn(capture: Capture, motion: str | None = None) -> Capture:
     """The capture with angles; a period estimated from the data is checked for being a fraction of a turn.
 
+    Where the scans show that the object stopped, its angle is held.
+
     Args:
         capture: any capture; existing angles and positions are kept unless a motion is given.
         motion: device URL; None estimates the period from the data.
 
     Raises:
-        DataError: no times, or no period. UsageError: a bad URL.
+        DataError: no times, or no period; TurnStoppedError where the object stopped before one was seen.
+        UsageError: a bad URL.
     """
     if motion is None and has_angles(capture):
         return capture
-    first = with_angles(capture, motion)
+    try:
+        first = with_angles(capture, motion)
+    except DataError as error:
+        raise stopped_error(capture) or error from error
     resolved = first.motion.resolved
     url = first.motion.url or "free"
     table = open_motion(url)
+    if stopped := held(capture, first, table):
+        return stopped
     if table.measures or capture.axis_distance_m is None:
         return first
     if table.nominal_s is not None:
         return _with_checked_speed(capture, first, table.nominal_s)
     if resolved is None or resolved.period_s is None or resolved.turns is None:
         return first
+    # Scans of a standstill resemble each other at any period.
+    if stopped_at := stopped_error(capture):
+        raise stopped_at
     shortest, turns = resolved.period_s, resolved.turns
     direction = "cw" if table.direction < 0 else "ccw"
     candidates: dict[int, Capture] = {}

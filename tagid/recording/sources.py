@@ -40,6 +40,8 @@ def emulated_scene(name: str, options: dict[str, str]) -> TurningScene:
     Options: `seed`, `rpm` (6), `axis_distance` (1.0 m), `antenna_height` (0 m), `antenna_separation` (0 m,
     between a transmitting and a receiving antenna), `snr` (20 dB, per reflector), `cable_delay` (0, two-way
     ps), `centre` (X,Y in metres off the axis), `rotation` (0 degrees), `wobble` (0, relative, of the speed),
+    `stop` (turns since the first scan after which the table stops) with `stop_s` (how long it then stands;
+    for ever unless given),
     `antenna_height_file` (a text file with the height in metres, read before every scan, so that a program
     can move the emulated antenna), `elevation` (0m), `body` and `reflector` (see
     `tagid.simulate.specification`), `file` (TOML file of layouts), `budget` (1: SNR and range law from the
@@ -62,10 +64,11 @@ def emulated_scene(name: str, options: dict[str, str]) -> TurningScene:
         scene_on_body,
     )
     from tagid.simulate.presets import is_plain
-    from tagid.simulate.source import TurningScene
+    from tagid.simulate.source import Stop, TurningScene
     from tagid.tags.enrolling.lookup import named_layouts
 
     values = {"seed": 0.0, "rpm": 6.0, "axis_distance": 1.0, "snr": 20.0, "cable_delay": 0.0}
+    values |= {"stop": math.inf, "stop_s": math.inf}
     values |= dict.fromkeys(("rotation", "wobble", "antenna_height", "antenna_separation", "budget"), 0.0)
     texts = {"turned_by": "", "centre": "0,0", "elevation": "0m", "body": "", "reflector": "", "file": ""}
     texts["antenna_height_file"] = ""
@@ -107,7 +110,8 @@ def emulated_scene(name: str, options: dict[str, str]) -> TurningScene:
         scene = scene_from_name(name, seed, layouts)
     delay_s = values["cable_delay"] * 1e-12
     lift = HeightFile(Path(texts["antenna_height_file"])) if texts["antenna_height_file"] else None
-    return TurningScene(scene, values["rpm"], seed, acquisition, delay_s, turner, lift)
+    stop = Stop(values["stop"], values["stop_s"]) if math.isfinite(values["stop"]) else None
+    return TurningScene(scene, values["rpm"], seed, acquisition, delay_s, turner, lift, stop)
 
 
 class HeightFile:

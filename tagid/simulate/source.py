@@ -6,8 +6,9 @@ time contain the same echo.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -28,6 +29,26 @@ NOISE_COUNTS = 120.0
 NOISE_INDEX = 11
 _LEVEL_VIEWS = 72
 """Views per turn over which the peaks for the SNR are computed."""
+
+
+@dataclass(frozen=True)
+class Stop:
+    """A table that stops, as if it were held.
+
+    Attributes:
+        after_turns: turns since the first scan of a run.
+        seconds: how long it stands, s; infinite where it does not go on.
+    """
+
+    after_turns: float
+    seconds: float = math.inf
+
+    def __post_init__(self) -> None:
+        if not (0 <= self.after_turns < math.inf and self.seconds > 0):
+            raise UsageError(
+                f"the emulated table stops after {self.after_turns} turns for {self.seconds} s",
+                "Give zero turns or more, and more than zero seconds.",
+            )
 
 
 class ScanConfig(Protocol):
@@ -65,6 +86,7 @@ class TurningScene:
             positive noise_std, at the same index, replaces it.
         cable_delay_s: two-way delay in addition to the path through the air, s.
         true_angle: replaces rpm: function from time.monotonic() to the angle, rad.
+        stop: when the table stops; None for never. Not with `true_angle`.
         antenna_height: replaces the acquisition's height: function that returns the current height of the
             antenna above the object's plane, m, called for every scan.
 
@@ -81,6 +103,7 @@ class TurningScene:
         cable_delay_s: float = 0.0,
         true_angle: Callable[[float], float] | None = None,
         antenna_height: Callable[[], float] | None = None,
+        stop: Stop | None = None,
     ) -> None:
         if not (np.isfinite(rpm) and 0 <= rpm <= 1000):
             raise UsageError(f"the emulated table turns at {rpm} rpm", "Give 0 to 1000 turns per minute.")
@@ -97,6 +120,8 @@ class TurningScene:
         self._noise = acq.noise_std or noise_std_for(snr_db, levels.of(acq.snr_reference))
         self.snr = Snr.of(levels, self._noise)
         self._true_angle = true_angle
+        self._stop = stop
+        self._began_s = 0.0
         self._antenna_height = antenna_height
         self._monotonic: Callable[[float], float] | None = None
         self._room: tuple[RangeWindow, NDArray[np.complex128]] | None = None
@@ -112,7 +137,7 @@ class TurningScene:
     def _turns(self, time_s: float) -> float:
         """Turns since the start."""
         if self._true_angle is None:
-            return time_s * self.rpm / 60
+            return self._moved_s(time_s) * self.rpm / 60
         if self._monotonic is None:
             raise UsageError(
                 "a scene rotated by another device needs an emulated radar in real time", "Give rate=1."
@@ -120,6 +145,13 @@ class TurningScene:
         # The angle includes the direction of rotation.
         angle = self._true_angle(self._monotonic(time_s))
         return self._turn.direction * angle / (2 * np.pi)
+
+    def _moved_s(self, time_s: float) -> float:
+        """Time for which the table has turned, s."""
+        if self._stop is None or not self.rpm:
+            return time_s
+        stops_s = self._began_s + self._stop.after_turns * 60 / self.rpm
+        return min(time_s, max(stops_s, time_s - self._stop.seconds))
 
     def angle(self, time_s: float) -> float:
         """True object angle at a time since the start, rad."""
@@ -159,6 +191,8 @@ class TurningScene:
         Returns:
             (config.samples,) int32, counts.
         """
+        if index == 0:
+            self._began_s = time_s
         rng = np.random.default_rng([self.seed & 0xFFFFFFFF, index & 0xFFFFFFFF])
         noise = NOISE_COUNTS * 2.0 ** ((config.base_integration_index - NOISE_INDEX) / 2)
         shape, ranges = self._acquisition.noise, self.window(config).ranges_m

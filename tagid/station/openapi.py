@@ -225,6 +225,7 @@ def _schemas() -> dict[str, Any]:
         reason=text,
         reason_code=text,
         advice=text,
+        causes={"type": "array", "items": _object(code=text, text=text, remedy=text)},
         capture_uuid={"type": ["string", "null"]},
     )
     evidence = _object(

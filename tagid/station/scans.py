@@ -19,6 +19,7 @@ from tagid.metadata import ScanGap
 from tagid.motion.device import Motion
 from tagid.motion.urls import open_motion
 from tagid.pipeline.answer import Identification
+from tagid.pipeline.diagnosis import recording_remarks, with_causes
 from tagid.pipeline.identify import identify
 from tagid.pipeline.load import load_capture
 from tagid.pipeline.prepared import PreparedCapture
@@ -153,7 +154,9 @@ class ScanRun:
                 self._remember(Identification("failed", None, capture.uuid, None, error=entry), paths[-1])
                 raise
             self._view.settle(loaded, answer)
-        self._remark = "; ".join(notes(capture.radar))
+        answer = with_causes(answer, prepared, self._known.layouts)
+        self._view.explain(answer)
+        self._remark = "; ".join((*notes(capture.radar), *recording_remarks(loaded)))
         self._draw(answer, paths[-1])
         self._remember(answer, paths[-1])
         if self._then is not None:

@@ -19,7 +19,7 @@ from tagid.station.station import Station
 from tagid.station.web import build
 
 MAX_SOCKETS = 256
-"""Open connections, WebSockets included; more are closed at once."""
+"""Open connections, WebSockets included; for one more, that which has asked for nothing longest is closed."""
 HEADER_S = 10.0
 """Time after which a connection without a complete request is closed, s."""
 PING_S = 4.0
@@ -34,14 +34,36 @@ class StationHttp(H11Protocol):
     """HTTP with limits on connections, on the arrival of a request, and on the reading of a response."""
 
     _stalled: asyncio.TimerHandle | None = None
+    _waits_since = 0.0
+    _aborted = False
 
     def connection_made(self, transport: Any) -> None:
-        """Accept the connection, unless there are too many."""
-        if len(self.connections) >= MAX_SOCKETS:
+        """Accept the connection, unless there are too many and each of them is served."""
+        self._waits_since = self.loop.time()
+        if len(self.connections) >= MAX_SOCKETS and not self._make_room():
             transport.abort()
             return
         super().connection_made(transport)
         self.loop.call_later(HEADER_S, self._expire, None)
+
+    def _make_room(self) -> bool:
+        """Close the connection that has waited longest for a request; False if none waits.
+
+        Connections that ask for nothing, in whatever number, would otherwise keep others out for `HEADER_S`.
+        """
+        idle = [one for one in self.connections if isinstance(one, StationHttp) and one._idle]
+        if not idle:
+            return False
+        # Those without any request first: a browser keeps its connection for the next one.
+        oldest = min(idle, key=lambda one: (one.cycle is not None, one._waits_since))
+        oldest._aborted = True
+        oldest.transport.abort()
+        return True
+
+    @property
+    def _idle(self) -> bool:
+        """Whether it waits for a request."""
+        return not self._aborted and (self.cycle is None or self.cycle.response_complete)
 
     def connection_lost(self, exc: Exception | None) -> None:
         """End the connection; one that was refused was never counted."""
@@ -67,6 +89,7 @@ class StationHttp(H11Protocol):
     def on_response_complete(self) -> None:
         """Wait for the next request as long as for the first."""
         super().on_response_complete()
+        self._waits_since = self.loop.time()
         self.loop.call_later(HEADER_S, self._expire, self.cycle)
 
     def _expire(self, cycle: Any) -> None:

@@ -82,6 +82,7 @@ class Station:
         self._health_thread: threading.Thread | None = None
         self._health_due = 0.0
         self._failed_seen = 0
+        self._closed = False
 
     @property
     def scan(self) -> ScanRun | None:
@@ -195,7 +196,8 @@ class Station:
         waiting = self._health_thread is None or not self._health_thread.is_alive()
         if idle and self._scan is not None and self._scan.device_failed and self._failed_seen != self._count:
             self._failed_seen, self._health_due = self._count, now
-        if self.operators.connected and idle and waiting and now >= self._health_due:
+        due = self.operators.connected and idle and waiting and not self._closed
+        if due and now >= self._health_due:
             self._health_due = now + (MISSING_EVERY_S if self._health.wiring else HEALTH_EVERY_S)
             self._health_thread = threading.Thread(target=self._examine, name="station-health", daemon=True)
             self._health_thread.start()
@@ -258,7 +260,8 @@ class Station:
         return registry().layouts()
 
     def close(self) -> None:
-        """Stop a running scan and a running report, and wait for their ends."""
+        """Stop a running scan and a running report, and wait for their ends; no health check follows."""
+        self._closed = True
         self.stop()
         self.reports.close(_STOP_S)
         if self._scan is not None:

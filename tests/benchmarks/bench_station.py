@@ -1,13 +1,19 @@
-"""Memory, threads and open files of a station over many scans of the emulator.
+"""Memory, threads and open files of a station over many scans of the emulator, and while it waits.
 
-    python tests/benchmarks/bench_station.py [--scans 2000] [--every 50] [--minutes 90] [--idle 1440]
+    python tests/benchmarks/bench_station.py [--scans 2000] [--every 50] [--minutes 90]
+    python tests/benchmarks/bench_station.py --scans 20 --idle 1440 --speed 30 --after 20 [--no-page]
 
 Each scan is a whole turn at 60 rpm, as fast as it is read, with live image, reading, picture and history. A
 page is connected and receives every frame, and the history is requested after each scan. One layout is
 enrolled. Captures are removed after their scan. Prints scans, resident memory (MB), threads and open files,
 one line per `--every` scans, and the slope of the memory over the second half of the run. After `--minutes`
-it ends with the scans so far. With `--idle` the station then waits that many minutes, with the page connected
-and its health watched, and prints one line every ten minutes and the slope per day.
+it ends with the scans so far.
+
+With `--idle` the station then waits that many minutes, with the page connected (or none: `--no-page`) and
+its health checked as `tagid doctor` does, and afterwards scans `--after` times. Every scan must be named.
+Prints one line every hour, the periodic work that was done, and the slope per day. `--speed 30` lets all
+clocks and waits of the process run thirty times as fast while it waits (fast_clock.c), after measuring that
+they do; a day then takes 48 minutes, and the periodic work of a day is done.
 """
 
 from __future__ import annotations
@@ -20,15 +26,25 @@ import tempfile
 import threading
 import time
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "e2e"))
-from station_harness import Asks, Raw, healthy, joined, source
+import fast_clock
+from station_harness import Asks, Raw, joined, source
 
-IDLE_S = 600.0
+if TYPE_CHECKING:
+    from tagid.config import Config
+    from tagid.doctor import Finding
+    from tagid.station.station import Station
+
+SHOWN_S = 3600.0
+"""Time between two lines while the station waits, s."""
+TOLERANCE = 1.1
+"""How much longer a wait of the fast clock may take."""
 RADAR = "emulator://helmet-120?rpm=60&seed=2"
 
 
@@ -56,17 +72,104 @@ class Load:
         return cls(scans, resident, threading.active_count(), len(list(Path("/proc/self/fd").iterdir())))
 
 
+@dataclass
+class Work:
+    """Periodic work of the station so far.
+
+    Attributes:
+        ticks: calls of `Station.tick`.
+        checks: health checks.
+        statuses: status messages that the page received.
+        pings: pings that the page answered.
+        connections: connections that the page opened.
+    """
+
+    ticks: int = 0
+    checks: int = 0
+    statuses: int = 0
+    pings: int = 0
+    connections: int = 0
+
+    def since(self, before: Work) -> Work:
+        """The work after an earlier state."""
+        return Work(*(now - then for now, then in zip(astuple(self), astuple(before), strict=True)))
+
+
 @dataclass(frozen=True)
 class Run:
     """What a run has shown.
 
     Attributes:
         scanning: the state after every so many scans, and after the last one.
-        idle: the state every ten minutes without a scan, the first at the end of the last scan.
+        idle: the state every hour without a scan, the first at the end of the last scan.
+        work: the periodic work while it was idle.
+        idle_s: duration without a scan on the clock of the process, s.
+        true_idle_s: the true duration, s.
+        after: the state after the scans that followed.
     """
 
     scanning: list[Load]
     idle: list[Load]
+    work: Work
+    idle_s: float
+    true_idle_s: float
+    after: Load
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What to run.
+
+    Attributes:
+        scans, every: number of scans, and of scans per line.
+        seconds: time after which no further scan begins, s.
+        idle_s: duration without a scan, s.
+        after: scans that follow.
+        with_page: whether a page is connected.
+        speed: of the clock without a scan.
+    """
+
+    scans: int
+    every: int
+    seconds: float
+    idle_s: float
+    after: int
+    with_page: bool
+    speed: float
+
+
+class Page(threading.Thread):
+    """A page that receives every frame, answers pings, and connects again as the true page does.
+
+    Args:
+        port: of the station.
+        work: counts what arrives.
+    """
+
+    def __init__(self, port: int, work: Work) -> None:
+        super().__init__(name="page", daemon=True)
+        self._port, self._work = port, work
+        self._ended = threading.Event()
+
+    def run(self) -> None:
+        while not self._ended.is_set():
+            with suppress(AssertionError, OSError):
+                page, _ = joined(self._port)
+                self._work.connections += 1
+                self._receive(page)
+
+    def end(self) -> None:
+        """End with the connection that the station closes."""
+        self._ended.set()
+
+    def _receive(self, page: Raw) -> None:
+        while (frame := page.read())[0] != 8:
+            opcode, payload = frame
+            if opcode == 9:
+                page.frame(payload, 10)
+                self._work.pings += 1
+            elif opcode == 1 and payload.startswith(b'{"type":"status"'):
+                self._work.statuses += 1
 
 
 def slope_mb(loads: list[Load]) -> float:
@@ -74,55 +177,96 @@ def slope_mb(loads: list[Load]) -> float:
     return float(np.polyfit([one.scans for one in loads], [one.resident_mb for one in loads], 1)[0] * 1000)
 
 
-def run(home: Path, scans: int, every: int, seconds: float, idle_minutes: float) -> Run:
-    """Scan with a station in this process, then let it wait."""
+def run(home: Path, plan: Plan) -> Run:
+    """Scan with a station in this process, let it wait, and scan again."""
     os.environ |= {"TAGID_CONFIG": f"{home}/c.toml", "TAGID_DATA": f"{home}/data"}
-    from tagid.station import server as web_server
+    from tagid.doctor import examine
     from tagid.station.server import Server
     from tagid.station.station import Station, registry
 
-    web_server.PING_S = 3600.0  # a process that is halted for other work answers no ping
     for layout in registry().layouts():
         if layout.name != "helmet-120":
             registry().remove(layout.name)
     place = home / "out"
     place.mkdir()
-    station = Station(source(place, RADAR, rpm=60), healthy)
-    loads = []
-    until = time.monotonic() + seconds
+    work = Work()
+
+    def check(config: Config) -> list[Finding]:
+        work.checks += 1
+        return examine(config)
+
+    class CountedStation(Station):
+        def tick(self) -> None:
+            work.ticks += 1
+            super().tick()
+
+    station = CountedStation(source(place, RADAR, rpm=60), check)
     with Server(station, "127.0.0.1", 0) as server:
-        page, _ = joined(server.port)
-        reader = threading.Thread(target=watch, args=(page,), name="page", daemon=True)
-        reader.start()
-        for number in range(1, scans + 1):
-            station.start(None)
-            assert station.scan is not None
-            station.scan.join(300)
-            assert station.scan.state.final, station.scan.state.note
-            assert len(Asks(server.url, {}).get("/api/v1/history").json()["items"]) == min(number, 50)
-            for path in place.iterdir():
-                path.unlink()
-            late = time.monotonic() > until
-            if number % every == 0 or number == scans or late:
-                loads.append(Load.now(number))
-                show(loads[-1])
-            if late:
-                break
-        idle = [Load.now(loads[-1].scans)]
-        until = time.monotonic() + idle_minutes * 60
-        while (left := until - time.monotonic()) > 0:
-            time.sleep(min(IDLE_S, left))
-            idle.append(Load.now(loads[-1].scans))
-            show(idle[-1])
-        assert reader.is_alive(), "the page lost its connection"
-    reader.join(30)
-    return Run(loads, idle)
+        page = Page(server.port, work)
+        if plan.with_page:
+            page.start()
+        loads = scan_often(station, server.url, place, plan)
+        work.connections = 0
+        before, began = replace(work), time.monotonic()
+        idle, true_s = wait_idle(plan, loads[-1].scans)
+        found, seconds = work.since(before), time.monotonic() - began
+        for _ in range(plan.after):
+            scan_once(station, place)
+        page.end()
+        after = Load.now(loads[-1].scans + plan.after)
+    if plan.with_page:
+        page.join(30)
+    return Run(loads, idle, found, seconds, true_s, after)
 
 
-def watch(page: Raw) -> None:
-    """Receive every frame until the station ends."""
-    with suppress(AssertionError, OSError):
-        page.until("the end")
+def scan_once(station: Station, place: Path) -> None:
+    """Scan the helmet, which must be named."""
+    station.start(None)
+    assert station.scan is not None
+    station.scan.join(300)
+    state = station.scan.state
+    named = state.answer is not None and state.answer.status == "identified"
+    assert named, state.answer or state.note
+    for path in place.iterdir():
+        path.unlink()
+
+
+def scan_often(station: Station, url: str, place: Path, plan: Plan) -> list[Load]:
+    """The state after every so many scans."""
+    loads = []
+    until = time.monotonic() + plan.seconds
+    for number in range(1, plan.scans + 1):
+        scan_once(station, place)
+        assert len(Asks(url, {}).get("/api/v1/history").json()["items"]) == min(number, 50)
+        late = time.monotonic() > until
+        if number % plan.every == 0 or number == plan.scans or late:
+            loads.append(Load.now(number))
+            show(loads[-1])
+        if late:
+            break
+    return loads
+
+
+def wait_idle(plan: Plan, scans: int) -> tuple[list[Load], float]:
+    """The state every hour while nobody scans, and the true duration, s."""
+    idle = [Load.now(scans)]
+    truly = time.monotonic
+    if plan.speed != 1.0:
+        clock = fast_clock.FastClock()
+        truly = clock.true_s
+        clock.run_at(plan.speed)
+        for one in fast_clock.measure(clock):
+            sys.stdout.write(f"{one.kind}: {one.seconds:.2f} s on the clock in {one.true_seconds:.3f} s\n")
+            assert one.true_seconds < fast_clock.CHECKED_S / plan.speed * TOLERANCE + 0.1, one
+    began, until = truly(), time.monotonic() + plan.idle_s
+    while (left := until - time.monotonic()) > 0:
+        time.sleep(min(SHOWN_S, left))
+        idle.append(Load.now(scans))
+        show(idle[-1])
+    true_s = truly() - began
+    if plan.speed != 1.0:
+        clock.run_at(1.0)
+    return idle, true_s
 
 
 def show(load: Load) -> None:
@@ -139,17 +283,38 @@ def main() -> None:
     words.add_argument("--every", type=int, default=50)
     words.add_argument("--minutes", type=float, default=math.inf)
     words.add_argument("--idle", type=float, default=0.0, help="minutes")
+    words.add_argument("--speed", type=float, default=1.0, help="of the clock while idle")
+    words.add_argument("--after", type=int, default=0, help="scans after the idle time")
+    words.add_argument("--no-page", action="store_true")
     asked = words.parse_args()
+    plan = Plan(
+        asked.scans,
+        asked.every,
+        asked.minutes * 60,
+        asked.idle * 60,
+        asked.after,
+        not asked.no_page,
+        asked.speed,
+    )
+    if plan.speed != 1.0:
+        fast_clock.relaunch()
     with tempfile.TemporaryDirectory() as home:
-        seen = run(Path(home), asked.scans, asked.every, asked.minutes * 60, asked.idle)
-    loads = seen.scanning
-    late = loads[len(loads) // 2 :]
+        report(run(Path(home), plan))
+
+
+def report(seen: Run) -> None:
+    """Print the slopes and the work."""
+    late = seen.scanning[len(seen.scanning) // 2 :]
     if len(late) > 1:
         sys.stdout.write(f"slope of the second half: {slope_mb(late):+.2f} MB per 1000 scans\n")
-    if len(seen.idle) > 2:
+    if len(seen.idle) > 1:
         growth = seen.idle[-1].resident_mb - seen.idle[0].resident_mb
-        per_day = growth * 1440 / asked.idle
-        sys.stdout.write(f"idle for {asked.idle:g} minutes: {growth:+.2f} MB, {per_day:+.1f} MB per day\n")
+        hours = seen.idle_s / 3600
+        sys.stdout.write(
+            f"idle for {hours:.2f} hours, truly {seen.true_idle_s / 60:.1f} minutes: {growth:+.2f} MB, "
+            f"{growth / hours * 24:+.1f} MB per day\n{seen.work}\n"
+        )
+        show(seen.after)
 
 
 if __name__ == "__main__":

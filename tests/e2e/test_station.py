@@ -357,6 +357,21 @@ def test_anybody_stops_a_scan_and_a_table_that_stops_half_way_is_told(
     first.close()
 
 
+def test_a_free_table_that_stops_half_way_is_told_with_the_part_that_it_turned(serve) -> None:
+    one = serve("emulator://helmet-120?rpm=5&seed=2&stop=0.5", rpm=5)
+    client, _ = joined(one.port)
+    client.say(type="scan")
+    client.until("frame", lambda m: not m["scan"]["running"])
+    scan = asks(one).get("/api/v1/scan").json()
+    assert scan["phase"] == "done" and "the turn stopped at about" in scan["remark"]
+    assert scan["answer"]["status"] == "unknown" and scan["answer"]["reason_code"] == "turn_stopped"
+    (cause,) = scan["answer"]["causes"]
+    assert cause["code"] == "turn_stopped" and "what holds the table" in cause["remedy"]
+    (row,) = asks(one).get("/api/v1/history").json()["items"]
+    assert row["status"] == "unknown"
+    client.close()
+
+
 def test_a_client_that_never_reads_is_cut_off_and_holds_up_nobody(
     serve, monkeypatch: pytest.MonkeyPatch
 ) -> None:

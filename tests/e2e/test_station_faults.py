@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import os
+import socket
 import subprocess
 import sys
 import threading
+from contextlib import suppress
+from http.client import HTTPConnection
 from pathlib import Path
 
 import pytest
 
 pytest.importorskip("starlette")
-from station_harness import OWN, Asks, Raw, ended, joined, wait
+from station_harness import OWN, WAIT_S, Asks, Raw, ended, joined, wait
 
 from tagid.doctor import examine
 from tagid.radar.emulation.core import EmulatorCore
@@ -162,3 +165,41 @@ def test_of_two_hundred_connections_a_bounded_number_is_served(serve) -> None:
     last, _ = joined(one.port)
     assert not last.until("status")["full"]
     last.close()
+
+
+def test_a_station_that_is_closed_checks_nothing_more(serve) -> None:
+    """The web server still ticks for a moment, and nobody would wait for the thread."""
+    checks: list[object] = []
+    one = serve(check=lambda config: checks.append(config) or [])
+    station = one._station
+    page, _ = joined(one.port)
+    wait(lambda: station.health.checked_at)
+    station.close()
+    before = len(checks)
+    station._health_due = 0.0
+    station.tick()
+    assert len(checks) == before and not any(t.name == "station-health" for t in threading.enumerate())
+    page.close()
+
+
+@pytest.mark.parametrize("sent", [b"", b"GET / HTTP/1.1\r\nHost: "], ids=["nothing", "half a request"])
+def test_connections_that_ask_for_nothing_keep_nobody_out(serve, sent: bytes) -> None:
+    """Three hundred of them; each request that follows is answered at once, not after they have expired."""
+    one = serve()
+    page, _ = joined(one.port)
+    kept = HTTPConnection("127.0.0.1", one.port, timeout=WAIT_S)
+    kept.request("GET", "/api/v1/status", headers=OWN)
+    assert kept.getresponse().read()
+    silent = [socket.create_connection(("127.0.0.1", one.port), WAIT_S) for _ in range(300)]
+    for client in silent:
+        with suppress(OSError):
+            client.sendall(sent)
+    ask = Asks(one.url, OWN)
+    assert [ask.get(path).status for path in ("/", "/api/v1/status", "/api/v1/history")] == [200] * 3
+    late, _ = joined(one.port)
+    assert late.until("status", lambda m: m["connections"] == 2)["connections"] == 2
+    assert page.until("status", lambda m: m["connections"] == 2), "a page that is connected stays so"
+    kept.request("GET", "/api/v1/status", headers=OWN)
+    assert kept.getresponse().status == 200, "a connection with requests goes after those without any"
+    for client in (*silent, kept, page, late):
+        client.close()

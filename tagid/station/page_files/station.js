@@ -80,6 +80,8 @@ function showAnswer(scan) {
     } else if (found) {
       [text, kind] = [nameOf(found), found.status];
       [reason, advice] = [found.reason || found.label, found.advice];
+      const [cause] = found.causes;
+      if (cause) advice = `Likely cause: ${cause.text}. ${cause.remedy}`;
       if (!scan.final) kind += " so-far";
     } else {
       text = scan.phase === "connecting" ? "Connecting" : scan.phase === "turning" ? "Turning" : "Reading";

@@ -26,6 +26,7 @@ class Code(StrEnum):
     AMBIGUOUS = "two_layouts"
     UNCALIBRATED = "not_calibrated"
     DISAGREE = "recordings_disagree"
+    STOPPED = "turn_stopped"
 
 
 _LARGER = "use a larger reflector or more integration (radar.integration)"
@@ -47,6 +48,7 @@ ADVICE = {
     Code.AMBIGUOUS: "Record more views, or enrol layouts that differ more.",
     Code.UNCALIBRATED: "Record 12 views or more, or accept a larger tags.false_accept.",
     Code.DISAGREE: "Check that all recordings are of one object, and record it again.",
+    Code.STOPPED: "Check what holds the table, and its supply, then record a full turn again.",
 }
 """One sentence for each code: what to do next."""
 

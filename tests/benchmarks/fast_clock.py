@@ -1,0 +1,106 @@
+"""A process whose clock runs faster, for what would take a day: all clocks and waits, fast_clock.c."""
+
+from __future__ import annotations
+
+import asyncio
+import ctypes
+import os
+import select
+import shutil
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+SOURCE = Path(__file__).with_name("fast_clock.c")
+CHECKED_S = 6.0
+"""Length of each wait of `measure`, on the fast clock, s."""
+
+
+def build(folder: Path) -> Path:
+    """Compile the library into a folder. Raises CalledProcessError, FileNotFoundError without a compiler."""
+    compiler = shutil.which("cc")
+    if compiler is None:
+        raise FileNotFoundError("cc")
+    library = folder / "fast_clock.so"
+    words = [compiler, "-shared", "-fPIC", "-O2", "-Wall", "-Werror", "-o", library, SOURCE, "-ldl"]
+    subprocess.run(words, check=True)
+    return library
+
+
+def relaunch() -> None:
+    """Start this program again with the library loaded, at the true speed; returns where it is loaded."""
+    if not hasattr(ctypes.CDLL(None), "fast_clock_speed"):
+        environment = {**os.environ, "LD_PRELOAD": str(build(Path(tempfile.mkdtemp())))}
+        os.execve(sys.executable, [sys.executable, *sys.argv], environment)
+    if library := os.environ.pop("LD_PRELOAD", None):
+        shutil.rmtree(Path(library).parent)
+
+
+class FastClock:
+    """The clock of this process, which `relaunch` has made adjustable."""
+
+    def __init__(self) -> None:
+        self._library = ctypes.CDLL(None)
+        self._library.fast_clock_speed.argtypes = [ctypes.c_double]
+        self._library.fast_clock_speed.restype = None
+        self._library.fast_clock_true_s.restype = ctypes.c_double
+
+    def run_at(self, speed: float) -> None:
+        """Let all clocks advance by so many seconds per second from now on."""
+        self._library.fast_clock_speed(speed)
+
+    def true_s(self) -> float:
+        """True monotonic time, s."""
+        return float(self._library.fast_clock_true_s())
+
+
+@dataclass(frozen=True)
+class Waited:
+    """Duration of a wait of `CHECKED_S`.
+
+    Attributes:
+        kind: what waited.
+        seconds: on the clock of the process.
+        true_seconds: truly.
+    """
+
+    kind: str
+    seconds: float
+    true_seconds: float
+
+
+def measure(clock: FastClock) -> list[Waited]:
+    """Wait in each way that Python knows, at the present speed."""
+
+    def socket_waits() -> None:
+        ours, others = socket.socketpair()
+        with ours, others, suppress(TimeoutError):
+            ours.settimeout(CHECKED_S)
+            ours.recv(1)
+
+    def condition_waits() -> None:
+        condition = threading.Condition()
+        with condition:
+            condition.wait(CHECKED_S)
+
+    ways: dict[str, Callable[[], object]] = {
+        "sleep": lambda: time.sleep(CHECKED_S),
+        "lock": lambda: threading.Event().wait(CHECKED_S),
+        "condition": condition_waits,
+        "event loop": lambda: asyncio.run(asyncio.sleep(CHECKED_S)),
+        "select": lambda: select.select([], [], [], CHECKED_S),
+        "socket": socket_waits,
+    }
+    found = []
+    for kind, wait in ways.items():
+        began, truly = time.monotonic(), clock.true_s()
+        wait()
+        found.append(Waited(kind, time.monotonic() - began, clock.true_s() - truly))
+    return found

@@ -1,0 +1,169 @@
+"""Turns that stop half-way, and turns that do not: how often a stop is found, and how often it is imagined.
+
+    python tests/benchmarks/standstill.py [--purpose report] [--seeds 8] [--scans 468] [--only turning]
+
+Objects: every preset, tags and bare bodies of `tagid.simulate`, and the full-wave responses of cans, helmet
+shells and reflectors, each up to about 1 cm off the axis. SNR 20, 10 and 5 dB per reflector. Turning objects
+are recorded over 1.25 to 1.4 turns, a third of them over a part of a turn only (as seen while it is being
+recorded), with a told speed that is up to 13 % wrong. Stopped ones stop at 0.25, 0.5, 0.75 and 0.9 of a turn
+for good, or go on after 0.3 of a turn. A stop counts as found within 0.04 turns.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+import sys
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+import numpy as np
+from provenance import commit
+from reading_bodies_scenes import _reference, full_wave
+
+from tagid.angles.period import NOMINAL_TOLERANCE
+from tagid.angles.standstill import find_standstill
+from tagid.simulate import Acquisition, Placement, parse_body, parse_reflector, simulate_capture
+from tagid.simulate.presets import scene_from_name, scene_on_body
+
+FINE = 720
+"""Views per turn from which a recording is interpolated."""
+FIRST = {"choose": 10, "report": 5000}
+"""First seed of each purpose."""
+SNRS_DB = (20, 10, 5)
+STOPS = (0.25, 0.5, 0.75, 0.9)
+PAUSES = {"stops": math.inf, "goes on": 0.3}
+TURNS = 1.3
+RESULTS = ("right", "elsewhere", "none")
+NEAR = 0.04
+PRESETS = (
+    *("container-90", "container-180", "helmet-120", "helmet-linear", "points-1", "points-3", "points-6"),
+    *("can", "box", "corner", "empty", "untagged"),
+)
+BODIES = (
+    ("container-90", "can:28mm"),
+    ("container-180", "cup:33mm,wall=4mm"),
+    ("helmet-120", "helmet:100mm"),
+    ("untagged", "cup:33mm,wall=4mm,handle"),
+    ("untagged", "can:33mm,seam"),
+)
+SOLVED = (
+    *("can35", "can35_one", "can35_c90", "can35_handle", "can28", "can28_one", "can28_c180"),
+    *("shell", "shell_h120_20", "shell_h120_40", "free40_one", "free20_c90", "free40_h120"),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Clean:
+    """One turn without noise.
+
+    Attributes:
+        samples: (FINE, bins).
+        noise_std: of one sample at 0 dB.
+    """
+
+    samples: np.ndarray
+    noise_std: float
+
+    def recorded(self, turns: np.ndarray, snr_db: float, rng: np.random.Generator) -> np.ndarray:
+        """(scans, bins) float32 at these turns."""
+        place = turns % 1 * FINE
+        low = np.floor(place).astype(int)
+        share = (place - low)[:, None]
+        echo = (1 - share) * self.samples[low % FINE] + share * self.samples[(low + 1) % FINE]
+        noise = self.noise_std * 10 ** (-snr_db / 20) * rng.standard_normal(echo.shape)
+        return np.asarray(echo + noise, dtype=np.float32)
+
+
+def objects() -> list[str]:
+    """Names of all objects."""
+    bodies = [f"{name} on {body}" for name, body in BODIES]
+    return [*PRESETS, *bodies, *(f"full-wave {name}" for name in SOLVED)]
+
+
+def clean(name: str, seed: int) -> Clean:
+    """One turn of an object."""
+    rng = np.random.default_rng([seed, 77])
+    x, y = 0.006 * rng.standard_normal(2)
+    if name.startswith("full-wave "):
+        solved = name.removeprefix("full-wave ")
+        scan, _ = full_wave().make(
+            solved, rng, reference=_reference(solved), views=FINE, centre=(x / 2, y / 2), snr_db=300.0
+        )
+        return Clean(scan["samples"].astype(float), 1000 / math.sqrt(2))
+    tag, on, body = name.partition(" on ")
+    scene = (
+        scene_on_body(tag, parse_body(body), parse_reflector("octahedron"), seed)
+        if on
+        else scene_from_name(tag, seed)
+    )
+    placement = Placement((float(x), float(y)), float(rng.uniform(0, 6.28)))
+    _, truth = simulate_capture(scene, Acquisition(views=FINE, snr_db=0.0, placement=placement), seed)
+    return Clean(truth.clean, truth.noise_std)
+
+
+def imagined(turn: Clean, snr_db: float, scans: int, rng: np.random.Generator) -> bool:
+    """Whether a stop is found in an object that turns."""
+    turns = rng.uniform(1.25, 1.4) if rng.uniform() < 2 / 3 else rng.uniform(0.4, 1.2)
+    told = np.linspace(0, turns, round(scans * turns / TURNS), endpoint=False)
+    true = rng.uniform() + told * rng.uniform(0.87, 1.13)
+    return find_standstill(turn.recorded(true, snr_db, rng), told, NOMINAL_TOLERANCE) is not None
+
+
+def found(turn: Clean, stop: float, pause: float, snr_db: float, scans: int, rng: np.random.Generator) -> str:
+    """ "right", "elsewhere" or "none"."""
+    told = np.linspace(0, TURNS, scans, endpoint=False)
+    true = np.where(told < stop, told, np.maximum(stop, told - pause))
+    still = find_standstill(turn.recorded(rng.uniform() + true, snr_db, rng), told, NOMINAL_TOLERANCE)
+    if still is None:
+        return "none"
+    ends = [still.first / scans * TURNS - stop, still.stop / scans * TURNS - min(TURNS, stop + pause)]
+    return "right" if np.abs(ends).max() < NEAR else "elsewhere"
+
+
+def main() -> None:
+    words = argparse.ArgumentParser(description=__doc__)
+    words.add_argument("--purpose", choices=tuple(FIRST), default="report")
+    words.add_argument("--seeds", type=int, default=8, help="of each object")
+    words.add_argument("--scans", type=int, default=468, help="in 1.3 turns")
+    words.add_argument("--only", choices=("turning", "stopping"), default=None)
+    asked = words.parse_args()
+    print(f"commit {commit()}, {asked.purpose}, {asked.seeds} seeds, {asked.scans} scans")
+    false: Counter[int] = Counter()
+    turned: Counter[int] = Counter()
+    stopped: Counter[tuple[str, int, float, str]] = Counter()
+    for name in objects():
+        for seed in range(FIRST[asked.purpose], FIRST[asked.purpose] + asked.seeds):
+            turn, rng = clean(name, seed), np.random.default_rng([seed, 5])
+            for snr_db in SNRS_DB:
+                if asked.only != "stopping":
+                    turned[snr_db] += 1
+                    if imagined(turn, snr_db, asked.scans, rng):
+                        false[snr_db] += 1
+                        print(f"imagined: {name}, seed {seed}, {snr_db} dB", flush=True)
+                if asked.only == "turning" or name == "empty":
+                    continue
+                for what, pause in PAUSES.items():
+                    for stop in STOPS:
+                        result = found(turn, stop, pause, snr_db, asked.scans, rng)
+                        stopped[what, snr_db, stop, result] += 1
+    for snr_db in SNRS_DB:
+        if turned[snr_db]:
+            print(f"{snr_db} dB: a stop imagined in {false[snr_db]} of {turned[snr_db]} turning objects")
+    for what in PAUSES:
+        for snr_db in SNRS_DB:
+            cells = []
+            for stop in STOPS:
+                right, elsewhere, none = (stopped[what, snr_db, stop, result] for result in RESULTS)
+                cells.append(f"{stop}: {right} / {elsewhere} / {right + elsewhere + none}")
+            if any(stopped.values()):
+                print(f"{what}, {snr_db} dB, right / elsewhere / all at " + ", ".join(cells))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,182 @@
+"""A turn that stops half-way: found in the scans, and not where the object merely looks the same."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tagid.angles.standstill import find_standstill
+from tagid.capture import Capture
+from tagid.errors import DataError
+from tagid.live.angles import LiveAngles
+from tagid.metadata import Track
+from tagid.motion.urls import open_motion
+from tagid.pipeline.diagnosis import recording_remarks, with_causes
+from tagid.pipeline.identify import identify
+from tagid.pipeline.load import load_capture
+from tagid.pipeline.prepared import PreparedCapture
+from tagid.pipeline.turn import resolve_turn
+from tagid.radar.assembler import Scan
+from tagid.simulate import Acquisition, scene_from_name, simulate_capture
+from tagid.tags.layouts.layout import builtin_layouts
+
+VIEWS = 240
+"""Scans per turn."""
+TURNS = 1.3
+TOLERANCE = 0.15
+
+
+def path(stop: float, pause: float = math.inf, turns: float = TURNS) -> np.ndarray:
+    """(scans,) true turns of a table that stops after a part of a turn, and goes on after another."""
+    told = np.arange(round(VIEWS * turns)) / VIEWS
+    return np.where(told < stop, told, np.maximum(stop, told - pause))
+
+
+def recording(
+    name: str, true_turns: np.ndarray, snr_db: float, seed: int, told_rpm: float | None = 2.0
+) -> Capture:
+    """A recording without angles whose object really was at `true_turns`, 30 s for a told turn."""
+    capture, truth = simulate_capture(
+        scene_from_name(name, seed), Acquisition(views=VIEWS, turns=TURNS, snr_db=snr_db), seed
+    )
+    noise = truth.noise_std * np.random.default_rng(seed).standard_normal((len(true_turns), capture.bins))
+    times = np.arange(len(true_turns)) / VIEWS * 30.0
+    url = "free" if told_rpm is None else f"free?rpm={told_rpm:g}"
+    return replace(
+        capture,
+        samples=(truth.clean[np.rint(true_turns * VIEWS).astype(int) % VIEWS] + noise).astype(np.float32),
+        angles_rad=None,
+        angle_sigma_rad=None,
+        radar_time_ms=np.floor(times * 1e3),
+        scan_id=np.arange(len(true_turns)),
+        flags=None,
+        motion=replace(capture.motion, url=url, resolved=None),
+    )
+
+
+@pytest.mark.parametrize("snr_db", [20, 10])
+@pytest.mark.parametrize("stop", [0.25, 0.5, 0.75, 0.9])
+def test_a_stop_is_found_at_a_told_speed(stop: float, snr_db: float) -> None:
+    found = resolve_turn(recording("helmet-120", path(stop), snr_db, 5), "free?rpm=2")
+    still = found.motion.resolved.standstill
+    assert still is not None and not still.goes_on
+    assert still.turned_deg == pytest.approx(360 * stop, abs=9)
+    assert still.first_scan + still.scans == still.of_scans == found.views
+    error = np.abs(np.abs(found.angles_rad) / (2 * np.pi) - path(stop))
+    assert error.max() < 0.025
+
+
+def test_a_stop_is_found_at_five_decibels() -> None:
+    found = [
+        resolve_turn(recording("points-3", path(stop), 5, seed), "free?rpm=2").motion.resolved.standstill
+        for seed in (5, 6)
+        for stop in (0.25, 0.5, 0.75)
+    ]
+    assert sum(one is not None for one in found) >= 5
+    assert all(one is None or not one.goes_on for one in found)
+
+
+@pytest.mark.parametrize("stop", [0.25, 0.5, 0.75])
+def test_a_table_that_goes_on_keeps_its_true_angles(stop: float) -> None:
+    true = path(stop, 0.3)
+    found = resolve_turn(recording("helmet-120", true, 15, 7), "free?rpm=2")
+    still = found.motion.resolved.standstill
+    assert still is not None and still.goes_on and still.seconds == pytest.approx(9.0, abs=0.7)
+    assert np.abs(np.abs(found.angles_rad) / (2 * np.pi) - true).max() < 0.025
+
+
+@pytest.mark.parametrize("name", ["can", "box", "untagged", "container-180", "corner", "empty"])
+@pytest.mark.parametrize("snr_db", [20, 5])
+@pytest.mark.parametrize("scale", [0.4, 0.9, 1.0])
+def test_a_turning_object_does_not_stop(name: str, snr_db: float, scale: float) -> None:
+    """Not even one that looks the same from many sides, or a table much slower than told."""
+    samples = recording(name, scale * path(9), snr_db, 11).samples
+    assert find_standstill(samples, path(9), TOLERANCE) is None
+
+
+def test_nothing_turns_is_no_stop() -> None:
+    samples = recording("helmet-120", path(0.0), 20, 3).samples
+    assert find_standstill(samples, path(9), TOLERANCE) is None
+
+
+def test_the_answer_names_the_stop_and_uses_the_part_before() -> None:
+    capture = recording("points-5", path(0.5), 20, 4)
+    loaded = load_capture(capture)
+    assert loaded.views < 0.6 * capture.views, "the scans of the standstill are no views"
+    assert recording_remarks(loaded) == (
+        "the turn stopped at about 181 degrees (scan 122 of 312); the scans meanwhile are not used",
+    )
+    prepared = PreparedCapture(loaded)
+    layouts = list(builtin_layouts().values())
+    answer = with_causes(identify(prepared, layouts), prepared, layouts)
+    assert answer.status != "identified"
+    (cause,) = [one for one in answer.causes if one.code in ("turn_stopped", "partial_turn")]
+    assert cause.code == "turn_stopped" and "(scan 122 of 312)" in cause.text and "holds" in cause.remedy
+
+
+def test_a_tag_is_read_from_the_part_before_the_stop() -> None:
+    capture = recording("container-90", path(0.6), 20, 4)
+    layouts = list(builtin_layouts().values())
+    assert identify(load_capture(capture), layouts).reading.layout == "container-90"
+    ignored = replace(capture, angles_rad=path(9) * 2 * np.pi)
+    spoilt = identify(load_capture(ignored), layouts)
+    assert spoilt.status != "identified", "with the angles of a table that turned on"
+
+
+def test_less_than_most_of_a_turn_names_nothing() -> None:
+    """A reflector on the far side would be one more than the layout has."""
+    capture = recording("helmet-120", path(0.45), 20, 4)
+    answer = identify(load_capture(capture), list(builtin_layouts().values()))
+    assert (answer.status, answer.reading.layout) == ("unknown", None)
+    assert answer.reading.code.value == "turn_stopped" and answer.reading.advice.startswith(
+        "Check what holds"
+    )
+    assert "show helmet-120, but not every side" in answer.reading.reason
+
+
+@pytest.mark.parametrize("name", ["container-90", "helmet-120"])
+def test_a_stop_without_a_speed_is_an_error_of_its_own(name: str) -> None:
+    true = path(0.6, turns=4.0)
+    with pytest.raises(DataError) as caught:
+        resolve_turn(recording(name, true, 15, 8, None), "free")
+    assert caught.value.code == "turn_stopped"
+    assert "the turn stopped (scan 14" in caught.value.message and "of 960)" in caught.value.message
+
+
+def test_a_turn_that_is_too_short_without_a_speed_is_no_stop() -> None:
+    with pytest.raises(DataError) as caught:
+        resolve_turn(recording("container-90", path(9, turns=0.8), 15, 8, None), "free")
+    assert caught.value.code == "bad_data"
+
+
+def test_a_device_that_turns_without_the_object_is_found_out() -> None:
+    true = path(0.5)
+    capture = recording("helmet-120", true, 15, 9)
+    arrivals = 10**18 + (capture.radar_time_ms * 1e6).astype(np.int64)
+    track = Track(arrivals, 2 * np.pi * path(9), np.full(len(true), 1e-3), {"scale_sigma": 0.02})
+    driven = replace(
+        capture,
+        host_time_ns=arrivals,
+        motion=replace(capture.motion, url="roomba+serial:///dev/robot", track=track),
+    )
+    resolved = resolve_turn(driven, "roomba+serial:///dev/robot").motion.resolved
+    assert resolved.standstill is not None
+    assert resolved.standstill.turned_deg == pytest.approx(180, abs=9)
+
+
+def test_live_angles_are_held() -> None:
+    capture = recording("helmet-120", path(0.5), 20, 5)
+    angles = LiveAngles(open_motion("free?rpm=2"))
+    scans = [
+        Scan(number, int(capture.radar_time_ms[number]), 0, samples, 0, 0, 0)
+        for number, samples in enumerate(capture.samples)
+    ]
+    early = angles.of(scans[: VIEWS // 2])
+    assert early is not None and angles.stopped == ""
+    angles._next_look_s = 0.0
+    late = angles.of(scans)
+    assert angles.stopped.startswith("the turn stopped at about 18")
+    assert np.degrees(np.abs(late).max()) == pytest.approx(180, abs=9)
