@@ -42,7 +42,7 @@ from tagid.imaging.kernel import is_compiled
 from tagid.imaging.memory import require_memory
 from tagid.imaging.operator import ForwardOperator
 from tagid.imaging.preprocess import PreprocessSettings, preprocess, select_views
-from tagid.imaging.sparse import column_norm
+from tagid.imaging.sparse import column_norm, sparse_amplitudes
 from tagid.imaging.types import BasebandScans, Image
 
 __all__ = ["AtsResult", "AtsSettings", "fit"]
@@ -96,7 +96,7 @@ def fit(
         unseen: numbers of the views that the fit does not see and on which it is judged; None: as
             `settings.held_out` says.
         start: field to begin with, of an earlier fit on this grid with the same sizes of the network; None
-            begins with backprojection.
+            begins with the sparse solution.
 
     Returns:
         Image in the units of the scans, with how it came about. Scans that are all zero give a zero image.
@@ -172,7 +172,8 @@ class _Fit:
             first = _first_image(now, self.grid, shape.cells[-1], scales)
             start = draw_weights(shape, self.grid, scales.output, self.settings.seed, first)
             if self._screened():
-                self.support = Support.begin(scales.back, scales.weight)
+                drawn = np.abs(start.on(self.grid)).max(axis=0)
+                self.support = Support.begin(scales.back, drawn, scales.weight)
         else:
             _check_continues(start, draw_weights(shape, self.grid, start.scale, self.settings.seed))
             scales = replace(scales, output=start.scale)
@@ -501,9 +502,19 @@ def _scales(scans: BasebandScans, operator: ForwardOperator, settings: AtsSettin
 
 
 def _first_image(scans: BasebandScans, grid: ImageGrid, cells: int, scales: _Scales) -> NDArray[np.complex64]:
-    """(cells + 1, cells + 1) backprojection at the vertices of the finest level, relative to the output."""
+    """(cells + 1, cells + 1) sparse solution at the vertices of the finest level, relative to the output.
+
+    From backprojection, whose sidelobes of a dozen views are half as bright as its points, the steps do not
+    get rid of them: 8.1 % of unseen views are left of twelve views of reflectors, 3.1 % from here. Where the
+    sparse solution is blank it is backprojection.
+    """
     axis = np.linspace(-grid.extent / 2, grid.extent / 2, cells + 1)
     vertices = np.stack([part.ravel() for part in np.meshgrid(axis, axis)], axis=1)
-    back = ForwardOperator(scans, vertices).adjoint(np.ascontiguousarray(scans.samples, dtype=np.complex64))
-    image = back.reshape(cells + 1, cells + 1) * (scales.step / scales.output)
-    return np.asarray(image, dtype=np.complex64)
+    operator = ForwardOperator(scans, vertices)
+    image, _ = sparse_amplitudes(scans, vertices, operator=operator)
+    # A vertex is spread over the pixels of a cell.
+    image *= np.float32((cells / grid.pixels) ** 2 / scales.output)
+    if not image.any():
+        back = operator.adjoint(np.ascontiguousarray(scans.samples, dtype=np.complex64))
+        image = back * np.float32(scales.step / scales.output)
+    return np.asarray(image.reshape(cells + 1, cells + 1), dtype=np.complex64)
