@@ -89,6 +89,13 @@ class ForwardOperator:
         y = np.asarray(scans, dtype=np.complex64).reshape(self.views, self.bins)
         return self.geometry.gather(y @ self._collect)
 
+    def envelope(self, scans: NDArray[np.complexfloating]) -> NDArray[np.float32]:
+        """(points,) what `adjoint` would give at most, whatever the phases of the views: the sum of their
+        magnitudes. It changes with the range resolution, not with the wavelength."""
+        y = np.asarray(scans, dtype=np.complex64).reshape(self.views, self.bins)
+        rows = np.abs(y @ self._collect).astype(np.complex64)
+        return np.asarray(self.geometry.gather(rows).real, dtype=np.float32)
+
     def norm_squared(self, iterations: int = 12, seed: int = 0) -> float:
         """Largest eigenvalue of A^H A by power iteration from a seeded start (a few % from below); kept."""
         if (iterations, seed) not in self._norms:

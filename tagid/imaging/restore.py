@@ -37,15 +37,15 @@ def restore(image: Image, wavenumber: float) -> Image:
         wavenumber: k of the carrier, rad/m.
     """
     width = beam_sigma_m(wavenumber) / image.grid.step
-    kernel_peak = float(_blurred(_unit(image.values.shape), width).max())
-    parts = [_blurred(part.astype(np.float64), width) for part in (image.values.real, image.values.imag)]
+    kernel_peak = float(blurred(_unit(image.values.shape), width).max())
+    parts = [blurred(part.astype(np.float64), width) for part in (image.values.real, image.values.imag)]
     values = ((parts[0] + 1j * parts[1]) / kernel_peak).astype(np.complex64)
     settings = {**image.settings, "restoring_beam_m": beam_sigma_m(wavenumber)}
     return replace(image, values=values, settings=settings)
 
 
-def _blurred(values: NDArray[np.float64], sigma: float) -> NDArray[np.float64]:
-    """An image (rows, columns) convolved with a Gaussian of this many pixels, mirrored at its edges."""
+def blurred(values: NDArray[np.float64], sigma: float) -> NDArray[np.float64]:
+    """(rows, columns) convolved with a Gaussian of sum 1 and `sigma` pixels, mirrored at the edges."""
     reach = int(_TRUNCATED * sigma + 0.5)
     kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
     kernel /= kernel.sum()

@@ -207,7 +207,7 @@ def _by_active_set(
 
         def report(count: int, _: int) -> None:
             if progress is not None:
-                progress(done + count, budget)
+                progress(min(done + count, budget), budget)
 
         x[among], count = _fista(operator, problem.back[among], problem.weight, effort, report, x[among])
         return count

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -83,20 +84,23 @@ def reconstruct(
         with watch.stage("focus"):
             scans, focus = focus_axis_distance(scans, grid, settings.focus_m)
     outside: Outside | None = None
-    if IMAGING_METHODS[method].sparse and settings.preset != "paper":
+    if settings.preset != "paper":
         with watch.stage("outside"):
-            outside = find_outside(scans, grid)
-    imaged = scans if outside is None else outside.removed(scans)
+            unfiltered = _unfiltered(prepared, scans, method)
+            outside = find_outside(unfiltered, grid, _remark(progress, "echoes outside the image"))
+    subtracted = outside is not None and IMAGING_METHODS[method].sparse
+    imaged = outside.removed(scans) if outside is not None and subtracted else scans
     with watch.stage("image"):
         image = make_image(imaged, grid, method, settings.seed, settings.preset, progress, settings.ats)
     with watch.stage("held out"):
-        predicted = _held_out(prepared, scans, grid, method, settings, image, outside is not None)
+        told = _remark(progress, "held-out views")
+        predicted = _held_out(prepared, scans, grid, method, settings, image, subtracted, told)
     with watch.stage("image"):
         linear = linear_iterations(image.settings.get("prior", "")) is not None
         sharp = IMAGING_METHODS[method].sparse and not linear
         if settings.restore and sharp and settings.preset != "paper":
             image = restore(image, scans.wavenumber)
-    facts = _facts(prepared, scans, image, _Found(focus, region, outside, predicted))
+    facts = _facts(prepared, scans, image, _Found(focus, region, outside, subtracted, predicted))
     centre_m = image.centre_m if region is None else region.centre_m
     image = replace(image, centre_m=centre_m, settings={**image.settings, **facts})
     seconds = {**prepared.watch.seconds, **watch.seconds}
@@ -152,11 +156,16 @@ def _placed(prepared: PreparedCapture, watch: Stopwatch) -> _Placed:
 
 @dataclass(frozen=True, eq=False)
 class _Found:
-    """What was found beside the image; None for what was not searched or not found."""
+    """What was found beside the image; None for what was not searched or not found.
+
+    Attributes:
+        subtracted: whether the image was made without what lies outside.
+    """
 
     focus: AxisFocus | None
     region: Region | None
     outside: Outside | None
+    subtracted: bool
     predicted: HeldOut | None
 
 
@@ -176,7 +185,7 @@ def _facts(prepared: PreparedCapture, scans: BasebandScans, image: Image, found:
     elif region is not None and region.focus is not None:
         facts["focus"] = region.focus.facts()
     if found.outside is not None:
-        facts["outside"] = found.outside.facts()
+        facts["outside"] = found.outside.facts(found.subtracted)
     warning = band_warning(prepared.given)
     if warning:
         facts["warnings"] = [warning]
@@ -193,6 +202,24 @@ def _facts(prepared: PreparedCapture, scans: BasebandScans, image: Image, found:
     return facts
 
 
+def _remark(progress: Progress | None, remark: str) -> Callable[[int, int], None]:
+    """Passes (done, total) on with a remark."""
+
+    def report(done: int, total: int) -> None:
+        if progress is not None:
+            progress(done, total, remark)
+
+    return report
+
+
+def _unfiltered(prepared: PreparedCapture, scans: BasebandScans, method: str) -> BasebandScans:
+    """The scans of a method as they are without the matched filter."""
+    if not IMAGING_METHODS[method].matched_filter:
+        return scans
+    settings = prepared.settings.preprocessing_for_focus(prepared.given, matched_filter=False)
+    return prepared.scans(settings).with_aperture(scans.aperture)
+
+
 _NO_PREDICTION = ("range-doppler",)
 """Methods whose image has no phase and therefore predicts no scans."""
 
@@ -205,23 +232,22 @@ def _held_out(
     settings: ImagingSettings,
     made: Image,
     outside: bool,
+    told: Callable[[int, int], None],
 ) -> HeldOut | None:
     """Prediction of held-out views by this method, with the priors of the image.
 
     Echoes from outside the image, found in the other views alone, are subtracted from all if `outside`.
+    `told` is called with (done, total) of every fit.
     """
     if settings.preset == "paper" or method in _NO_PREDICTION or not settings.held_out:
         return None
-    unfiltered = scans
-    if IMAGING_METHODS[method].matched_filter:
-        plain = prepared.scans(settings.preprocessing_for_focus(prepared.given, matched_filter=False))
-        unfiltered = plain.with_aperture(scans.aperture)
+    unfiltered = _unfiltered(prepared, scans, method)
     if method in ("bp", "bp-raw"):
         return check(scans, unfiltered, grid, None)
     if outside:
         unseen = left_out(scans.aperture.views)
         seen = np.setdiff1d(np.arange(scans.aperture.views), unseen)
-        found = find_outside(select_views(scans, seen), grid)
+        found = find_outside(select_views(scans, seen), grid, told)
         scans = scans if found is None else found.removed(scans)
         unfiltered = scans
     ats = replace(settings.ats, adapt=0, held_out=0.0, calibrate=())
@@ -238,7 +264,8 @@ def _held_out(
         return make_image(some, grid, method, settings.seed, "field", None, replace(ats, **changes))
 
     def predicted(all_views: BasebandScans, unseen: NDArray[np.intp]) -> float:
-        return fit(all_views, grid, replace(ats, **changes, seed=settings.seed), unseen=unseen).held_out
+        fitted = replace(ats, **changes, seed=settings.seed)
+        return fit(all_views, grid, fitted, lambda step, of, _: told(step, of), unseen).held_out
 
     return check(scans, unfiltered, grid, make, predicted if method == "ats" and iterations is None else None)
 

@@ -87,9 +87,12 @@ def test_a_fit_without_the_compiled_loops_gives_the_same_image(monkeypatch) -> N
 def test_dark_pixels_are_left_out_and_zero_and_a_late_reflector_joins() -> None:
     strength = np.zeros((9, 9))
     strength[4, 4] = 1
-    first = Support.begin(strength, 0.1)
+    first = Support.begin(strength, np.zeros((9, 9)), 0.1)
     assert first.mask.sum() == 9
     assert first.mask[3:6, 3:6].all()
+    drawn = np.zeros((9, 9))
+    drawn[0, 0], drawn[8, 0] = 1, 0.01
+    assert Support.begin(strength, drawn, 0.1).mask.sum() == 13  # four about what the first image shows
     residual = np.zeros((9, 9))
     residual[0, 8] = 0.2
     later = first.renewed(strength, residual, 0.1)

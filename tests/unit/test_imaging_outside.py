@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 import pytest
 
+from tagid.cli.common.imaging import outside_words
 from tagid.geometry import ImageGrid
+from tagid.imaging.kernel import RangeGeometry
+from tagid.imaging.operator import ForwardOperator
 from tagid.imaging.outside import find_outside
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
+from tagid.imaging.types import BasebandScans, PointResponse
 from tagid.pipeline.reconstruct import reconstruct
 from tagid.pipeline.settings import ImagingSettings
 from tests.unit.imaging_scenes import record, turn
@@ -51,3 +58,51 @@ def test_sidelobes_of_the_inside_are_no_reflector_outside(views: int) -> None:
         capture = record(points, amplitudes, turn(views), noise=0.1, seed=seed)
         scans = preprocess(capture, settings=PreprocessSettings("mean", False, extent_m=0.4))
         assert find_outside(scans, GRID) is None
+
+
+@pytest.mark.parametrize("method", ["bp", "bp-raw", "polar", "range-doppler"])
+def test_methods_without_a_fit_say_that_echoes_lie_outside(method: str) -> None:
+    capture = record([*INSIDE, [0.33, 0.05]], [1, 0.8, 3], turn(48), noise=0.05, bins=180)
+    settings = ImagingSettings(method=method, extent_m=0.4, pixels=64, focus_m=0.0)
+    found = reconstruct(capture, settings).image.settings
+    assert found["outside"]["share"] > 0.5 and not found["outside"]["subtracted"]
+    (words,) = outside_words(found)
+    assert "outside the image; use a larger --extent" in words
+    capture = record(INSIDE, [1, 0.8], turn(48), noise=0.05, bins=180)
+    assert "outside" not in reconstruct(capture, settings).image.settings
+
+
+def short_wave_scans(views: int) -> BasebandScans:
+    """Two reflectors inside and a strong one outside an image of 0.4 m, wavelength 4 mm, noise-free."""
+    points = np.array([*INSIDE, [0.33, 0.05]])
+    ranges = np.arange(0.6, 1.4, 0.02)
+    steps = np.arange(-64, 65) * 0.002
+    response = PointResponse(np.exp(-((steps / 0.03) ** 2)) + 0j, 0.002)
+    empty = np.zeros((views, len(ranges)), dtype=np.complex64)
+    scans = BasebandScans(
+        empty, 0.6, 0.02, 75e9, response, turn(views), independent_samples=0.5 * empty.size, noise_std=1e-3
+    )
+    amplitudes = np.array([1, 0.8, 3], dtype=np.complex64)
+    return replace(scans, samples=ForwardOperator(scans, points).forward(amplitudes))
+
+
+def test_the_search_is_bounded_at_short_wavelengths(monkeypatch: pytest.MonkeyPatch) -> None:
+    pairs = 0
+    gather = RangeGeometry.gather
+
+    def counted(self: RangeGeometry, *args: Any) -> Any:
+        nonlocal pairs
+        pairs += self.views * self.points
+        return gather(self, *args)
+
+    monkeypatch.setattr(RangeGeometry, "gather", counted)
+    reports: list[tuple[int, int]] = []
+    found = find_outside(
+        short_wave_scans(60), ImageGrid(0.4, 128), lambda done, of: reports.append((done, of))
+    )
+    assert found is not None
+    assert np.hypot(*(found.points - [0.33, 0.05]).T).max() < 0.01
+    assert found.share > 0.5
+    # A single look at every pixel of the square of 1.2 m that the wavelength asks for takes more.
+    assert pairs < 60 * (1.2 / 0.00047) ** 2 / 2
+    assert reports and all(0 < done <= of for done, of in reports)

@@ -9,7 +9,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.special import h2vp, hankel2, jv, jvp, yv, yvp
 
 from tagid.imaging.bilinear import bilinear
-from tagid.imaging.restore import _blurred
+from tagid.imaging.restore import blurred
 from tagid.simulate.bessel import bessel, first_kind
 from tagid.tags.layouts.assignment import least_assignment
 
@@ -67,4 +67,4 @@ def test_values_between_samples(held: bool, mode: str) -> None:
 
 def test_the_restoring_beam_is_a_gaussian_to_the_edges() -> None:
     values = np.random.default_rng(2).standard_normal((33, 40))
-    np.testing.assert_allclose(_blurred(values, 1.7), gaussian_filter(values, 1.7), atol=1e-12)
+    np.testing.assert_allclose(blurred(values, 1.7), gaussian_filter(values, 1.7), atol=1e-12)

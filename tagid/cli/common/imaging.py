@@ -188,8 +188,9 @@ def outside_words(settings: dict[str, Any]) -> list[str]:
     found = settings.get("outside")
     if not found:
         return []
+    subtracted = " and was subtracted" if found["subtracted"] else ""
     return [
-        f"{100 * found['share']:.0f} % of the scans' energy comes from outside the image and was subtracted; "
+        f"{100 * found['share']:.0f} % of the scans' energy comes from outside the image{subtracted}; "
         "use a larger --extent to show it"
     ]
 

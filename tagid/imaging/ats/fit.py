@@ -42,7 +42,8 @@ from tagid.imaging.kernel import is_compiled
 from tagid.imaging.memory import require_memory
 from tagid.imaging.operator import ForwardOperator
 from tagid.imaging.preprocess import PreprocessSettings, preprocess, select_views
-from tagid.imaging.sparse import column_norm
+from tagid.imaging.restore import beam_sigma_m, blurred
+from tagid.imaging.sparse import column_norm, sparse_amplitudes
 from tagid.imaging.types import BasebandScans, Image
 
 __all__ = ["AtsResult", "AtsSettings", "fit"]
@@ -96,7 +97,7 @@ def fit(
         unseen: numbers of the views that the fit does not see and on which it is judged; None: as
             `settings.held_out` says.
         start: field to begin with, of an earlier fit on this grid with the same sizes of the network; None
-            begins with backprojection.
+            begins with the sparse solution.
 
     Returns:
         Image in the units of the scans, with how it came about. Scans that are all zero give a zero image.
@@ -172,7 +173,8 @@ class _Fit:
             first = _first_image(now, self.grid, shape.cells[-1], scales)
             start = draw_weights(shape, self.grid, scales.output, self.settings.seed, first)
             if self._screened():
-                self.support = Support.begin(scales.back, scales.weight)
+                drawn = np.abs(start.on(self.grid)).max(axis=0)
+                self.support = Support.begin(scales.back, drawn, scales.weight)
         else:
             _check_continues(start, draw_weights(shape, self.grid, start.scale, self.settings.seed))
             scales = replace(scales, output=start.scale)
@@ -394,6 +396,9 @@ _EPSILON = 0.1
 """Adam's, relative to the largest gradient of a tensor: with 0.01 and less rounding and noise move quiet
 pixels as fast as bright ones, with 0.3 and more faint false points are not drawn to zero in time."""
 
+_START_PAIRS = 4 * 10**6
+"""Pairs of view and vertex of the sparse solution at the start: all for a P440 and 360 views of 0.5 m."""
+
 _SHARPENED = 3.0
 """How much brighter a point gets than backprojection shows it, once it is sharp: the output's scale."""
 
@@ -501,9 +506,28 @@ def _scales(scans: BasebandScans, operator: ForwardOperator, settings: AtsSettin
 
 
 def _first_image(scans: BasebandScans, grid: ImageGrid, cells: int, scales: _Scales) -> NDArray[np.complex64]:
-    """(cells + 1, cells + 1) backprojection at the vertices of the finest level, relative to the output."""
+    """(cells + 1, cells + 1) sparse solution with the restoring beam, relative to the output, at the vertices
+    of the finest level.
+
+    From backprojection, whose sidelobes of a dozen views are half as bright as its points, the steps do not
+    get rid of them: 8.8 % of unseen views are left of twelve views of reflectors, 2.7 % from here. From bare
+    pixels the points stay where their pixels are: 1.0 mm off at 36 views, 0.6 mm from here. Where the sparse
+    solution is blank it is backprojection. The brightest vertices of a large image take part.
+    """
     axis = np.linspace(-grid.extent / 2, grid.extent / 2, cells + 1)
     vertices = np.stack([part.ravel() for part in np.meshgrid(axis, axis)], axis=1)
-    back = ForwardOperator(scans, vertices).adjoint(np.ascontiguousarray(scans.samples, dtype=np.complex64))
-    image = back.reshape(cells + 1, cells + 1) * (scales.step / scales.output)
-    return np.asarray(image, dtype=np.complex64)
+    operator = ForwardOperator(scans, vertices)
+    back = operator.adjoint(np.ascontiguousarray(scans.samples, dtype=np.complex64))
+    most = max(1, _START_PAIRS // scans.aperture.views)
+    chosen = np.zeros(len(vertices), dtype=bool)
+    chosen[np.argsort(-np.abs(back), kind="stable")[:most]] = True
+    sparse, _ = sparse_amplitudes(scans, vertices[chosen], operator=operator.among(chosen))
+    if not sparse.any():
+        return np.asarray(back * (scales.step / scales.output), np.complex64).reshape(cells + 1, cells + 1)
+    bare = np.zeros(len(vertices), dtype=np.complex128)
+    bare[chosen] = sparse
+    width = beam_sigma_m(scans.wavenumber) / (grid.extent / cells)
+    parts = [blurred(part.reshape(cells + 1, cells + 1), width) for part in (bare.real, bare.imag)]
+    # A vertex is spread over the pixels of a cell.
+    share = (cells / grid.pixels) ** 2 / scales.output
+    return np.asarray((parts[0] + 1j * parts[1]) * share, dtype=np.complex64)

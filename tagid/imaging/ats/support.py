@@ -46,14 +46,16 @@ class Support:
         return cls(np.ones((pixels, pixels), dtype=bool))
 
     @classmethod
-    def begin(cls, strength: NDArray[np.floating], weight: float) -> Support:
-        """Pixels of the first steps.
+    def begin(cls, strength: NDArray[np.floating], first: NDArray[np.floating], weight: float) -> Support:
+        """Pixels of the first steps: where backprojection is bright, and those of the image to begin with.
 
         Args:
             strength: (pixels, pixels) |A^H y|.
+            first: (pixels, pixels) magnitude of the image to begin with.
             weight: w.
         """
-        return cls._of(strength > max(weight, _FIRST_SHARE * float(strength.max())))
+        bright = strength > max(weight, _FIRST_SHARE * float(strength.max()))
+        return cls._of(bright | (first > _FAINT * float(first.max())))
 
     def renewed(
         self, magnitude: NDArray[np.floating], strength: NDArray[np.floating], weight: float
