@@ -22,11 +22,12 @@ fast_clock.CHECKED_S = 60.0
 for one in fast_clock.measure(clock):
     assert one.seconds >= 59.9 and one.true_seconds < one.seconds / 100, one
 clock.run_at(1.0)
-monotonic, wall, truly = [now - then for now, then in zip([time.monotonic(), time.time(), clock.true_s()], began)]
-assert monotonic > 360 and abs(monotonic - wall) < 1 and truly < monotonic / 100
-before = time.monotonic() - clock.true_s()
+ended = [time.monotonic(), time.time(), clock.true_s()]
+monotonic, wall, truly = [now - then for now, then in zip(ended, began)]
+assert monotonic > 360 and abs(monotonic / wall - 1) < 0.1 and truly < monotonic / 100
+monotonic, truly = time.monotonic(), clock.true_s()
 time.sleep(0.2)
-assert abs(time.monotonic() - clock.true_s() - before) < 0.01, "at the true speed again"
+assert time.monotonic() - monotonic < 5 * (clock.true_s() - truly), "at the true speed again"
 """
 
 
