@@ -1,6 +1,7 @@
 """Turns that stop half-way, and turns that do not: how often a stop is found, and how often it is imagined.
 
-    python tests/benchmarks/standstill.py [--purpose report] [--seeds 8] [--scans 468] [--only turning] [--objects helmet-120]
+    python tests/benchmarks/standstill.py [--purpose report] [--seeds 8] [--only turning]
+    python tests/benchmarks/standstill.py --only stopping --objects helmet-120 container-90
 
 Objects: every preset, tags and bare bodies of `tagid.simulate`, and the full-wave responses of cans, helmet
 shells and reflectors, each up to about 1 cm off the axis. SNR 20, 10 and 5 dB per reflector. Turning objects
@@ -33,7 +34,7 @@ from tagid.simulate.presets import scene_from_name, scene_on_body
 
 FINE = 720
 """Views per turn from which a recording is interpolated."""
-FIRST = {"choose": 10, "report": 5000}
+FIRST = {"choose": 10, "report": 6000}
 """First seed of each purpose."""
 SNRS_DB = (20, 10, 5)
 STOPS = (0.25, 0.5, 0.75, 0.9)
