@@ -30,7 +30,7 @@ LEAST_TURNS = 0.25
 _ANCHOR_TURNS = 0.08
 _SMOOTHED_TURNS = 0.012
 _SIGMAS = 4.5
-_VISIBLE, _VISIBLE_BETWEEN = 0.25, 0.1
+_VISIBLE, _VISIBLE_BETWEEN = 0.15, 0.07
 """Largest change that noise could hide over the lag of the usual change, as a share of it: where the
 recording ends with the standstill, and where the object would have gone on."""
 _ABRUPT = 0.3

@@ -34,7 +34,7 @@ from tagid.simulate.presets import scene_from_name, scene_on_body
 
 FINE = 720
 """Views per turn from which a recording is interpolated."""
-FIRST = {"choose": 10, "report": 6000}
+FIRST = {"choose": 10, "report": 7000}
 """First seed of each purpose."""
 SNRS_DB = (20, 10, 5)
 STOPS = (0.25, 0.5, 0.75, 0.9)
