@@ -30,13 +30,14 @@ LEAST_TURNS = 0.25
 _ANCHOR_TURNS = 0.08
 _SMOOTHED_TURNS = 0.012
 _SIGMAS = 4.5
-_VISIBLE, _VISIBLE_BETWEEN = 0.25, 0.1
+_VISIBLE, _VISIBLE_BETWEEN = 0.15, 0.07
 """Largest change that noise could hide over the lag of the usual change, as a share of it: where the
 recording ends with the standstill, and where the object would have gone on."""
 _ABRUPT = 0.3
 """Smallest change beside the standstill, as a share of the usual change over the same angle."""
-_SHOWN = 0.4
-"""Smallest echo in the still scans beyond their background, as a share of the usual change."""
+_SHOWN, _SHOWN_LAST = 10.0, 0.4
+"""Smallest echo in the still scans beyond their background: that many times the change that noise could hide;
+where the recording ends with the standstill, no more than this share of the usual change."""
 _SEEN_BEFORE = 0.3
 """Smallest change in the same part of another turn, as a share of the usual change."""
 _PER_TURN = 360
@@ -151,14 +152,15 @@ class _Witness:
         if self._turns[still.stop - 1] - self._turns[still.first] < LEAST_TURNS or self._usual <= 0:
             return False
         begins, ends = still.first > 0, still.stop <= last
-        visible = _VISIBLE_BETWEEN if ends else _VISIBLE
-        if _SIGMAS * self._spread / np.sqrt(max(self._width, self._lag)) > visible * self._usual:
+        hidden = _SIGMAS * self._spread / np.sqrt(max(self._width, self._lag)) / self._usual
+        if hidden > (_VISIBLE_BETWEEN if ends else _VISIBLE):
             return False
+        shown = _SHOWN * hidden if ends else min(_SHOWN * hidden, _SHOWN_LAST)
         if not begins or (ends and not self._abrupt(still.stop + self._lag, still.stop, last + 1)):
             return False
         if not self._abrupt(still.first - 1 - self._lag, 0, still.first):
             return False
-        return self._shows_an_echo() and all(
+        return self._shows(shown) and all(
             self._changed_in_another_turn(1 + off) for off in (-tolerance, 0.0, tolerance)
         )
 
@@ -177,14 +179,14 @@ class _Witness:
         chosen = next(i for i, change in enumerate(changes) if change >= half or i == len(changes) - 1)
         return int(lags[chosen]), changes[chosen]
 
-    def _shows_an_echo(self) -> bool:
-        """Whether the still scans contain a part of the echo that moved, and not its background alone."""
+    def _shows(self, least: float) -> bool:
+        """Whether the still scans contain so much of the echo that moved, and not its background alone."""
         moving = np.ones(len(self._echo), dtype=bool)
         moving[self._still.first : self._still.stop] = False
         background = self._echo[moving].mean(axis=0)
         chance = self._noise * (1 / (len(moving) - moving.sum()) + 1 / moving.sum())
         shown = float(((self._mean - background) ** 2).sum()) - chance
-        return bool(shown >= _SHOWN * self._usual)
+        return bool(shown >= least * self._usual)
 
     def _abrupt(self, centre: int, low: int, high: int) -> bool:
         """Whether the scans around one differ from the still ones about as usual."""

@@ -350,9 +350,12 @@ def _record_and_read(
                 spent=SPENT if view.until_sure and not ended_early(loaded) else 0.0,
             )
             answer = ended_answer(answer, ended, settings.false_accept)
-            answer = with_causes(answer, prepared, known.layouts)
             if live is not None:
                 live.view.settle(loaded, answer)
+            # Looking for causes reads the scans several times more: the answer does not wait for them.
+            answer = with_causes(answer, prepared, known.layouts)
+            if live is not None:
+                live.view.explain(answer)
         except KeyboardInterrupt as stop:
             raise interrupts.stopped_by_user(stop, _kept(paths[-1])) from stop
         except TagidError as error:

@@ -1,6 +1,7 @@
 """Turns that stop half-way, and turns that do not: how often a stop is found, and how often it is imagined.
 
-    python tests/benchmarks/standstill.py [--purpose report] [--seeds 8] [--scans 468] [--only turning]
+    python tests/benchmarks/standstill.py [--purpose report] [--seeds 8] [--only turning]
+    python tests/benchmarks/standstill.py --only stopping --objects helmet-120 container-90
 
 Objects: every preset, tags and bare bodies of `tagid.simulate`, and the full-wave responses of cans, helmet
 shells and reflectors, each up to about 1 cm off the axis. SNR 20, 10 and 5 dB per reflector. Turning objects
@@ -33,7 +34,7 @@ from tagid.simulate.presets import scene_from_name, scene_on_body
 
 FINE = 720
 """Views per turn from which a recording is interpolated."""
-FIRST = {"choose": 10, "report": 5000}
+FIRST = {"choose": 10, "report": 7000}
 """First seed of each purpose."""
 SNRS_DB = (20, 10, 5)
 STOPS = (0.25, 0.5, 0.75, 0.9)
@@ -131,13 +132,14 @@ def main() -> None:
     words.add_argument("--purpose", choices=tuple(FIRST), default="report")
     words.add_argument("--seeds", type=int, default=8, help="of each object")
     words.add_argument("--scans", type=int, default=468, help="in 1.3 turns")
+    words.add_argument("--objects", nargs="+", choices=objects(), default=objects(), metavar="NAME")
     words.add_argument("--only", choices=("turning", "stopping"), default=None)
     asked = words.parse_args()
     print(f"commit {commit()}, {asked.purpose}, {asked.seeds} seeds, {asked.scans} scans")
     false: Counter[int] = Counter()
     turned: Counter[int] = Counter()
     stopped: Counter[tuple[str, int, float, str]] = Counter()
-    for name in objects():
+    for name in asked.objects:
         for seed in range(FIRST[asked.purpose], FIRST[asked.purpose] + asked.seeds):
             turn, rng = clean(name, seed), np.random.default_rng([seed, 5])
             for snr_db in SNRS_DB:
