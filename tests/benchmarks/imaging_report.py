@@ -99,16 +99,19 @@ def resumed(work: Callable[[Job], dict[str, Any]], jobs: Sequence[Job], pieces: 
     """work(job) of every job (a NamedTuple), kept in `pieces.file`, so that a long table is made in pieces.
 
     After `pieces.minutes` it returns what there is; the next call with the same file goes on. With
-    `pieces.part`, a run of neighbouring jobs, it ends the program once that part is computed.
+    `pieces.part`, a run of neighbouring jobs, it ends the program once that part is computed. Of several
+    results of one job the later members count, so that a file with new ones of some rows may follow.
     """
     found: dict[Job, Any] = {}
     name = work.__name__
     if pieces.file is not None and pieces.file.exists():
         known = [json.loads(line) for line in pieces.file.read_text().splitlines()]
-        kept = {json.dumps(entry["job"]): entry for entry in known if entry["work"] == name}
-        entries = {job: kept[key] for job in jobs if (key := json.dumps(job)) in kept}
-        found = {job: entry["found"] for job, entry in entries.items()}
-        pieces.made.update(entry["made"] for entry in entries.values())
+        by_key = {json.dumps(job): job for job in jobs}
+        for entry in known:
+            job = by_key.get(json.dumps(entry["job"]))
+            if entry["work"] == name and job is not None:
+                found[job] = {**found.get(job, {}), **entry["found"]}
+                pieces.made.add(entry["made"])
     mine = list(jobs)
     if pieces.part is not None:
         i, n = pieces.part
