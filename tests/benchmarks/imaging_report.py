@@ -163,6 +163,44 @@ def write_block(page: str, name: str, title: str, text: str) -> None:
     path.write_text(content, encoding="utf-8")
 
 
+def write_rows(page: str, name: str, text: str, rows: Sequence[str], made: str) -> None:
+    """Replace the lines of some methods in the tables of a block; a sentence says what made them.
+
+    Raises:
+        SystemExit: the page has no such block, or a line that it lacks.
+    """
+    path = RESULTS / f"{page}.md"
+    content = path.read_text(encoding="utf-8")
+    there = re.search(rf"<!-- imaging:{re.escape(name)} -->\n.*?<!-- end -->\n", content, re.DOTALL)
+    if there is None:
+        raise SystemExit(f"{path} has no block {name}")
+    lines = there.group().splitlines()
+    places = {key: i for i, key in enumerate(_keys(lines, rows)) if key is not None}
+    new = text.splitlines()
+    for line, key in zip(new, _keys(new, rows), strict=True):
+        if key is not None:
+            if key not in places:
+                raise SystemExit(f"block {name} has no line {key}")
+            lines[places[key]] = line
+    note = f"{', '.join(rows)}: {made}."
+    lines = [line for line in lines if not line.startswith(f"{', '.join(rows)}: commit ")]
+    block = "\n".join([*lines[:4], "", note, *lines[4:]]) + "\n"
+    path.write_text(content.replace(there.group(), block), encoding="utf-8")
+
+
+def _keys(lines: Sequence[str], rows: Sequence[str]) -> list[tuple[str, ...] | None]:
+    """Of every line: its table's number and its cells up to the method; None where no method of `rows` is."""
+    keys: list[tuple[str, ...] | None] = []
+    table = 0
+    for line in lines:
+        table += line.startswith("|---")
+        cells = [cell.strip() for cell in line.strip("|").split("|")]
+        method = next((i for i, cell in enumerate(cells) if cell in rows), None)
+        known = line.startswith("|") and method is not None
+        keys.append((str(table), *cells[: method + 1]) if known and method is not None else None)
+    return keys
+
+
 def picture_grid(
     pictures: Sequence[Sequence[np.ndarray]],
     extents_m: Sequence[float],
