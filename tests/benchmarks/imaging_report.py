@@ -14,7 +14,7 @@ import platform
 import re
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from datetime import date
 from pathlib import Path
@@ -141,12 +141,13 @@ def made_with() -> str:
     return f"commit {commit()}, {date.today()}, {machine}, numpy {np.__version__}"
 
 
-def heading(title: str, command: str, seeds: str) -> str:
-    """Title of a page of results and where its tables come from."""
-    machine = f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"
+def heading(title: str, command: str, seeds: str, made: Iterable[str] = ()) -> str:
+    """Title of a page of results and where its tables come from: `made` as `made_with`, or this machine."""
+    parts = [each.removeprefix("commit ").split(", ", 2) for each in sorted(made) or [made_with()]]
+    commits, dates, machines = ("; ".join(dict.fromkeys(column)) for column in zip(*parts, strict=True))
     return (
-        f"# {title}\n\n- Command: `{command}`\n- Commit: {commit()}\n"
-        f"- Machine: {machine}, numpy {np.__version__}\n- Date: {date.today()}\n- Seeds: {seeds}\n"
+        f"# {title}\n\n- Command: `{command}`\n- Commit: {commits.removeprefix('commit ')}\n"
+        f"- Machine: {machines}\n- Date: {dates}\n- Seeds: {seeds}\n"
     )
 
 
