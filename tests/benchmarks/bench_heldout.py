@@ -103,7 +103,7 @@ of all scenes with its 95 % interval. One complex factor is fitted for every met
 can be reached. Scenes of `tests/benchmarks/focus_scenes.py` (true axis distance, noise 10 to 30 dB under the
 strongest sample) and of the full-wave responses in `tests/data/responses`, up to 8 mm off the axis; 96 pixels
 or more. "ATS worse": scenes in which the image by ATS predicts unseen views worse than backprojection by more
-than a thousandth of their energy; the result says so. Computed with {made}.
+than a thousandth of their energy; the result says so.
 
 {summary}
 
@@ -194,8 +194,8 @@ def main() -> None:
             "Held-out residual",
             f"python tests/benchmarks/bench_heldout.py --seeds {given.seeds} --few-seeds {few} --write",
             f"{given.seeds} per row ({few} of 12 and 36 views) from {given.first_seed} on",
+            pieces.made,
         ),
-        made="; ".join(sorted(pieces.made)),
         summary=summary(found),
         by_views=by_views(found),
         rows=table(found),

@@ -42,6 +42,8 @@ from train.metrics import localise, pick_peaks, psnr
 MOST_PEAKS = 8
 SHOWN = tuple(row for row in ROWS if row != "blank" and not row.endswith("bare"))
 """Rows of the figures."""
+asked_rows: list[str] = [*ROWS, "oracle"]
+"""Rows of the tables that are computed; `--rows` sets them."""
 
 
 class Column(NamedTuple):
@@ -61,6 +63,7 @@ class Run(NamedTuple):
     pictures: Path
     draw: bool
     pieces: report.Pieces
+    rows: tuple[str, ...]
 
 
 class Case(NamedTuple):
@@ -95,7 +98,7 @@ def object_scene(case: Case, seed: int) -> Problem:
 
 
 def score_object(cell: ObjectCell) -> dict[str, dict[str, float]]:
-    """The members of `OBJECT_COLUMNS` of every row.
+    """The members of `OBJECT_COLUMNS` of every row that is asked for.
 
     The far-off peak is the brightest pixel farther than 4 cm from the outline, against the brightest one; a
     cylinder is seen where the brightest pixel within 2 cm of its surface is at most 10 dB down.
@@ -105,7 +108,7 @@ def score_object(cell: ObjectCell) -> dict[str, dict[str, float]]:
     x, y = np.meshgrid(problem.grid.axis, problem.grid.axis)
     near = thing.outline(problem.grid, 0.04) > np.exp(-0.5)
     scores = {}
-    for row in SHOWN:
+    for row in (row for row in SHOWN if row in asked_rows):
         image, seconds = problem.image(row)
         magnitude = np.abs(image.values) / max(float(np.abs(image.values).max()), 1e-30)
         seen = [
@@ -141,12 +144,14 @@ def _table(
     lines = []
     for label, case in cases.items():
         scores = [score for cell, score in found.items() if cell.case == case]
-        for row in SHOWN if scores else ():
-            values = [
-                report.interval(np.array([s[row][c.name] for s in scores], dtype=float), c.digits)
-                for c in columns
-            ]
-            lines.append([label, row, str(len(scores)), *values])
+        for row in SHOWN:
+            some = [score[row] for score in scores if row in score]
+            if some:
+                values = [
+                    report.interval(np.array([s[c.name] for s in some], dtype=float), c.digits)
+                    for c in columns
+                ]
+                lines.append([label, row, str(len(some)), *values])
     return report.table((kind, "method", "seeds", *(c.title for c in columns)), lines)
 
 
@@ -190,7 +195,7 @@ def score_tag(cell: TagCell) -> dict[str, dict[str, float]]:
     """The members of `TAG_COLUMNS` of every row, for a tag on its object, clutter removed."""
     problem = field_problem(cell.case, cell.seed)
     scores = {}
-    for row in SHOWN:
+    for row in (row for row in SHOWN if row in asked_rows):
         image, seconds = problem.image(row)
         found = localise(pick_peaks(image, MOST_PEAKS), problem.points)
         scores[row] = {
@@ -263,7 +268,12 @@ def main() -> None:
     report.Pieces.add_options(parser)
     parser.add_argument("--write", action="store_true", help="put table and figure into docs/")
     parser.add_argument("--no-pictures", action="store_true", help="leave the figures as they are")
+    parser.add_argument(
+        "--rows", help="of points, objects and tags: compute and write these rows only, e.g. 'ATS field'"
+    )
     options = parser.parse_args()
+    if options.rows:
+        asked_rows[:] = options.rows.split(",")
     if options.list:
         for name, (title, _, _) in EXPERIMENTS.items():
             print(f"{name:12} {title}")
@@ -277,14 +287,16 @@ def main() -> None:
         title, work, figures = EXPERIMENTS[name]
         pieces = report.Pieces.of(options)
         draw = not options.no_pictures
-        run = Run(seeds, options.quick, options.jobs, pictures, draw, pieces)
+        run = Run(seeds, options.quick, options.jobs, pictures, draw, pieces, tuple(asked_rows))
         text = work(run)
         arguments = f"{name} --quick" if options.quick else f"{name} --seeds {seeds}"
         made = f"`python tests/benchmarks/bench_imaging.py {arguments}`, "
         made += "; ".join(sorted(pieces.made) or [report.made_with()]) + ".\n\n"
         shown = "".join(f"\n![{title}](../pictures/{figure}.png)\n" for figure in figures)
         print(f"{title}\n\n{made}{text}", flush=True)
-        if options.write:
+        if options.write and options.rows:
+            report.write_rows("imaging", name, text, asked_rows, "; ".join(sorted(pieces.made)))
+        elif options.write:
             report.write_block("imaging", name, title, made + text + shown)
 
 

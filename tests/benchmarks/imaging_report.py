@@ -14,7 +14,7 @@ import platform
 import re
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from datetime import date
 from pathlib import Path
@@ -99,16 +99,19 @@ def resumed(work: Callable[[Job], dict[str, Any]], jobs: Sequence[Job], pieces: 
     """work(job) of every job (a NamedTuple), kept in `pieces.file`, so that a long table is made in pieces.
 
     After `pieces.minutes` it returns what there is; the next call with the same file goes on. With
-    `pieces.part`, a run of neighbouring jobs, it ends the program once that part is computed.
+    `pieces.part`, a run of neighbouring jobs, it ends the program once that part is computed. Of several
+    results of one job the later members count, so that a file with new ones of some rows may follow.
     """
     found: dict[Job, Any] = {}
     name = work.__name__
     if pieces.file is not None and pieces.file.exists():
         known = [json.loads(line) for line in pieces.file.read_text().splitlines()]
-        kept = {json.dumps(entry["job"]): entry for entry in known if entry["work"] == name}
-        entries = {job: kept[key] for job in jobs if (key := json.dumps(job)) in kept}
-        found = {job: entry["found"] for job, entry in entries.items()}
-        pieces.made.update(entry["made"] for entry in entries.values())
+        by_key = {json.dumps(job): job for job in jobs}
+        for entry in known:
+            job = by_key.get(json.dumps(entry["job"]))
+            if entry["work"] == name and job is not None:
+                found[job] = {**found.get(job, {}), **entry["found"]}
+                pieces.made.add(entry["made"])
     mine = list(jobs)
     if pieces.part is not None:
         i, n = pieces.part
@@ -138,12 +141,13 @@ def made_with() -> str:
     return f"commit {commit()}, {date.today()}, {machine}, numpy {np.__version__}"
 
 
-def heading(title: str, command: str, seeds: str) -> str:
-    """Title of a page of results and where its tables come from."""
-    machine = f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"
+def heading(title: str, command: str, seeds: str, made: Iterable[str] = ()) -> str:
+    """Title of a page of results and where its tables come from: `made` as `made_with`, or this machine."""
+    parts = [each.removeprefix("commit ").split(", ", 2) for each in sorted(made) or [made_with()]]
+    commits, dates, machines = ("; ".join(dict.fromkeys(column)) for column in zip(*parts, strict=True))
     return (
-        f"# {title}\n\n- Command: `{command}`\n- Commit: {commit()}\n"
-        f"- Machine: {machine}, numpy {np.__version__}\n- Date: {date.today()}\n- Seeds: {seeds}\n"
+        f"# {title}\n\n- Command: `{command}`\n- Commit: {commits.removeprefix('commit ')}\n"
+        f"- Machine: {machines}\n- Date: {dates}\n- Seeds: {seeds}\n"
     )
 
 
@@ -158,6 +162,44 @@ def write_block(page: str, name: str, title: str, text: str) -> None:
     else:
         content = content.rstrip("\n") + "\n\n" + block
     path.write_text(content, encoding="utf-8")
+
+
+def write_rows(page: str, name: str, text: str, rows: Sequence[str], made: str) -> None:
+    """Replace the lines of some methods in the tables of a block; a sentence says what made them.
+
+    Raises:
+        SystemExit: the page has no such block, or a line that it lacks.
+    """
+    path = RESULTS / f"{page}.md"
+    content = path.read_text(encoding="utf-8")
+    there = re.search(rf"<!-- imaging:{re.escape(name)} -->\n.*?<!-- end -->\n", content, re.DOTALL)
+    if there is None:
+        raise SystemExit(f"{path} has no block {name}")
+    lines = there.group().splitlines()
+    places = {key: i for i, key in enumerate(_keys(lines, rows)) if key is not None}
+    new = text.splitlines()
+    for line, key in zip(new, _keys(new, rows), strict=True):
+        if key is not None:
+            if key not in places:
+                raise SystemExit(f"block {name} has no line {key}")
+            lines[places[key]] = line
+    note = f"{', '.join(rows)}: {made}."
+    lines = [line for line in lines if not line.startswith(f"{', '.join(rows)}: commit ")]
+    block = "\n".join([*lines[:4], "", note, *lines[4:]]) + "\n"
+    path.write_text(content.replace(there.group(), block), encoding="utf-8")
+
+
+def _keys(lines: Sequence[str], rows: Sequence[str]) -> list[tuple[str, ...] | None]:
+    """Of every line: its table's number and its cells up to the method; None where no method of `rows` is."""
+    keys: list[tuple[str, ...] | None] = []
+    table = 0
+    for line in lines:
+        table += line.startswith("|---")
+        cells = [cell.strip() for cell in line.strip("|").split("|")]
+        method = next((i for i, cell in enumerate(cells) if cell in rows), None)
+        known = line.startswith("|") and method is not None
+        keys.append((str(table), *cells[: method + 1]) if known and method is not None else None)
+    return keys
 
 
 def picture_grid(

@@ -18,6 +18,7 @@ from tagid.capture import Capture
 from tagid.constants import RANGE_STEP_M, SPEED_OF_LIGHT
 from tagid.geometry import Aperture, ImageGrid
 from tagid.imaging.ats.adapt import changes_of, linear_image, linear_iterations
+from tagid.imaging.ats.fit import fit
 from tagid.imaging.ats.settings import AtsSettings
 from tagid.imaging.heldout import check
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
@@ -188,7 +189,12 @@ def held_out_percent(problem: Problem, row: str) -> float:
             return linear_image(some, problem.grid, iterations)
         return make_image(some, problem.grid, method, problem.seed, ats=ats)
 
-    found = check(scans, raw, problem.grid, make)
+    def predicted(every: BasebandScans, unseen: np.ndarray) -> float:
+        # The fit is more than its image: what no turn changes, and what depends on the aspect.
+        return fit(every, problem.grid, replace(ats, held_out=0.0, seed=problem.seed), unseen=unseen).held_out
+
+    field = method == "ats" and iterations is None
+    found = check(scans, raw, problem.grid, make, predicted if field else None)
     return 100 * found.residual if found is not None else float("nan")
 
 

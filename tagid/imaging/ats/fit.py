@@ -396,7 +396,7 @@ _EPSILON = 0.1
 """Adam's, relative to the largest gradient of a tensor: with 0.01 and less rounding and noise move quiet
 pixels as fast as bright ones, with 0.3 and more faint false points are not drawn to zero in time."""
 
-_START_PAIRS = 4 * 10**6
+_START_PAIRS = 2 * 10**6
 """Pairs of view and vertex of the sparse solution at the start: all for a P440 and 360 views of 0.5 m."""
 
 _SHARPENED = 3.0
