@@ -99,7 +99,7 @@ class Task:
 
     @property
     def key(self) -> str:
-        return f"{self.part}:" + ",".join(f"{v:g}" for v in self.values)
+        return f"{self.part}:" + ",".join(str(float(v)).removesuffix(".0") for v in self.values)
 
 
 def read(capture: Capture, truth: str | None, row: tuple[str, str, str]) -> Answer:

@@ -23,6 +23,7 @@ from tagid.tags.bodies.points import Place, PointReading, PointSettings, read_po
 from tagid.tags.bodies.reflectors_fit import FEWEST_TERMS
 from tagid.tags.bodies.spectra import Spectra
 from tagid.tags.layouts.layout import Layout
+from tagid.tags.matching.bare_checks import BareDecision, checked
 from tagid.tags.matching.reading import Reading
 from tagid.tags.matching.won import as_points, kind_on, on_body, on_object
 from tagid.tags.verdicts.verdict import Code, Verdict
@@ -41,6 +42,7 @@ class ContestSettings:
         body: search and priors on bodies.
         decision: tests on bodies.
         points: fit and tests of tags without a body.
+        bare: checks of a name without a body.
         explained: a bare reading that explains this share of the echo is not contested: no body could leave
             a third of so little.
         wall_m: a body takes part against a bare name only where its echo comes from so far before its centre
@@ -62,6 +64,7 @@ class ContestSettings:
     body: BodySettings = field(default_factory=BodySettings)
     decision: BodyDecision = field(default_factory=BodyDecision)
     points: PointSettings = field(default_factory=PointSettings)
+    bare: BareDecision = field(default_factory=BareDecision)
     explained: float = 0.9
     wall_m: float = 0.010
     wall_share: float = 0.05
@@ -111,7 +114,8 @@ def settle(
         settled = replace(done, hypotheses=(own,))
     else:
         settled = _against_bodies(_Bare(bare, own, points, opaque), spectra, layouts, enrolled, settings)
-    settled = _undisputed(_near_axis(settled, layouts, settings), points, spectra, layouts, settings)
+    settled = checked(settled, points, spectra, layouts, settings.bare, opaque=opaque)
+    settled = _undisputed(settled, points, spectra, layouts, settings)
     return _promised(settled, points, spectra, settings)
 
 
@@ -241,27 +245,6 @@ def _in_place(bare: Reading, points: PointReading, settings: PointSettings) -> R
         layout=None,
         code=Code.DISPLACED,
         reason=f"reflectors lie {points.displaced_m * 1e3:.1f} mm from the nearest layout's",
-    )
-
-
-def _near_axis(reading: Reading, layouts: Sequence[Layout], settings: ContestSettings) -> Reading:
-    """The name of a bare pair, taken back where the pair's centre lies far off the axis.
-
-    Two bare reflectors have nothing but their spacing and their place: those of another angle on a ring of
-    another radius are an enrolled pair about a centre that is not the object's.
-    """
-    if reading.status != "identified" or reading.kind is not Kind.BARE:
-        return reading
-    layout = next(one for one in layouts if one.name == reading.layout)
-    off = abs(complex(*reading.centre_m))
-    if len(layout.positions) > 2 or off <= settings.decision.centre_m:
-        return reading
-    return replace(
-        reading,
-        status="unknown",
-        layout=None,
-        code=Code.OFF_CENTRE,
-        reason=f"a pair in the spacing of {layout.name}, but its centre lies {off * 1e3:.0f} mm off the axis",
     )
 
 
