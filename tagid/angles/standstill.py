@@ -72,12 +72,12 @@ def find_standstill(
         return None
     together = max(1, int(1 / (step * _PER_TURN)))
     count = len(turns) // together
+    if count < 3:
+        return None
     kept = count * together
     flat = np.concatenate([samples.real, samples.imag], axis=1) if np.iscomplexobj(samples) else samples
     scans = flat[:kept].reshape(count, together, -1).mean(axis=1, dtype=np.float64).astype(np.float32)
     places = np.asarray(turns, dtype=np.float64)[:kept].reshape(count, together).mean(axis=1)
-    if count < 3:
-        return None
     scans -= scans.mean(axis=0)
     parts = 2 if np.iscomplexobj(samples) else 1
     echo = moving_echo(scans, np.ones(count - 1, dtype=bool), parts).astype(np.float64)

@@ -104,6 +104,13 @@ def test_nothing_turns_is_no_stop() -> None:
     assert find_standstill(samples, path(9), TOLERANCE) is None
 
 
+@pytest.mark.parametrize("count", [2, 30, 100])
+def test_a_few_scans_of_a_slow_table_are_no_stop(count: int) -> None:
+    """At 1 rpm and 230 scans a second a degree holds 38 scans: fewer are not one place of the turn."""
+    samples = np.random.default_rng(1).standard_normal((count, 64)).astype(np.float32)
+    assert find_standstill(samples, np.arange(count) / (38.5 * 360), 0.1) is None
+
+
 def test_the_answer_names_the_stop_and_uses_the_part_before() -> None:
     capture = recording("points-5", path(0.5), 20, 4)
     loaded = load_capture(capture)
