@@ -58,6 +58,8 @@ def reconstruct(
     capture: Capture | PreparedCapture,
     settings: ImagingSettings | None = None,
     progress: Progress | None = None,
+    *,
+    tell_outside: bool = True,
 ) -> Reconstruction:
     """Image a prepared capture.
 
@@ -65,6 +67,7 @@ def reconstruct(
         capture: the result of `prepare`, or a `PreparedCapture`, which has its own settings.
         settings: imaging settings; only with a plain capture.
         progress: called with (done, total, remark) by iterative methods.
+        tell_outside: search echoes outside the image also for methods that cannot subtract them.
 
     Raises:
         DataError: too few views or bins, or the object lies outside the range window.
@@ -84,7 +87,7 @@ def reconstruct(
         with watch.stage("focus"):
             scans, focus = focus_axis_distance(scans, grid, settings.focus_m)
     outside: Outside | None = None
-    if settings.preset != "paper":
+    if settings.preset != "paper" and (tell_outside or IMAGING_METHODS[method].sparse):
         with watch.stage("outside"):
             unfiltered = _unfiltered(prepared, scans, method)
             outside = find_outside(unfiltered, grid, _remark(progress, "echoes outside the image"))
