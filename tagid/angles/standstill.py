@@ -144,6 +144,8 @@ class _Witness:
         self._mean = inner.mean(axis=0)
         self._away = ((echo - self._mean) ** 2).sum(axis=1) - self._noise * (1 + 1 / len(inner))
         self._spread = float(((inner - self._mean) ** 2).sum(axis=1).std())
+        self._moving = np.ones(len(echo), dtype=bool)
+        self._moving[still.first : still.stop] = False
         self._lag, self._usual = self._usual_change()
 
     def confirms(self, tolerance: float) -> bool:
@@ -166,8 +168,7 @@ class _Witness:
 
     def _usual_change(self) -> tuple[int, float]:
         """(lag, change): the lag at which the moving scans differ by half of the most, and by how much."""
-        moving = np.ones(len(self._echo), dtype=bool)
-        moving[self._still.first : self._still.stop] = False
+        moving = self._moving
         side = np.arange(len(self._echo)) >= self._still.stop
         lags = np.unique([max(1, round(self._per_turn * turns)) for turns in _LAGS_TURNS])
         changes = []
@@ -181,8 +182,7 @@ class _Witness:
 
     def _shows(self, least: float) -> bool:
         """Whether the still scans contain so much of the echo that moved, and not its background alone."""
-        moving = np.ones(len(self._echo), dtype=bool)
-        moving[self._still.first : self._still.stop] = False
+        moving = self._moving
         background = self._echo[moving].mean(axis=0)
         chance = self._noise * (1 / (len(moving) - moving.sum()) + 1 / moving.sum())
         shown = float(((self._mean - background) ** 2).sum()) - chance

@@ -242,5 +242,5 @@ def ended_answer(
     if answer.status != "identified":
         return answer
     reason = f"the first {ending.share or 0:.0%} of the turn show {ending.layout}, all scans {reading.layout}"
-    withdrawn = replace(reading, status="unknown", layout=None, code=Code.DISAGREE, reason=reason, bound=None)
+    withdrawn = replace(reading.refused(Code.DISAGREE, reason), bound=None)
     return replace(answer, status="unknown", reading=withdrawn, label="")

@@ -113,7 +113,7 @@ def checked_reading(reading: Reading, capture: Capture) -> Reading:
     if resolved is None or resolved.turns is None or resolved.turns >= LEAST_NAMED_TURNS:
         return reading
     reason = f"{stopped_words(found)}, and until then the scans show {reading.layout}, but not every side"
-    return replace(reading, status="unknown", layout=None, code=Code.STOPPED, reason=reason, bound=None)
+    return replace(reading.refused(Code.STOPPED, reason), bound=None)
 
 
 def stopped_words(found: Standstill) -> str:

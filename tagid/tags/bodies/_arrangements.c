@@ -4,7 +4,7 @@
  * `tagid.tags.bodies.reflectors_fit` and `.ring` hold the formulas, and do the same with numpy where no
  * compiler was present. Only the stable ABI and the buffer protocol are used.
  */
-#include "../_buffers.h"
+#include "_spectra.h"
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -15,14 +15,6 @@
 #define MOVES 32 /* directions, at most */
 #define LOAD 1e-6
 #define LARGEST 8 /* terms of a ring's pattern, at most */
-
-typedef struct {
-    const double *antenna; /* (2, views) */
-    const double *height;  /* (views,) */
-    const double *data;    /* (F, 2, views) */
-    int64_t views, frequencies;
-    double first, step, distance; /* kappa of the first frequency and between two; d */
-} Spectra;
 
 typedef struct {
     const double *at;      /* (H, 6 + K) */
@@ -53,33 +45,6 @@ typedef struct {
     int number;
 } Reflector;
 #define PER_REFLECTOR (2 * 2 + 2 * TERMS + 7 + 3 * 2)
-
-/* Takes out what is constant over the views of a column (2, views). */
-INLINE void centre(double *restrict x, int64_t n)
-{
-    for (int part = 0; part < 2; part++, x += n) {
-        double mean = 0.0;
-#pragma omp simd reduction(+ : mean)
-        for (int64_t v = 0; v < n; v++)
-            mean += x[v];
-        mean /= (double)n;
-        for (int64_t v = 0; v < n; v++)
-            x[v] -= mean;
-    }
-}
-
-/* <a, b> of columns (2, views). */
-INLINE void inner(const double *restrict a, const double *restrict b, int64_t n, double *out)
-{
-    double re = 0.0, im = 0.0;
-#pragma omp simd reduction(+ : re, im)
-    for (int64_t v = 0; v < n; v++) {
-        re += a[v] * b[v] + a[n + v] * b[n + v];
-        im += a[v] * b[n + v] - a[n + v] * b[v];
-    }
-    out[0] = re;
-    out[1] = im;
-}
 
 /* Its real part. */
 INLINE double real_inner(const double *restrict a, const double *restrict b, int64_t n)
@@ -446,17 +411,7 @@ static PyObject *linear(PyObject *self, PyObject *args)
     if (!PyArg_ParseTuple(args, "OOO(ddd)OOOOOOOOOOOO", s, s + 1, s + 2, &g.first, &g.step, &g.distance, o,
                           o + 1, o + 2, o + 3, o + 4, o + 5, o + 6, o + 7, o + 8, o + 9, o + 10, o + 11))
         return NULL;
-    if (!(g.height = take(&h, s[1], -1, 0)))
-        return finished(&h);
-    g.views = taken(&h) / 8;
-    if (!(g.antenna = take(&h, s[0], 16 * g.views, 0)) || !(g.data = take(&h, s[2], -1, 0)))
-        return finished(&h);
-    g.frequencies = g.views ? taken(&h) / 16 / g.views : 0;
-    if (g.frequencies < 1 || taken(&h) != 16 * g.views * g.frequencies) {
-        refused("spectra and antennas do not fit together");
-        return finished(&h);
-    }
-    if (!rows_of(&h, o, &g, &r))
+    if (!take_spectra(&h, s, &g) || !rows_of(&h, o, &g, &r))
         return finished(&h);
     const int64_t columns = 2 * COLUMNS + 2 + 2 * MOVES + 6 + 4 + PER_REFLECTOR * r.width;
     double *scratch = malloc((size_t)(g.views * columns) * sizeof(double));

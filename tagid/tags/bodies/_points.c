@@ -3,7 +3,7 @@
  * `tagid.tags.bodies.points` holds the formula, and does the same with numpy where no compiler was present.
  * Only the stable ABI and the buffer protocol are used.
  */
-#include "../_buffers.h"
+#include "_spectra.h"
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -12,14 +12,6 @@
 #define PAIRS (MOST * (MOST - 1) / 2)
 #define LOAD 1e-9
 #define SPACING 0.06 /* of two reflectors whose bounce has the amplitude 1, m */
-
-typedef struct {
-    const double *antenna; /* (2, views) */
-    const double *height;  /* (views,) */
-    const double *data;    /* (F, 2, views) */
-    int64_t views, frequencies;
-    double first, step, distance; /* kappa of the first frequency and between two; d */
-} Spectra;
 
 typedef struct {
     double *phase; /* (2, views) now, at one frequency, with its spreading loss */
@@ -45,33 +37,6 @@ INLINE void advance(const Spectra *g, const Wave *w)
         re[v] = a;
         im[v] = b;
     }
-}
-
-/* Takes out what is constant over the views of a column (2, views). */
-INLINE void centre(double *restrict x, int64_t n)
-{
-    for (int part = 0; part < 2; part++, x += n) {
-        double mean = 0.0;
-#pragma omp simd reduction(+ : mean)
-        for (int64_t v = 0; v < n; v++)
-            mean += x[v];
-        mean /= (double)n;
-        for (int64_t v = 0; v < n; v++)
-            x[v] -= mean;
-    }
-}
-
-/* <a, b> of columns (2, views). */
-INLINE void inner(const double *restrict a, const double *restrict b, int64_t n, double *out)
-{
-    double re = 0.0, im = 0.0;
-#pragma omp simd reduction(+ : re, im)
-    for (int64_t v = 0; v < n; v++) {
-        re += a[v] * b[v] + a[n + v] * b[n + v];
-        im += a[v] * b[n + v] - a[n + v] * b[v];
-    }
-    out[0] = re;
-    out[1] = im;
 }
 
 /* y -= c x. */
@@ -412,16 +377,8 @@ static PyObject *fit(PyObject *self, PyObject *args)
                           &free_to.rigid, &free_to.rounds, &free_to.reach, &free_to.step, o + 3, o + 4, o + 5,
                           o + 6, o + 7))
         return NULL;
-    if (!(g.height = take(&h, o[1], -1, 0)))
+    if (!take_spectra(&h, o, &g))
         return finished(&h);
-    g.views = taken(&h) / 8;
-    if (!(g.antenna = take(&h, o[0], 16 * g.views, 0)) || !(g.data = take(&h, o[2], -1, 0)))
-        return finished(&h);
-    g.frequencies = g.views ? taken(&h) / 16 / g.views : 0;
-    if (g.frequencies < 1 || taken(&h) != 16 * g.views * g.frequencies) {
-        refused("spectra and antennas do not fit together");
-        return finished(&h);
-    }
     if (!(heights = take(&h, o[4], -1, 0)))
         return finished(&h);
     const int64_t count = taken(&h) / 8;

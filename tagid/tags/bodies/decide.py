@@ -8,6 +8,9 @@ from math import inf, log10, sqrt
 from tagid.tags.bodies.body_reading import BodyReading
 from tagid.tags.verdicts.verdict import Code, Verdict
 
+FARTHEST_CENTRE_M = 0.013
+"""Of an object that stands within 10 mm of the axis, as measured."""
+
 
 @dataclass(frozen=True)
 class BodyDecision:
@@ -46,7 +49,7 @@ class BodyDecision:
     radius_m: float = 0.025
     early_m: tuple[float, float] = (-0.065, 0.030)
     wall_share: float = 0.05
-    centre_m: float = 0.013
+    centre_m: float = FARTHEST_CENTRE_M
     no_tag_nats: float = 60.0
     no_tag_share: float = 0.001
 

@@ -7,8 +7,9 @@ here holds a simpler explanation against them that has as many free amplitudes.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
+from tagid.tags.bodies.decide import FARTHEST_CENTRE_M
 from tagid.tags.bodies.hypothesis import Kind
 from tagid.tags.bodies.points import PointReading
 from tagid.tags.bodies.spectra import Spectra
@@ -34,7 +35,7 @@ class BareDecision:
             tags of 12 to 72 views by 21 % or more, ovals, shells and cups by at most 8 %.
     """
 
-    centre_m: float = 0.013
+    centre_m: float = FARTHEST_CENTRE_M
     unexplained: float = 0.15
     wall: float = 0.15
 
@@ -69,25 +70,20 @@ def checked(
     centre = complex(*reading.centre_m)
     if len(layout.positions) == 2 and abs(centre) > settings.centre_m:
         off = f"its centre lies {abs(centre) * 1e3:.0f} mm off the axis"
-        return _refused(reading, Code.OFF_CENTRE, f"a pair in the spacing of {layout.name}, but {off}")
+        return reading.refused(Code.OFF_CENTRE, f"a pair in the spacing of {layout.name}, but {off}")
     own = next((p for p in points.layouts if p.layout == layout.name), None) if points is not None else None
     if points is None or own is None or opaque:
         return reading
     if points.lead < 0 and points.unexplained > settings.unexplained:
         left = f"which leaves {points.unexplained:.0%}"
-        return _refused(
-            reading, Code.ELSEWHERE, f"points elsewhere explain the echo better than {layout.name}, {left}"
+        return reading.refused(
+            Code.ELSEWHERE, f"points elsewhere explain the echo better than {layout.name}, {left}"
         )
     if layout.symmetry == 2 and points.tag > 0:
         wall = symmetric_left(spectra, layout.symmetry, AMPLITUDES, (centre,))
         if wall - own.left < settings.wall * points.tag:
-            return _refused(
-                reading,
+            return reading.refused(
                 Code.BODY,
                 f"an oval body without reflectors explains the echo about as well as {layout.name}",
             )
     return reading
-
-
-def _refused(reading: Reading, code: Code, reason: str) -> Reading:
-    return replace(reading, status="unknown", layout=None, code=code, reason=reason)

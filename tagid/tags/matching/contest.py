@@ -239,13 +239,8 @@ def _in_place(bare: Reading, points: PointReading, settings: PointSettings) -> R
     """The bare reading, its name taken back where points with double bounce find the reflectors elsewhere."""
     if bare.layout != points.layouts[0].layout or not points.displaced(settings):
         return bare
-    return replace(
-        bare,
-        status="unknown",
-        layout=None,
-        code=Code.DISPLACED,
-        reason=f"reflectors lie {points.displaced_m * 1e3:.1f} mm from the nearest layout's",
-    )
+    off = points.displaced_m * 1e3
+    return bare.refused(Code.DISPLACED, f"reflectors lie {off:.1f} mm from the nearest layout's")
 
 
 BODY_LEAVES = 0.6
@@ -288,14 +283,11 @@ def _undisputed(
         (alike if same else others).append(placed.charged)
     if min(others) >= min(alike) - margin:
         return reading
-    return replace(
-        reading,
-        status="unknown",
-        layout=None,
-        code=Code.OTHER,
-        reason=f"other reflectors on a round body explain the echo better than {reading.layout} without one",
-        body=body,
+    refused = reading.refused(
+        Code.OTHER,
+        f"other reflectors on a round body explain the echo better than {reading.layout} without one",
     )
+    return replace(refused, body=body)
 
 
 def _promised(
@@ -511,16 +503,12 @@ def _contested(
         return replace(bare, body=reading)
     if own.left <= settings.better * max(_share(reading, best.left), settings.body.priors.model_error):
         return replace(bare, body=reading)
-    return replace(
-        bare,
-        status="unknown",
-        layout=None,
-        code=Code.OTHER,
-        reason=f"another arrangement on a body leaves {_share(reading, best.left):.0%} of the echo, "
+    refused = bare.refused(
+        Code.OTHER,
+        f"another arrangement on a body leaves {_share(reading, best.left):.0%} of the echo, "
         f"{bare.layout} without one {own.left:.0%}",
-        kind=kind_on(reading),
-        body=reading,
     )
+    return replace(refused, kind=kind_on(reading), body=reading)
 
 
 def _explanations(readings: Sequence[tuple[BodyReading, Verdict]]) -> list[Explanation]:

@@ -32,11 +32,7 @@ def without_bodies(bare: Reading, settings: ContestSettings) -> Reading:
     reason = f"the nearest layout explains {bare.evidence.share:.0%} of the echo"
     if bare.evidence.share >= settings.explained:
         reason = "the reflectors are visible from outside only"
-    return replace(
-        bare,
-        status="unknown",
-        code=Code.BODY,
-        reason=f"{reason}, and bodies cannot be read from several antenna heights together",
-        layout=None,
-        note=NOTE,
+    refused = bare.refused(
+        Code.BODY, f"{reason}, and bodies cannot be read from several antenna heights together"
     )
+    return replace(refused, note=NOTE)

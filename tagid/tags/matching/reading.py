@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from tagid.tags.bodies.body_reading import BodyReading
 from tagid.tags.bodies.calibration import Bound
@@ -81,3 +81,7 @@ class Reading:
     def advice(self) -> str:
         """What to do next; empty where a layout is named."""
         return ADVICE[self.code]
+
+    def refused(self, code: Code, reason: str) -> Reading:
+        """The same without its name."""
+        return replace(self, status="unknown", layout=None, code=code, reason=reason)

@@ -100,12 +100,9 @@ def agreed_on_body(joint: Reading, alone: Sequence[Reading]) -> Reading:
         if joint.status != "identified" or joint.layout == layout:
             return best
     if joint.status in ("identified", "ambiguous") or len(named) > 1:
-        return replace(
-            joint,
-            status="unknown",
-            layout=None,
-            code=Code.DISAGREE,
-            reason=f"{len(told)} of {len(alone)} recordings show a body, and do not agree on a layout on it",
+        return joint.refused(
+            Code.DISAGREE,
+            f"{len(told)} of {len(alone)} recordings show a body, and do not agree on a layout on it",
         )
     return max(told, key=lambda one: one.evidence.nats)
 
