@@ -130,6 +130,38 @@ def test_the_main_road_by_keyboard_alone(browser: Any, station_alone: Server) ->
     assert [entry["message"] for entry in browser.get_log("browser")] == []
 
 
+def test_the_answer_is_heard_where_sound_is_on(browser: Any, serve: Callable[..., Server]) -> None:
+    size(browser, 1180, 820)
+    browser.get(serve().url)
+    browser.execute_script(
+        "window.tones = 0; const made = AudioContext.prototype.createOscillator;"
+        "AudioContext.prototype.createOscillator = function () { window.tones++; return made.call(this); };"
+    )
+
+    def tones() -> int:
+        return int(browser.execute_script("return window.tones"))
+
+    def pressed(identity: str) -> None:
+        by_keyboard(browser, identity)
+        browser.switch_to.active_element.send_keys(Keys.ENTER)
+
+    def scanned() -> int:
+        """Tones since the page was opened, after one more scan."""
+        wait(browser, lambda: browser.find_element(By.ID, "scan").is_enabled())
+        pressed("scan")
+        wait(browser, lambda: text(browser, "scan") != "Scan")
+        wait(browser, lambda: text(browser, "answer") == "helmet-120" and text(browser, "scan") == "Scan")
+        return tones()
+
+    assert text(browser, "sound") == "Sound off"
+    pressed("sound")
+    assert text(browser, "sound") == "Sound on" and tones() == 1
+    heard = scanned()
+    assert heard == 3, "the first answer on a page is heard, too"
+    pressed("sound")
+    assert text(browser, "sound") == "Sound off" and scanned() == heard
+
+
 def test_the_history_says_why_nothing_was_named(browser: Any, serve: Callable[..., Server]) -> None:
     error = {"code": "data", "message": "the scans do not <b>repeat</b>", "remedy": "Record 1.3 turns."}
     record = Identification("failed", None, None, None, error=error).to_dict()

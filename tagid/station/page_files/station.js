@@ -12,7 +12,7 @@ let operated = false;
 let running = false;
 let sound = false;
 let audio = null;
-let told = "";
+let told = null;
 let listed = -1;
 const VIEWS = ["scan", "enrol", "history", "health"];
 
@@ -99,8 +99,10 @@ function showAnswer(scan) {
   setText("advice", advice || "");
   const ended = scan && (scan.final || scan.phase === "failed");
   const tone = `${scan ? scan.number : 0} ${kind}`;
-  if (ended && tone !== told) {
-    if (told !== "" && sound) play(SOUNDS[kind] || SOUNDS.failed);
+  if (told === null) {
+    told = ended ? tone : "";  // a scan that ended before the page was opened is not heard
+  } else if (ended && tone !== told) {
+    if (sound) play(SOUNDS[kind] || SOUNDS.failed);
     told = tone;
   }
 }
