@@ -4,8 +4,8 @@ Run `python -m train.calibrate --first 200000 --count 4000 --jobs 2 --scores sco
 many machines as wanted, then `python -m train.calibrate --write tagid/tags/bodies/calibration.json FILES` to
 make the file that the package ships. Seeds from SEALED on are not for this.
 
-With --bare both commands calibrate names without a body alone: 3,000 objects take 12 minutes of one core, and
-the rest of the file stays as it is.
+With --only bare both commands calibrate names without a body alone, 3,000 objects in 12 minutes of one core,
+and with --only wall those beside walls; the rest of the file stays as it is.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
-from tagid.tags.bodies.calibration import Calibration, Stratum, largest
+from tagid.tags.bodies.calibration import Calibration, Evidence, Scores, Stratum
 from tagid.tags.layouts.layout import builtin_layouts
 from tagid.tags.matching.matcher import null_evidence_of
 from train.population import STATEMENT, draw
@@ -35,6 +35,7 @@ VIEWS = (12, 24, 361)
 SNRS_DB = (-np.inf, np.inf)
 LONGEST_GAP = 1000
 """Seeds farther apart belong to two runs."""
+REFUSED = "refused"
 KEPT = 60
 """Scores kept of each stratum: p-values up to 60 / n are exact."""
 
@@ -45,41 +46,27 @@ def one(seed: int, bodies: bool = True) -> dict[str, float | int | str]:
     settings = PreprocessSettings(matched_filter=False, extent_m=0.5)
     scans = preprocess(specimen.capture, settings=settings)
     found = null_evidence_of(scans, list(builtin_layouts().values()), bodies=bodies)
-    row: dict[str, float | int | str] = {
-        "seed": seed,
-        "bare": found.bare if np.isfinite(found.bare) else "refused",
-        "views": specimen.views,
-        "snr_db": found.snr_db,
-    }
+    leads = {Evidence.BARE: found.bare}
     if bodies:
-        row["score"] = found.round if np.isfinite(found.round) else "refused"
-    return row
+        leads |= {Evidence.ROUND: found.round, Evidence.WALL: found.wall}
+    row: dict[str, float | int | str] = {"seed": seed, "views": specimen.views, "snr_db": found.snr_db}
+    return row | {kind.value: lead if np.isfinite(lead) else REFUSED for kind, lead in leads.items()}
 
 
 def strata(rows: list[dict[str, float | int | str]], views: list[int]) -> tuple[Stratum, ...]:
-    """Scores by views and SNR."""
+    """Scores by views and SNR, of every kind of evidence that the rows have."""
     found = []
     for low, high in pairwise(views):
         for weak, strong in pairwise(SNRS_DB):
             own = [r for r in rows if low <= float(r["views"]) < high and weak <= float(r["snr_db"]) < strong]
-            told = [r["score"] for r in own if "score" in r]
-            scores = [float(s) for s in told if s != "refused"]
-            told_bare = [r["bare"] for r in own if "bare" in r]
-            bare = [float(b) for b in told_bare if b != "refused"]
-            found.append(
-                Stratum(
-                    low,
-                    high,
-                    float(weak),
-                    float(strong),
-                    len(told),
-                    largest(scores, KEPT),
-                    len(scores),
-                    largest(bare, KEPT),
-                    len(told_bare),
-                    len(bare),
-                )
-            )
+            scores = {}
+            for kind in Evidence:
+                leads = [
+                    None if r[kind.value] == REFUSED else float(r[kind.value]) for r in own if kind.value in r
+                ]
+                if leads:
+                    scores[kind] = Scores.of(leads, KEPT)
+            found.append(Stratum(low, high, float(weak), float(strong), scores))
     return tuple(found)
 
 
@@ -89,16 +76,15 @@ def ranges(seeds: list[int]) -> tuple[tuple[int, int], ...]:
     return tuple((seeds[a], seeds[b - 1] + 1) for a, b in pairwise(starts))
 
 
-def with_bare(known: Calibration, drawn: tuple[Stratum, ...], seeds: list[int]) -> Calibration:
-    """A calibration with the names without a body of other strata, which have the same limits."""
+def replaced(known: Calibration, drawn: tuple[Stratum, ...], seeds: list[int], kind: Evidence) -> Calibration:
+    """A calibration with one kind of evidence of other strata, which have the same limits."""
     if [one.name for one in known.strata] != [one.name for one in drawn]:
         raise SystemExit("the strata of the file have other limits")
     both = zip(known.strata, drawn, strict=True)
     merged = tuple(
-        replace(old, bare=new.bare, bare_objects=new.bare_objects, bare_scored=new.bare_scored)
-        for old, new in both
+        replace(old, scores={**old.scores, kind: new.scores.get(kind, Scores())}) for old, new in both
     )
-    return replace(known, strata=merged, bare_seeds=ranges(seeds))
+    return replace(known, strata=merged, seeds={**known.seeds, kind: ranges(seeds)})
 
 
 def main() -> None:
@@ -111,7 +97,7 @@ def main() -> None:
     parser.add_argument(
         "--views", type=int, nargs="*", default=VIEWS, help="limits of the strata; each needs 999 objects"
     )
-    parser.add_argument("--bare", action="store_true", help="only names without a body")
+    parser.add_argument("--only", type=Evidence, choices=list(Evidence), help="one kind of evidence")
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--scores", type=Path, default=Path("scores.jsonl"))
     arguments = parser.parse_args()
@@ -124,7 +110,9 @@ def main() -> None:
             multiprocessing.get_context("fork").Pool(arguments.jobs) as pool,
             arguments.scores.open("a") as file,
         ):
-            for row in pool.imap_unordered(partial(one, bodies=not arguments.bare), chosen, chunksize=4):
+            for row in pool.imap_unordered(
+                partial(one, bodies=arguments.only is not Evidence.BARE), chosen, chunksize=4
+            ):
                 file.write(json.dumps(row) + "\n")
                 file.flush()
     if arguments.write:
@@ -134,12 +122,11 @@ def main() -> None:
                 row = json.loads(line)
                 rows[row["seed"]] = row
         drawn = strata(list(rows.values()), arguments.views)
-        if arguments.bare:
+        if arguments.only:
             known = Calibration.from_json(arguments.write.read_text("utf-8"))
-            made = with_bare(known, drawn, sorted(rows))
+            made = replaced(known, drawn, sorted(rows), arguments.only)
         else:
-            every = ranges(sorted(rows))
-            made = Calibration(STATEMENT, drawn, every, bare_seeds=every)
+            made = Calibration(STATEMENT, drawn, dict.fromkeys(Evidence, ranges(sorted(rows))))
         arguments.write.write_text(made.to_json())
 
 

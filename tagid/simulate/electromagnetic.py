@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from tagid.constants import SPEED_OF_LIGHT
 from tagid.errors import DataError
-from tagid.simulate.bessel import bessel
+from tagid.fields.bessel import bessel
 from tagid.simulate.scattering import Floats, Returns
 from tagid.simulate.taps import BAND_HZ, fit_taps, tap_offsets
 

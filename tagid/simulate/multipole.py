@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.errors import DataError
-from tagid.simulate.bessel import bessel, first_kind
+from tagid.fields.bessel import bessel, first_kind
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]

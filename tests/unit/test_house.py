@@ -27,6 +27,7 @@ LAYERS = (
     {"angles", "motion", "radar", "storage"},
     {"capture", "metadata", "geometry", "waveform", "signal", "files", "config", "result", "ports"}
     | {"models_store", "interrupts", "hostclock", "onnx_files", "proportion"},
+    {"fields"},
     {"constants", "errors", "__init__"},
 )
 """The layers of docs/architecture.md, from the top; a room imports from its own layer and those below."""

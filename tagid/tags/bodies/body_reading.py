@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from tagid.fields.shells import Shell
 from tagid.tags.bodies.hypothesis import BodyModel, Pose
 from tagid.tags.bodies.points import PointReading
 from tagid.tags.bodies.reflectors_fit import Batch, Priors
@@ -152,6 +153,7 @@ class BodyReading:
             those beside the layout and beside another arrangement that leaves less.
         body_energy: that the body explains beside the reflectors; the smaller one as well.
         points_lead: lead over the best arrangement of points without a body; infinite where none was fitted.
+        wall: the round wall whose waves fix the reflectors' pattern; None where the pattern was free.
     """
 
     body: BodyModel
@@ -177,6 +179,7 @@ class BodyReading:
     front_m: float
     body_energy: float
     points_lead: float = np.inf
+    wall: Shell | None = None
 
     @property
     def nominal_m(self) -> float:

@@ -1,16 +1,18 @@
 """What the setting `tags.false_accept` rests on: order statistics of a stated population.
 
-The reader's evidence for a tag on a body is one number (`BodyReading.lead`, where every test of the decision
-is passed). Of n calibration objects that carry no enrolled tag, a new one of the same population is more
-convincing than all but k of them with probability (k + 1) / (n + 1) at most, whatever its distribution: the
-conformal p-value (Vovk, Gammerman and Shafer 2005, chapter 2). It holds within a stratum of views and SNR.
+The reader's evidence for a tag is one number (`BodyReading.lead` or `PointReading.lead`, where every test of
+the decision is passed), of one of three kinds. Of n calibration objects that carry no enrolled tag, a new one
+of the same population is more convincing than all but k of them with probability (k + 1) / (n + 1) at most,
+whatever its distribution: the conformal p-value (Vovk, Gammerman and Shafer 2005, chapter 2). It holds within
+a stratum of views and SNR.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 from functools import cache
 from importlib import resources
 from math import ceil
@@ -19,7 +21,7 @@ import numpy as np
 
 from tagid.errors import ModelError
 
-FORMAT_VERSION = 3
+FORMAT_VERSION = 4
 DIGITS = 4
 """Decimals of the scores in the file, rounded up: a larger one promises less."""
 
@@ -53,6 +55,50 @@ class Bound:
         return self.p_value <= self.false_accept * (1 + 1e-9)
 
 
+class Evidence(StrEnum):
+    """By which model a layout is named."""
+
+    ROUND = "round"
+    """On a round body, with a free pattern."""
+    WALL = "wall"
+    """Beside a round wall of known waves, where the former is refused."""
+    BARE = "bare"
+    """Without a body."""
+
+
+@dataclass(frozen=True)
+class Scores:
+    """Leads that calibration objects reached by one model.
+
+    Attributes:
+        objects: how many there are.
+        kept: the largest leads, largest first, and all that equal the last of them; objects that a test
+            refuses have none.
+        scored: how many objects have a lead, kept here or not; None where that was not counted.
+    """
+
+    objects: int = 0
+    kept: tuple[float, ...] = ()
+    scored: int | None = None
+
+    def p_value(self, score: float) -> float:
+        """(k + 1) / (n + 1), k the objects that reach the score.
+
+        Exact down to the smallest score kept. Below it k is at most the number of objects with a score; of
+        all objects where that was not counted.
+        """
+        above = sum(1 for one in self.kept if one >= score)
+        if self.kept and score < self.kept[-1]:
+            above = self.objects if self.scored is None else self.scored
+        return (above + 1) / (self.objects + 1)
+
+    @classmethod
+    def of(cls, leads: Sequence[float | None], keep: int) -> Scores:
+        """Of as many objects as leads, None for one that a test refuses."""
+        told = [lead for lead in leads if lead is not None]
+        return cls(len(leads), largest(told, keep), len(told))
+
+
 @dataclass(frozen=True)
 class Stratum:
     """Calibration objects recorded alike.
@@ -60,25 +106,14 @@ class Stratum:
     Attributes:
         views_from, views_to: views, the first included and the second not.
         snr_from_db, snr_to_db: energy of what is not of the body over that of the noise, likewise.
-        objects: how many there are.
-        scores: the largest of their leads, largest first, and all that equal the last of them; objects that
-            a test refuses have none.
-        scored: how many objects have a score, kept here or not; None where that was not counted.
-        bare: the same of those that are named without a body (`PointReading.lead`),
-        bare_objects: of so many; 0 where names without a body were not calibrated,
-        bare_scored: of which so many are named.
+        scores: by every kind of evidence that was calibrated.
     """
 
     views_from: int
     views_to: int
     snr_from_db: float
     snr_to_db: float
-    objects: int
-    scores: tuple[float, ...]
-    scored: int | None = None
-    bare: tuple[float, ...] = ()
-    bare_objects: int = 0
-    bare_scored: int | None = None
+    scores: Mapping[Evidence, Scores]
 
     @property
     def name(self) -> str:
@@ -88,20 +123,6 @@ class Stratum:
             return views
         return f"{views}, {self.snr_from_db:g} to {self.snr_to_db:g} dB"
 
-    def p_value(self, score: float, bare: bool = False) -> float:
-        """(k + 1) / (n + 1), k the objects that reach the score.
-
-        Exact down to the smallest score kept. Below it k is at most the number of objects with a score; of
-        all objects where that was not counted.
-        """
-        kept, scored, objects = self.scores, self.scored, self.objects
-        if bare:
-            kept, scored, objects = self.bare, self.bare_scored, self.bare_objects
-        above = sum(1 for one in kept if one >= score)
-        if kept and score < kept[-1]:
-            above = objects if scored is None else scored
-        return (above + 1) / (objects + 1)
-
 
 @dataclass(frozen=True)
 class Calibration:
@@ -110,16 +131,14 @@ class Calibration:
     Attributes:
         population: what it is, in words.
         strata: they do not overlap.
-        seeds: [first, last) of the population's seeds.
-        terms: most terms of the reflectors' pattern with which layouts were read.
-        bare_seeds: those of the objects that were read without a body.
+        seeds: [first, last) of the population's seeds, by kind of evidence.
+        terms: most terms of the reflectors' free pattern with which layouts were read.
     """
 
     population: str
     strata: tuple[Stratum, ...]
-    seeds: tuple[tuple[int, int], ...]
+    seeds: Mapping[Evidence, tuple[tuple[int, int], ...]]
     terms: int = 5
-    bare_seeds: tuple[tuple[int, int], ...] = ()
 
     @classmethod
     @cache
@@ -141,20 +160,23 @@ class Calibration:
                     int(one["views"][1]),
                     _number(one["snr_db"][0], -np.inf),
                     _number(one["snr_db"][1], np.inf),
-                    int(one["objects"]),
-                    tuple(sorted((float(s) for s in one["scores"]), reverse=True)),
-                    _count(one["scored"]),
-                    tuple(sorted((float(s) for s in one["bare"]), reverse=True)),
-                    int(one["bare_objects"]),
-                    _count(one["bare_scored"]),
+                    {
+                        Evidence(kind): Scores(
+                            int(some["objects"]),
+                            tuple(sorted((float(s) for s in some["kept"]), reverse=True)),
+                            _count(some["scored"]),
+                        )
+                        for kind, some in one["scores"].items()
+                    },
                 )
                 for one in data["strata"]
             )
-            seeds, bare_seeds = (
-                tuple((int(a), int(b)) for a, b in data[name]) for name in ("seeds", "bare_seeds")
-            )
-            return cls(str(data["population"]), strata, seeds, int(data["terms"]), bare_seeds)
-        except (ValueError, KeyError, TypeError, IndexError) as error:
+            seeds = {
+                Evidence(kind): tuple((int(a), int(b)) for a, b in pairs)
+                for kind, pairs in data["seeds"].items()
+            }
+            return cls(str(data["population"]), strata, seeds, int(data["terms"]))
+        except (ValueError, KeyError, TypeError, IndexError, AttributeError) as error:
             raise ModelError(f"the reader's calibration is damaged: {error}", "Reinstall tagid.") from None
 
     def to_json(self) -> str:
@@ -163,35 +185,31 @@ class Calibration:
             {
                 "views": [one.views_from, one.views_to],
                 "snr_db": [None if np.isinf(v) else v for v in (one.snr_from_db, one.snr_to_db)],
-                "objects": one.objects,
-                "scores": list(one.scores),
-                "scored": one.scored,
-                "bare": list(one.bare),
-                "bare_objects": one.bare_objects,
-                "bare_scored": one.bare_scored,
+                "scores": {
+                    kind.value: {"objects": some.objects, "kept": list(some.kept), "scored": some.scored}
+                    for kind, some in one.scores.items()
+                },
             }
             for one in self.strata
         ]
         data = {
             "format_version": FORMAT_VERSION,
             "population": self.population,
-            "seeds": [list(pair) for pair in self.seeds],
-            "bare_seeds": [list(pair) for pair in self.bare_seeds],
+            "seeds": {kind.value: [list(pair) for pair in pairs] for kind, pairs in self.seeds.items()},
             "terms": self.terms,
             "strata": rows,
         }
         return json.dumps(data, indent=1) + "\n"
 
     def bound(
-        self, score: float, views: int, snr_db: float, false_accept: float, *, bare: bool = False
+        self, score: float, views: int, snr_db: float, false_accept: float, kind: Evidence = Evidence.ROUND
     ) -> Bound:
         """The promise for evidence of that strength; no objects where no stratum fits."""
         for one in self.strata:
             inside = one.views_from <= views < one.views_to
             if inside and one.snr_from_db <= snr_db < one.snr_to_db:
-                p = one.p_value(score, bare)
-                objects = one.bare_objects if bare else one.objects
-                return Bound(p, false_accept, objects, one.name, self.population)
+                some = one.scores.get(kind, Scores())
+                return Bound(some.p_value(score), false_accept, some.objects, one.name, self.population)
         return Bound(1.0, false_accept, 0, f"{views} views, {snr_db:.0f} dB", self.population)
 
 

@@ -72,7 +72,7 @@ def most_unexplained(reading: BodyReading, settings: BodyDecision) -> float:
     layout leaves more than the model's own error is not that layout on a round body, whatever is worse.
     """
     r, s = reading, settings
-    if r.body.name:
+    if r.body.name or r.wall is not None:
         return s.unexplained
     deviation = sqrt(max(r.noise, 0.0) * max(r.variance, 0.0))
     noise = s.noise_level * r.noise + s.noise_sigmas * deviation

@@ -15,7 +15,7 @@ import numpy as np
 from tagid.imaging.types import BasebandScans
 from tagid.tags.bodies.arrangement import difference_deg, gaps_deg, layout_gaps_deg
 from tagid.tags.bodies.body_reading import BodyReading, BodySettings
-from tagid.tags.bodies.calibration import Bound, Calibration
+from tagid.tags.bodies.calibration import Bound, Calibration, Evidence
 from tagid.tags.bodies.decide import BodyDecision, decide_on_body, score, tag_snr_db
 from tagid.tags.bodies.hypothesis import Enrolled, Explanation, Kind, Pose, plausible
 from tagid.tags.bodies.objects import ObjectDecision, ObjectReading, decide_object, read_objects
@@ -143,11 +143,13 @@ class NullEvidence:
 
     Attributes:
         round: on a body of revolution (`BodyReading.lead`).
+        wall: beside a wall of known waves, where the reading above is refused.
         bare: without a body (`PointReading.lead`).
         snr_db: energy of what is not of the body over that of the noise.
     """
 
     round: float
+    wall: float
     bare: float
     snr_db: float
 
@@ -163,7 +165,7 @@ def bare_evidence(
     placed = _in_place(bare, points, settings.points)
     if (_without_body(placed, points, layouts, settings) or placed).status != "identified":
         return -inf
-    freely = replace(settings, calibrated=Calibration("none", (), ()))
+    freely = replace(settings, calibrated=Calibration("none", (), {}))
     last = settle(bare, scans, layouts, Enrolled(), freely)
     return points.lead if (last.status, last.kind) == ("identified", Kind.BARE) else -inf
 
@@ -192,14 +194,19 @@ def null_evidence(
         alone = bare_evidence(bare, points, scans, layouts, settings)
         bare = _in_place(bare, points, settings.points)
     if not bodies:
-        return NullEvidence(-inf, alone, points.snr_db if points is not None else 0.0)
+        return NullEvidence(-inf, -inf, alone, points.snr_db if points is not None else 0.0)
     reading = read_on_body(spectra, layouts, settings.body.body, settings.body, [complex(*bare.centre_m)])
     if reading is None:
-        return NullEvidence(-inf, alone, 0.0)
+        return NullEvidence(-inf, -inf, alone, 0.0)
     known = _Bare(bare, _own(bare), points, bare.evidence.outward > settings.outward)
     reading = reading.against(points) if points is not None else reading
     evidence = score(reading, settings.decision) if _shows(known, reading, settings) else -inf
-    return NullEvidence(evidence, alone, tag_snr_db(reading))
+    walled = -inf
+    if decide_on_body(reading, settings.decision).status != "no_tag":
+        beside = _read_beside_wall(known, reading, spectra, layouts, settings)
+        if beside is not None and _shows(known, beside, settings):
+            walled = score(beside, settings.decision)
+    return NullEvidence(evidence, walled, alone, tag_snr_db(reading))
 
 
 def _own(bare: Reading) -> Explanation:
@@ -301,7 +308,7 @@ def _promised(
     if reading.status != "identified" or reading.kind is not Kind.BARE or points is None:
         return reading
     bound = settings.calibration().bound(
-        points.lead, spectra.views, points.snr_db, settings.false_accept, bare=True
+        points.lead, spectra.views, points.snr_db, settings.false_accept, Evidence.BARE
     )
     return replace(reading, bound=bound)
 
@@ -329,12 +336,9 @@ def _against_bodies(
             reading = _clearer(reading, readings[0][0], spectra, layouts, settings)
         if reading is not None:
             reading = reading.against(known.points) if known.points is not None else reading
-            verdict = decide_on_body(reading, settings.decision)
-            if verdict.status == "identified" and not _shows(known, reading, settings):
-                # Where no body shows, the pattern of a bare pair cannot be told from its angle.
-                verdict = Verdict("unknown", Code.OTHER, "no body shows, and no layout fits without one")
-            if verdict.status == "identified":
-                verdict = _calibrated(reading, verdict, settings)
+            verdict = _judged(known, reading, settings)
+            if not body.name and verdict.status == "unknown":
+                reading, verdict = _beside_wall(known, reading, verdict, spectra, layouts, settings)
             readings.append((reading, verdict))
     if not readings:
         return replace(bare, hypotheses=(own,))
@@ -395,6 +399,48 @@ def _against_bodies(
     return replace(bare, body=first)
 
 
+def _judged(known: _Bare, reading: BodyReading, settings: ContestSettings) -> Verdict:
+    """The verdict on a layout on a body, with the calibration's."""
+    verdict = decide_on_body(reading, settings.decision)
+    if verdict.status == "identified" and not _shows(known, reading, settings):
+        # Where no body shows, the pattern of a bare pair cannot be told from its angle.
+        verdict = Verdict("unknown", Code.OTHER, "no body shows, and no layout fits without one")
+    return _calibrated(reading, verdict, settings) if verdict.status == "identified" else verdict
+
+
+def _beside_wall(
+    known: _Bare,
+    reading: BodyReading,
+    verdict: Verdict,
+    spectra: Spectra,
+    layouts: Sequence[Layout],
+    settings: ContestSettings,
+) -> tuple[BodyReading, Verdict]:
+    """A refused reading on a round body, or one beside a wall of known waves that is not refused."""
+    beside = _read_beside_wall(known, reading, spectra, layouts, settings)
+    if beside is None:
+        return reading, verdict
+    told = _judged(known, beside, settings)
+    return (beside, told) if told.status == "identified" else (reading, verdict)
+
+
+def _read_beside_wall(
+    known: _Bare, reading: BodyReading, spectra: Spectra, layouts: Sequence[Layout], settings: ContestSettings
+) -> BodyReading | None:
+    """The reading beside a wall; None where that of a free pattern shows that no wall explains the echo."""
+    least = _least(reading)
+    rich = spectra.views >= settings.body.through_views
+    if rich and least - reading.noise > settings.decision.unexplained * max(reading.body_left - least, 0.0):
+        # Five free terms hold the patterns of round walls.
+        return None
+    from tagid.tags.bodies.cylinder_reader import read_on_cylinder
+
+    beside = read_on_cylinder(spectra, layouts, reading, settings.body)
+    if beside is None or known.points is None:
+        return beside
+    return beside.against(known.points)
+
+
 def _shows(known: _Bare, reading: BodyReading, settings: ContestSettings) -> bool:
     """Whether there is a body below the reflectors: enrolled, opaque, walled, or not explained by points."""
     unlike = known.points is not None and (
@@ -434,9 +480,13 @@ def _clearer(
 def _bound(reading: BodyReading, settings: ContestSettings) -> Bound:
     """What is promised for a name on a body; without objects where such readings were not calibrated."""
     calibration, terms = settings.calibration(), int(reading.layouts[0].batch.terms[0])
+    evidence = score(reading, settings.decision)
+    if reading.wall is not None:
+        return calibration.bound(
+            evidence, reading.views, tag_snr_db(reading), settings.false_accept, Evidence.WALL
+        )
     if terms > calibration.terms:
         return Bound(1.0, settings.false_accept, 0, f"patterns of {terms} terms", calibration.population)
-    evidence = score(reading, settings.decision)
     return calibration.bound(evidence, reading.views, tag_snr_db(reading), settings.false_accept)
 
 

@@ -16,7 +16,7 @@ from importlib import resources
 from math import inf
 
 from tagid.errors import ModelError
-from tagid.tags.bodies.calibration import Bound, Stratum
+from tagid.tags.bodies.calibration import Bound, Scores
 from tagid.tags.sequential.looks import LOOKS, SPENT, Look, agreed
 
 FORMAT_VERSION = 1
@@ -111,10 +111,8 @@ class EndingCalibration:
         newest = looks[-1]
         if newest.views_per_turn < self.fewest_views or newest.places > self.most_places:
             return self._bound(1.0, false_accept, 0)
-        stratum = Stratum(
-            self.fewest_views, _MOST_VIEWS, -inf, inf, self.turns, self.scores, scored=len(self.scores)
-        )
-        p_value = 1.0 if score == -inf else stratum.p_value(score)
+        known = Scores(self.turns, self.scores, len(self.scores))
+        p_value = 1.0 if score == -inf else known.p_value(score)
         return self._bound(p_value, false_accept, self.turns)
 
     def _bound(self, p_value: float, false_accept: float, turns: int) -> Bound:

@@ -1,0 +1,1 @@
+"""Exact fields at round bodies, for the simulator and for the reader of tags on such bodies."""

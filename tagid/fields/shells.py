@@ -1,0 +1,132 @@
+"""The field beside many round shells at once: cylinders of metal, of a dielectric wall, or of both.
+
+An infinite upright cylinder in a plane wave, the antenna in the direction 0, phases referred to the axis,
+time convention exp(+j omega t). For upright polarisation the axial field is electric (TM), for horizontal
+polarisation magnetic (TE); outside it is
+
+    G(r, phi) = sum_n j^n [J_n(kr) + R_n H_n^(2)(kr)] exp(j n phi),  n over all integers.
+
+Continuous at every interface are G and dG/dr (TM), or G and (1 / eps) dG/dr (TE). Sources: Bowman, Senior,
+Uslenghi, Electromagnetic and Acoustic Scattering by Simple Shapes, 1969, section 2.2; Balanis, Advanced
+Engineering Electromagnetics, 1989, sections 11.5 and 11.7.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tagid.errors import DataError
+from tagid.fields.bessel import Bessel, bessel, first_kind
+
+
+@dataclass(frozen=True)
+class Shell:
+    """A round body.
+
+    Attributes:
+        radius_m: outer radius, m.
+        wall_m: thickness of the dielectric wall, m; 0 for bare metal.
+        permittivity: relative permittivity of the wall.
+        metal: a metal core inside the wall; empty otherwise. Water is nearly one.
+        polarisation: "V", electric field along the axis, or "H", across it.
+    """
+
+    radius_m: float
+    wall_m: float
+    permittivity: float
+    metal: bool
+    polarisation: str = "V"
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.wall_m < self.radius_m or self.permittivity < 1:
+            raise DataError(f"a shell has a wall of {self.wall_m} m around {self.radius_m} m")
+        if self.polarisation not in ("V", "H"):
+            raise DataError(f"polarisation is {self.polarisation!r}, expected V or H")
+
+
+def reflection(
+    wavenumber: NDArray[np.float64], shells: Sequence[Shell], order: int
+) -> NDArray[np.complex128]:
+    """Coefficients R_n of the orders 0 to `order`, (S, F, order + 1); R_-n = R_n.
+
+    Args:
+        wavenumber: (F,) in free space, rad/m.
+        shells: (S,) bodies.
+        order: highest order.
+    """
+    k = np.asarray(wavenumber, dtype=np.float64)[None, :]
+    outer = np.array([one.radius_m for one in shells])[:, None]
+    inner = outer - np.array([one.wall_m for one in shells])[:, None]
+    metal = np.array([one.metal for one in shells])[:, None, None]
+    electric = np.array([one.polarisation == "V" for one in shells])[:, None, None]
+    permittivity = np.array([one.permittivity for one in shells])[:, None]
+    core = bessel(order, k * inner)
+    # The pair of continuous quantities at the inner face: on metal E = 0 (TM) or dG/dr = 0 (TE).
+    field = np.where(metal, np.where(electric, 0.0, 1.0), core.j)
+    slope = np.where(metal, np.where(electric, 1.0, 0.0), core.dj) * k[..., None]
+    scale = np.maximum(np.maximum(np.abs(field), np.abs(slope / k[..., None])), 1e-250)
+    field, slope = field / scale, slope / scale
+    q = k * np.sqrt(permittivity)
+    at_inner, at_outer = bessel(order, q * inner), bessel(order, q * outer)
+    weight = np.where(electric, 1.0, permittivity[..., None])
+    field, slope = _through(field, slope * weight / q[..., None], (q * inner)[..., None], at_inner, at_outer)
+    slope = slope * q[..., None] / weight
+    free = bessel(order, k * outer)
+    k = k[..., None]
+    return np.asarray(-(slope * free.j - k * field * free.dj) / (slope * free.h2 - k * field * free.dh2))
+
+
+def _through(
+    field: NDArray[np.float64],
+    slope: NDArray[np.float64],
+    argument: NDArray[np.float64],
+    inner: Bessel,
+    outer: Bessel,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Field and its derivative at the outer face of a layer; J Y' - Y J' = 2 / (pi x)."""
+    c = np.pi * argument / 2 * (field * inner.dy - slope * inner.y)
+    d = np.pi * argument / 2 * (slope * inner.j - field * inner.dj)
+    return np.asarray(c * outer.j + d * outer.y), np.asarray(c * outer.dj + d * outer.dy)
+
+
+def echoes(
+    wavenumber: NDArray[np.float64], shells: Sequence[Shell], radius_m: float, angle_rad: NDArray[np.float64]
+) -> NDArray[np.complex128]:
+    """Two-way response of a small isotropic reflector beside every shell, (S, F, P): E . E there.
+
+    In free space it is exp(2jk r cos phi). By reciprocity it holds the direct way, those by way of the body
+    once and twice; only what bounces between reflector and body more than once is missing.
+
+    Args:
+        wavenumber: (F,), rad/m.
+        shells: (S,) bodies.
+        radius_m: r of the reflector, at least that of every shell, m.
+        angle_rad: (P,) its direction from the axis relative to the antenna, rad.
+
+    Raises:
+        DataError: the reflector lies inside a shell.
+    """
+    if any(one.radius_m > radius_m for one in shells):
+        raise DataError(f"a reflector {radius_m * 1e3:g} mm from the axis lies inside a shell")
+    x = np.asarray(wavenumber, dtype=np.float64) * radius_m
+    order = int(np.ceil(x.max() + 4 * x.max() ** (1 / 3) + 3))
+    n = np.arange(order + 1)
+    away = bessel(order, x)
+    free = first_kind(order + 1, x)
+    slopes = np.concatenate([-free[:, 1:2], (free[:, :-2] - free[:, 2:]) / 2], axis=1)
+    coefficients = reflection(wavenumber, shells, order)
+    turn = np.where(n == 0, 1, 2) * np.array([1, 1j, -1, -1j])[n % 4]
+    cosine, sine = np.cos(n[:, None] * angle_rad), -n[:, None] * np.sin(n[:, None] * angle_rad)
+    radial = (free[:, : order + 1] + coefficients * away.h2) * turn
+    out = np.empty((len(shells), len(x), len(angle_rad)), dtype=np.complex128)
+    upright = np.array([one.polarisation == "V" for one in shells])
+    out[upright] = (radial[upright] @ cosine) ** 2
+    # E = curl G / (jk), of unit length far away.
+    along = ((slopes[:, : order + 1] + coefficients * away.dh2) * turn)[~upright] @ cosine
+    outward = (radial[~upright] @ sine) / x[:, None]
+    out[~upright] = -(along**2) - outward**2
+    return out

@@ -1,0 +1,171 @@
+"""The fit of arrangements of alike reflectors beside round walls: places searched, amplitudes solved inside.
+
+Per frequency, with the room subtracted from data and columns alike, Y = A echo(body) + g sum_k w_k, w_k the
+echo of a reflector beside the wall (`cylinder_patterns`). A and g are free.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tagid.tags.bodies.cylinder_patterns import Patterns
+from tagid.tags.bodies.hypothesis import BodyModel
+from tagid.tags.bodies.reflectors_fit import Priors, Solved, solve
+from tagid.tags.bodies.spectra import Spectra, centred
+
+RADIUS_M = 4e-3
+"""Standard deviation of a reflector's place about its nominal radius: mounting, and the wave's curvature."""
+MOST_OFFSET_M = 8e-3
+_STEPS_M, _STEP_RAD = 3e-4, 3e-3
+"""Finite differences."""
+
+
+@dataclass(frozen=True, eq=False)
+class Ringed:
+    """Alike reflectors around one centre beside one wall.
+
+    Attributes:
+        shell: index of the body in the family.
+        centre: of body and reflectors, x + jy, m.
+        offset_m: added to the radii.
+        angles: (K,) directions of the reflectors, rad.
+        radii: (K,) nominal distances from the centre, m.
+        heights: (K,) above the object's plane, m.
+        layout: name of the layout, which turns as a whole; None for reflectors whose angles are free.
+        left: energy left.
+    """
+
+    shell: int
+    centre: complex
+    offset_m: float
+    angles: NDArray[np.float64]
+    radii: NDArray[np.float64]
+    heights: NDArray[np.float64]
+    layout: str | None
+    left: float = np.inf
+
+
+@dataclass(frozen=True, eq=False)
+class _Many:
+    """Arrangements side by side, padded to K reflectors.
+
+    Attributes:
+        shells: (H,). at: (H, 3 + K) centre x, y, offset, angles. radii, heights, present: (H, K).
+        moves: (H, P, 3 + K) unit directions that the fit may take.
+    """
+
+    shells: NDArray[np.intp]
+    at: NDArray[np.float64]
+    radii: NDArray[np.float64]
+    heights: NDArray[np.float64]
+    present: NDArray[np.float64]
+    moves: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, rows: Sequence[Ringed]) -> _Many:
+        most = max(len(row.angles) for row in rows)
+        at, moves = np.zeros((len(rows), 3 + most)), np.zeros((len(rows), 3 + most, 3 + most))
+        radii, heights, present = (np.zeros((len(rows), most)) for _ in range(3))
+        for i, row in enumerate(rows):
+            k = len(row.angles)
+            at[i, : 3 + k] = row.centre.real, row.centre.imag, row.offset_m, *row.angles
+            radii[i], heights[i, :k], present[i, :k] = row.radii.mean(), row.heights, 1
+            radii[i, :k] = row.radii
+            moves[i, :3, :3] = np.eye(3)
+            if row.layout is None:
+                moves[i, 3 : 3 + k, 3 : 3 + k] = np.eye(k)
+            else:
+                moves[i, 3, 3 : 3 + k] = 1
+        return cls(np.array([row.shell for row in rows]), at, radii, heights, present, moves)
+
+
+@dataclass(frozen=True, eq=False)
+class CylinderFitter:
+    """Fits arrangements to spectra.
+
+    Attributes:
+        spectra: the scans.
+        patterns: beside the bodies of a family, at the frequencies of the scans.
+        body: of revolution.
+        priors: see `Priors`.
+        variance: of one value's error in the fit.
+    """
+
+    spectra: Spectra
+    patterns: Patterns
+    body: BodyModel
+    priors: Priors
+    variance: float
+
+    def solved(self, rows: Sequence[Ringed]) -> Solved:
+        """Amplitudes of body and reflectors (H, F, 2), and what they leave."""
+        many = _Many.of(rows)
+        return self._solved(many, many.at)
+
+    def beside_other_walls(self, row: Ringed) -> Ringed:
+        """The same arrangement beside the wall of its polarisation that leaves least."""
+        polarisation = self.patterns.shells[row.shell].polarisation
+        same = [i for i, one in enumerate(self.patterns.shells) if one.polarisation == polarisation]
+        rows = [replace(row, shell=i) for i in same]
+        left = self.solved(rows).left
+        best = int(np.argmin(left))
+        return replace(rows[best], left=float(left[best]))
+
+    def fitted(self, rows: Sequence[Ringed], rounds: int = 4) -> list[Ringed]:
+        """Levenberg-Marquardt on all arrangements at once; those that a round does not improve stay."""
+        many = _Many.of(rows)
+        at, moves = many.at, many.moves
+        steps = np.full(at.shape[1], _STEP_RAD)
+        steps[:3] = _STEPS_M
+        weight = np.zeros(at.shape[1])
+        weight[:2], weight[2] = self.priors.centre_m**-2, RADIUS_M**-2
+        along = moves * steps
+        scale = 2 / self.variance
+        now = self._solved(many, at)
+        rest, left = now.rest.copy(), now.left.copy()
+        cost = scale * left + at**2 @ weight
+        damping = np.full(len(at), 1e-2)
+        for _ in range(rounds):
+            slopes = np.stack(
+                [self._solved(many, at + along[:, p]).rest for p in range(moves.shape[1])], axis=1
+            )
+            slopes = (slopes - rest[:, None]).reshape(len(at), moves.shape[1], -1).view(np.float64)
+            error = rest.reshape(len(at), -1).view(np.float64)
+            normal = scale * (slopes @ np.swapaxes(slopes, 1, 2))
+            gradient = scale * (slopes @ error[..., None])[..., 0]
+            normal = normal + (along * weight) @ np.swapaxes(along, 1, 2)
+            gradient = gradient + ((along * weight) @ at[..., None])[..., 0]
+            size = np.diagonal(normal, axis1=1, axis2=2)
+            load = damping[:, None] * size + np.where(size > 0, 1e-9 * size, 1.0)
+            step = -np.linalg.solve(normal + load[..., None] * np.eye(size.shape[1]), gradient[..., None])
+            trial = at + (np.swapaxes(along, 1, 2) @ step)[..., 0]
+            trial[:, 2] = np.clip(trial[:, 2], -MOST_OFFSET_M, MOST_OFFSET_M)
+            there = self._solved(many, trial)
+            trial_cost = scale * there.left + trial**2 @ weight
+            better = trial_cost < cost
+            at[better], rest[better] = trial[better], there.rest[better]
+            left[better], cost[better] = there.left[better], trial_cost[better]
+            damping = np.where(better, damping / 5, damping * 8)
+        return [
+            replace(
+                row,
+                centre=complex(at[i, 0], at[i, 1]),
+                offset_m=float(at[i, 2]),
+                angles=at[i, 3 : 3 + len(row.angles)].copy(),
+                left=float(left[i]),
+            )
+            for i, row in enumerate(rows)
+        ]
+
+    def _solved(self, many: _Many, at: NDArray[np.float64]) -> Solved:
+        centres = np.asarray(at[:, 0] + 1j * at[:, 1])
+        echo = self.body.echo(self.spectra, centres, np.zeros(len(at)))
+        each = self.patterns.columns(
+            self.spectra, many.shells, centres, many.radii + at[:, 2:3], at[:, 3:], many.heights
+        )
+        tag = (each * many.present[:, None, :, None]).sum(axis=2)
+        return solve(self.spectra.data, centred(np.stack([echo, tag], axis=2)))

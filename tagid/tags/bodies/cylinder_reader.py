@@ -1,0 +1,307 @@
+"""Which alike reflectors beside which round wall made the echo, where free patterns cannot tell.
+
+On a can, cup or glass that the reader of free patterns refuses, every arrangement of 1 to 4 reflectors is
+fitted beside walls of metal, plastic, ceramic and glass of every size that the layouts leave room for. One
+amplitude per frequency is left for the tag, so that arrangements which patterns of five terms make alike
+differ by a tenth of the echo and more.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tagid.tags.bodies.arrangement import (
+    difference_deg,
+    gaps_deg,
+    kind_of,
+    layout_gaps_deg,
+    merging,
+    off_axis,
+    resolution_deg,
+    turned_on,
+)
+from tagid.tags.bodies.body_reading import BodyReading, BodySettings, Placed
+from tagid.tags.bodies.cylinder_fit import CylinderFitter, Ringed
+from tagid.tags.bodies.cylinder_patterns import Patterns
+from tagid.tags.bodies.hypothesis import Pose
+from tagid.tags.bodies.reflectors_fit import COMMON, THROUGH, Batch, Pattern
+from tagid.tags.bodies.ring import Ring, peaks
+from tagid.tags.bodies.spectra import Spectra, centred
+from tagid.tags.bodies.symmetric import symmetric_left
+from tagid.tags.layouts.layout import Layout
+
+COUNT = 48
+"""Angles on a ring: 7.5 degrees, 6 mm on a mug's ring."""
+_RIDGE = 1e-3
+_WALLS, _KEPT, _BEAM = 10, 12, 6
+"""Walls beside which every number of reflectors is tried; other arrangements fitted; sets kept per number."""
+SAME_M = 4e-3
+"""Layouts whose mean radii differ by less share one table of patterns."""
+
+
+def read_on_cylinder(
+    spectra: Spectra, layouts: Sequence[Layout], first: BodyReading, settings: BodySettings
+) -> BodyReading | None:
+    """The best layout beside a round wall, against every other arrangement there.
+
+    Args:
+        spectra: the scans.
+        layouts: the enrolled ones; those that stand on a ring under `settings.wide_m` are read.
+        first: the reading on a round body with free patterns: its centres are where the search begins.
+        settings: search and priors.
+
+    Returns:
+        The reading; None where no layout can stand beside such a wall.
+    """
+    readings = [
+        _CylinderReader(spectra, radius, group, first, settings).read()
+        for radius, group in _groups(layouts, settings)
+    ]
+    return max(readings, key=lambda reading: reading.lead, default=None)
+
+
+def _groups(layouts: Sequence[Layout], settings: BodySettings) -> list[tuple[float, list[Layout]]]:
+    """Layouts of nearly one radius, and that radius, m."""
+    found: list[tuple[float, list[Layout]]] = []
+    several = [(off_axis(layout)[0], layout) for layout in layouts]
+    means = [(float(radii.mean()), layout) for radii, layout in several if len(radii) >= 2]
+    for mean, layout in sorted(means, key=lambda one: one[0]):
+        if mean >= settings.wide_m:
+            break
+        if found and mean - found[-1][0] < SAME_M:
+            found[-1][1].append(layout)
+        else:
+            found.append((mean, [layout]))
+    return found
+
+
+class _CylinderReader:
+    """The search at one radius of the reflectors."""
+
+    def __init__(
+        self,
+        spectra: Spectra,
+        radius_m: float,
+        layouts: Sequence[Layout],
+        first: BodyReading,
+        settings: BodySettings,
+    ) -> None:
+        self.spectra, self.radius_m, self.layouts = spectra, radius_m, layouts
+        self.first, self.settings = first, settings
+        patterns = Patterns.of(spectra, radius_m)
+        self.coarse = spectra.thinned(2)
+        self.coarse_patterns = patterns.thinned(2)
+        self.noise = spectra.noise_energy * max(spectra.views - 3, 1) / (spectra.views - 1)
+        variance = spectra.noise + settings.priors.model_error * first.body_left / spectra.data.size
+        self.fitter = CylinderFitter(
+            spectra, patterns, first.body, settings.priors, max(variance, 1e-12 * first.energy)
+        )
+
+    def read(self) -> BodyReading:
+        """Search, fit and compare."""
+        starts = [start for centre in self._centres() for start in self._searched(centre)]
+        rows = self.fitter.fitted(self._kept(starts), 3)
+        rows = self.fitter.fitted([self.fitter.beside_other_walls(row) for row in rows], 3)
+        own: dict[str, Ringed] = {}
+        for row in rows:
+            if row.layout is not None and (row.layout not in own or row.left < own[row.layout].left):
+                own[row.layout] = row
+        ranked = sorted(own.values(), key=lambda row: row.left)
+        free = self.fitter.fitted([replace(ranked[0], layout=None)], 3)
+        return self._compared(ranked, [*free, *(row for row in rows if row.layout is None)])
+
+    def _centres(self) -> list[complex]:
+        """Where body and reflectors may stand, as the free patterns tell."""
+        centres = [self.first.pose.centre]
+        other = self.first.layouts[0].centre
+        return centres if abs(other - centres[0]) < 3e-3 else [*centres, other]
+
+    def _searched(self, centre: complex) -> list[Ringed]:
+        """Layouts beside every wall about a centre; beside the best walls every arrangement."""
+        rings = [(shell, self._ring(shell, centre)) for shell in self._coarse_shells()]
+        found: list[Ringed] = []
+        least: list[float] = []
+        for shell, ring in rings:
+            some = [start for layout in self.layouts for start in self._turned(layout, ring, shell, centre)]
+            found += some
+            pairs = ring.best(2, _BEAM)
+            found += self._starts(pairs, ring, shell, centre)
+            least.append(min([start.left for start in some] + [ring.energy - float(pairs[2][1][0])]))
+        for i in np.argsort(least)[:_WALLS]:
+            shell, ring = rings[int(i)]
+            found += self._starts(ring.best(self.settings.most, _BEAM), ring, shell, centre)
+        return found
+
+    def _coarse_shells(self) -> list[int]:
+        """Every second size of body, and every second permittivity: the others follow in the fit."""
+        shells = self.fitter.patterns.shells
+        sizes = sorted({one.radius_m for one in shells})[::2]
+        walls = sorted({one.permittivity for one in shells if not one.metal})[1::2]
+        return [
+            i
+            for i, one in enumerate(shells)
+            if one.radius_m in sizes and (one.metal or one.permittivity in walls)
+        ]
+
+    def _ring(self, shell: int, centre: complex) -> Ring:
+        angles = 2 * np.pi * np.arange(COUNT) / COUNT
+        echo = self.first.body.echo(self.coarse, np.array([centre]), np.zeros(1))[0]
+        unit = centred(echo)
+        unit = unit / np.maximum(np.linalg.norm(unit, axis=-1, keepdims=True), 1e-9)
+        data = self.coarse.data
+        data = data - (data * unit.conj()).sum(axis=-1, keepdims=True) * unit
+        one = np.ones((1, COUNT))
+        columns = self.coarse_patterns.columns(
+            self.coarse, np.array([shell]), np.array([centre]), self.radius_m * one, angles[None], 0 * one
+        )[0]
+        columns = centred(columns)
+        columns = columns - (columns @ unit.conj()[..., None]) * unit[:, None]
+        narrow = columns.astype(np.complex64)
+        gram = narrow.conj() @ np.swapaxes(narrow, 1, 2)
+        right = (narrow.conj() @ data.astype(np.complex64)[..., None])[..., 0]
+        ridge = _RIDGE * np.einsum("fnn->f", gram).real / COUNT
+        energy = float((np.abs(data) ** 2).sum())
+        return Ring(self.radius_m, Pattern(0, 1), angles, energy, gram, right, ridge.astype(np.float32))
+
+    def _turned(self, layout: Layout, ring: Ring, shell: int, centre: complex) -> list[Ringed]:
+        """The best turns of a layout on a ring."""
+        radii, angles, heights = off_axis(layout)
+        value = ring.explained(turned_on(angles, COUNT))
+        return [
+            Ringed(
+                shell,
+                centre,
+                0.0,
+                angles + 2 * np.pi / COUNT * i,
+                radii,
+                heights,
+                layout.name,
+                ring.energy - float(value[i]),
+            )
+            for i in peaks(value, 2)
+        ]
+
+    def _starts(
+        self,
+        sets: dict[int, tuple[NDArray[np.intp], NDArray[np.float64]]],
+        ring: Ring,
+        shell: int,
+        centre: complex,
+    ) -> list[Ringed]:
+        """Arrangements found on a ring."""
+        return [
+            Ringed(
+                shell,
+                centre,
+                0.0,
+                ring.angles[indices],
+                np.full(len(indices), self.radius_m),
+                np.zeros(len(indices)),
+                None,
+                ring.energy - float(value),
+            )
+            for some, values in sets.values()
+            for indices, value in zip(some, values, strict=True)
+        ]
+
+    def _kept(self, starts: list[Ringed]) -> list[Ringed]:
+        """The best two starts of every layout, and the best of each of some kinds of other arrangements."""
+        kept: list[Ringed] = []
+        turns: dict[str, int] = {}
+        seen: set[tuple[int, ...]] = set()
+        for start in sorted(starts, key=lambda one: one.left):
+            if start.layout is not None:
+                turns[start.layout] = turns.get(start.layout, 0) + 1
+                if turns[start.layout] <= 2:
+                    kept.append(start)
+            elif len(seen) < _KEPT:
+                kind = kind_of([float(a) for a in start.angles])
+                if kind not in seen:
+                    seen.add(kind)
+                    kept.append(start)
+        return kept
+
+    def _compared(self, ranked: list[Ringed], free: list[Ringed]) -> BodyReading:
+        """The best layout against all that is not it."""
+        settings, spectra, first = self.settings, self.spectra, self.first
+        best = ranked[0]
+        layout = next(one for one in self.layouts if one.name == best.layout)
+        wanted = layout_gaps_deg(layout)
+        resolution = resolution_deg(self.radius_m)
+
+        def away(row: Ringed) -> float:
+            joined = merging(gaps_deg(row.angles), resolution)
+            return min(difference_deg(gaps, wanted) for gaps in joined)
+
+        # Each angle that is free costs half the logarithm of the number of values (Schwarz 1978).
+        angle = 0.5 * spectra.noise * np.log(2 * spectra.data.size)
+        others = [_placed(row, row.left + angle * (len(row.angles) - 1)) for row in free]
+        others = [p for p, row in zip(others, free, strict=True) if away(row) > settings.other_deg]
+        layouts = [_placed(row, row.left) for row in ranked]
+        every = sorted([*others, *layouts[1:]], key=lambda p: p.charged)
+        own = min(
+            (row for row in free if away(row) <= settings.other_deg), key=lambda r: r.left, default=None
+        )
+        tag = max(first.body_left - best.left, 1e-30)
+        above = max(best.left - self.noise, 0.0)
+        next_left = every[0].charged if every else first.body_left
+        error = above + settings.priors.model_error * tag + settings.noise_nats * spectra.noise
+        lead = (next_left - best.left) / error
+        rough = error + (settings.simple_error - settings.priors.model_error) * tag
+        untagged = np.inf
+        if lead > 0 and layout.symmetry > 1:
+            hints = (best.centre, first.pose.centre)
+            alone = symmetric_left(spectra, layout.symmetry, 3, hints)
+            untagged = (alone + spectra.amplitude_cost - best.left) / rough
+        solved = self.fitter.solved([best])
+        body, reflectors = solved.amplitudes[0, :, 0], solved.amplitudes[0, :, 1]
+        echo = centred(first.body.echo(spectra, np.array([best.centre]), np.zeros(1))[0])
+        return BodyReading(
+            body=first.body,
+            pose=Pose((best.centre.real, best.centre.imag)),
+            views=spectra.views,
+            energy=spectra.energy,
+            noise=self.noise,
+            variance=spectra.noise,
+            body_left=first.body_left,
+            layouts=tuple(layouts),
+            others=tuple(every),
+            free=_placed(own, own.left) if own is not None else None,
+            tag=tag,
+            unexplained=above / tag,
+            lead=min(lead, untagged),
+            untagged_lead=untagged,
+            rough=rough,
+            angle_off_deg=away(own) if own is not None else 180.0,
+            radius_off_m=0.0,
+            tag_nats=tag / max(spectra.noise, 1e-30),
+            early_m=spectra.early_m(reflectors),
+            through=False,
+            front_m=spectra.early_m(body),
+            body_energy=float((np.abs(body[:, None] * echo) ** 2).sum()),
+            wall=self.fitter.patterns.shells[best.shell],
+        )
+
+
+def _placed(row: Ringed, charged: float) -> Placed:
+    """An arrangement beside a wall as one with a free pattern, as which pictures subtract its body."""
+    k = len(row.angles)
+    at = np.array([[row.centre.real, row.centre.imag, row.offset_m, row.centre.real, row.centre.imag, 0.0]])
+    one = np.ones(1)
+    batch = Batch(
+        np.concatenate([at, row.angles[None]], axis=1),
+        row.radii[None].copy(),
+        row.heights[None].copy(),
+        np.ones((1, k)),
+        one * THROUGH.tilt,
+        one * THROUGH.terms,
+        np.zeros((1, 1, COMMON + k)),
+        -one,
+        one,
+        0 * one,
+    )
+    return Placed(batch, row.left, charged, row.layout)
