@@ -18,7 +18,7 @@ from tagid.imaging.types import BasebandScans
 from tagid.simulate.noise import NoiseShape, draw_noise
 from tagid.tags.bodies.arrangement import difference_deg, gaps_deg, layout_gaps_deg, merged, resolution_deg
 from tagid.tags.bodies.body_reading import BodySettings
-from tagid.tags.bodies.calibration import Bound, Calibration, Stratum, largest
+from tagid.tags.bodies.calibration import Bound, Calibration, Evidence, Scores, Stratum, largest
 from tagid.tags.bodies.decide import BodyDecision
 from tagid.tags.bodies.hypothesis import Kind
 from tagid.tags.bodies.reader import read_on_body
@@ -31,11 +31,12 @@ from tagid.tags.layouts.layout import Layout, builtin_layouts
 from tagid.tags.matching.contest import ContestSettings
 from tagid.tags.matching.matcher import ReaderSettings, read_tag
 from tagid.tags.verdicts.verdict import ADVICE, Code
-from train.calibrate import one, strata, with_bare
+from train.calibrate import one, replaced, strata
 from train.population import draw
 
 LAYOUTS = list(builtin_layouts().values())
-ANY = Calibration("none, for these tests alone", (Stratum(1, 1000, -np.inf, np.inf, 10**6, ()),), ((0, 1),))
+ALL = dict.fromkeys(Evidence, Scores(10**6))
+ANY = Calibration("none, for these tests alone", (Stratum(1, 1000, -np.inf, np.inf, ALL),), {})
 SETTINGS = ReaderSettings(contest=ContestSettings(calibrated=ANY))
 
 
@@ -267,8 +268,8 @@ def test_more_signal_and_more_views_never_take_a_name_away() -> None:
 
 
 def test_calibration_promises_no_more_than_it_counted() -> None:
-    stratum = Stratum(12, 37, -np.inf, np.inf, 1999, (2.0, 1.0, 0.5))
-    known = Calibration("a test", (stratum,), ((0, 2000),))
+    stratum = Stratum(12, 37, -np.inf, np.inf, {Evidence.ROUND: Scores(1999, (2.0, 1.0, 0.5))})
+    known = Calibration("a test", (stratum,), {Evidence.ROUND: ((0, 2000),)})
     assert Calibration.from_json(known.to_json()) == known
     bound = known.bound(1.5, 36, 10.0, 1e-3)
     assert bound.p_value == pytest.approx(2 / 2000) and bound.kept and bound.reachable
@@ -277,23 +278,22 @@ def test_calibration_promises_no_more_than_it_counted() -> None:
     assert known.bound(0.4, 36, 10.0, 1e-3).p_value == 1.0
     assert not known.bound(9.0, 36, 10.0, 1e-4).reachable
     assert known.bound(9.0, 100, 10.0, 1e-3).objects == 0
+    assert known.bound(9.0, 36, 10.0, 1e-3, Evidence.WALL).objects == 0
     with pytest.raises(ModelError):
         Calibration.from_json("{}")
 
 
-@pytest.mark.parametrize("bare", [False, True])
-def test_the_p_value_is_never_below_that_of_all_scores(bare: bool) -> None:
+def test_the_p_value_is_never_below_that_of_all_scores() -> None:
     """Ties, refused objects, rounding and scores that were not kept: it is exact where it can be."""
     rng = np.random.default_rng(6)
     every = np.round(rng.standard_normal(60), 1)
     refused, keep = 40, 12
     kept = largest([float(s) for s in every], keep)
     assert len(kept) >= keep and kept[-1] > max(s for s in every if s < kept[-1])
-    known = Stratum(1, 99, -np.inf, np.inf, 100, kept, 60, bare=kept, bare_objects=100, bare_scored=60)
-    blind = Stratum(1, 99, -np.inf, np.inf, 100, kept, bare=kept, bare_objects=100)
+    known, blind = Scores(100, kept, 60), Scores(100, kept)
     for score in np.linspace(-3, 3, 121).round(2):
         exact = (np.count_nonzero(every >= score) + 1) / (len(every) + refused + 1)
-        one, other = known.p_value(float(score), bare), blind.p_value(float(score), bare)
+        one, other = known.p_value(float(score)), blind.p_value(float(score))
         assert exact <= one <= other
         assert (one == other == exact) if score >= kept[-1] else (one == 61 / 101 and other == 1.0)
 
@@ -305,18 +305,22 @@ def test_scores_of_the_file_are_rounded_up() -> None:
 def test_names_without_a_body_are_calibrated_apart() -> None:
     """The rest of the file stays; an object that a body takes the name from gives no evidence."""
     rows = [one(seed, bodies=False) for seed in (942301, 830657)]
-    assert [row["bare"] == "refused" for row in rows] == [False, True] and "score" not in rows[0]
+    assert [row["bare"] == "refused" for row in rows] == [False, True] and "round" not in rows[0]
     drawn = strata(rows, [12, 24, 361])
-    old = tuple(replace(s, bare=(), scores=(2.0,), objects=9, scored=1) for s in drawn)
-    made = with_bare(Calibration("a test", old, ((0, 9),)), drawn, [830657, 942301])
-    assert made.seeds == ((0, 9),) and made.bare_seeds == ((830657, 830658), (942301, 942302))
+    round_alone = {Evidence.ROUND: Scores(9, (2.0,), 1)}
+    old = tuple(replace(s, scores=round_alone) for s in drawn)
+    seeds = [830657, 942301]
+    made = replaced(Calibration("a test", old, {Evidence.ROUND: ((0, 9),)}), drawn, seeds, Evidence.BARE)
+    assert made.seeds[Evidence.ROUND] == ((0, 9),)
+    assert made.seeds[Evidence.BARE] == ((830657, 830658), (942301, 942302))
     assert Calibration.from_json(made.to_json()) == made
-    few, many = made.strata
-    assert (few.objects, few.scores, few.bare_objects, few.bare_scored) == (9, (2.0,), 1, 1)
-    assert many.bare == () and (many.bare_objects, many.bare_scored) == (1, 0)
-    assert made.bound(float(rows[0]["bare"]), 18, 0.0, 1e-3, bare=True).p_value == 1.0
+    few, many = (one.scores for one in made.strata)
+    assert few[Evidence.ROUND] == many[Evidence.ROUND] == round_alone[Evidence.ROUND]
+    assert (few[Evidence.BARE].objects, few[Evidence.BARE].scored) == (1, 1)
+    assert many[Evidence.BARE] == Scores(1, (), 0)
+    assert made.bound(float(rows[0]["bare"]), 18, 0.0, 1e-3, Evidence.BARE).p_value == 1.0
     with pytest.raises(SystemExit):
-        with_bare(made, drawn[:1], [1])
+        replaced(made, drawn[:1], [1], Evidence.BARE)
 
 
 def test_a_bound_is_stated_in_words() -> None:
@@ -332,7 +336,8 @@ def test_a_bound_is_stated_in_words() -> None:
 
 
 def test_too_few_calibration_objects_refuse() -> None:
-    few = Calibration("few", (Stratum(1, 1000, -np.inf, np.inf, 10, ()),), ((0, 1),))
+    scores = dict.fromkeys(Evidence, Scores(10))
+    few = Calibration("few", (Stratum(1, 1000, -np.inf, np.inf, scores),), {})
     settings = ReaderSettings(contest=ContestSettings(calibrated=few))
     _, capture = cans(500, 1, 20.0)[0]
     reading = read_tag(scans_of(capture), LAYOUTS, settings)

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tagid.tags.bodies.cylinder_patterns import Patterns
+from tagid.tags.bodies.cylinder_patterns import Paths, Patterns
 from tagid.tags.bodies.hypothesis import BodyModel
 from tagid.tags.bodies.reflectors_fit import Priors, Solved, solve
 from tagid.tags.bodies.spectra import Spectra, centred
@@ -54,8 +54,10 @@ class _Many:
     """Arrangements side by side, padded to K reflectors.
 
     Attributes:
-        shells: (H,). at: (H, 3 + K) centre x, y, offset, angles. radii, heights, present: (H, K).
-        moves: (H, P, 3 + K) unit directions that the fit may take.
+        shells: (H,) indices; more than one of a single arrangement for the same beside several bodies.
+        at: (H, 3 + K) centre x and y, radius offset, angles.
+        radii, heights, present: (H, K), as in `Batch`.
+        moves: (H, P, 3 + K) directions that the fit may take.
     """
 
     shells: NDArray[np.intp]
@@ -110,10 +112,10 @@ class CylinderFitter:
         """The same arrangement beside the wall of its polarisation that leaves least."""
         polarisation = self.patterns.shells[row.shell].polarisation
         same = [i for i, one in enumerate(self.patterns.shells) if one.polarisation == polarisation]
-        rows = [replace(row, shell=i) for i in same]
-        left = self.solved(rows).left
+        many = _Many.of([row])
+        left = self._solved(replace(many, shells=np.array(same)), many.at).left
         best = int(np.argmin(left))
-        return replace(rows[best], left=float(left[best]))
+        return replace(row, shell=same[best], left=float(left[best]))
 
     def fitted(self, rows: Sequence[Ringed], rounds: int = 4) -> list[Ringed]:
         """Levenberg-Marquardt on all arrangements at once; those that a round does not improve stay."""
@@ -164,8 +166,7 @@ class CylinderFitter:
     def _solved(self, many: _Many, at: NDArray[np.float64]) -> Solved:
         centres = np.asarray(at[:, 0] + 1j * at[:, 1])
         echo = self.body.echo(self.spectra, centres, np.zeros(len(at)))
-        each = self.patterns.columns(
-            self.spectra, many.shells, centres, many.radii + at[:, 2:3], at[:, 3:], many.heights
-        )
+        paths = Paths.of(self.spectra, centres, many.radii + at[:, 2:3], at[:, 3:], many.heights)
+        each = self.patterns.columns(paths, many.shells)
         tag = (each * many.present[:, None, :, None]).sum(axis=2)
-        return solve(self.spectra.data, centred(np.stack([echo, tag], axis=2)))
+        return solve(self.spectra.data, centred(np.stack([np.broadcast_to(echo, tag.shape), tag], axis=2)))

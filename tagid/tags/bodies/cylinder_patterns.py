@@ -39,6 +39,50 @@ def family(radius_m: float) -> tuple[Shell, ...]:
 
 
 @dataclass(frozen=True, eq=False)
+class Paths:
+    """Ways from the antenna to reflectors on rings, in H arrangements of K.
+
+    The pattern is that of a plane wave. The path is the reflector's own, so that its range and the curvature
+    of the wave on the lit side are exact.
+
+    Attributes:
+        waves: (H, F, K, V) complex128 echo of every reflector in free space.
+        index: (H, K, V) the angle of a table at or below that between outward direction and antenna,
+        part: (H, K, V) and the way from there to the next one, 0 to 1.
+    """
+
+    waves: NDArray[np.complex128]
+    index: NDArray[np.intp]
+    part: NDArray[np.float64]
+
+    @classmethod
+    def of(
+        cls,
+        spectra: Spectra,
+        centres: NDArray[np.complex128],
+        radii: NDArray[np.float64],
+        angles: NDArray[np.float64],
+        heights: NDArray[np.float64],
+    ) -> Paths:
+        """Of arrangements.
+
+        Args:
+            spectra: the scans.
+            centres: (H,) of body and ring, x + jy, m.
+            radii: (H, K) of the reflectors from there, m.
+            angles: (H, K) their directions, rad.
+            heights: (H, K) above the object's plane, m.
+        """
+        local = (spectra.antenna[None] - centres[:, None])[:, None] * np.exp(-1j * angles)[..., None]
+        plane = np.abs(local - radii[..., None])
+        distance = np.hypot(plane, spectra.height_m - heights[..., None])
+        waves = np.moveaxis(spectra.waves(distance) * (spectra.distance_m / distance) ** 2, 0, 1)
+        at = np.angle(local) * (ANGLES / (2 * np.pi))
+        low = np.floor(at)
+        return cls(waves, low.astype(np.intp) % ANGLES, at - low)
+
+
+@dataclass(frozen=True, eq=False)
 class Patterns:
     """Patterns beside every body of a family.
 
@@ -60,43 +104,20 @@ class Patterns:
 
     def thinned(self, step: int) -> Patterns:
         """At every `step`-th frequency only."""
-        return Patterns(self.radius_m, self.shells, self.relative[:, ::step])
+        return Patterns(self.radius_m, self.shells, np.ascontiguousarray(self.relative[:, ::step]))
 
-    def columns(
-        self,
-        spectra: Spectra,
-        shells: NDArray[np.intp],
-        centres: NDArray[np.complex128],
-        radii: NDArray[np.float64],
-        angles: NDArray[np.float64],
-        heights: NDArray[np.float64],
-    ) -> NDArray[np.complex128]:
+    def columns(self, paths: Paths, shells: NDArray[np.intp]) -> NDArray[np.complex128]:
         """(H, F, K, V) echo of every reflector, each of unit strength.
 
-        The pattern is that of a plane wave. The path is the reflector's own, so that its range and the
-        curvature of the wave on the lit side are exact.
-
         Args:
-            spectra: the scans, with the frequencies of the table.
+            paths: of H arrangements, or of one that stands beside H bodies.
             shells: (H,) indices of the bodies.
-            centres: (H,) of body and ring, x + jy, m.
-            radii: (H, K) of the reflectors from there, m.
-            angles: (H, K) their directions, rad.
-            heights: (H, K) above the object's plane, m.
         """
-        local = (spectra.antenna[None] - centres[:, None])[:, None] * np.exp(-1j * angles)[..., None]
-        plane = np.abs(local - radii[..., None])
-        distance = np.hypot(plane, spectra.height_m - heights[..., None])
-        waves = np.moveaxis(spectra.waves(distance) * (spectra.distance_m / distance) ** 2, 0, 1)
-        at = np.angle(local) * (ANGLES / (2 * np.pi))
-        low = np.floor(at)
-        part = (at - low)[:, None]
-        index = low.astype(np.intp)
         f = self.relative.shape[1]
         row = (shells[:, None] * f + np.arange(f))[:, :, None, None] * ANGLES
-        flat = self.relative.reshape(-1)
-        here, ahead = flat[row + (index % ANGLES)[:, None]], flat[row + ((index + 1) % ANGLES)[:, None]]
-        return np.asarray(waves * (here + (ahead - here) * part))
+        flat, index = self.relative.reshape(-1), paths.index[:, None]
+        here, ahead = flat[row + index], flat[row + (index + 1) % ANGLES]
+        return np.asarray(paths.waves * (here + (ahead - here) * paths.part[:, None]))
 
 
 @lru_cache(maxsize=8)

@@ -26,7 +26,7 @@ from tagid.tags.bodies.arrangement import (
 )
 from tagid.tags.bodies.body_reading import BodyReading, BodySettings, Placed
 from tagid.tags.bodies.cylinder_fit import CylinderFitter, Ringed
-from tagid.tags.bodies.cylinder_patterns import Patterns
+from tagid.tags.bodies.cylinder_patterns import Paths, Patterns
 from tagid.tags.bodies.hypothesis import Pose
 from tagid.tags.bodies.reflectors_fit import COMMON, THROUGH, Batch, Pattern
 from tagid.tags.bodies.ring import Ring, peaks
@@ -122,7 +122,8 @@ class _CylinderReader:
 
     def _searched(self, centre: complex) -> list[Ringed]:
         """Layouts beside every wall about a centre; beside the best walls every arrangement."""
-        rings = [(shell, self._ring(shell, centre)) for shell in self._coarse_shells()]
+        shells = self._coarse_shells()
+        rings = list(zip(shells, self._rings(np.array(shells), centre), strict=True))
         found: list[Ringed] = []
         least: list[float] = []
         for shell, ring in rings:
@@ -147,25 +148,29 @@ class _CylinderReader:
             if one.radius_m in sizes and (one.metal or one.permittivity in walls)
         ]
 
-    def _ring(self, shell: int, centre: complex) -> Ring:
+    def _rings(self, shells: NDArray[np.intp], centre: complex) -> list[Ring]:
+        """Reflectors all around a centre, beside each of some walls."""
         angles = 2 * np.pi * np.arange(COUNT) / COUNT
         echo = self.first.body.echo(self.coarse, np.array([centre]), np.zeros(1))[0]
         unit = centred(echo)
         unit = unit / np.maximum(np.linalg.norm(unit, axis=-1, keepdims=True), 1e-9)
         data = self.coarse.data
         data = data - (data * unit.conj()).sum(axis=-1, keepdims=True) * unit
+        energy, given = float((np.abs(data) ** 2).sum()), data.astype(np.complex64)[..., None]
         one = np.ones((1, COUNT))
-        columns = self.coarse_patterns.columns(
-            self.coarse, np.array([shell]), np.array([centre]), self.radius_m * one, angles[None], 0 * one
-        )[0]
-        columns = centred(columns)
-        columns = columns - (columns @ unit.conj()[..., None]) * unit[:, None]
-        narrow = columns.astype(np.complex64)
-        gram = narrow.conj() @ np.swapaxes(narrow, 1, 2)
-        right = (narrow.conj() @ data.astype(np.complex64)[..., None])[..., 0]
-        ridge = _RIDGE * np.einsum("fnn->f", gram).real / COUNT
-        energy = float((np.abs(data) ** 2).sum())
-        return Ring(self.radius_m, Pattern(0, 1), angles, energy, gram, right, ridge.astype(np.float32))
+        paths = Paths.of(self.coarse, np.array([centre]), self.radius_m * one, angles[None], 0 * one)
+        found = []
+        for shell in shells:
+            columns = centred(self.coarse_patterns.columns(paths, np.array([shell]))[0])
+            columns = columns - (columns @ unit.conj()[..., None]) * unit[:, None]
+            narrow = columns.astype(np.complex64)
+            gram = narrow.conj() @ np.swapaxes(narrow, 1, 2)
+            right = (narrow.conj() @ given)[..., 0]
+            ridge = _RIDGE * np.einsum("fnn->f", gram).real / COUNT
+            found.append(
+                Ring(self.radius_m, Pattern(0, 1), angles, energy, gram, right, ridge.astype(np.float32))
+            )
+        return found
 
     def _turned(self, layout: Layout, ring: Ring, shell: int, centre: complex) -> list[Ringed]:
         """The best turns of a layout on a ring."""
