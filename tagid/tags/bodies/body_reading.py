@@ -142,6 +142,7 @@ class BodyReading:
             the noise: the strength of the evidence.
         untagged_lead: the same of a body without reflectors that has the layout's symmetry; infinite where it
             was not fitted because `lead` is not positive, or the layout has no symmetry.
+        error: energy that a lead of 1 is: what the layout leaves, the model's error and the noise.
         rough: energy by which an explanation with few amplitudes must be worse for a lead of 1.
         angle_off_deg, radius_off_m: between the free arrangement and the layout.
         tag_nats: the tag's energy over the variance of the noise.
@@ -170,6 +171,7 @@ class BodyReading:
     unexplained: float
     lead: float
     untagged_lead: float
+    error: float
     rough: float
     angle_off_deg: float
     radius_off_m: float

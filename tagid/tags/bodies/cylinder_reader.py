@@ -39,6 +39,10 @@ COUNT = 48
 _RIDGE = 1e-3
 _WALLS, _KEPT, _BEAM = 10, 12, 6
 """Walls beside which every number of reflectors is tried; other arrangements fitted; sets kept per number."""
+OUTWARD_M = 8e-3
+"""Reflectors may stand so far outside their nominal radius, on feet or foam,"""
+ENOUGH = 0.05
+"""which is tried where a larger share of the echo is left without."""
 SAME_M = 4e-3
 """Layouts whose mean radii differ by less share one table of patterns."""
 
@@ -57,11 +61,21 @@ def read_on_cylinder(
     Returns:
         The reading; None where no layout can stand beside such a wall.
     """
-    readings = [
-        _CylinderReader(spectra, radius, group, first, settings).read()
-        for radius, group in _groups(layouts, settings)
-    ]
+    readings = []
+    for radius, group in _groups(layouts, settings):
+        reading = _CylinderReader(spectra, radius, 0.0, group, first, settings).read()
+        if reading.unexplained > ENOUGH:
+            outside = _CylinderReader(spectra, radius, OUTWARD_M, group, first, settings).read()
+            inner, outer = reading.layouts[0].left, outside.layouts[0].left
+            reading = _against(reading, outside) if inner <= outer else _against(outside, reading)
+        readings.append(reading)
     return max(readings, key=lambda reading: reading.lead, default=None)
+
+
+def _against(reading: BodyReading, elsewhere: BodyReading) -> BodyReading:
+    """A reading with the lead that is left against arrangements at another radius."""
+    least = elsewhere.others[0].charged if elsewhere.others else np.inf
+    return replace(reading, lead=min(reading.lead, (least - reading.layouts[0].left) / reading.error))
 
 
 def _groups(layouts: Sequence[Layout], settings: BodySettings) -> list[tuple[float, list[Layout]]]:
@@ -86,13 +100,14 @@ class _CylinderReader:
         self,
         spectra: Spectra,
         radius_m: float,
+        outward_m: float,
         layouts: Sequence[Layout],
         first: BodyReading,
         settings: BodySettings,
     ) -> None:
-        self.spectra, self.radius_m, self.layouts = spectra, radius_m, layouts
-        self.first, self.settings = first, settings
-        patterns = Patterns.of(spectra, radius_m)
+        self.spectra, self.radius_m, self.outward_m = spectra, radius_m + outward_m, outward_m
+        self.layouts, self.first, self.settings = layouts, first, settings
+        patterns = Patterns.of(spectra, self.radius_m)
         self.coarse = spectra.thinned(2)
         self.coarse_patterns = patterns.thinned(2)
         self.noise = spectra.noise_energy * max(spectra.views - 3, 1) / (spectra.views - 1)
@@ -182,7 +197,7 @@ class _CylinderReader:
                 centre,
                 0.0,
                 angles + 2 * np.pi / COUNT * i,
-                radii,
+                radii + self.outward_m,
                 heights,
                 layout.name,
                 ring.energy - float(value[i]),
@@ -244,9 +259,9 @@ class _CylinderReader:
 
         # Each angle that is free costs half the logarithm of the number of values (Schwarz 1978).
         angle = 0.5 * spectra.noise * np.log(2 * spectra.data.size)
-        others = [_placed(row, row.left + angle * (len(row.angles) - 1)) for row in free]
+        others = [self._placed(row, row.left + angle * (len(row.angles) - 1)) for row in free]
         others = [p for p, row in zip(others, free, strict=True) if away(row) > settings.other_deg]
-        layouts = [_placed(row, row.left) for row in ranked]
+        layouts = [self._placed(row, row.left) for row in ranked]
         every = sorted([*others, *layouts[1:]], key=lambda p: p.charged)
         own = min(
             (row for row in free if away(row) <= settings.other_deg), key=lambda r: r.left, default=None
@@ -275,11 +290,12 @@ class _CylinderReader:
             body_left=first.body_left,
             layouts=tuple(layouts),
             others=tuple(every),
-            free=_placed(own, own.left) if own is not None else None,
+            free=self._placed(own, own.left) if own is not None else None,
             tag=tag,
             unexplained=above / tag,
             lead=min(lead, untagged),
             untagged_lead=untagged,
+            error=error,
             rough=rough,
             angle_off_deg=away(own) if own is not None else 180.0,
             radius_off_m=0.0,
@@ -291,22 +307,22 @@ class _CylinderReader:
             wall=self.fitter.patterns.shells[best.shell],
         )
 
-
-def _placed(row: Ringed, charged: float) -> Placed:
-    """An arrangement beside a wall as one with a free pattern, as which pictures subtract its body."""
-    k = len(row.angles)
-    at = np.array([[row.centre.real, row.centre.imag, row.offset_m, row.centre.real, row.centre.imag, 0.0]])
-    one = np.ones(1)
-    batch = Batch(
-        np.concatenate([at, row.angles[None]], axis=1),
-        row.radii[None].copy(),
-        row.heights[None].copy(),
-        np.ones((1, k)),
-        one * THROUGH.tilt,
-        one * THROUGH.terms,
-        np.zeros((1, 1, COMMON + k)),
-        -one,
-        one,
-        0 * one,
-    )
-    return Placed(batch, row.left, charged, row.layout)
+    def _placed(self, row: Ringed, charged: float) -> Placed:
+        """An arrangement beside a wall as one with a free pattern, as which pictures subtract its body."""
+        k = len(row.angles)
+        centre = (row.centre.real, row.centre.imag)
+        at = np.array([[*centre, row.offset_m + self.outward_m, *centre, 0.0, *row.angles]])
+        one = np.ones(1)
+        batch = Batch(
+            at,
+            row.radii[None] - self.outward_m,
+            row.heights[None].copy(),
+            np.ones((1, k)),
+            one * THROUGH.tilt,
+            one * THROUGH.terms,
+            np.zeros((1, 1, COMMON + k)),
+            -one,
+            one,
+            0 * one,
+        )
+        return Placed(batch, row.left, charged, row.layout)

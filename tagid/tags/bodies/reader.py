@@ -541,6 +541,7 @@ class BodyReader:
             unexplained=self._adequate(best, above, tag) / tag,
             lead=min(lead, untagged),
             untagged_lead=untagged,
+            error=error,
             rough=rough,
             angle_off_deg=away(own) if own else 180.0,
             radius_off_m=abs(float(own.radii.mean()) - float(best.radii.mean())) if own else 1.0,
