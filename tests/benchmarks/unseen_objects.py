@@ -132,6 +132,24 @@ def _shell73() -> Mesh:
     return shapes.helmet((0.073, 0.094, 0.078), 0.020, 0.0102, shapes.sheet(3.2, 0.003))
 
 
+def _tumbler() -> Mesh:
+    """A drinking glass, wider at the top."""
+    profile = 1e-3 * np.array([(0, -52), (29, -52), (37, 52)])
+    return shapes.revolved(profile, 0.0090, sheet_m=shapes.sheet(6.6, 0.0030))
+
+
+def _jar42() -> Mesh:
+    return shapes.can(0.042, 0.090, 0.0095, shapes.sheet(5.8, 0.0040))
+
+
+def _beaker31() -> Mesh:
+    return shapes.can(0.031, 0.120, 0.0092, shapes.sheet(2.3, 0.0020))
+
+
+def _tin37() -> Mesh:
+    return _profile(0.0095, (0, -45), (37, -45), (37, 45), (0, 45))
+
+
 DEVELOPMENT = {
     "free24_c180": Object(None, 24, ring(45, 10, 190)),
     "free24_one": Object(None, 24, ((0, 0),)),
@@ -175,10 +193,6 @@ OPENED = {
     "shell70": Object(_shell70),
     "shell70_h120": Object(_shell70, 40, ring(112, 70, 190, 310)),
     "shell70_lin": Object(_shell70, 20, ((90, 0), (90, 180), (0, 0))),
-}
-"""Objects that were sealed, reported, and looked at since."""
-
-SEALED = {
     "free18_c90": Object(None, 18, ring(45, 200, 290)),
     "free36_three": Object(None, 36, ring(45, 0, 75, 200)),
     "tin28": Object(_tin28),
@@ -203,12 +217,33 @@ SEALED = {
     "shell73_h120": Object(_shell73, 30, ring(111, 40, 160, 280)),
     "shell73_lin": Object(_shell73, 30, ((90, 0), (90, 180), (0, 0))),
 }
+"""Objects that were sealed, reported, and looked at since."""
+
+SEALED = {
+    "tumbler": Object(_tumbler),
+    "tumbler_c180": Object(_tumbler, 20, ring(46, 75, 255)),
+    "tumbler_c90": Object(_tumbler, 30, ring(52, 160, 250)),
+    "tumbler_pair110": Object(_tumbler, 20, ring(48, 0, 110)),
+    "jar42": Object(_jar42),
+    "jar42_c180": Object(_jar42, 24, ring(56, 20, 200)),
+    "jar42_c90": Object(_jar42, 20, ring(52, 130, 220)),
+    "jar42_three": Object(_jar42, 20, ring(52, 0, 95, 190)),
+    "beaker31": Object(_beaker31),
+    "beaker31_c180": Object(_beaker31, 20, ring(43, 110, 290)),
+    "beaker31_c90": Object(_beaker31, 30, ring(48, 5, 95)),
+    "beaker31_pair70": Object(_beaker31, 30, ring(48, 0, 70)),
+    "tin37": Object(_tin37),
+    "tin37_c180": Object(_tin37, 20, ring(49, 65, 245)),
+    "tin37_c90": Object(_tin37, 18, ring(47, 10, 100)),
+    "tin37_three": Object(_tin37, 20, ring(49, 65, 245, 175)),
+}
 """Objects that are only reported."""
 
 OBJECTS = {**DEVELOPMENT, **OPENED, **SEALED}
 ROUND = (
     *("free24", "closed25", "wide45", "plastic40", "closed32", "cup33"),
     *("free18", "free36", "tin28", "bottle", "glass35", "pail"),
+    *("tumbler", "jar42", "beaker31", "tin37"),
 )
 """Bodies of revolution, and tags alone: to be read without enrolment."""
 

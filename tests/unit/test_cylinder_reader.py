@@ -51,11 +51,15 @@ def spectra_of(
     return Spectra.of(preprocess(capture, settings=settings))
 
 
-def beside(spectra: Spectra) -> BodyReading:
+def reading_of(spectra: Spectra) -> BodyReading | None:
     settings = BodySettings()
     first = read_on_body(spectra, LAYOUTS, RoundBody(), settings)
     assert first is not None
-    found = read_on_cylinder(spectra, LAYOUTS, first, settings)
+    return read_on_cylinder(spectra, LAYOUTS, first, settings)
+
+
+def beside(spectra: Spectra) -> BodyReading:
+    found = reading_of(spectra)
     assert found is not None
     return found
 
@@ -85,13 +89,14 @@ def test_metal_is_told_from_ceramic() -> None:
 @pytest.mark.parametrize("name", ["can30_foreign", "cup36_one", "can40_one"])
 @pytest.mark.parametrize("polarisation", ["V", "H"])
 def test_other_tags_on_round_bodies_are_other_arrangements(name: str, polarisation: str) -> None:
-    found = beside(spectra_of(name, polarisation, reference="free20_foreign"))
-    assert found.lead < 0
+    found = reading_of(spectra_of(name, polarisation, reference="free20_foreign"))
+    assert found is None or found.lead < 0
 
 
 @pytest.mark.parametrize("name", ["box_c90", "handle34_c90"])
 def test_bodies_that_are_not_round_are_not_explained(name: str) -> None:
-    assert beside(spectra_of(name, "V")).unexplained > 0.3
+    found = reading_of(spectra_of(name, "V"))
+    assert found is None or found.unexplained > 0.3
 
 
 def test_a_tag_on_a_cup_is_named_with_few_views_and_in_noise() -> None:

@@ -157,13 +157,16 @@ def _stitched(inner: int, outer: int, inner_phase: float, outer_phase: float) ->
     return np.array(triangles, dtype=np.int64)
 
 
-def revolved(profile: Floats, edge_m: float, across: tuple[float, float] = (1.0, 1.0)) -> Mesh:
+def revolved(
+    profile: Floats, edge_m: float, across: tuple[float, float] = (1.0, 1.0), sheet_m: complex = 0.0
+) -> Mesh:
     """A surface of revolution about z, or an oval one if `across` scales x and y.
 
     Args:
         profile: (n, 2) polyline of (radius, z); a radius of zero closes the surface.
         edge_m: target edge length.
         across: factors of x and y.
+        sheet_m: of a dielectric wall (`sheet`); 0 for metal.
     """
     points = [profile[0]]
     for a, b in pairwise(profile):
@@ -190,7 +193,7 @@ def revolved(profile: Floats, edge_m: float, across: tuple[float, float] = (1.0,
         vertices.append(b)
         triangles.append(t + start)
         start += len(a)
-    return Mesh.of(np.concatenate(vertices), np.concatenate(triangles))
+    return _of(Mesh.of(np.concatenate(vertices), np.concatenate(triangles)), sheet_m)
 
 
 def _of(mesh: Mesh, sheet_m: complex) -> Mesh:
@@ -201,7 +204,7 @@ def can(radius_m: float, height_m: float, edge_m: float = 0.008, sheet_m: comple
     """A can or a cup: closed at the bottom, open at the top, centred at z = 0."""
     half = height_m / 2
     profile = np.array([[0.0, -half], [radius_m, -half], [radius_m, half]])
-    return _of(revolved(profile, edge_m), sheet_m)
+    return revolved(profile, edge_m, sheet_m=sheet_m)
 
 
 def tube(radius_m: float, height_m: float, edge_m: float = 0.008) -> Mesh:
@@ -245,7 +248,7 @@ def helmet(
     dome[-1, 0] = 0.0
     # The steps of the dome already have the length of an edge and must not be divided again.
     profile = np.concatenate([[[mean, -skirt_m]], dome]) if skirt_m > 0 else dome
-    return _of(revolved(profile, edge_m * 1.06, (ax / mean, ay / mean)), sheet_m)
+    return revolved(profile, edge_m * 1.06, (ax / mean, ay / mean), sheet_m)
 
 
 def box(sides_m: tuple[float, float, float], edge_m: float = 0.01, sheet_m: complex = 0.0) -> Mesh:

@@ -9,7 +9,7 @@ differ by a tenth of the echo and more.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,6 +43,8 @@ OUTWARD_M = 8e-3
 """Reflectors may stand so far outside their nominal radius, on feet or foam,"""
 ENOUGH = 0.05
 """which is tried where a larger share of the echo is left without."""
+HOPEFUL = 0.5
+"""Share of the echo that the best layout of the search must explain for all arrangements to be fitted."""
 SAME_M = 4e-3
 """Layouts whose mean radii differ by less share one table of patterns."""
 
@@ -59,17 +61,25 @@ def read_on_cylinder(
         settings: search and priors.
 
     Returns:
-        The reading; None where no layout can stand beside such a wall.
+        The reading; None where no layout can stand beside such a wall, or none explains much of the echo.
     """
     readings = []
     for radius, group in _groups(layouts, settings):
         reading = _CylinderReader(spectra, radius, 0.0, group, first, settings).read()
-        if reading.unexplained > ENOUGH:
+        if reading is None or reading.unexplained > ENOUGH:
             outside = _CylinderReader(spectra, radius, OUTWARD_M, group, first, settings).read()
-            inner, outer = reading.layouts[0].left, outside.layouts[0].left
-            reading = _against(reading, outside) if inner <= outer else _against(outside, reading)
-        readings.append(reading)
+            reading = _nearer(reading, outside)
+        if reading is not None:
+            readings.append(reading)
     return max(readings, key=lambda reading: reading.lead, default=None)
+
+
+def _nearer(one: BodyReading | None, other: BodyReading | None) -> BodyReading | None:
+    """The reading whose layout leaves less, with the lead that is left against the other's arrangements."""
+    if one is None or other is None:
+        return one or other
+    first, second = sorted((one, other), key=lambda reading: reading.layouts[0].left)
+    return _against(first, second)
 
 
 def _against(reading: BodyReading, elsewhere: BodyReading) -> BodyReading:
@@ -91,6 +101,25 @@ def _groups(layouts: Sequence[Layout], settings: BodySettings) -> list[tuple[flo
         else:
             found.append((mean, [layout]))
     return found
+
+
+@dataclass(frozen=True, eq=False)
+class _Searched:
+    """Layouts on rings beside every wall about one centre.
+
+    Attributes:
+        centre: x + jy, m.
+        shells: indices of the walls.
+        rings: beside each of them.
+        starts: the best turns of every layout.
+        share: of the echo above noise, beside that of the body, that the best of them explains.
+    """
+
+    centre: complex
+    shells: tuple[int, ...]
+    rings: tuple[Ring, ...]
+    starts: tuple[Ringed, ...]
+    share: float
 
 
 class _CylinderReader:
@@ -116,9 +145,12 @@ class _CylinderReader:
             spectra, patterns, first.body, settings.priors, max(variance, 1e-12 * first.energy)
         )
 
-    def read(self) -> BodyReading:
-        """Search, fit and compare."""
-        starts = [start for centre in self._centres() for start in self._searched(centre)]
+    def read(self) -> BodyReading | None:
+        """Search, fit and compare; None where the search leaves a layout no hope."""
+        searched = [self._layouts_about(centre) for centre in self._centres()]
+        if max(one.share for one in searched) < HOPEFUL:
+            return None
+        starts = [start for one in searched for start in (*one.starts, *self._others_about(one))]
         rows = self.fitter.fitted(self._kept(starts), 3)
         rows = self.fitter.fitted([self.fitter.beside_other_walls(row) for row in rows], 3)
         own: dict[str, Ringed] = {}
@@ -135,21 +167,34 @@ class _CylinderReader:
         other = self.first.layouts[0].centre
         return centres if abs(other - centres[0]) < 3e-3 else [*centres, other]
 
-    def _searched(self, centre: complex) -> list[Ringed]:
-        """Layouts beside every wall about a centre; beside the best walls every arrangement."""
+    def _layouts_about(self, centre: complex) -> _Searched:
+        """Layouts beside every wall about a centre."""
         shells = self._coarse_shells()
-        rings = list(zip(shells, self._rings(np.array(shells), centre), strict=True))
+        rings = self._rings(np.array(shells), centre)
+        starts = [
+            start
+            for shell, ring in zip(shells, rings, strict=True)
+            for layout in self.layouts
+            for start in self._turned(layout, ring, shell, centre)
+        ]
+        energy = rings[0].energy
+        noise = self.noise * len(self.coarse.wavenumbers) / len(self.spectra.wavenumbers)
+        least = min(start.left for start in starts)
+        share = (energy - max(least, noise)) / max(energy - noise, 1e-30)
+        return _Searched(centre, tuple(shells), tuple(rings), tuple(starts), share)
+
+    def _others_about(self, searched: _Searched) -> list[Ringed]:
+        """Pairs beside every wall, and beside the best walls every arrangement."""
+        pairs = [ring.best(2, _BEAM) for ring in searched.rings]
+        least = [ring.energy - float(some[2][1][0]) for ring, some in zip(searched.rings, pairs, strict=True)]
         found: list[Ringed] = []
-        least: list[float] = []
-        for shell, ring in rings:
-            some = [start for layout in self.layouts for start in self._turned(layout, ring, shell, centre)]
-            found += some
-            pairs = ring.best(2, _BEAM)
-            found += self._starts(pairs, ring, shell, centre)
-            least.append(min([start.left for start in some] + [ring.energy - float(pairs[2][1][0])]))
+        for i, shell in enumerate(searched.shells):
+            found += self._starts(pairs[i], searched.rings[i], shell, searched.centre)
+            least[i] = min([least[i], *(start.left for start in searched.starts if start.shell == shell)])
         for i in np.argsort(least)[:_WALLS]:
-            shell, ring = rings[int(i)]
-            found += self._starts(ring.best(self.settings.most, _BEAM), ring, shell, centre)
+            ring = searched.rings[int(i)]
+            every = ring.best(self.settings.most, _BEAM)
+            found += self._starts(every, ring, searched.shells[int(i)], searched.centre)
         return found
 
     def _coarse_shells(self) -> list[int]:
