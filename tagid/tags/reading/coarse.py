@@ -7,11 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tagid.tags.reading.aspect import Aspect, outward
+from tagid.tags.reading.compiled import CoarseTables
 from tagid.tags.reading.field import CoarseParts, MatchedField
 
 IMAGE_STEP_M = 3e-3
@@ -118,6 +120,11 @@ class CoarseImage:
             )
             for aspect, own in zip(aspects, zip(*parts, strict=True), strict=True)
         ]
+
+    @cached_property
+    def tables(self) -> CoarseTables:
+        """The image for the compiled loops."""
+        return CoarseTables.of(self.images, self.static)
 
     def static_at(self, points: NDArray[np.float64]) -> NDArray[np.complex64]:
         """(..., rank) static part of the templates at points (..., 2), to the nearest pixel."""

@@ -294,8 +294,7 @@ class CoarseGrid:
         first = rows[0]
         if is_compiled() and size <= MOST_POINTS and all(image is first for image in rows):
             task = CoarseGridTask(
-                first.images,
-                first.static,
+                first.tables,
                 self.placed,
                 self.shifts,
                 full_gram,
