@@ -325,17 +325,15 @@ typedef struct {
     double *own;    /* (N,) energy of a template */
 } Overlaps;
 
-/* <profile, other> (2, room) of one entry and view. */
-INLINE void product(const float *profile, const float *other, int64_t width, int64_t room, float *restrict out)
+#define PART 8 /* others at a time */
+
+/* sum (2, PART) += conj(re + j im) x, the imaginary parts of x `apart` behind its real ones. */
+INLINE void add_conjugate(float re, float im, const float *restrict x, int64_t apart, float *restrict sum)
 {
-    memset(out, 0, (size_t)(2 * room) * sizeof(float));
-    for (int64_t j = 0; j < width; j++, other += 2 * room) {
-        const float re = profile[j], im = profile[width + j];
 #pragma omp simd
-        for (int64_t k = 0; k < room; k++) {
-            out[k] += re * other[k] + im * other[room + k];
-            out[room + k] += re * other[room + k] - im * other[k];
-        }
+    for (int k = 0; k < PART; k++) {
+        sum[k] += re * x[k] + im * x[apart + k];
+        sum[PART + k] += re * x[apart + k] - im * x[k];
     }
 }
 
@@ -367,44 +365,67 @@ INLINE double energy_of(const Field *g, const int32_t *index, const float *turn,
     return total > 0.0 ? total : 0.0;
 }
 
-/* The others' products with every profile, a view at a time, are read at the points: a template is not formed. */
-WIDE static void overlap_points(const Field *g, const Overlaps *o, float *scratch)
+/* Scratch of `overlap_points`. */
+typedef struct {
+    float *size, *sums; /* (entries,) energies of the profiles; (circles, 2, width) */
+    float *table;       /* (entries, 2, PART) products of the profiles in one view with a part of the others */
+    float *total;       /* (N, 2, PART) */
+    float *re, *im;     /* (views, N): what is read together lies together */
+    int32_t *at;        /* (views, N) */
+} Desk;
+
+INLINE void products(const Field *g, const float *others, int64_t room, int32_t first, int32_t last,
+                     float *table)
 {
-    const int64_t n = g->views, w = g->width, room = o->room;
-    float *size = scratch, *sums = size + g->entries, *table = sums + 2 * w * g->circles,
-          *total = table + 2 * room * g->entries;
+    for (int64_t e = first; e <= last; e++) {
+        const float *profile = g->profiles + 2 * g->width * e;
+        float sum[2 * PART] = {0.0f};
+        for (int64_t j = 0; j < g->width; j++)
+            add_conjugate(profile[j], profile[g->width + j], others + 2 * room * j, room, sum);
+        memcpy(table + 2 * PART * e, sum, sizeof sum);
+    }
+}
+
+/* The others' products with every profile, a view at a time, are read at the points: a template is not formed. */
+WIDE static void overlap_points(const Field *shared, const Overlaps *o, const Desk *d)
+{
+    /* A copy that no store can change. */
+    const Field own_field = *shared, *g = &own_field;
+    const int64_t n = g->views, w = g->width;
     for (int64_t e = 0; e < g->entries; e++) {
         double energy, none;
         inner(g->profiles + 2 * w * e, g->profiles + 2 * w * e, w, &energy, &none);
-        size[e] = (float)energy;
-    }
-    memset(total, 0, (size_t)(2 * room * o->count) * sizeof(float));
-    for (int64_t v = 0; v < n; v++) {
-        int32_t first = (int32_t)g->entries, last = 0;
-        for (int64_t i = 0; i < o->count; i++) {
-            const int32_t at = o->index[n * i + v];
-            first = at < first ? at : first;
-            last = at > last ? at : last;
-        }
-        for (int64_t e = first; e <= last; e++)
-            product(g->profiles + 2 * w * e, o->others + 2 * w * room * v, w, room, table + 2 * room * e);
-        for (int64_t i = 0; i < o->count; i++) {
-            const float re = o->turn[2 * (n * i + v)], im = o->turn[2 * (n * i + v) + 1];
-            const float *restrict t = table + 2 * room * (int64_t)o->index[n * i + v];
-            float *restrict sum = total + 2 * room * i;
-#pragma omp simd
-            for (int64_t k = 0; k < room; k++) {
-                sum[k] += re * t[k] + im * t[room + k];
-                sum[room + k] += re * t[room + k] - im * t[k];
-            }
-        }
+        d->size[e] = (float)energy;
     }
     for (int64_t i = 0; i < o->count; i++) {
-        o->own[i] = energy_of(g, o->index + n * i, o->turn + 2 * n * i, size, sums);
-        for (int64_t k = 0; k < o->size; k++) {
-            o->shared[2 * (o->size * i + k)] = total[2 * room * i + k];
-            o->shared[2 * (o->size * i + k) + 1] = total[2 * room * i + room + k];
+        o->own[i] = energy_of(g, o->index + n * i, o->turn + 2 * n * i, d->size, d->sums);
+        for (int64_t v = 0; v < n; v++) {
+            d->at[o->count * v + i] = o->index[n * i + v];
+            d->re[o->count * v + i] = o->turn[2 * (n * i + v)];
+            d->im[o->count * v + i] = o->turn[2 * (n * i + v) + 1];
         }
+    }
+    for (int64_t k = 0; k < o->room; k += PART) {
+        memset(d->total, 0, (size_t)(2 * PART * o->count) * sizeof(float));
+        for (int64_t v = 0; v < n; v++) {
+            const int32_t *at = d->at + o->count * v;
+            const float *re = d->re + o->count * v, *im = d->im + o->count * v;
+            int32_t first = (int32_t)g->entries, last = 0;
+            for (int64_t i = 0; i < o->count; i++) {
+                first = at[i] < first ? at[i] : first;
+                last = at[i] > last ? at[i] : last;
+            }
+            products(g, o->others + 2 * w * o->room * v + k, o->room, first, last, d->table);
+            for (int64_t i = 0; i < o->count; i++)
+                add_conjugate(re[i], im[i], d->table + 2 * PART * (int64_t)at[i], PART,
+                              d->total + 2 * PART * i);
+        }
+        const int64_t last = o->size - k < PART ? o->size - k : PART;
+        for (int64_t i = 0; i < o->count; i++)
+            for (int64_t p = 0; p < last; p++) {
+                o->shared[2 * (o->size * i + k + p)] = d->total[2 * PART * i + p];
+                o->shared[2 * (o->size * i + k + p) + 1] = d->total[2 * PART * i + PART + p];
+            }
     }
 }
 
@@ -528,7 +549,7 @@ static PyObject *overlaps(PyObject *self, PyObject *args)
         !(o.turn = take(&h, p[1], 8 * o.count * g.views, 0)) || !(o.others = take(&h, p[2], -1, 0)))
         goto done;
     o.room = taken(&h) / 8 / g.views / g.width;
-    if (taken(&h) != 8 * g.views * g.width * o.room || !(o.own = take(&h, p[4], 8 * o.count, 1)) ||
+    if (taken(&h) != 8 * g.views * g.width * o.room || o.room % PART || !(o.own = take(&h, p[4], 8 * o.count, 1)) ||
         !(o.shared = take(&h, p[3], -1, 1))) {
         if (!PyErr_Occurred())
             refused("templates do not fit together");
@@ -539,13 +560,22 @@ static PyObject *overlaps(PyObject *self, PyObject *args)
         refused("templates do not fit together");
         goto done;
     }
-    const int64_t floats = g.entries + 2 * g.width * g.circles + 2 * o.room * (g.entries + o.count);
-    float *scratch = malloc((size_t)floats * sizeof(float));
+    const int64_t pairs = o.count * g.views;
+    const int64_t floats =
+        g.entries * (1 + 2 * PART) + 2 * g.width * g.circles + 2 * PART * o.count + 2 * pairs;
+    float *scratch = malloc((size_t)floats * sizeof(float) + (size_t)pairs * sizeof(int32_t));
     if (!scratch) {
         PyErr_NoMemory();
         goto done;
     }
-    Py_BEGIN_ALLOW_THREADS overlap_points(&g, &o, scratch);
+    Desk d = {.size = scratch};
+    d.sums = d.size + g.entries;
+    d.table = d.sums + 2 * g.width * g.circles;
+    d.total = d.table + 2 * PART * g.entries;
+    d.re = d.total + 2 * PART * o.count;
+    d.im = d.re + pairs;
+    d.at = (int32_t *)(d.im + pairs);
+    Py_BEGIN_ALLOW_THREADS overlap_points(&g, &o, &d);
     Py_END_ALLOW_THREADS free(scratch);
 done:
     return finished(&h);

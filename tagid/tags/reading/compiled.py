@@ -26,8 +26,8 @@ MOST_POINTS = 24
 """Points of one set, at most."""
 _LANES = 4
 """Numbers of coordinates are padded to a multiple of this."""
-_OFFSETS = 8
-"""Numbers of range offsets are padded to a multiple of this."""
+_OFFSETS = _OTHERS = 8
+"""Numbers of range offsets, and of templates, are padded to a multiple of this."""
 
 Pattern = tuple[float, float, float]
 """Edge, softness and floor of an `Aspect`."""
@@ -260,7 +260,7 @@ class FieldTables:
         count = len(others)
         shared = np.empty((len(index), count), dtype=np.complex128)
         own = np.empty(len(index))
-        there = np.zeros((self.views, self.width, 2, -(-count // _LANES) * _LANES), dtype=np.float32)
+        there = np.zeros((self.views, self.width, 2, -(-count // _OTHERS) * _OTHERS), dtype=np.float32)
         turned = np.moveaxis(others.reshape(count, self.views, self.rank), 0, -1)
         there[:, : self.rank, 0, :count], there[:, : self.rank, 1, :count] = turned.real, turned.imag
         _coarse.overlaps(self.field, index, turn, there, shared, own)
