@@ -315,11 +315,23 @@ class CoarseTables:
     offsets: int
 
     @classmethod
-    def of(cls, images: NDArray[np.complex64], static: NDArray[np.complex64]) -> CoarseTables:
-        """The tables of images (offsets, side, side) and constant parts (side, side, rank)."""
+    def of(
+        cls,
+        inside: NDArray[np.bool_],
+        static: NDArray[np.complexfloating],
+        images: NDArray[np.complexfloating],
+    ) -> CoarseTables:
+        """The tables of pixels `inside` (side, side).
+
+        Args:
+            inside: see above.
+            static: (points, rank) constant parts of the points inside.
+            images: (offsets, points) of the points inside.
+        """
+        pixel = np.flatnonzero(inside)
         return cls(
-            _padded(np.moveaxis(images, 0, -1), _OFFSETS),
-            _padded(static, _LANES),
+            _padded(images.T, _OFFSETS, pixel, inside.shape),
+            _padded(static, _LANES, pixel, inside.shape),
             len(images),
         )
 
@@ -372,11 +384,14 @@ class CoarseGridTask:
         return out
 
 
-def _padded(values: NDArray[np.complex64], lanes: int) -> NDArray[np.float32]:
-    """(..., 2, n) real and imaginary parts of values (..., n), n padded to a multiple of `lanes`."""
+def _padded(
+    values: NDArray[np.complexfloating], lanes: int, pixel: NDArray[np.intp], shape: tuple[int, ...]
+) -> NDArray[np.float32]:
+    """(*shape, 2, n) real and imaginary parts of values (points, n) at pixels, n padded to a multiple."""
     count = values.shape[-1]
-    out = np.zeros((*values.shape[:-1], 2, -(-count // lanes) * lanes), dtype=np.float32)
-    out[..., 0, :count], out[..., 1, :count] = values.real, values.imag
+    out = np.zeros((*shape, 2, -(-count // lanes) * lanes), dtype=np.float32)
+    flat = out.reshape(-1, 2, out.shape[-1])
+    flat[pixel, 0, :count], flat[pixel, 1, :count] = values.real, values.imag
     return out
 
 
