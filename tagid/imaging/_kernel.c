@@ -14,6 +14,7 @@
 #define PY_SSIZE_T_CLEAN
 #define Py_LIMITED_API 0x030b0000
 #include <Python.h>
+#include "../_wide.h" /* after a header of the C library, which names it */
 #include <math.h>
 #include <stdint.h>
 #include <stdlib.h>
@@ -22,13 +23,6 @@
 #if !defined(_WIN32)
 #include <pthread.h>
 #define HAVE_THREADS 1
-#endif
-
-/* Wider vectors where the processor has them, decided when the module is loaded; the loops stay plain C. */
-#if defined(__GNUC__) && !defined(__clang__) && defined(__x86_64__) && defined(__linux__) && defined(__GLIBC__)
-#define WIDE __attribute__((target_clones("arch=haswell", "default")))
-#else
-#define WIDE
 #endif
 
 #define BLOCK 512
@@ -46,17 +40,19 @@ typedef struct {
 } Geometry;
 
 /* Bin and weight of a range in steps. */
-static inline void split(float t, float last, float before, int32_t *bin, float *f)
+INLINE void split(float t, float last, float before, int32_t *bin, float *f)
 {
-    t = t < 0.0f ? 0.0f : t;
-    t = t > last ? last : t;
-    const float whole = (float)(int32_t)(t < before ? t : before);
-    *bin = (int32_t)whole;
-    *f = t - whole;
+    /* As the processor's minimum and maximum do, so that the loops over points use them. */
+    t = t > 0.0f ? t : 0.0f;
+    t = t < last ? t : last;
+    const int32_t left = (int32_t)t, most = (int32_t)before;
+    const int32_t here = left < most ? left : most;
+    *bin = here;
+    *f = t - (float)here;
 }
 
 /* Bin and weight of n points of the plane seen from one antenna. */
-static inline void locate_plane(const Geometry *g, int64_t view, int64_t at, int n, int32_t *bin, float *f)
+INLINE void locate_plane(const Geometry *g, int64_t view, int64_t at, int n, int32_t *bin, float *f)
 {
     const float *restrict x = g->x + at, *restrict y = g->y + at, *antenna = g->antenna + 3 * view;
     const float ax = antenna[0], ay = antenna[1], az2 = antenna[2] * antenna[2];
@@ -68,7 +64,7 @@ static inline void locate_plane(const Geometry *g, int64_t view, int64_t at, int
 }
 
 /* The same for points at heights of their own. */
-static inline void locate_space(const Geometry *g, int64_t view, int64_t at, int n, int32_t *bin, float *f)
+INLINE void locate_space(const Geometry *g, int64_t view, int64_t at, int n, int32_t *bin, float *f)
 {
     const float *restrict x = g->x + at, *restrict y = g->y + at, *restrict z = g->z + at;
     const float *antenna = g->antenna + 3 * view;
@@ -81,7 +77,7 @@ static inline void locate_space(const Geometry *g, int64_t view, int64_t at, int
 }
 
 /* The same with two antennas. */
-static inline void locate_two(const Geometry *g, int64_t view, int64_t at, int n, int32_t *bin, float *f)
+INLINE void locate_two(const Geometry *g, int64_t view, int64_t at, int n, int32_t *bin, float *f)
 {
     const float *restrict x = g->x + at, *restrict y = g->y + at, *a = g->antenna + 3 * view;
     const float *b = g->second + 3 * view, *restrict z = g->z ? g->z + at : NULL;
@@ -103,7 +99,7 @@ static inline void locate_two(const Geometry *g, int64_t view, int64_t at, int n
     }
 }
 
-static inline void locate(const Geometry *g, int64_t view, int64_t at, int n, int32_t *bin, float *f)
+INLINE void locate(const Geometry *g, int64_t view, int64_t at, int n, int32_t *bin, float *f)
 {
     if (g->second)
         locate_two(g, view, at, n, bin, f);
@@ -114,7 +110,7 @@ static inline void locate(const Geometry *g, int64_t view, int64_t at, int n, in
 }
 
 /* What a view sees of the channels x (channels, points, 2) of n points: seen (n, 2). */
-static inline void mix(const Geometry *g, int64_t view, int64_t at, int n, const float *x, float *restrict seen)
+INLINE void mix(const Geometry *g, int64_t view, int64_t at, int n, const float *x, float *restrict seen)
 {
     const float *light = g->light + 2 * view * g->channels;
     memset(seen, 0, (size_t)n * 2 * sizeof(float));

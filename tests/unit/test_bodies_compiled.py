@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tagid.tags.bodies import compiled
+from tagid.tags.bodies import compiled, symmetric
 from tagid.tags.bodies.reflectors_fit import COMMON, OPEN, THROUGH, Batch, Fitter, Pattern, Priors
 from tagid.tags.bodies.revolution import RoundBody
 from tagid.tags.bodies.ring import PairSearch, Ring
@@ -119,6 +119,39 @@ def test_waves(monkeypatch: pytest.MonkeyPatch) -> None:
     found = spectra.waves(distance)
     monkeypatch.setattr(compiled, "_arrangements", None)
     assert_alike(found, spectra.waves(distance), 1e-12)
+
+
+@pytest.mark.skipif(compiled._walls is None, reason="no compiler was present at installation")
+@pytest.mark.parametrize("views", [12, 13])
+@pytest.mark.parametrize("order", [2, 3])
+def test_walls_with_planes_of_symmetry(views: int, order: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    spectra, rng = noise(views), np.random.default_rng(3)
+    places = rng.normal(0, 5e-3, (9, 3)) + np.array([0, 0, 1])
+    places[4:7, :2] = places[4, :2]  # one centre, several directions
+    numbers = (1, 2, 4, compiled.MOST_AMPLITUDES)
+    found = [symmetric._left(spectra, order, number, places) for number in numbers]
+    least = symmetric.symmetric_left(spectra, order, 2, (0.002 + 0.001j,))
+    monkeypatch.setattr(compiled, "_walls", None)
+    for number, left in zip(numbers, found, strict=True):
+        assert_alike(left, symmetric._left(spectra, order, number, places), 1e-9)
+    assert least == pytest.approx(symmetric.symmetric_left(spectra, order, 2, (0.002 + 0.001j,)), rel=1e-6)
+
+
+@pytest.mark.skipif(compiled._walls is None, reason="no compiler was present at installation")
+def test_walls_that_do_not_fit_are_refused() -> None:
+    tables = noise(12).tables
+    with pytest.raises(ValueError, match="bytes"):
+        compiled.walls_left(tables, np.zeros((3, 2)), 2, 2)
+    with pytest.raises(ValueError, match="too few amplitudes"):
+        compiled.walls_left(tables, np.zeros((3, 3)), 2, 0)
+    with pytest.raises(ValueError, match="together"):
+        compiled.walls_left(replace(tables, data=tables.data[:, :1].copy()), np.zeros((3, 3)), 2, 2)
+
+
+def test_more_amplitudes_of_a_wall_than_the_loop_takes_are_left_to_numpy() -> None:
+    places = np.array([[0.001, 0.002, 0.3], [0.0, 0.0, 0.1]])
+    left = symmetric._left(noise(24), 2, compiled.MOST_AMPLITUDES + 1, places)
+    assert (left > 0).all() and (left < symmetric._left(noise(24), 2, 2, places)).all()
 
 
 def test_what_does_not_fit_is_refused() -> None:

@@ -12,17 +12,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 _arrangements: Any
+_walls: Any
 try:
     from tagid.tags.bodies import _arrangements  # type: ignore[attr-defined, no-redef]
 except ImportError:  # no compiler at installation
     _arrangements = None
 if getattr(_arrangements, "ARGUMENTS", 0) != 1:  # built before the present source
     _arrangements = None
+try:
+    from tagid.tags.bodies import _walls  # type: ignore[attr-defined, no-redef]
+except ImportError:  # no compiler at installation
+    _walls = None
+if getattr(_walls, "ARGUMENTS", 0) != 1:  # built before the present source
+    _walls = None
 
 MOST_TERMS = 7
 """Terms of a pattern, at most."""
 MOST_MOVES = 32
 """Moves of an arrangement, at most."""
+MOST_AMPLITUDES = 8
+"""Amplitudes per frequency of a wall with planes of symmetry, at most."""
 
 
 def waves(path_m: NDArray[np.float64], wavenumbers: NDArray[np.float64]) -> NDArray[np.complex128] | None:
@@ -92,6 +101,22 @@ class SpectraTables:
             np.stack([data.real, data.imag], axis=1),
             (float(wavenumbers[0]), _step(wavenumbers), distance_m),
         )
+
+
+def walls_left(
+    spectra: SpectraTables, places: NDArray[np.float64], order: int, amplitudes: int
+) -> NDArray[np.float64] | None:
+    """(H,) energy that walls at places (H, 3) of centre x and y, m, and gamma, rad, leave.
+
+    See `symmetric`; fastest where places of one centre follow one another.
+    """
+    if _walls is None or amplitudes > MOST_AMPLITUDES:
+        return None
+    left = np.empty(len(places))
+    at = np.ascontiguousarray(places, dtype=np.float64)
+    there = spectra.antenna, spectra.height, spectra.data, spectra.scalars
+    _walls.left(*there, at, order, amplitudes, left)
+    return left
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,6 +17,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from tagid.tags.bodies.compiled import walls_left
 from tagid.tags.bodies.reflectors_fit import solve
 from tagid.tags.bodies.spectra import Spectra, centred
 
@@ -53,11 +54,14 @@ def symmetric_left(
             chosen.append(int(i))
         if len(chosen) == _STARTS:
             break
-    return min(_refined(spectra, order, amplitudes, starts[i]) for i in chosen)
+    return _refined(spectra, order, amplitudes, starts[chosen])
 
 
 def _left(spectra: Spectra, order: int, amplitudes: int, places: NDArray[np.float64]) -> NDArray[np.float64]:
     """(H,) energy left at places (H, 3) of centre x and y, m, and gamma, rad."""
+    fast = walls_left(spectra.tables, places, order, amplitudes)
+    if fast is not None:
+        return fast
     toward = spectra.antenna[None] - (places[:, 0] + 1j * places[:, 1])[:, None]
     rho, side = np.abs(toward), np.angle(toward) - places[:, 2:]
     waves = np.moveaxis(spectra.waves(rho) * (spectra.distance_m / rho) ** 2, 0, 1)
@@ -65,20 +69,27 @@ def _left(spectra: Spectra, order: int, amplitudes: int, places: NDArray[np.floa
     return solve(spectra.data, centred(waves[:, :, None] * shape[:, None])).left
 
 
-def _refined(spectra: Spectra, order: int, amplitudes: int, start: NDArray[np.float64]) -> float:
-    """Energy left after Newton's steps along each coordinate, and along the largest fall of all."""
-    at, step = start.copy(), np.array([GRID_M / 2, GRID_M / 2, np.pi / order / TURNS])
-    least = float(_left(spectra, order, amplitudes, at[None])[0])
-    unit = np.eye(3)
+def _refined(spectra: Spectra, order: int, amplitudes: int, starts: NDArray[np.float64]) -> float:
+    """Least energy left after Newton's steps from all starts (S, 3) at once.
+
+    Each goes along every coordinate, and along the largest fall of all, and takes the best of these.
+    """
+    at, step = starts.copy(), np.array([GRID_M / 2, GRID_M / 2, np.pi / order / TURNS])
+    rows = np.arange(len(at))
+    least = _left(spectra, order, amplitudes, at)
+    unit = np.concatenate([np.eye(3), -np.eye(3)])
     for _ in range(_ROUNDS):
-        around = np.concatenate([at + unit * step, at - unit * step])
-        ahead, behind = np.split(_left(spectra, order, amplitudes, around), 2)
-        bend, slope = ahead + behind - 2 * least, (ahead - behind) / 2
+        around = at[:, None] + unit * step
+        values = _left(spectra, order, amplitudes, around.reshape(-1, 3)).reshape(len(at), 6)
+        ahead, behind = values[:, :3], values[:, 3:]
+        bend, slope = ahead + behind - 2 * least[:, None], (ahead - behind) / 2
         move = np.where(bend > 0, -slope / np.where(bend > 0, bend, 1.0), -np.sign(slope))
-        trials = np.concatenate([around, (at + np.clip(move, -1, 1) * step)[None]])
-        values = np.append(np.append(ahead, behind), _left(spectra, order, amplitudes, trials[-1:]))
-        best = int(np.argmin(values))
-        if values[best] < least:
-            at, least = trials[best], float(values[best])
+        joint = at + np.clip(move, -1, 1) * step
+        trials = np.concatenate([around, joint[:, None]], axis=1)
+        values = np.column_stack([values, _left(spectra, order, amplitudes, joint)])
+        best = values.argmin(axis=1)
+        lower = values[rows, best] < least
+        at = np.where(lower[:, None], trials[rows, best], at)
+        least = np.where(lower, values[rows, best], least)
         step = np.maximum(step * 0.5, _STEPS)
-    return least
+    return float(least.min())

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
+from math import hypot
 from typing import Any
 
 import numpy as np
@@ -139,8 +140,11 @@ def sigmoid(logit: NDArray[np.floating] | float) -> NDArray[np.float64]:
 def candidates(cells: NDArray[np.float32]) -> list[tuple[int, int]]:
     """(row, column) of the local maxima of the reflector logit in cells (5, 48, 48), strongest first."""
     logit = cells[0]
-    padded = np.pad(logit, 1, constant_values=-np.inf)
-    around = np.lib.stride_tricks.sliding_window_view(padded, (3, 3)).max(axis=(2, 3))
+    beside = np.full((len(logit) + 2, logit.shape[1]), -np.inf, dtype=logit.dtype)
+    beside[1:-1] = logit
+    np.maximum(beside[1:-1, 1:], logit[:, :-1], out=beside[1:-1, 1:])
+    np.maximum(beside[1:-1, :-1], logit[:, 1:], out=beside[1:-1, :-1])
+    around = np.maximum(np.maximum(beside[:-2], beside[1:-1]), beside[2:])
     rows, columns = np.nonzero(logit >= around)
     order = np.argsort(-logit[rows, columns])[: 4 * _MOST]
     return [(int(rows[i]), int(columns[i])) for i in order]
@@ -150,10 +154,10 @@ def decode(cells: NDArray[np.float32], seen: NetworkInput, contract: Contract) -
     """All detections in the network's cells (5, 48, 48), surest first, none nearer than `SEPARATION_M`."""
     found: list[Detection] = []
     for row, column in candidates(cells):
-        _, ghost, dx, dy, log_sigma = (float(v) for v in cells[:, row, column])
-        x = (column + float(np.clip(dx, -1, 1)) - CELLS / 2 + 0.5) * CELL_M
-        y = (row + float(np.clip(dy, -1, 1)) - CELLS / 2 + 0.5) * CELL_M
-        if any(np.hypot(x - d.x_m, y - d.y_m) < SEPARATION_M for d in found):
+        _, ghost, dx, dy, log_sigma = cells[:, row, column].tolist()
+        x = (column + min(max(dx, -1.0), 1.0) - CELLS / 2 + 0.5) * CELL_M
+        y = (row + min(max(dy, -1.0), 1.0) - CELLS / 2 + 0.5) * CELL_M
+        if any(hypot(x - d.x_m, y - d.y_m) < SEPARATION_M for d in found):
             continue
         logit = contract.slope * float(cells[0, row, column]) + contract.intercept
         found.append(

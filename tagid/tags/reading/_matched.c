@@ -4,8 +4,6 @@
  * move_points:  free places near a start
  * move_layouts: turn, shift and range offset of a layout near a start
  * look:         range profile and phase of points in every view
- * correlate:    b of such points with any data, from a table
- * overlaps:     their templates' inner products with a few others
  */
 #include "_field.h"
 
@@ -294,40 +292,6 @@ WIDE static void look_points(const Field *g, const Pattern *p, const double *poi
     }
 }
 
-/* (N, 2) sum over the views of conj(turn) table[v][index]. */
-WIDE static void read_table(const float *table, int64_t entries, const int32_t *index, const float *turn,
-                            int64_t count, int64_t views, double *out)
-{
-    for (int64_t i = 0; i < count; i++) {
-        float re = 0.0f, im = 0.0f;
-        for (int64_t v = 0; v < views; v++) {
-            const float *t = table + 2 * (entries * v + index[views * i + v]),
-                        *a = turn + 2 * (views * i + v);
-            re += a[0] * t[0] + a[1] * t[1];
-            im += a[0] * t[1] - a[1] * t[0];
-        }
-        out[2 * i] = re;
-        out[2 * i + 1] = im;
-    }
-}
-
-/* (N, P + 1, 2) <template, other> of every point, and (N,) its own energy. */
-WIDE static void overlap_points(const Field *g, const int32_t *index, const float *turn, int64_t count,
-                                const float *others, int64_t size, double *shared, double *own,
-                                float *scratch)
-{
-    const int64_t n = g->views * g->width;
-    float *one = scratch, *sums = one + 2 * n;
-    for (int64_t i = 0; i < count; i++) {
-        double none;
-        template(g, index + g->views * i, turn + 2 * g->views * i, turn + 2 * g->views * i + 1, 2, 0, one,
-                 sums);
-        inner(one, one, n, own + i, &none);
-        for (int64_t k = 0; k < size; k++)
-            inner(one, others + 2 * n * k, n, shared + 2 * (size * i + k), shared + 2 * (size * i + k) + 1);
-    }
-}
-
 static PyObject *evaluate(PyObject *self, PyObject *args)
 {
     (void)self;
@@ -487,73 +451,6 @@ done:
     return finished(&h);
 }
 
-static PyObject *correlate(PyObject *self, PyObject *args)
-{
-    (void)self;
-    PyObject *o[4];
-    Py_ssize_t views;
-    Held h = {.count = 0};
-    const float *table, *turn;
-    const int32_t *index;
-    double *out;
-    if (!PyArg_ParseTuple(args, "OOOnO", o, o + 1, o + 2, &views, o + 3))
-        return NULL;
-    if (!(index = take(&h, o[1], -1, 0)))
-        goto done;
-    const int64_t pairs = h.held[0].len / 4, count = views > 0 ? pairs / views : 0;
-    if (views < 1 || count * views * 4 != h.held[0].len) {
-        refused("points and views do not fit together");
-        goto done;
-    }
-    if (!(turn = take(&h, o[2], 8 * pairs, 0)) || !(out = take(&h, o[3], 16 * count, 1)) ||
-        !(table = take(&h, o[0], -1, 0)))
-        goto done;
-    const int64_t entries = taken(&h) / 8 / views;
-    if (!below(index, pairs, entries))
-        goto done;
-    Py_BEGIN_ALLOW_THREADS read_table(table, entries, index, turn, count, views, out);
-    Py_END_ALLOW_THREADS done : return finished(&h);
-}
-
-static PyObject *overlaps(PyObject *self, PyObject *args)
-{
-    (void)self;
-    PyObject *tables, *o[5];
-    Held h = {.count = 0};
-    Field g;
-    const int32_t *index;
-    const float *turn, *others;
-    double *shared, *own;
-    if (!PyArg_ParseTuple(args, "OOOOOO", &tables, o, o + 1, o + 2, o + 3, o + 4))
-        return NULL;
-    if (!field_of(&h, tables, &g) || !(index = take(&h, o[0], -1, 0)))
-        goto done;
-    const int64_t count = taken(&h) / 4 / g.views, n = g.views * g.width;
-    if (taken(&h) != 4 * count * g.views) {
-        refused("points and views do not fit together");
-        goto done;
-    }
-    if (!below(index, count * g.views, g.entries) || !(turn = take(&h, o[1], 8 * count * g.views, 0)) ||
-        !(others = take(&h, o[2], -1, 0)))
-        goto done;
-    const int64_t size = taken(&h) / 8 / n;
-    if (taken(&h) != 8 * n * size) {
-        refused("templates do not fit together");
-        goto done;
-    }
-    if (!(shared = take(&h, o[3], 16 * count * size, 1)) || !(own = take(&h, o[4], 8 * count, 1)))
-        goto done;
-    float *scratch = malloc((size_t)(2 * n + 2 * g.width * g.circles) * 4);
-    if (!scratch) {
-        PyErr_NoMemory();
-        goto done;
-    }
-    Py_BEGIN_ALLOW_THREADS overlap_points(&g, index, turn, count, others, size, shared, own, scratch);
-    Py_END_ALLOW_THREADS free(scratch);
-done:
-    return finished(&h);
-}
-
 static PyMethodDef methods[] = {
     {"evaluate", evaluate, METH_VARARGS,
      "evaluate(tables, pattern, data, points, facing, offsets, sets, size, whole, amplitudes, explained, "
@@ -566,9 +463,7 @@ static PyMethodDef methods[] = {
      "template_energy, visible), "
      "first, last, places)"},
     {"look", look, METH_VARARGS, "look(tables, pattern, points, facing, offset, index, turn)"},
-    {"correlate", correlate, METH_VARARGS, "correlate(table, index, turn, views, out)"},
-    {"overlaps", overlaps, METH_VARARGS, "overlaps(tables, index, turn, others, shared, own)"},
     {NULL, NULL, 0, NULL},
 };
 
-MODULE(_matched, "Compiled inner loops of the tag reader (see tagid.tags.reading.compiled).", methods, 1)
+MODULE(_matched, "Compiled inner loops of the tag reader (see tagid.tags.reading.compiled).", methods, 2)

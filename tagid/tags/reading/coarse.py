@@ -7,11 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tagid.tags.reading.aspect import Aspect, outward
+from tagid.tags.reading.compiled import CoarseTables
 from tagid.tags.reading.field import CoarseParts, MatchedField
 
 IMAGE_STEP_M = 3e-3
@@ -72,10 +74,8 @@ class CoarseImage:
         self.half = disc.half
         self.aspect = aspect
         self.views = views
-        self.static = np.zeros((*disc.inside.shape, static.shape[-1]), dtype=np.complex64)
-        self.static[disc.inside] = static
-        self.images = np.zeros((len(images), *disc.inside.shape), dtype=np.complex64)
-        self.images[:, disc.inside] = images
+        self._inside = disc.inside
+        self._of_points = static, images
 
     @classmethod
     def of(
@@ -118,6 +118,27 @@ class CoarseImage:
             )
             for aspect, own in zip(aspects, zip(*parts, strict=True), strict=True)
         ]
+
+    @cached_property
+    def static(self) -> NDArray[np.complex64]:
+        """(side, side, rank) mean over the views of the templates of the pixels."""
+        static = self._of_points[0]
+        out = np.zeros((*self._inside.shape, static.shape[-1]), dtype=np.complex64)
+        out[self._inside] = static
+        return out
+
+    @cached_property
+    def images(self) -> NDArray[np.complex64]:
+        """(offsets, side, side) b of the pixels."""
+        images = self._of_points[1]
+        out = np.zeros((len(images), *self._inside.shape), dtype=np.complex64)
+        out[:, self._inside] = images
+        return out
+
+    @cached_property
+    def tables(self) -> CoarseTables:
+        """The image for the compiled loops."""
+        return CoarseTables.of(self._inside, *self._of_points)
 
     def static_at(self, points: NDArray[np.float64]) -> NDArray[np.complex64]:
         """(..., rank) static part of the templates at points (..., 2), to the nearest pixel."""

@@ -18,13 +18,16 @@ try:
     from tagid.tags.reading import _coarse, _matched  # type: ignore[attr-defined, no-redef]
 except ImportError:  # no compiler at installation
     _matched = _coarse = None
-if any(getattr(one, "ARGUMENTS", 0) != 1 for one in (_matched, _coarse)):  # built before the present source
+# Built before the present source: neither is used.
+if any(getattr(one, "ARGUMENTS", 0) != number for one, number in ((_matched, 2), (_coarse, 2))):
     _matched = _coarse = None
 
 MOST_POINTS = 24
 """Points of one set, at most."""
 _LANES = 4
 """Numbers of coordinates are padded to a multiple of this."""
+_OFFSETS = _OTHERS = 8
+"""Numbers of range offsets, and of templates, are padded to a multiple of this."""
 
 Pattern = tuple[float, float, float]
 """Edge, softness and floor of an `Aspect`."""
@@ -250,11 +253,17 @@ class FieldTables:
     def overlaps(
         self, index: NDArray[np.int32], turn: NDArray[np.complex64], others: NDArray[np.complex64]
     ) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
-        """(N, P) <s_p, other> of points as of `looked` with others (P, views * rank), and (N,) ||s_p||^2."""
-        shared = np.empty((len(index), len(others)), dtype=np.complex128)
+        """(N, P) <s_p, other> of points as of `looked` with others (P, views * rank), and (N,) ||s_p||^2.
+
+        The others are without what is constant over the views, as templates are.
+        """
+        count = len(others)
+        shared = np.empty((len(index), count), dtype=np.complex128)
         own = np.empty(len(index))
-        there = np.stack([_split(one.reshape(self.views, -1), self.rank, self.width) for one in others])
-        _matched.overlaps(self.field, index, turn, there, shared, own)
+        there = np.zeros((self.views, self.width, 2, -(-count // _OTHERS) * _OTHERS), dtype=np.float32)
+        turned = np.moveaxis(others.reshape(count, self.views, self.rank), 0, -1)
+        there[:, : self.rank, 0, :count], there[:, : self.rank, 1, :count] = turned.real, turned.imag
+        _coarse.overlaps(self.field, index, turn, there, shared, own)
         return shared, own
 
     def coarse(
@@ -287,8 +296,44 @@ def read_table(
 ) -> NDArray[np.complex128]:
     """(N,) sum over the views of conj(turn) (N, views) times a table (views, entries) at index (N, views)."""
     out = np.empty(len(index), dtype=np.complex128)
-    _matched.correlate(table, index, turn, index.shape[1], out)
+    _coarse.correlate(table, index, turn, index.shape[1], out)
     return out
+
+
+@dataclass(frozen=True, eq=False)
+class CoarseTables:
+    """A coarse image in the form that the compiled loops take.
+
+    Attributes:
+        images: (side, side, 2, offsets with their padding) float32.
+        static: (side, side, 2, rank with its padding) float32.
+        offsets: number of range offsets.
+    """
+
+    images: NDArray[np.float32]
+    static: NDArray[np.float32]
+    offsets: int
+
+    @classmethod
+    def of(
+        cls,
+        inside: NDArray[np.bool_],
+        static: NDArray[np.complexfloating],
+        images: NDArray[np.complexfloating],
+    ) -> CoarseTables:
+        """The tables of pixels `inside` (side, side).
+
+        Args:
+            inside: see above.
+            static: (points, rank) constant parts of the points inside.
+            images: (offsets, points) of the points inside.
+        """
+        pixel = np.flatnonzero(inside)
+        return cls(
+            _padded(images.T, _OFFSETS, pixel, inside.shape),
+            _padded(static, _LANES, pixel, inside.shape),
+            len(images),
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -296,8 +341,7 @@ class CoarseGridTask:
     """A layout's hypotheses on one coarse image.
 
     Attributes:
-        images: (offsets, side, side) complex64.
-        static: (side, side, rank) complex64.
+        tables: of the image.
         placed: (A, K, 2) rotated reflectors, m.
         shifts: (S, 2) m.
         gram: (A, K, K) of whole templates.
@@ -307,8 +351,7 @@ class CoarseGridTask:
         views: number of views.
     """
 
-    images: NDArray[np.complex64]
-    static: NDArray[np.complex64]
+    tables: CoarseTables
     placed: NDArray[np.float64]
     shifts: NDArray[np.float64]
     gram: NDArray[np.complex128]
@@ -321,14 +364,15 @@ class CoarseGridTask:
     def energies(self) -> NDArray[np.float32]:
         """(offsets, A, S) charged energies, as of `CoarseGrid.energies`."""
         rotations, size = self.placed.shape[:2]
-        out = np.empty((len(self.images), rotations, len(self.shifts)), dtype=np.float32)
+        out = np.empty((self.tables.offsets, rotations, len(self.shifts)), dtype=np.float32)
         _coarse.energies(
-            self.images,
-            self.static,
+            self.tables.images,
+            self.tables.static,
             _plain(self.placed),
             _plain(self.shifts),
             np.ascontiguousarray(self.gram, dtype=np.complex128),
-            self.static.shape[0] // 2,
+            self.tables.offsets,
+            self.tables.static.shape[0] // 2,
             size,
             self.step_m,
             self.template_energy,
@@ -338,6 +382,17 @@ class CoarseGridTask:
             out,
         )
         return out
+
+
+def _padded(
+    values: NDArray[np.complexfloating], lanes: int, pixel: NDArray[np.intp], shape: tuple[int, ...]
+) -> NDArray[np.float32]:
+    """(*shape, 2, n) real and imaginary parts of values (points, n) at pixels, n padded to a multiple."""
+    count = values.shape[-1]
+    out = np.zeros((*shape, 2, -(-count // lanes) * lanes), dtype=np.float32)
+    flat = out.reshape(-1, 2, out.shape[-1])
+    flat[pixel, 0, :count], flat[pixel, 1, :count] = values.real, values.imag
+    return out
 
 
 def _plain(values: NDArray[np.floating]) -> NDArray[np.float64]:

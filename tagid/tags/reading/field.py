@@ -339,7 +339,7 @@ class FixedPoints:
         return out
 
     def overlaps(self, others: NDArray[np.complex64]) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
-        """(N, P) <s_p, other> with templates (P, views * rank), and (N,) ||s_p||^2."""
+        """(N, P) <s_p, other> with other templates (P, views * rank), and (N,) ||s_p||^2."""
         if self._field.tables is not None:
             return self._field.tables.overlaps(self._index, self._turn, others)
         shared, own = [], []

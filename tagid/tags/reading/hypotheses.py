@@ -173,8 +173,8 @@ def likeness(size: NDArray[np.float64], each: NDArray[np.float64]) -> NDArray[np
     return np.asarray(np.minimum(off**2 / (2 * spread[..., None]), ODD_NATS).sum(axis=-1))
 
 
-def criterion(field: MatchedField, value: Values, aspect: Aspect) -> NDArray[np.float64]:
-    """(...) J = n log(1 - e / E) + sum_k log(1 + n v_k) + log n where the pattern is not uniform + likeness.
+def criterion(field: MatchedField, value: Values, uniform: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """(H,) J = n log(1 - e / E) + sum_k log(1 + n v_k) + log n where the pattern is not uniform + likeness.
 
     Each amplitude is charged for what the data say about it (G. Schwarz, 1978, with the template's own share
     v (..., K) of the samples), so a layout gains nothing by reflectors that nobody could have seen.
@@ -185,7 +185,7 @@ def criterion(field: MatchedField, value: Values, aspect: Aspect) -> NDArray[np.
     noise = field.noise_variance if field.noise_variance > 0 else left * field.energy / n
     each = value.explained / noise / value.sizes.shape[-1]
     odd = likeness(value.sizes, np.asarray(each))
-    return np.asarray(n * np.log(left) + unknowns + (0.0 if aspect.uniform else np.log(n)) + odd)
+    return np.asarray(n * np.log(left) + unknowns + np.where(uniform, 0.0, np.log(n)) + odd)
 
 
 def search(field: MatchedField, layouts: Sequence[Layout], settings: SearchSettings) -> list[Fit]:
@@ -203,13 +203,13 @@ def search(field: MatchedField, layouts: Sequence[Layout], settings: SearchSetti
     most = max(score for found in coarse for _, score in found)
     begun: list[list[Fit]] = []
     for layout, found in zip(layouts, coarse, strict=True):
-        fits = []
+        tried = []
         for aspect, (starts, score) in zip(settings.aspects, found, strict=True):
             places = starts
             if score >= (1 - REACH_SHARE) * most - REACH_NATS * field.noise_variance:
                 places = _refine(field, layout, aspect, starts, settings, range(BEGINNING))
-            fits.append(_best_fit(field, layout, aspect, places, settings.balance))
-        begun.append(fits)
+            tried.append(_Tried(aspect, places))
+        begun.append(_best_fits(field, layout, tried, settings.balance))
     least = min(fit.criterion for fits in begun for fit in fits)
     leaders = sorted(min(fit.criterion for fit in fits) for fits in begun)[:FINISHED]
     reach_nats = min(least + REACH_NATS + REACH_SHARE * abs(least), leaders[-1])
@@ -228,22 +228,19 @@ def _finished(field: MatchedField, found: list[Fit], settings: SearchSettings) -
     """Fits of one layout refined to the end, every other pattern tried there, and the best one moved."""
     layout = found[0].layout
     rest = range(BEGINNING, settings.iterations)
-    fits = []
-    for fit in found:
-        places = _refine(field, layout, fit.aspect, fit.place[None], settings, rest)
-        fits.append(_best_fit(field, layout, fit.aspect, places, settings.balance))
-    others = [aspect for aspect in settings.patterns if aspect not in settings.aspects]
-    fits += [
-        _best_fit(field, layout, aspect, fit.place[None], settings.balance)
-        for fit in list(fits)
-        for aspect in others
+    refined = [
+        _Tried(fit.aspect, _refine(field, layout, fit.aspect, fit.place[None], settings, rest))
+        for fit in found
     ]
-    best = min(fits, key=_criterion)
+    fits = _best_fits(field, layout, refined, settings.balance)
+    others = [aspect for aspect in settings.patterns if aspect not in settings.aspects]
+    there = [_Tried(aspect, fit.place[None]) for fit in fits for aspect in others]
+    best = min([*fits, *_best_fits(field, layout, there, settings.balance)], key=_criterion)
     if best.aspect in settings.aspects:
         return best
     places = _refine(field, layout, best.aspect, best.place[None], settings, range(2, 5))
-    moved = _best_fit(field, layout, best.aspect, places, settings.balance)
-    return min(best, moved, key=_criterion)
+    moved = _best_fits(field, layout, [_Tried(best.aspect, places)], settings.balance)
+    return min([best, *moved], key=_criterion)
 
 
 @dataclass(frozen=True, eq=False)
@@ -294,8 +291,7 @@ class CoarseGrid:
         first = rows[0]
         if is_compiled() and size <= MOST_POINTS and all(image is first for image in rows):
             task = CoarseGridTask(
-                first.images,
-                first.static,
+                first.tables,
                 self.placed,
                 self.shifts,
                 full_gram,
@@ -355,50 +351,71 @@ def _rotation_step(layout: Layout, settings: SearchSettings) -> float:
     return float(np.clip(settings.arc_step_m / layout.radius_m, np.deg2rad(3.0), np.deg2rad(8.0)))
 
 
-def _evaluate(
-    field: MatchedField, layout: Layout, aspect: Aspect, places: NDArray[np.float64], balance: float
-) -> Values:
-    """Exact templates at places (H, 4 or 5), as of `Fit.place`."""
+@dataclass(frozen=True, eq=False)
+class _Tried:
+    """A pattern at places (H, 4 or 5), as of `Fit.place`."""
+
+    aspect: Aspect
+    places: NDArray[np.float64]
+
+
+def _evaluate(field: MatchedField, layout: Layout, tried: Sequence[_Tried], balance: float) -> Values:
+    """Exact templates at the places of each pattern, one after another."""
+    places = np.concatenate([one.places for one in tried])
     turned = np.swapaxes(rotation_matrix(places[:, 0]), -1, -2)
     points = layout.positions @ turned + places[:, None, 1:3]
     heights = np.broadcast_to(np.asarray(layout.heights), points.shape[:-1])
     if places.shape[1] > 4:
         heights = heights + places[:, 4, None]
     facing = outward(layout.positions, np.zeros(2)) @ turned
-    found = explained_by(
-        field,
-        aspect,
-        np.concatenate([points, heights[..., None]], axis=2).reshape(-1, 3),
-        facing.reshape(-1, 2),
-        np.repeat(places[:, 3], layout.size),
-        separate_sets(*points.shape[:2]),
-    )
-    visibility = np.real(np.diagonal(found.gram, axis1=-2, axis2=-1)) / field.template_energy
-    sizes = visible_sizes(found.amplitudes, visibility)
-    charged = charge(found.explained, sizes, balance)
-    return Values(found.amplitudes, sizes, visibility, found.explained, charged)
+    solid = np.concatenate([points, heights[..., None]], axis=2)
+    found, first = [], 0
+    for one in tried:
+        part = slice(first, first + len(one.places))
+        first = part.stop
+        found.append(
+            explained_by(
+                field,
+                one.aspect,
+                solid[part].reshape(-1, 3),
+                facing[part].reshape(-1, 2),
+                np.repeat(one.places[:, 3], layout.size),
+                separate_sets(len(one.places), layout.size),
+            )
+        )
+    amplitudes = np.concatenate([one.amplitudes for one in found])
+    explained = np.concatenate([one.explained for one in found])
+    own = np.concatenate([np.real(np.diagonal(one.gram, axis1=-2, axis2=-1)) for one in found])
+    visibility = own / field.template_energy
+    sizes = visible_sizes(amplitudes, visibility)
+    return Values(amplitudes, sizes, visibility, explained, charge(explained, sizes, balance))
 
 
-def _best_fit(
-    field: MatchedField, layout: Layout, aspect: Aspect, places: NDArray[np.float64], balance: float
-) -> Fit:
-    """The best of places (H, 4 or 5)."""
-    value = _evaluate(field, layout, aspect, places, balance)
-    criteria = criterion(field, value, aspect)
-    i = int(np.argmin(criteria))
-    place = places[i]
-    return Fit(
-        layout,
-        aspect,
-        place,
-        layout.placed(float(place[0]), place[1:3]),
-        value.amplitudes[i],
-        value.sizes[i],
-        value.visibility[i],
-        float(value.explained[i]),
-        float(value.charged[i]),
-        float(criteria[i]),
-    )
+def _best_fits(field: MatchedField, layout: Layout, tried: Sequence[_Tried], balance: float) -> list[Fit]:
+    """The best place of each pattern."""
+    value = _evaluate(field, layout, tried, balance)
+    uniform = np.repeat([one.aspect.uniform for one in tried], [len(one.places) for one in tried])
+    criteria = criterion(field, value, uniform)
+    fits, first = [], 0
+    for one in tried:
+        own = int(np.argmin(criteria[first : first + len(one.places)]))
+        i, place = first + own, one.places[own]
+        first += len(one.places)
+        fits.append(
+            Fit(
+                layout,
+                one.aspect,
+                place,
+                layout.placed(float(place[0]), place[1:3]),
+                value.amplitudes[i],
+                value.sizes[i],
+                value.visibility[i],
+                float(value.explained[i]),
+                float(value.charged[i]),
+                float(criteria[i]),
+            )
+        )
+    return fits
 
 
 def _refine(
@@ -432,7 +449,7 @@ def _refine(
         return field.tables.moved_layouts(starts, shape, aspect.numbers, steps, scales)
 
     def charged(at: NDArray[np.float64]) -> NDArray[np.float64]:
-        return _evaluate(field, layout, aspect, at, settings.balance).charged
+        return _evaluate(field, layout, [_Tried(aspect, at)], settings.balance).charged
 
     for turn in rounds:
         now = step * 0.5 * 0.6**turn

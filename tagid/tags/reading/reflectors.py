@@ -76,21 +76,21 @@ class FinderSettings:
     detection_nats: float = DETECTION_NATS
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class Cleaned:
-    """Points after one was added, and what they leave.
+    """Points after one was added.
 
     Attributes:
         positions: (K, 2 or 3) m.
         amplitudes: (K,).
-        residual: (pixels,) b of what they leave.
         energy: that they explain.
+        residual: (pixels,) b of what they leave; None until `SearchDisc.left_by` is asked for it.
     """
 
     positions: NDArray[np.float64]
     amplitudes: NDArray[np.complex128]
-    residual: NDArray[np.complex128]
     energy: float
+    residual: NDArray[np.complex128] | None = None
 
 
 class SearchDisc:
@@ -144,6 +144,12 @@ class SearchDisc:
         own = self.look.templates(self.field, positions)
         left = self.field.data - amplitudes.astype(np.complex64) @ own
         return self.fixed.correlate(left)
+
+    def left_by(self, points: Cleaned) -> NDArray[np.complex128]:
+        """(pixels,) b of the data minus that of the points, computed once."""
+        if points.residual is None:
+            points.residual = self.residual(points.positions, points.amplitudes)
+        return points.residual
 
     def level(self, residual: NDArray[np.complex128]) -> float:
         """Level of noise and clutter in |b|^2 / ||s||^2; an exponential's median is ln 2 times its mean."""
@@ -215,15 +221,14 @@ def clean(
     Returns:
         (K', 2) positions, starting with those given, unmoved; (K',) amplitudes; the level of the residual.
     """
-    residual = disc.residual(positions, amplitudes)
-    given = Cleaned(positions, amplitudes, residual, 0.0)
+    given = Cleaned(positions, amplitudes, 0.0)
     last = [given, *_added(disc, given, settings)][-1]
-    return last.positions, last.amplitudes, disc.level(last.residual)
+    return last.positions, last.amplitudes, disc.level(disc.left_by(last))
 
 
 def clean_steps(disc: SearchDisc, settings: FinderSettings) -> list[float]:
     """Energy that 1, 2, ... points explain, starting from none, all refined freely after each is added."""
-    none = Cleaned(*no_points(disc), disc.image, 0.0)
+    none = Cleaned(*no_points(disc), 0.0, disc.image)
     return [step.energy for step in _added(disc, none, settings)]
 
 
@@ -237,8 +242,9 @@ def _added(disc: SearchDisc, now: Cleaned, settings: FinderSettings) -> Iterator
     field, given = disc.field, len(now.positions)
     while len(now.positions) < given + settings.maximum:
         count = len(now.positions)
-        power = np.abs(now.residual) ** 2 / field.template_energy
-        level = disc.noise_level(now.residual)
+        residual = disc.left_by(now)
+        power = np.abs(residual) ** 2 / field.template_energy
+        level = disc.noise_level(residual)
         peak = int(np.argmax(power))
         strongest = float(np.max(np.abs(now.amplitudes) ** 2, initial=0.0)) * field.template_energy
         floor = strongest * 10 ** (settings.floor_db / 10)
@@ -249,23 +255,21 @@ def _added(disc: SearchDisc, now: Cleaned, settings: FinderSettings) -> Iterator
             now = disc.alone[count]
         else:
             added = np.concatenate([now.positions, disc.points[peak][None]])
-            positions, _, _ = _polish(field, added, given, disc)
-            templates = disc.look.templates(field, positions)
-            amplitudes, energy = least_squares(field.correlate(templates), field.gram(templates))
-            now = Cleaned(positions, amplitudes, disc.residual(positions, amplitudes), float(energy))
+            now = _polished(field, added, given, disc)
             if given == 0:
                 disc.alone.append(now)
         yield now
 
 
-def _polish(
-    field: MatchedField, points: NDArray[np.float64], fixed: int, disc: SearchDisc
-) -> tuple[NDArray[np.float64], NDArray[np.complex128], float]:
-    """Refine all but the first `fixed` points freely."""
+def _polished(field: MatchedField, points: NDArray[np.float64], fixed: int, disc: SearchDisc) -> Cleaned:
+    """All but the first `fixed` points refined freely."""
     if fixed == 0:
-        return refine_positions(field, points, disc.look)
-    moved, amplitudes, energy = refine_positions(field, points, disc.look, disc.step_m)
-    return np.concatenate([points[:fixed], moved[fixed:]]), amplitudes, energy
+        return Cleaned(*refine_positions(field, points, disc.look))
+    moved, _, _ = refine_positions(field, points, disc.look, disc.step_m)
+    positions = np.concatenate([points[:fixed], moved[fixed:]])
+    templates = disc.look.templates(field, positions)
+    amplitudes, energy = least_squares(field.correlate(templates), field.gram(templates))
+    return Cleaned(positions, amplitudes, float(energy))
 
 
 def separate(

@@ -72,14 +72,16 @@ def rivals(disc: SearchDisc, best: Fit, noise: float, search: SearchSettings) ->
     """
     matched, size = disc.field, best.layout.size
     uneven = UnevenFit.of(matched, best, noise)
-    energy, moved = _free_energies(disc, best)
-    further = _further(disc, best, uneven)
+    gap = distances_between(disc.points[:, None], best.points[None], matched.height_scale).min(axis=1)
+    apart = gap > MIN_SPACING_M
+    energy, moved = _free_energies(disc, best, apart)
+    further = _further(disc, apart, uneven)
     if not best.aspect.uniform:
         # Another object need not be opaque too, nor have its axis at the layout's centre.
         plain = replace(disc.look, aspect=TRANSPARENT)
         clear = SearchDisc(matched, disc.radius_m, disc.step_m, plain, disc.heights_m)
-        energy = np.maximum(energy, _free_energies(clear, best)[0])
-        further = max(further, _further(clear, best, uneven))
+        energy = np.maximum(energy, _free_energies(clear, best, apart)[0])
+        further = max(further, _further(clear, apart, uneven))
     each = max(best.explained / noise / size, 1.0)
     free = energy / noise - np.arange(1, size + 2) * _point_cost(matched, disc, each)
     even, less = best.explained / noise, uneven.explained / noise
@@ -97,20 +99,23 @@ def rivals(disc: SearchDisc, best: Fit, noise: float, search: SearchSettings) ->
     )
 
 
-def _further(disc: SearchDisc, best: Fit, uneven: UnevenFit) -> float:
-    """Largest energy that one additional point explains beyond the uneven fit."""
-    gap = distances_between(disc.points[:, None], best.points[None], disc.field.height_scale).min(axis=1)
-    return float(np.where(gap > MIN_SPACING_M, uneven.gains(disc.field, disc.fixed), 0.0).max())
+def _further(disc: SearchDisc, apart: NDArray[np.bool_], uneven: UnevenFit) -> float:
+    """Largest energy that one more point, `apart` (pixels,) from the layout's, explains beyond the fit."""
+    return float(np.where(apart, uneven.gains(disc.field, disc.fixed), 0.0).max())
 
 
-def _free_energies(disc: SearchDisc, best: Fit) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(K + 1,) energies that 1 to K + 1 free points explain, and the freely fitted positions (K, 2 or 3)."""
+def _free_energies(
+    disc: SearchDisc, best: Fit, apart: NDArray[np.bool_]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(K + 1,) energies that 1 to K + 1 free points explain, and the freely fitted positions (K, 2 or 3).
+
+    The point beyond the layout's begins at a pixel that is `apart` (pixels,) from them.
+    """
     matched, size = disc.field, best.layout.size
     own = disc.look.templates(matched, best.points)
     amplitudes, _ = least_squares(matched.correlate(own), matched.gram(own))
-    gap = distances_between(disc.points[:, None], best.points[None], matched.height_scale).min(axis=1)
     power = np.abs(disc.residual(best.points, amplitudes)) ** 2
-    peak = disc.points[int(np.argmax(np.where(gap > MIN_SPACING_M, power, 0.0)))]
+    peak = disc.points[int(np.argmax(np.where(apart, power, 0.0)))]
     moved, _, freed = refine_positions(matched, best.points, disc.look)
     more = refine_positions(matched, np.concatenate([best.points, peak[None]]), disc.look)[2]
     only = FinderSettings(maximum=size + 1, floor_db=-30.0, detection_nats=0.0)
