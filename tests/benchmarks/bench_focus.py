@@ -193,9 +193,10 @@ is wrong by up to 0.9 m. Errors are in wavelengths (75.9 mm for the P440, 17.2 m
 
 A convex body's echo comes from its nearest wall in every view. Another distance makes it look larger or
 smaller, not worse, and the best guess for such a scene is worth nothing: the given value is kept. Octahedra
-of 40 mm resonate in the band of the P440; their echo is late by about a tenth of a wavelength, and the
-distance found is too long by as much. A delay common to all echoes moves them as the distance does; only the
-curvature of the wave tells them apart, by less than a tenth of a millimetre at 1 m, which no scan resolves.
+of 40 mm, alone or on the helmet shell, resonate in the band of the P440; their echo is late by about a tenth
+of a wavelength, and the distance found is too long by as much. A delay common to all echoes moves them as the
+distance does; only the curvature of the wave tells them apart, by less than a tenth of a millimetre at 1 m,
+which no scan resolves.
 {but_late}
 
 ## Path delay
