@@ -5,6 +5,8 @@ Nothing is shared with the answers: the autofocus, the background removal and th
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from tagid.capture import Capture
 from tagid.errors import UsageError
 from tagid.imaging.autofocus import focus_axis_distance
@@ -18,8 +20,12 @@ METHODS = ("bp", "ats")
 
 def focused_scans(capture: Capture, method: str) -> BasebandScans:
     """Preprocessed scans under the axis distance that focuses them, as in `tagid.pipeline.reconstruct`."""
-    settings = PreprocessSettings(matched_filter=method == "bp", extent_m=GRID.extent)
-    return focus_axis_distance(preprocess(capture, settings=settings), GRID)[0]
+    settings = PreprocessSettings(matched_filter=False, extent_m=GRID.extent)
+    focused, _ = focus_axis_distance(preprocess(capture, settings=settings), GRID)
+    if method != "bp":
+        return focused
+    matched = preprocess(capture, settings=replace(settings, matched_filter=True))
+    return matched.with_aperture(focused.aperture)
 
 
 def network_input(capture: Capture, method: str, seed: int = 0) -> NetworkInput:

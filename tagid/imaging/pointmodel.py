@@ -22,6 +22,12 @@ GROUPS = 12
 """Sectors of the turn, or pieces of the path: wide enough that neighbours share few sidelobes, many enough
 for a standard deviation."""
 
+BAND_PARTS = 3
+"""Parts of the band that are asked for a distance of their own: the fewest with a standard deviation worth
+the name, each as wide as possible, since the error of a slope grows as its width shrinks."""
+_PADDED = 4
+"""Frequencies for every range bin, so that neighbouring phases differ by less than half a turn."""
+
 _PIXEL_WAVELENGTHS = 1 / 12
 """Pixels of the search for points; a parabola finds the place between them."""
 _MAX_PIXELS = 150
@@ -88,6 +94,35 @@ def explain(scans: BasebandScans, grid: ImageGrid) -> Explained:
     return Explained(left, points, amplitudes, _second_spot(points, amplitudes, columns, lam))
 
 
+def band_delays(scans: BasebandScans, found: Explained) -> NDArray[np.float64]:
+    """(BAND_PARTS,) how much farther than the points, m, the echo comes from in each part of the band.
+
+    The phase of sum_v M(v, f)* D(v, f), with M the points' and D the measured spectrum, is -2 pi f d for an
+    echo that is farther by d, f in cycles per metre of range; its slope over a part is a weighted least
+    squares fit. A reflector gives the same d everywhere. What resonates, and the waves that creep about a
+    body, arrive later in one part than in another.
+
+    Args:
+        scans: those to which the points were fitted.
+        found: the points; no delays without any.
+    """
+    if not len(found.points):
+        return np.zeros(BAND_PARTS)
+    seen = (found.amplitudes.astype(np.complex64) @ echoes(scans, found.points)).reshape(scans.samples.shape)
+    bins = _PADDED * scans.samples.shape[1]
+    spectra = [np.fft.fft(each, bins, axis=1) for each in (seen, scans.samples)]
+    cross = np.fft.fftshift((spectra[0].conj() * spectra[1]).sum(axis=0))
+    frequency = np.fft.fftshift(np.fft.fftfreq(bins, scans.range_step_m))
+    to_hz = scans.wave_speed_m_s / 2
+    middle = ((scans.center_hz or scans.carrier_hz) - scans.carrier_hz) / to_hz
+    inside = np.abs(frequency - middle) <= scans.bandwidth_hz / to_hz / 2
+    phase, weight = np.unwrap(np.angle(cross[inside])), np.abs(cross[inside])
+    parts = zip(
+        *(np.array_split(each, BAND_PARTS) for each in (frequency[inside], phase, weight)), strict=True
+    )
+    return np.array([-_slope(*part) / (2 * np.pi) for part in parts])
+
+
 def needed_evidence(groups: int) -> float:
     """Least t value over so many sectors that an estimate needs: 2.75 for 12, more for fewer."""
     return 2 + 9 / max(groups, 1)
@@ -142,6 +177,16 @@ def _between(line: NDArray[np.floating], at: int) -> float:
     if not 0 < at < len(line) - 1:
         return float(at)
     return at + float(np.clip(vertex(*(float(v) for v in line[at - 1 : at + 2])), -0.5, 0.5))
+
+
+def _slope(x: NDArray[np.float64], y: NDArray[np.float64], weight: NDArray[np.float64]) -> float:
+    """Weighted least squares; 0 where x does not vary."""
+    total = float(weight.sum())
+    if total == 0:
+        return 0.0
+    apart = x - float((weight * x).sum()) / total
+    spread = float((weight * apart**2).sum())
+    return float((weight * apart * y).sum()) / spread if spread > 0 else 0.0
 
 
 def _least_squares(columns: NDArray[np.complex64], data: NDArray[np.complex64]) -> NDArray[np.complex128]:

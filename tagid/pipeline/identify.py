@@ -9,7 +9,6 @@ import numpy as np
 
 from tagid.capture import Capture
 from tagid.errors import DataError
-from tagid.geometry import ImageGrid
 from tagid.imaging.preprocess import PreprocessSettings
 from tagid.pipeline.answer import Identification
 from tagid.pipeline.prepared import PreparedCapture, as_prepared
@@ -178,15 +177,11 @@ def sight_reflectors(capture: Capture, name: str, settings: ImagingSettings | No
 
     Raises DataError as `identify` does.
     """
-    from tagid.imaging.autofocus import focus_axis_distance
     from tagid.tags.enrolling.averaging import MOST_SEARCHED_M, SEARCHED_M, Sighting
 
     prepared = PreparedCapture(capture, settings)
     settings = prepared.settings
-    scans = prepared.scans(settings.preprocessing_for_focus(capture, matched_filter=False))
-    if settings.focus_m != 0 and scans.aperture.angles is not None:
-        grid = ImageGrid(settings.extent_m, settings.pixels)
-        scans, _ = focus_axis_distance(scans, grid, settings.focus_m)
+    scans = prepared.focused(prepared.scans(settings.preprocessing_for_focus(capture, matched_filter=False)))
     radius = float(np.clip(settings.extent_m / 2 - 0.01, SEARCHED_M, MOST_SEARCHED_M))
     return Sighting.of(scans, name, radius)
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from tagid.capture import Capture
 from tagid.errors import UsageError
 from tagid.geometry import ImageGrid
+from tagid.imaging.autofocus import AxisFocus, focus_axis_distance
 from tagid.imaging.lengths import views_needed
 from tagid.imaging.preprocess import PreprocessSettings, nominal, preprocess
 from tagid.imaging.types import BasebandScans
@@ -72,6 +73,7 @@ class PreparedCapture:
         self._with_pulse: Capture | None = None
         self._estimate: PulseEstimate | None = None
         self._scans: dict[PreprocessSettings, BasebandScans] = {}
+        self._focus: AxisFocus | None = None
 
     @property
     def given(self) -> Capture:
@@ -112,6 +114,32 @@ class PreparedCapture:
                     made = preprocess(capture, settings=settings)
                 self._scans[settings] = made
         return self._scans[settings]
+
+    def focus(self) -> AxisFocus | None:
+        """The search for the axis distance, one for all methods and for reading; None without a search.
+
+        It takes the scans without the matched filter, whatever the method takes: the same capture has the
+        same axis in every image.
+
+        Raises:
+            DataError: as `scans`. UsageError: the search is too wide.
+        """
+        settings = self.settings
+        if settings.focus_m == 0 or self._given.antenna_positions_m is not None:
+            return None
+        if self._focus is None:
+            scans = self.scans(settings.preprocessing_for_focus(self._given, matched_filter=False))
+            with self.watch.stage("focus"):
+                grid = ImageGrid(settings.extent_m, settings.pixels)
+                _, self._focus = focus_axis_distance(scans, grid, settings.focus_m)
+        return self._focus
+
+    def focused(self, scans: BasebandScans) -> BasebandScans:
+        """Scans of this capture under the axis distance of `focus`, or unchanged where none was taken."""
+        focus = self.focus()
+        if focus is None or not focus.reliable or focus.axis_distance_m is None:
+            return scans
+        return scans.with_aperture(scans.aperture.with_axis_distance(focus.axis_distance_m))
 
     def _selected_pulse(self, progress: Progress | None) -> Capture:
         settings = self.settings

@@ -15,7 +15,7 @@ from tagid.errors import UsageError
 from tagid.geometry import ImageGrid
 from tagid.imaging.ats.adapt import changes_of, linear_image, linear_iterations
 from tagid.imaging.ats.fit import fit
-from tagid.imaging.autofocus import AxisFocus, focus_axis_distance
+from tagid.imaging.autofocus import AxisFocus
 from tagid.imaging.bandcheck import band_warning
 from tagid.imaging.heldout import HeldOut, check, left_out
 from tagid.imaging.lengths import finest_cell_m
@@ -82,10 +82,7 @@ def reconstruct(
     prepared.choose_pulse(progress)
     matched = IMAGING_METHODS[method].matched_filter
     scans = prepared.scans(settings.preprocessing_for_focus(prepared.given, matched))
-    focus: AxisFocus | None = None
-    if settings.focus_m != 0 and scans.aperture.angles is not None:
-        with watch.stage("focus"):
-            scans, focus = focus_axis_distance(scans, grid, settings.focus_m)
+    focus, scans = prepared.focus(), prepared.focused(scans)
     outside: Outside | None = None
     if settings.preset != "paper" and (tell_outside or IMAGING_METHODS[method].sparse):
         with watch.stage("outside"):

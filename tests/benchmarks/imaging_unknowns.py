@@ -85,11 +85,11 @@ def recover(cell: Cell) -> Recovered:
     told = float(np.random.default_rng([FIRST_SEED + cell.seed, 8]).uniform(-0.03, 0.03))
     problem, truth = wobbling_problem(cell.views, told, cell.wobble, cell.seed)
     raw, matched = problem.scans(False), problem.scans(True)
-    focused, focus = focus_axis_distance(matched, problem.grid, 0.04)
+    sharp, focus = focus_axis_distance(raw, problem.grid, 0.04)
+    focused = matched.with_aperture(sharp.aperture)
     assert focus.axis_distance_m is not None
     what = ("axis", "wobble") if cell.wobble else ("axis",)
     plain = fit(raw, problem.grid, AtsSettings())
-    sharp = raw.with_aperture(raw.aperture.with_axis_distance(focus.axis_distance_m))
     ahead = fit(sharp, problem.grid, AtsSettings())
     joint = fit(raw, problem.grid, AtsSettings(calibrate=what))
     known = joint.calibration

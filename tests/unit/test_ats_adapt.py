@@ -7,7 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tagid.cli.common.imaging import prior_words
 from tagid.geometry import ImageGrid
+from tagid.imaging.ats import adapt, start
 from tagid.imaging.ats.adapt import (
     ITERATIONS,
     changes_of,
@@ -18,6 +20,7 @@ from tagid.imaging.ats.adapt import (
 )
 from tagid.imaging.ats.fit import fit, sparsity_weight
 from tagid.imaging.ats.settings import AtsSettings
+from tagid.imaging.ats.start import FirstImages
 from tagid.imaging.heldout import Prediction, left_out, residual
 from tagid.imaging.operator import ForwardOperator
 from tagid.imaging.preprocess import PreprocessSettings, preprocess, select_views
@@ -154,3 +157,60 @@ def test_the_views_of_the_last_judgement_take_no_part_in_the_choice() -> None:
     ]
     assert trials[0] is not None
     assert trials[0] == trials[1]
+
+
+def test_priors_that_are_compared_on_the_same_views_share_their_first_image(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The sparse solution is up to half of a fit and does not depend on the prior."""
+    made: list[int] = []
+    plain = start.first_image
+
+    def counted(scans: BasebandScans, *rest: object) -> object:
+        made.append(scans.aperture.views)
+        return plain(scans, *rest)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(start, "first_image", counted)
+    scans = rough(60)
+    settings = fit_adapted(scans, GRID, QUICK).image.settings
+    fields = [name for name in settings["prior_trials"] if linear_iterations(name) is None]
+    assert len(fields) > 2
+    # One for the image, whatever its prior, and one for each group of unseen views.
+    groups = folds(60 - len(left_out(60)))
+    assert len(made) <= 1 + len(groups)
+
+
+def test_a_shared_first_image_changes_nothing() -> None:
+    scans, unseen = rough(36), np.array([3, 17, 30])
+    images = FirstImages()
+    fit(scans, GRID, QUICK, unseen=unseen, images=images)
+    dense = replace(QUICK, **changes_of("dense"))
+    shared = fit(scans, GRID, dense, unseen=unseen, images=images).image
+    np.testing.assert_array_equal(shared.values, fit(scans, GRID, dense, unseen=unseen).image.values)
+    others = fit(scans, GRID, dense, unseen=unseen + 1, images=images).image
+    np.testing.assert_array_equal(others.values, fit(scans, GRID, dense, unseen=unseen + 1).image.values)
+
+
+def test_of_a_large_image_some_priors_are_left_out_and_the_result_says_which(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    scans = rough(36)
+    every = fit_adapted(scans, GRID, QUICK).image.settings
+    assert "priors_not_tried" not in every
+    assert "not tried" not in "".join(prior_words(every))
+    monkeypatch.setattr(adapt, "LARGE_PAIRS", 36 * GRID.pixels**2 // 2)
+    image = fit_adapted(scans, GRID, QUICK).image.settings
+    skipped, tried = image["priors_not_tried"], image["prior_trials"]
+    assert set(skipped) | set(tried) == set(every["prior_trials"])
+    assert not set(skipped) & set(tried)
+    better = min(("default", "dense"), key=tried.__getitem__)
+    aspect = {"default": "aspect", "dense": "dense, aspect"}
+    assert aspect[better] in tried
+    assert [name for name in skipped if linear_iterations(name) is None] == [
+        name for prior, name in aspect.items() if prior != better
+    ]
+    # Of the linear solution the highest numbers of iterations.
+    linear = [f"linear {k}" for k in ITERATIONS]
+    assert "linear 1" in tried
+    assert linear[-len([name for name in linear if name in skipped]) :] == [n for n in linear if n in skipped]
+    assert all(name in prior_words(image)[0] for name in skipped)

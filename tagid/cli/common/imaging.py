@@ -161,7 +161,15 @@ def held_out_words(settings: dict[str, Any]) -> list[str]:
 
 
 def prior_words(settings: dict[str, Any]) -> list[str]:
-    """The prior that ats took instead of its defaults, if it tried any."""
+    """The prior that ats took instead of its defaults, if it tried any, and what it left out."""
+    words = _prior_words(settings)
+    skipped = settings.get("priors_not_tried")
+    if words and skipped:
+        words[0] += f"; not tried because the image is large: {'; '.join(skipped)}"
+    return words
+
+
+def _prior_words(settings: dict[str, Any]) -> list[str]:
     from tagid.imaging.ats.adapt import linear_iterations
 
     prior, tried = settings.get("prior"), settings.get("prior_trials")
@@ -236,7 +244,8 @@ def learned(result: Reconstruction) -> dict[str, Any]:
     """Findings about the recording, for the JSON document."""
     settings = result.image.settings
     names = (
-        "axis_distance_m", "focus", "held_out", "prior", "prior_trials", "pulse", "calibration", "warnings"
+        "axis_distance_m", "focus", "held_out", "prior", "prior_trials", "priors_not_tried", "pulse",
+        "calibration", "warnings",
     )  # fmt: skip
     return {name: settings[name] for name in names if name in settings}
 

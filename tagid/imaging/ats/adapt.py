@@ -11,6 +11,7 @@ The views on which the image is judged in the end (`heldout.left_out`) take no p
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from tagid.errors import MissingExtraError, UsageError
 from tagid.geometry import ImageGrid
 from tagid.imaging.ats.fit import fit, sparsity_weight
 from tagid.imaging.ats.settings import LEAST_HELD_OUT, AtsResult, AtsSettings, Progress
+from tagid.imaging.ats.start import LARGE_PAIRS, FirstImages
 from tagid.imaging.backprojection import backproject
 from tagid.imaging.heldout import Prediction, left_out, residual
 from tagid.imaging.linear import least_squares
@@ -51,6 +53,12 @@ SETTLES = 2
 
 LEAST_VIEWS = 8
 """Fewer views cannot be split further."""
+
+ISOTROPIC = {"aspect": "default", "dense, aspect": "dense"}
+"""Priors that depend on the aspect, the most expensive fields, and the same without it. Of a large image
+(`LARGE_PAIRS`) only that of the better of the two others is tried, and the linear solution ends where it gets
+worse. Fewer views in the trials are no way out: without their neighbours, views at 24 GHz are predicted by no
+prior."""
 
 LINEAR = "linear"
 ITERATIONS = (1, 2, 4, 8, 16)
@@ -99,7 +107,7 @@ def fit_adapted(
     """Fit with the settings; where unseen views ask for another prior and none was given, with that one.
 
     The image's settings say what was tried: "prior" is its name, "prior_trials" the residual of each on views
-    that its fit did not see.
+    that its fit did not see, "priors_not_tried" what was left out because the image is large.
 
     Args and errors as `fit`.
     """
@@ -108,16 +116,19 @@ def fit_adapted(
     if given or not settings.adapt or scans.aperture.views < LEAST_VIEWS or not np.any(scans.samples):
         return fit(scans, grid, settings, progress)
     first: AtsResult | None = None
+    images = FirstImages()
     if settings.held_out > 0 and scans.aperture.views >= LEAST_HELD_OUT:
-        first = fit(scans, grid, settings, progress)
+        first = fit(scans, grid, settings, progress, images=images)
         if not first.losses or _explains(scans, grid, first):
             return first
     trials = _Trials(scans, grid, settings, progress, linear=settings.calibrate == ())
     prior = trials.chosen()
     iterations = linear_iterations(prior)
     if first is None or (iterations is None and prior != DEFAULT):
-        first = fit(scans, grid, replace(settings, **changes_of(prior)), progress)
+        first = fit(scans, grid, replace(settings, **changes_of(prior)), progress, images=images)
     facts = {**first.image.settings, "prior": prior, "prior_trials": trials.residuals()}
+    if trials.skipped:
+        facts["priors_not_tried"] = trials.skipped
     if iterations is None:
         return replace(first, image=replace(first.image, settings=facts))
     image = linear_image(scans, grid, iterations)
@@ -141,7 +152,8 @@ def _explains(scans: BasebandScans, grid: ImageGrid, first: AtsResult) -> bool:
 class _Trials:
     """Residuals of priors on groups of views that their fits have not seen, view by view.
 
-    All fields are tried on the first group; those near the best go on to the next.
+    All fields are tried on the first group, some of a large image (`LARGE_PAIRS`); those near the best go on
+    to the next.
     """
 
     def __init__(
@@ -153,7 +165,10 @@ class _Trials:
         linear: bool,
     ) -> None:
         judged = left_out(scans.aperture.views)
-        self.scans = select_views(scans, np.setdiff1d(np.arange(scans.aperture.views), judged))
+        some = np.setdiff1d(np.arange(scans.aperture.views), judged)
+        self.scans, self.bounded = select_views(scans, some), len(some) * grid.pixels**2 > LARGE_PAIRS
+        self.skipped: list[str] = []
+        self.images = FirstImages()
         self.grid, self.progress = grid, progress
         self.settings = replace(settings, calibrate=(), held_out=0.0)
         self.operator, self.linear = ForwardOperator(self.scans, grid), linear
@@ -184,6 +199,8 @@ class _Trials:
             if self.linear:
                 self._try_linear(group)
             for name in running:
+                if number == 0 and self._is_skipped(name):
+                    continue
                 self._try(name, group)
                 if name == DEFAULT and number == 0 and self._enough(group):
                     return
@@ -206,6 +223,17 @@ class _Trials:
             kept.setdefault((weight, settings.aspect_harmonics), name)
         return list(kept.values())
 
+    def _is_skipped(self, name: str) -> bool:
+        """Whether a prior is left out of the trials of a large image; noted where it is."""
+        tried = self.residuals()
+        others = [each for each in ISOTROPIC.values() if each in tried]
+        if not self.bounded or name not in ISOTROPIC or not others:
+            return False
+        if ISOTROPIC[name] == min(others, key=tried.__getitem__):
+            return False
+        self.skipped.append(name)
+        return True
+
     def _enough(self, group: NDArray[np.intp]) -> bool:
         """Whether the defaults leave little but noise of the first group, and less than backprojection."""
         left = self.residuals()
@@ -226,16 +254,22 @@ class _Trials:
         rest = np.setdiff1d(np.arange(operator.views), group)
         seen, unseen = select_views(self.scans, rest), operator.select(group)
         plain = backproject(seen, self.grid).values.ravel()
-        solutions = least_squares(operator.select(rest), seen.samples, ITERATIONS)
-        for iterations, values in zip((0, *ITERATIONS), (plain, *solutions), strict=True):
+        counts = [count for count in ITERATIONS if f"{LINEAR} {count}" not in self.skipped]
+        solutions = least_squares(operator.select(rest), seen.samples, counts)
+        left: list[float] = []
+        for iterations, values in zip((0, *counts), chain([plain], solutions), strict=True):
             prediction = Prediction.of(self.scans.samples[group], unseen.forward(values))
             self._add(f"{LINEAR} {iterations}", prediction)
+            left.append(prediction.residual)
+            if self.bounded and not self.skipped and iterations > 1 and left[-1] > left[-2]:
+                self.skipped = [f"{LINEAR} {more}" for more in counts if more > iterations]
+                break
 
     def _try(self, name: str, group: NDArray[np.intp]) -> None:
         """A field; left out where its engine or the memory for it is missing."""
         settings = replace(self.settings, **changes_of(name))
         try:
-            found = fit(self.scans, self.grid, settings, self.progress, unseen=group)
+            found = fit(self.scans, self.grid, settings, self.progress, group, images=self.images)
         except (MissingExtraError, UsageError):
             if name == DEFAULT:
                 raise

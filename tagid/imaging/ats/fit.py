@@ -36,14 +36,14 @@ from tagid.imaging.ats.problem import (
     view_subsets,
 )
 from tagid.imaging.ats.settings import LEAST_HELD_OUT, AtsResult, AtsSettings, Calibration, Progress
+from tagid.imaging.ats.start import FirstImages
 from tagid.imaging.ats.support import CHECK_AT, Support
 from tagid.imaging.heldout import Prediction
 from tagid.imaging.kernel import is_compiled
 from tagid.imaging.memory import require_memory
 from tagid.imaging.operator import ForwardOperator
 from tagid.imaging.preprocess import PreprocessSettings, preprocess, select_views
-from tagid.imaging.restore import beam_sigma_m, blurred
-from tagid.imaging.sparse import column_norm, sparse_amplitudes
+from tagid.imaging.sparse import column_norm
 from tagid.imaging.types import BasebandScans, Image
 
 __all__ = ["AtsResult", "AtsSettings", "fit"]
@@ -85,6 +85,7 @@ def fit(
     progress: Progress | None = None,
     unseen: NDArray[np.integer] | None = None,
     start: FieldWeights | None = None,
+    images: FirstImages | None = None,
 ) -> AtsResult:
     """Reconstruct by analysis through synthesis.
 
@@ -98,6 +99,7 @@ def fit(
             `settings.held_out` says.
         start: field to begin with, of an earlier fit on this grid with the same sizes of the network; None
             begins with the sparse solution.
+        images: first images of other fits of these scans on this grid with other priors, to share them.
 
     Returns:
         Image in the units of the scans, with how it came about. Scans that are all zero give a zero image.
@@ -114,7 +116,7 @@ def fit(
         scans = preprocess(scans, settings=PreprocessSettings("none", False, extent_m=grid.extent))
     if not np.isfinite(scans.samples).all():
         raise DataError("the scans hold samples that are not finite", "Leave out the broken scans.")
-    return _Fit(scans, grid, settings, unseen).run(progress, begun, start)
+    return _Fit(scans, grid, settings, unseen).run(progress, begun, images or FirstImages(), start)
 
 
 @dataclass(frozen=True)
@@ -162,7 +164,9 @@ class _Fit:
         self._made: tuple[tuple[float, bytes], tuple[ForwardOperator, ForwardOperator]] | None = None
         self.losses: list[float] = []
 
-    def run(self, progress: Progress | None, begun: float, start: FieldWeights | None = None) -> AtsResult:
+    def run(
+        self, progress: Progress | None, begun: float, images: FirstImages, start: FieldWeights | None = None
+    ) -> AtsResult:
         now = self.scans.with_aperture(self.known.aperture(self.scans.aperture))
         scales = _scales(now, self._operators()[0], self.settings)
         shape = self.settings.shape(self.grid, self.scans.wavelength_m)
@@ -170,7 +174,8 @@ class _Fit:
             blank = np.zeros((self.grid.pixels, self.grid.pixels), dtype=np.complex64)
             return self._result(blank, None, "none", begun)
         if start is None:
-            first = _first_image(now, self.grid, shape.cells[-1], scales)
+            made = images.of(now, self.unseen, self.grid, shape.cells[-1], scales.step)
+            first = np.asarray(made / scales.output, dtype=np.complex64)
             start = draw_weights(shape, self.grid, scales.output, self.settings.seed, first)
             if self._screened():
                 drawn = np.abs(start.on(self.grid)).max(axis=0)
@@ -396,9 +401,6 @@ _EPSILON = 0.1
 """Adam's, relative to the largest gradient of a tensor: with 0.01 and less rounding and noise move quiet
 pixels as fast as bright ones, with 0.3 and more faint false points are not drawn to zero in time."""
 
-_START_PAIRS = 2 * 10**6
-"""Pairs of view and vertex of the sparse solution at the start: all for a P440 and 360 views of 0.5 m."""
-
 _SHARPENED = 3.0
 """How much brighter a point gets than backprojection shows it, once it is sharp: the output's scale."""
 
@@ -503,31 +505,3 @@ def _scales(scans: BasebandScans, operator: ForwardOperator, settings: AtsSettin
     return _Scales(
         energy, step, _SHARPENED * step * peak, weight, settings.smoothness * norm**2 / energy, magnitude
     )
-
-
-def _first_image(scans: BasebandScans, grid: ImageGrid, cells: int, scales: _Scales) -> NDArray[np.complex64]:
-    """(cells + 1, cells + 1) sparse solution with the restoring beam, relative to the output, at the vertices
-    of the finest level.
-
-    From backprojection, whose sidelobes of a dozen views are half as bright as its points, the steps do not
-    get rid of them: 8.8 % of unseen views are left of twelve views of reflectors, 2.7 % from here. From bare
-    pixels the points stay where their pixels are: 1.0 mm off at 36 views, 0.6 mm from here. Where the sparse
-    solution is blank it is backprojection. The brightest vertices of a large image take part.
-    """
-    axis = np.linspace(-grid.extent / 2, grid.extent / 2, cells + 1)
-    vertices = np.stack([part.ravel() for part in np.meshgrid(axis, axis)], axis=1)
-    operator = ForwardOperator(scans, vertices)
-    back = operator.adjoint(np.ascontiguousarray(scans.samples, dtype=np.complex64))
-    most = max(1, _START_PAIRS // scans.aperture.views)
-    chosen = np.zeros(len(vertices), dtype=bool)
-    chosen[np.argsort(-np.abs(back), kind="stable")[:most]] = True
-    sparse, _ = sparse_amplitudes(scans, vertices[chosen], operator=operator.among(chosen))
-    if not sparse.any():
-        return np.asarray(back * (scales.step / scales.output), np.complex64).reshape(cells + 1, cells + 1)
-    bare = np.zeros(len(vertices), dtype=np.complex128)
-    bare[chosen] = sparse
-    width = beam_sigma_m(scans.wavenumber) / (grid.extent / cells)
-    parts = [blurred(part.reshape(cells + 1, cells + 1), width) for part in (bare.real, bare.imag)]
-    # A vertex is spread over the pixels of a cell.
-    share = (cells / grid.pixels) ** 2 / scales.output
-    return np.asarray((parts[0] + 1j * parts[1]) * share, dtype=np.complex64)

@@ -1,0 +1,91 @@
+"""One axis distance for every method, and none where the echo has no one delay."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from imaging_scenes import BANDWIDTH, FC, C, record, turn
+
+from tagid.capture import Capture
+from tagid.geometry import ImageGrid
+from tagid.imaging.autofocus import MOST_SIGMA_WAVELENGTHS, focus_axis_distance
+from tagid.imaging.pointmodel import BAND_PARTS, band_delays, explain
+from tagid.imaging.preprocess import PreprocessSettings, preprocess
+from tagid.imaging.types import BasebandScans
+from tagid.pipeline.prepared import PreparedCapture
+from tagid.pipeline.reconstruct import reconstruct
+from tagid.pipeline.settings import ImagingSettings
+
+GRID = ImageGrid(0.4, 64)
+POINTS = [(0.05, 0.03), (-0.04, 0.06)]
+LAM = C / FC
+
+
+def resonant(edge_m: float, error_m: float = 0.0) -> Capture:
+    """Two points whose echo comes from `edge_m` farther at the upper edge of the band and as much nearer at
+    the lower one; the axis distance stated `error_m` too long."""
+    capture = record(POINTS, [1.0, 1.0], turn(36), noise=0.05, analytic=True)
+    rate = C / (2 * capture.range_step_m)
+    # The band of a carrier under the sampling rate of complex samples.
+    frequency = np.fft.fftfreq(capture.bins, 1 / rate) % rate
+    phase = 2 * np.pi * (2 / C) * edge_m * (frequency - FC) ** 2 / BANDWIDTH
+    spectrum = np.fft.fft(capture.samples, axis=1) * np.exp(-1j * phase)
+    samples = np.fft.ifft(spectrum, axis=1).astype(np.complex64)
+    angles = np.arange(36) * 2 * np.pi / 36
+    return replace(capture, samples=samples, angles_rad=angles, axis_distance_m=1.0 + error_m)
+
+
+def scans_of(capture: Capture) -> BasebandScans:
+    return preprocess(capture, settings=PreprocessSettings("none", False, extent_m=GRID.extent))
+
+
+@pytest.mark.parametrize("edge_wavelengths", [0.0, 0.2])
+def test_every_part_of_the_band_gets_the_delay_of_its_echo(edge_wavelengths: float) -> None:
+    scans = scans_of(resonant(edge_wavelengths * LAM))
+    delays = band_delays(scans, explain(scans, GRID)) / LAM
+    # The middles of the thirds lie two thirds of the way to the edges; where the pulse is strong counts more.
+    expected = edge_wavelengths * np.linspace(-1, 1, 2 * BAND_PARTS + 1)[1::2]
+    np.testing.assert_allclose(delays, expected, atol=0.04)
+
+
+def test_an_echo_of_one_delay_tells_the_axis_and_one_that_resonates_does_not() -> None:
+    error = 0.2 * LAM
+    _, plain = focus_axis_distance(scans_of(resonant(0.0, error)), GRID)
+    assert plain.reliable
+    assert plain.axis_distance_m == pytest.approx(1.0, abs=0.02 * LAM)
+    same, focus = focus_axis_distance(scans_of(resonant(0.4 * LAM, error)), GRID)
+    assert not focus.reliable
+    assert focus.reason == "the parts of the band do not agree on one distance"
+    assert focus.sigma_m > MOST_SIGMA_WAVELENGTHS * LAM
+    assert same.aperture.axis_distance == pytest.approx(1.0 + error)
+
+
+def test_every_method_images_about_the_same_axis() -> None:
+    """Each on its own filter, the methods found axes up to millimetres apart in one capture."""
+    capture = record(POINTS, [1.0, 0.7], turn(36), noise=0.3, seed=3)
+    given = replace(capture, angles_rad=np.arange(36) * 2 * np.pi / 36, axis_distance_m=1.02)
+    found = []
+    for method in ("bp", "bp-raw", "polar", "sparse"):
+        settings = ImagingSettings(method=method, extent_m=0.4, pixels=48, background="none", held_out=False)
+        result = reconstruct(given, settings, tell_outside=False)
+        assert result.focus is not None
+        assert result.focus.reliable
+        assert result.image.settings["axis_distance_m"] == result.focus.axis_distance_m
+        found.append(result.focus.axis_distance_m)
+    assert len(set(found)) == 1
+    assert found[0] == pytest.approx(1.0, abs=0.005)
+
+
+def test_the_search_is_made_once_for_a_prepared_capture() -> None:
+    capture = replace(
+        record(POINTS, [1.0, 0.7], turn(36), noise=0.1),
+        angles_rad=np.arange(36) * 2 * np.pi / 36,
+        axis_distance_m=1.02,
+    )
+    settings = ImagingSettings(method="bp", extent_m=0.4, pixels=48, background="none")
+    prepared = PreparedCapture(capture, settings)
+    assert prepared.focus() is prepared.focus()
+    assert reconstruct(prepared).focus is prepared.focus()
+    assert PreparedCapture(capture, replace(settings, focus_m=0.0)).focus() is None
