@@ -13,7 +13,7 @@ from tagid.imaging.types import BasebandScans
 from tagid.tags.bodies import points as point_model
 from tagid.tags.bodies.points import PointFitter, columns
 from tagid.tags.bodies.spectra import Spectra
-from tagid.tags.layouts.layout import builtin_layouts
+from tagid.tags.layouts.layout import Layout, builtin_layouts
 from tagid.tags.matching.matcher import read_tag
 from tagid.tags.reading import compiled
 from tagid.tags.reading.aspect import ROUND, TRANSPARENT, Appearance, Aspect, outward
@@ -100,17 +100,27 @@ def test_free_points_come_to_the_same_places(kind: str, monkeypatch: pytest.Monk
         assert one[2] > 1.05 * begun.explained[0]
 
 
+FOUR = Layout("four", np.array([[0.1, 0.0], [0.0, 0.08], [-0.09, 0.02], [0.03, -0.1]]))
+NINE_OFFSETS = tuple(i * 4e-3 for i in range(-4, 5))
+
+
 @pytest.mark.parametrize("kind", ["turntable", "two antennas"])
-def test_the_coarse_search_explains_the_same(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    "layout", [LAYOUTS["container-90"], LAYOUTS["helmet-120"], FOUR], ids=lambda one: one.name
+)
+@pytest.mark.parametrize("offsets", [SearchSettings.offsets_m, NINE_OFFSETS], ids=len)
+def test_the_coarse_search_explains_the_same(
+    kind: str, layout: Layout, offsets: tuple[float, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
     fast, plain = fields(kind, monkeypatch)
-    settings, layout = SearchSettings(), LAYOUTS["helmet-120"]
+    settings = SearchSettings(offsets_m=offsets)
     grid = CoarseGrid.of(layout, settings)
     for aspect in settings.aspects:
         one, other = (CoarseImage.of(f, 0.13, aspect, settings.offsets_m) for f in (fast, plain))
         assert_alike(one.images, other.images, 1e-5)
         assert_alike(one.static, other.static, 1e-5)
         facing = outward(grid.placed, np.zeros(2))
-        gram = whole_grams(plain, aspect, grid.placed, np.zeros(3), facing)
+        gram = whole_grams(plain, aspect, grid.placed, np.zeros(layout.size), facing)
         energies = grid.energies(one, gram, plain.template_energy, settings.balance)
         with monkeypatch.context() as patch:
             patch.setattr(compiled, "_matched", None)
@@ -132,11 +142,12 @@ def test_the_search_for_layouts_finds_the_same(kind: str, monkeypatch: pytest.Mo
 
 
 @pytest.mark.parametrize("kind", sorted(SCENES))
-def test_points_overlap_with_templates_alike(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("count", [3, 8, 11])
+def test_points_overlap_with_templates_alike(kind: str, count: int, monkeypatch: pytest.MonkeyPatch) -> None:
     fast, plain = fields(kind, monkeypatch)
     points = np.random.default_rng(1).uniform(-0.12, 0.12, (40, 2))
     look = Appearance(ROUND, np.array([0.01, 0.0]), 0.003)
-    others = look.templates(plain, points[:3] + 0.01)
+    others = look.templates(plain, points[:count] + 0.01)
     one, other = (look.fixed(f, points).overlaps(others) for f in (fast, plain))
     assert_alike(one[0], other[0], 1e-5)
     assert_alike(one[1], other[1], 1e-5)
