@@ -202,7 +202,9 @@ def null_evidence(
     reading = reading.against(points) if points is not None else reading
     evidence = score(reading, settings.decision) if _shows(known, reading, settings) else -inf
     walled = -inf
-    if decide_on_body(reading, settings.decision).status != "no_tag":
+    # Where points without a body are named, `settle` asks no wall.
+    contested = _without_body(bare, points, layouts, settings) is None
+    if contested and decide_on_body(reading, settings.decision).status != "no_tag":
         beside = _read_beside_wall(known, reading, spectra, layouts, settings)
         if beside is not None and _shows(known, beside, settings):
             walled = score(beside, settings.decision)
