@@ -17,9 +17,9 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from tagid.bessel import bessel
 from tagid.constants import SPEED_OF_LIGHT
 from tagid.errors import DataError
-from tagid.simulate.bessel import bessel
 from tagid.simulate.scattering import Floats, Returns
 from tagid.simulate.taps import BAND_HZ, fit_taps, tap_offsets
 

@@ -21,8 +21,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from tagid.bessel import bessel, first_kind
 from tagid.errors import DataError
-from tagid.simulate.bessel import bessel, first_kind
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]

@@ -132,6 +132,16 @@ def _shell73() -> Mesh:
     return shapes.helmet((0.073, 0.094, 0.078), 0.020, 0.0102, shapes.sheet(3.2, 0.003))
 
 
+def _mug33() -> Mesh:
+    """Metal, with a wide handle that stands near its upper rim."""
+    handle = shapes.handle(0.035, 0.028, 0.056, 0.012, 0.009).moved((0.0, 0.0, 0.008), np.deg2rad(80))
+    return Mesh.join(shapes.can(0.033, 0.090, 0.009), handle)
+
+
+def _box60() -> Mesh:
+    return shapes.box((0.060, 0.048, 0.095), 0.010)
+
+
 DEVELOPMENT = {
     "free24_c180": Object(None, 24, ring(45, 10, 190)),
     "free24_one": Object(None, 24, ((0, 0),)),
@@ -175,10 +185,6 @@ OPENED = {
     "shell70": Object(_shell70),
     "shell70_h120": Object(_shell70, 40, ring(112, 70, 190, 310)),
     "shell70_lin": Object(_shell70, 20, ((90, 0), (90, 180), (0, 0))),
-}
-"""Objects that were sealed, reported, and looked at since."""
-
-SEALED = {
     "free18_c90": Object(None, 18, ring(45, 200, 290)),
     "free36_three": Object(None, 36, ring(45, 0, 75, 200)),
     "tin28": Object(_tin28),
@@ -202,6 +208,16 @@ SEALED = {
     "shell73": Object(_shell73),
     "shell73_h120": Object(_shell73, 30, ring(111, 40, 160, 280)),
     "shell73_lin": Object(_shell73, 30, ((90, 0), (90, 180), (0, 0))),
+}
+"""Objects that were sealed, reported, and looked at since."""
+
+SEALED = {
+    "mug33": Object(_mug33),
+    "mug33_c180": Object(_mug33, 24, ring(47, 15, 195)),
+    "mug33_quad": Object(_mug33, 24, ring(47, 353, 37, 173, 217)),
+    "box60": Object(_box60),
+    "box60_c180": Object(_box60, 24, ring(43, 0, 180)),
+    "box60_quad": Object(_box60, 24, ring(43, 340, 20, 160, 200)),
 }
 """Objects that are only reported."""
 

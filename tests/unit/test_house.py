@@ -26,7 +26,7 @@ LAYERS = (
     {"imaging"},
     {"angles", "motion", "radar", "storage"},
     {"capture", "metadata", "geometry", "waveform", "signal", "files", "config", "result", "ports"}
-    | {"models_store", "interrupts", "hostclock", "onnx_files", "proportion"},
+    | {"models_store", "interrupts", "hostclock", "onnx_files", "proportion", "bessel"},
     {"constants", "errors", "__init__"},
 )
 """The layers of docs/architecture.md, from the top; a room imports from its own layer and those below."""

@@ -8,9 +8,9 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 from scipy.optimize import linear_sum_assignment
 from scipy.special import h2vp, hankel2, jv, jvp, yv, yvp
 
+from tagid.bessel import bessel, first_kind
 from tagid.imaging.bilinear import bilinear
 from tagid.imaging.restore import blurred
-from tagid.simulate.bessel import bessel, first_kind
 from tagid.tags.layouts.assignment import least_assignment
 
 
