@@ -13,13 +13,15 @@ from scipy.special import h2vp, hankel2, jv, jvp
 
 from tagid.constants import SPEED_OF_LIGHT
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
+from tagid.imaging.types import BasebandScans
 from tagid.simulate import Acquisition, Placement, Wobble, simulate_capture
 from tagid.simulate.response import Response
 from tagid.simulate.response_file import read_response
 from tagid.simulate.response_scene import response_scene
+from tagid.tags.bodies import reader as reader_module
 from tagid.tags.bodies.body_reading import BodyReading, BodySettings
 from tagid.tags.bodies.decide import BodyDecision
-from tagid.tags.bodies.hypothesis import Candidate, Pose
+from tagid.tags.bodies.hypothesis import BodyModel, Candidate, Enrolled, Pose
 from tagid.tags.bodies.neighbours import lefts_before_walls
 from tagid.tags.bodies.reader import BodyReader, read_on_body
 from tagid.tags.bodies.reflectors_fit import POINTS
@@ -27,6 +29,9 @@ from tagid.tags.bodies.spectra import Spectra
 from tagid.tags.bodies.starts import Start
 from tagid.tags.bodies.wall import SERIES, Wall, series
 from tagid.tags.layouts.layout import builtin_layouts
+from tagid.tags.matching import contest
+from tagid.tags.matching.matcher import read_tag
+from tagid.tags.verdicts.verdict import Code, Verdict
 
 RESPONSES = Path(__file__).parents[1] / "data" / "responses"
 KAPPA = 4 * np.pi / SPEED_OF_LIGHT * 2e8 * np.arange(16, 25)
@@ -164,15 +169,21 @@ class Solved:
         return np.array(found)
 
 
-def spectra_of(thing: Response, polarisation: str, snr_db: float, seed: int) -> Spectra:
+def scans_of(thing: Response, polarisation: str, snr_db: float, seed: int, views: int = 36) -> BasebandScans:
     """Of an uneven turn."""
     acquisition = Acquisition(
-        views=36, snr_db=snr_db, placement=Placement(POSE.centre_m, POSE.turn_rad), wobble=Wobble(speed=0.01)
+        views=views,
+        snr_db=snr_db,
+        placement=Placement(POSE.centre_m, POSE.turn_rad),
+        wobble=Wobble(speed=0.01),
     )
     scene = response_scene(thing, acquisition, polarisation, response("free30_one"), None)
     capture, _ = simulate_capture(scene, acquisition, seed)
-    scans = preprocess(capture, settings=PreprocessSettings(matched_filter=False, extent_m=0.5))
-    return Spectra.of(scans)
+    return preprocess(capture, settings=PreprocessSettings(matched_filter=False, extent_m=0.5))
+
+
+def spectra_of(thing: Response, polarisation: str, snr_db: float, seed: int) -> Spectra:
+    return Spectra.of(scans_of(thing, polarisation, snr_db, seed))
 
 
 def read(thing: Response, polarisation: str, settings: BodySettings, snr_db: float, seed: int) -> BodyReading:
@@ -224,3 +235,43 @@ def test_an_echo_that_is_polarised_upright_shows_it() -> None:
         upright, horizontal = lefts_before_walls(reader.fitter, [row], 0.045)[0]
         shares.append((horizontal - upright) / (reader.poses[0].left - min(upright, horizontal)))
     assert shares[0] > BodySettings().upright_share > shares[1]
+
+
+def test_with_few_views_neighbours_are_not_compared_before_a_wall(monkeypatch: pytest.MonkeyPatch) -> None:
+    """At 18 views, neighbours on one face of a box passed for a pair by it."""
+    asked: list[int] = []
+    monkeypatch.setattr(reader_module, "led_before_wall", lambda *given: bool(asked.append(1)))
+    layouts, settings = list(builtin_layouts().values()), BodySettings(nested_lead=0.4)
+    for views in (24, 36):
+        asked.clear()
+        spectra = Spectra.of(scans_of(tagged(0, 180), "H", 20.0, 3, views))
+        found = read_on_body(spectra, layouts, Solved("H"), settings)
+        assert found is not None
+        assert bool(asked) == (views == 36)
+
+
+def test_a_body_that_explains_the_echo_alone_leaves_no_name_to_another(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """An untagged box was "identified" as no layout: by the verdict on a round body that only imitates it."""
+    layouts = list(builtin_layouts().values())
+    scans = scans_of(tagged(0, 180), "H", 20.0, 3)
+    own = read(tagged(0, 180), "H", BodySettings(), 20.0, 3)
+
+    def verdict(reading: BodyReading, settings: BodyDecision) -> Verdict:
+        if reading.body.name:
+            return Verdict("no_tag", Code.NO_TAG, "the body alone")
+        return Verdict("identified")
+
+    def read_on(spectra: Spectra, layouts: object, body: BodyModel, *rest: object) -> BodyReading:
+        less = replace(own.layouts[0], left=own.layouts[0].left * (1.0 if body.name else 0.5))
+        return replace(own, body=body, layouts=(less, *own.layouts[1:]))
+
+    monkeypatch.setattr(reader_module, "read_on_body", read_on)
+    monkeypatch.setattr(contest, "decide_on_body", verdict)
+    monkeypatch.setattr(contest, "_shows", lambda *given: True)
+    monkeypatch.setattr(contest, "_calibrated", lambda reading, verdict, settings: verdict)
+    enrolled = Enrolled((Solved("H"),))
+    answer = read_tag(scans, layouts, enrolled=enrolled)
+    assert answer.status != "identified" or answer.layout is not None
+    assert (answer.status, answer.code) == ("no_tag", Code.NO_TAG)

@@ -30,7 +30,7 @@ class BodySettings:
             where they explain no more than the layout, which they nearly contain, and it leads them before a
             wall (`neighbours`). Of 156 full-wave readings of a mug without a tag or with neighbours in the
             places of a layout's reflectors none was named then; by the first condition alone 4 were,
-        neighbours: compared with so many of them.
+        neighbours: compared with so many of them, from `through_views` on.
         upright_share: not where the layout leaves so much more of the tag's echo by the patterns of
             horizontal polarisation than by those of upright: of 7 readings with horizontal polarisation the
             most is 0.011, of 5 of foreign neighbours with upright one the least 0.05.

@@ -151,7 +151,8 @@ class BodyReader:
         if reading.lead <= 0:
             return reading
         free += self._freed(self._loose([*free, *others]), per_term)
-        return self._compared(ranked, free, others, per_term, walled=self.body.turns)
+        enough = self.spectra.views >= self.settings.through_views
+        return self._compared(ranked, free, others, per_term, walled=self.body.turns and enough)
 
     def _loose(self, others: Sequence[Placed]) -> list[Placed]:
         """Arrangements of three reflectors or more to be fitted with free angles: the best, of unlike gaps.
