@@ -124,10 +124,12 @@ class Judge:
 
     Args:
         folder: of the solved objects.
+        polarisation: "V" or "H" of readings with an enrolment, at the antenna's height; "" draws it.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, polarisation: str = "") -> None:
         self._folder = folder
+        self._polarisation = polarisation
         self._known: Callable[[str, str], Known] = cache(self._enrolled)
 
     def read(self, task: Task) -> Answer:
@@ -138,7 +140,7 @@ class Judge:
             known = self._known(task.mode, task.known)
             if known.signature is None and known.layout is None:
                 return Answer(task.key, "not enrolled", "", "", known.reason, 0.0)
-            where = alike(where, conditions(task.mode, task.known))
+            where = alike(where, self._conditions(task.mode, task.known))
         capture = recorded(self._folder, task.name, task.recording, where, task.second or None)
         layouts = [*builtin_layouts().values(), *([known.layout] if known.layout else [])]
         signatures = [known.signature] if known.signature else []
@@ -161,9 +163,17 @@ class Judge:
             outcome = "ambiguous"
         return Answer(task.key, outcome, reading.layout or "", str(reading.kind), reading.reason, seconds)
 
+    def _conditions(self, mode: str, name: str) -> Circumstances:
+        """Those of an enrolment, or the same with the polarisation that was asked for."""
+        own = conditions(mode, name)
+        if self._polarisation in ("", own.polarisation):
+            return own
+        level = replace(own.acquisition.placement, height_m=0.0)
+        return Circumstances(replace(own.acquisition, placement=level), self._polarisation, own.seed)
+
     def _enrolled(self, mode: str, name: str) -> Known:
         """A body or an object enrolled from three captures, as `tagid enroll` does it."""
-        own = conditions(mode, name)
+        own = self._conditions(mode, name)
         imaging = ImagingSettings()
         with tempfile.TemporaryDirectory() as folder:
             paths = []
@@ -391,6 +401,7 @@ def main() -> None:
     parser.add_argument("--numbers", type=int, default=2, help="recordings of each kind of a tagged object")
     parser.add_argument("--nulls", type=int, default=4, help="of an object without an enrolled tag, blind")
     parser.add_argument("--grid", type=int, default=0, help="draws of the grid instead of the tables")
+    parser.add_argument("--polarisation", choices=("", "V", "H"), default="", help="of enrolled readings")
     parser.add_argument("--objects", type=Path, default=ROOT / "build" / "unseen", help="solved objects")
     parser.add_argument("--work", type=Path, default=ROOT / "build" / "unseen-answers")
     parser.add_argument("--seconds", type=float, default=1e9, help="start no further reading after this time")
@@ -405,8 +416,8 @@ def main() -> None:
         names = [name for name in names if name.startswith(tuple(given.only))]
     wanted = grid(names, given.grid) if given.grid else tasks(names, given.numbers, given.nulls)
     wanted = [task for task in wanted if task.mode in given.modes]
-    path = given.work / f"{reader_hash()}.jsonl"
-    found = answered(wanted, Judge(given.objects), path, time.monotonic() + given.seconds)
+    path = given.work / f"{reader_hash()}{given.polarisation}.jsonl"
+    found = answered(wanted, Judge(given.objects, given.polarisation), path, time.monotonic() + given.seconds)
     lines = [
         "# Objects that the reader was not made with",
         "",

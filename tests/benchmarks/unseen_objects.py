@@ -150,6 +150,16 @@ def _tin37() -> Mesh:
     return _profile(0.0095, (0, -45), (37, -45), (37, 45), (0, 45))
 
 
+def _mug33() -> Mesh:
+    """Metal, with a wide handle that stands near its upper rim."""
+    handle = shapes.handle(0.035, 0.028, 0.056, 0.012, 0.009).moved((0.0, 0.0, 0.008), np.deg2rad(80))
+    return Mesh.join(shapes.can(0.033, 0.090, 0.009), handle)
+
+
+def _box60() -> Mesh:
+    return shapes.box((0.060, 0.048, 0.095), 0.010)
+
+
 DEVELOPMENT = {
     "free24_c180": Object(None, 24, ring(45, 10, 190)),
     "free24_one": Object(None, 24, ((0, 0),)),
@@ -236,6 +246,12 @@ SEALED = {
     "tin37_c180": Object(_tin37, 20, ring(49, 65, 245)),
     "tin37_c90": Object(_tin37, 18, ring(47, 10, 100)),
     "tin37_three": Object(_tin37, 20, ring(49, 65, 245, 175)),
+    "mug33": Object(_mug33),
+    "mug33_c180": Object(_mug33, 24, ring(47, 15, 195)),
+    "mug33_quad": Object(_mug33, 24, ring(47, 353, 37, 173, 217)),
+    "box60": Object(_box60),
+    "box60_c180": Object(_box60, 24, ring(43, 0, 180)),
+    "box60_quad": Object(_box60, 24, ring(43, 340, 20, 160, 200)),
 }
 """Objects that are only reported."""
 

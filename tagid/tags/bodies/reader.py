@@ -27,6 +27,7 @@ from tagid.tags.bodies.arrangement import (
 from tagid.tags.bodies.body_reading import BodyReading, BodySettings, Placed
 from tagid.tags.bodies.hypothesis import BodyModel, Candidate, Pose
 from tagid.tags.bodies.layout_search import LayoutSearch, rings_of, turned_by
+from tagid.tags.bodies.neighbours import led_before_wall
 from tagid.tags.bodies.reflectors_fit import (
     COMMON,
     FACING,
@@ -150,7 +151,8 @@ class BodyReader:
         if reading.lead <= 0:
             return reading
         free += self._freed(self._loose([*free, *others]), per_term)
-        return self._compared(ranked, free, others, per_term)
+        enough = self.spectra.views >= self.settings.through_views
+        return self._compared(ranked, free, others, per_term, walled=self.body.turns and enough)
 
     def _loose(self, others: Sequence[Placed]) -> list[Placed]:
         """Arrangements of three reflectors or more to be fitted with free angles: the best, of unlike gaps.
@@ -468,9 +470,15 @@ class BodyReader:
         return self._row(start, Ringed(radii, heights), limits, pattern, free=False)
 
     def _compared(
-        self, ranked: list[Placed], free: list[Placed], rigid: list[Placed], per_term: float
+        self,
+        ranked: list[Placed],
+        free: list[Placed],
+        rigid: list[Placed],
+        per_term: float,
+        *,
+        walled: bool = False,
     ) -> BodyReading:
-        """The best layout against all that is not it."""
+        """The best layout against all that is not it; `walled`: neighbours also by patterns before a wall."""
         settings = self.settings
         best = ranked[0]
         layout = next(one for one in self.layouts if one.name == best.layout)
@@ -515,7 +523,11 @@ class BodyReader:
             # Each angle that is free costs half the logarithm of the number of values (Schwarz 1978).
             angle = 0.5 * self.spectra.noise * np.log(2 * self.spectra.data.size)
             least = min(p.charged + angle * (len(p.angles) - 1) for p in few)
-            lead = min(lead, (least - best.charged) / error)
+            held = (least - best.charged) / error
+            imitated = walled and 0 <= held < settings.nested_lead <= lead
+            if imitated and led_before_wall(self.fitter, best, few, tag, settings):
+                held += settings.nested_lead
+            lead = min(lead, held)
         untagged = np.inf
         if lead > 0 and layout.symmetry > 1 and not self.body.turns:
             # As many amplitudes as the body and the layout's pattern have, without those that fit any wall.

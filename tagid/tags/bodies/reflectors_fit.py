@@ -228,7 +228,7 @@ def solve(data: NDArray[np.complex128], cols: NDArray[np.complex128]) -> Solved:
 
 
 @dataclass(frozen=True, eq=False)
-class _Linear:
+class Linear:
     """The model at the places of a batch, amplitudes eliminated.
 
     Attributes:
@@ -293,7 +293,7 @@ class Fitter:
             damping = np.where(better, damping / 5, damping * 8)
         return batch.moved(at), left
 
-    def _linear(self, batch: Batch) -> _Linear:
+    def _linear(self, batch: Batch) -> Linear:
         """The model at the places of a batch.
 
         The slope is that of Kaufman (1975): derivatives of the columns at fixed amplitudes, projected.
@@ -301,17 +301,26 @@ class Fitter:
         rows = batch.rows
         if rows.fits():
             steps = np.array(_BODY_STEPS)
-            return _Linear(*rows.linear(self.spectra.tables, self._echoes(batch, moved=True), steps))
+            return Linear(*rows.linear(self.spectra.tables, self._echoes(batch, moved=True), steps))
         cols = Columns.of(self.spectra, self.body, batch)
-        solved = solve(self.spectra.data, cols.values)
+        return self._along(batch, cols, solve(self.spectra.data, cols.values), cols.values)
+
+    def _along(self, batch: Batch, cols: Columns, solved: Solved, values: NDArray[np.complex128]) -> Linear:
+        """The model along every move, from amplitudes (H, F, 1 + M) of the pattern's cosines.
+
+        Args:
+            batch, cols: the places, and the columns there.
+            solved: what was solved on `values`, with the amplitudes of the columns' own terms.
+            values: (H, F, C, V) the columns that were solved for.
+        """
         slope = self._reflector_slopes(batch, cols, solved) + self._body_slopes(batch, cols, solved)
         slope -= slope.mean(axis=-1, keepdims=True)
-        along = np.linalg.solve(solved.gram, cols.values.conj() @ np.swapaxes(slope, -1, -2))
+        along = np.linalg.solve(solved.gram, values.conj() @ np.swapaxes(slope, -1, -2))
         # Real parts of inner products: those of real and imaginary parts side by side.
-        plain = (np.swapaxes(along, -1, -2) @ cols.values - slope).view(np.float64)
+        plain = (np.swapaxes(along, -1, -2) @ values - slope).view(np.float64)
         normal = (plain @ np.swapaxes(plain, -1, -2)).sum(axis=1)
         gradient = (plain @ solved.rest.view(np.float64)[..., None])[..., 0].sum(axis=1)
-        return _Linear(solved.left, normal, gradient)
+        return Linear(solved.left, normal, gradient)
 
     def _echoes(self, batch: Batch, *, moved: bool) -> NDArray[np.complex128]:
         """(B, H, F, V) the body's echo at its places, and moved along each coordinate; B = 0 for none.

@@ -350,10 +350,9 @@ def _against_bodies(
     )
     explanations += [_object_explanation(spectra, one) for one in objects[:EXPLAINED_OBJECTS]]
     bare = replace(bare, hypotheses=tuple(sorted(explanations, key=lambda e: e.left)))
-    passed = [(r, v) for r, v in readings if v.status == "identified"]
-    if any(r.body.name and v.status == "no_tag" for r, v in readings):
-        # An enrolled body alone explains the echo: a layout on another body only imitates it.
-        passed = []
+    # An enrolled body alone explains the echo: a layout on another body only imitates it.
+    alone = [(r, v) for r, v in readings if r.body.name and v.status == "no_tag"]
+    passed = [] if alone else [(r, v) for r, v in readings if v.status == "identified"]
     if objects:
         whole = decide_object(objects, settings.objects)
         if whole.status == "identified":
@@ -379,7 +378,7 @@ def _against_bodies(
             code=Code.AMBIGUOUS,
             reason=f"the echo is that of {bare.layout} without a body, or of {best.layouts[0].layout} on one",
         )
-    first, verdict = min(readings, key=lambda pair: _least(pair[0]))
+    first, verdict = min(alone or readings, key=lambda pair: _least(pair[0]))
     if named:
         return _contested(bare, own, first, layouts, settings)
     elsewhere = known.points is not None and known.points.displaced(settings.points)

@@ -1,0 +1,277 @@
+"""Reflectors before a round wall: the pattern against solved waves, and what tells a pair from neighbours."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.special import h2vp, hankel2, jv, jvp
+
+from tagid.constants import SPEED_OF_LIGHT
+from tagid.imaging.preprocess import PreprocessSettings, preprocess
+from tagid.imaging.types import BasebandScans
+from tagid.simulate import Acquisition, Placement, Wobble, simulate_capture
+from tagid.simulate.response import Response
+from tagid.simulate.response_file import read_response
+from tagid.simulate.response_scene import response_scene
+from tagid.tags.bodies import reader as reader_module
+from tagid.tags.bodies.body_reading import BodyReading, BodySettings
+from tagid.tags.bodies.decide import BodyDecision
+from tagid.tags.bodies.hypothesis import BodyModel, Candidate, Enrolled, Pose
+from tagid.tags.bodies.neighbours import lefts_before_walls
+from tagid.tags.bodies.reader import BodyReader, read_on_body
+from tagid.tags.bodies.reflectors_fit import POINTS
+from tagid.tags.bodies.spectra import Spectra
+from tagid.tags.bodies.starts import Start
+from tagid.tags.bodies.wall import SERIES, Wall, series
+from tagid.tags.layouts.layout import builtin_layouts
+from tagid.tags.matching import contest
+from tagid.tags.matching.matcher import read_tag
+from tagid.tags.verdicts.verdict import Code, Verdict
+
+RESPONSES = Path(__file__).parents[1] / "data" / "responses"
+KAPPA = 4 * np.pi / SPEED_OF_LIGHT * 2e8 * np.arange(16, 25)
+PSI = np.linspace(0, np.pi, 37)
+TURN_DEG = 10.0
+POSE = Pose((0.003, -0.004), 1.1)
+
+
+@cache
+def response(name: str) -> Response:
+    return read_response(RESPONSES / f"{name}.npz")
+
+
+def tag_of(one: str, body: str) -> Response:
+    """What one reflector adds to its body."""
+    return response(one).without(response(body))
+
+
+def tagged(*degrees: float) -> Response:
+    """A mug with a handle and, at each angle, what one reflector adds to a can; coupling is left out."""
+    body, added = response("handle34"), tag_of("can40_one", "can40").scattering_length_m
+    m = np.fft.fftfreq(added.shape[2], 1 / added.shape[2])
+    turns = sum(np.exp(-1j * m * np.deg2rad(a + TURN_DEG)) for a in degrees)
+    values = body.scattering_length_m + np.fft.ifft(np.fft.fft(added, axis=2) * turns, axis=2)
+    return replace(body, scattering_length_m=values.astype(np.complex64))
+
+
+def waves(wall: Wall) -> NDArray[np.complex128]:
+    """(F, 2, V) patterns of a wall over PSI."""
+    return np.asarray(series(KAPPA, [wall])[0] @ np.cos(np.outer(np.arange(SERIES), PSI)))
+
+
+def along(one: NDArray[np.complex128], other: NDArray[np.complex128]) -> float:
+    """Cosine of the angle between two patterns."""
+    return float(abs(np.vdot(one, other)) / np.linalg.norm(one) / np.linalg.norm(other))
+
+
+def test_without_a_wall_a_reflector_looks_alike_from_all_sides() -> None:
+    upright = waves(Wall(False, 0.045, 0.01, 1e-9))
+    assert np.abs(upright[:, 0] - upright[0, 0, 0]).max() < 1e-5
+    assert along(upright[3, 1], np.cos(PSI) ** 2 + 0j) > 0.99999
+    across = waves(Wall(True, 0.045, 0.01, 1e-9))
+    assert along(across[3, 0], np.cos(PSI) ** 2 + 0j) > 0.99999
+    assert along(across[3, 1], np.sin(PSI) ** 2 + 0j) > 0.99999
+
+
+@pytest.mark.parametrize("horizontal", [False, True])
+def test_a_dense_sheet_is_metal(horizontal: bool) -> None:
+    metal, dense = (waves(Wall(horizontal, 0.045, 0.01, sheet)) for sheet in (np.inf, 1e4))
+    assert np.abs(metal - dense).max() < 1e-3
+
+
+def test_the_field_of_a_metal_cylinder_is_that_of_its_series() -> None:
+    wall = Wall(False, 0.047, 0.012, np.inf)
+    n = np.arange(40)
+    k = KAPPA[4] / 2
+    x, y = k * 0.035, k * 0.047
+    inner, weight = -jv(n, x) / hankel2(n, x), 1j**n * np.where(n > 0, 2, 1)
+    turned = np.cos(np.outer(n, PSI))
+    phase = np.exp(-2j * y * np.cos(PSI))
+    field = (weight * (jv(n, y) + inner * hankel2(n, y))) @ turned
+    slope = (weight * (jvp(n, y) + inner * h2vp(n, y))) @ turned
+    found = waves(wall)[4]
+    assert along(found[0], field**2 * phase) > 0.99999
+    assert along(found[1], slope**2 * phase) > 0.99999
+
+
+@pytest.mark.parametrize(
+    ("one", "body", "polarisation", "wall", "most"),
+    [
+        ("can40_one", "can40", "V", Wall(False, 0.049, 0.009, np.inf), 0.01),
+        ("can40_one", "can40", "H", Wall(True, 0.049, 0.009, np.inf), 0.07),
+        ("cup36_one", "cup36", "V", Wall(False, 0.045, 0.009, 0.012), 0.10),
+        ("cup36_one", "cup36", "H", Wall(True, 0.045, 0.009, 0.012), 0.08),
+    ],
+)
+def test_two_amplitudes_hold_a_solved_reflector_before_its_wall(
+    one: str, body: str, polarisation: str, wall: Wall, most: float
+) -> None:
+    """As many free cosines leave twice as much or more."""
+    added = tag_of(one, body)
+    angle = 2 * np.pi * np.arange(72) / 72
+    antennas = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+    kappa = 2 * added.wavenumber[4:17]
+    echo = added.seen_from(antennas, polarisation).T[4:17]
+    distance = np.abs(np.exp(1j * angle) - wall.radius_m)
+    psi = np.angle(np.exp(1j * angle) - wall.radius_m)
+    carrier = np.exp(-1j * kappa[:, None] * (distance - 1)) / distance**2
+    cosines = np.cos(np.outer(np.arange(SERIES), psi))
+
+    def left(patterns: NDArray[np.complex128]) -> float:
+        rest = 0.0
+        for values, wave, columns in zip(echo, carrier, patterns, strict=True):
+            own = (columns * wave).T
+            rest += float(np.linalg.norm(values - own @ np.linalg.lstsq(own, values, rcond=None)[0]) ** 2)
+        return rest / float(np.linalg.norm(echo) ** 2)
+
+    walled = left(series(kappa, [wall])[0] @ cosines)
+    free = left(np.broadcast_to(cosines[:2], (len(kappa), 2, len(angle))).astype(np.complex128))
+    assert walled < most
+    assert walled < free / 2
+
+
+class Solved:
+    """The solved mug as a body that is known exactly, where it stands."""
+
+    name, turns, slack_m = "mug", True, 5e-3
+
+    def __init__(self, polarisation: str) -> None:
+        self.polarisation = polarisation
+
+    def poses(self, spectra: Spectra) -> list[Candidate]:
+        echo = self.echo(spectra, np.array([POSE.centre]), np.array([POSE.turn_rad]))[0]
+        echo = echo - echo.mean(axis=1, keepdims=True)
+        level = (echo.conj() * spectra.data).sum(axis=1) / (np.abs(echo) ** 2).sum(axis=1)
+        return [Candidate(POSE, float((np.abs(spectra.data - level[:, None] * echo) ** 2).sum()))]
+
+    def echo(
+        self, spectra: Spectra, centres: NDArray[np.complex128], turns: NDArray[np.float64]
+    ) -> NDArray[np.complex128]:
+        own = response("handle34")
+        kappa = 2 * own.wavenumber
+        found = []
+        for centre, turn in zip(centres, turns, strict=True):
+            place = (spectra.antenna - centre) * np.exp(-1j * turn)
+            seen = own.seen_from(
+                np.stack([place.real, place.imag, 0 * place.real], axis=1), self.polarisation
+            )
+            values = np.stack(
+                [np.interp(spectra.wavenumbers, kappa, one) for one in seen * np.exp(-0.03j * kappa)], axis=1
+            )
+            near = (spectra.distance_m / np.abs(place)) ** 2
+            late = np.exp(-1j * spectra.wavenumbers[:, None] * (np.abs(place) - spectra.distance_m - 0.03))
+            found.append(values * late * near)
+        return np.array(found)
+
+
+def scans_of(thing: Response, polarisation: str, snr_db: float, seed: int, views: int = 36) -> BasebandScans:
+    """Of an uneven turn."""
+    acquisition = Acquisition(
+        views=views,
+        snr_db=snr_db,
+        placement=Placement(POSE.centre_m, POSE.turn_rad),
+        wobble=Wobble(speed=0.01),
+    )
+    scene = response_scene(thing, acquisition, polarisation, response("free30_one"), None)
+    capture, _ = simulate_capture(scene, acquisition, seed)
+    return preprocess(capture, settings=PreprocessSettings(matched_filter=False, extent_m=0.5))
+
+
+def spectra_of(thing: Response, polarisation: str, snr_db: float, seed: int) -> Spectra:
+    return Spectra.of(scans_of(thing, polarisation, snr_db, seed))
+
+
+def read(thing: Response, polarisation: str, settings: BodySettings, snr_db: float, seed: int) -> BodyReading:
+    spectra = spectra_of(thing, polarisation, snr_db, seed)
+    found = read_on_body(spectra, list(builtin_layouts().values()), Solved(polarisation), settings)
+    assert found is not None
+    return found
+
+
+@pytest.mark.parametrize("seed", [3, 4])
+def test_neighbours_no_longer_hide_a_pair_on_a_metal_mug(seed: int) -> None:
+    """Polarised horizontally, neighbours 42 degrees apart imitate the pair by patterns that are free."""
+    settings = BodySettings()
+    found = read(tagged(0, 180), "H", settings, 20.0, seed)
+    assert found.layouts[0].layout == "container-180"
+    assert found.lead >= BodyDecision().lead
+    free = read(tagged(0, 180), "H", replace(settings, nested_lead=0.0), 20.0, seed)
+    assert 0 < free.lead < BodyDecision().lead
+    assert len(free.others[0].angles) == 4
+
+
+@pytest.mark.parametrize("polarisation", ["V", "H"])
+@pytest.mark.parametrize("apart", [40, 46, 52])
+def test_before_a_wall_neighbours_and_a_pair_are_told_from_each_other(polarisation: str, apart: int) -> None:
+    angles = {2: np.array([0.0, 180.0]), 4: np.array([0, apart, 180, 180 + apart]) - apart / 2}
+    layout = builtin_layouts()["container-180"]
+    for count, own in angles.items():
+        spectra = spectra_of(tagged(*own), polarisation, 20.0, 1)
+        body = Solved(polarisation)
+        reader = BodyReader(spectra, [layout], body, BodySettings(), body.poses(spectra))
+        rows = []
+        for some in angles.values():
+            turned = np.deg2rad(some + TURN_DEG) + POSE.turn_rad
+            start = Start(0.0, POSE.centre, 0.045, tuple(turned))
+            rows.append(reader._ring_row(start, POINTS, free=True))
+        pair, quad = lefts_before_walls(reader.fitter, rows, 0.045).min(axis=1)
+        assert (pair < quad) == (count == 2)
+
+
+def test_an_echo_that_is_polarised_upright_shows_it() -> None:
+    """By this the reader knows that neighbours are no artefact of a pattern that is too simple."""
+    layout, shares = builtin_layouts()["container-180"], []
+    for polarisation in ("V", "H"):
+        spectra = spectra_of(tagged(0, 180), polarisation, 20.0, 3)
+        body = Solved(polarisation)
+        reader = BodyReader(spectra, [layout], body, BodySettings(), body.poses(spectra))
+        angles = tuple(np.deg2rad([TURN_DEG, 180 + TURN_DEG]) + POSE.turn_rad)
+        row = reader._ring_row(Start(0.0, POSE.centre, 0.045, angles), POINTS, free=True)
+        upright, horizontal = lefts_before_walls(reader.fitter, [row], 0.045)[0]
+        shares.append((horizontal - upright) / (reader.poses[0].left - min(upright, horizontal)))
+    assert shares[0] > BodySettings().upright_share > shares[1]
+
+
+def test_with_few_views_neighbours_are_not_compared_before_a_wall(monkeypatch: pytest.MonkeyPatch) -> None:
+    """At 18 views, neighbours on one face of a box passed for a pair by it."""
+    asked: list[int] = []
+    monkeypatch.setattr(reader_module, "led_before_wall", lambda *given: bool(asked.append(1)))
+    layouts, settings = list(builtin_layouts().values()), BodySettings(nested_lead=0.4)
+    for views in (24, 36):
+        asked.clear()
+        spectra = Spectra.of(scans_of(tagged(0, 180), "H", 20.0, 3, views))
+        found = read_on_body(spectra, layouts, Solved("H"), settings)
+        assert found is not None
+        assert bool(asked) == (views == 36)
+
+
+def test_a_body_that_explains_the_echo_alone_leaves_no_name_to_another(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """An untagged box was "identified" as no layout: by the verdict on a round body that only imitates it."""
+    layouts = list(builtin_layouts().values())
+    scans = scans_of(tagged(0, 180), "H", 20.0, 3)
+    own = read(tagged(0, 180), "H", BodySettings(), 20.0, 3)
+
+    def verdict(reading: BodyReading, settings: BodyDecision) -> Verdict:
+        if reading.body.name:
+            return Verdict("no_tag", Code.NO_TAG, "the body alone")
+        return Verdict("identified")
+
+    def read_on(spectra: Spectra, layouts: object, body: BodyModel, *rest: object) -> BodyReading:
+        less = replace(own.layouts[0], left=own.layouts[0].left * (1.0 if body.name else 0.5))
+        return replace(own, body=body, layouts=(less, *own.layouts[1:]))
+
+    monkeypatch.setattr(reader_module, "read_on_body", read_on)
+    monkeypatch.setattr(contest, "decide_on_body", verdict)
+    monkeypatch.setattr(contest, "_shows", lambda *given: True)
+    monkeypatch.setattr(contest, "_calibrated", lambda reading, verdict, settings: verdict)
+    enrolled = Enrolled((Solved("H"),))
+    answer = read_tag(scans, layouts, enrolled=enrolled)
+    assert answer.status != "identified" or answer.layout is not None
+    assert (answer.status, answer.code) == ("no_tag", Code.NO_TAG)
