@@ -226,6 +226,12 @@ OPENED = {
     "shell73": Object(_shell73),
     "shell73_h120": Object(_shell73, 30, ring(111, 40, 160, 280)),
     "shell73_lin": Object(_shell73, 30, ((90, 0), (90, 180), (0, 0))),
+    "mug33": Object(_mug33),
+    "mug33_c180": Object(_mug33, 24, ring(47, 15, 195)),
+    "mug33_quad": Object(_mug33, 24, ring(47, 353, 37, 173, 217)),
+    "box60": Object(_box60),
+    "box60_c180": Object(_box60, 24, ring(43, 0, 180)),
+    "box60_quad": Object(_box60, 24, ring(43, 340, 20, 160, 200)),
 }
 """Objects that were sealed, reported, and looked at since."""
 
@@ -246,12 +252,6 @@ SEALED = {
     "tin37_c180": Object(_tin37, 20, ring(49, 65, 245)),
     "tin37_c90": Object(_tin37, 18, ring(47, 10, 100)),
     "tin37_three": Object(_tin37, 20, ring(49, 65, 245, 175)),
-    "mug33": Object(_mug33),
-    "mug33_c180": Object(_mug33, 24, ring(47, 15, 195)),
-    "mug33_quad": Object(_mug33, 24, ring(47, 353, 37, 173, 217)),
-    "box60": Object(_box60),
-    "box60_c180": Object(_box60, 24, ring(43, 0, 180)),
-    "box60_quad": Object(_box60, 24, ring(43, 340, 20, 160, 200)),
 }
 """Objects that are only reported."""
 

@@ -1,10 +1,10 @@
-"""What free patterns and the waves of a wall leave of full-wave tags on round bodies, and of other arrangements.
+"""What free patterns and the waves of a wall leave of full-wave tags, and of other arrangements.
 
     PYTHONPATH=. python tests/benchmarks/wall_patterns.py --objects build/unseen --write docs/results
 
-Solved objects (`unseen_objects.py`) are recorded at 40 dB, 36 views, 4 mm off the axis, with no wobble and the
-right axis distance, in both polarisations: what is left is then the model's own error. *Other* is the best
-arrangement of 1 to 4 reflectors that is not the layout.
+Solved round bodies (`unseen_objects.py`) are recorded at 40 dB, 36 views, 4 mm off the axis, with no wobble
+and the right axis distance, in both polarisations: what is left is then the model's own error. *Other* is
+the best arrangement of 1 to 4 reflectors that is not the layout.
 """
 
 from __future__ import annotations
@@ -106,16 +106,16 @@ def main() -> None:
         "",
         f"Command: `{command}`. Commit: {commit()}.",
         f"Machine: {platform.machine()}, {os.cpu_count()} cores, one thread, Python "
-        f"{platform.python_version()}, numpy {np.__version__}. Date: {datetime.now(UTC):%Y-%m-%d}. Seed: {SEED}.",
+        f"{platform.python_version()}, numpy {np.__version__}. Date: {datetime.now(UTC):%Y-%m-%d}.",
+        f"Seeds: {SEED}, of the noise.",
         "",
-        *" ".join(__doc__.split("\n\n")[2].split()).split("\n"),
+        *str(__doc__).split("\n\n")[2].strip().splitlines(),
         "",
-        "Free patterns have 2 to 5 complex amplitudes at each frequency, a wall one. The lead is what the other",
-        "arrangement leaves more, over what the layout leaves, the model's error and the noise (docs/tags.md).",
-        "Pattern beside a wall: `tagid/tags/bodies/cylinder_patterns.py`; all amplitudes are those of one model for",
-        "the tag, whatever its number of reflectors.",
+        "Free patterns have 2 to 5 complex amplitudes at each frequency for all reflectors of a tag, a wall",
+        "has one (`tagid/tags/bodies/cylinder_patterns.py`). The lead is what the other arrangement leaves",
+        "more, over what the layout leaves, the model's error and the noise (docs/tags.md).",
         "",
-        "| object | polarisation | free: layout | free: other | lead | wall: layout | wall: other | lead | wall found |",
+        "| object | | free: layout | free: other | lead | wall: layout | wall: other | lead | wall found |",
         "|---|---|---|---|---|---|---|---|---|",
     ]
     for name in NAMES:
