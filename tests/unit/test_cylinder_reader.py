@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -19,10 +20,12 @@ from tagid.tags.bodies.body_reading import BodyReading, BodySettings
 from tagid.tags.bodies.calibration import Calibration, Evidence, Scores, Stratum
 from tagid.tags.bodies.cylinder_patterns import Paths, Patterns
 from tagid.tags.bodies.cylinder_reader import read_on_cylinder
+from tagid.tags.bodies.decide import BodyDecision
 from tagid.tags.bodies.reader import read_on_body
 from tagid.tags.bodies.revolution import RoundBody
 from tagid.tags.bodies.spectra import Spectra, centred
 from tagid.tags.layouts.layout import builtin_layouts
+from tagid.tags.matching.beside import borne_out
 from tagid.tags.matching.contest import ContestSettings
 from tagid.tags.matching.matcher import ReaderSettings, read_tag
 
@@ -112,6 +115,19 @@ def test_a_tag_on_a_cup_is_named_with_few_views_and_in_noise() -> None:
         reading = read_tag(preprocess(capture, settings=settings), LAYOUTS, SETTINGS)
         assert (reading.status, reading.layout) == ("identified", "container-180")
         assert reading.body is not None and reading.body.wall is not None
+
+
+def test_a_wall_must_bear_out_a_pattern_of_many_free_terms() -> None:
+    """The same layout ahead of all others beside a wall, which may be thicker than those tried."""
+    beside_wall, decision = beside(spectra_of("cup36_c180", "V")), BodyDecision()
+    named = replace(beside_wall, through=True, wall=None)
+    assert borne_out(named, beside_wall, decision)
+    assert borne_out(named, replace(beside_wall, unexplained=0.25), decision)
+    assert not borne_out(named, replace(beside_wall, unexplained=0.35), decision)
+    assert not borne_out(named, replace(beside_wall, lead=0.1), decision)
+    assert not borne_out(named, None, decision)
+    other = replace(beside_wall, layouts=beside_wall.layouts[1:])
+    assert other.layouts and not borne_out(named, other, decision)
 
 
 def test_one_reflector_beside_a_cup_has_the_pattern_of_its_wall() -> None:

@@ -24,6 +24,7 @@ from tagid.tags.bodies.reflectors_fit import FEWEST_TERMS
 from tagid.tags.bodies.spectra import Spectra
 from tagid.tags.layouts.layout import Layout
 from tagid.tags.matching.bare_checks import BareDecision, checked
+from tagid.tags.matching.beside import borne_out, read_beside_wall
 from tagid.tags.matching.reading import Reading
 from tagid.tags.matching.won import as_points, kind_on, on_body, on_object
 from tagid.tags.verdicts.verdict import Code, Verdict
@@ -205,7 +206,7 @@ def null_evidence(
     # Where points without a body are named, `settle` asks no wall.
     contested = _without_body(bare, points, layouts, settings) is None
     if contested and decide_on_body(reading, settings.decision).status != "no_tag":
-        beside = _read_beside_wall(known, reading, spectra, layouts, settings)
+        beside = read_beside_wall(reading, points, spectra, layouts, settings.body, settings.decision)
         if beside is not None and _shows(known, beside, settings):
             walled = score(beside, settings.decision)
     return NullEvidence(evidence, walled, alone, tag_snr_db(reading))
@@ -339,7 +340,8 @@ def _against_bodies(
         if reading is not None:
             reading = reading.against(known.points) if known.points is not None else reading
             verdict = _judged(known, reading, settings)
-            if not body.name and verdict.status == "unknown":
+            free = verdict.status == "identified" and reading.through
+            if not body.name and (verdict.status == "unknown" or free):
                 reading, verdict = _beside_wall(known, reading, verdict, spectra, layouts, settings)
             readings.append((reading, verdict))
     if not readings:
@@ -417,29 +419,16 @@ def _beside_wall(
     layouts: Sequence[Layout],
     settings: ContestSettings,
 ) -> tuple[BodyReading, Verdict]:
-    """A refused reading on a round body, or one beside a wall of known waves that is not refused."""
-    beside = _read_beside_wall(known, reading, spectra, layouts, settings)
-    if beside is None:
-        return reading, verdict
-    told = _judged(known, beside, settings)
-    return (beside, told) if told.status == "identified" else (reading, verdict)
-
-
-def _read_beside_wall(
-    known: _Bare, reading: BodyReading, spectra: Spectra, layouts: Sequence[Layout], settings: ContestSettings
-) -> BodyReading | None:
-    """The reading beside a wall; None where that of a free pattern shows that no wall explains the echo."""
-    least = _least(reading)
-    rich = spectra.views >= settings.body.through_views
-    if rich and least - reading.noise > settings.decision.unexplained * max(reading.body_left - least, 0.0):
-        # Five free terms hold the patterns of round walls.
-        return None
-    from tagid.tags.bodies.cylinder_reader import read_on_cylinder
-
-    beside = read_on_cylinder(spectra, layouts, reading, settings.body)
-    if beside is None or known.points is None:
-        return beside
-    return beside.against(known.points)
+    """A reading on a round body that is refused, or has many free terms, after what a wall says of it."""
+    beside = read_beside_wall(reading, known.points, spectra, layouts, settings.body, settings.decision)
+    if beside is not None:
+        told = _judged(known, beside, settings)
+        if told.status == "identified":
+            return beside, told
+    if verdict.status == "identified" and not borne_out(reading, beside, settings.decision):
+        named = reading.layouts[0].layout
+        verdict = Verdict("unknown", Code.BODY, f"no round wall bears out {named} on a round body")
+    return reading, verdict
 
 
 def _shows(known: _Bare, reading: BodyReading, settings: ContestSettings) -> bool:

@@ -1,0 +1,51 @@
+"""What a round wall of known waves says of a reading on a round body with a free pattern."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from tagid.tags.bodies.body_reading import BodyReading, BodySettings
+from tagid.tags.bodies.decide import BodyDecision
+from tagid.tags.bodies.points import PointReading
+from tagid.tags.bodies.spectra import Spectra
+from tagid.tags.layouts.layout import Layout
+
+DOUBTED = 2.0
+"""A reading beside a wall bears out one with a free pattern where it leaves up to so many times what a name
+beside a wall may leave: a wall of another thickness than those tried leaves up to a quarter."""
+
+
+def read_beside_wall(
+    reading: BodyReading,
+    points: PointReading | None,
+    spectra: Spectra,
+    layouts: Sequence[Layout],
+    body: BodySettings,
+    decision: BodyDecision,
+) -> BodyReading | None:
+    """The reading beside a wall; None where that of a free pattern shows that no wall explains the echo.
+
+    Args:
+        reading: on a round body, with a free pattern.
+        points: fit of points without a body, against which it must lead; None for none.
+        spectra, layouts, body, decision: as of the reading.
+    """
+    least = min(placed.left for placed in (*reading.layouts, *reading.others))
+    rich = spectra.views >= body.through_views
+    if rich and least - reading.noise > decision.unexplained * max(reading.body_left - least, 0.0):
+        # Five free terms hold the patterns of round walls.
+        return None
+    from tagid.tags.bodies.cylinder_reader import read_on_cylinder
+
+    beside = read_on_cylinder(spectra, layouts, reading, body)
+    return beside if beside is None or points is None else beside.against(points)
+
+
+def borne_out(reading: BodyReading, beside: BodyReading | None, decision: BodyDecision) -> bool:
+    """Whether a wall bears out a layout that was named with a pattern of many free terms.
+
+    Five of them hold the echo of a helmet shell and its tag as a pair on a round body. No wall does.
+    """
+    if beside is None or beside.layouts[0].layout != reading.layouts[0].layout:
+        return False
+    return beside.lead >= decision.lead and beside.unexplained <= DOUBTED * decision.unexplained
