@@ -341,7 +341,9 @@ def _against_bodies(
             reading = reading.against(known.points) if known.points is not None else reading
             verdict = _judged(known, reading, settings)
             free = verdict.status == "identified" and reading.through
-            if not body.name and (verdict.status == "unknown" or free):
+            # Where no body shows, no name beside a wall would stand.
+            doubted = (verdict.status == "unknown" and _shows(known, reading, settings)) or free
+            if not body.name and doubted:
                 reading, verdict = _beside_wall(known, reading, verdict, spectra, layouts, settings)
             readings.append((reading, verdict))
     if not readings:
