@@ -24,7 +24,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
-from tagid.tags.bodies.calibration import Calibration, Evidence, Scores, Stratum
+from tagid.tags.bodies.calibration import Basis, Calibration, Scores, Stratum
 from tagid.tags.layouts.layout import builtin_layouts
 from tagid.tags.matching.matcher import null_evidence_of
 from train.population import STATEMENT, draw
@@ -46,9 +46,9 @@ def one(seed: int, bodies: bool = True) -> dict[str, float | int | str]:
     settings = PreprocessSettings(matched_filter=False, extent_m=0.5)
     scans = preprocess(specimen.capture, settings=settings)
     found = null_evidence_of(scans, list(builtin_layouts().values()), bodies=bodies)
-    leads = {Evidence.BARE: found.bare}
+    leads = {Basis.BARE: found.bare}
     if bodies:
-        leads |= {Evidence.ROUND: found.round, Evidence.WALL: found.wall}
+        leads |= {Basis.ROUND: found.round, Basis.WALL: found.wall}
     row: dict[str, float | int | str] = {"seed": seed, "views": specimen.views, "snr_db": found.snr_db}
     return row | {kind.value: lead if np.isfinite(lead) else REFUSED for kind, lead in leads.items()}
 
@@ -60,7 +60,7 @@ def strata(rows: list[dict[str, float | int | str]], views: list[int]) -> tuple[
         for weak, strong in pairwise(SNRS_DB):
             own = [r for r in rows if low <= float(r["views"]) < high and weak <= float(r["snr_db"]) < strong]
             scores = {}
-            for kind in Evidence:
+            for kind in Basis:
                 leads = [
                     None if r[kind.value] == REFUSED else float(r[kind.value]) for r in own if kind.value in r
                 ]
@@ -76,7 +76,7 @@ def ranges(seeds: list[int]) -> tuple[tuple[int, int], ...]:
     return tuple((seeds[a], seeds[b - 1] + 1) for a, b in pairwise(starts))
 
 
-def replaced(known: Calibration, drawn: tuple[Stratum, ...], seeds: list[int], kind: Evidence) -> Calibration:
+def replaced(known: Calibration, drawn: tuple[Stratum, ...], seeds: list[int], kind: Basis) -> Calibration:
     """A calibration with one kind of evidence of other strata, which have the same limits."""
     if [one.name for one in known.strata] != [one.name for one in drawn]:
         raise SystemExit("the strata of the file have other limits")
@@ -97,7 +97,7 @@ def main() -> None:
     parser.add_argument(
         "--views", type=int, nargs="*", default=VIEWS, help="limits of the strata; each needs 999 objects"
     )
-    parser.add_argument("--only", type=Evidence, choices=list(Evidence), help="one kind of evidence")
+    parser.add_argument("--only", type=Basis, choices=list(Basis), help="one kind of evidence")
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--scores", type=Path, default=Path("scores.jsonl"))
     arguments = parser.parse_args()
@@ -111,7 +111,7 @@ def main() -> None:
             arguments.scores.open("a") as file,
         ):
             for row in pool.imap_unordered(
-                partial(one, bodies=arguments.only is not Evidence.BARE), chosen, chunksize=4
+                partial(one, bodies=arguments.only is not Basis.BARE), chosen, chunksize=4
             ):
                 file.write(json.dumps(row) + "\n")
                 file.flush()
@@ -126,7 +126,7 @@ def main() -> None:
             known = Calibration.from_json(arguments.write.read_text("utf-8"))
             made = replaced(known, drawn, sorted(rows), arguments.only)
         else:
-            made = Calibration(STATEMENT, drawn, dict.fromkeys(Evidence, ranges(sorted(rows))))
+            made = Calibration(STATEMENT, drawn, dict.fromkeys(Basis, ranges(sorted(rows))))
         arguments.write.write_text(made.to_json())
 
 

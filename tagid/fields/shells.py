@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.errors import DataError
-from tagid.fields.bessel import Bessel, bessel, first_kind
+from tagid.fields.bessel import Bessel, bessel
 
 
 @dataclass(frozen=True)
@@ -116,17 +116,15 @@ def echoes(
     order = int(np.ceil(x.max() + 4 * x.max() ** (1 / 3) + 3))
     n = np.arange(order + 1)
     away = bessel(order, x)
-    free = first_kind(order + 1, x)
-    slopes = np.concatenate([-free[:, 1:2], (free[:, :-2] - free[:, 2:]) / 2], axis=1)
     coefficients = reflection(wavenumber, shells, order)
     turn = np.where(n == 0, 1, 2) * np.array([1, 1j, -1, -1j])[n % 4]
     cosine, sine = np.cos(n[:, None] * angle_rad), -n[:, None] * np.sin(n[:, None] * angle_rad)
-    radial = (free[:, : order + 1] + coefficients * away.h2) * turn
+    radial = (away.j + coefficients * away.h2) * turn
     out = np.empty((len(shells), len(x), len(angle_rad)), dtype=np.complex128)
     upright = np.array([one.polarisation == "V" for one in shells])
     out[upright] = (radial[upright] @ cosine) ** 2
     # E = curl G / (jk), of unit length far away.
-    along = ((slopes[:, : order + 1] + coefficients * away.dh2) * turn)[~upright] @ cosine
+    along = ((away.dj + coefficients * away.dh2) * turn)[~upright] @ cosine
     outward = (radial[~upright] @ sine) / x[:, None]
     out[~upright] = -(along**2) - outward**2
     return out

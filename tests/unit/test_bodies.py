@@ -18,7 +18,7 @@ from tagid.imaging.types import BasebandScans
 from tagid.simulate.noise import NoiseShape, draw_noise
 from tagid.tags.bodies.arrangement import difference_deg, gaps_deg, layout_gaps_deg, merged, resolution_deg
 from tagid.tags.bodies.body_reading import BodySettings
-from tagid.tags.bodies.calibration import Bound, Calibration, Evidence, Scores, Stratum, largest
+from tagid.tags.bodies.calibration import Basis, Bound, Calibration, Scores, Stratum, largest
 from tagid.tags.bodies.decide import BodyDecision
 from tagid.tags.bodies.hypothesis import Kind
 from tagid.tags.bodies.reader import read_on_body
@@ -35,7 +35,7 @@ from train.calibrate import one, replaced, strata
 from train.population import draw
 
 LAYOUTS = list(builtin_layouts().values())
-ALL = dict.fromkeys(Evidence, Scores(10**6))
+ALL = dict.fromkeys(Basis, Scores(10**6))
 ANY = Calibration("none, for these tests alone", (Stratum(1, 1000, -np.inf, np.inf, ALL),), {})
 SETTINGS = ReaderSettings(contest=ContestSettings(calibrated=ANY))
 
@@ -268,8 +268,8 @@ def test_more_signal_and_more_views_never_take_a_name_away() -> None:
 
 
 def test_calibration_promises_no_more_than_it_counted() -> None:
-    stratum = Stratum(12, 37, -np.inf, np.inf, {Evidence.ROUND: Scores(1999, (2.0, 1.0, 0.5))})
-    known = Calibration("a test", (stratum,), {Evidence.ROUND: ((0, 2000),)})
+    stratum = Stratum(12, 37, -np.inf, np.inf, {Basis.ROUND: Scores(1999, (2.0, 1.0, 0.5))})
+    known = Calibration("a test", (stratum,), {Basis.ROUND: ((0, 2000),)})
     assert Calibration.from_json(known.to_json()) == known
     bound = known.bound(1.5, 36, 10.0, 1e-3)
     assert bound.p_value == pytest.approx(2 / 2000) and bound.kept and bound.reachable
@@ -278,7 +278,7 @@ def test_calibration_promises_no_more_than_it_counted() -> None:
     assert known.bound(0.4, 36, 10.0, 1e-3).p_value == 1.0
     assert not known.bound(9.0, 36, 10.0, 1e-4).reachable
     assert known.bound(9.0, 100, 10.0, 1e-3).objects == 0
-    assert known.bound(9.0, 36, 10.0, 1e-3, Evidence.WALL).objects == 0
+    assert known.bound(9.0, 36, 10.0, 1e-3, Basis.WALL).objects == 0
     with pytest.raises(ModelError):
         Calibration.from_json("{}")
 
@@ -307,20 +307,20 @@ def test_names_without_a_body_are_calibrated_apart() -> None:
     rows = [one(seed, bodies=False) for seed in (942301, 830657)]
     assert [row["bare"] == "refused" for row in rows] == [False, True] and "round" not in rows[0]
     drawn = strata(rows, [12, 24, 361])
-    round_alone = {Evidence.ROUND: Scores(9, (2.0,), 1)}
+    round_alone = {Basis.ROUND: Scores(9, (2.0,), 1)}
     old = tuple(replace(s, scores=round_alone) for s in drawn)
     seeds = [830657, 942301]
-    made = replaced(Calibration("a test", old, {Evidence.ROUND: ((0, 9),)}), drawn, seeds, Evidence.BARE)
-    assert made.seeds[Evidence.ROUND] == ((0, 9),)
-    assert made.seeds[Evidence.BARE] == ((830657, 830658), (942301, 942302))
+    made = replaced(Calibration("a test", old, {Basis.ROUND: ((0, 9),)}), drawn, seeds, Basis.BARE)
+    assert made.seeds[Basis.ROUND] == ((0, 9),)
+    assert made.seeds[Basis.BARE] == ((830657, 830658), (942301, 942302))
     assert Calibration.from_json(made.to_json()) == made
     few, many = (one.scores for one in made.strata)
-    assert few[Evidence.ROUND] == many[Evidence.ROUND] == round_alone[Evidence.ROUND]
-    assert (few[Evidence.BARE].objects, few[Evidence.BARE].scored) == (1, 1)
-    assert many[Evidence.BARE] == Scores(1, (), 0)
-    assert made.bound(float(rows[0]["bare"]), 18, 0.0, 1e-3, Evidence.BARE).p_value == 1.0
+    assert few[Basis.ROUND] == many[Basis.ROUND] == round_alone[Basis.ROUND]
+    assert (few[Basis.BARE].objects, few[Basis.BARE].scored) == (1, 1)
+    assert many[Basis.BARE] == Scores(1, (), 0)
+    assert made.bound(float(rows[0]["bare"]), 18, 0.0, 1e-3, Basis.BARE).p_value == 1.0
     with pytest.raises(SystemExit):
-        replaced(made, drawn[:1], [1], Evidence.BARE)
+        replaced(made, drawn[:1], [1], Basis.BARE)
 
 
 def test_a_bound_is_stated_in_words() -> None:
@@ -336,7 +336,7 @@ def test_a_bound_is_stated_in_words() -> None:
 
 
 def test_too_few_calibration_objects_refuse() -> None:
-    scores = dict.fromkeys(Evidence, Scores(10))
+    scores = dict.fromkeys(Basis, Scores(10))
     few = Calibration("few", (Stratum(1, 1000, -np.inf, np.inf, scores),), {})
     settings = ReaderSettings(contest=ContestSettings(calibrated=few))
     _, capture = cans(500, 1, 20.0)[0]

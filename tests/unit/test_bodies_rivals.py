@@ -23,7 +23,7 @@ from tagid.simulate.scattering import Points
 from tagid.simulate.scene import Scene
 from tagid.simulate.specification import ReflectorSpec
 from tagid.tags.bodies.body_reading import BodySettings
-from tagid.tags.bodies.calibration import Calibration, Evidence, Scores, Stratum
+from tagid.tags.bodies.calibration import Basis, Calibration, Scores, Stratum
 from tagid.tags.bodies.hypothesis import Kind
 from tagid.tags.bodies.reader import read_on_body
 from tagid.tags.bodies.reflectors_fit import FACING, FEWEST_TERMS
@@ -40,7 +40,7 @@ from train.population import draw
 
 RESPONSES = Path(__file__).parents[1] / "data" / "responses"
 LAYOUTS = list(builtin_layouts().values())
-ALL = dict.fromkeys(Evidence, Scores(10**6))
+ALL = dict.fromkeys(Basis, Scores(10**6))
 ANY = Calibration("none, for these tests alone", (Stratum(1, 1000, -np.inf, np.inf, ALL),), {})
 SETTINGS = ReaderSettings(contest=ContestSettings(calibrated=ANY))
 RING_M = 0.045

@@ -17,7 +17,7 @@ from tagid.simulate.response import Response
 from tagid.simulate.response_file import read_response
 from tagid.simulate.response_scene import response_scene
 from tagid.tags.bodies.body_reading import BodyReading, BodySettings
-from tagid.tags.bodies.calibration import Calibration, Evidence, Scores, Stratum
+from tagid.tags.bodies.calibration import Basis, Calibration, Scores, Stratum
 from tagid.tags.bodies.cylinder_patterns import Paths, Patterns
 from tagid.tags.bodies.cylinder_reader import read_on_cylinder
 from tagid.tags.bodies.decide import BodyDecision
@@ -31,7 +31,7 @@ from tagid.tags.matching.matcher import ReaderSettings, read_tag
 
 RESPONSES = Path(__file__).parents[1] / "data" / "responses"
 LAYOUTS = list(builtin_layouts().values())
-ALL = dict.fromkeys(Evidence, Scores(10**6))
+ALL = dict.fromkeys(Basis, Scores(10**6))
 ANY = Calibration("none, for these tests alone", (Stratum(1, 1000, -np.inf, np.inf, ALL),), {})
 SETTINGS = ReaderSettings(contest=ContestSettings(calibrated=ANY))
 

@@ -15,6 +15,8 @@
 #define MOVES 32 /* directions, at most */
 #define LOAD 1e-6
 #define LARGEST 8 /* terms of a ring's pattern, at most */
+#define SIDE COLUMNS
+#include "_hermitian.h"
 
 typedef struct {
     const double *at;      /* (H, 6 + K) */
@@ -62,48 +64,6 @@ INLINE void add(double *restrict y, const double *restrict x, const double *c, i
     for (int64_t v = 0; v < n; v++) {
         y[v] += c[0] * x[v] - c[1] * x[n + v];
         y[n + v] += c[0] * x[n + v] + c[1] * x[v];
-    }
-}
-
-/* Cholesky factor of a Hermitian positive matrix, in place below the diagonal. */
-INLINE void factorise(int k, double (*g)[COLUMNS][2])
-{
-    for (int j = 0; j < k; j++) {
-        double d = g[j][j][0];
-        for (int s = 0; s < j; s++)
-            d -= g[j][s][0] * g[j][s][0] + g[j][s][1] * g[j][s][1];
-        d = sqrt(d > 1e-300 ? d : 1e-300);
-        g[j][j][0] = d;
-        for (int i = j + 1; i < k; i++) {
-            double re = g[i][j][0], im = g[i][j][1];
-            for (int s = 0; s < j; s++) {
-                re -= g[i][s][0] * g[j][s][0] + g[i][s][1] * g[j][s][1];
-                im -= g[i][s][1] * g[j][s][0] - g[i][s][0] * g[j][s][1];
-            }
-            g[i][j][0] = re / d;
-            g[i][j][1] = im / d;
-        }
-    }
-}
-
-/* x = G^-1 x by the factor. */
-INLINE void substitute(int k, double (*g)[COLUMNS][2], double (*x)[2])
-{
-    for (int i = 0; i < k; i++) {
-        for (int s = 0; s < i; s++) {
-            x[i][0] -= g[i][s][0] * x[s][0] - g[i][s][1] * x[s][1];
-            x[i][1] -= g[i][s][0] * x[s][1] + g[i][s][1] * x[s][0];
-        }
-        x[i][0] /= g[i][i][0];
-        x[i][1] /= g[i][i][0];
-    }
-    for (int i = k - 1; i >= 0; i--) {
-        for (int s = i + 1; s < k; s++) {
-            x[i][0] -= g[s][i][0] * x[s][0] + g[s][i][1] * x[s][1];
-            x[i][1] -= g[s][i][0] * x[s][1] - g[s][i][1] * x[s][0];
-        }
-        x[i][0] /= g[i][i][0];
-        x[i][1] /= g[i][i][0];
     }
 }
 

@@ -9,6 +9,8 @@
 #include <string.h>
 
 #define MOST 8 /* amplitudes per frequency, at most */
+#define SIDE MOST
+#include "_hermitian.h"
 #define LOAD 1e-6
 
 typedef struct {
@@ -63,41 +65,6 @@ INLINE void shapes(int64_t n, int64_t order, int columns, double gamma, const do
     }
 }
 
-/* x = G^-1 x, G Hermitian and positive, by its Cholesky factor, formed in place. */
-INLINE void solve(int k, double (*g)[MOST][2], double (*x)[2])
-{
-    for (int j = 0; j < k; j++) {
-        double d = g[j][j][0];
-        for (int s = 0; s < j; s++)
-            d -= g[j][s][0] * g[j][s][0] + g[j][s][1] * g[j][s][1];
-        d = sqrt(d > 1e-300 ? d : 1e-300);
-        g[j][j][0] = d;
-        for (int i = j + 1; i < k; i++) {
-            double re = g[i][j][0], im = g[i][j][1];
-            for (int s = 0; s < j; s++) {
-                re -= g[i][s][0] * g[j][s][0] + g[i][s][1] * g[j][s][1];
-                im -= g[i][s][1] * g[j][s][0] - g[i][s][0] * g[j][s][1];
-            }
-            g[i][j][0] = re / d;
-            g[i][j][1] = im / d;
-        }
-        for (int s = 0; s < j; s++) {
-            x[j][0] -= g[j][s][0] * x[s][0] - g[j][s][1] * x[s][1];
-            x[j][1] -= g[j][s][0] * x[s][1] + g[j][s][1] * x[s][0];
-        }
-        x[j][0] /= d;
-        x[j][1] /= d;
-    }
-    for (int i = k - 1; i >= 0; i--) {
-        for (int s = i + 1; s < k; s++) {
-            x[i][0] -= g[s][i][0] * x[s][0] + g[s][i][1] * x[s][1];
-            x[i][1] -= g[s][i][0] * x[s][1] - g[s][i][1] * x[s][0];
-        }
-        x[i][0] /= g[i][i][0];
-        x[i][1] /= g[i][i][0];
-    }
-}
-
 /* Energy that so many columns leave at one frequency. */
 INLINE double left_at(int64_t n, int columns, const double *wave, const double *shape, const double *data,
                       double *restrict column, double *restrict rest)
@@ -119,7 +86,8 @@ INLINE double left_at(int64_t n, int columns, const double *wave, const double *
     }
     for (int p = 0; p < columns; p++)
         gram[p][p][0] += LOAD * size[p] + (size[p] > 1e-9 * most ? 0.0 : 1.0);
-    solve(columns, gram, amplitude);
+    factorise(columns, gram);
+    substitute(columns, gram, amplitude);
     memcpy(rest, data, (size_t)(2 * n) * sizeof(double));
     for (int p = 0; p < columns; p++) {
         const double *restrict own = column + 2 * n * p;

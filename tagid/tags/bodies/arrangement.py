@@ -72,6 +72,14 @@ def difference_deg(one: NDArray[np.floating], other: NDArray[np.floating]) -> fl
     return float(np.abs(one - other[start - start[:, None]]).max(axis=1).min())
 
 
+def apart_deg(angles: NDArray[np.floating], wanted: NDArray[np.floating], resolution: float) -> float:
+    """Difference of reflectors' angles (K,), rad, from a layout's gaps, at the best stage of their joining.
+
+    A layout may itself have neighbours nearer than the resolution: every stage is compared.
+    """
+    return min(difference_deg(gaps, wanted) for gaps in merging(gaps_deg(angles), resolution))
+
+
 def turn_to(angles: NDArray[np.floating], layout: NDArray[np.floating]) -> list[float]:
     """Turns (rad) that bring a layout's angles (K,) nearest to as many measured ones, one per pairing."""
     measured, own = np.sort(np.mod(angles, 2 * np.pi)), np.sort(np.mod(layout, 2 * np.pi))

@@ -202,6 +202,11 @@ class BodyReading:
     wall: Shell | None = None
 
     @property
+    def least(self) -> float:
+        """The least energy that any arrangement leaves on this body."""
+        return min(placed.left for placed in (*self.layouts, *self.others))
+
+    @property
     def nominal_m(self) -> float:
         """Mean distance of the best layout's reflectors from their centre, as built, m."""
         batch = self.layouts[0].batch

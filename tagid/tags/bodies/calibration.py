@@ -55,7 +55,7 @@ class Bound:
         return self.p_value <= self.false_accept * (1 + 1e-9)
 
 
-class Evidence(StrEnum):
+class Basis(StrEnum):
     """By which model a layout is named."""
 
     ROUND = "round"
@@ -113,7 +113,7 @@ class Stratum:
     views_to: int
     snr_from_db: float
     snr_to_db: float
-    scores: Mapping[Evidence, Scores]
+    scores: Mapping[Basis, Scores]
 
     @property
     def name(self) -> str:
@@ -137,7 +137,7 @@ class Calibration:
 
     population: str
     strata: tuple[Stratum, ...]
-    seeds: Mapping[Evidence, tuple[tuple[int, int], ...]]
+    seeds: Mapping[Basis, tuple[tuple[int, int], ...]]
     terms: int = 5
 
     @classmethod
@@ -161,7 +161,7 @@ class Calibration:
                     _number(one["snr_db"][0], -np.inf),
                     _number(one["snr_db"][1], np.inf),
                     {
-                        Evidence(kind): Scores(
+                        Basis(kind): Scores(
                             int(some["objects"]),
                             tuple(sorted((float(s) for s in some["kept"]), reverse=True)),
                             _count(some["scored"]),
@@ -172,7 +172,7 @@ class Calibration:
                 for one in data["strata"]
             )
             seeds = {
-                Evidence(kind): tuple((int(a), int(b)) for a, b in pairs)
+                Basis(kind): tuple((int(a), int(b)) for a, b in pairs)
                 for kind, pairs in data["seeds"].items()
             }
             return cls(str(data["population"]), strata, seeds, int(data["terms"]))
@@ -202,7 +202,7 @@ class Calibration:
         return json.dumps(data, indent=1) + "\n"
 
     def bound(
-        self, score: float, views: int, snr_db: float, false_accept: float, kind: Evidence = Evidence.ROUND
+        self, score: float, views: int, snr_db: float, false_accept: float, kind: Basis = Basis.ROUND
     ) -> Bound:
         """The promise for evidence of that strength; no objects where no stratum fits."""
         for one in self.strata:

@@ -15,11 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.tags.bodies.arrangement import (
-    difference_deg,
-    gaps_deg,
+    apart_deg,
     kind_of,
     layout_gaps_deg,
-    merging,
     off_axis,
     resolution_deg,
     turned_on,
@@ -28,7 +26,7 @@ from tagid.tags.bodies.body_reading import BodyReading, BodySettings, Placed
 from tagid.tags.bodies.cylinder_fit import CylinderFitter, Ringed
 from tagid.tags.bodies.cylinder_patterns import Paths, Patterns
 from tagid.tags.bodies.hypothesis import Pose
-from tagid.tags.bodies.reflectors_fit import COMMON, THROUGH, Batch, Pattern
+from tagid.tags.bodies.reflectors_fit import COMMON, POINTS, THROUGH, Batch
 from tagid.tags.bodies.ring import Ring, peaks
 from tagid.tags.bodies.spectra import Spectra, centred
 from tagid.tags.bodies.symmetric import symmetric_left
@@ -36,7 +34,6 @@ from tagid.tags.layouts.layout import Layout
 
 COUNT = 48
 """Angles on a ring: 7.5 degrees, 6 mm on a mug's ring."""
-_RIDGE = 1e-3
 _WALLS, _KEPT, _BEAM = 10, 12, 6
 """Walls beside which every number of reflectors is tried; other arrangements fitted; sets kept per number."""
 OUTWARD_M = 8e-3
@@ -212,25 +209,19 @@ class _CylinderReader:
         """Reflectors all around a centre, beside each of some walls."""
         angles = 2 * np.pi * np.arange(COUNT) / COUNT
         echo = self.first.body.echo(self.coarse, np.array([centre]), np.zeros(1))[0]
-        unit = centred(echo)
-        unit = unit / np.maximum(np.linalg.norm(unit, axis=-1, keepdims=True), 1e-9)
-        data = self.coarse.data
-        data = data - (data * unit.conj()).sum(axis=-1, keepdims=True) * unit
-        energy, given = float((np.abs(data) ** 2).sum()), data.astype(np.complex64)[..., None]
         one = np.ones((1, COUNT))
         paths = Paths.of(self.coarse, np.array([centre]), self.radius_m * one, angles[None], 0 * one)
-        found = []
-        for shell in shells:
-            columns = centred(self.coarse_patterns.columns(paths, np.array([shell]))[0])
-            columns = columns - (columns @ unit.conj()[..., None]) * unit[:, None]
-            narrow = columns.astype(np.complex64)
-            gram = narrow.conj() @ np.swapaxes(narrow, 1, 2)
-            right = (narrow.conj() @ given)[..., 0]
-            ridge = _RIDGE * np.einsum("fnn->f", gram).real / COUNT
-            found.append(
-                Ring(self.radius_m, Pattern(0, 1), angles, energy, gram, right, ridge.astype(np.float32))
+        return [
+            Ring.from_columns(
+                self.coarse.data,
+                centred(self.coarse_patterns.columns(paths, np.array([shell]))[0]),
+                echo,
+                self.radius_m,
+                POINTS,
+                angles,
             )
-        return found
+            for shell in shells
+        ]
 
     def _turned(self, layout: Layout, ring: Ring, shell: int, centre: complex) -> list[Ringed]:
         """The best turns of a layout on a ring."""
@@ -299,12 +290,9 @@ class _CylinderReader:
         resolution = resolution_deg(self.radius_m)
 
         def away(row: Ringed) -> float:
-            joined = merging(gaps_deg(row.angles), resolution)
-            return min(difference_deg(gaps, wanted) for gaps in joined)
+            return apart_deg(row.angles, wanted, resolution)
 
-        # Each angle that is free costs half the logarithm of the number of values (Schwarz 1978).
-        angle = 0.5 * spectra.noise * np.log(2 * spectra.data.size)
-        others = [self._placed(row, row.left + angle * (len(row.angles) - 1)) for row in free]
+        others = [self._placed(row, row.left + spectra.angle_cost * (len(row.angles) - 1)) for row in free]
         others = [p for p, row in zip(others, free, strict=True) if away(row) > settings.other_deg]
         layouts = [self._placed(row, row.left) for row in ranked]
         every = sorted([*others, *layouts[1:]], key=lambda p: p.charged)

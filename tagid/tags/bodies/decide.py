@@ -84,7 +84,7 @@ def decide_on_body(reading: BodyReading, settings: BodyDecision) -> Verdict:
     r, s = reading, settings
     name = f"the enrolled body {r.body.name}" if r.body.name else "a round body"
     best = r.layouts[0]
-    gain = r.body_left - min(placed.left for placed in (*r.layouts, *r.others))
+    gain = r.body_left - r.least
     if gain < s.no_tag_nats * r.variance + s.no_tag_share * r.energy:
         return Verdict("no_tag", Code.NO_TAG, f"{name} without reflectors explains the echo")
     left = Verdict(

@@ -15,10 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.tags.bodies.arrangement import (
-    difference_deg,
+    apart_deg,
     gaps_deg,
     kind_of,
-    merging,
     off_axis,
     resolution_deg,
     turn_to,
@@ -488,9 +487,8 @@ class BodyReader:
         high = float(radii.mean()) + settings.priors.radius_high_m + settings.other_radius_m / 2
 
         def away(p: Placed, least_deg: float = 0.0) -> float:
-            # A layout may itself have neighbours nearer than that: every stage of joining is compared.
             resolution = max(resolution_deg(float(p.radii.mean())), least_deg)
-            return min(difference_deg(gaps, wanted) for gaps in merging(gaps_deg(p.angles), resolution))
+            return apart_deg(p.angles, wanted, resolution)
 
         @cache
         def other(p: Placed, least_deg: float = 0.0) -> bool:
@@ -520,9 +518,7 @@ class BodyReader:
             held = rough + (settings.split_error - settings.simple_error) * tag
             lead = min(lead, (few[0].charged - best.charged) / held)
         elif few:
-            # Each angle that is free costs half the logarithm of the number of values (Schwarz 1978).
-            angle = 0.5 * self.spectra.noise * np.log(2 * self.spectra.data.size)
-            least = min(p.charged + angle * (len(p.angles) - 1) for p in few)
+            least = min(p.charged + self.spectra.angle_cost * (len(p.angles) - 1) for p in few)
             held = (least - best.charged) / error
             imitated = walled and 0 <= held < settings.nested_lead <= lead
             if imitated and led_before_wall(self.fitter, best, few, tag, settings):

@@ -53,7 +53,19 @@ class Ring:
         """A ring of `count` angles; `body` (F, V) is the body's echo at its pose, None for none."""
         angles = np.arange(count) * 2 * np.pi / count
         cols = ring_columns(spectra, centre, radius_m, pattern, angles)
-        data = spectra.data
+        return cls.from_columns(spectra.data, cols, body, radius_m, pattern, angles)
+
+    @classmethod
+    def from_columns(
+        cls,
+        data: NDArray[np.complex128],
+        cols: NDArray[np.complex128],
+        body: NDArray[np.complex128] | None,
+        radius_m: float,
+        pattern: Pattern,
+        angles: NDArray[np.float64],
+    ) -> Ring:
+        """A ring of reflectors of known echoes: columns (F, N M, V) without the room; the rest as `of`."""
         if body is not None:
             unit = centred(body)
             size = np.linalg.norm(unit, axis=-1, keepdims=True)
@@ -64,7 +76,7 @@ class Ring:
         m = pattern.terms
         gram = narrow.conj() @ np.swapaxes(narrow, 1, 2)
         right = (narrow.conj() @ data.astype(np.complex64)[..., None])[..., 0]
-        ridge = _RIDGE * np.einsum("fnn->f", gram).real / (count * m)
+        ridge = _RIDGE * np.einsum("fnn->f", gram).real / (len(angles) * m)
         return cls(
             radius_m,
             pattern,

@@ -122,6 +122,11 @@ class Spectra:
         return float(self.noise * len(self.wavenumbers) * np.log(self.views))
 
     @property
+    def angle_cost(self) -> float:
+        """Energy charged for an angle that is free: half the log of the values' number (Schwarz 1978)."""
+        return float(0.5 * self.noise * np.log(2 * self.data.size))
+
+    @property
     def views(self) -> int:
         """Number of views V."""
         return int(self.data.shape[1])

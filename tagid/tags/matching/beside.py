@@ -30,7 +30,7 @@ def read_beside_wall(
         points: fit of points without a body, against which it must lead; None for none.
         spectra, layouts, body, decision: as of the reading.
     """
-    least = min(placed.left for placed in (*reading.layouts, *reading.others))
+    least = reading.least
     rich = spectra.views >= body.through_views
     if rich and least - reading.noise > decision.unexplained * max(reading.body_left - least, 0.0):
         # Five free terms hold the patterns of round walls.

@@ -15,7 +15,7 @@ import numpy as np
 from tagid.imaging.types import BasebandScans
 from tagid.tags.bodies.arrangement import difference_deg, gaps_deg, layout_gaps_deg
 from tagid.tags.bodies.body_reading import BodyReading, BodySettings
-from tagid.tags.bodies.calibration import Bound, Calibration, Evidence
+from tagid.tags.bodies.calibration import Basis, Bound, Calibration
 from tagid.tags.bodies.decide import BodyDecision, decide_on_body, score, tag_snr_db
 from tagid.tags.bodies.hypothesis import Enrolled, Explanation, Kind, Pose, plausible
 from tagid.tags.bodies.objects import ObjectDecision, ObjectReading, decide_object, read_objects
@@ -311,7 +311,7 @@ def _promised(
     if reading.status != "identified" or reading.kind is not Kind.BARE or points is None:
         return reading
     bound = settings.calibration().bound(
-        points.lead, spectra.views, points.snr_db, settings.false_accept, Evidence.BARE
+        points.lead, spectra.views, points.snr_db, settings.false_accept, Basis.BARE
     )
     return replace(reading, bound=bound)
 
@@ -382,13 +382,13 @@ def _against_bodies(
             code=Code.AMBIGUOUS,
             reason=f"the echo is that of {bare.layout} without a body, or of {best.layouts[0].layout} on one",
         )
-    first, verdict = min(alone or readings, key=lambda pair: _least(pair[0]))
+    first, verdict = min(alone or readings, key=lambda pair: pair[0].least)
     if named:
         return _contested(bare, own, first, layouts, settings)
     elsewhere = known.points is not None and known.points.displaced(settings.points)
     if elsewhere and verdict.status != "no_tag":
         return replace(bare, body=first)
-    clearer = own.left > max(settings.better * _share(first, _least(first)), settings.decision.unexplained)
+    clearer = own.left > max(settings.better * _share(first, first.least), settings.decision.unexplained)
     if clearer or verdict.status == "no_tag":
         if bare.status == "no_tag":
             return replace(bare, body=first)
@@ -462,8 +462,8 @@ def _clearer(
     if reading.unexplained <= settings.decision.unexplained:
         return reading
     centres = [first.pose.centre]
-    below = read_below(spectra, layouts, reading.body, settings.body, centres, _least(reading))
-    if below is None or _least(below) >= _least(reading):
+    below = read_below(spectra, layouts, reading.body, settings.body, centres, reading.least)
+    if below is None or below.least >= reading.least:
         return reading
     # Without a tag the body stands where it leaves least on its own.
     return replace(below, body_left=min(reading.body_left, below.body_left))
@@ -475,7 +475,7 @@ def _bound(reading: BodyReading, settings: ContestSettings) -> Bound:
     evidence = score(reading, settings.decision)
     if reading.wall is not None:
         return calibration.bound(
-            evidence, reading.views, tag_snr_db(reading), settings.false_accept, Evidence.WALL
+            evidence, reading.views, tag_snr_db(reading), settings.false_accept, Basis.WALL
         )
     if terms > calibration.terms:
         return Bound(1.0, settings.false_accept, 0, f"patterns of {terms} terms", calibration.population)
@@ -521,11 +521,6 @@ def _share(reading: BodyReading, left: float) -> float:
 
 def _left(reading: BodyReading) -> float:
     return _share(reading, reading.layouts[0].left)
-
-
-def _least(reading: BodyReading) -> float:
-    """The least energy that any arrangement leaves on this body."""
-    return min(placed.left for placed in (*reading.layouts, *reading.others))
 
 
 def _contested(
