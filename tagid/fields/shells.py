@@ -96,10 +96,12 @@ def _through(
 def echoes(
     wavenumber: NDArray[np.float64], shells: Sequence[Shell], radius_m: float, angle_rad: NDArray[np.float64]
 ) -> NDArray[np.complex128]:
-    """Two-way response of a small isotropic reflector beside every shell, (S, F, P): E . E there.
+    """Two-way responses of a small isotropic reflector beside every shell, (2, S, F, P).
 
-    In free space it is exp(2jk r cos phi). By reciprocity it holds the direct way, those by way of the body
-    once and twice; only what bounces between reflector and body more than once is missing.
+    First that of an electric dipole, E . E, then that of a magnetic one, H . H, in units of the incident
+    field. In free space both are exp(2jk r cos phi), and only their sum is known; beside a wall they differ.
+    By reciprocity they hold the direct way, those by way of the body once and twice; only what bounces
+    between reflector and body more than once is missing.
 
     Args:
         wavenumber: (F,), rad/m.
@@ -120,11 +122,10 @@ def echoes(
     turn = np.where(n == 0, 1, 2) * np.array([1, 1j, -1, -1j])[n % 4]
     cosine, sine = np.cos(n[:, None] * angle_rad), -n[:, None] * np.sin(n[:, None] * angle_rad)
     radial = (away.j + coefficients * away.h2) * turn
-    out = np.empty((len(shells), len(x), len(angle_rad)), dtype=np.complex128)
-    upright = np.array([one.polarisation == "V" for one in shells])
-    out[upright] = (radial[upright] @ cosine) ** 2
-    # E = curl G / (jk), of unit length far away.
-    along = ((away.dj + coefficients * away.dh2) * turn)[~upright] @ cosine
-    outward = (radial[~upright] @ sine) / x[:, None]
-    out[~upright] = -(along**2) - outward**2
-    return out
+    # The axial field, and the other one, its curl over jk; both are of unit length far away.
+    axial = (radial @ cosine) ** 2
+    along = ((away.dj + coefficients * away.dh2) * turn) @ cosine
+    outward = (radial @ sine) / x[:, None]
+    across = -(along**2) - outward**2
+    upright = np.array([one.polarisation == "V" for one in shells])[:, None, None]
+    return np.stack([np.where(upright, axial, across), np.where(upright, across, axial)])

@@ -319,8 +319,13 @@ def test_names_without_a_body_are_calibrated_apart() -> None:
     assert (few[Basis.BARE].objects, few[Basis.BARE].scored) == (1, 1)
     assert many[Basis.BARE] == Scores(1, (), 0)
     assert made.bound(float(rows[0]["bare"]), 18, 0.0, 1e-3, Basis.BARE).p_value == 1.0
-    with pytest.raises(SystemExit):
-        replaced(made, drawn[:1], [1], Basis.BARE)
+    finer = replaced(made, strata(rows, [12, 18, 24, 361]), seeds, Basis.BARE)
+    assert [sorted(s.scores) for s in finer.strata] == [["round"], ["bare", "round"], ["bare"], ["bare"]]
+    assert [(s.views_from, s.views_to) for s in finer.strata] == [(12, 24), (24, 361), (12, 18), (18, 24)]
+    assert Calibration.from_json(finer.to_json()) == finer
+    assert [finer.bound(9.0, 12, 0.0, 1e-3, kind).objects for kind in (Basis.ROUND, Basis.BARE)] == [9, 1]
+    assert [finer.bound(9.0, 18, 0.0, 1e-3, kind).objects for kind in (Basis.ROUND, Basis.BARE)] == [9, 0]
+    assert finer.bound(9.0, 18, 0.0, 1e-3, Basis.WALL).objects == 0
 
 
 def test_a_bound_is_stated_in_words() -> None:

@@ -20,8 +20,9 @@ from tagid.tags.bodies.body_reading import BodyReading, BodySettings
 from tagid.tags.bodies.calibration import Basis, Calibration, Scores, Stratum
 from tagid.tags.bodies.cylinder_patterns import Paths, Patterns
 from tagid.tags.bodies.cylinder_reader import read_on_cylinder
-from tagid.tags.bodies.decide import BodyDecision
+from tagid.tags.bodies.decide import BodyDecision, decide_on_body
 from tagid.tags.bodies.reader import read_on_body
+from tagid.tags.bodies.reflectors_fit import solve
 from tagid.tags.bodies.revolution import RoundBody
 from tagid.tags.bodies.spectra import Spectra, centred
 from tagid.tags.layouts.layout import builtin_layouts
@@ -86,7 +87,8 @@ def test_metal_is_told_from_ceramic() -> None:
     found = beside(spectra_of("can30_c180", "V"))
     assert found.layouts[0].layout == "container-180" and found.unexplained < 0.03
     assert found.wall is not None and found.wall.metal
-    assert found.wall.radius_m == pytest.approx(0.030, abs=4e-3)
+    # Two amplitudes for the tag leave a radius that is less sharp.
+    assert found.wall.radius_m == pytest.approx(0.030, abs=7e-3)
 
 
 @pytest.mark.parametrize("name", ["can30_foreign", "cup36_one", "can40_one"])
@@ -99,7 +101,9 @@ def test_other_tags_on_round_bodies_are_other_arrangements(name: str, polarisati
 @pytest.mark.parametrize("name", ["box_c90", "handle34_c90"])
 def test_bodies_that_are_not_round_are_not_explained(name: str) -> None:
     found = reading_of(spectra_of(name, "V"))
-    assert found is None or found.unexplained > 0.3
+    assert found is None or (
+        found.unexplained > 0.2 and decide_on_body(found, BodyDecision()).status == "unknown"
+    )
 
 
 def test_a_tag_on_a_cup_is_named_with_few_views_and_in_noise() -> None:
@@ -143,14 +147,16 @@ def test_one_reflector_beside_a_cup_has_the_pattern_of_its_wall() -> None:
     patterns = Patterns.of(spectra, 0.045)
     one = np.ones((1, 1))
     paths = Paths.of(spectra, np.zeros(1, complex), 0.045 * one, 0 * one, 0 * one)
-    left = [_left(spectra, patterns.columns(paths, np.array([i]))) for i in range(len(patterns.shells))]
+    beside = [patterns.columns(paths, np.array([i]))[:, 0, :, 0] for i in range(len(patterns.shells))]
+    left = [_left(spectra, columns[:1]) for columns in beside]
     best = patterns.shells[int(np.argmin(left))]
-    assert min(left) < 0.10 < 0.25 < _left(spectra, paths.waves)
+    assert min(left) < 0.10 < 0.25 < _left(spectra, paths.waves[:, :, 0])
+    # A reflector answers both fields.
+    assert _left(spectra, beside[int(np.argmin(left))]) < 0.8 * min(left)
     assert (best.metal, best.polarisation) == (False, "V") and abs(best.radius_m - 0.036) < 3e-3
 
 
 def _left(spectra: Spectra, columns: NDArray[np.complex128]) -> float:
-    """Share of the echo that one amplitude per frequency leaves."""
-    column = centred(columns[0, :, 0])
-    along = (column.conj() * spectra.data).sum(axis=1) / (np.abs(column) ** 2).sum(axis=1)
-    return float((np.abs(spectra.data - along[:, None] * column) ** 2).sum() / spectra.energy)
+    """Share of the echo that amplitudes per frequency of columns (C, F, V) leave."""
+    found = solve(spectra.data, centred(columns.swapaxes(0, 1))[None])
+    return float(found.left[0]) / spectra.energy

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from tagid.errors import DataError
 from tagid.fields.shells import Shell, echoes, reflection
@@ -31,7 +32,7 @@ def test_upright_polarisation_is_that_of_the_solution_layer_by_layer(
     shell: Shell, layers: tuple[Layer, ...]
 ) -> None:
     expected = Multipoles.of(K, layers).field(0.045, ANGLES) ** 2
-    assert np.abs(echoes(K, [shell], 0.045, ANGLES)[0] - expected).max() < 1e-5
+    assert np.abs(echoes(K, [shell], 0.045, ANGLES)[0, 0] - expected).max() < 1e-5
 
 
 def test_horizontal_polarisation_of_metal_is_the_exact_series() -> None:
@@ -52,15 +53,41 @@ def test_lossless_bodies_return_all_energy(shell: Shell) -> None:
 def test_a_wall_of_air_changes_nothing(polarisation: str) -> None:
     air = Shell(0.030, 0.003, 1.0, False, polarisation)
     direct = np.exp(2j * K[:, None] * 0.045 * np.cos(ANGLES))
-    assert np.abs(echoes(K, [air], 0.045, ANGLES)[0] - direct).max() < 1e-5
+    assert np.abs(echoes(K, [air], 0.045, ANGLES)[:, 0] - direct).max() < 1e-5
 
 
 def test_a_reflector_far_behind_metal_is_in_its_shadow_and_far_before_it_seen_twice() -> None:
     """Before a wide mirror the field is a standing wave: from 0 to 2 times that of the incident one."""
     metal = Shell(0.30, 0.0, 1.0, True)
-    echo = np.abs(echoes(np.array([83.0]), [metal], 0.319, np.array([0.0, np.pi]))[0, 0])
-    # At a quarter of a wavelength before the wall the direct and the reflected wave add up, both ways.
-    assert 3.5 < echo[0] < 4.5 and echo[1] < 0.05
+    electric, magnetic = np.abs(echoes(np.array([83.0]), [metal], 0.319, np.array([0.0, np.pi]))[:, 0, 0])
+    # At a quarter of a wavelength before the wall the direct and the reflected wave add up, both ways;
+    # the magnetic field has its node there.
+    assert 3.5 < electric[0] < 4.5 and electric[1] < 0.05
+    assert magnetic[0] < 0.1 and magnetic[1] < 0.05
+
+
+@pytest.mark.parametrize("polarisation", ["V", "H"])
+def test_at_metal_the_field_along_it_vanishes_and_the_magnetic_one_is_doubled(polarisation: str) -> None:
+    metal = Shell(0.30, 0.0, 1.0, True, polarisation)
+    electric, magnetic = echoes(K, [metal], 0.3001, np.zeros(1))[:, 0, :, 0]
+    assert np.abs(electric).max() < 1e-3 and np.abs(np.abs(magnetic) - 4).max() < 0.1
+
+
+@pytest.mark.parametrize("shell", [CERAMIC, across(CERAMIC), COATED])
+def test_the_other_field_is_the_curl_of_the_axial_one(shell: Shell) -> None:
+    """By differences of the axial one, G: (grad G)^2 = (grad G^2)^2 / 4 G^2, and H = curl E j / k."""
+    radius, step = 0.045, 1e-6
+    angles = np.concatenate([ANGLES - step / radius, ANGLES, ANGLES + step / radius])
+
+    def fields(radius_m: float) -> NDArray[np.complex128]:
+        both = echoes(K, [shell], radius_m, angles)[:, 0]
+        return both if shell.polarisation == "V" else both[::-1]
+
+    (before, axial, behind), (_, other, _) = (x.reshape(len(K), 3, -1).swapaxes(0, 1) for x in fields(radius))
+    outside, inside = (fields(radius + d)[0].reshape(len(K), 3, -1)[:, 1] for d in (step, -step))
+    squared = (outside - inside) ** 2 + (behind - before) ** 2
+    expected = -squared / (2 * step) ** 2 / (4 * K[:, None] ** 2 * axial)
+    assert np.abs(other - expected).max() < 1e-3 * np.abs(other).max()
 
 
 def test_a_reflector_inside_the_body_is_refused() -> None:

@@ -167,7 +167,8 @@ class BodyReading:
         early_m: how much earlier than a point in its place a reflector answers, one way, m. A reflector
             answers from its place to within the bounce at the wall and the error of the axis distance; the
             wall of an oval body imitates a pair, but answers from far outside its apparent radius.
-        through: the pattern has more terms than that of a reflector before an opaque wall.
+        through: the wave passes through the body: the pattern has more terms than that of a reflector before
+            an opaque wall, or the wall is not metal.
         front_m: the same of the body about its centre, the radius of a body with a wall; the smaller one of
             those beside the layout and beside another arrangement that leaves less.
         body_energy: that the body explains beside the reflectors; the smaller one as well.

@@ -130,7 +130,7 @@ class Calibration:
 
     Attributes:
         population: what it is, in words.
-        strata: they do not overlap.
+        strata: those with scores of one kind of evidence do not overlap.
         seeds: [first, last) of the population's seeds, by kind of evidence.
         terms: most terms of the reflectors' free pattern with which layouts were read.
     """
@@ -206,9 +206,9 @@ class Calibration:
     ) -> Bound:
         """The promise for evidence of that strength; no objects where no stratum fits."""
         for one in self.strata:
-            inside = one.views_from <= views < one.views_to
+            inside = kind in one.scores and one.views_from <= views < one.views_to
             if inside and one.snr_from_db <= snr_db < one.snr_to_db:
-                some = one.scores.get(kind, Scores())
+                some = one.scores[kind]
                 return Bound(some.p_value(score), false_accept, some.objects, one.name, self.population)
         return Bound(1.0, false_accept, 0, f"{views} views, {snr_db:.0f} dB", self.population)
 

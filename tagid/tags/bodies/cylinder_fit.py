@@ -1,7 +1,11 @@
 """The fit of arrangements of alike reflectors beside round walls: places searched, amplitudes solved inside.
 
-Per frequency, with the room subtracted from data and columns alike, Y = A echo(body) + g sum_k w_k, w_k the
-echo of a reflector beside the wall (`cylinder_patterns`). A and g are free.
+Per frequency, with the room subtracted from data and columns alike,
+
+    Y = A echo(body) + g sum_k e_k + m sum_k h_k,
+
+e_k and h_k the echoes of a reflector beside the wall as an electric and as a magnetic dipole
+(`cylinder_patterns`). A, g and m are free.
 """
 
 from __future__ import annotations
@@ -104,7 +108,7 @@ class CylinderFitter:
     variance: float
 
     def solved(self, rows: Sequence[Ringed]) -> Solved:
-        """Amplitudes of body and reflectors (H, F, 2), and what they leave."""
+        """Amplitudes (H, F, 3) of the body and of the reflectors' dipoles, and what they leave."""
         many = _Many.of(rows)
         return self._solved(many, many.at)
 
@@ -168,5 +172,6 @@ class CylinderFitter:
         echo = self.body.echo(self.spectra, centres, np.zeros(len(at)))
         paths = Paths.of(self.spectra, centres, many.radii + at[:, 2:3], at[:, 3:], many.heights)
         each = self.patterns.columns(paths, many.shells)
-        tag = (each * many.present[:, None, :, None]).sum(axis=2)
-        return solve(self.spectra.data, centred(np.stack([np.broadcast_to(echo, tag.shape), tag], axis=2)))
+        electric, magnetic = (each * many.present[:, None, :, None]).sum(axis=3)
+        echo = np.broadcast_to(echo, electric.shape)
+        return solve(self.spectra.data, centred(np.stack([echo, electric, magnetic], axis=2)))

@@ -1,8 +1,8 @@
 """Which alike reflectors beside which round wall made the echo, where free patterns cannot tell.
 
 On a can, cup or glass that the reader of free patterns refuses, every arrangement of 1 to 4 reflectors is
-fitted beside walls of metal, plastic, ceramic and glass of every size that the layouts leave room for. One
-amplitude per frequency is left for the tag, so that arrangements which patterns of five terms make alike
+fitted beside walls of metal, plastic, ceramic and glass of every size that the layouts leave room for. Two
+amplitudes per frequency are left for the tag, so that arrangements which patterns of five terms make alike
 differ by a tenth of the echo and more.
 """
 
@@ -26,7 +26,7 @@ from tagid.tags.bodies.body_reading import BodyReading, BodySettings, Placed
 from tagid.tags.bodies.cylinder_fit import CylinderFitter, Ringed
 from tagid.tags.bodies.cylinder_patterns import Paths, Patterns
 from tagid.tags.bodies.hypothesis import Pose
-from tagid.tags.bodies.reflectors_fit import COMMON, POINTS, THROUGH, Batch
+from tagid.tags.bodies.reflectors_fit import COMMON, POINTS, THROUGH, Batch, Solved
 from tagid.tags.bodies.ring import Ring, peaks
 from tagid.tags.bodies.spectra import Spectra, centred
 from tagid.tags.bodies.symmetric import symmetric_left
@@ -117,6 +117,16 @@ class _Searched:
     rings: tuple[Ring, ...]
     starts: tuple[Ringed, ...]
     share: float
+
+
+def _alike(solved: Solved) -> NDArray[np.complex128]:
+    """(F,) amplitude of both dipoles alike that is nearest to the reflectors' echo.
+
+    Each alone is ill determined where the wall reverses neither field.
+    """
+    gram, dipoles = solved.gram[0, :, 1:, 1:], solved.amplitudes[0, :, 1:]
+    echo = (gram @ dipoles[..., None]).sum(axis=(-1, -2))
+    return np.asarray(echo / gram.sum(axis=(-1, -2)))
 
 
 class _CylinderReader:
@@ -214,7 +224,7 @@ class _CylinderReader:
         return [
             Ring.from_columns(
                 self.coarse.data,
-                centred(self.coarse_patterns.columns(paths, np.array([shell]))[0]),
+                centred(self.coarse_patterns.columns(paths, np.array([shell]), 1)[0, 0]),
                 echo,
                 self.radius_m,
                 POINTS,
@@ -309,9 +319,9 @@ class _CylinderReader:
         if lead > 0 and layout.symmetry > 1:
             hints = (best.centre, first.pose.centre)
             alone = symmetric_left(spectra, layout.symmetry, 3, hints)
-            untagged = (alone + spectra.amplitude_cost - best.left) / rough
+            untagged = (alone - best.left) / rough
         solved = self.fitter.solved([best])
-        body, reflectors = solved.amplitudes[0, :, 0], solved.amplitudes[0, :, 1]
+        body, wall = solved.amplitudes[0, :, 0], self.fitter.patterns.shells[best.shell]
         echo = centred(first.body.echo(spectra, np.array([best.centre]), np.zeros(1))[0])
         return BodyReading(
             body=first.body,
@@ -333,11 +343,11 @@ class _CylinderReader:
             angle_off_deg=away(own) if own is not None else 180.0,
             radius_off_m=0.0,
             tag_nats=tag / max(spectra.noise, 1e-30),
-            early_m=spectra.early_m(reflectors),
-            through=False,
+            early_m=spectra.early_m(_alike(solved)),
+            through=not wall.metal,
             front_m=spectra.early_m(body),
             body_energy=float((np.abs(body[:, None] * echo) ** 2).sum()),
-            wall=self.fitter.patterns.shells[best.shell],
+            wall=wall,
         )
 
     def _placed(self, row: Ringed, charged: float) -> Placed:

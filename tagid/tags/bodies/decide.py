@@ -19,6 +19,8 @@ class BodyDecision:
     Attributes:
         unexplained: largest share of the tag's echo that its layout may leave, in any noise. A handle, an
             oval wall or another tag leave 20 % or more.
+        wall_unexplained: the same beside a wall: one that tapers, or ends near the reflectors, leaves a
+            fifth, other arrangements a quarter and more.
         round_left: and on a round body no more than this beyond what noise may add: tags on full-wave cans
             and cups leave up to 3 %, and a wobble of 1 % as much; tags on helmet shells, read as ones on a
             round body, 12 % or more.
@@ -34,6 +36,8 @@ class BodyDecision:
         wall_share: a body with this share of the moving echo has a wall, which cannot lie further outside the
             reflectors than the larger of `early_m`: those of full-wave cans lie 8 to 17 mm inside, 21 mm
             outside where the axis distance is wrong by 10 mm and the pulse is delayed.
+        shift_m: where the waves of a metal wall fit, its echo and that of the reflectors may be early or late
+            together by so much: the axis distance may be wrong by 20 mm, the pulse delayed by as much.
         centre_m: largest distance of the centres of body and tag from the rotation axis.
         no_tag_nats: a body is untagged where no arrangement explains so many noise variances more: fitting
             noise alone, 27 amplitudes and the places explain 40 to 50,
@@ -41,6 +45,7 @@ class BodyDecision:
     """
 
     unexplained: float = 0.15
+    wall_unexplained: float = 0.20
     round_left: float = 0.08
     noise_level: float = 0.25
     noise_sigmas: float = 3.0
@@ -49,6 +54,7 @@ class BodyDecision:
     radius_m: float = 0.025
     early_m: tuple[float, float] = (-0.065, 0.030)
     wall_share: float = 0.05
+    shift_m: float = 0.045
     centre_m: float = FARTHEST_CENTRE_M
     no_tag_nats: float = 60.0
     no_tag_share: float = 0.001
@@ -72,11 +78,22 @@ def most_unexplained(reading: BodyReading, settings: BodyDecision) -> float:
     layout leaves more than the model's own error is not that layout on a round body, whatever is worse.
     """
     r, s = reading, settings
-    if r.body.name or r.wall is not None:
+    if r.wall is not None:
+        return s.wall_unexplained
+    if r.body.name:
         return s.unexplained
     deviation = sqrt(max(r.noise, 0.0) * max(r.variance, 0.0))
     noise = s.noise_level * r.noise + s.noise_sigmas * deviation
     return min(s.unexplained, s.round_left + noise / max(r.tag, 1e-30))
+
+
+def _shift_m(reading: BodyReading, settings: BodyDecision) -> float:
+    """How much earlier than their places body and reflectors may answer alike."""
+    wall = reading.wall
+    if wall is None or not wall.metal:
+        # The wave passes through: what comes from the body comes from all its depth.
+        return 0.0
+    return min(max(reading.front_m - wall.radius_m, -settings.shift_m), settings.shift_m)
 
 
 def decide_on_body(reading: BodyReading, settings: BodyDecision) -> Verdict:
@@ -92,7 +109,7 @@ def decide_on_body(reading: BodyReading, settings: BodyDecision) -> Verdict:
         Code.UNEXPLAINED if r.body.name else Code.BODY,
         f"{best.layout} on {name} leaves {min(r.unexplained, 1):.0%} of its echo unexplained",
     )
-    if r.unexplained > s.unexplained:
+    if r.unexplained > max(most_unexplained(r, s), s.unexplained):
         return left
     # On an enrolled body the tag has its own centre: a foreign pair is a layout's about another place.
     what, off = max(("body", abs(r.pose.centre)), ("tag", abs(best.centre)), key=lambda pair: pair[1])
@@ -102,15 +119,17 @@ def decide_on_body(reading: BodyReading, settings: BodyDecision) -> Verdict:
         )
     # A body that the wave passes through returns most from behind, by paths of its own. An enrolled one may
     # be such a body even where few terms explain the echo.
-    behind = r.early_m < s.early_m[0] and not r.body.name
-    if not r.through and (behind or r.early_m > s.early_m[1]):
+    shift = _shift_m(r, s)
+    early = r.early_m - shift
+    behind = early < s.early_m[0] and not r.body.name
+    if not r.through and (behind or early > s.early_m[1]):
         return Verdict(
             "unknown",
             Code.BODY,
-            f"the echo comes from {r.early_m * 1e3:+.0f} mm before the places of {best.layout}, "
+            f"the echo comes from {early * 1e3:+.0f} mm before the places of {best.layout}, "
             "as from the wall of a body that is not round",
         )
-    inside = r.front_m - r.nominal_m
+    inside = r.front_m - r.nominal_m - shift
     if r.body_energy > s.wall_share * r.energy and inside > s.early_m[1]:
         return Verdict(
             "unknown",

@@ -10,9 +10,11 @@ from tagid.tags.bodies.points import PointReading
 from tagid.tags.bodies.spectra import Spectra
 from tagid.tags.layouts.layout import Layout
 
-DOUBTED = 2.0
-"""A reading beside a wall bears out one with a free pattern where it leaves up to so many times what a name
-beside a wall may leave: a wall of another thickness than those tried leaves up to a quarter."""
+DOUBTED = 0.30
+"""A reading beside a wall bears out one with a free pattern where it leaves up to so much: a wall of another
+thickness than those tried leaves a quarter."""
+HOPEFUL = 0.30
+"""Walls are tried where free patterns leave no more: those of wide jars leave a quarter at 36 views."""
 
 
 def read_beside_wall(
@@ -21,18 +23,17 @@ def read_beside_wall(
     spectra: Spectra,
     layouts: Sequence[Layout],
     body: BodySettings,
-    decision: BodyDecision,
 ) -> BodyReading | None:
     """The reading beside a wall; None where that of a free pattern shows that no wall explains the echo.
 
     Args:
         reading: on a round body, with a free pattern.
         points: fit of points without a body, against which it must lead; None for none.
-        spectra, layouts, body, decision: as of the reading.
+        spectra, layouts, body: as of the reading.
     """
     least = reading.least
     rich = spectra.views >= body.through_views
-    if rich and least - reading.noise > decision.unexplained * max(reading.body_left - least, 0.0):
+    if rich and least - reading.noise > HOPEFUL * max(reading.body_left - least, 0.0):
         # Five free terms hold the patterns of round walls.
         return None
     from tagid.tags.bodies.cylinder_reader import read_on_cylinder
@@ -48,4 +49,4 @@ def borne_out(reading: BodyReading, beside: BodyReading | None, decision: BodyDe
     """
     if beside is None or beside.layouts[0].layout != reading.layouts[0].layout:
         return False
-    return beside.lead >= decision.lead and beside.unexplained <= DOUBTED * decision.unexplained
+    return beside.lead >= decision.lead and beside.unexplained <= DOUBTED

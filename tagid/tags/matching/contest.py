@@ -206,7 +206,7 @@ def null_evidence(
     # Where points without a body are named, `settle` asks no wall.
     contested = _without_body(bare, points, layouts, settings) is None
     if contested and decide_on_body(reading, settings.decision).status != "no_tag":
-        beside = read_beside_wall(reading, points, spectra, layouts, settings.body, settings.decision)
+        beside = read_beside_wall(reading, points, spectra, layouts, settings.body)
         if beside is not None and _shows(known, beside, settings):
             walled = score(beside, settings.decision)
     return NullEvidence(evidence, walled, alone, tag_snr_db(reading))
@@ -422,7 +422,7 @@ def _beside_wall(
     settings: ContestSettings,
 ) -> tuple[BodyReading, Verdict]:
     """A reading on a round body that is refused, or has many free terms, after what a wall says of it."""
-    beside = read_beside_wall(reading, known.points, spectra, layouts, settings.body, settings.decision)
+    beside = read_beside_wall(reading, known.points, spectra, layouts, settings.body)
     if beside is not None:
         told = _judged(known, beside, settings)
         if told.status == "identified":
