@@ -150,6 +150,28 @@ def _tin37() -> Mesh:
     return _profile(0.0095, (0, -45), (37, -45), (37, 45), (0, 45))
 
 
+def _soda34() -> Mesh:
+    """A drink can, closed, with a shoulder."""
+    return _profile(0.0095, (0, -58), (34, -58), (34, 46), (26, 58), (0, 58))
+
+
+def _crock38() -> Mesh:
+    return shapes.can(0.038, 0.084, 0.0093, shapes.sheet(6.4, 0.0030))
+
+
+def _flask29() -> Mesh:
+    return shapes.can(0.029, 0.100, 0.0090, shapes.sheet(4.7, 0.0022))
+
+
+def _goblet33() -> Mesh:
+    """A metal cup, wider at the top, open."""
+    return _profile(0.0093, (0, -44), (30, -44), (35, 44))
+
+
+def _tub41() -> Mesh:
+    return shapes.can(0.041, 0.080, 0.0098, shapes.sheet(2.6, 0.0035))
+
+
 def _mug33() -> Mesh:
     """Metal, with a wide handle that stands near its upper rim."""
     handle = shapes.handle(0.035, 0.028, 0.056, 0.012, 0.009).moved((0.0, 0.0, 0.008), np.deg2rad(80))
@@ -232,10 +254,6 @@ OPENED = {
     "box60": Object(_box60),
     "box60_c180": Object(_box60, 24, ring(43, 0, 180)),
     "box60_quad": Object(_box60, 24, ring(43, 340, 20, 160, 200)),
-}
-"""Objects that were sealed, reported, and looked at since."""
-
-SEALED = {
     "tumbler": Object(_tumbler),
     "tumbler_c180": Object(_tumbler, 20, ring(46, 75, 255)),
     "tumbler_c90": Object(_tumbler, 30, ring(52, 160, 250)),
@@ -253,6 +271,30 @@ SEALED = {
     "tin37_c90": Object(_tin37, 18, ring(47, 10, 100)),
     "tin37_three": Object(_tin37, 20, ring(49, 65, 245, 175)),
 }
+"""Objects that were sealed, reported, and looked at since."""
+
+SEALED = {
+    "soda34": Object(_soda34),
+    "soda34_c180": Object(_soda34, 20, ring(46, 125, 305)),
+    "soda34_c90": Object(_soda34, 24, ring(49, 30, 120)),
+    "soda34_pair125": Object(_soda34, 24, ring(48, 0, 125)),
+    "crock38": Object(_crock38),
+    "crock38_c180": Object(_crock38, 20, ring(50, 80, 260)),
+    "crock38_c90": Object(_crock38, 24, ring(51, 200, 290)),
+    "crock38_four": Object(_crock38, 20, ring(50, 0, 70, 150, 250)),
+    "flask29": Object(_flask29),
+    "flask29_c180": Object(_flask29, 24, ring(44, 55, 235)),
+    "flask29_c90": Object(_flask29, 20, ring(43, 0, 90)),
+    "flask29_three": Object(_flask29, 20, ring(43, 0, 120, 210)),
+    "goblet33": Object(_goblet33),
+    "goblet33_c180": Object(_goblet33, 30, ring(50, 10, 190)),
+    "goblet33_c90": Object(_goblet33, 20, ring(47, 145, 235)),
+    "goblet33_pair60": Object(_goblet33, 20, ring(47, 0, 60)),
+    "tub41": Object(_tub41),
+    "tub41_c180": Object(_tub41, 24, ring(51, 100, 280)),
+    "tub41_c90": Object(_tub41, 20, ring(50, 45, 135)),
+    "tub41_pair150": Object(_tub41, 20, ring(50, 0, 150)),
+}
 """Objects that are only reported."""
 
 OBJECTS = {**DEVELOPMENT, **OPENED, **SEALED}
@@ -260,6 +302,7 @@ ROUND = (
     *("free24", "closed25", "wide45", "plastic40", "closed32", "cup33"),
     *("free18", "free36", "tin28", "bottle", "glass35", "pail"),
     *("tumbler", "jar42", "beaker31", "tin37"),
+    *("soda34", "crock38", "flask29", "goblet33", "tub41"),
 )
 """Bodies of revolution, and tags alone: to be read without enrolment."""
 
