@@ -9,6 +9,8 @@ import pytest
 from numpy.typing import NDArray
 
 from tagid.tags.bodies import compiled, symmetric
+from tagid.tags.bodies.cylinder_fit import CylinderFitter, Ringed, _Many
+from tagid.tags.bodies.cylinder_patterns import Patterns
 from tagid.tags.bodies.reflectors_fit import COMMON, OPEN, THROUGH, Batch, Fitter, Pattern, Priors
 from tagid.tags.bodies.revolution import RoundBody
 from tagid.tags.bodies.ring import PairSearch, Ring
@@ -146,6 +148,54 @@ def test_walls_that_do_not_fit_are_refused() -> None:
         compiled.walls_left(tables, np.zeros((3, 3)), 2, 0)
     with pytest.raises(ValueError, match="together"):
         compiled.walls_left(replace(tables, data=tables.data[:, :1].copy()), np.zeros((3, 3)), 2, 2)
+
+
+def beside_walls(views: int) -> CylinderFitter:
+    spectra = noise(views)
+    return CylinderFitter(spectra, Patterns.of(spectra, 0.045), RoundBody(), Priors(), 1.0)
+
+
+def ringed(shell: int, layout: str | None, *angles: float) -> Ringed:
+    many = len(angles)
+    radii, heights = 0.045 + 1e-3 * np.arange(many), 0.01 * np.arange(many)
+    return Ringed(shell, 0.002 - 0.001j, 0.001, np.array(angles), radii, heights, layout)
+
+
+@pytest.mark.skipif(compiled._cylinders is None, reason="no compiler was present at installation")
+@pytest.mark.parametrize("views", [12, 13])
+def test_reflectors_beside_walls(views: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Unlike numbers of reflectors beside unlike walls, seen from all sides: angles of all quadrants."""
+    fitter = beside_walls(views)
+    last = len(fitter.patterns.shells) - 1
+    rows = [ringed(0, "a", 0.1, 3.0), ringed(7, None, -2.0), ringed(last, None, 0.5, 1.9, 4.0, 5.5)]
+    rings = _Many.of(rows).rings
+    found, fitted = fitter._left(rings), fitter.fitted(rows, 3)
+    other = fitter.beside_other_walls(rows[0])
+    monkeypatch.setattr(compiled, "_cylinders", None)
+    wanted = fitter._left(rings)
+    assert_alike(found.energy, wanted.energy, 1e-9)
+    assert_alike(found.rest, wanted.rest, 1e-8)
+    assert other.shell == fitter.beside_other_walls(rows[0]).shell
+    for one, two in zip(fitted, fitter.fitted(rows, 3), strict=True):
+        assert one.left == pytest.approx(two.left, rel=1e-6)
+        assert np.abs(one.angles - two.angles).max() < 1e-4 and abs(one.centre - two.centre) < 1e-6
+
+
+@pytest.mark.skipif(compiled._cylinders is None, reason="no compiler was present at installation")
+def test_reflectors_beside_no_wall_are_refused() -> None:
+    fitter = beside_walls(12)
+    tables, patterns = fitter.spectra.tables, fitter.patterns.relative
+    rings = _Many.of([ringed(0, None, 0.0, 1.0)]).rings
+    with pytest.raises(ValueError, match="no such wall"):
+        replace(rings, shells=np.array([len(fitter.patterns.shells)])).rest(tables, patterns)
+    with pytest.raises(ValueError, match="1 to 8 reflectors"):
+        replace(rings, at=rings.at[:, :3]).rest(tables, patterns)
+    with pytest.raises(ValueError, match="fit together"):
+        rings.rest(tables, np.ascontiguousarray(patterns[:, :1, :4]))
+    with pytest.raises(ValueError, match="bytes"):
+        replace(rings, radii=rings.radii[:, :1], heights=rings.heights[:, :1]).rest(tables, patterns)
+    many = np.zeros((1, 3 + compiled.MOST_RINGED + 1))
+    assert rings.fits() and not replace(rings, at=many, radii=many[:, 3:]).fits()
 
 
 def test_more_amplitudes_of_a_wall_than_the_loop_takes_are_left_to_numpy() -> None:

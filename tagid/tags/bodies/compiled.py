@@ -5,13 +5,14 @@ Where no compiler was present at installation every function gives None, and cal
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 _arrangements: Any
+_cylinders: Any
 _walls: Any
 try:
     from tagid.tags.bodies import _arrangements  # type: ignore[attr-defined, no-redef]
@@ -19,6 +20,12 @@ except ImportError:  # no compiler at installation
     _arrangements = None
 if getattr(_arrangements, "ARGUMENTS", 0) != 1:  # built before the present source
     _arrangements = None
+try:
+    from tagid.tags.bodies import _cylinders  # type: ignore[attr-defined, no-redef]
+except ImportError:  # no compiler at installation
+    _cylinders = None
+if getattr(_cylinders, "ARGUMENTS", 0) != 1:  # built before the present source
+    _cylinders = None
 try:
     from tagid.tags.bodies import _walls  # type: ignore[attr-defined, no-redef]
 except ImportError:  # no compiler at installation
@@ -32,6 +39,8 @@ MOST_MOVES = 32
 """Moves of an arrangement, at most."""
 MOST_AMPLITUDES = 8
 """Amplitudes per frequency of a wall with planes of symmetry, at most."""
+MOST_RINGED = 8
+"""Reflectors beside a wall, at most."""
 
 
 def waves(path_m: NDArray[np.float64], wavenumbers: NDArray[np.float64]) -> NDArray[np.complex128] | None:
@@ -117,6 +126,58 @@ def walls_left(
     there = spectra.antenna, spectra.height, spectra.data, spectra.scalars
     _walls.left(*there, at, order, amplitudes, left)
     return left
+
+
+@dataclass(frozen=True, eq=False)
+class RingedRows:
+    """Reflectors around one centre beside one wall each: see `cylinder_fit`.
+
+    Attributes:
+        shells: (H,) index of the wall.
+        at: (H, 3 + K) centre x and y and what is added to the radii, m, and angles, rad.
+        radii, heights, present: (H, K), as in `Batch`.
+    """
+
+    shells: NDArray[np.intp]
+    at: NDArray[np.float64]
+    radii: NDArray[np.float64]
+    heights: NDArray[np.float64]
+    present: NDArray[np.float64]
+
+    def moved(self, places: NDArray[np.float64]) -> RingedRows:
+        """(H P,) the same at other places (H, P, 3 + K)."""
+        each = self._each(np.arange(len(self.at)).repeat(places.shape[1]))
+        return replace(each, at=places.reshape(-1, places.shape[2]))
+
+    def beside(self, shells: NDArray[np.intp]) -> RingedRows:
+        """(S,) the first one beside each of some walls (S,)."""
+        return replace(self._each(np.zeros(len(shells), dtype=np.intp)), shells=shells)
+
+    def _each(self, rows: NDArray[np.intp]) -> RingedRows:
+        shells, at, radii = self.shells[rows], self.at[rows], self.radii[rows]
+        return RingedRows(shells, at, radii, self.heights[rows], self.present[rows])
+
+    def fits(self) -> bool:
+        """Whether the compiled loop takes so many reflectors, and runs at all."""
+        return _cylinders is not None and self.radii.shape[1] <= MOST_RINGED
+
+    def rest(
+        self, spectra: SpectraTables, patterns: NDArray[np.complex128]
+    ) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
+        """What they leave of the spectra (H, F, V), and its energies (H,).
+
+        Args:
+            spectra: the scans.
+            patterns: (2, S, F, angles) beside every wall, of the electric and the magnetic dipole.
+        """
+        rest = np.empty((len(self.at), patterns.shape[2], len(spectra.height)), dtype=np.complex128)
+        left = np.empty(len(self.at))
+        rows = (self.at, self.radii, self.heights, self.present)
+        plain = (np.ascontiguousarray(one, dtype=np.float64) for one in rows)
+        shells = np.ascontiguousarray(self.shells, dtype=np.int64)
+        there = spectra.antenna, spectra.height, spectra.data, spectra.scalars
+        _cylinders.left(*there, patterns, patterns.shape[3], shells, *plain, rest, left)
+        return rest, left
 
 
 @dataclass(frozen=True, eq=False)

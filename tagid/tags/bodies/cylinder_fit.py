@@ -16,9 +16,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from tagid.tags.bodies.compiled import RingedRows
 from tagid.tags.bodies.cylinder_patterns import Paths, Patterns
-from tagid.tags.bodies.hypothesis import BodyModel
 from tagid.tags.bodies.reflectors_fit import Priors, Solved, solve
+from tagid.tags.bodies.revolution import RoundBody
 from tagid.tags.bodies.spectra import Spectra, centred
 
 RADIUS_M = 4e-3
@@ -58,17 +59,11 @@ class _Many:
     """Arrangements side by side, padded to K reflectors.
 
     Attributes:
-        shells: (H,) indices; more than one of a single arrangement for the same beside several bodies.
-        at: (H, 3 + K) centre x and y, radius offset, angles.
-        radii, heights, present: (H, K), as in `Batch`.
+        rings: all of them.
         moves: (H, P, 3 + K) directions that the fit may take.
     """
 
-    shells: NDArray[np.intp]
-    at: NDArray[np.float64]
-    radii: NDArray[np.float64]
-    heights: NDArray[np.float64]
-    present: NDArray[np.float64]
+    rings: RingedRows
     moves: NDArray[np.float64]
 
     @classmethod
@@ -86,7 +81,21 @@ class _Many:
                 moves[i, 3 : 3 + k, 3 : 3 + k] = np.eye(k)
             else:
                 moves[i, 3, 3 : 3 + k] = 1
-        return cls(np.array([row.shell for row in rows]), at, radii, heights, present, moves)
+        shells = np.array([row.shell for row in rows])
+        return cls(RingedRows(shells, at, radii, heights, present), moves)
+
+
+@dataclass(frozen=True, eq=False)
+class _Left:
+    """What arrangements leave.
+
+    Attributes:
+        rest: (H, F, V) of the data.
+        energy: (H,) of it.
+    """
+
+    rest: NDArray[np.complex128]
+    energy: NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,43 +112,41 @@ class CylinderFitter:
 
     spectra: Spectra
     patterns: Patterns
-    body: BodyModel
+    body: RoundBody
     priors: Priors
     variance: float
 
     def solved(self, rows: Sequence[Ringed]) -> Solved:
         """Amplitudes (H, F, 3) of the body and of the reflectors' dipoles, and what they leave."""
-        many = _Many.of(rows)
-        return self._solved(many, many.at)
+        return self._solved(_Many.of(rows).rings)
 
     def beside_other_walls(self, row: Ringed) -> Ringed:
         """The same arrangement beside the wall of its polarisation that leaves least."""
         polarisation = self.patterns.shells[row.shell].polarisation
-        same = [i for i, one in enumerate(self.patterns.shells) if one.polarisation == polarisation]
-        many = _Many.of([row])
-        left = self._solved(replace(many, shells=np.array(same)), many.at).left
-        best = int(np.argmin(left))
-        return replace(row, shell=same[best], left=float(left[best]))
+        walls = enumerate(self.patterns.shells)
+        same = np.array([i for i, one in walls if one.polarisation == polarisation])
+        energy = self._left(_Many.of([row]).rings.beside(same)).energy
+        best = int(np.argmin(energy))
+        return replace(row, shell=int(same[best]), left=float(energy[best]))
 
     def fitted(self, rows: Sequence[Ringed], rounds: int = 4) -> list[Ringed]:
         """Levenberg-Marquardt on all arrangements at once; those that a round does not improve stay."""
         many = _Many.of(rows)
-        at, moves = many.at, many.moves
+        at, moves = many.rings.at.copy(), many.moves
         steps = np.full(at.shape[1], _STEP_RAD)
         steps[:3] = _STEPS_M
         weight = np.zeros(at.shape[1])
         weight[:2], weight[2] = self.priors.centre_m**-2, RADIUS_M**-2
         along = moves * steps
         scale = 2 / self.variance
-        now = self._solved(many, at)
-        rest, left = now.rest.copy(), now.left.copy()
+        now = self._left(many.rings)
+        rest, left = now.rest, now.energy
         cost = scale * left + at**2 @ weight
         damping = np.full(len(at), 1e-2)
         for _ in range(rounds):
-            slopes = np.stack(
-                [self._solved(many, at + along[:, p]).rest for p in range(moves.shape[1])], axis=1
-            )
-            slopes = (slopes - rest[:, None]).reshape(len(at), moves.shape[1], -1).view(np.float64)
+            stepped = self._left(many.rings.moved(at[:, None] + along)).rest
+            slopes = stepped.reshape(len(at), moves.shape[1], *rest.shape[1:]) - rest[:, None]
+            slopes = slopes.reshape(len(at), moves.shape[1], -1).view(np.float64)
             error = rest.reshape(len(at), -1).view(np.float64)
             normal = scale * (slopes @ np.swapaxes(slopes, 1, 2))
             gradient = scale * (slopes @ error[..., None])[..., 0]
@@ -150,11 +157,11 @@ class CylinderFitter:
             step = -np.linalg.solve(normal + load[..., None] * np.eye(size.shape[1]), gradient[..., None])
             trial = at + (np.swapaxes(along, 1, 2) @ step)[..., 0]
             trial[:, 2] = np.clip(trial[:, 2], -MOST_OFFSET_M, MOST_OFFSET_M)
-            there = self._solved(many, trial)
-            trial_cost = scale * there.left + trial**2 @ weight
+            there = self._left(many.rings.moved(trial[:, None]))
+            trial_cost = scale * there.energy + trial**2 @ weight
             better = trial_cost < cost
             at[better], rest[better] = trial[better], there.rest[better]
-            left[better], cost[better] = there.left[better], trial_cost[better]
+            left[better], cost[better] = there.energy[better], trial_cost[better]
             damping = np.where(better, damping / 5, damping * 8)
         return [
             replace(
@@ -167,11 +174,17 @@ class CylinderFitter:
             for i, row in enumerate(rows)
         ]
 
-    def _solved(self, many: _Many, at: NDArray[np.float64]) -> Solved:
-        centres = np.asarray(at[:, 0] + 1j * at[:, 1])
-        echo = self.body.echo(self.spectra, centres, np.zeros(len(at)))
-        paths = Paths.of(self.spectra, centres, many.radii + at[:, 2:3], at[:, 3:], many.heights)
-        each = self.patterns.columns(paths, many.shells)
-        electric, magnetic = (each * many.present[:, None, :, None]).sum(axis=3)
-        echo = np.broadcast_to(echo, electric.shape)
+    def _left(self, rings: RingedRows) -> _Left:
+        if rings.fits():
+            return _Left(*rings.rest(self.spectra.tables, self.patterns.relative))
+        solved = self._solved(rings)
+        return _Left(solved.rest, solved.left)
+
+    def _solved(self, rings: RingedRows) -> Solved:
+        centres = np.asarray(rings.at[:, 0] + 1j * rings.at[:, 1])
+        echo = self.body.echo(self.spectra, centres, np.zeros(len(centres)))
+        radii = rings.radii + rings.at[:, 2:3]
+        paths = Paths.of(self.spectra, centres, radii, rings.at[:, 3:], rings.heights)
+        each = self.patterns.columns(paths, rings.shells)
+        electric, magnetic = (each * rings.present[:, None, :, None]).sum(axis=3)
         return solve(self.spectra.data, centred(np.stack([echo, electric, magnetic], axis=2)))

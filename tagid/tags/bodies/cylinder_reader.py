@@ -149,7 +149,7 @@ class _CylinderReader:
         self.noise = spectra.noise_energy * max(spectra.views - 3, 1) / (spectra.views - 1)
         variance = spectra.noise + settings.priors.model_error * first.body_left / spectra.data.size
         self.fitter = CylinderFitter(
-            spectra, patterns, first.body, settings.priors, max(variance, 1e-12 * first.energy)
+            spectra, patterns, settings.body, settings.priors, max(variance, 1e-12 * first.energy)
         )
 
     def read(self) -> BodyReading | None:
