@@ -29,6 +29,7 @@ from tagid.tags.layouts.layout import builtin_layouts
 from tagid.tags.matching.beside import borne_out
 from tagid.tags.matching.contest import ContestSettings
 from tagid.tags.matching.matcher import ReaderSettings, read_tag
+from train.calibrate import one
 
 RESPONSES = Path(__file__).parents[1] / "data" / "responses"
 LAYOUTS = list(builtin_layouts().values())
@@ -132,6 +133,11 @@ def test_a_wall_must_bear_out_a_pattern_of_many_free_terms() -> None:
     assert not borne_out(named, None, decision)
     other = replace(beside_wall, layouts=beside_wall.layouts[1:])
     assert other.layouts and not borne_out(named, other, decision)
+
+
+def test_the_wall_of_an_oval_shell_is_no_pair_beside_a_round_one() -> None:
+    """With two amplitudes it is one in everything but that it answers from 6 cm before the pair's places."""
+    assert one(974605)["wall"] == "refused"
 
 
 def test_one_reflector_beside_a_cup_has_the_pattern_of_its_wall() -> None:

@@ -36,8 +36,7 @@ class BodyDecision:
         wall_share: a body with this share of the moving echo has a wall, which cannot lie further outside the
             reflectors than the larger of `early_m`: those of full-wave cans lie 8 to 17 mm inside, 21 mm
             outside where the axis distance is wrong by 10 mm and the pulse is delayed.
-        shift_m: where the waves of a metal wall fit, its echo and that of the reflectors may be early or late
-            together by so much: the axis distance may be wrong by 20 mm, the pulse delayed by as much.
+        early_glass_m: how early beside a wall of known waves that the wave passes.
         centre_m: largest distance of the centres of body and tag from the rotation axis.
         no_tag_nats: a body is untagged where no arrangement explains so many noise variances more: fitting
             noise alone, 27 amplitudes and the places explain 40 to 50,
@@ -54,7 +53,7 @@ class BodyDecision:
     radius_m: float = 0.025
     early_m: tuple[float, float] = (-0.065, 0.030)
     wall_share: float = 0.05
-    shift_m: float = 0.045
+    early_glass_m: float = 0.055
     centre_m: float = FARTHEST_CENTRE_M
     no_tag_nats: float = 60.0
     no_tag_share: float = 0.001
@@ -87,13 +86,14 @@ def most_unexplained(reading: BodyReading, settings: BodyDecision) -> float:
     return min(s.unexplained, s.round_left + noise / max(r.tag, 1e-30))
 
 
-def _shift_m(reading: BodyReading, settings: BodyDecision) -> float:
-    """How much earlier than their places body and reflectors may answer alike."""
-    wall = reading.wall
-    if wall is None or not wall.metal:
-        # The wave passes through: what comes from the body comes from all its depth.
-        return 0.0
-    return min(max(reading.front_m - wall.radius_m, -settings.shift_m), settings.shift_m)
+def _is_in_place(reading: BodyReading, settings: BodyDecision) -> bool:
+    """Whether the reflectors answer from where the layout has them."""
+    r, s = reading, settings
+    if not r.through:
+        # A body that the wave passes through returns most from behind, by paths of its own. An enrolled one
+        # may be such a body even where few terms explain the echo.
+        return r.early_m <= s.early_m[1] and (bool(r.body.name) or r.early_m >= s.early_m[0])
+    return r.wall is None or r.early_m <= s.early_glass_m
 
 
 def decide_on_body(reading: BodyReading, settings: BodyDecision) -> Verdict:
@@ -117,19 +117,14 @@ def decide_on_body(reading: BodyReading, settings: BodyDecision) -> Verdict:
         return Verdict(
             "unknown", Code.OFF_CENTRE, f"the {what}'s centre lies {off * 1e3:.0f} mm off the axis"
         )
-    # A body that the wave passes through returns most from behind, by paths of its own. An enrolled one may
-    # be such a body even where few terms explain the echo.
-    shift = _shift_m(r, s)
-    early = r.early_m - shift
-    behind = early < s.early_m[0] and not r.body.name
-    if not r.through and (behind or early > s.early_m[1]):
+    if not _is_in_place(r, s):
         return Verdict(
             "unknown",
             Code.BODY,
-            f"the echo comes from {early * 1e3:+.0f} mm before the places of {best.layout}, "
+            f"the echo comes from {r.early_m * 1e3:+.0f} mm before the places of {best.layout}, "
             "as from the wall of a body that is not round",
         )
-    inside = r.front_m - r.nominal_m - shift
+    inside = r.front_m - r.nominal_m
     if r.body_energy > s.wall_share * r.energy and inside > s.early_m[1]:
         return Verdict(
             "unknown",
