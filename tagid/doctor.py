@@ -60,7 +60,7 @@ def _versions() -> list[Finding]:
 
 
 def _engines() -> Finding:
-    from tagid.imaging.kernel import is_compiled
+    from tagid.loops import LOOPS, unusable
     from tagid.models_store import check_all
 
     engines = [n for n in ("onnxruntime", "torch") if importlib.util.find_spec(n) is not None]
@@ -70,10 +70,13 @@ def _engines() -> Finding:
         check_all()
     except TagidError as error:
         return Finding("imaging", "problem", error.message, error.remedy)
-    if not is_compiled():
+    slow = unusable()
+    if slow:
+        few = ", ".join(name.rpartition(".")[2].lstrip("_") for name in slow)
+        how = "no compiled loops" if len(slow) == len(LOOPS) else f"compiled loops missing or outdated: {few}"
         remedy = "Install a C compiler, then reinstall tagid; it affects speed only."
-        return Finding("imaging", "warning", f"{what}; no compiled kernel, ten times slower", remedy)
-    return Finding("imaging", "ok", f"{what}, compiled kernel")
+        return Finding("imaging", "warning", f"{what}; {how}, up to ten times slower", remedy)
+    return Finding("imaging", "ok", f"{what}, compiled loops")
 
 
 def _disk(folder: Path) -> Finding:

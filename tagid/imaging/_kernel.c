@@ -348,7 +348,7 @@ static struct PyModuleDef module = {
 PyMODINIT_FUNC PyInit__kernel(void)
 {
     PyObject *made = PyModule_Create(&module);
-    /* `tagid.imaging.kernel` uses no build of other arguments. */
+    /* `tagid.loops` uses no build of other arguments. */
     if (made && PyModule_AddIntConstant(made, "ARGUMENTS", 3) < 0) {
         Py_DECREF(made);
         return NULL;

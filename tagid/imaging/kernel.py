@@ -17,17 +17,12 @@ from numpy.typing import NDArray
 from tagid.errors import UsageError
 from tagid.geometry import Aperture
 from tagid.imaging.memory import require_memory
+from tagid.loops import loop
 
 if TYPE_CHECKING:
     from scipy import sparse
 
-_compiled: Any
-try:
-    from tagid.imaging import _kernel as _compiled  # type: ignore[attr-defined, no-redef]
-except ImportError:  # no compiler at installation
-    _compiled = None
-if getattr(_compiled, "ARGUMENTS", 0) != 3:  # built before the present source
-    _compiled = None
+_compiled = loop("tagid.imaging._kernel")
 
 MAX_THREADS = 8
 MAX_BINS = 1 << 24

@@ -28,7 +28,7 @@ LAYERS = (
     {"capture", "metadata", "geometry", "waveform", "signal", "files", "config", "result", "ports"}
     | {"models_store", "interrupts", "hostclock", "onnx_files", "proportion"},
     {"fields"},
-    {"constants", "errors", "__init__"},
+    {"constants", "errors", "loops", "__init__"},
 )
 """The layers of docs/architecture.md, from the top; a room imports from its own layer and those below."""
 LAYER_OF = {name: len(LAYERS) - number for number, names in enumerate(LAYERS) for name in names}

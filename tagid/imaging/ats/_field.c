@@ -10,15 +10,10 @@
 #define PY_SSIZE_T_CLEAN
 #define Py_LIMITED_API 0x030b0000
 #include <Python.h>
+#include "../../_wide.h" /* after a header of the C library, which names it */
 #include <math.h>
 #include <stdint.h>
 #include <string.h>
-
-#if defined(__GNUC__) && !defined(__clang__) && defined(__x86_64__) && defined(__linux__) && defined(__GLIBC__)
-#define WIDE __attribute__((target_clones("arch=haswell", "default")))
-#else
-#define WIDE
-#endif
 
 #define TAPS 4
 
@@ -192,5 +187,11 @@ static struct PyModuleDef module = {
 
 PyMODINIT_FUNC PyInit__field(void)
 {
-    return PyModule_Create(&module);
+    PyObject *made = PyModule_Create(&module);
+    /* `tagid.loops` uses no build of other arguments. */
+    if (made && PyModule_AddIntConstant(made, "ARGUMENTS", 1) < 0) {
+        Py_DECREF(made);
+        return NULL;
+    }
+    return made;
 }

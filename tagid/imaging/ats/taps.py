@@ -7,21 +7,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from tagid.loops import loop
 
 Array = NDArray[np.float32]
 
 BETA1, BETA2, SMALLEST = 0.9, 0.95, 1e-20
 """As in `forward_step`, which needs torch."""
 
-_compiled: Any
-try:
-    from tagid.imaging.ats import _field as _compiled  # type: ignore[attr-defined, no-redef]
-except ImportError:  # no compiler at installation
-    _compiled = None
+_compiled = loop("tagid.imaging.ats._field")
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,32 +6,15 @@ Where no compiler was present at installation every function gives None, and cal
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-_arrangements: Any
-_cylinders: Any
-_walls: Any
-try:
-    from tagid.tags.bodies import _arrangements  # type: ignore[attr-defined, no-redef]
-except ImportError:  # no compiler at installation
-    _arrangements = None
-if getattr(_arrangements, "ARGUMENTS", 0) != 1:  # built before the present source
-    _arrangements = None
-try:
-    from tagid.tags.bodies import _cylinders  # type: ignore[attr-defined, no-redef]
-except ImportError:  # no compiler at installation
-    _cylinders = None
-if getattr(_cylinders, "ARGUMENTS", 0) != 1:  # built before the present source
-    _cylinders = None
-try:
-    from tagid.tags.bodies import _walls  # type: ignore[attr-defined, no-redef]
-except ImportError:  # no compiler at installation
-    _walls = None
-if getattr(_walls, "ARGUMENTS", 0) != 1:  # built before the present source
-    _walls = None
+from tagid.loops import loop
+
+_arrangements = loop("tagid.tags.bodies._arrangements")
+_cylinders = loop("tagid.tags.bodies._cylinders")
+_walls = loop("tagid.tags.bodies._walls")
 
 MOST_TERMS = 7
 """Terms of a pattern, at most."""

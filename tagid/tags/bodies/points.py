@@ -16,21 +16,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from itertools import combinations
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tagid.loops import loop
 from tagid.tags.bodies.spectra import Spectra, centred
 from tagid.tags.layouts.layout import Layout
 
-_compiled: Any
-try:
-    from tagid.tags.bodies import _points as _compiled  # type: ignore[attr-defined, no-redef]
-except ImportError:  # no compiler at installation
-    _compiled = None
-if getattr(_compiled, "ARGUMENTS", 0) != 2:  # built before the present source
-    _compiled = None
+_compiled = loop("tagid.tags.bodies._points")
 
 REACH_M = 0.14
 """Reflectors are looked for up to this distance from the axis."""

@@ -12,14 +12,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-_matched: Any
-_coarse: Any
-try:
-    from tagid.tags.reading import _coarse, _matched  # type: ignore[attr-defined, no-redef]
-except ImportError:  # no compiler at installation
-    _matched = _coarse = None
-# Built before the present source: neither is used.
-if any(getattr(one, "ARGUMENTS", 0) != number for one, number in ((_matched, 2), (_coarse, 2))):
+from tagid.loops import loop
+
+_matched = loop("tagid.tags.reading._matched")
+_coarse = loop("tagid.tags.reading._coarse")
+if _matched is None or _coarse is None:
     _matched = _coarse = None
 
 MOST_POINTS = 24
