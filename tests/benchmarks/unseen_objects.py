@@ -270,10 +270,6 @@ OPENED = {
     "tin37_c180": Object(_tin37, 20, ring(49, 65, 245)),
     "tin37_c90": Object(_tin37, 18, ring(47, 10, 100)),
     "tin37_three": Object(_tin37, 20, ring(49, 65, 245, 175)),
-}
-"""Objects that were sealed, reported, and looked at since."""
-
-SEALED = {
     "soda34": Object(_soda34),
     "soda34_c180": Object(_soda34, 20, ring(46, 125, 305)),
     "soda34_c90": Object(_soda34, 24, ring(49, 30, 120)),
@@ -295,6 +291,9 @@ SEALED = {
     "tub41_c90": Object(_tub41, 20, ring(50, 45, 135)),
     "tub41_pair150": Object(_tub41, 20, ring(50, 0, 150)),
 }
+"""Objects that were sealed, reported, and looked at since."""
+
+SEALED: dict[str, Object] = {}
 """Objects that are only reported."""
 
 OBJECTS = {**DEVELOPMENT, **OPENED, **SEALED}
