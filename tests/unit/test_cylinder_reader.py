@@ -16,10 +16,11 @@ from tagid.simulate.presets import room_clutter
 from tagid.simulate.response import Response
 from tagid.simulate.response_file import read_response
 from tagid.simulate.response_scene import response_scene
+from tagid.tags.bodies import cylinder_reader
 from tagid.tags.bodies.body_reading import BodyReading, BodySettings
 from tagid.tags.bodies.calibration import Basis, Calibration, Scores, Stratum
 from tagid.tags.bodies.cylinder_patterns import Paths, Patterns
-from tagid.tags.bodies.cylinder_reader import read_on_cylinder
+from tagid.tags.bodies.cylinder_reader import _CylinderReader, read_on_cylinder
 from tagid.tags.bodies.decide import BodyDecision, decide_on_body
 from tagid.tags.bodies.reader import read_on_body
 from tagid.tags.bodies.reflectors_fit import solve
@@ -133,6 +134,14 @@ def test_a_wall_must_bear_out_a_pattern_of_many_free_terms() -> None:
     assert not borne_out(named, None, decision)
     other = replace(beside_wall, layouts=beside_wall.layouts[1:])
     assert other.layouts and not borne_out(named, other, decision)
+
+
+def test_what_free_patterns_found_is_tried_beside_walls(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The search on the ring missed a pair 110 degrees apart on a can at 18 views; a right angle led by 0.9."""
+    monkeypatch.setattr(cylinder_reader, "HOPEFUL", 0.0)
+    monkeypatch.setattr(_CylinderReader, "_others_about", lambda *_: [])
+    found = beside(spectra_of("can30_foreign", "V"))
+    assert found.others and found.others[0].layout is None and found.lead < -0.5
 
 
 def test_the_wall_of_an_oval_shell_is_no_pair_beside_a_round_one() -> None:

@@ -34,8 +34,9 @@ from tagid.tags.layouts.layout import Layout
 
 COUNT = 48
 """Angles on a ring: 7.5 degrees, 6 mm on a mug's ring."""
-_WALLS, _KEPT, _BEAM = 10, 12, 6
-"""Walls beside which every number of reflectors is tried; other arrangements fitted; sets kept per number."""
+_WALLS, _KEPT, _FREE, _BEAM = 10, 12, 3, 6
+"""Walls beside which every number of reflectors is tried; other arrangements fitted that were found there,
+and with free patterns; sets kept per number."""
 OUTWARD_M = 8e-3
 """Reflectors may stand so far outside their nominal radius, on feet or foam,"""
 ENOUGH = 0.05
@@ -158,7 +159,8 @@ class _CylinderReader:
         if max(one.share for one in searched) < HOPEFUL:
             return None
         starts = [start for one in searched for start in (*one.starts, *self._others_about(one))]
-        rows = self.fitter.fitted(self._kept(starts), 3)
+        kept = self._kept(starts)
+        rows = self.fitter.fitted([*kept, *self._found_freely(kept[0])], 3)
         rows = self.fitter.fitted([self.fitter.beside_other_walls(row) for row in rows], 3)
         own: dict[str, Ringed] = {}
         for row in rows:
@@ -290,6 +292,22 @@ class _CylinderReader:
                     seen.add(kind)
                     kept.append(start)
         return kept
+
+    def _found_freely(self, best: Ringed) -> list[Ringed]:
+        """Arrangements that explain the echo with free patterns, where the search on the ring may miss them.
+
+        Args:
+            best: of the search; they begin beside the wall of its polarisation that suits them.
+        """
+        found: dict[tuple[int, ...], Ringed] = {}
+        for placed in self.first.others:
+            angles = placed.angles
+            kind = kind_of([float(a) for a in angles])
+            if placed.layout is None and kind not in found and len(found) < _FREE:
+                radii, heights = np.full(len(angles), self.radius_m), np.zeros(len(angles))
+                start = Ringed(best.shell, placed.centre, 0.0, angles, radii, heights, None)
+                found[kind] = self.fitter.beside_other_walls(start)
+        return list(found.values())
 
     def _compared(self, ranked: list[Ringed], free: list[Ringed]) -> BodyReading:
         """The best layout against all that is not it."""
