@@ -16,8 +16,8 @@ LOOPS = {
     "tagid.tags.bodies._cylinders": 1,
     "tagid.tags.bodies._points": 2,
     "tagid.tags.bodies._walls": 1,
-    "tagid.tags.reading._coarse": 2,
-    "tagid.tags.reading._matched": 2,
+    "tagid.tags.reading._coarse": 3,
+    "tagid.tags.reading._matched": 3,
 }
 """Modules, and the number of their arguments' version (`ARGUMENTS` in their source)."""
 

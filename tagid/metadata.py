@@ -11,6 +11,7 @@ import types
 import typing
 from collections.abc import Mapping
 from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass, replace
+from functools import cache
 from typing import Any, Self
 
 import numpy as np
@@ -32,7 +33,8 @@ class JsonValue:
     def __post_init__(self) -> None:
         for name, kind in _kinds(type(self)).items():
             value = getattr(self, name)
-            if not _fits(value, kind):
+            # Most fields of most captures are not known, which every optional field may be.
+            if not (value is None and _optional(kind)) and not _fits(value, kind):
                 raise DataError(f"{_label(type(self))}.{name} is {_short(value)}, expected {_words(kind)}")
 
     @classmethod
@@ -487,6 +489,12 @@ def _kinds(cls: type) -> dict[str, Any]:
         hints = typing.get_type_hints(cls)
         _KINDS[cls] = {each.name: hints[each.name] for each in fields(cls)}
     return _KINDS[cls]
+
+
+@cache
+def _optional(kind: Any) -> bool:
+    """Whether a field of this type may be None."""
+    return _fits(None, kind)
 
 
 def _unknown(value: Any) -> bool:

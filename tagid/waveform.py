@@ -5,6 +5,8 @@ Shared by simulation and imaging, so that both use the same pulse.
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,6 +15,7 @@ from tagid.constants import BANDWIDTH_HZ, CENTER_FREQUENCY_HZ
 from tagid.signal import from_positive, positive_spectrum
 
 
+@lru_cache(maxsize=8)
 def nominal_pulse(
     center_frequency_hz: float = CENTER_FREQUENCY_HZ, bandwidth_hz: float = BANDWIDTH_HZ
 ) -> Pulse:
@@ -29,7 +32,9 @@ def nominal_pulse(
     step = 1 / (16 * (center_frequency_hz + bandwidth_hz))
     half = int(np.ceil(5 * tau / step))
     t = np.arange(-half, half + 1) * step
-    return Pulse(np.exp(-(t**2) / (2 * tau**2)) * np.cos(2 * np.pi * center_frequency_hz * t), step)
+    samples = np.exp(-(t**2) / (2 * tau**2)) * np.cos(2 * np.pi * center_frequency_hz * t)
+    samples.flags.writeable = False  # those of the last bands are kept
+    return Pulse(samples, step)
 
 
 def analytic_pulse(pulse: Pulse, oversampling: int = 1) -> NDArray[np.complex128]:

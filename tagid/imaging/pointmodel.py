@@ -8,6 +8,7 @@ kept apart, so that the sectors can be asked whether they agree.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from math import hypot
 
 import numpy as np
 from numpy.typing import NDArray
@@ -158,14 +159,16 @@ def peaks(
     padded = np.pad(image, 1, constant_values=-1.0)
     n = image.shape[0]
     shifts = [(i, j) for i in (0, 1, 2) for j in (0, 1, 2) if (i, j) != (1, 1)]
-    around = np.max([padded[i : i + n, j : j + n] for i, j in shifts], axis=0)
-    row, column = np.nonzero((image >= around) & (image >= floor * top))
+    high = image >= floor * top
+    for i, j in shifts:
+        high &= image >= padded[i : i + n, j : j + n]
+    row, column = np.nonzero(high)
     order = np.argsort(-image[row, column], kind="stable")
     kept: list[NDArray[np.float64]] = []
     for i, j in zip(row[order], column[order], strict=True):
         place = np.array([_between(image[i, :], j), _between(image[:, j], i)])
         place = ((place + 0.5) / n - 0.5) * grid.extent
-        if all(np.hypot(*(place - other)) >= apart_m for other in kept):
+        if all(hypot(*(place - other)) >= apart_m for other in kept):
             kept.append(place)
         if len(kept) == most:
             break
@@ -176,7 +179,7 @@ def _between(line: NDArray[np.floating], at: int) -> float:
     """Vertex of the parabola through a maximum and its neighbours."""
     if not 0 < at < len(line) - 1:
         return float(at)
-    return at + float(np.clip(vertex(*(float(v) for v in line[at - 1 : at + 2])), -0.5, 0.5))
+    return at + min(max(vertex(*(float(v) for v in line[at - 1 : at + 2])), -0.5), 0.5)
 
 
 def _slope(x: NDArray[np.float64], y: NDArray[np.float64], weight: NDArray[np.float64]) -> float:
@@ -208,7 +211,7 @@ def _second_spot(
     energies = []
     while left:
         first = max(left, key=lambda i: strength[i])
-        near = [i for i in left if np.hypot(*(points[i] - points[first])) < _SPOT_WAVELENGTHS * lam]
+        near = [i for i in left if hypot(*(points[i] - points[first])) < _SPOT_WAVELENGTHS * lam]
         echo = amplitudes[near].astype(np.complex64) @ columns[near]
         energies.append(float(np.vdot(echo, echo).real))
         left -= set(near)

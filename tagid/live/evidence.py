@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from tagid.imaging.types import BasebandScans
 from tagid.tags.layouts.layout import Layout
 from tagid.tags.reading.aspect import Aspect, outward
-from tagid.tags.reading.coarse import COARSE_NO_SIDE_M, CoarseDisc, CoarseImage
+from tagid.tags.reading.coarse import CoarseDisc, CoarseImage, CoarseValues
 from tagid.tags.reading.decision import PLACES_PER_METRE, DecisionSettings, nats_needed
 from tagid.tags.reading.field import RangeProfiles
 from tagid.tags.reading.hypotheses import CoarseGrid, SearchSettings
@@ -130,7 +130,7 @@ class GrowingEvidence:
                 float(
                     self._grids[number]
                     .energies(image, sums.grams[number], template_energy, self._search.balance)
-                    .max()
+                    .best.max()
                 )
                 for image, sums in zip(images, self._sums, strict=True)
             )
@@ -164,7 +164,7 @@ class _PatternSums:
     ) -> None:
         self._disc, self._aspect, self._offsets = disc, aspect, offsets_m
         self._points = disc.points
-        self._facing = outward(self._points, np.zeros(2), COARSE_NO_SIDE_M)
+        self._facing = disc.facing
         self._placed = [grid.placed for grid in grids]
         count = len(self._points)
         self._data = np.zeros((len(offsets_m), count), dtype=np.complex128)
@@ -193,7 +193,7 @@ class _PatternSums:
         """b on the disc, of the scans without their mean (rank,)."""
         b = self._data - self._template.conj() @ mean
         at_axis = int(np.argmin(np.abs(self._offsets)))
-        return CoarseImage(self._disc, self._aspect, views, self._template[at_axis] / views, b)
+        return CoarseImage(self._disc, self._aspect, views, CoarseValues(self._template[at_axis] / views, b))
 
 
 def _distances(points: NDArray[np.float64], antenna: NDArray[np.float64]) -> NDArray[np.float64]:

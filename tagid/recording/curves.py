@@ -64,7 +64,7 @@ class RecordingCurves:
         """
         signal = analytic(capture.samples)
         envelope = np.abs(signal)
-        changing = np.abs(signal - signal.mean(axis=0))
+        changing = _changing(signal)
         sampling_hz = SPEED_OF_LIGHT / (2 * capture.range_step_m)
         frequency, spectrum = _spectrum(capture.samples, sampling_hz)
         return cls(
@@ -76,6 +76,15 @@ class RecordingCurves:
             frequency_hz=frequency,
             spectrum=spectrum,
         )
+
+
+def changing_envelope(capture: Capture) -> NDArray[np.float32]:
+    """(views, bins) envelope of the scans less the mean scan, counts."""
+    return _changing(analytic(capture.samples))
+
+
+def _changing(signal: NDArray[np.complex64]) -> NDArray[np.float32]:
+    return np.asarray(np.abs(signal - signal.mean(axis=0)), dtype=np.float32)
 
 
 def _spectrum(

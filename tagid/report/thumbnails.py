@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import io
 import math
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +16,7 @@ from PIL import Image
 from tagid.capture import Capture
 from tagid.pipeline.answer import Identification
 from tagid.pipeline.reconstruct import Reconstruction
-from tagid.recording.curves import RecordingCurves
+from tagid.recording.curves import changing_envelope
 from tagid.report.charts import resample_views
 from tagid.report.colours import to_decibels, viridis
 from tagid.report.records import Drawing, Thumbnails
@@ -83,7 +84,7 @@ def _fitted(magnitude: NDArray[np.floating]) -> NDArray[np.floating]:
 
 def _sinogram(capture: Capture) -> NDArray[np.float64]:
     """(rows, columns) dB of the part that changes between views, first view on top."""
-    envelope = RecordingCurves.of(capture, changing_only=True).envelope
+    envelope = changing_envelope(capture)
     order = np.arange(capture.views, dtype=np.float64)
     if capture.angles_rad is not None and np.all(np.diff(capture.angles_rad) > 0):
         order = np.asarray(capture.angles_rad, dtype=np.float64)
@@ -97,9 +98,14 @@ def _png(decibels: NDArray[np.float64], dynamic_range_db: float) -> bytes:
     return _encode(np.clip(levels, 0, LEVELS - 1).astype(np.uint8))
 
 
+@cache
+def _palette() -> bytes:
+    return viridis(LEVELS).tobytes()
+
+
 def _encode(levels: NDArray[np.uint8]) -> bytes:
     picture = Image.fromarray(np.ascontiguousarray(levels))
-    picture.putpalette(viridis(LEVELS).tobytes())
+    picture.putpalette(_palette())
     buffer = io.BytesIO()
     picture.save(buffer, format="PNG", optimize=True)
     return buffer.getvalue()

@@ -14,10 +14,13 @@ from __future__ import annotations
 import io
 import json
 import lzma
+import math
 import tokenize
 import warnings
 import zipfile
 import zlib
+from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -189,9 +192,13 @@ def read_arrays(path: Path, data: bytes, keys: frozenset[str]) -> dict[str, NDAr
                         f"{path}: {key} claims {member.file_size} bytes, which is not plausible"
                     )
                 with archive.open(member) as stream:
-                    _check_header(f"{path}: {key}", stream, member.file_size)
-                with archive.open(member) as stream:
-                    arrays[key] = np.lib.format.read_array(stream, allow_pickle=False)
+                    content = stream.read(min(member.file_size, _SMALL_BYTES))
+                header = _checked(f"{path}: {key}", content, member.file_size)
+                if large:  # not twice in memory
+                    with archive.open(member) as stream:
+                        arrays[key] = np.lib.format.read_array(stream, allow_pickle=False)
+                else:
+                    arrays[key] = header.array(content)
     # zipfile and numpy raise any of these on damaged files, depending on the location of the damage.
     except (
         zipfile.BadZipFile, zlib.error, OSError, EOFError, ValueError, RuntimeError, TypeError, SyntaxError,
@@ -204,15 +211,47 @@ def read_arrays(path: Path, data: bytes, keys: frozenset[str]) -> dict[str, NDAr
     return arrays
 
 
-def _check_header(where: str, stream: Any, size: int) -> None:
-    """Reject objects, and shapes that the member cannot hold."""
+@dataclass(frozen=True)
+class _Header:
+    """Header of an array in a file: `length` bytes, then the values in this order, shape and dtype."""
+
+    shape: tuple[int, ...]
+    fortran_order: bool
+    dtype: np.dtype[Any]
+    length: int
+
+    def array(self, content: bytes) -> NDArray[Any]:
+        """The array of a whole member. Raises ValueError if it is too short."""
+        if self.dtype.itemsize == 0:
+            return np.ndarray(self.shape, self.dtype)
+        values = np.frombuffer(content, self.dtype, math.prod(self.shape), self.length)
+        if self.fortran_order:
+            return values.reshape(self.shape[::-1]).copy().transpose()
+        return values.reshape(self.shape).copy()
+
+
+@lru_cache(maxsize=64)
+def _header(content: bytes) -> _Header | None:
+    """What the bytes of a header say; the captures of a batch have the same ones.
+
+    None for an unknown version. Raises as numpy does.
+    """
+    stream = io.BytesIO(content)
     version = np.lib.format.read_magic(stream)
     if version == (1, 0):
-        shape, _, dtype = np.lib.format.read_array_header_1_0(stream)
-    elif version == (2, 0):
-        shape, _, dtype = np.lib.format.read_array_header_2_0(stream)
-    else:
-        raise FileFormatError(f"{where} has npy version {version}, expected (1, 0) or (2, 0)")
+        return _Header(*np.lib.format.read_array_header_1_0(stream), stream.tell())
+    if version == (2, 0):
+        return _Header(*np.lib.format.read_array_header_2_0(stream), stream.tell())
+    return None
+
+
+def _checked(where: str, content: bytes, size: int) -> _Header:
+    """The header of a member of `size` bytes. Rejects objects, and shapes that it cannot hold."""
+    start = 12 if content[6:7] == b"\2" else 10
+    header = _header(content[: start + int.from_bytes(content[8:start], "little")])
+    if header is None:
+        raise FileFormatError(f"{where} has npy version {tuple(content[6:8])}, expected (1, 0) or (2, 0)")
+    shape, dtype = header.shape, header.dtype
     if dtype.hasobject or dtype.kind not in "iufcUS":
         raise FileFormatError(
             f"{where} has dtype {dtype}, expected numbers or text", "Python objects are not read."
@@ -222,6 +261,7 @@ def _check_header(where: str, stream: Any, size: int) -> None:
         claimed *= int(length)
     if claimed < 0 or claimed > size or any(length < 0 for length in shape):
         raise FileFormatError(f"{where} claims shape {shape}, but only {size} bytes are stored")
+    return header
 
 
 def _samples(path: Path, values: NDArray[Any]) -> NDArray[Any]:

@@ -137,7 +137,7 @@ def test_a_wall_must_bear_out_a_pattern_of_many_free_terms() -> None:
 
 
 def test_what_free_patterns_found_is_tried_beside_walls(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The search on the ring missed a pair 110 degrees apart on a can at 18 views; a right angle led by 0.9."""
+    """The search on the ring missed a pair 110 degrees apart on a can; a right angle led by 0.9."""
     monkeypatch.setattr(cylinder_reader, "HOPEFUL", 0.0)
     monkeypatch.setattr(_CylinderReader, "_others_about", lambda *_: [])
     found = beside(spectra_of("can30_foreign", "V"))

@@ -20,7 +20,7 @@ from tagid.tags.reading.aspect import ROUND, TRANSPARENT, Appearance, Aspect, ou
 from tagid.tags.reading.coarse import CoarseImage
 from tagid.tags.reading.field import MatchedField
 from tagid.tags.reading.hypotheses import CoarseGrid, SearchSettings, search
-from tagid.tags.reading.reflectors import refine_positions
+from tagid.tags.reading.reflectors import SearchDisc, refine_positions
 from tagid.tags.reading.squares import explained_by, separate_sets, whole_grams
 
 pytestmark = pytest.mark.skipif(not compiled.is_compiled(), reason="no compiler was present at installation")
@@ -100,6 +100,26 @@ def test_free_points_come_to_the_same_places(kind: str, monkeypatch: pytest.Monk
         assert one[2] > 1.05 * begun.explained[0]
 
 
+@pytest.mark.parametrize("kind", sorted(SCENES))
+@pytest.mark.parametrize("count", [0, 2])
+def test_points_leave_alike(kind: str, count: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    fast, plain = fields(kind, monkeypatch)
+    heights = np.array([-0.02, 0.03]) if kind == "two heights" else None
+    places = np.array([[0.04, -0.03, 0.01], [-0.05, 0.02, -0.01]])[:count, : 2 if heights is None else 3]
+    for aspect in (TRANSPARENT, ROUND):
+        look = Appearance(aspect, np.array([0.004, -0.003]), 0.001)
+        one, other = (SearchDisc(f, 0.06, 5e-3, look, heights) for f in (fast, plain))
+        amplitudes = np.array([0.3 + 0.2j, -0.5j])[:count]
+        assert_alike(one.left(places, amplitudes), other.left(places, amplitudes), 1e-5)
+        if count:
+            found, wanted = one.fitted(places), other.fitted(places)
+            assert_alike(found[0], wanted[0], 1e-5)
+            assert found[1] == pytest.approx(wanted[1], rel=1e-5)
+    # The scans themselves, without a point.
+    if not count:
+        assert_alike(one.power, other.power, 1e-5)
+
+
 FOUR = Layout("four", np.array([[0.1, 0.0], [0.0, 0.08], [-0.09, 0.02], [0.03, -0.1]]))
 NINE_OFFSETS = tuple(i * 4e-3 for i in range(-4, 5))
 
@@ -124,7 +144,10 @@ def test_the_coarse_search_explains_the_same(
         energies = grid.energies(one, gram, plain.template_energy, settings.balance)
         with monkeypatch.context() as patch:
             patch.setattr(compiled, "_matched", None)
-            assert_alike(energies, grid.energies(other, gram, plain.template_energy, settings.balance), 1e-4)
+            wanted = grid.energies(other, gram, plain.template_energy, settings.balance)
+        assert_alike(energies.values, wanted.values, 1e-4)
+        assert np.array_equal(energies.best, energies.values.max(axis=2))
+        assert_alike(energies.best, wanted.best, 1e-4)
 
 
 @pytest.mark.parametrize("kind", sorted(SCENES))
@@ -143,14 +166,17 @@ def test_the_search_for_layouts_finds_the_same(kind: str, monkeypatch: pytest.Mo
 
 @pytest.mark.parametrize("kind", sorted(SCENES))
 @pytest.mark.parametrize("count", [3, 8, 11])
-def test_points_overlap_with_templates_alike(kind: str, count: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_points_explain_alike_beyond_templates(
+    kind: str, count: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     fast, plain = fields(kind, monkeypatch)
     points = np.random.default_rng(1).uniform(-0.12, 0.12, (40, 2))
     look = Appearance(ROUND, np.array([0.01, 0.0]), 0.003)
     others = look.templates(plain, points[:count] + 0.01)
-    one, other = (look.fixed(f, points).overlaps(others) for f in (fast, plain))
-    assert_alike(one[0], other[0], 1e-5)
-    assert_alike(one[1], other[1], 1e-5)
+    inverse = np.linalg.inv(plain.gram(others) + 0.1 * plain.template_energy * np.eye(count))
+    one, other = (look.fixed(f, points).beyond(others, inverse) for f in (fast, plain))
+    assert_alike(one, other, 1e-5)
+    assert one.min() < 0.8 * plain.template_energy
     assert_alike(
         look.fixed(fast, points).correlate(plain.data), plain.correlate(look.templates(plain, points)), 1e-5
     )
@@ -218,11 +244,15 @@ def test_what_does_not_fit_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
         tables.explained(points, facing[:1], offsets, ROUND.numbers, np.array([[0, 1]]))
     with pytest.raises(ValueError, match="together"):
         tables.explained(points, facing, offsets, ROUND.numbers, np.zeros((1, 30), dtype=int))
-    index, turn = tables.looked(points, facing, 0.0, ROUND.numbers)
+    looked = tables.looked(points, facing, 0.0, ROUND.numbers)
     with pytest.raises(ValueError, match="out of range"):
-        compiled.read_table(tables.table[:, :5].copy(), index, turn)
+        tables.correlated(fast.data, replace(looked, index=looked.index + 100_000))
+    pixel = np.array([0, 4], dtype=np.int32)
+    with pytest.raises(ValueError, match="out of range"):
+        tables.coarse(points, facing, pixel, 2, [ROUND.numbers], [0.0])
+    narrow = replace(tables, table=tables.table[:, :5].copy())
     with pytest.raises(ValueError, match="bytes"):
-        replace(tables, table=tables.table[:, :5].copy()).coarse(points, facing, [ROUND.numbers], [0.0])
+        narrow.coarse(points, facing, pixel, 3, [ROUND.numbers], [0.0])
     broken = replace(tables, field=(*tables.field[:2], tables.field[2] + 1, *tables.field[3:]))
     with pytest.raises(ValueError, match="circle"):
         broken.looked(points, facing, 0.0, ROUND.numbers)

@@ -12,10 +12,11 @@ octahedra of 40 mm, 64 mm apart, it holds 8 % of the echo; with it full-wave tag
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from itertools import combinations
+from math import inf
 
 import numpy as np
 from numpy.typing import NDArray
@@ -98,15 +99,22 @@ class PlacedPoints:
         heights: (K,) above the object's plane, m.
         left: energy left.
         layout: its name; None for places that no layout has.
-        spread_m: standard deviation of a reflector's place about the others, RMS, m (Cramer-Rao bound, with
-            the model's own error as noise, and at least what is left); 0 for a layout, whose shape is fixed.
+        spread: computes `spread_m`; None for a layout, whose shape is fixed.
     """
 
     places: NDArray[np.complex128]
     heights: NDArray[np.float64]
     left: float
     layout: str | None = None
-    spread_m: float = 0.0
+    spread: Callable[[], float] | None = None
+
+    @cached_property
+    def spread_m(self) -> float:
+        """Standard deviation of a reflector's place about the others, RMS, m; 0 for a layout.
+
+        The Cramer-Rao bound, with the model's own error as noise, and at least what is left.
+        """
+        return self.spread() if self.spread is not None else 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -324,9 +332,10 @@ class PointFitter:
             places, at = self._descended(places, heights, rounds, rigid=name is not None)
         else:
             places, at = self._descended_slowly(places, heights, rounds, rigid=name is not None)
-        spread = 0.0 if name else self._spread(places, at)
-        spread *= float(np.sqrt(max(at.left / (self.variance * self.spectra.data.size), 1.0)))
-        return PlacedPoints(places, heights, at.left, name, spread)
+        if name:
+            return PlacedPoints(places, heights, at.left, name)
+        scale = float(np.sqrt(max(at.left / (self.variance * self.spectra.data.size), 1.0)))
+        return PlacedPoints(places, heights, at.left, None, partial(self._spread, places, at.normal, scale))
 
     def _descended(
         self, places: NDArray[np.complex128], heights: NDArray[np.float64], rounds: int, *, rigid: bool
@@ -374,14 +383,14 @@ class PointFitter:
         gradient = np.real(flat.conj() @ rest.ravel())
         return _Linear(float(np.sum(np.abs(rest) ** 2)), np.real(flat.conj() @ flat.T), gradient)
 
-    def _spread(self, places: NDArray[np.complex128], at: _Linear) -> float:
+    def _spread(self, places: NDArray[np.complex128], normal: NDArray[np.float64], scale: float) -> float:
         """`PlacedPoints.spread_m`, from the Fisher information of the places, amplitudes eliminated."""
-        information = 2 / self.variance * at.normal
+        information = 2 / self.variance * normal
         load = 1e-9 * np.trace(information) * np.eye(len(information))
         covariance = np.linalg.inv(information + load)
         rigid = np.linalg.qr(_moves(places).T)[0]
         shape = np.eye(len(information)) - rigid @ rigid.T
-        return float(np.sqrt(max(np.trace(shape @ covariance @ shape), 0.0) / len(places)))
+        return scale * float(np.sqrt(max(np.trace(shape @ covariance @ shape), 0.0) / len(places)))
 
 
 def _moves(places: NDArray[np.complex128]) -> NDArray[np.float64]:
@@ -452,7 +461,12 @@ def read_points(
     def charged(p: PlacedPoints) -> float:
         return p.left + bounce * (len(p.places) > 1)
 
-    others = [p for p in rivals if displaced(best.places, p.places) > limit_m(p)]
+    def is_other(p: PlacedPoints) -> bool:
+        # Most have another number of points, for which nobody need ask how well their places are known.
+        away = displaced(best.places, p.places)
+        return away == inf or away > limit_m(p)
+
+    others = [p for p in rivals if is_other(p)]
     others += layouts[1:]
     others.sort(key=charged)
     above = max(best.left - noise, 0.0)

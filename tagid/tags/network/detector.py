@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
-from math import hypot
+from math import exp, hypot
 from typing import Any
 
 import numpy as np
@@ -137,6 +137,11 @@ def sigmoid(logit: NDArray[np.floating] | float) -> NDArray[np.float64]:
     return np.asarray(1 / (1 + np.exp(-np.clip(np.asarray(logit, dtype=np.float64), -60, 60))))
 
 
+def _probability(logit: float) -> float:
+    """`sigmoid` of one number."""
+    return 1 / (1 + exp(-min(max(logit, -60.0), 60.0)))
+
+
 def candidates(cells: NDArray[np.float32]) -> list[tuple[int, int]]:
     """(row, column) of the local maxima of the reflector logit in cells (5, 48, 48), strongest first."""
     logit = cells[0]
@@ -154,19 +159,19 @@ def decode(cells: NDArray[np.float32], seen: NetworkInput, contract: Contract) -
     """All detections in the network's cells (5, 48, 48), surest first, none nearer than `SEPARATION_M`."""
     found: list[Detection] = []
     for row, column in candidates(cells):
-        _, ghost, dx, dy, log_sigma = cells[:, row, column].tolist()
+        own, ghost, dx, dy, log_sigma = cells[:, row, column].tolist()
         x = (column + min(max(dx, -1.0), 1.0) - CELLS / 2 + 0.5) * CELL_M
         y = (row + min(max(dy, -1.0), 1.0) - CELLS / 2 + 0.5) * CELL_M
         if any(hypot(x - d.x_m, y - d.y_m) < SEPARATION_M for d in found):
             continue
-        logit = contract.slope * float(cells[0, row, column]) + contract.intercept
+        logit = contract.slope * own + contract.intercept
         found.append(
             Detection(
                 x,
                 y,
-                contract.sigma_scale * CELL_M * float(np.exp(np.clip(log_sigma, -4, 1))),
-                float(sigmoid(logit)),
-                float(sigmoid(ghost)),
+                contract.sigma_scale * CELL_M * exp(min(max(log_sigma, -4.0), 1.0)),
+                _probability(logit),
+                _probability(ghost),
                 seen.value_at(x, y) * seen.peak,
             )
         )

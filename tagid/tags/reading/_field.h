@@ -26,6 +26,27 @@ typedef struct {
     double edge, softness, floor;
 } Pattern; /* of `Aspect`; a floor of 1 is the same from all sides */
 
+/* Coordinates that one register holds, in any place. */
+typedef float Four __attribute__((vector_size(4 * LANES)));
+
+INLINE Four load(const float *from)
+{
+    Four found;
+    memcpy(&found, from, sizeof found);
+    return found;
+}
+
+INLINE void store(float *to, Four values) { memcpy(to, &values, sizeof values); }
+
+/* Views of a circle, at least 1. */
+INLINE int64_t on_circle(const Field *g, int64_t c)
+{
+    int64_t count = 0;
+    for (int64_t v = 0; v < g->views; v++)
+        count += g->circle[v] == c;
+    return count ? count : 1;
+}
+
 /* cos and sin of `cycles` turns; single precision, the whole turns removed in double. */
 INLINE void turned(double cycles, float *c, float *s)
 {
@@ -118,10 +139,7 @@ INLINE void template(const Field *g, const int32_t *index, const float *re, cons
     if (whole)
         return;
     for (int64_t c = 0; c < g->circles; c++) {
-        int64_t count = 0;
-        for (int64_t v = 0; v < n; v++)
-            count += g->circle[v] == c;
-        const float share = 1.0f / (float)(count ? count : 1);
+        const float share = 1.0f / (float)on_circle(g, c);
         float *s = sums + 2 * w * c;
         for (int64_t j = 0; j < 2 * w; j++)
             s[j] *= share;
@@ -147,6 +165,19 @@ INLINE void inner(const float *restrict a, const float *restrict b, int64_t n, d
     }
     *re = rr;
     *im = ri;
+}
+
+/* <a, b> of two arrays (2, w), w a multiple of LANES. */
+INLINE void product(const float *a, const float *b, int64_t w, double *re, double *im)
+{
+    Four rr = {0.0f}, ri = {0.0f};
+    for (int64_t j = 0; j < w; j += LANES) {
+        const Four ar = load(a + j), ai = load(a + w + j), br = load(b + j), bi = load(b + w + j);
+        rr += ar * br + ai * bi;
+        ri += ar * bi - ai * br;
+    }
+    *re = (rr[0] + rr[1]) + (rr[2] + rr[3]);
+    *im = (ri[0] + ri[1]) + (ri[2] + ri[3]);
 }
 
 /* Cholesky factor of a Hermitian positive matrix (k, k), in place below the diagonal. */

@@ -3,9 +3,10 @@
  * evaluate:     least squares of the scans on sets of templates, without forming the templates in numpy
  * move_points:  free places near a start
  * move_layouts: turn, shift and range offset of a layout near a start
+ * place_layout: what a layout explains at given places
  * look:         range profile and phase of points in every view
  */
-#include "_field.h"
+#include "_block.h"
 
 typedef struct {
     const Field *field;
@@ -205,12 +206,12 @@ typedef struct {
     double balance, template_energy, visible;
 } Layout;
 
-/* Energy explained at one place, charged for unlike amplitudes. */
-INLINE double charged(const Scene *s, const Layout *l, const double *at)
+/* Energy explained at one place, with the matrix and the amplitudes. */
+INLINE double explained_at(const Scene *s, const Layout *l, const double *at, double (*gram)[2],
+                           double (*x)[2])
 {
     const int64_t k = l->size;
     const double c = cos(at[0]), n = sin(at[0]);
-    double gram[MOST * MOST][2], x[MOST][2], size[MOST], trust[MOST], all = 0.0, typical = 0.0;
     int32_t set[MOST];
     for (int64_t i = 0; i < k; i++) {
         const double *p = l->positions + 2 * i, *f = l->facing + 2 * i;
@@ -222,7 +223,15 @@ INLINE double charged(const Scene *s, const Layout *l, const double *at)
     }
     for (int64_t i = 0; i < k; i++)
         relate(s, set, k, i, i, gram);
-    const double explained = explain(s, set, k, gram, x);
+    return explain(s, set, k, gram, x);
+}
+
+/* The same, charged for unlike amplitudes. */
+INLINE double charged(const Scene *s, const Layout *l, const double *at)
+{
+    const int64_t k = l->size;
+    double gram[MOST * MOST][2], x[MOST][2], size[MOST], trust[MOST], all = 0.0, typical = 0.0;
+    const double explained = explained_at(s, l, at, gram, x);
     for (int64_t i = 0; i < k; i++) {
         const double share = gram[i * k + i][0] / l->template_energy / l->visible;
         trust[i] = share < 1.0 ? share : 1.0;
@@ -273,21 +282,38 @@ WIDE static void search_layout(const Scene *s, const Layout *l, double *at)
     }
 }
 
-WIDE static void look_points(const Field *g, const Pattern *p, const double *points, const double *facing,
-                             double offset, int64_t count, int32_t *index, float *turn, double *far,
-                             float *re)
+typedef struct {
+    const double *places; /* (H, D) */
+    int64_t count;
+    double *amplitudes; /* (H, K, 2) */
+    double *explained;  /* (H,) */
+    double *gram;       /* (H, K, K, 2) */
+} Placed;
+
+WIDE static void evaluate_places(const Scene *s, const Layout *l, const Placed *p)
 {
-    const int64_t n = g->views;
-    float *im = re + n;
-    for (int64_t i = 0; i < count; i++) {
-        distances(g, points + 3 * i, offset, far);
-        for (int64_t v = 0; v < n; v++)
-            index[n * i + v] = entry(g, far[v]);
-        phases(g, far, re, im);
-        lit(g, p, points + 3 * i, facing + 2 * i, re, im);
-        for (int64_t v = 0; v < n; v++) {
-            turn[2 * (n * i + v)] = re[v];
-            turn[2 * (n * i + v) + 1] = im[v];
+    const int64_t k = l->size;
+    for (int64_t h = 0; h < p->count; h++)
+        p->explained[h] =
+            explained_at(s, l, p->places + l->axes * h, (double (*)[2])(p->gram + 2 * k * k * h),
+                         (double (*)[2])(p->amplitudes + 2 * k * h));
+}
+
+/* Profile (views, N) and phase (views, 2, N) of every point: what is read together lies together. */
+WIDE static void look_points(const Field *g, const double *pattern, const double *points,
+                             const double *facing, double offset, int64_t count, int32_t *index, float *turn)
+{
+    float lit_up[2 * BLOCK];
+    Block b;
+    for (int64_t first = 0; first < count; first += BLOCK) {
+        const size_t some = (size_t)(count - first < BLOCK ? count - first : BLOCK);
+        begin_block(points, facing, count, first, &b);
+        for (int64_t v = 0; v < g->views; v++) {
+            look_from(g, v, offset, &b);
+            light(g, pattern, v, &b, lit_up);
+            memcpy(index + count * v + first, b.index, some * sizeof(int32_t));
+            memcpy(turn + count * (2 * v) + first, lit_up, some * sizeof(float));
+            memcpy(turn + count * (2 * v + 1) + first, lit_up + BLOCK, some * sizeof(float));
         }
     }
 }
@@ -419,6 +445,48 @@ static PyObject *move_layouts(PyObject *self, PyObject *args)
     return finished(&h);
 }
 
+static PyObject *place_layout(PyObject *self, PyObject *args)
+{
+    (void)self;
+    PyObject *tables, *o[8];
+    Held h = {.count = 0};
+    Field g;
+    Pattern p;
+    Layout l;
+    Placed m;
+    Scene s = {.pattern = &p, .whole = 0};
+    if (!PyArg_ParseTuple(args, "O(ddd)OOOOOOOO", &tables, &p.edge, &p.softness, &p.floor, o, o + 1, o + 2,
+                          o + 3, o + 4, o + 5, o + 6, o + 7))
+        return NULL;
+    if (!field_of(&h, tables, &g) || !(s.data = take(&h, o[0], 8 * g.views * g.width, 0)) ||
+        !(l.heights = take(&h, o[2], -1, 0)))
+        return finished(&h);
+    l.size = taken(&h) / 8;
+    if (!(l.positions = take(&h, o[1], 16 * l.size, 0)) || !(l.facing = take(&h, o[3], 16 * l.size, 0)) ||
+        !(m.explained = take(&h, o[6], -1, 1)))
+        return finished(&h);
+    m.count = taken(&h) / 8;
+    if (!(m.places = take(&h, o[4], -1, 0)))
+        return finished(&h);
+    l.axes = m.count ? taken(&h) / 8 / m.count : 0;
+    if (l.size < 1 || l.size > MOST || l.axes < 4 || l.axes > AXES || taken(&h) != 8 * m.count * l.axes) {
+        refused("a layout and its places do not fit together");
+        return finished(&h);
+    }
+    if (!(m.amplitudes = take(&h, o[5], 16 * m.count * l.size, 1)) ||
+        !(m.gram = take(&h, o[7], 16 * m.count * l.size * l.size, 1)))
+        return finished(&h);
+    void *room = malloc(room_of(&g, l.size));
+    if (!room) {
+        PyErr_NoMemory();
+        return finished(&h);
+    }
+    lay_out(&s, &g, l.size, room);
+    Py_BEGIN_ALLOW_THREADS evaluate_places(&s, &l, &m);
+    Py_END_ALLOW_THREADS free(room);
+    return finished(&h);
+}
+
 static PyObject *look(PyObject *self, PyObject *args)
 {
     (void)self;
@@ -439,14 +507,9 @@ static PyObject *look(PyObject *self, PyObject *args)
     if (!(facing = take(&h, o[1], 16 * count, 0)) || !(index = take(&h, o[2], 4 * count * g.views, 1)) ||
         !(turn = take(&h, o[3], 8 * count * g.views, 1)))
         goto done;
-    double *far = malloc((size_t)g.views * 16);
-    if (!far) {
-        PyErr_NoMemory();
-        goto done;
-    }
-    Py_BEGIN_ALLOW_THREADS look_points(&g, &p, points, facing, offset, count, index, turn, far,
-                                       (float *)(far + g.views));
-    Py_END_ALLOW_THREADS free(far);
+    const double pattern[3] = {p.edge, p.softness, p.floor};
+    Py_BEGIN_ALLOW_THREADS look_points(&g, pattern, points, facing, offset, count, index, turn);
+    Py_END_ALLOW_THREADS
 done:
     return finished(&h);
 }
@@ -462,8 +525,10 @@ static PyMethodDef methods[] = {
      "move_layouts(tables, pattern, data, positions, heights, facing, step, low, high, (balance, "
      "template_energy, visible), "
      "first, last, places)"},
+    {"place_layout", place_layout, METH_VARARGS,
+     "place_layout(tables, pattern, data, positions, heights, facing, places, amplitudes, explained, gram)"},
     {"look", look, METH_VARARGS, "look(tables, pattern, points, facing, offset, index, turn)"},
     {NULL, NULL, 0, NULL},
 };
 
-MODULE(_matched, "Compiled inner loops of the tag reader (see tagid.tags.reading.compiled).", methods, 2)
+MODULE(_matched, "Compiled inner loops of the tag reader (see tagid.tags.reading.compiled).", methods, 3)

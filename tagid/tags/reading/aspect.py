@@ -110,9 +110,8 @@ class Appearance:
         if field.tables is not None:
             heights = points[:, 2] if points.shape[1] == 3 else np.zeros(len(points))
             places = np.column_stack([points[:, :2], heights])
-            return FixedPoints(
-                field, *field.tables.looked(places, facing, self.offset_m, self.aspect.numbers)
-            )
+            looked = field.tables.looked(places, facing, self.offset_m, self.aspect.numbers)
+            return FixedPoints(field, looked)
         weight = self.aspect.weight(field.antenna, points, facing)
         return field.fixed(self._distances(field, points), weight)
 

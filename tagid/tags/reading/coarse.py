@@ -7,7 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,8 @@ from numpy.typing import NDArray
 from tagid.tags.reading.aspect import Aspect, outward
 from tagid.tags.reading.compiled import CoarseTables
 from tagid.tags.reading.field import CoarseParts, MatchedField
+
+Array = TypeVar("Array", bound=NDArray[Any])
 
 IMAGE_STEP_M = 3e-3
 """Pixel of the coarse image; its finest fringe is lambda_min / 2 = 31 mm: bilinear reading errs by < 5 %."""
@@ -37,19 +40,52 @@ class CoarseDisc:
     inside: NDArray[np.bool_]
 
     @classmethod
+    @lru_cache(maxsize=4)
     def of(cls, radius_m: float) -> CoarseDisc:
-        """The disc of a radius, m, with what bilinear reading at its rim needs."""
+        """The disc of a radius, m, with what bilinear reading at its rim needs; those used last are kept."""
         half = int(np.ceil(radius_m / IMAGE_STEP_M)) + 1
         axis = np.arange(-half, half + 1) * IMAGE_STEP_M
         x, y = np.meshgrid(axis, axis)
         return cls(half, x**2 + y**2 <= (radius_m + 2 * IMAGE_STEP_M) ** 2)
 
-    @property
+    @cached_property
     def points(self) -> NDArray[np.float64]:
         """(points, 2) places of the pixels inside, m."""
         row, column = np.nonzero(self.inside)
         places = np.stack([column - self.half, row - self.half], axis=-1)
-        return np.asarray(places * IMAGE_STEP_M, dtype=np.float64)
+        return _kept(np.asarray(places * IMAGE_STEP_M, dtype=np.float64))
+
+    @cached_property
+    def facing(self) -> NDArray[np.float64]:
+        """(points, 2) outward unit vectors from the turntable's axis."""
+        return _kept(outward(self.points, np.zeros(2), COARSE_NO_SIDE_M))
+
+    @cached_property
+    def pixel(self) -> NDArray[np.int32]:
+        """(points,) number of the pixel of every point."""
+        return _kept(np.flatnonzero(self.inside).astype(np.int32))
+
+
+@dataclass(frozen=True, eq=False)
+class CoarseValues:
+    """What a coarse image holds.
+
+    Attributes:
+        static: (points, rank) mean over the views of the templates of the disc's points.
+        images: (offsets, points) b of the disc's points at every range offset.
+    """
+
+    static: NDArray[np.complexfloating]
+    images: NDArray[np.complexfloating]
+
+    @classmethod
+    def of(cls, tables: CoarseTables, disc: CoarseDisc) -> CoarseValues:
+        """The values that compiled loops have formed."""
+        static, images = (
+            part.reshape(-1, *part.shape[2:])[disc.pixel, :, :count]
+            for part, count in ((tables.static, tables.rank), (tables.images, tables.offsets))
+        )
+        return cls(static[:, 0] + 1j * static[:, 1], (images[:, 0] + 1j * images[:, 1]).T)
 
 
 class CoarseImage:
@@ -59,23 +95,17 @@ class CoarseImage:
         disc: the pixels.
         aspect: pattern of the points.
         views: number of views.
-        static: (points, rank) mean over the views of the templates of the disc's points.
-        images: (offsets, points) b of the disc's points at every range offset.
+        made: the values, or the tables that compiled loops have formed.
     """
 
     def __init__(
-        self,
-        disc: CoarseDisc,
-        aspect: Aspect,
-        views: int,
-        static: NDArray[np.complexfloating],
-        images: NDArray[np.complexfloating],
+        self, disc: CoarseDisc, aspect: Aspect, views: int, made: CoarseValues | CoarseTables
     ) -> None:
         self.half = disc.half
         self.aspect = aspect
         self.views = views
-        self._inside = disc.inside
-        self._of_points = static, images
+        self._disc = disc
+        self._made = made
 
     @classmethod
     def of(
@@ -97,15 +127,14 @@ class CoarseImage:
         disc = CoarseDisc.of(radius_m)
         points = disc.points
         if field.tables is not None and not field.several_heights:
-            facing = outward(points, np.zeros(2), COARSE_NO_SIDE_M)
             places = np.column_stack([points, np.full(len(points), height_m)])
-            found = field.tables.coarse(places, facing, [one.numbers for one in aspects], offsets_m)
-            return [cls(disc, one, field.views, *own) for one, *own in zip(aspects, *found, strict=True)]
+            patterns = [one.numbers for one in aspects]
+            made = field.tables.coarse(places, disc.facing, disc.pixel, len(disc.inside), patterns, offsets_m)
+            return [cls(disc, one, field.views, own) for one, own in zip(aspects, made, strict=True)]
         parts: list[list[CoarseParts]] = []
         size = max(1, _BLOCK // field.views)
         for at in range(0, len(points), size):
-            some = points[at : at + size]
-            facing = outward(some, np.zeros(2), COARSE_NO_SIDE_M)
+            some, facing = points[at : at + size], disc.facing[at : at + size]
             weights = [aspect.weight(field.antenna, some, facing) for aspect in aspects]
             parts.append(field.coarse_parts(field.distances(some, height_m), weights, offsets_m))
         return [
@@ -113,32 +142,40 @@ class CoarseImage:
                 disc,
                 aspect,
                 field.views,
-                np.concatenate([part.static for part in own]),
-                np.concatenate([part.images for part in own], axis=1),
+                CoarseValues(
+                    np.concatenate([part.static for part in own]),
+                    np.concatenate([part.images for part in own], axis=1),
+                ),
             )
             for aspect, own in zip(aspects, zip(*parts, strict=True), strict=True)
         ]
 
     @cached_property
+    def _values(self) -> CoarseValues:
+        return self._made if isinstance(self._made, CoarseValues) else CoarseValues.of(self._made, self._disc)
+
+    @cached_property
     def static(self) -> NDArray[np.complex64]:
         """(side, side, rank) mean over the views of the templates of the pixels."""
-        static = self._of_points[0]
-        out = np.zeros((*self._inside.shape, static.shape[-1]), dtype=np.complex64)
-        out[self._inside] = static
+        inside, static = self._disc.inside, self._values.static
+        out = np.zeros((*inside.shape, static.shape[-1]), dtype=np.complex64)
+        out[inside] = static
         return out
 
     @cached_property
     def images(self) -> NDArray[np.complex64]:
         """(offsets, side, side) b of the pixels."""
-        images = self._of_points[1]
-        out = np.zeros((len(images), *self._inside.shape), dtype=np.complex64)
-        out[:, self._inside] = images
+        inside, images = self._disc.inside, self._values.images
+        out = np.zeros((len(images), *inside.shape), dtype=np.complex64)
+        out[:, inside] = images
         return out
 
     @cached_property
     def tables(self) -> CoarseTables:
         """The image for the compiled loops."""
-        return CoarseTables.of(self._inside, *self._of_points)
+        if isinstance(self._made, CoarseTables):
+            return self._made
+        return CoarseTables.of(self._disc.inside, self._made.static, self._made.images)
 
     def static_at(self, points: NDArray[np.float64]) -> NDArray[np.complex64]:
         """(..., rank) static part of the templates at points (..., 2), to the nearest pixel."""
@@ -173,3 +210,9 @@ def static_overlap(rows: Sequence[CoarseImage], points: NDArray[np.float64]) -> 
         static = np.stack([image.static_at(points[..., k, :]) for k, image in enumerate(rows)], axis=-2)
     overlap: NDArray[np.complex64] = np.matmul(static.conj(), np.swapaxes(static, -1, -2))
     return overlap * rows[0].views
+
+
+def _kept(values: Array) -> Array:
+    """Values that many images share."""
+    values.flags.writeable = False
+    return values

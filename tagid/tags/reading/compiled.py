@@ -73,11 +73,24 @@ class PointSteps:
 
 @dataclass(frozen=True, eq=False)
 class LayoutShape:
-    """A layout at rotation zero: positions (K, 2) and heights (K,), m, and what reflectors face (K, 2)."""
+    """A layout at rotation zero: positions (K, 2) and heights (K,), m, and what reflectors face (K, 2).
+
+    Contiguous in double precision, see `of`.
+    """
 
     positions: NDArray[np.float64]
     heights: NDArray[np.float64]
     facing: NDArray[np.float64]
+
+    @classmethod
+    def of(
+        cls,
+        positions: NDArray[np.floating],
+        heights: NDArray[np.floating],
+        facing: NDArray[np.floating],
+    ) -> LayoutShape:
+        """The shape in the form that the compiled loops take."""
+        return cls(_plain(positions), _plain(heights), _plain(facing))
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,6 +101,24 @@ class LayoutSteps:
     low: NDArray[np.float64]
     high: NDArray[np.float64]
     rounds: range
+
+
+@dataclass(frozen=True, eq=False)
+class Looked:
+    """Many points in every view.
+
+    Attributes:
+        index: (views, N) int32, range profile.
+        turn: (views, 2, N) float32, real and imaginary part of phase times amplitude.
+    """
+
+    index: NDArray[np.int32]
+    turn: NDArray[np.float32]
+
+    @property
+    def count(self) -> int:
+        """Number of points."""
+        return len(self.index[0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,9 +256,9 @@ class FieldTables:
             self.field,
             pattern,
             self.data,
-            _plain(shape.positions),
-            _plain(shape.heights),
-            _plain(shape.facing),
+            shape.positions,
+            shape.heights,
+            shape.facing,
             _plain(steps.step),
             _plain(steps.low),
             _plain(steps.high),
@@ -238,63 +269,109 @@ class FieldTables:
         )
         return found
 
+    def placed(self, places: NDArray[np.float64], shape: LayoutShape, pattern: Pattern) -> Explained:
+        """Least squares on a layout at places (H, 4 or 5), as of `Fit.place`."""
+        h, k = len(places), len(shape.positions)
+        found = Explained(
+            np.empty((h, k), dtype=np.complex128), np.empty(h), np.empty((h, k, k), dtype=np.complex128)
+        )
+        _matched.place_layout(
+            self.field,
+            pattern,
+            self.data,
+            shape.positions,
+            shape.heights,
+            shape.facing,
+            _plain(places),
+            found.amplitudes,
+            found.explained,
+            found.gram,
+        )
+        return found
+
     def looked(
         self, points: NDArray[np.float64], facing: NDArray[np.float64], offset_m: float, pattern: Pattern
-    ) -> tuple[NDArray[np.int32], NDArray[np.complex64]]:
-        """(N, views) range profile, and phase times amplitude, of points (N, 3) that face (N, 2)."""
-        index = np.empty((len(points), self.views), dtype=np.int32)
-        turn = np.empty((len(points), self.views), dtype=np.complex64)
-        _matched.look(self.field, pattern, _plain(points), _plain(facing), offset_m, index, turn)
-        return index, turn
+    ) -> Looked:
+        """Points (N, 3) that face (N, 2) in every view."""
+        found = Looked(
+            np.empty((self.views, len(points)), dtype=np.int32),
+            np.empty((self.views, 2, len(points)), dtype=np.float32),
+        )
+        places, faced = _plain(points), _plain(facing)
+        _matched.look(self.field, pattern, places, faced, offset_m, found.index, found.turn)
+        return found
 
-    def overlaps(
-        self, index: NDArray[np.int32], turn: NDArray[np.complex64], others: NDArray[np.complex64]
-    ) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
-        """(N, P) <s_p, other> of points as of `looked` with others (P, views * rank), and (N,) ||s_p||^2.
+    def correlated(self, data: NDArray[np.complex64], looked: Looked) -> NDArray[np.complex128]:
+        """(N,) <s_p, data> of points with data (views * rank,), less what is constant over the views."""
+        rows = _split(data.reshape(self.views, self.rank), self.rank, self.width)
+        found = np.empty(looked.count, dtype=np.complex128)
+        _coarse.correlate(self.field, rows, looked.index, looked.turn, found)
+        return found
 
-        The others are without what is constant over the views, as templates are.
+    def left(
+        self,
+        points: NDArray[np.float64],
+        facing: NDArray[np.float64],
+        offset_m: float,
+        pattern: Pattern,
+        amplitudes: NDArray[np.complex128],
+        looked: Looked,
+    ) -> NDArray[np.float64]:
+        """(N,) |<s_p, z>|^2 of points, z being what others leave of the scans.
+
+        The others are points (K, 3) that face (K, 2), with amplitudes (K,).
+        """
+        found = np.empty(looked.count)
+        own = np.ascontiguousarray(amplitudes, dtype=np.complex128)
+        places, faced = _plain(points), _plain(facing)
+        points_of = looked.index, looked.turn
+        _coarse.left(self.field, pattern, self.data, places, faced, offset_m, own, *points_of, found)
+        return found
+
+    def beyond(
+        self, looked: Looked, others: NDArray[np.complex64], inverse: NDArray[np.complex128]
+    ) -> NDArray[np.float64]:
+        """(N,) ||s_p||^2 - s^T inverse s* of points, with s (P,) = <s_p, other>.
+
+        The others (P, views * rank) are without what is constant over the views, as templates are.
         """
         count = len(others)
-        shared = np.empty((len(index), count), dtype=np.complex128)
-        own = np.empty(len(index))
-        there = np.zeros((self.views, self.width, 2, -(-count // _OTHERS) * _OTHERS), dtype=np.float32)
+        room = -(-count // _OTHERS) * _OTHERS
+        found = np.empty(looked.count)
+        there = np.zeros((self.views, self.width, 2, room), dtype=np.float32)
         turned = np.moveaxis(others.reshape(count, self.views, self.rank), 0, -1)
         there[:, : self.rank, 0, :count], there[:, : self.rank, 1, :count] = turned.real, turned.imag
-        _coarse.overlaps(self.field, index, turn, there, shared, own)
-        return shared, own
+        split = np.zeros((count, 2, room))
+        split[:, 0, :count], split[:, 1, :count] = inverse.real, inverse.imag
+        _coarse.beyond(self.field, looked.index, looked.turn, there, split, found)
+        return found
 
     def coarse(
         self,
         points: NDArray[np.float64],
         facing: NDArray[np.float64],
+        pixel: NDArray[np.int32],
+        side: int,
         patterns: Sequence[Pattern],
         offsets_m: Sequence[float],
-    ) -> tuple[NDArray[np.complex64], NDArray[np.complex64]]:
-        """Constant parts (patterns, N, rank) and b (patterns, offsets, N) of points (N, 3), facing (N, 2)."""
-        fixed = np.empty((len(patterns), len(points), 2, self.width), dtype=np.float32)
-        images = np.empty((len(patterns), len(offsets_m), len(points)), dtype=np.complex64)
+    ) -> list[CoarseTables]:
+        """Images of (side, side) pixels for each pattern, of points (N, 3) at pixels (N,), facing (N, 2)."""
+        room = -(-len(offsets_m) // _OFFSETS) * _OFFSETS
+        static = np.zeros((len(patterns), side, side, 2, self.width), dtype=np.float32)
+        images = np.zeros((len(patterns), side, side, 2, room), dtype=np.float32)
         _coarse.coarse(
             self.field,
             self.table,
             _plain(points),
             _plain(facing),
+            pixel,
             np.array(patterns, dtype=np.float64),
             np.array(offsets_m, dtype=np.float64),
-            fixed,
+            room,
+            static,
             images,
         )
-        static = np.empty((*fixed.shape[:2], self.rank), dtype=np.complex64)
-        static.real, static.imag = fixed[:, :, 0, : self.rank], fixed[:, :, 1, : self.rank]
-        return static, images
-
-
-def read_table(
-    table: NDArray[np.complex64], index: NDArray[np.int32], turn: NDArray[np.complex64]
-) -> NDArray[np.complex128]:
-    """(N,) sum over the views of conj(turn) (N, views) times a table (views, entries) at index (N, views)."""
-    out = np.empty(len(index), dtype=np.complex128)
-    _coarse.correlate(table, index, turn, index.shape[1], out)
-    return out
+        return [CoarseTables(*each, len(offsets_m), self.rank) for each in zip(images, static, strict=True)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -305,11 +382,13 @@ class CoarseTables:
         images: (side, side, 2, offsets with their padding) float32.
         static: (side, side, 2, rank with its padding) float32.
         offsets: number of range offsets.
+        rank: number of coordinates.
     """
 
     images: NDArray[np.float32]
     static: NDArray[np.float32]
     offsets: int
+    rank: int
 
     @classmethod
     def of(
@@ -330,6 +409,7 @@ class CoarseTables:
             _padded(images.T, _OFFSETS, pixel, inside.shape),
             _padded(static, _LANES, pixel, inside.shape),
             len(images),
+            static.shape[-1],
         )
 
 
@@ -358,10 +438,11 @@ class CoarseGridTask:
     visible: float
     views: int
 
-    def energies(self) -> NDArray[np.float32]:
-        """(offsets, A, S) charged energies, as of `CoarseGrid.energies`."""
+    def energies(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """(offsets, A, S) charged energies, as of `CoarseGrid.energies`, and (offsets, A) the largest."""
         rotations, size = self.placed.shape[:2]
         out = np.empty((self.tables.offsets, rotations, len(self.shifts)), dtype=np.float32)
+        best = np.empty(out.shape[:2], dtype=np.float32)
         _coarse.energies(
             self.tables.images,
             self.tables.static,
@@ -377,8 +458,9 @@ class CoarseGridTask:
             self.visible,
             float(self.views),
             out,
+            best,
         )
-        return out
+        return out, best
 
 
 def _padded(

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from tagid.errors import DataError
 from tagid.imaging.types import BasebandScans, PointResponse
 from tagid.signal import median
-from tagid.tags.reading.compiled import FieldTables, read_table
+from tagid.tags.reading.compiled import FieldTables, Looked
 
 FINE_STEP_M = 5e-4
 """Range step of the tables, read at the nearest entry: baseband varies over c / B = 176 mm, so half a step is
@@ -295,7 +295,7 @@ class MatchedField:
 
     def fixed(self, distances: NDArray[np.float64], weight: NDArray[np.float32] | None = None) -> FixedPoints:
         """Points (N, views) whose templates are needed again and again, without the memory of all of them."""
-        return FixedPoints(self, self._range.index(distances), self._range.phase(distances, weight))
+        return FixedPoints.of(self, self._range.index(distances), self._range.phase(distances, weight))
 
     def at(self, points: NDArray[np.floating]) -> NDArray[np.complex128]:
         """(...) b at points (..., 2) in the plane, m."""
@@ -311,17 +311,40 @@ class FixedPoints:
 
     Args:
         field: the matched field.
-        index: (N, views) profile of every point in every view.
-        turn: (N, views) phase and weight.
+        looked: the points in every view.
+
+    Attributes:
+        looked: see above.
     """
 
-    def __init__(self, field: MatchedField, index: NDArray[np.int32], turn: NDArray[np.complex64]) -> None:
+    def __init__(self, field: MatchedField, looked: Looked) -> None:
+        self.looked = looked
         self._field = field
-        self._index = index
-        self._turn = turn
+
+    @classmethod
+    def of(cls, field: MatchedField, index: NDArray[np.int32], turn: NDArray[np.complex64]) -> FixedPoints:
+        """Points with the range profile, and phase times amplitude, of every point and view (N, views)."""
+        return cls(
+            field,
+            Looked(
+                np.ascontiguousarray(index.T),
+                np.ascontiguousarray(np.stack([turn.T.real, turn.T.imag], axis=1)),
+            ),
+        )
+
+    @cached_property
+    def _index(self) -> NDArray[np.int32]:
+        return np.ascontiguousarray(self.looked.index.T)
+
+    @cached_property
+    def _turn(self) -> NDArray[np.complex64]:
+        turn = self.looked.turn
+        return np.ascontiguousarray((turn[:, 0] + 1j * turn[:, 1]).T)
 
     def correlate(self, data: NDArray[np.complex64]) -> NDArray[np.complex128]:
         """(N,) <s_p, data> of data (views * rank,)."""
+        if self._field.tables is not None:
+            return self._field.tables.correlated(data, self.looked)
         # Without what is constant over the views: then the templates' constant parts need not be formed.
         rows = data.reshape(self._field.views, -1)
         if self._field.several_heights:
@@ -329,8 +352,6 @@ class FixedPoints:
         else:
             rows = rows - rows.mean(axis=0)
         table = np.ascontiguousarray(rows @ self._field._profiles.conj().T)
-        if self._field.tables is not None:
-            return read_table(table, self._index, self._turn)
         out = np.empty(len(self._index), dtype=np.complex128)
         size = max(1, _BLOCK // self._field.views)
         for at in range(0, len(out), size):
@@ -338,16 +359,21 @@ class FixedPoints:
             out[here] = np.vecdot(self._turn[here], _read(table, self._index[here]))
         return out
 
-    def overlaps(self, others: NDArray[np.complex64]) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
-        """(N, P) <s_p, other> with other templates (P, views * rank), and (N,) ||s_p||^2."""
+    def beyond(self, others: NDArray[np.complex64], inverse: NDArray[np.complex128]) -> NDArray[np.float64]:
+        """(N,) energy of each template that others (P, views * rank) do not explain.
+
+        That is ||s_p||^2 - s^T inverse s*, with s (P,) = <s_p, other> and the inverse (P, P) of the others'
+        Gram matrix.
+        """
         if self._field.tables is not None:
-            return self._field.tables.overlaps(self._index, self._turn, others)
-        shared, own = [], []
+            return self._field.tables.beyond(self.looked, others, inverse)
+        left = []
         for part in self.templates():
-            shared.append((part @ others.conj().T).conj())
+            shared = (part @ others.conj().T).conj().astype(np.complex128)
             plain = part.view(np.float32)
-            own.append(np.einsum("np,np->n", plain, plain))
-        return np.concatenate(shared).astype(np.complex128), np.concatenate(own).astype(np.float64)
+            own = np.einsum("np,np->n", plain, plain).astype(np.float64)
+            left.append(own - np.real(np.sum((shared @ inverse) * shared.conj(), axis=1)))
+        return np.concatenate(left)
 
     def templates(self) -> Iterator[NDArray[np.complex64]]:
         """(n, views * rank) templates of a part of the points after another."""

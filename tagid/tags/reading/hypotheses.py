@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,14 @@ from tagid.signal import median
 from tagid.tags.layouts.layout import Layout, rotation_matrix
 from tagid.tags.reading.aspect import PATTERNS, ROUND, TRANSPARENT, Appearance, Aspect, outward
 from tagid.tags.reading.coarse import IMAGE_STEP_M, CoarseImage, static_overlap
-from tagid.tags.reading.compiled import MOST_POINTS, CoarseGridTask, LayoutShape, LayoutSteps, is_compiled
+from tagid.tags.reading.compiled import (
+    MOST_POINTS,
+    CoarseGridTask,
+    Explained,
+    LayoutShape,
+    LayoutSteps,
+    is_compiled,
+)
 from tagid.tags.reading.field import MatchedField
 from tagid.tags.reading.squares import explained_by, separate_sets, whole_grams
 
@@ -244,6 +251,18 @@ def _finished(field: MatchedField, found: list[Fit], settings: SearchSettings) -
 
 
 @dataclass(frozen=True, eq=False)
+class GridEnergies:
+    """Energies (offsets, A, S) of a grid's hypotheses, and the largest of all shifts (offsets, A)."""
+
+    values: NDArray[np.floating]
+    best: NDArray[np.floating]
+
+
+DISTINCT_DEG = 8.0
+"""Starts of one layout are rotated by as much against each other."""
+
+
+@dataclass(frozen=True, eq=False)
 class CoarseGrid:
     """The coarse hypotheses of one layout: every rotation at every place of its origin.
 
@@ -251,11 +270,25 @@ class CoarseGrid:
         rotations: (A,) counter-clockwise, within the layout's symmetry, rad.
         shifts: (S, 2) places of the layout's origin, m.
         placed: (A, K, 2) rotated reflectors, m.
+        symmetry: of the layout.
     """
 
     rotations: NDArray[np.float64]
     shifts: NDArray[np.float64]
     placed: NDArray[np.float64]
+    symmetry: int
+
+    @cached_property
+    def facing(self) -> NDArray[np.float64]:
+        """(A, K, 2) outward unit vectors of the rotated reflectors."""
+        return outward(self.placed, np.zeros(2))
+
+    @cached_property
+    def near(self) -> NDArray[np.bool_]:
+        """(A, A) rotations within DISTINCT_DEG of each other, of which one is a start."""
+        away = self.rotations - self.rotations[:, None]
+        gap = np.abs(np.angle(np.exp(1j * away * self.symmetry))) / self.symmetry
+        return np.asarray(gap < np.deg2rad(DISTINCT_DEG))
 
     @classmethod
     @lru_cache(maxsize=64)
@@ -269,7 +302,7 @@ class CoarseGrid:
         shifts = np.stack([x.ravel(), y.ravel()], axis=-1)
         shifts = shifts[np.linalg.norm(shifts, axis=1) <= settings.centre_range_m * 1.05]
         placed = layout.positions @ np.swapaxes(rotation_matrix(rotations), -1, -2)
-        return cls(rotations, shifts, placed)
+        return cls(rotations, shifts, placed, layout.symmetry)
 
     def energies(
         self,
@@ -277,8 +310,8 @@ class CoarseGrid:
         full_gram: NDArray[np.complex128],
         template_energy: float,
         balance: float,
-    ) -> NDArray[np.float64]:
-        """(offsets, A, S) energy that each hypothesis explains, charged for unlike amplitudes.
+    ) -> GridEnergies:
+        """Energy that each hypothesis explains, charged for unlike amplitudes.
 
         Args:
             coarse: where b is read; with several antenna heights, the image at each reflector's height.
@@ -301,7 +334,7 @@ class CoarseGrid:
                 FULLY_VISIBLE,
                 first.views,
             )
-            return task.energies().astype(np.float64)
+            return GridEnergies(*task.energies())
         points = self.placed[:, None] + self.shifts[None, :, None]
         gram = full_gram[:, None] - static_overlap(rows, points)
         visibility = np.real(np.diagonal(gram, axis1=-2, axis2=-1)) / template_energy
@@ -315,7 +348,8 @@ class CoarseGrid:
         seen = np.abs(amplitudes)
         typical = (trust * seen).sum(axis=0) / np.maximum(trust.sum(axis=0), 1e-9)
         seen = trust * seen + (1 - trust) * typical
-        return charge(explained, seen, balance, axis=0)
+        values = charge(explained, seen, balance, axis=0)
+        return GridEnergies(values, values.max(axis=2))
 
 
 def _level(field: MatchedField, height_m: float) -> float:
@@ -329,20 +363,21 @@ def _coarse_starts(
     """(starts, 4 or 5) best distinct places, as of `Fit.place`, and the charged energy of the best."""
     grid = CoarseGrid.of(layout, settings)
     rotations, shifts, placed = grid.rotations, grid.shifts, grid.placed
-    levels = np.array([_level(field, height) for height in np.asarray(layout.heights)])
-    rows = [images[level] for level in levels]
-    gram = whole_grams(field, rows[0].aspect, placed, levels, outward(placed, np.zeros(2)))
+    levels = np.zeros(layout.size)
+    if field.several_heights:
+        levels = np.array([_level(field, height) for height in np.asarray(layout.heights)])
+    rows = [images[level] for level in levels.tolist()]
+    gram = whole_grams(field, rows[0].aspect, placed, levels, grid.facing)
     scores = grid.energies(rows, gram, field.template_energy, settings.balance)
     starts: list[tuple[float, ...]] = []
     elevation = (0.0,) if field.several_heights else ()
-    best = scores.max(axis=2)
+    best = scores.best.copy()
     most = float(best.max())
     for _ in range(settings.starts):
         i, a = divmod(int(np.argmax(best)), best.shape[1])
-        s = int(np.argmax(scores[i, a]))
+        s = int(np.argmax(scores.values[i, a]))
         starts.append((rotations[a], shifts[s, 0], shifts[s, 1], settings.offsets_m[i], *elevation))
-        gap = np.abs(np.angle(np.exp(1j * (rotations - rotations[a]) * layout.symmetry))) / layout.symmetry
-        best[:, gap < np.deg2rad(8)] = -1
+        best[:, grid.near[a]] = -1
     return np.array(starts), most
 
 
@@ -361,6 +396,20 @@ class _Tried:
 
 def _evaluate(field: MatchedField, layout: Layout, tried: Sequence[_Tried], balance: float) -> Values:
     """Exact templates at the places of each pattern, one after another."""
+    found = _explained(field, layout, tried)
+    amplitudes = np.concatenate([one.amplitudes for one in found])
+    explained = np.concatenate([one.explained for one in found])
+    own = np.concatenate([np.diagonal(one.gram, axis1=-2, axis2=-1).real for one in found])
+    visibility = own / field.template_energy
+    sizes = visible_sizes(amplitudes, visibility)
+    return Values(amplitudes, sizes, visibility, explained, charge(explained, sizes, balance))
+
+
+def _explained(field: MatchedField, layout: Layout, tried: Sequence[_Tried]) -> list[Explained]:
+    """Least squares at the places of each pattern."""
+    if field.tables is not None and layout.size <= MOST_POINTS:
+        shape = _shape(layout)
+        return [field.tables.placed(one.places, shape, one.aspect.numbers) for one in tried]
     places = np.concatenate([one.places for one in tried])
     turned = np.swapaxes(rotation_matrix(places[:, 0]), -1, -2)
     points = layout.positions @ turned + places[:, None, 1:3]
@@ -383,12 +432,15 @@ def _evaluate(field: MatchedField, layout: Layout, tried: Sequence[_Tried], bala
                 separate_sets(len(one.places), layout.size),
             )
         )
-    amplitudes = np.concatenate([one.amplitudes for one in found])
-    explained = np.concatenate([one.explained for one in found])
-    own = np.concatenate([np.real(np.diagonal(one.gram, axis1=-2, axis2=-1)) for one in found])
-    visibility = own / field.template_energy
-    sizes = visible_sizes(amplitudes, visibility)
-    return Values(amplitudes, sizes, visibility, explained, charge(explained, sizes, balance))
+    return found
+
+
+@lru_cache(maxsize=64)
+def _shape(layout: Layout) -> LayoutShape:
+    """A layout for the compiled loops; those used last are kept."""
+    return LayoutShape.of(
+        layout.positions, np.asarray(layout.heights), outward(layout.positions, np.zeros(2))
+    )
 
 
 def _best_fits(field: MatchedField, layout: Layout, tried: Sequence[_Tried], balance: float) -> list[Fit]:
@@ -442,11 +494,9 @@ def _refine(
     unit = np.eye(count)
 
     if field.tables is not None and layout.size <= MOST_POINTS:
-        facing = outward(layout.positions, np.zeros(2))
-        shape = LayoutShape(layout.positions, np.asarray(layout.heights), facing)
         scales = (settings.balance, field.template_energy, FULLY_VISIBLE)
         steps = LayoutSteps(step, low, high, rounds)
-        return field.tables.moved_layouts(starts, shape, aspect.numbers, steps, scales)
+        return field.tables.moved_layouts(starts, _shape(layout), aspect.numbers, steps, scales)
 
     def charged(at: NDArray[np.float64]) -> NDArray[np.float64]:
         return _evaluate(field, layout, [_Tried(aspect, at)], settings.balance).charged

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +20,7 @@ from tagid.tags.layouts.layout import MIN_SPACING_M
 from tagid.tags.reading.aspect import NO_SIDE_M, TRANSPARENT, Appearance, outward
 from tagid.tags.reading.compiled import MOST_POINTS, Explained, PointSteps
 from tagid.tags.reading.field import MatchedField
-from tagid.tags.reading.squares import explained_by, least_squares
+from tagid.tags.reading.squares import explained_by
 from tagid.tags.reading.views import fold_views
 
 DETECTION_NATS = 18.0
@@ -84,17 +85,17 @@ class Cleaned:
         positions: (K, 2 or 3) m.
         amplitudes: (K,).
         energy: that they explain.
-        residual: (pixels,) b of what they leave; None until `SearchDisc.left_by` is asked for it.
+        left: (pixels,) |b|^2 of what they leave; None until `SearchDisc.left_by` is asked for it.
     """
 
     positions: NDArray[np.float64]
     amplitudes: NDArray[np.complex128]
     energy: float
-    residual: NDArray[np.complex128] | None = None
+    left: NDArray[np.float64] | None = None
 
 
 class SearchDisc:
-    """b on the pixels of a disc, and its residual after some points have been subtracted.
+    """|b|^2 on the pixels of a disc, also after some points have been subtracted.
 
     Args:
         field: matched field of the scans.
@@ -105,7 +106,7 @@ class SearchDisc:
     Attributes:
         points: (n, 2) pixels, or (n, 3) with their heights, m.
         fixed: templates of the pixels.
-        image: (n,) b of the pixels.
+        power: (n,) |b|^2 of the pixels.
         alone: what is found beginning with no points, as far as anyone has looked, see `Cleaned`.
     """
 
@@ -117,48 +118,55 @@ class SearchDisc:
         look: Appearance,
         heights_m: NDArray[np.float64] | None = None,
     ) -> None:
-        half = int(np.ceil(radius_m / step_m))
-        axis = np.arange(-half, half + 1) * step_m
-        x, y = np.meshgrid(axis, axis)
-        inside = x**2 + y**2 <= radius_m**2
         self.field = field
         self.radius_m = radius_m
         self.step_m = step_m
         self.look = look
         self.heights_m = heights_m
-        self.points = np.stack([x[inside], y[inside]], axis=-1)
+        self.points = _pixels(radius_m, step_m)
         if heights_m is not None:
             plane, levels = self.points, len(heights_m)
             heights = np.repeat(heights_m, len(plane))
             self.points = np.column_stack([np.tile(plane, (levels, 1)), heights])
         self.fixed = look.fixed(field, self.points)
-        self.image = self.fixed.correlate(field.data)
+        self.power = self.left(*no_points(self))
         self.alone: list[Cleaned] = []
 
-    def residual(
-        self, positions: NDArray[np.float64], amplitudes: NDArray[np.complex128]
-    ) -> NDArray[np.complex128]:
-        """(pixels,) b of the data minus that of points (K, 2) with complex amplitudes (K,)."""
-        if not len(positions):
-            return self.image.copy()
-        own = self.look.templates(self.field, positions)
-        left = self.field.data - amplitudes.astype(np.complex64) @ own
-        return self.fixed.correlate(left)
+    def fitted(self, positions: NDArray[np.float64]) -> tuple[NDArray[np.complex128], float]:
+        """Least-squares amplitudes (K,) of points (K, 2 or 3), and the energy that they explain."""
+        look, alone = self.look, np.arange(len(positions))[None]
+        facing = outward(positions, look.centre_m)
+        found = explained_by(self.field, look.aspect, positions, facing, look.offset_m, alone)
+        return found.amplitudes[0], float(found.explained[0])
 
-    def left_by(self, points: Cleaned) -> NDArray[np.complex128]:
-        """(pixels,) b of the data minus that of the points, computed once."""
-        if points.residual is None:
-            points.residual = self.residual(points.positions, points.amplitudes)
-        return points.residual
+    def left(self, positions: NDArray[np.float64], amplitudes: NDArray[np.complex128]) -> NDArray[np.float64]:
+        """(pixels,) |b|^2 of the data minus that of points (K, 2 or 3) with complex amplitudes (K,)."""
+        field, look, fixed = self.field, self.look, self.fixed
+        if field.tables is not None:
+            places = np.zeros((len(positions), 3))
+            places[:, : positions.shape[1]] = positions
+            facing, pattern = outward(positions, look.centre_m), look.aspect.numbers
+            others = places, facing, look.offset_m, pattern, amplitudes
+            return field.tables.left(*others, fixed.looked)
+        data = field.data
+        if len(positions):
+            data = data - amplitudes.astype(np.complex64) @ look.templates(field, positions)
+        return np.asarray(np.abs(fixed.correlate(data)) ** 2)
 
-    def level(self, residual: NDArray[np.complex128]) -> float:
+    def left_by(self, points: Cleaned) -> NDArray[np.float64]:
+        """`left` of the points, computed once."""
+        if points.left is None:
+            points.left = self.left(points.positions, points.amplitudes)
+        return points.left
+
+    def level(self, left: NDArray[np.float64]) -> float:
         """Level of noise and clutter in |b|^2 / ||s||^2; an exponential's median is ln 2 times its mean."""
-        own = float(median(np.abs(residual) ** 2) / np.log(2) / self.field.template_energy)
+        own = float(median(left)) / float(np.log(2)) / self.field.template_energy
         return float(max(own, self.field.noise_variance, 1e-12 * self.field.energy))
 
-    def noise_level(self, residual: NDArray[np.complex128]) -> float:
+    def noise_level(self, left: NDArray[np.float64]) -> float:
         """`level`, limited to NOISE_MARGIN times the stated noise if that is known."""
-        stated, own = self.field.noise_variance, self.level(residual)
+        stated, own = self.field.noise_variance, self.level(left)
         return min(own, NOISE_MARGIN * stated) if stated > 0 else own
 
 
@@ -228,7 +236,7 @@ def clean(
 
 def clean_steps(disc: SearchDisc, settings: FinderSettings) -> list[float]:
     """Energy that 1, 2, ... points explain, starting from none, all refined freely after each is added."""
-    none = Cleaned(*no_points(disc), 0.0, disc.image)
+    none = Cleaned(*no_points(disc), 0.0, disc.power)
     return [step.energy for step in _added(disc, none, settings)]
 
 
@@ -242,13 +250,12 @@ def _added(disc: SearchDisc, now: Cleaned, settings: FinderSettings) -> Iterator
     field, given = disc.field, len(now.positions)
     while len(now.positions) < given + settings.maximum:
         count = len(now.positions)
-        residual = disc.left_by(now)
-        power = np.abs(residual) ** 2 / field.template_energy
-        level = disc.noise_level(residual)
-        peak = int(np.argmax(power))
+        left = disc.left_by(now)
+        level = disc.noise_level(left)
+        peak = int(np.argmax(left))
         strongest = float(np.max(np.abs(now.amplitudes) ** 2, initial=0.0)) * field.template_energy
         floor = strongest * 10 ** (settings.floor_db / 10)
-        if power[peak] < max(settings.detection_nats * level, floor):
+        if left[peak] / field.template_energy < max(settings.detection_nats * level, floor):
             return
         # Beginning with none, the points are the same whenever the search ends.
         if given == 0 and count < len(disc.alone):
@@ -267,9 +274,19 @@ def _polished(field: MatchedField, points: NDArray[np.float64], fixed: int, disc
         return Cleaned(*refine_positions(field, points, disc.look))
     moved, _, _ = refine_positions(field, points, disc.look, disc.step_m)
     positions = np.concatenate([points[:fixed], moved[fixed:]])
-    templates = disc.look.templates(field, positions)
-    amplitudes, energy = least_squares(field.correlate(templates), field.gram(templates))
-    return Cleaned(positions, amplitudes, float(energy))
+    return Cleaned(positions, *disc.fitted(positions))
+
+
+@lru_cache(maxsize=4)
+def _pixels(radius_m: float, step_m: float) -> NDArray[np.float64]:
+    """(n, 2) pixels of a disc, m; those asked for last are kept."""
+    half = int(np.ceil(radius_m / step_m))
+    axis = np.arange(-half, half + 1) * step_m
+    x, y = np.meshgrid(axis, axis)
+    inside = x**2 + y**2 <= radius_m**2
+    pixels = np.stack([x[inside], y[inside]], axis=-1)
+    pixels.flags.writeable = False
+    return pixels
 
 
 def separate(

@@ -28,7 +28,6 @@ from tagid.tags.reading.reflectors import (
     distances_between,
     refine_positions,
 )
-from tagid.tags.reading.squares import least_squares
 from tagid.tags.reading.uneven import UnevenFit
 
 
@@ -112,9 +111,8 @@ def _free_energies(
     The point beyond the layout's begins at a pixel that is `apart` (pixels,) from them.
     """
     matched, size = disc.field, best.layout.size
-    own = disc.look.templates(matched, best.points)
-    amplitudes, _ = least_squares(matched.correlate(own), matched.gram(own))
-    power = np.abs(disc.residual(best.points, amplitudes)) ** 2
+    amplitudes, _ = disc.fitted(best.points)
+    power = disc.left(best.points, amplitudes)
     peak = disc.points[int(np.argmax(np.where(apart, power, 0.0)))]
     moved, _, freed = refine_positions(matched, best.points, disc.look)
     more = refine_positions(matched, np.concatenate([best.points, peak[None]]), disc.look)[2]

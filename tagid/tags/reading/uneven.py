@@ -99,7 +99,7 @@ class UnevenFit:
 
     def gains(self, field: MatchedField, others: FixedPoints) -> NDArray[np.float64]:
         """(N,) energy that each of many additional points explains beyond the uneven fit."""
-        shared, own = others.overlaps(self.templates)
-        left = own - np.real(np.sum((shared @ self.inverse) * shared.conj(), axis=1))
-        power = np.abs(others.correlate(self.residual)) ** 2
+        left = others.beyond(self.templates, self.inverse)
+        b = others.correlate(self.residual)
+        power = b.real**2 + b.imag**2
         return np.asarray(power / np.maximum(left, 0.05 * field.template_energy), dtype=np.float64)

@@ -156,7 +156,7 @@ def _outlined(scans: BasebandScans, layouts: Sequence[Layout]) -> bool:
             weight = aspect.weight(matched.antenna, grid.placed, outward(grid.placed, np.zeros(2)))
             gram = matched.full_gram(matched.distances(grid.placed), weight)
             energies = grid.energies(image, gram, matched.template_energy, search.balance)
-            if float(energies.max()) >= least:
+            if float(energies.best.max()) >= least:
                 return True
     return False
 
