@@ -249,6 +249,9 @@ def _first(setups: Sequence[Setup], rate: float) -> Plan | None:
             found = plan(setup)
         except (ConfigError, UsageError):
             continue
+        # Below the table's lowest SNR its last rate is no promise.
+        if found.rates.note:
+            continue
         if found.rates.named.value >= rate and found.margin_db > 0 and found.views >= _LEAST_VIEWS:
             return found
     return None

@@ -126,6 +126,17 @@ def test_what_is_wanted_is_reached_by_the_least_effort() -> None:
         invert(far, 1.0)
 
 
+def test_a_rate_below_the_measured_table_is_not_offered() -> None:
+    wanted = invert(setup(0.015, distance_m=15.0), 0.9)
+    assert wanted.plan is not None and wanted.plan.setup.reflector.size_m > 0.015
+    assert not wanted.plan.rates.note and wanted.integration is None
+
+
+def test_a_wish_that_nothing_reaches_ends_with_what_to_do(tagid: Callable[..., object]) -> None:
+    done = tagid("plan", "--body", "cup:40mm,handle", "--want", 0.9)
+    assert "enrol the untagged body" in done.out.replace("\n", " ")
+
+
 def test_a_gap_between_plan_and_recording_has_a_cause() -> None:
     one = setup()
     scene = scene_on_body("container-180", BodySpec(), one.reflector, 1)
