@@ -17,7 +17,9 @@ from tagid.errors import TagidError
 
 Level = Literal["ok", "warning", "problem"]
 _LOW_DISK_BYTES = 500 * 2**20
-_PACKAGES = ("numpy", "scipy", "h5py", "typer", "rich", "pillow", "pyserial")
+_PACKAGES = ("numpy", "h5py", "typer", "rich", "pillow", "pyserial")
+_EXTRA = "scipy"
+"""Of the extra `science`: MATLAB files, and the cross-section of a reflector."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +54,10 @@ def examine(config: Config) -> list[Finding]:
 
 
 def _versions() -> list[Finding]:
-    found = ", ".join(f"{name} {metadata.version(name)}" for name in _PACKAGES)
+    names = [*_PACKAGES, *([_EXTRA] if importlib.util.find_spec(_EXTRA) is not None else [])]
+    found = ", ".join(f"{name} {metadata.version(name)}" for name in names)
+    if _EXTRA not in names:
+        found += f"; without {_EXTRA}: no MATLAB files, no `layouts reflector --rcs`"
     return [
         Finding("tagid", "ok", f"{__version__} on Python {platform.python_version()}, {platform.system()}"),
         Finding("packages", "ok", found),

@@ -80,7 +80,7 @@ def register(app: typer.Typer) -> None:
         data = {**_data(found), "wanted": None if wanted is None else _wanted_data(wanted)}
         doubt = ""
         if wanted is not None and want is not None:
-            data["wanted_remark"] = doubt = _doubt(wanted, want)
+            data["wanted_remark"] = doubt = _doubt(found, wanted, want)
         return Result("plan", data, _drawn(found, wanted, want, doubt))
 
 
@@ -178,13 +178,20 @@ def _wanted_data(wanted: Wanted) -> dict[str, Any]:
     }
 
 
-def _doubt(wanted: Wanted, want: float) -> str:
-    """One sentence if the measured table cannot promise a rate that its shares reach; otherwise ""."""
+def _doubt(found: Plan, wanted: Wanted, want: float) -> str:
+    """What to do if no setup reaches a rate, or that the table cannot promise it; otherwise ""."""
     from tagid.proportion import trials_for
 
     plans = [one for one in (wanted.plan, wanted.distance, wanted.integration) if one is not None]
     lowest = min(plans, key=lambda one: one.rates.named.low, default=None)
-    if lowest is None or lowest.rates.named.low >= want:
+    if lowest is None:
+        enrolled = found.if_enrolled
+        if enrolled is None or enrolled.named.value < want:
+            return (
+                "no setup reaches this rate: use a bare mount, another body, or read the object several times"
+            )
+        return f"enrol the untagged body (`tagid enroll --help`): then named {enrolled.named}"
+    if lowest.rates.named.low >= want:
         return ""
     rates = lowest.rates
     return (

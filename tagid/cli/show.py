@@ -37,6 +37,10 @@ def register(app: typer.Typer) -> None:
         node: options.Node = None,
         reflector: options.Reflector = None,
         body: options.Body = None,
+        layout: Annotated[
+            str, typer.Option("--layout", help="With --reflector: layout of the tag.")
+        ] = "container-90",
+        layout_file: options.LayoutFile = None,
     ) -> Result:
         """Draw range profile, scans over time and spectrum of a recording, and print its statistics.
 
@@ -44,7 +48,7 @@ def register(app: typer.Typer) -> None:
         difference is reported.
 
         Example: tagid show helmet.tagid.h5
-        Example: tagid show helmet.tagid.h5 --reflector octahedron:40mm
+        Example: tagid show helmet.tagid.h5 --reflector octahedron:40mm --layout helmet-120
         """
         from rich.console import Group
         from rich.table import Table
@@ -66,13 +70,18 @@ def register(app: typer.Typer) -> None:
             thinned(capture)[0], target, file.name, changing_only=changing, turning=_turns(summary, capture)
         )
         table = Table(show_header=False, box=None)
-        compared = _against_plan(capture, summary, reflector, body)
+        compared = _against_plan(capture, summary, reflector, body, layout, layout_file)
         rows = _rows(summary)
         if why := ending_words(capture.radar.ended):
             rows.append(("ended", why))
         if compared is not None:
-            told = f"{compared.measured_db:.1f} dB measured, {compared.planned_db:.1f} dB planned, per sample"
+            told = (
+                f"{compared.measured_db:.1f} dB measured, {compared.planned_db:.1f} dB planned, "
+                f"changing echo of {layout}"
+            )
             rows += [("plan", told), *([("likely cause", compared.cause)] if compared.cause else [])]
+        elif reflector is not None:
+            rows.append(("plan", _not_compared(capture, summary)))
         for name, text in rows:
             table.add_row(name, text)
         strongest = summary.strongest
@@ -115,7 +124,12 @@ def register(app: typer.Typer) -> None:
 
 
 def _against_plan(
-    capture: Capture, summary: RecordingSummary, reflector: str | None, body: str | None
+    capture: Capture,
+    summary: RecordingSummary,
+    reflector: str | None,
+    body: str | None,
+    layout: str,
+    layout_file: Path | None,
 ) -> Gap | None:
     """Measured against planned SNR; None if no reflector is stated or nothing rotates."""
     if reflector is None or summary.noise is None or capture.axis_distance_m is None or not summary.changes:
@@ -131,10 +145,22 @@ def _against_plan(
         None if settings is None else settings.base_integration_index,
         None,
         2.0,
-        "container-90",
-        None,
+        layout,
+        layout_file,
     )
     return gap(capture, summary.noise, changing_peak(capture), setup_from(asked))
+
+
+def _not_compared(capture: Capture, summary: RecordingSummary) -> str:
+    """Why measured and planned SNR are not compared, and what to do."""
+    if capture.axis_distance_m is None:
+        return "not compared: the recording states no axis distance; `tagid import --axis-distance` adds it"
+    if summary.noise is None:
+        return "not compared: the noise of so few scans is not known; record a full turn"
+    return (
+        "not compared: nothing rotates beyond the noise of one scan. If `tagid plan` expects more: does the "
+        "table turn, do the antennas point at the object, are both cables connected?"
+    )
 
 
 def _turns(summary: RecordingSummary, capture: Capture) -> bool:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tagid.angles.period import PeriodEstimate, find_period
+from tagid.angles.period import GOOD_QUALITY, PeriodEstimate, find_period
 from tagid.angles.views import Angles
 from tagid.errors import DataError, UsageError
 from tagid.metadata import ResolvedMotion
@@ -21,6 +21,8 @@ OVERLAP_TURNS = 1.3
 """Turns to record: one, plus the overlap that gives the period to 0.1 % at 10 dB."""
 AMBIGUOUS_TURNS = 2.3
 """Turns to record if the scans also repeat after a fraction of a turn."""
+PARTIAL_TURNS = 8.0
+"""Repetitions of lower quality to record: 1.3 turns of a tag of which a part repeats six times per turn."""
 NOMINAL_SIGMA = 0.01
 """Relative standard deviation of a given speed that could not be checked against the data."""
 MAX_SEARCH_SCANS = 2000
@@ -124,7 +126,7 @@ class FreeTurntable:
 
         With a known speed this depends on time alone. Otherwise the growing sinogram is searched each time it
         is 10 % longer, until two consecutive searches agree on a period and 1.3 turns of it are recorded
-        (2.3 if it is ambiguous), or max_seconds have passed.
+        (2.3 if it is ambiguous, 8 if the scans repeat only in part), or max_seconds have passed.
 
         Args:
             samples: one (bins,) array per scan, or (scans, bins).
@@ -160,6 +162,8 @@ class FreeTurntable:
         last, self._last = self._last, found
         if last is None or abs(found.period_s - last.period_s) > 0.02 * last.period_s:
             return False
+        if found.quality < GOOD_QUALITY:
+            return found.turns >= PARTIAL_TURNS
         doubtful = found.harmonic_ambiguous or self.marker
         return found.turns >= (AMBIGUOUS_TURNS if doubtful else OVERLAP_TURNS)
 

@@ -103,6 +103,9 @@ def turn_line(resolved: ResolvedMotion | None) -> str:
     if resolved is None or not resolved.turns or not resolved.period_s:
         return ""
     line = f"{resolved.turns:.2f} turns of {resolved.period_s:.2f} s ({resolved.kind or 'free'})"
+    if resolved.measured_rpm and resolved.nominal_rpm:
+        # Its quality would praise a wrong speed: a symmetric tag repeats at several.
+        return f"{line} as stated; the scans show {60 / resolved.measured_rpm:.2f} s"
     if resolved.quality is not None:
         line += f", period quality {resolved.quality:.2f}"
     if resolved.source == "measured":

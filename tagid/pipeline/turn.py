@@ -6,11 +6,12 @@ faster table. Only at the true speed do a few fixed points explain the motion of
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from tagid.angles.period import NOMINAL_TOLERANCE
+from tagid.angles.period import GOOD_QUALITY, NOMINAL_TOLERANCE
 from tagid.capture import Capture
 from tagid.errors import DataError
 from tagid.geometry import ImageGrid
@@ -19,7 +20,7 @@ from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.imaging.sparse import omp
 from tagid.motion.urls import open_motion
 from tagid.pipeline.axis_search import bright_offsets
-from tagid.pipeline.resolve import has_angles, one_turn, with_angles
+from tagid.pipeline.resolve import clock_of, has_angles, one_turn, with_angles
 from tagid.pipeline.standstill import held, stopped_error
 
 MULTIPLES = (1, 2, 3, 4)
@@ -33,6 +34,9 @@ _VIEWS = 90
 _BETTER = 0.7
 """A multiple is accepted if its residual is below this fraction of the shortest repetition's: on
 the four layouts at 10 and 20 dB the true multiple has 0.05 to 0.4."""
+_BETTER_THAN_A_REPETITION = 0.35
+"""The same where the scans repeat with the stated period, too: only the image speaks against it."""
+_STRETCH_VIEWS = 180
 _EXPLAINED = 0.05
 """A stated speed that leaves less than this unexplained needs no check: on the four layouts and three points
 at 15 dB, wrong speeds leave 0.14 to 0.8, the true one 0.02 to 0.1."""
@@ -102,52 +106,105 @@ def resolve_turn(capture: Capture, motion: str | None = None) -> Capture:
 def _with_checked_speed(capture: Capture, told: Capture, nominal_s: float) -> Capture:
     """The capture with its stated speed, and the speed measured in its scans if the two differ.
 
-    A stated speed is contradicted if the scans repeat with a different period, and six fixed points explain
-    them clearly better (`_BETTER`) at a multiple of that period than at the stated one, which no other axis
-    distance makes good.
+    A stated speed is contradicted if the scans repeat well with a different period, and six fixed points
+    explain the same scans clearly better at a multiple of that period than at the stated one, which no other
+    axis distance makes good. All speeds are compared on the same scans: a shorter arc is easier to explain.
     """
     resolved = told.motion.resolved
     if resolved is None or resolved.kind != "free" or resolved.period_s is None:
         return told
     try:
-        stated = unexplained_share(told)
-        if stated < _EXPLAINED:
+        if unexplained_share(told) < _EXPLAINED:
             return told
         direction = "cw" if resolved.direction == -1 else "ccw"
         alone = with_angles(capture, f"free?direction={direction}").motion.resolved
         if alone is None or alone.period_s is None or alone.turns is None:
             return told
-        best, left = 0.0, _BETTER * stated
-        for multiple in MULTIPLES:
-            period = multiple * alone.period_s
-            if alone.turns / multiple < _SHORTEST_TURN:
-                break
-            if abs(period - nominal_s) <= NOMINAL_TOLERANCE * nominal_s:
-                continue
-            other = with_angles(capture, f"free?rpm={60 / period}&direction={direction}")
-            share = unexplained_share(other)
-            if share < left:
-                best, left = period, share
+        if (alone.quality or 0.0) < GOOD_QUALITY:
+            return told
+        others = [
+            multiple * alone.period_s
+            for multiple in MULTIPLES
+            if alone.turns / multiple >= _SHORTEST_TURN
+            and abs(multiple * alone.period_s - nominal_s) > NOMINAL_TOLERANCE * nominal_s
+        ]
+        if not others:
+            return told
+        stretch = _Stretch.of(capture, max(nominal_s, *others), resolved.direction or 1)
+        better = _BETTER if resolved.source == "nominal" else _BETTER_THAN_A_REPETITION
+        most = better * stretch.unexplained(resolved.period_s)
+        best = min(others, key=stretch.unexplained)
+        if stretch.unexplained(best) >= most or stretch.explained_elsewhere(
+            resolved.period_s, stretch.unexplained(best) / better
+        ):
+            return told
     except DataError:
         # No repetition, or nothing to image: the stated speed cannot be checked.
-        return told
-    if not best or _explained_elsewhere(told, left / _BETTER):
         return told
     return replace(told, motion=replace(told.motion, resolved=replace(resolved, measured_rpm=60 / best)))
 
 
-def _explained_elsewhere(told: Capture, share: float) -> bool:
-    """Whether the stated speed leaves less than a share unexplained at another axis distance.
+@dataclass(frozen=True, eq=False)
+class _Stretch:
+    """Scans that are compared at several speeds.
 
-    At a wrong distance, fixed points explain no speed, and a slower one least badly, because its shorter arc
-    of views is easier to explain.
+    Attributes:
+        capture: up to `_STRETCH_VIEWS` means of consecutive scans, without angles.
+        times_s: (views,) their times, s.
+        direction: +1 counter-clockwise from above, -1 clockwise.
     """
-    turn = one_turn(told, _VIEWS)
-    distance = turn.axis_distance_m or 0.0
-    return any(
-        unexplained_share(replace(turn, axis_distance_m=distance + offset)) < share
-        for offset in bright_offsets(turn)
-    )
+
+    capture: Capture
+    times_s: NDArray[np.float64]
+    direction: int
+
+    @classmethod
+    def of(cls, capture: Capture, seconds: float, direction: int) -> _Stretch:
+        """The first seconds of a recording."""
+        times = clock_of(capture).times_s
+        since = np.asarray(times - times[0], dtype=np.float64)
+        scans = max(2, int(np.searchsorted(since, seconds, "right")))
+        views = min(_STRETCH_VIEWS, scans)
+        slot = np.arange(scans) * views // scans
+        count = np.bincount(slot, minlength=views)
+        complex_data = np.iscomplexobj(capture.samples)
+        total = np.zeros((views, capture.bins), dtype=np.complex128 if complex_data else np.float64)
+        np.add.at(total, slot, capture.samples[:scans])
+        means = (total / count[:, None]).astype(np.complex64 if complex_data else np.float32)
+        bare = replace(
+            capture,
+            samples=means,
+            angles_rad=None,
+            angle_sigma_rad=None,
+            antenna_positions_m=None,
+            receive_positions_m=None,
+            host_time_ns=None,
+            radar_time_ms=None,
+            scan_id=None,
+            flags=None,
+            motion=replace(capture.motion, averaged_into_views=views),
+        )
+        return cls(bare, np.bincount(slot, since[:scans]) / count, direction)
+
+    def at(self, period_s: float) -> Capture:
+        """The scans with their angles at a speed."""
+        return replace(self.capture, angles_rad=self.direction * 2 * np.pi * self.times_s / period_s)
+
+    def unexplained(self, period_s: float) -> float:
+        """Share that six fixed points leave at a speed."""
+        return _left_by_points(self.at(period_s))
+
+    def explained_elsewhere(self, period_s: float, share: float) -> bool:
+        """Whether a speed leaves less than a share at another axis distance.
+
+        At a wrong distance fixed points explain no speed.
+        """
+        stated = self.at(period_s)
+        distance = stated.axis_distance_m or 0.0
+        return any(
+            _left_by_points(replace(stated, axis_distance_m=distance + offset)) < share
+            for offset in bright_offsets(stated)
+        )
 
 
 def unexplained_share(capture: Capture) -> float:
@@ -155,8 +212,13 @@ def unexplained_share(capture: Capture) -> float:
 
     Raises DataError if the capture cannot be imaged.
     """
+    return _left_by_points(one_turn(capture, _VIEWS))
+
+
+def _left_by_points(views: Capture) -> float:
+    """The same of all views of a capture."""
     settings = PreprocessSettings(extent_m=_GRID.extent, matched_filter=False)
-    scans = preprocess(one_turn(capture, _VIEWS), settings=settings)
+    scans = preprocess(views, settings=settings)
     operator = ForwardOperator(scans, _GRID)
     image = omp(scans, _GRID, _POINTS, operator=operator)
     residual = scans.samples - operator.forward(image.values.ravel()).reshape(scans.samples.shape)

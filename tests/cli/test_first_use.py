@@ -341,3 +341,14 @@ def test_layouts_are_listed_as_the_registry_holds_them(here: Callable[..., Ran],
     connection.close()
     damaged = here("layouts")
     assert damaged.code == 1 and "damaged definition of 'mine'" in damaged.err
+
+
+def test_a_terminal_without_umlauts_costs_no_answer(
+    here: Callable[..., Ran], home: dict[str, str], tmp_path: Path
+) -> None:
+    here("simulate", "helmet-120", "--views", 12, "--out", "gr\u00fcn.tagid.h5")
+    command = [sys.executable, "-m", "tagid", "show", "gr\u00fcn.tagid.h5"]
+    done = subprocess.run(
+        command, cwd=tmp_path, env={**home, "PYTHONIOENCODING": "ascii"}, capture_output=True, text=True
+    )
+    assert done.returncode == 0 and "gr\\xfcn" in done.stdout, done.stderr

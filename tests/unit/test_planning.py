@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from tagid.errors import UsageError
-from tagid.planning.plan import GAP_DB, Setup, gap, invert, moved_distance_m, plan
+from tagid.planning.plan import GAP_DB, Setup, changing_db, gap, invert, moved_distance_m, plan
 from tagid.planning.rates import expected
 from tagid.radar.settings import RadarConfig
 from tagid.recording.plan import plan_window
@@ -31,10 +31,12 @@ def setup(size_m: float = 0.04, body: str = "none", distance_m: float = 1.0, ind
     )  # fmt: skip
 
 
-def emulated_peak_db(size_mm: int, distance_m: float, index: int, body: str = "") -> float:
+def emulated_peak_db(
+    size_mm: int, distance_m: float, index: int, body: str = "", layout: str = "container-180"
+) -> float:
     """SNR of one reflector as an emulated radar's scans show it: peak envelope over the noise of a sample."""
     options = {"reflector": f"octahedron:{size_mm}mm", "axis_distance": str(distance_m), "budget": "1"}
-    source = emulated_scene("container-180", {**options, "rpm": "6", **({"body": body} if body else {})})
+    source = emulated_scene(layout, {**options, "rpm": "6", **({"body": body} if body else {})})
     config = plan_window(distance_m, 0.5, 0.0, RadarConfig(base_integration_index=index))
     times = np.arange(48) / 48 * 10.0
     scans = np.stack([source.scan(i, float(t), config) for i, t in enumerate(times)]).astype(float)
@@ -53,6 +55,18 @@ def test_the_plan_and_emulated_scans_agree_within_a_decibel(
 ) -> None:
     planned = plan(setup(size_mm * 1e-3, "none", distance_m, index)).snr_sample_db
     assert emulated_peak_db(size_mm, distance_m, index) == pytest.approx(planned, abs=1.0)
+
+
+@pytest.mark.parametrize(
+    ("layout", "size_mm", "body", "distance_m"),
+    [("container-90", 40, "can:35mm", 1.0), ("helmet-120", 40, "helmet", 1.5), ("helmet-120", 40, "", 1.0)],
+)
+def test_show_compares_what_the_plan_predicts_of_every_layout_and_body(
+    layout: str, size_mm: int, body: str, distance_m: float
+) -> None:
+    asked = replace(setup(size_mm * 1e-3, body or "none", distance_m), layout=builtin_layouts()[layout])
+    measured = emulated_peak_db(size_mm, distance_m, 11, body, layout)
+    assert measured == pytest.approx(changing_db(asked), abs=1.0)
 
 
 def test_the_radar_equation() -> None:
@@ -112,11 +126,22 @@ def test_what_is_wanted_is_reached_by_the_least_effort() -> None:
         invert(far, 1.0)
 
 
+def test_a_rate_below_the_measured_table_is_not_offered() -> None:
+    wanted = invert(setup(0.015, distance_m=15.0), 0.9)
+    assert wanted.plan is not None and wanted.plan.setup.reflector.size_m > 0.015
+    assert not wanted.plan.rates.note and wanted.integration is None
+
+
+def test_a_wish_that_nothing_reaches_ends_with_what_to_do(tagid: Callable[..., object]) -> None:
+    done = tagid("plan", "--body", "cup:40mm,handle", "--want", 0.9)
+    assert "enrol the untagged body" in done.out.replace("\n", " ")
+
+
 def test_a_gap_between_plan_and_recording_has_a_cause() -> None:
     one = setup()
     scene = scene_on_body("container-180", BodySpec(), one.reflector, 1)
     capture, _ = simulate_capture(scene, Acquisition(views=12, snr_db=30), 1)
-    planned = plan(one).snr_sample_db
+    planned = changing_db(one)
     noise = 120.0
     level = noise * 10 ** (planned / 20)
     assert gap(capture, noise, level, one).cause == ""

@@ -47,6 +47,15 @@ def test_the_unit_starts_a_command_that_exists() -> None:
         assert "Unknown" not in done.stderr
 
 
+def test_doctor_runs_in_the_base_installation(monkeypatch: pytest.MonkeyPatch) -> None:
+    known = doctor.importlib.util.find_spec
+    monkeypatch.setattr(
+        doctor.importlib.util, "find_spec", lambda name: None if name == "scipy" else known(name)
+    )
+    _, packages = doctor._versions()
+    assert packages.level == "ok" and "numpy" in packages.text and "without scipy" in packages.text
+
+
 @pytest.mark.skipif(doctor.platform.system() != "Linux", reason="udev and systemd are of Linux")
 def test_doctor_tells_how_to_install_them(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))

@@ -2,13 +2,24 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from tagid.pipeline.resolve import turn_line
 from tagid.pipeline.turn import resolve_turn
-from tagid.simulate import Acquisition, scene_from_name, simulate_capture
+from tagid.simulate import (
+    Acquisition,
+    BodySpec,
+    ReflectorSpec,
+    scene_from_name,
+    scene_on_body,
+    simulate_capture,
+)
+from tagid.tags.layouts.design import DesignRules, design
+from tagid.tags.layouts.objects import object_named
 
 
 def recording(name: str, turns: float, seed: int, axis_error: float = 0.0):
@@ -54,3 +65,26 @@ def test_a_wrong_axis_distance_does_not_contradict_the_right_speed(name: str, ax
 def test_a_wrong_speed_is_contradicted(axis_error: float) -> None:
     found = resolve_turn(recording("container-90", 1.34, 5, axis_error), "free?rpm=3")
     assert found.motion.resolved.measured_rpm == pytest.approx(2.0, rel=0.01)
+
+
+def _mug(turns: float, layout: str, seed: int):
+    target = object_named("mug").with_rows(1)
+    layouts = {one.name: one for one in design(target, DesignRules(3, 12, 0.04), 4, "mug").layouts}
+    scene = scene_on_body(layout, BodySpec(), ReflectorSpec("octahedron", 0.04), seed, layouts=layouts)
+    capture, _ = simulate_capture(scene, Acquisition(views=200, turns=turns, snr_db=15), seed)
+    return replace(capture, angles_rad=None, angle_sigma_rad=None)
+
+
+def test_a_part_of_a_tag_that_repeats_is_not_a_turn() -> None:
+    # Two of three reflectors at 0, 60 and 120 degrees repeat after a sixth of a turn.
+    free = resolve_turn(_mug(1.35, "mug-01", 5)).motion.resolved
+    assert free.period_s == pytest.approx(30.0, rel=0.01)
+    stated = resolve_turn(_mug(1.95, "mug-01", 5), "free?rpm=1.333").motion.resolved
+    assert stated.measured_rpm == pytest.approx(2.0, rel=0.01)
+    assert re.search(r"s \(free\) as stated; the scans show (29.9|30.0)\d s$", turn_line(stated))
+
+
+def test_the_right_speed_of_a_symmetric_tag_is_not_contradicted() -> None:
+    # Of a small ring, a third of a turn at three times the speed is explained as well by fewer points.
+    found = resolve_turn(_mug(1.3, "mug-04", 3), "free?rpm=2").motion.resolved
+    assert found.measured_rpm is None and "stated" not in turn_line(found)

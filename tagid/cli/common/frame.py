@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import inspect
+import io
 import logging
 import os
 import sys
@@ -223,6 +224,9 @@ def serve(app: typer.Typer) -> int:
     Returns the exit code.
     """
     name = app.info.name or "tagid"
+    # A terminal that knows only ASCII or Latin-1 must not cost the answer: what it lacks is written as \\xfc.
+    if isinstance(sys.stdout, io.TextIOWrapper) and sys.stdout.encoding.lower() not in ("utf-8", "utf8"):
+        sys.stdout.reconfigure(errors="backslashreplace")
     try:
         with interrupts.handled():
             code = app(standalone_mode=False)

@@ -378,7 +378,8 @@ def describe(answer: Identification, name: str) -> RenderableType:
             for cause in answer.causes:
                 lines.append(Text(f"  likely cause: {cause.text}", "bold"))
                 lines.append(Text(f"  what to do: {cause.remedy}"))
-            lines.append(Text(f"  {'otherwise' if answer.causes else 'what to do'}: {reading.advice}"))
+            if all(cause.code != reading.code.value for cause in answer.causes):
+                lines.append(Text(f"  {'otherwise' if answer.causes else 'what to do'}: {reading.advice}"))
         if reading.kind is not Kind.BARE:
             lines.append(Text(f"  read as: {HYPOTHESES[reading.kind]}"))
         if reading.bound is not None:

@@ -121,8 +121,8 @@ def decide_on_body(reading: BodyReading, settings: BodyDecision) -> Verdict:
         return Verdict(
             "unknown",
             Code.BODY,
-            f"the echo comes from {r.early_m * 1e3:+.0f} mm before the places of {best.layout}, "
-            "as from the wall of a body that is not round",
+            f"the echo comes from {abs(r.early_m) * 1e3:.0f} mm {'before' if r.early_m > 0 else 'behind'} "
+            f"the places of {best.layout}, as from the wall of a body that is not round",
         )
     inside = r.front_m - r.nominal_m
     if r.body_energy > s.wall_share * r.energy and inside > s.early_m[1]:
