@@ -17,7 +17,7 @@ import numpy as np
 from tagid.capture import Capture
 from tagid.constants import RANGE_STEP_M, SPEED_OF_LIGHT
 from tagid.geometry import Aperture, ImageGrid
-from tagid.imaging.ats.adapt import changes_of, linear_image, linear_iterations
+from tagid.imaging.ats.adapt import changes_made, linear_image, linear_iterations
 from tagid.imaging.ats.fit import fit
 from tagid.imaging.ats.settings import AtsSettings
 from tagid.imaging.heldout import check
@@ -179,10 +179,10 @@ def held_out_percent(problem: Problem, row: str) -> float:
     if method in ("bp", "bp-raw"):
         found = check(scans, raw, problem.grid, None)
         return 100 * found.residual if found is not None else float("nan")
-    # With the prior of the image of all views.
-    prior = problem.image(f"{row}, bare")[0].settings.get("prior", "") if method == "ats" else ""
-    iterations = linear_iterations(prior)
-    ats = AtsSettings(adapt=0, **changes_of(prior))
+    # With the prior and the views a step of the image of all views.
+    facts = problem.image(f"{row}, bare")[0].settings if method == "ats" else {}
+    iterations = linear_iterations(facts.get("prior", ""))
+    ats = AtsSettings(adapt=0, **changes_made(facts))
 
     def make(some: BasebandScans) -> Image:
         if iterations is not None:
