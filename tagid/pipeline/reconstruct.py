@@ -13,7 +13,7 @@ from tagid import __version__
 from tagid.capture import Capture
 from tagid.errors import UsageError
 from tagid.geometry import ImageGrid
-from tagid.imaging.ats.adapt import changes_of, linear_image, linear_iterations
+from tagid.imaging.ats.adapt import changes_made, linear_image, linear_iterations
 from tagid.imaging.ats.fit import fit
 from tagid.imaging.autofocus import AxisFocus
 from tagid.imaging.bandcheck import band_warning
@@ -251,8 +251,7 @@ def _held_out(
         scans = scans if found is None else found.removed(scans)
         unfiltered = scans
     ats = replace(settings.ats, adapt=0, held_out=0.0, calibrate=())
-    prior = made.settings.get("prior", "")
-    iterations, changes = linear_iterations(prior), changes_of(prior)
+    iterations, changes = linear_iterations(made.settings.get("prior", "")), changes_made(made.settings)
     axis = made.settings.get("calibration", {}).get("axis")
     if axis:
         moved = scans.aperture.with_axis_distance(axis["distance_m"])

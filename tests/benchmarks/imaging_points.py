@@ -91,7 +91,7 @@ def score_points(cell: PointCell) -> dict[str, float]:
     """The members of `PointScore`."""
     problem = drawn_points(cell.views, cell.noise, cell.seed)
     wavenumber = problem.scans(False).wavenumber
-    sharp = cell.row in ("FISTA", "OMP", "ATS field")
+    sharp = f"{cell.row}, bare" in ROWS
     start = time.process_time()
     if cell.row == "oracle":
         own, seconds = oracle(problem, wavenumber), float("nan")

@@ -164,11 +164,15 @@ def write_block(page: str, name: str, title: str, text: str) -> None:
     path.write_text(content, encoding="utf-8")
 
 
-def write_rows(page: str, name: str, text: str, rows: Sequence[str], made: str) -> None:
+def write_rows(
+    page: str, name: str, text: str, rows: Sequence[str], made: str, others: Sequence[str] = ()
+) -> None:
     """Replace the lines of some methods in the tables of a block; a sentence says what made them.
 
+    A line that the block lacks goes below those of its case, of `rows` and of `others`.
+
     Raises:
-        SystemExit: the page has no such block, or a line that it lacks.
+        SystemExit: the page has no such block, or no line of a case.
     """
     path = RESULTS / f"{page}.md"
     content = path.read_text(encoding="utf-8")
@@ -176,13 +180,18 @@ def write_rows(page: str, name: str, text: str, rows: Sequence[str], made: str) 
     if there is None:
         raise SystemExit(f"{path} has no block {name}")
     lines = there.group().splitlines()
-    places = {key: i for i, key in enumerate(_keys(lines, rows)) if key is not None}
     new = text.splitlines()
     for line, key in zip(new, _keys(new, rows), strict=True):
-        if key is not None:
-            if key not in places:
-                raise SystemExit(f"block {name} has no line {key}")
-            lines[places[key]] = line
+        if key is None:
+            continue
+        keys = _keys(lines, (*rows, *others))
+        if key in keys:
+            lines[keys.index(key)] = line
+            continue
+        case = [i for i, each in enumerate(keys) if each is not None and each[:-1] == key[:-1]]
+        if not case:
+            raise SystemExit(f"block {name} has no line {key}")
+        lines.insert(case[-1] + 1, line)
     note = f"{', '.join(rows)}: {made}."
     lines = [line for line in lines if not line.startswith(f"{', '.join(rows)}: commit ")]
     block = "\n".join([*lines[:4], "", note, *lines[4:]]) + "\n"

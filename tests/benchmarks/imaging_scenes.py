@@ -11,13 +11,14 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from tagid.capture import Capture
 from tagid.constants import RANGE_STEP_M, SPEED_OF_LIGHT
 from tagid.geometry import Aperture, ImageGrid
-from tagid.imaging.ats.adapt import changes_of, linear_image, linear_iterations
+from tagid.imaging.ats.adapt import changes_made, linear_image, linear_iterations
 from tagid.imaging.ats.fit import fit
 from tagid.imaging.ats.settings import AtsSettings
 from tagid.imaging.heldout import check
@@ -45,22 +46,33 @@ FIRST_SEED = 20_000
 SHARED = Path(os.environ.get("TAGID_SHARED", Path(__file__).resolve().parents[3] / "shared"))
 LPIPS_MODEL = SHARED / "data" / "lpips" / "lpips_sq.onnx"
 
+
+class Row(NamedTuple):
+    """A method of the tables, its preset, and the steps of its fit; 0: as many as it takes by itself."""
+
+    method: str = ""
+    preset: str = ""
+    steps: int = 0
+
+
 ROWS = {
-    "blank": ("", ""),
-    "BP": ("bp-raw", ""),
-    "matched-filter BP": ("bp", ""),
-    "range-Doppler": ("range-doppler", ""),
-    "polar format": ("polar", ""),
-    "FISTA": ("sparse", ""),
-    "OMP": ("omp", ""),
-    "ATS paper": ("ats", "paper"),
-    "ATS field": ("ats", "field"),
-    "FISTA, bare": ("sparse", ""),
-    "OMP, bare": ("omp", ""),
-    "ATS field, bare": ("ats", "field"),
+    "blank": Row(),
+    "BP": Row("bp-raw"),
+    "matched-filter BP": Row("bp"),
+    "range-Doppler": Row("range-doppler"),
+    "polar format": Row("polar"),
+    "FISTA": Row("sparse"),
+    "OMP": Row("omp"),
+    "ATS paper": Row("ats", "paper"),
+    "ATS field": Row("ats", "field"),
+    "ATS 300 steps": Row("ats", "field", 300),
+    "FISTA, bare": Row("sparse"),
+    "OMP, bare": Row("omp"),
+    "ATS field, bare": Row("ats", "field"),
+    "ATS 300 steps, bare": Row("ats", "field", 300),
 }
-"""Row of a table -> (method, preset). FISTA, OMP and ATS field are shown with the restoring beam, as
-`tagid reconstruct` does; "bare" is the same image without it."""
+"""Rows of the tables. FISTA, OMP and ATS field are shown with the restoring beam, as `tagid reconstruct`
+does; "bare" is the same image without it. "ATS 300 steps" is among reflectors only."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +97,7 @@ class Problem:
     amplitudes: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=complex))
     seed: int = 0
     background: str = "none"
-    made: dict[tuple[str, str], tuple[Image, float]] = field(default_factory=dict)
+    made: dict[Row, tuple[Image, float]] = field(default_factory=dict)
 
     def scans(self, matched: bool) -> BasebandScans:
         """Scans with or without matched filter."""
@@ -94,15 +106,16 @@ class Problem:
 
     def image(self, row: str) -> tuple[Image, float]:
         """Image of a row of `ROWS` and its seconds of processor time, preprocessing not counted."""
-        method, preset = ROWS[row]
+        made_by = method, preset, steps = ROWS[row]
         if not method:
             return blank(self.grid), 0.0
         scans = self.scans(METHODS[method].matched_filter)
-        if (method, preset) not in self.made:
+        if made_by not in self.made:
             start = time.process_time()
-            image = make_image(scans, self.grid, method, self.seed, preset or "field")
-            self.made[method, preset] = image, time.process_time() - start
-        image, seconds = self.made[method, preset]
+            ats = AtsSettings(steps=steps)
+            image = make_image(scans, self.grid, method, self.seed, preset or "field", ats=ats)
+            self.made[made_by] = image, time.process_time() - start
+        image, seconds = self.made[made_by]
         if METHODS[method].sparse and preset != "paper" and not row.endswith("bare"):
             image = restore(image, scans.wavenumber)
         return image, seconds
@@ -172,17 +185,17 @@ def held_out_percent(problem: Problem, row: str) -> float:
 
     The published method is among those: its image predicts scans through its own model of rays alone.
     """
-    method, preset = ROWS[row]
+    method, preset, steps = ROWS[row]
     if not method or preset == "paper" or method == "range-doppler":
         return float("nan")
     scans, raw = problem.scans(METHODS[method].matched_filter), problem.scans(False)
     if method in ("bp", "bp-raw"):
         found = check(scans, raw, problem.grid, None)
         return 100 * found.residual if found is not None else float("nan")
-    # With the prior of the image of all views.
-    prior = problem.image(f"{row}, bare")[0].settings.get("prior", "") if method == "ats" else ""
-    iterations = linear_iterations(prior)
-    ats = AtsSettings(adapt=0, **changes_of(prior))
+    # With the prior and the views a step of the image of all views.
+    facts = problem.image(f"{row}, bare")[0].settings if method == "ats" else {}
+    iterations = linear_iterations(facts.get("prior", ""))
+    ats = AtsSettings(steps=steps, adapt=0, **changes_made(facts))
 
     def make(some: BasebandScans) -> Image:
         if iterations is not None:

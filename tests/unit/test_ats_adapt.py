@@ -12,6 +12,7 @@ from tagid.geometry import ImageGrid
 from tagid.imaging.ats import adapt, start
 from tagid.imaging.ats.adapt import (
     ITERATIONS,
+    changes_made,
     changes_of,
     fit_adapted,
     folds,
@@ -32,13 +33,9 @@ GRID = ImageGrid(0.3, 40)
 QUICK = AtsSettings(steps=40)
 
 
-def rough(views: int = 60) -> BasebandScans:
-    """Scans of an ellipse of 64 scatterers of random phase, each seen only where it faces the antenna."""
-    phases = np.exp(2j * np.pi * np.random.default_rng(4).random(64))
-    t = np.arange(64) * 2 * np.pi / 64
-    points = np.column_stack([0.11 * np.cos(t), 0.07 * np.sin(t)])
-    normals = np.column_stack([np.cos(t) / 0.11, np.sin(t) / 0.07])
-    normals /= np.linalg.norm(normals, axis=1)[:, None]
+def faced(points: np.ndarray, normals: np.ndarray, phases: np.ndarray, views: int) -> BasebandScans:
+    """Scans of scatterers, each seen only where its side faces the antenna."""
+    normals = normals / np.linalg.norm(normals, axis=1)[:, None]
     aperture = turn(views)
     rows = []
     for view in range(views):
@@ -52,6 +49,24 @@ def rough(views: int = 60) -> BasebandScans:
         replace(whole, samples=np.vstack(rows)),
         settings=PreprocessSettings("none", False, extent_m=GRID.extent),
     )
+
+
+def rough(views: int = 60) -> BasebandScans:
+    """Scans of an ellipse of 64 scatterers of random phase, each seen only where it faces the antenna."""
+    phases = np.exp(2j * np.pi * np.random.default_rng(4).random(64))
+    t = np.arange(64) * 2 * np.pi / 64
+    points = np.column_stack([0.11 * np.cos(t), 0.07 * np.sin(t)])
+    return faced(points, np.column_stack([np.cos(t) / 0.11, np.sin(t) / 0.07]), phases, views)
+
+
+def flat_sides(views: int) -> BasebandScans:
+    """Scans of a square of 24 cm whose sides flash: a few views hold most of the energy."""
+    along = np.linspace(-0.12, 0.12, 25)
+    side = np.column_stack([np.full(25, 0.12), along])
+    turns = [np.array([[c, -s], [s, c]]) for c, s in ((1, 0), (0, 1), (-1, 0), (0, -1))]
+    points = np.vstack([side @ each.T for each in turns])
+    normals = np.vstack([np.tile(each @ [1.0, 0.0], (25, 1)) for each in turns])
+    return faced(points, normals, np.ones(100, dtype=complex), views)
 
 
 def test_an_outline_seen_from_its_side_gets_a_prior_that_predicts_better_than_backprojection() -> None:
@@ -69,6 +84,29 @@ def test_an_outline_seen_from_its_side_gets_a_prior_that_predicts_better_than_ba
     seen = np.setdiff1d(np.arange(60), unseen)
     plain = linear_image(select_views(scans, seen), GRID, 1)
     assert mine < 0.3 * residual(select_views(scans, unseen), plain)
+
+
+def test_every_view_takes_part_often_enough_for_a_scene_whose_views_differ() -> None:
+    """Of a dozen views a step the flashes of flat sides pull the field to and fro until the steps end."""
+    scans = flat_sides(240)
+    made = fit_adapted(scans, GRID, AtsSettings()).image.settings
+    assert made["views_per_step"] == 24
+    unseen = left_out(240)
+    part = select_views(scans, np.setdiff1d(np.arange(240), unseen))
+    plain = min(residual(select_views(scans, unseen), linear_image(part, GRID, k)) for k in (0, 1))
+    changes = changes_made(made)
+    assert changes["views_per_step"] == 24
+    settled = fit(scans, GRID, replace(AtsSettings(), **changes), unseen=unseen).held_out
+    few = fit(scans, GRID, replace(AtsSettings(), **{**changes, "views_per_step": 12}), unseen=unseen)
+    assert settled < 0.8 * min(plain, few.held_out)
+
+
+def test_a_dozen_views_a_step_are_enough_where_the_steps_see_each_ten_times() -> None:
+    plain = AtsSettings()
+    assert [plain.seeing_all(n).views_per_step for n in (12, 36, 120, 121, 360)] == [12, 12, 12, 13, 36]
+    assert replace(plain, steps=400).seeing_all(360).views_per_step == 12
+    assert replace(plain, steps=5).seeing_all(60).views_per_step == 60
+    assert replace(plain, views_per_step=48).seeing_all(360).views_per_step == 48
 
 
 def test_where_nothing_predicts_clearly_better_the_image_is_backprojection() -> None:

@@ -85,6 +85,12 @@ def changes_of(prior: str) -> dict[str, Any]:
     return CANDIDATES.get(prior, {})
 
 
+def changes_made(facts: dict[str, Any]) -> dict[str, Any]:
+    """What the settings of an image (`Image.settings`) say was changed for it: prior, and views of a step."""
+    changes = changes_of(facts.get("prior", ""))
+    return changes | {name: facts[name] for name in ("views_per_step",) if name in facts}
+
+
 def linear_iterations(prior: str) -> int | None:
     """Iterations of a linear prior ("linear 4": 4), None for another prior."""
     name, _, count = prior.rpartition(" ")
@@ -104,7 +110,8 @@ def linear_image(scans: BasebandScans, grid: ImageGrid, iterations: int) -> Imag
 def fit_adapted(
     scans: BasebandScans, grid: ImageGrid, settings: AtsSettings, progress: Progress | None = None
 ) -> AtsResult:
-    """Fit with the settings; where unseen views ask for another prior and none was given, with that one.
+    """Fit with the settings; where unseen views ask for it, with more views a step (`seeing_all`);
+    where they still ask for another prior and none was given, with that one.
 
     The image's settings say what was tried: "prior" is its name, "prior_trials" the residual of each on views
     that its fit did not see, "priors_not_tried" what was left out because the image is large.
@@ -117,10 +124,12 @@ def fit_adapted(
         return fit(scans, grid, settings, progress)
     first: AtsResult | None = None
     images = FirstImages()
+    quick, settings = settings, settings.seeing_all(scans.aperture.views)
     if settings.held_out > 0 and scans.aperture.views >= LEAST_HELD_OUT:
-        first = fit(scans, grid, settings, progress, images=images)
-        if not first.losses or _explains(scans, grid, first):
-            return first
+        for each in dict.fromkeys((quick, settings)):
+            first = fit(scans, grid, each, progress, images=images)
+            if not first.losses or _explains(scans, grid, first):
+                return first
     trials = _Trials(scans, grid, settings, progress, linear=settings.calibrate == ())
     prior = trials.chosen()
     iterations = linear_iterations(prior)
