@@ -29,19 +29,22 @@ class Code(StrEnum):
     STOPPED = "turn_stopped"
 
 
+_BODY = "if it has a handle, a rim or flat sides"
 _LARGER = "use a larger reflector or more integration (radar.integration)"
 ADVICE = {
     Code.NONE: "",
     Code.NO_ECHO: f"Check that the object lies in the range window and turns, or {_LARGER}.",
     Code.NO_TAG: f"If the object carries a tag, {_LARGER}.",
-    Code.UNEXPLAINED: "Enrol the tag if it is new; enrol the object if it has a handle, a rim or flat sides.",
+    Code.UNEXPLAINED: f"Enrol the tag if it is new, or the body {_BODY}.",
     Code.BODY: "Enrol the body: it is not round, and its own echo covers the tag's.",
     Code.MISSING: "Check that every reflector of the tag is in place and as large as the others.",
     Code.EXTRA: "Remove what does not belong to the tag, or enrol the tag as it is.",
-    Code.ELSEWHERE: "Enrol the tag if it is new, or record more views.",
+    Code.ELSEWHERE: f"Enrol the tag if it is new, or the body {_BODY}; otherwise record more views.",
     Code.DISPLACED: "Put the reflectors back in their places, or enrol the tag as it is.",
     Code.HIDDEN: "Mount the reflectors on the outside of the object.",
-    Code.OTHER: f"Enrol the tag if it is new; otherwise record more views, or {_LARGER}.",
+    Code.OTHER: (
+        f"Enrol the tag if it is new, or the body {_BODY}; otherwise record more views, or {_LARGER}."
+    ),
     Code.RADIUS: "Check the reflectors' distance from the axis, or enrol the tag as it is.",
     Code.OFF_CENTRE: "Place the object within 10 mm of the rotation axis.",
     Code.WEAK: f"Record more views, or {_LARGER}.",
