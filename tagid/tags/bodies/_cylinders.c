@@ -13,8 +13,7 @@
 #define COMMON 3 /* coordinates before the reflectors' angles */
 #define MOST 8   /* reflectors, at most */
 #define SIDE COLUMNS
-#include "_hermitian.h"
-#define LOAD 1e-6
+#include "_leave.h"
 #define TURN 6.283185307179586
 
 typedef struct {
@@ -110,36 +109,6 @@ INLINE void shine(const Way *w, const double *restrict pattern, int64_t angles, 
     }
 }
 
-/* What columns (COLUMNS, 2, views) leave of data (2, views), in place of `rest`; returns its energy. */
-INLINE double leave(const double *column, const double *data, int64_t n, double *restrict rest)
-{
-    double gram[COLUMNS][COLUMNS][2], amplitude[COLUMNS][2], size[COLUMNS], most = 0.0, left = 0.0;
-    for (int c = 0; c < COLUMNS; c++) {
-        for (int d = 0; d <= c; d++)
-            inner(column + 2 * n * c, column + 2 * n * d, n, gram[c][d]);
-        inner(column + 2 * n * c, data, n, amplitude[c]);
-        size[c] = gram[c][c][0];
-        most = size[c] > most ? size[c] : most;
-    }
-    for (int c = 0; c < COLUMNS; c++)
-        gram[c][c][0] += LOAD * size[c] + (size[c] > 1e-9 * most ? 0.0 : 1.0);
-    factorise(COLUMNS, gram);
-    substitute(COLUMNS, gram, amplitude);
-    memcpy(rest, data, (size_t)(2 * n) * sizeof(double));
-    for (int c = 0; c < COLUMNS; c++) {
-        const double *restrict own = column + 2 * n * c;
-        const double re = amplitude[c][0], im = amplitude[c][1];
-        for (int64_t v = 0; v < n; v++) {
-            rest[v] -= re * own[v] - im * own[n + v];
-            rest[n + v] -= re * own[n + v] + im * own[v];
-        }
-    }
-#pragma omp simd reduction(+ : left)
-    for (int64_t v = 0; v < 2 * n; v++)
-        left += rest[v] * rest[v];
-    return left;
-}
-
 WIDE static void every_row(const Spectra *shared, const Ringed *r, double *scratch)
 {
     /* A copy that no store can change. */
@@ -164,7 +133,7 @@ WIDE static void every_row(const Spectra *shared, const Ringed *r, double *scrat
             }
             for (int c = 0; c < COLUMNS; c++)
                 centre(column + 2 * n * c, n);
-            total += leave(column, g->data + 2 * n * f, n, rest);
+            total += leave(COLUMNS, column, g->data + 2 * n * f, n, rest);
             double *restrict out = r->rest + 2 * n * (g->frequencies * row + f);
             for (int64_t v = 0; v < n; v++) {
                 out[2 * v] = rest[v];

@@ -10,8 +10,7 @@
 
 #define MOST 8 /* amplitudes per frequency, at most */
 #define SIDE MOST
-#include "_hermitian.h"
-#define LOAD 1e-6
+#include "_leave.h"
 
 typedef struct {
     const double *places; /* (H, 3) centre x and y, m, and gamma, rad */
@@ -69,7 +68,6 @@ INLINE void shapes(int64_t n, int64_t order, int columns, double gamma, const do
 INLINE double left_at(int64_t n, int columns, const double *wave, const double *shape, const double *data,
                       double *restrict column, double *restrict rest)
 {
-    double gram[MOST][MOST][2], amplitude[MOST][2], size[MOST], most = 0.0, left = 0.0;
     for (int p = 0; p < columns; p++) {
         double *restrict own = column + 2 * n * p;
         const double *restrict by = shape + n * p;
@@ -78,29 +76,8 @@ INLINE double left_at(int64_t n, int columns, const double *wave, const double *
             own[n + v] = wave[n + v] * by[v];
         }
         centre(own, n);
-        for (int q = 0; q <= p; q++)
-            inner(own, column + 2 * n * q, n, gram[p][q]);
-        inner(own, data, n, amplitude[p]);
-        size[p] = gram[p][p][0];
-        most = size[p] > most ? size[p] : most;
     }
-    for (int p = 0; p < columns; p++)
-        gram[p][p][0] += LOAD * size[p] + (size[p] > 1e-9 * most ? 0.0 : 1.0);
-    factorise(columns, gram);
-    substitute(columns, gram, amplitude);
-    memcpy(rest, data, (size_t)(2 * n) * sizeof(double));
-    for (int p = 0; p < columns; p++) {
-        const double *restrict own = column + 2 * n * p;
-        const double re = amplitude[p][0], im = amplitude[p][1];
-        for (int64_t v = 0; v < n; v++) {
-            rest[v] -= re * own[v] - im * own[n + v];
-            rest[n + v] -= re * own[n + v] + im * own[v];
-        }
-    }
-#pragma omp simd reduction(+ : left)
-    for (int64_t v = 0; v < 2 * n; v++)
-        left += rest[v] * rest[v];
-    return left;
+    return leave(columns, column, data, n, rest);
 }
 
 WIDE static void every_wall(const Spectra *shared, const Walls *w, double *scratch)
