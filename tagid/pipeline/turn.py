@@ -133,10 +133,9 @@ def _with_checked_speed(capture: Capture, told: Capture, nominal_s: float) -> Ca
         stretch = _Stretch.of(capture, max(nominal_s, *others), resolved.direction or 1)
         better = _BETTER if resolved.source == "nominal" else _BETTER_THAN_A_REPETITION
         most = better * stretch.unexplained(resolved.period_s)
-        best = min(others, key=stretch.unexplained)
-        if stretch.unexplained(best) >= most or stretch.explained_elsewhere(
-            resolved.period_s, stretch.unexplained(best) / better
-        ):
+        left = {period: stretch.unexplained(period) for period in others}
+        best = min(left, key=left.__getitem__)
+        if left[best] >= most or stretch.explained_elsewhere(resolved.period_s, left[best] / better):
             return told
     except DataError:
         # No repetition, or nothing to image: the stated speed cannot be checked.
