@@ -7,6 +7,7 @@ covered, with as many views as the size of the object requires.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,6 +77,20 @@ def select_views(
     return np.asarray(picked, dtype=np.int64)
 
 
+def mean_scans(samples: NDArray[Any], slot: NDArray[np.integer], count: NDArray[np.integer]) -> NDArray[Any]:
+    """Means (V, bins) of scans by slot, in single precision.
+
+    Args:
+        samples: (scans, bins).
+        slot: (scans,) number of the mean that each scan belongs to.
+        count: (V,) scans in each slot.
+    """
+    complex_data = np.iscomplexobj(samples)
+    total = np.zeros((len(count), samples.shape[1]), dtype=np.complex128 if complex_data else np.float64)
+    np.add.at(total, slot, samples)
+    return np.asarray((total / count[:, None]).astype(np.complex64 if complex_data else np.float32))
+
+
 def average_into_views(capture: Capture, views: int) -> Capture:
     """Average scans into evenly spaced angular sectors: noise falls by sqrt(scans per view).
 
@@ -107,9 +122,6 @@ def average_into_views(capture: Capture, views: int) -> Capture:
     sector = np.rint(wrapped / (2 * np.pi) * views).astype(np.int64) % views
     offset = (wrapped - sector * 2 * np.pi / views + np.pi) % (2 * np.pi) - np.pi
     present, slot, count = np.unique(sector, return_inverse=True, return_counts=True)
-    complex_data = np.iscomplexobj(capture.samples)
-    total = np.zeros((len(present), capture.bins), dtype=np.complex128 if complex_data else np.float64)
-    np.add.at(total, slot, capture.samples)
     mean_offset = np.bincount(slot, offset) / count
     sigma = capture.angle_sigma_rad
     flags = None
@@ -118,7 +130,7 @@ def average_into_views(capture: Capture, views: int) -> Capture:
         np.bitwise_or.at(flags, slot, capture.flags)
     return replace(
         capture,
-        samples=(total / count[:, None]).astype(np.complex64 if complex_data else np.float32),
+        samples=mean_scans(capture.samples, slot, count),
         angles_rad=angles[0] + present * 2 * np.pi / views + mean_offset,
         # Errors of the angles are common to neighbouring scans (clock, period): they do not average out.
         angle_sigma_rad=None if sigma is None else np.bincount(slot, sigma) / count,

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.angles.period import GOOD_QUALITY, NOMINAL_TOLERANCE
+from tagid.angles.views import mean_scans
 from tagid.capture import Capture
 from tagid.errors import DataError
 from tagid.geometry import ImageGrid
@@ -166,13 +167,9 @@ class _Stretch:
         views = min(_STRETCH_VIEWS, scans)
         slot = np.arange(scans) * views // scans
         count = np.bincount(slot, minlength=views)
-        complex_data = np.iscomplexobj(capture.samples)
-        total = np.zeros((views, capture.bins), dtype=np.complex128 if complex_data else np.float64)
-        np.add.at(total, slot, capture.samples[:scans])
-        means = (total / count[:, None]).astype(np.complex64 if complex_data else np.float32)
         bare = replace(
             capture,
-            samples=means,
+            samples=mean_scans(capture.samples[:scans], slot, count),
             angles_rad=None,
             angle_sigma_rad=None,
             antenna_positions_m=None,
