@@ -51,12 +51,17 @@ def turn(views: int = 36) -> np.ndarray:
 
 
 def pair_on(
-    centre: complex, radius: float, angles: list[float], seed: int = 0, noise: float = 0.0
+    centre: complex,
+    radius: float,
+    angles: list[float],
+    seed: int = 0,
+    noise: float = 0.0,
+    lean: tuple[float, ...] = (0.0, 0.0),
 ) -> Spectra:
     """A body of 30 with reflectors of 1 and a pattern of their own at every frequency."""
     rng = np.random.default_rng(seed)
     empty = spectra_of(turn())
-    row = batch_of(centre, radius, angles)
+    row = replace(batch_of(centre, radius, angles), lean=np.array([lean]))
     cols = Columns.of(empty, RoundBody(), row).values[0]
     amplitude = np.array([30.0, 1.0, 0.4, 0.1]) * np.exp(2j * np.pi * rng.uniform(size=(9, 4)))
     data = (amplitude[:, None] @ cols)[:, 0]
@@ -80,6 +85,7 @@ def batch_of(centre: complex, radius: float, angles: list[float]) -> Batch:
         np.full((1, k), radius),
         np.zeros((1, k)),
         np.ones((1, k)),
+        np.zeros((1, k)),
         one * FACING.tilt,
         one * FACING.terms,
         np.array(moves)[None],
@@ -89,11 +95,12 @@ def batch_of(centre: complex, radius: float, angles: list[float]) -> Batch:
     )
 
 
-def test_the_slopes_are_those_of_the_residual() -> None:
+@pytest.mark.parametrize("lean", [(0.0, 0.0), (0.5, -0.4)])
+def test_the_slopes_are_those_of_the_residual(lean: tuple[float, float]) -> None:
     """Kaufman's slope is exact where the model explains the data."""
-    spectra = pair_on(0.004 - 0.002j, 0.045, [0.3, 1.9])
+    spectra = pair_on(0.004 - 0.002j, 0.045, [0.3, 1.9], lean=lean)
     fitter = Fitter(spectra, RoundBody(), Priors(), 1.0)
-    exact = batch_of(0.004 - 0.002j, 0.045, [0.3, 1.9])
+    exact = replace(batch_of(0.004 - 0.002j, 0.045, [0.3, 1.9]), lean=np.array([lean]))
     normal = fitter._linear(exact).normal[0]
     base = solve(spectra.data, Columns.of(spectra, RoundBody(), exact).values).rest
     step, slopes = 2e-5, []

@@ -59,6 +59,7 @@ def arrangements() -> Batch:
         np.full((ROWS, REFLECTORS), 0.045),
         rng.normal(0, 0.01, (ROWS, REFLECTORS)),
         present,
+        0 * present,
         2.0 * (np.arange(ROWS) % 2),
         1.0 + np.arange(ROWS) % 7,
         moves,

@@ -136,12 +136,13 @@ def test_two_amplitudes_hold_a_solved_reflector_before_its_wall(
 
 
 class Solved:
-    """The solved mug as a body that is known exactly, where it stands."""
+    """A solved body that is known exactly, where it stands."""
 
-    name, turns, slack_m = "mug", True, 5e-3
+    turns, slack_m = True, 5e-3
 
-    def __init__(self, polarisation: str) -> None:
+    def __init__(self, polarisation: str, name: str = "handle34") -> None:
         self.polarisation = polarisation
+        self.name = name
 
     def poses(self, spectra: Spectra) -> list[Candidate]:
         echo = self.echo(spectra, np.array([POSE.centre]), np.array([POSE.turn_rad]))[0]
@@ -152,7 +153,7 @@ class Solved:
     def echo(
         self, spectra: Spectra, centres: NDArray[np.complex128], turns: NDArray[np.float64]
     ) -> NDArray[np.complex128]:
-        own = response("handle34")
+        own = response(self.name)
         kappa = 2 * own.wavenumber
         found = []
         for centre, turn in zip(centres, turns, strict=True):
@@ -191,6 +192,23 @@ def read(thing: Response, polarisation: str, settings: BodySettings, snr_db: flo
     found = read_on_body(spectra, list(builtin_layouts().values()), Solved(polarisation), settings)
     assert found is not None
     return found
+
+
+def read_on_box(carried: str, snr_db: float, views: int) -> BodyReading:
+    spectra = Spectra.of(scans_of(response(f"box60_{carried}"), "V", snr_db, 2, views))
+    layouts = list(builtin_layouts().values())
+    found = read_on_body(spectra, layouts, Solved("V", "box60"), BodySettings())
+    assert found is not None
+    assert found.layouts[0].layout == "container-180"
+    assert found.unexplained < 0.05
+    return found
+
+
+@pytest.mark.parametrize(("snr_db", "views"), [(20.0, 36), (10.0, 36), (20.0, 24)])
+def test_neighbours_on_the_faces_of_a_box_are_not_one_reflector_each(snr_db: float, views: int) -> None:
+    """Octahedra 29 mm apart on opposite faces do not shine outward, each along its own radius."""
+    assert read_on_box("quad", snr_db, views).lead < BodyDecision().lead
+    assert read_on_box("c180", snr_db, views).lead > 2 * BodyDecision().lead
 
 
 @pytest.mark.parametrize("seed", [3, 4])
@@ -270,8 +288,36 @@ def test_a_body_that_explains_the_echo_alone_leaves_no_name_to_another(
     monkeypatch.setattr(reader_module, "read_on_body", read_on)
     monkeypatch.setattr(contest, "decide_on_body", verdict)
     monkeypatch.setattr(contest, "_shows", lambda *given: True)
-    monkeypatch.setattr(contest, "_calibrated", lambda reading, verdict, settings: verdict)
+    monkeypatch.setattr(contest, "kept", lambda bound, verdict: verdict)
     enrolled = Enrolled((Solved("H"),))
     answer = read_tag(scans, layouts, enrolled=enrolled)
     assert answer.status != "identified" or answer.layout is not None
     assert (answer.status, answer.code) == ("no_tag", Code.NO_TAG)
+
+
+@pytest.mark.parametrize(("ahead", "status"), [(1.5, "unknown"), (0.5, "identified")])
+def test_an_enrolled_body_that_explains_more_refuses_a_name_on_a_round_one(
+    ahead: float, status: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At 24 views neighbours on a box were a pair on a round body, which left seventeen times more."""
+    own = read(tagged(0, 180), "H", BodySettings(), 20.0, 3)
+
+    def verdict(reading: BodyReading, settings: BodyDecision) -> Verdict:
+        return Verdict("unknown", Code.OTHER, "neighbours") if reading.body.name else Verdict("identified")
+
+    def read_on(spectra: Spectra, layouts: object, body: BodyModel, *rest: object) -> BodyReading:
+        least = min(placed.charged for placed in (*own.layouts, *own.others))
+        left = own.layouts[0].left if body.name else least + ahead * own.error
+        best = replace(own.layouts[0], left=left)
+        return replace(own, body=body, layouts=(best, *own.layouts[1:]))
+
+    monkeypatch.setattr(reader_module, "read_on_body", read_on)
+    monkeypatch.setattr(contest, "decide_on_body", verdict)
+    monkeypatch.setattr(contest, "borne_out", lambda *given: True)
+    monkeypatch.setattr(contest, "read_beside_wall", lambda *given: None)
+    monkeypatch.setattr(contest, "_shows", lambda *given: True)
+    monkeypatch.setattr(contest, "kept", lambda bound, verdict: verdict)
+    scans = scans_of(tagged(0, 180), "H", 20.0, 3)
+    answer = read_tag(scans, list(builtin_layouts().values()), enrolled=Enrolled((Solved("H"),)))
+    assert answer.status == status
+    assert ("the enrolled body handle34 explain the echo better" in answer.reason) == (status == "unknown")

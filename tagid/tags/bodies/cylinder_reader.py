@@ -379,6 +379,7 @@ class _CylinderReader:
             row.radii[None] - self.outward_m,
             row.heights[None].copy(),
             np.ones((1, k)),
+            np.zeros((1, k)),
             one * THROUGH.tilt,
             one * THROUGH.terms,
             np.zeros((1, 1, COMMON + k)),

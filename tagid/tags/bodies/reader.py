@@ -24,6 +24,7 @@ from tagid.tags.bodies.arrangement import (
     turned_on,
 )
 from tagid.tags.bodies.body_reading import BodyReading, BodySettings, Placed
+from tagid.tags.bodies.flat_face import least_on_faces
 from tagid.tags.bodies.hypothesis import BodyModel, Candidate, Pose
 from tagid.tags.bodies.layout_search import LayoutSearch, rings_of, turned_by
 from tagid.tags.bodies.neighbours import led_before_wall
@@ -151,7 +152,18 @@ class BodyReader:
             return reading
         free += self._freed(self._loose([*free, *others]), per_term)
         enough = self.spectra.views >= self.settings.through_views
-        return self._compared(ranked, free, others, per_term, walled=self.body.turns and enough)
+        reading = self._compared(ranked, free, others, per_term, walled=self.body.turns and enough)
+        return self._on_faces(reading) if self.body.turns and reading.lead > 0 else reading
+
+    def _on_faces(self, reading: BodyReading) -> BodyReading:
+        """A reading on an enrolled body with the lead that is left against neighbours on flat faces."""
+        if reading.nominal_m >= self.settings.wide_m:
+            return reading
+        best, spectra = reading.layouts[0], self.spectra
+        charged = least_on_faces(self.fitter, best) + spectra.amplitude_cost * (FACING.terms - 1)
+        charged += spectra.angle_cost
+        held = (charged - best.charged) / reading.error
+        return replace(reading, lead=min(reading.lead, held + self.settings.face_lead))
 
     def _loose(self, others: Sequence[Placed]) -> list[Placed]:
         """Arrangements of three reflectors or more to be fitted with free angles: the best, of unlike gaps.
@@ -386,6 +398,7 @@ class BodyReader:
             ring.radii[None].copy(),
             ring.heights[None].copy(),
             np.ones((1, k)),
+            np.zeros((1, k)),
             one * pattern.tilt,
             one * pattern.terms,
             moves[None],

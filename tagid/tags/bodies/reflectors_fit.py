@@ -81,6 +81,8 @@ class Batch:
         radii: (H, K) reflectors' distances from the ring's centre, m.
         heights: (H, K) above the object's plane, m.
         present: (H, K) 1 where there is a reflector, 0 where the row has fewer.
+        lean: (H, K) from its direction on the ring to its outward direction, rad: the normal of a flat face
+            is the same for all that stand on it.
         tilt: (H,) t of the pattern.
         terms: (H,) M of the pattern.
         moves: (H, P, 6 + K) directions that the fit may take.
@@ -92,6 +94,7 @@ class Batch:
     radii: NDArray[np.float64]
     heights: NDArray[np.float64]
     present: NDArray[np.float64]
+    lean: NDArray[np.float64]
     tilt: NDArray[np.float64]
     terms: NDArray[np.float64]
     moves: NDArray[np.float64]
@@ -115,6 +118,11 @@ class Batch:
         )
 
     @property
+    def leans(self) -> bool:
+        """Whether any reflector's outward direction is not its direction on the ring."""
+        return bool(np.any(self.lean))
+
+    @property
     def angles(self) -> NDArray[np.float64]:
         """(H, K) directions of the reflectors from the ring's centre, rad."""
         return self.at[:, COMMON:]
@@ -130,7 +138,14 @@ def joined(batches: list[Batch]) -> Batch:
     rows = sum(len(b.at) for b in batches)
     k = max(b.radii.shape[1] for b in batches)
     p = max(b.moves.shape[1] for b in batches)
-    wide = {"radii": (k,), "heights": (k,), "present": (k,), "at": (COMMON + k,), "moves": (p, COMMON + k)}
+    wide = {
+        "radii": (k,),
+        "heights": (k,),
+        "present": (k,),
+        "lean": (k,),
+        "at": (COMMON + k,),
+        "moves": (p, COMMON + k),
+    }
     whole = {name: np.zeros((rows, *wide.get(name, ()))) for name in Batch.__dataclass_fields__}
     first = 0
     for batch in batches:
@@ -173,7 +188,7 @@ class Columns:
         radius = (batch.radii + at[:, 2:3])[..., None]
         toward = ring * np.exp(-1j * batch.angles)[..., None] - radius
         plane = np.abs(toward)
-        cosine = toward.real / plane
+        cosine = (toward * np.exp(-1j * batch.lean)[..., None]).real / plane
         distance = np.hypot(plane, spectra.height_m - batch.heights[..., None])
         facing = np.where(batch.tilt[:, None, None] > 0, ((1 + cosine) / 2) ** 2, 1.0)
         weight = facing * (spectra.distance_m / distance) ** 2 * batch.present[..., None]
@@ -263,7 +278,7 @@ class Fitter:
     def left(self, batch: Batch) -> NDArray[np.float64]:
         """(H,) energy left at the places of a batch."""
         rows = batch.rows
-        if rows.fits():
+        if rows.fits() and not batch.leans:
             return rows.left(self.spectra.tables, self._echoes(batch, moved=False), np.array(_BODY_STEPS))
         return solve(self.spectra.data, Columns.of(self.spectra, self.body, batch).values).left
 
@@ -299,7 +314,7 @@ class Fitter:
         The slope is that of Kaufman (1975): derivatives of the columns at fixed amplitudes, projected.
         """
         rows = batch.rows
-        if rows.fits():
+        if rows.fits() and not batch.leans:
             steps = np.array(_BODY_STEPS)
             return Linear(*rows.linear(self.spectra.tables, self._echoes(batch, moved=True), steps))
         cols = Columns.of(self.spectra, self.body, batch)
@@ -359,8 +374,9 @@ class Fitter:
         # Of a unit displacement along x and y: the change of the distance, and of the cosine.
         out, side = cols.toward.real / plane, cols.toward.imag / plane
         longer = plane / cols.distance
-        along_x = phase * (out * longer)[:, None] + steeper * ((1 - c * out) / plane)[:, None]
-        along_y = phase * (side * longer)[:, None] - steeper * (c * side / plane)[:, None]
+        ahead, across = np.cos(batch.lean)[..., None], np.sin(batch.lean)[..., None]
+        along_x = phase * (out * longer)[:, None] + steeper * ((ahead - c * out) / plane)[:, None]
+        along_y = phase * (side * longer)[:, None] + steeper * ((across - c * side) / plane)[:, None]
         reach = cols.toward + (batch.radii + batch.at[:, 2:3])[..., None]
         along_angle = along_x * reach.imag[:, None] - along_y * reach.real[:, None]
         basis = np.concatenate([along_x, along_y, along_angle], axis=2)
