@@ -182,6 +182,21 @@ def _box60() -> Mesh:
     return shapes.box((0.060, 0.048, 0.095), 0.010)
 
 
+def _box66() -> Mesh:
+    return shapes.box((0.066, 0.050, 0.088), 0.010)
+
+
+def _crate58() -> Mesh:
+    """Plastic, open at the top."""
+    return shapes.box((0.058, 0.058, 0.090), 0.0098, shapes.sheet(2.6, 0.004))
+
+
+def _mug37() -> Mesh:
+    """Metal, with a thin handle at half its height."""
+    handle = shapes.handle(0.039, 0.024, 0.050, 0.009, 0.009).moved((0.0, 0.0, -0.004), np.deg2rad(235))
+    return Mesh.join(shapes.can(0.037, 0.084, 0.0093), handle)
+
+
 DEVELOPMENT = {
     "free24_c180": Object(None, 24, ring(45, 10, 190)),
     "free24_one": Object(None, 24, ((0, 0),)),
@@ -293,7 +308,17 @@ OPENED = {
 }
 """Objects that were sealed, reported, and looked at since."""
 
-SEALED: dict[str, Object] = {}
+SEALED: dict[str, Object] = {
+    "box66": Object(_box66),
+    "box66_c180": Object(_box66, 24, ring(47, 0, 180)),
+    "box66_quad": Object(_box66, 20, ring(46, 342, 18, 162, 198)),
+    "crate58": Object(_crate58),
+    "crate58_c90": Object(_crate58, 20, ring(44, 0, 90)),
+    "crate58_quad": Object(_crate58, 20, ring(45, 341, 19, 161, 199)),
+    "mug37": Object(_mug37),
+    "mug37_c180": Object(_mug37, 20, ring(48, 300, 120)),
+    "mug37_quad": Object(_mug37, 20, ring(48, 278, 322, 98, 142)),
+}
 """Objects that are only reported."""
 
 OBJECTS = {**DEVELOPMENT, **OPENED, **SEALED}
