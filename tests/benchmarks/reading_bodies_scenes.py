@@ -24,6 +24,7 @@ import numpy as np
 from identification_scenes import SETS
 
 from tagid.capture import Capture, Pulse
+from tagid.errors import DataError
 from tagid.simulate import (
     Acquisition,
     Interference,
@@ -242,9 +243,18 @@ def _scene(made: _Object, group: str, positions: np.ndarray, rng: np.random.Gene
     )
 
 
+def _standing(cell: Cell, rng: np.random.Generator) -> tuple[_Object, Scene]:
+    """An object whose reflectors stand clear of its wall, and its scene."""
+    while True:
+        made = _own_object(cell, rng)
+        try:
+            return made, _scene(made, cell.group, made.positions, rng)
+        except DataError:
+            continue
+
+
 def _own(cell: Cell, rng: np.random.Generator) -> Drawn:
-    made = _own_object(cell, rng)
-    scene = _scene(made, cell.group, made.positions, rng)
+    made, scene = _standing(cell, rng)
     acquisition = _acquisition(cell, rng)
     capture, _ = simulate_capture(scene, acquisition, int(rng.integers(2**32)))
     what = f"{made.name or cell.group} {made.size_mm:g}mm on {made.body}"
@@ -276,9 +286,8 @@ def enrolment_captures(cell: Cell, population: str, number: int) -> tuple[Captur
     room of its own.
     """
     rng = _generator(cell, population, number)
-    made = _own_object(cell, rng)
     # As in the recording: the tag's reflectors are drawn first.
-    _scene(made, cell.group, made.positions, rng)
+    made, _ = _standing(cell, rng)
     read = _acquisition(cell, rng)
     empty = _scene(made, "untagged", np.zeros((0, 3)), rng)
     found = []
