@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from tagid.errors import DataError
 from tagid.tags.bodies.hypothesis import Pose
-from tagid.tags.bodies.posing import PoseSearch, match, noise_of, refine, round_centre
+from tagid.tags.bodies.posing import PoseSearch, matches, noise_of, refine, round_centre
 from tagid.tags.bodies.signature import (
     Signature,
     SignatureKind,
@@ -222,10 +222,28 @@ class _Estimate:
             search = PoseSearch(spectra, self.basis.order, around)
             # One capture does not tell its m = 0 from the room: what turns gives pose and gain.
             turns = left > (1 + _ROUND_TURNING) * spectra.noise_energy
-            found = match(spectra, self.signature, search, split=turns)
-            gain = best_gain(spectra, self.signature, found.pose, split=turns)
-            self.placed[i] = Placed(spectra, found.pose, gain)
+            self._add(
+                i,
+                [one.pose for one in matches(spectra, self.signature, search, starts=4, split=turns)],
+                turns,
+            )
             self.solve(1e-3)
+
+    def _add(self, i: int, poses: Sequence[Pose], turns: bool) -> None:
+        """A capture in the pose in which its gain suits the round part of the echo best, too.
+
+        What turns may look alike in several poses: an oval turned by a quarter is one with the gain reversed.
+        """
+        spectra, best = self.captures[i], np.inf
+        for pose in poses:
+            gain = best_gain(spectra, self.signature, pose, split=turns)
+            before = self.placed
+            self.placed = {**before, i: Placed(spectra, pose, gain)}
+            left = _left(self, self.basis)
+            if left < best:
+                best, chosen = left, self.placed[i]
+            self.placed = before
+        self.placed[i] = chosen
 
     def solve(self, ridge: float = RIDGE) -> None:
         """Harmonics for the present poses and gains."""

@@ -303,6 +303,19 @@ def match(
 
     Raises DataError where the two are at different frequencies.
     """
+    return matches(spectra, signature, search, starts=starts, either_way=either_way, split=split)[0]
+
+
+def matches(
+    spectra: Spectra,
+    signature: Signature,
+    search: PoseSearch | None = None,
+    *,
+    starts: int = 3,
+    either_way: bool = False,
+    split: bool = False,
+) -> list[Match]:
+    """The refined ends of several starts, best first; all else as of `match`."""
     search = search or PoseSearch(spectra, signature.order)
     found: list[Match] = []
     for flip in (False, True)[: 2 if either_way else 1]:
@@ -311,4 +324,4 @@ def match(
             near = refine(spectra, one, start, split=True, iterations=12 if split else 5)
             end = near if split else refine(spectra, one, near.pose)
             found.append(Match(end.pose, end.left, flip))
-    return min(found, key=lambda one: one.left)
+    return sorted(found, key=lambda one: one.left)
