@@ -75,7 +75,9 @@ class PointSearch:
     """
 
     def __init__(self, scans: BasebandScans, grid: ImageGrid) -> None:
-        pixels = int(np.clip(np.ceil(grid.extent / (_PIXEL_WAVELENGTHS * scans.wavelength_m)), 8, _MAX_PIXELS))
+        pixels = int(
+            np.clip(np.ceil(grid.extent / (_PIXEL_WAVELENGTHS * scans.wavelength_m)), 8, _MAX_PIXELS)
+        )
         self._scans = scans
         self._square = ImageGrid(grid.extent, pixels)
         self._pixels = self._square.points
@@ -96,9 +98,7 @@ class PointSearch:
         if self._energy == 0:
             return Explained(np.zeros(groups.max() + 1), np.zeros((0, 2)), np.zeros(0, complex), 0.0)
         rows = self._first
-        geometry = RangeGeometry.of(
-            aperture, self._pixels, (rows.start_m, rows.step_m), rows.values.shape[1]
-        )
+        geometry = RangeGeometry.of(aperture, self._pixels, (rows.start_m, rows.step_m), rows.values.shape[1])
         points, columns = np.zeros((0, 2)), np.zeros((0, data.size), dtype=np.complex64)
         rest, amplitudes = data, np.zeros(0, dtype=np.complex128)
         for stage, floor in enumerate(_STAGES):
