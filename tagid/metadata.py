@@ -276,6 +276,7 @@ class ResolvedMotion(JsonValue):
         quality: 0..1, how well the scans repeat after a period.
         nominal_rpm: the stated speed, turns per minute.
         measured_rpm: the speed that the scans show, where it contradicts the stated one.
+        likely_rpms: the speeds that they may show instead, where a symmetric tag does not tell them apart.
         harmonic_ambiguous: whether a multiple of the period explains the scans as well.
         reason: why the data were not used.
         shortest_repetition_s, repetitions_a_turn, unexplained: see `tagid.pipeline.turn`.
@@ -300,6 +301,7 @@ class ResolvedMotion(JsonValue):
     quality: float | None = None
     nominal_rpm: float | None = None
     measured_rpm: float | None = None
+    likely_rpms: tuple[float, ...] = ()
     harmonic_ambiguous: bool | None = None
     reason: str | None = None
     shortest_repetition_s: float | None = None
@@ -324,6 +326,12 @@ class ResolvedMotion(JsonValue):
     reversed: bool | None = None
     standstill: Standstill | None = None
     extra: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def shown_rpms(self) -> tuple[float, ...]:
+        """Speeds that contradict the stated one, likeliest first; empty if none does."""
+        shown = (self.measured_rpm,) if self.measured_rpm else self.likely_rpms
+        return tuple(rpm for rpm in shown if 0 < rpm < math.inf)
 
 
 @dataclass(frozen=True, eq=False)

@@ -99,7 +99,8 @@ def render(result: Result, output: str, quiet: bool = False) -> None:
         sys.stdout.write(result.csv)
         sys.stdout.flush()
     elif result.human is not None:
-        Console(highlight=False).print(Harmless(result.human))
+        # What may not be wrapped, such as a URL to be copied, is not cropped either.
+        Console(highlight=False).print(Harmless(result.human), crop=False)
         sys.stdout.flush()
     if not quiet:
         for message in result.messages:

@@ -63,8 +63,11 @@ def median(
     along = -1 if axis is None else axis
     count = given.shape[along]
     middle = [count // 2] if count % 2 else [count // 2 - 1, count // 2]
-    pair = np.take(np.partition(given, middle, axis=along), middle, axis=along)
-    return np.asarray(pair.mean(axis=along, keepdims=keepdims))
+    sorted_ = np.partition(given, middle, axis=along)
+    if given.ndim == 1 and not keepdims:
+        # As the mean of the two, at a fraction of the cost of numpy's functions for it.
+        return np.asarray((sorted_[middle[0]] + sorted_[middle[-1]]) / 2)
+    return np.asarray(np.take(sorted_, middle, axis=along).mean(axis=along, keepdims=keepdims))
 
 
 def vertex(before: float, at: float, after: float) -> float:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -10,6 +12,14 @@ from tagid.cli.common.frame import Terminal, command
 from tagid.config import SETTINGS, change_file, load_config
 from tagid.errors import UsageError
 from tagid.result import Result
+
+if TYPE_CHECKING:
+    from rich.console import Console, ConsoleOptions, RenderResult
+
+    from tagid.config import ConfigValue
+
+_LEAST_MEANING = 28
+"""Columns that the meaning of a setting needs beside the others, their gaps included."""
 
 
 def register(app: typer.Typer) -> None:
@@ -26,7 +36,6 @@ def register(app: typer.Typer) -> None:
 
         Example: tagid config set radar.url udp://192.168.1.100
         """
-        from rich.table import Table
         from rich.text import Text
 
         if action in ("set", "unset"):
@@ -45,23 +54,62 @@ def register(app: typer.Typer) -> None:
             return Result("config", {"path": str(loaded.path)}, Text(str(loaded.path)))
         if action != "list":
             raise UsageError(f"unknown action {action!r}", "Use list, set, unset or path.")
-        table = Table(box=None)
-        # Names are copied by the user, so they are never truncated; long values continue on the next line.
-        table.add_column("setting", no_wrap=True)
-        table.add_column("value", overflow="fold")
-        table.add_column("from", no_wrap=True)
-        table.add_column("meaning", overflow="fold", ratio=1)
-        for setting in SETTINGS:
-            entry = loaded.values[setting.name]
-            shown = "-" if entry.value is None else str(entry.value)
-            table.add_row(setting.name, shown, entry.source, setting.help)
+        rows = [_Row(each.name, loaded.values[each.name], each.help) for each in SETTINGS]
         data = {
             "path": str(loaded.path),
             "settings": {
                 key: {"value": entry.value, "source": entry.source} for key, entry in loaded.values.items()
             },
         }
-        return Result("config", data, table)
+        return Result("config", data, _Listing(rows))
+
+
+@dataclass(frozen=True)
+class _Row:
+    """A setting, its value with its source, and its meaning."""
+
+    name: str
+    entry: ConfigValue
+    meaning: str
+
+    @property
+    def value(self) -> str:
+        """As it is printed."""
+        return "-" if self.entry.value is None else str(self.entry.value)
+
+
+@dataclass(frozen=True)
+class _Listing:
+    """Settings as a table, or one below the other in a terminal too narrow for it.
+
+    Names and values are copied by the user, so they are neither truncated nor wrapped.
+    """
+
+    rows: Sequence[_Row]
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        from rich.padding import Padding
+        from rich.table import Table
+        from rich.text import Text
+
+        columns = (
+            [r.name for r in self.rows],
+            [r.value for r in self.rows],
+            [r.entry.source for r in self.rows],
+        )
+        if sum(max(map(len, words)) for words in columns) + _LEAST_MEANING > options.max_width:
+            for row in self.rows:
+                yield Text(f"{row.name} ({row.entry.source})", no_wrap=True, overflow="ignore")
+                yield Text(f"  {row.value}", no_wrap=True, overflow="ignore")
+                yield Padding(Text(row.meaning, style="dim"), (0, 0, 0, 2))
+            return
+        table = Table(box=None)
+        for title in ("setting", "value", "from"):
+            table.add_column(title, no_wrap=True)
+        table.add_column("meaning", overflow="fold", ratio=1)
+        for row in self.rows:
+            table.add_row(row.name, row.value, row.entry.source, row.meaning)
+        yield table
 
 
 def _check_url(name: str, value: str) -> None:

@@ -132,10 +132,11 @@ def _against_plan(
     layout_file: Path | None,
 ) -> Gap | None:
     """Measured against planned SNR; None if no reflector is stated or nothing rotates."""
-    if reflector is None or summary.noise is None or capture.axis_distance_m is None or not summary.changes:
+    measured_db = summary.changing_snr_db
+    if reflector is None or summary.noise is None or capture.axis_distance_m is None or measured_db is None:
         return None
     from tagid.cli.plan import Asked, setup_from
-    from tagid.planning.plan import changing_peak, gap
+    from tagid.planning.plan import gap
 
     settings = capture.radar.config
     asked = Asked(
@@ -148,7 +149,7 @@ def _against_plan(
         layout,
         layout_file,
     )
-    return gap(capture, summary.noise, changing_peak(capture), setup_from(asked))
+    return gap(capture, summary.noise, measured_db, setup_from(asked))
 
 
 def _not_compared(capture: Capture, summary: RecordingSummary) -> str:

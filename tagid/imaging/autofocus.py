@@ -18,7 +18,7 @@ from tagid.errors import UsageError
 from tagid.geometry import ImageGrid
 from tagid.imaging.backprojection import backproject
 from tagid.imaging.lengths import search_range_m
-from tagid.imaging.pointmodel import Explained, band_delays, explain, needed_evidence
+from tagid.imaging.pointmodel import Explained, PointSearch, band_delays, needed_evidence
 from tagid.imaging.preprocess import select_views
 from tagid.imaging.types import BasebandScans
 from tagid.signal import fitted_peak, vertex
@@ -238,7 +238,8 @@ def _judge(few: BasebandScans, grid: ImageGrid, given: float, search_m: float, b
     wide = min(_BEYOND * search_m, 0.9 * given)
     steps = max(4, round(wide / (_ENERGY_STEP_WAVELENGTHS * lam)))
     offsets = np.linspace(-wide, wide, 2 * steps + 1)
-    tried = [explain(few.with_aperture(few.aperture.with_axis_distance(given + o)), grid) for o in offsets]
+    points = PointSearch(few, grid)
+    tried = [points.explain(few.aperture.with_axis_distance(given + o)) for o in offsets]
     left = np.array([t.left for t in tried])
     total = left.sum(axis=1)
     best = int(np.argmin(total))
@@ -247,7 +248,7 @@ def _judge(few: BasebandScans, grid: ImageGrid, given: float, search_m: float, b
         offset = bright
     sigma = _jackknife(offsets, left)
     there = few.with_aperture(few.aperture.with_axis_distance(given + offset))
-    delays = band_delays(there, explain(there, grid))
+    delays = band_delays(there, points.explain(there.aperture))
     band = float(delays.std(ddof=1) / np.sqrt(len(delays)))
     evidence = _t_value(offsets, left, best, _RIVAL_WAVELENGTHS * lam)
     groups = left.shape[1]

@@ -13,7 +13,7 @@ from math import hypot
 import numpy as np
 from numpy.typing import NDArray
 
-from tagid.geometry import ImageGrid
+from tagid.geometry import Aperture, ImageGrid
 from tagid.imaging.backprojection import upsample_at_carrier
 from tagid.imaging.kernel import RangeGeometry
 from tagid.imaging.types import BasebandScans
@@ -57,6 +57,65 @@ class Explained:
     second: float
 
 
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """Scans that were correlated with the response and upsampled: rows (views, fine bins), their ranges."""
+
+    values: NDArray[np.complex64]
+    start_m: float
+    step_m: float
+
+
+class PointSearch:
+    """The search for points that explain scans, under one aperture after another.
+
+    Args:
+        scans: baseband scans with or without matched filter.
+        grid: the square; its pixels are not used.
+    """
+
+    def __init__(self, scans: BasebandScans, grid: ImageGrid) -> None:
+        pixels = int(
+            np.clip(np.ceil(grid.extent / (_PIXEL_WAVELENGTHS * scans.wavelength_m)), 8, _MAX_PIXELS)
+        )
+        self._scans = scans
+        self._square = ImageGrid(grid.extent, pixels)
+        self._pixels = self._square.points
+        self._data = np.asarray(scans.samples, dtype=np.complex64)
+        self._energy = float(np.vdot(self._data, self._data).real)
+        offsets = scans.ranges_m[None, :] - scans.ranges_m[:, None]
+        self._match = scans.response(offsets).conj().T.astype(np.complex64)
+        # What is correlated first is the same under every aperture.
+        self._first = self._rows(self._data)
+
+    def _rows(self, samples: NDArray[np.complex64]) -> _Rows:
+        return _Rows(*upsample_at_carrier(replace(self._scans, samples=samples @ self._match), slice(None)))
+
+    def explain(self, aperture: Aperture) -> Explained:
+        """Points that explain the scans best if they were taken from this aperture: see `explain`."""
+        scans, data, square = self._scans.with_aperture(aperture), self._data, self._square
+        lam, groups = scans.wavelength_m, sector_of(scans)
+        if self._energy == 0:
+            return Explained(np.zeros(groups.max() + 1), np.zeros((0, 2)), np.zeros(0, complex), 0.0)
+        rows = self._first
+        geometry = RangeGeometry.of(aperture, self._pixels, (rows.start_m, rows.step_m), rows.values.shape[1])
+        points, columns = np.zeros((0, 2)), np.zeros((0, data.size), dtype=np.complex64)
+        rest, amplitudes = data, np.zeros(0, dtype=np.complex128)
+        for stage, floor in enumerate(_STAGES):
+            rows = self._rows(rest) if stage else rows
+            image = np.abs(geometry.gather(rows.values)).reshape(square.pixels, square.pixels)
+            found = peaks(image, square, floor, lam / 4, _PER_STAGE)
+            if not len(found):
+                break
+            points = np.vstack([points, found])
+            columns = np.vstack([columns, echoes(scans, found)])
+            amplitudes = _least_squares(columns, data.ravel())
+            rest = (data.ravel() - amplitudes.astype(np.complex64) @ columns).reshape(data.shape)
+        power = (np.abs(rest) ** 2).sum(axis=1, dtype=np.float64) / self._energy
+        left = np.asarray(np.bincount(groups, power, minlength=int(groups.max()) + 1), dtype=np.float64)
+        return Explained(left, points, amplitudes, _second_spot(points, amplitudes, columns, lam))
+
+
 def explain(scans: BasebandScans, grid: ImageGrid) -> Explained:
     """Points in the square that explain the scans best, found in stages: peaks of the backprojection of what
     is left, then least squares of all points together.
@@ -65,34 +124,7 @@ def explain(scans: BasebandScans, grid: ImageGrid) -> Explained:
         scans: baseband scans with or without matched filter.
         grid: the square; its pixels are not used.
     """
-    lam = scans.wavelength_m
-    pixels = int(np.clip(np.ceil(grid.extent / (_PIXEL_WAVELENGTHS * lam)), 8, _MAX_PIXELS))
-    square = ImageGrid(grid.extent, pixels)
-    data = np.asarray(scans.samples, dtype=np.complex64)
-    energy = float(np.vdot(data, data).real)
-    groups = sector_of(scans)
-    if energy == 0:
-        return Explained(np.zeros(groups.max() + 1), np.zeros((0, 2)), np.zeros(0, complex), 0.0)
-    offsets = scans.ranges_m[None, :] - scans.ranges_m[:, None]
-    match = scans.response(offsets).conj().T.astype(np.complex64)
-    geometry: RangeGeometry | None = None
-    points, columns = np.zeros((0, 2)), np.zeros((0, data.size), dtype=np.complex64)
-    rest, amplitudes = data, np.zeros(0, dtype=np.complex128)
-    for floor in _STAGES:
-        rows, start, step = upsample_at_carrier(replace(scans, samples=rest @ match), slice(None))
-        if geometry is None:
-            geometry = RangeGeometry.of(scans.aperture, square.points, (start, step), rows.shape[1])
-        image = np.abs(geometry.gather(rows)).reshape(pixels, pixels)
-        found = peaks(image, square, floor, lam / 4, _PER_STAGE)
-        if not len(found):
-            break
-        points = np.vstack([points, found])
-        columns = np.vstack([columns, echoes(scans, found)])
-        amplitudes = _least_squares(columns, data.ravel())
-        rest = (data.ravel() - amplitudes.astype(np.complex64) @ columns).reshape(data.shape)
-    power = (np.abs(rest) ** 2).sum(axis=1, dtype=np.float64) / energy
-    left = np.asarray(np.bincount(groups, power, minlength=int(groups.max()) + 1), dtype=np.float64)
-    return Explained(left, points, amplitudes, _second_spot(points, amplitudes, columns, lam))
+    return PointSearch(scans, grid).explain(scans.aperture)
 
 
 def band_delays(scans: BasebandScans, found: Explained) -> NDArray[np.float64]:
@@ -156,20 +188,22 @@ def peaks(
     top = float(image.max(initial=0.0))
     if top == 0:
         return np.zeros((0, 2))
-    padded = np.pad(image, 1, constant_values=-1.0)
     n = image.shape[0]
-    shifts = [(i, j) for i in (0, 1, 2) for j in (0, 1, 2) if (i, j) != (1, 1)]
-    high = image >= floor * top
-    for i, j in shifts:
-        high &= image >= padded[i : i + n, j : j + n]
-    row, column = np.nonzero(high)
+    # The largest of each pixel and its neighbours, first along the columns, then along the rows.
+    beside = image.copy()
+    np.maximum(beside[1:], image[:-1], out=beside[1:])
+    np.maximum(beside[:-1], image[1:], out=beside[:-1])
+    around = beside.copy()
+    np.maximum(around[:, 1:], beside[:, :-1], out=around[:, 1:])
+    np.maximum(around[:, :-1], beside[:, 1:], out=around[:, :-1])
+    row, column = np.nonzero((image >= floor * top) & (image >= around))
     order = np.argsort(-image[row, column], kind="stable")
-    kept: list[NDArray[np.float64]] = []
-    for i, j in zip(row[order], column[order], strict=True):
-        place = np.array([_between(image[i, :], j), _between(image[:, j], i)])
-        place = ((place + 0.5) / n - 0.5) * grid.extent
-        if all(hypot(*(place - other)) >= apart_m for other in kept):
-            kept.append(place)
+    kept: list[tuple[float, float]] = []
+    for i, j in zip(row[order].tolist(), column[order].tolist(), strict=True):
+        x = ((_between(image[i, :], j) + 0.5) / n - 0.5) * grid.extent
+        y = ((_between(image[:, j], i) + 0.5) / n - 0.5) * grid.extent
+        if all(hypot(x - a, y - b) >= apart_m for a, b in kept):
+            kept.append((x, y))
         if len(kept) == most:
             break
     return np.array(kept).reshape(-1, 2)
@@ -179,7 +213,7 @@ def _between(line: NDArray[np.floating], at: int) -> float:
     """Vertex of the parabola through a maximum and its neighbours."""
     if not 0 < at < len(line) - 1:
         return float(at)
-    return at + min(max(vertex(*(float(v) for v in line[at - 1 : at + 2])), -0.5), 0.5)
+    return at + min(max(vertex(*line[at - 1 : at + 2].tolist()), -0.5), 0.5)
 
 
 def _slope(x: NDArray[np.float64], y: NDArray[np.float64], weight: NDArray[np.float64]) -> float:
@@ -207,11 +241,12 @@ def _second_spot(
 ) -> float:
     """Energy of the second spot over that of the first, points within `_SPOT_WAVELENGTHS` being one spot."""
     left = set(range(len(points)))
-    strength = np.abs(amplitudes)
+    strength, places = np.abs(amplitudes).tolist(), points.tolist()
     energies = []
     while left:
-        first = max(left, key=lambda i: strength[i])
-        near = [i for i in left if hypot(*(points[i] - points[first])) < _SPOT_WAVELENGTHS * lam]
+        first = max(left, key=strength.__getitem__)
+        x, y = places[first]
+        near = [i for i in left if hypot(places[i][0] - x, places[i][1] - y) < _SPOT_WAVELENGTHS * lam]
         echo = amplitudes[near].astype(np.complex64) @ columns[near]
         energies.append(float(np.vdot(echo, echo).real))
         left -= set(near)

@@ -20,7 +20,7 @@ from tagid.pipeline.answer import Cause, Identification
 from tagid.pipeline.axis_search import bright_offsets
 from tagid.pipeline.identify import identify
 from tagid.pipeline.prepared import PreparedCapture
-from tagid.pipeline.resolve import speed_contradiction
+from tagid.pipeline.resolve import one_of, speed_contradiction
 from tagid.pipeline.standstill import REMEDY, stopped_words
 from tagid.signal import median
 from tagid.tags.layouts.layout import Layout
@@ -146,15 +146,14 @@ def _of_the_turn(capture: Capture) -> list[Cause]:
     resolved = capture.motion.resolved
     causes = []
     if told := speed_contradiction(resolved):
-        assert resolved is not None and resolved.measured_rpm
-        causes.append(
-            Cause(
-                "speed",
-                told,
-                f"Read it again with --motion 'free?rpm={resolved.measured_rpm:.3g}', or with --motion free, "
-                "which estimates the speed from the scans.",
-            )
+        assert resolved is not None
+        speeds = one_of([f"--motion 'free?rpm={rpm:.3g}'" for rpm in resolved.shown_rpms])
+        remedy = (
+            f"Read it again with {speeds}, or with --motion free, which estimates the speed from the scans."
         )
+        if len(resolved.shown_rpms) > 1:
+            remedy = f"Measure the time of a turn, and read it again with {speeds}."
+        causes.append(Cause("speed", told, remedy))
     if cause := _stopped(capture) or _uncovered(capture):
         causes.append(cause)
     return causes

@@ -5,6 +5,7 @@ It combines clock, motion device and decimation of views; live scans and files u
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -103,9 +104,10 @@ def turn_line(resolved: ResolvedMotion | None) -> str:
     if resolved is None or not resolved.turns or not resolved.period_s:
         return ""
     line = f"{resolved.turns:.2f} turns of {resolved.period_s:.2f} s ({resolved.kind or 'free'})"
-    if resolved.measured_rpm and resolved.nominal_rpm:
+    if resolved.shown_rpms and resolved.nominal_rpm:
         # Its quality would praise a wrong speed: a symmetric tag repeats at several.
-        return f"{line} as stated; the scans show {60 / resolved.measured_rpm:.2f} s"
+        shown = one_of([f"{60 / rpm:.2f}" for rpm in resolved.shown_rpms])
+        return f"{line} as stated; the scans show {shown} s"
     if resolved.quality is not None:
         line += f", period quality {resolved.quality:.2f}"
     if resolved.source == "measured":
@@ -122,14 +124,27 @@ def speed_contradiction(resolved: ResolvedMotion | None) -> str:
 
     >>> speed_contradiction(ResolvedMotion(nominal_rpm=6.0, measured_rpm=10.02))
     'the stated speed of 6 rpm (10.0 s per turn) is not that of the scans: they show 10 rpm (6.0 s per turn)'
+    >>> speed_contradiction(ResolvedMotion(nominal_rpm=6.0, likely_rpms=(20.0, 10.0)))[70:]
+    'they show 20 or 10 rpm (3.0 or 6.0 s per turn): the object repeats within a turn, so that several fit'
     """
-    if resolved is None or not resolved.measured_rpm or not resolved.nominal_rpm:
+    if resolved is None or not resolved.shown_rpms or not resolved.nominal_rpm:
         return ""
-    stated, shown = resolved.nominal_rpm, resolved.measured_rpm
-    return (
+    stated, shown = resolved.nominal_rpm, resolved.shown_rpms
+    told = (
         f"the stated speed of {stated:.3g} rpm ({60 / stated:.1f} s per turn) is not that of the scans: "
-        f"they show {shown:.3g} rpm ({60 / shown:.1f} s per turn)"
+        f"they show {one_of([f'{rpm:.3g}' for rpm in shown])} rpm "
+        f"({one_of([f'{60 / rpm:.1f}' for rpm in shown])} s per turn)"
     )
+    return told + (": the object repeats within a turn, so that several fit" if len(shown) > 1 else "")
+
+
+def one_of(words: Sequence[str]) -> str:
+    """Alternatives in words.
+
+    >>> one_of(["3", "4", "6"])
+    '3, 4 or 6'
+    """
+    return " or ".join(filter(None, (", ".join(words[:-1]), words[-1])))
 
 
 def one_turn(capture: Capture, max_views: int) -> Capture:

@@ -15,9 +15,7 @@ from tagid.imaging.lengths import views_needed
 from tagid.motion.turntable import OVERLAP_TURNS
 from tagid.planning.rates import Expected, expected
 from tagid.radar.settings import RadarConfig
-from tagid.recording.inspection import thinned
 from tagid.recording.plan import plan_window
-from tagid.signal import analytic
 from tagid.simulate.acquisition import Acquisition, RangeWindow
 from tagid.simulate.budget import LinkBudget, Term, effective_length_m, rcs_dbsm
 from tagid.simulate.presets import scene_on_body
@@ -30,6 +28,8 @@ from tagid.tags.layouts.codebook import CENTRE_TOLERANCE_M
 from tagid.tags.layouts.layout import Layout
 
 _LEVEL_VIEWS = 72
+_HANDLES = 6
+"""Directions of a handle over which a planned level is averaged."""
 SIZES_M = (0.015, 0.020, 0.025, 0.030, 0.035, 0.040, 0.050, 0.060)
 """Reflectors considered by `--want`."""
 DISTANCES_M = (0.6, 0.8, 1.0, 1.5, 2.0, 3.0)
@@ -194,23 +194,29 @@ def _on_body(
 
 
 def changing_db(setup: Setup) -> float:
-    """Planned level of what `changing_peak` measures, over the noise of one sample, dB.
+    """Planned `RecordingSummary.changing_snr_db` of a recording, dB.
 
-    Reflectors at the same range add up, and those that a body hides add nothing in half of the views: with
-    three reflectors and no body it is 2 dB above that of one reflector, on a can 5 dB below its largest.
+    It is a mean power: the noise can be subtracted from the measured one, whereas it raises the maximum over
+    the range bins of every scan, by 1.5 dB for an echo of 15 dB. Reflectors at the same range add up, and
+    those that a body hides add nothing in half of the views.
     """
     layout, distance = setup.layout, setup.distance_m
-    scene = scene_on_body(layout.name, setup.body, setup.reflector, 0, layouts={layout.name: layout})
     acquisition = Acquisition(axis_distance_m=distance, range_law=True, window=RangeWindow.around(distance))
     angles = np.arange(_LEVEL_VIEWS) * 2 * np.pi / _LEVEL_VIEWS
     antenna = antennas(angles, np.full(_LEVEL_VIEWS, distance), 0.0)
-    echo = np.zeros((_LEVEL_VIEWS, acquisition.range_window.bins), dtype=np.complex128)
-    render_bodies(scene.object, acquisition.placement, antenna, acquisition, PulseTable.of(None), echo)
-    changing = float(np.median(np.abs(echo - echo.mean(axis=0)).max(axis=1)))
+    # Where a handle is, beside which reflectors, is not known: the mean over some places.
+    seeds = range(_HANDLES if setup.body.parts else 1)
+    power = 0.0
+    for seed in seeds:
+        scene = scene_on_body(layout.name, setup.body, setup.reflector, seed, layouts={layout.name: layout})
+        echo = np.zeros((_LEVEL_VIEWS, acquisition.range_window.bins), dtype=np.complex128)
+        render_bodies(scene.object, acquisition.placement, antenna, acquisition, PulseTable.of(None), echo)
+        power += float((np.abs(echo - echo.mean(axis=0)) ** 2).mean(axis=0).max()) / len(seeds)
     scatterer = Octahedron(setup.reflector.size_m)
     alone = effective_length_m(scatterer)
-    free = setup.budget.snr_db(alone, distance)
-    return free + 20 * float(np.log10(changing * unit_of(scatterer) / alone))
+    free = setup.budget.snr_db(alone, distance) + 20 * float(np.log10(unit_of(scatterer) / alone))
+    # A sample has half of the envelope's noise power.
+    return free + 10 * float(np.log10(power / 2))
 
 
 @dataclass(frozen=True)
@@ -262,7 +268,7 @@ class Gap:
     """Measured and planned SNR of a recording.
 
     Attributes:
-        measured_db, planned_db: of the changing echo in one sample of one scan, dB.
+        measured_db, planned_db: of the changing echo, see `RecordingSummary.changing_snr_db`, dB.
         cause: likely cause of the difference; "" if it is within the budget's uncertainty.
     """
 
@@ -271,30 +277,23 @@ class Gap:
     cause: str
 
 
-def changing_peak(capture: Capture) -> float:
-    """Median over the views of the largest envelope that is not static, counts."""
-    signal = analytic(thinned(capture)[0].samples)
-    return float(np.median(np.abs(signal - signal.mean(axis=0)).max(axis=1)))
-
-
 GAP_DB = 8.0
 """Difference within the budget's uncertainty (6 dB of its fitted loss) and that of interfering echoes."""
 
 
-def gap(capture: Capture, noise_counts: float, changing: float, setup: Setup) -> Gap:
+def gap(capture: Capture, noise_counts: float, measured_db: float, setup: Setup) -> Gap:
     """Compare a recording with its plan.
 
     Args:
         capture: the recording.
         noise_counts: standard deviation of the noise of one of its samples, counts.
-        changing: the median over its views of the largest envelope that is not static, counts.
+        measured_db: its `RecordingSummary.changing_snr_db`.
         setup: the recorded setup.
     """
     index = setup.budget.integration
     usual = NOISE_COUNTS * 2.0 ** ((index - NOISE_INDEX) / 2)
-    measured = 20 * float(np.log10(changing / noise_counts))
     planned = changing_db(setup)
-    difference = measured - planned
+    difference = measured_db - planned
     clip = capture.radar.clip_counts
     cause = ""
     if clip is not None and np.abs(capture.samples).max() >= clip:
@@ -318,4 +317,4 @@ def gap(capture: Capture, noise_counts: float, changing: float, setup: Setup) ->
             "more rotates than the reflectors: a body or metal that is not in the plan, "
             "or an object off the axis"
         )
-    return Gap(measured, planned, cause)
+    return Gap(measured_db, planned, cause)

@@ -17,6 +17,7 @@ from tagid.report.axes import LABEL_SIZE, Axes, colour_bar
 from tagid.report.canvas import Canvas
 from tagid.report.colours import BAND_INK, BLUE, GAP, GREEN, INK, ORANGE, RGB, colourise, to_decibels
 from tagid.report.picture import fit_text
+from tagid.signal import median
 
 _WIDTH, _HEIGHT = 1000, 1330
 _LEFT, _RIGHT = 120, 880
@@ -74,7 +75,7 @@ def resample_views(
     bins = envelope.shape[1]
     starts = (np.arange(min(columns, bins)) * bins) // min(columns, bins)
     narrow = np.maximum.reduceat(envelope, starts, axis=1)
-    interval = float(np.median(np.diff(position))) if len(position) > 1 else 1.0
+    interval = float(median(np.diff(position))) if len(position) > 1 else 1.0
     interval = interval or (position[-1] - position[0]) / len(position) or 1.0
     edges = np.linspace(position[0] - interval / 2, position[-1] + interval / 2, rows + 1)
     middles = (edges[1:] + edges[:-1]) / 2

@@ -23,6 +23,7 @@ from tagid.imaging.ats.settings import AtsSettings
 from tagid.imaging.backprojection import backproject
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.imaging.sparse import sparse_recovery
+from tagid.loops import unusable
 from tagid.pipeline.identify import identify
 from tagid.pipeline.load import load_capture
 from tagid.pipeline.prepared import PreparedCapture
@@ -47,8 +48,8 @@ def make(folder: Path) -> None:
 
 def run(folder: Path, out: Path) -> None:
     """Every image and answer of a folder of captures."""
-    if not kernel.is_compiled():
-        raise SystemExit("the C kernel is not built")
+    if unusable():
+        raise SystemExit(f"not built: {', '.join(unusable())}")
     found: dict[str, np.ndarray] = {"machine": np.array(platform.machine())}
     layouts = list(builtin_layouts().values())
     captures = {name: load_capture(folder / f"{name}.tagid.h5") for name in OBJECTS}

@@ -30,11 +30,29 @@ needed=$($python -c "import tomllib; print(*(d.replace(' ', '') for d in tomllib
 $python -m pip install --quiet --upgrade --no-compile --target "$root/opt/site" --only-binary :all: \
     --implementation cp --python-version 3.11 --platform manylinux_2_28_aarch64 \
     --platform manylinux_2_27_aarch64 --platform manylinux_2_17_aarch64 --platform manylinux2014_aarch64 $needed
-cp -rL tagid tests/benchmarks/arm_images.py "$root/opt/tagid/"
+$python -m pip install --quiet --upgrade --no-compile --target "$root/opt/test" --only-binary :all: pytest
+rm -rf "$root/opt/tagid"
+mkdir -p "$root/opt/tagid"
+cp -rL tagid models tests/benchmarks/arm_images.py "$root/opt/tagid/"
 find "$root/opt/tagid/tagid" -name "*.so" -delete
-for source in imaging/_kernel imaging/ats/_field tags/reading/_matched tags/reading/_coarse tags/bodies/_points; do
-    chroot "$root" sh -c "cd /opt/tagid/tagid && gcc -O3 -fno-math-errno -fno-trapping-math -fopenmp-simd -shared -fPIC -pthread \
-        -I/usr/include/python3.11 $source.c -o $source.abi3.so -lm"
+$python - > "$root/opt/build.sh" <<'END'
+import tomllib
+
+with open("pyproject.toml", "rb") as file:
+    extensions = tomllib.load(file)["tool"]["setuptools"]["ext-modules"]
+for one in extensions:
+    flags = " ".join(one["extra-compile-args"])
+    place = one["name"].replace(".", "/")
+    print(f"gcc -Wall {flags} -shared -fPIC -pthread -I/usr/include/python3.11 {' '.join(one['sources'])}"
+          f" -o {place}.abi3.so -lm && echo {one['name']}")
+END
+chroot "$root" sh -ec "cd /opt/tagid && . /opt/build.sh"
+
+tests="test_imaging_kernel test_tags_compiled test_bodies_compiled test_loops"
+mkdir -p "$root/opt/tagid/tests/unit"
+cp pyproject.toml "$root/opt/tagid/"
+for name in $tests tags_synthetic bodies_synthetic; do
+    cp "tests/unit/$name.py" "$root/opt/tagid/tests/unit/"
 done
 
 export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
@@ -43,3 +61,6 @@ $python tests/benchmarks/arm_images.py make "$root/opt/captures"
 $python tests/benchmarks/arm_images.py run "$root/opt/captures" "$folder/here.npz"
 PYTHONPATH=/opt/tagid:/opt/site chroot "$root" python3 /opt/tagid/arm_images.py run /opt/captures /opt/arm64.npz
 $python tests/benchmarks/arm_images.py compare "$folder/here.npz" "$root/opt/arm64.npz"
+# Every loop against numpy on this processor; one test needs scipy.
+PYTHONPATH=/opt/tagid:/opt/site:/opt/test chroot "$root" sh -c \
+    "cd /opt/tagid/tests/unit && python3 -m pytest -c /dev/null --rootdir . -p no:cacheprovider -q -rs -k 'not matrix' ."

@@ -210,6 +210,44 @@ def test_centimetres_are_not_taken_for_metres(here: Callable[..., Ran], tmp_path
     assert not (tmp_path / "home" / "config.toml").exists()
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("--object", "mug", "--reflectors", 6, "--spacing", 0.1, "--count", 4),
+        ("--object", "mug", "--count", 60),
+        ("--radius", 0.02, "--count", 2),
+    ],
+)
+def test_options_offered_where_nothing_fits_work(words: tuple[object, ...], here: Callable[..., Ran]) -> None:
+    given = ("layouts", "design", "--output", "json", *words)
+    refused = here(*given)
+    assert refused.code == 2
+    remedy = refused.json["errors"][0]["remedy"]
+    advice = remedy.removeprefix("These work: ").removesuffix(".").split(", or ")
+    assert remedy.startswith("These work: ") and all(advice)
+    for options in advice:
+        # An option given twice counts as given last.
+        again = here(*given, *options.split())
+        assert again.code == 0 and again.json["data"]["can_be_enrolled"], options
+
+
+def test_no_options_are_offered_where_none_work(here: Callable[..., Ran]) -> None:
+    refused = here("layouts", "design", "--radius", 0.012, "--count", 2)
+    assert (
+        refused.code == 2
+        and "larger object" in refused.err
+        and "--" not in refused.err.split("what to do")[1]
+    )
+
+
+def test_a_stored_url_stands_whole_on_its_line(here: Callable[..., Ran]) -> None:
+    url = "udp://radar-in-the-long-hall.example.org:21210"
+    assert here("config", "set", "radar.url", url).code == 0
+    for columns in ("40", "80", "160"):
+        lines = here("config", COLUMNS=columns).out.splitlines()
+        assert any(url in line.split() for line in lines), columns
+
+
 def test_help_and_lists_can_be_read_and_copied(here: Callable[..., Ran]) -> None:
     assert "<bool>" not in here("scan", "--help").out
     narrow = here("config", COLUMNS="80").out

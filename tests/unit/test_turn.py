@@ -8,17 +8,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tagid.pipeline.resolve import turn_line
+from tagid.pipeline.diagnosis import _of_the_turn
+from tagid.pipeline.resolve import speed_contradiction, turn_line
 from tagid.pipeline.turn import resolve_turn
 from tagid.simulate import (
     Acquisition,
     BodySpec,
     ReflectorSpec,
+    parse_body,
     scene_from_name,
     scene_on_body,
     simulate_capture,
 )
 from tagid.tags.layouts.design import DesignRules, design
+from tagid.tags.layouts.layout import builtin_layouts
 from tagid.tags.layouts.objects import object_named
 
 
@@ -82,6 +85,33 @@ def test_a_part_of_a_tag_that_repeats_is_not_a_turn() -> None:
     stated = resolve_turn(_mug(1.95, "mug-01", 5), "free?rpm=1.333").motion.resolved
     assert stated.measured_rpm == pytest.approx(2.0, rel=0.01)
     assert re.search(r"s \(free\) as stated; the scans show (29.9|30.0)\d s$", turn_line(stated))
+
+
+@pytest.mark.parametrize(
+    ("layout", "body", "seed", "told"),
+    [("mug-04", "none", 725875, 3.3), ("container-180", "can:35mm", 516068, 4.0)],
+)
+def test_a_wrong_speed_of_a_symmetric_tag_is_contradicted_by_every_speed_that_fits(
+    layout: str, body: str, seed: int, told: float
+) -> None:
+    # On a smaller ring, a faster turn explains it with fewer points: that alone would be a false number.
+    target = object_named("mug").with_rows(1)
+    mugs = {one.name: one for one in design(target, DesignRules(3, 12, 0.04), 4, "mug").layouts}
+    scene = scene_on_body(
+        layout, parse_body(body), ReflectorSpec("octahedron", 0.04), seed, layouts=builtin_layouts() | mugs
+    )
+    acquisition = Acquisition(views=200, turns=1.35, snr_db=10, period_s=6.0)
+    capture, _ = simulate_capture(scene, acquisition, seed)
+    bare = replace(capture, angles_rad=None, angle_sigma_rad=None)
+    resolved = resolve_turn(bare, f"free?rpm={told}").motion.resolved
+    assert resolved.measured_rpm is None and len(resolved.likely_rpms) > 1
+    assert any(rpm == pytest.approx(10, rel=0.01) for rpm in resolved.shown_rpms)
+    said = speed_contradiction(resolved)
+    assert f"stated speed of {told:g} rpm" in said and "they show" in said
+    assert all(f"{rpm:.3g}" in said for rpm in resolved.likely_rpms)
+    assert re.search(r"as stated; the scans show .* or .* s$", turn_line(resolved))
+    cause = _of_the_turn(replace(bare, motion=replace(bare.motion, resolved=resolved)))[0]
+    assert cause.code == "speed" and cause.remedy.count("free?rpm=") == len(resolved.likely_rpms)
 
 
 def test_the_right_speed_of_a_symmetric_tag_is_not_contradicted() -> None:

@@ -107,7 +107,7 @@ def register(app: typer.Typer) -> None:
         try:
             family = make(chosen, rules, count, prefix, beside)
         except UsageError as error:
-            raise UsageError(error.message, asked.remedy() or error.remedy) from None
+            raise UsageError(error.message, asked.remedy()) from None
         return _designed(terminal, family, asked, out, enrolling.Wish(False, yes, not enroll))
 
     @command(app, "layouts capacity")
@@ -153,11 +153,18 @@ class _Asked:
     beside: tuple[Layout, ...]
 
     def remedy(self) -> str:
-        """Alternative options that work; "" if none was found."""
+        """Alternative options that work, or what else to do if there are none."""
         from tagid.tags.enrolling.advice import alternatives
 
         found = alternatives(self.target, self.rows, self.rules, self.count, self.beside)
-        return f"These work: {', or '.join(found)}." if found else ""
+        if found:
+            return f"These work: {', or '.join(found)}."
+        if self.beside and alternatives(self.target, self.rows, self.rules, self.count):
+            return (
+                "The enrolled layouts leave no room: use a larger object, or remove layouts that are not in "
+                "use with `tagid layouts remove`."
+            )
+        return "Use a larger object: neither fewer reflectors nor a smaller spacing works on this one."
 
     def spacing_works(self, spacing_m: float) -> bool:
         """Whether the requested number of enrollable layouts exists at this reflector spacing."""
@@ -239,11 +246,7 @@ def _designed(
     )
     remedy = "" if refused is None else asked.remedy()
     if refused is not None:
-        messages.append(
-            f"this set cannot be enrolled: {refused.message}. {remedy or 'Request fewer layouts.'}".replace(
-                "..", "."
-            )
-        )
+        messages.append(f"this set cannot be enrolled: {refused.message}. {remedy}".replace("..", "."))
     if family.ghost_m < GHOST_M:
         avoids = asked.spacing_works(GHOST_M)
         messages.append(

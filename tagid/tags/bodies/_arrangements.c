@@ -367,7 +367,7 @@ static PyObject *linear(PyObject *self, PyObject *args)
     PyObject *s[3], *o[12];
     Held h = {.count = 0};
     Spectra g;
-    Rows r;
+    Rows r = {.rows = 0};
     if (!PyArg_ParseTuple(args, "OOO(ddd)OOOOOOOOOOOO", s, s + 1, s + 2, &g.first, &g.step, &g.distance, o,
                           o + 1, o + 2, o + 3, o + 4, o + 5, o + 6, o + 7, o + 8, o + 9, o + 10, o + 11))
         return NULL;

@@ -88,8 +88,8 @@ def turn_to(angles: NDArray[np.floating], layout: NDArray[np.floating]) -> list[
 
 def kind_of(angles: Sequence[float]) -> tuple[int, ...]:
     """Key of an arrangement: its gaps in steps of 15 degrees, in the rotation that sorts first."""
-    gaps = np.round(gaps_deg(angles) / 15).astype(int)
-    return min(tuple(int(g) for g in np.roll(gaps, k)) for k in range(len(gaps)))
+    gaps = [int(gap) for gap in np.round(gaps_deg(angles) / 15)]
+    return min(tuple(gaps[k:] + gaps[:k]) for k in range(len(gaps)))
 
 
 def turned_on(angles: NDArray[np.float64], count: int) -> NDArray[np.intp]:

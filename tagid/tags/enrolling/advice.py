@@ -15,6 +15,7 @@ from tagid.tags.layouts.layout import MAX_REFLECTORS, Layout
 from tagid.tags.layouts.objects import TaggedObject
 
 _MORE_SLOTS = (16, 18, 20, 24)
+_LEAST_SPACING_M = 0.04
 _MOST = 2
 """Suggestions that are enough; the search ends there."""
 
@@ -69,13 +70,25 @@ def _variations(
     for reflectors in (rules.reflectors + 1, rules.reflectors - 1):
         if 2 <= reflectors <= min(MAX_REFLECTORS, rules.slots):
             yield f"--reflectors {reflectors}", rows, replace(rules, reflectors=reflectors), count
-    for spacing in (0.06, 0.05, 0.04):
+    for spacing in (0.06, 0.05, _LEAST_SPACING_M):
         if spacing < rules.spacing_m:
             yield f"--spacing {spacing:g}", rows, replace(rules, spacing_m=spacing), count
     for fewer in range(count - 1, max(0, count - 12), -1):
         yield f"--count {fewer}", rows, rules, fewer
         if fewer == count // 2:
             break
+    fewer = min(count // 2, max(count - 12, 0))
+    while fewer:
+        yield f"--count {fewer}", rows, rules, fewer
+        fewer //= 2
+    # Several options together, for objects on which little fits.
+    least = replace(rules, spacing_m=min(rules.spacing_m, _LEAST_SPACING_M))
+    for reflectors in range(rules.reflectors - 1, 1, -1):
+        for number in dict.fromkeys((count, 1)):
+            words = [f"--reflectors {reflectors}"]
+            words += [f"--spacing {_LEAST_SPACING_M:g}"] * (least != rules)
+            words += [f"--count {number}"] * (number != count)
+            yield " ".join(words), rows, replace(least, reflectors=reflectors), number
 
 
 def works(target: TaggedObject, rules: DesignRules, count: int, enrolled: Sequence[Layout]) -> bool:

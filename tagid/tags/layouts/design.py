@@ -148,7 +148,9 @@ def design(
             f"{rules.slots} slots at {rules.spacing_m * 1e3:.0f} mm spacing"
             + (f" besides the enrolled ones, which exclude {taken}" if taken else "")
             + f", not for {count}",
-            "Ask for fewer.",
+            f"Ask for {len(points)} or fewer."
+            if len(points)
+            else "Use fewer reflectors, a smaller spacing or a larger object.",
         )
     distance = distance_matrix(space, rules)
     far = farthest_set(distance, count, np.random.default_rng(rules.seed))

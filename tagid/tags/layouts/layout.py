@@ -11,7 +11,7 @@ import re
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, cached_property
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -209,7 +209,7 @@ class Layout:
         """Number of reflectors K."""
         return len(self.positions)
 
-    @property
+    @cached_property
     def radius_m(self) -> float:
         """Distance of the outermost reflector from the axis, m."""
         return float(np.linalg.norm(self.positions, axis=1).max())

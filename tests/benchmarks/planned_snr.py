@@ -1,0 +1,128 @@
+"""Planned against measured SNR: `tagid plan` and scans of the emulated radar, as `tagid show` compares them.
+
+Cases are drawn at random from a grid of reflectors, layouts on bodies, distances and integrations. Each is
+recorded from the emulator's scans over 1.3 turns, as `tagid scan` does, and inspected as `tagid show` does.
+
+    python tests/benchmarks/planned_snr.py --seed 7 --cases 60
+
+It prints what docs/results/planned-snr.md shows.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+from collections import defaultdict
+from dataclasses import dataclass
+from itertools import product
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import numpy as np
+
+from tagid.motion.turntable import OVERLAP_TURNS
+from tagid.planning.plan import Setup, changing_db
+from tagid.radar.settings import RadarConfig
+from tagid.recording.inspection import noise_power_of, signal_to_noise_db
+from tagid.recording.plan import plan_window
+from tagid.recording.sources import emulated_scene
+from tagid.signal import analytic
+from tagid.simulate import ReflectorSpec, parse_body
+from tagid.simulate.budget import LinkBudget
+from tagid.tags.layouts.layout import builtin_layouts
+
+LAYOUTS = builtin_layouts()
+OBJECTS = (
+    ("container-180", "none"),
+    ("container-90", "can:35mm"),
+    ("container-90", "cup:40mm"),
+    ("container-180", "cup:40mm,handle"),
+    ("helmet-120", "none"),
+    ("helmet-120", "helmet"),
+    ("helmet-linear", "helmet"),
+)
+SIZES_MM = (20, 25, 30, 40, 50)
+DISTANCES_M = (0.7, 1.0, 1.5, 2.0, 2.5)
+INDICES = (9, 10, 11, 12, 13)
+SCANS_PER_TURN = 100
+PERIOD_S = 10.0
+
+
+@dataclass(frozen=True)
+class Case:
+    """A setup of the grid and the seed of its emulated scene."""
+
+    layout: str
+    body: str
+    size_mm: int
+    distance_m: float
+    integration: int
+    seed: int
+
+    def planned_db(self) -> float:
+        """By `tagid plan`."""
+        return changing_db(
+            Setup(
+                LAYOUTS[self.layout],
+                ReflectorSpec("octahedron", self.size_mm * 1e-3),
+                parse_body(self.body),
+                self.distance_m,
+                60 / PERIOD_S,
+                LinkBudget(integration=self.integration),
+            )
+        )
+
+    def measured_db(self) -> float | None:
+        """Of the emulated scans; None where nothing changes beyond the noise."""
+        options = {
+            "reflector": f"octahedron:{self.size_mm}mm",
+            "axis_distance": str(self.distance_m),
+            "budget": "1",
+            "rpm": str(60 / PERIOD_S),
+            "seed": str(self.seed),
+            **({} if self.body == "none" else {"body": self.body}),
+        }
+        source = emulated_scene(self.layout, options)
+        radar = RadarConfig(base_integration_index=self.integration)
+        config = plan_window(self.distance_m, 0.5, 0.0, radar)
+        times = np.arange(round(OVERLAP_TURNS * SCANS_PER_TURN)) / SCANS_PER_TURN * PERIOD_S
+        signal = analytic(np.stack([source.scan(i, float(t), config) for i, t in enumerate(times)]))
+        return signal_to_noise_db(signal - signal.mean(axis=0), noise_power_of(signal))[0]
+
+
+def level(planned_db: float) -> str:
+    """The row of the table to which a case belongs."""
+    return next((f"below {top} dB" for top in (5, 15, 25, 35) if planned_db < top), "35 dB and more")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--seed", type=int, default=7, help="of the drawn cases and of their scenes")
+    parser.add_argument("--cases", type=int, default=60)
+    arguments = parser.parse_args()
+    rng = np.random.default_rng(arguments.seed)
+    grid = list(product(OBJECTS, SIZES_MM, DISTANCES_M, INDICES))
+    differences: dict[str, list[float]] = defaultdict(list)
+    unseen = []
+    for number in rng.choice(len(grid), arguments.cases, replace=False):
+        (layout, body), size_mm, distance_m, index = grid[int(number)]
+        case = Case(layout, body, size_mm, distance_m, index, 1000 * arguments.seed + int(number))
+        planned, measured = case.planned_db(), case.measured_db()
+        if measured is None:
+            unseen.append(planned)
+            continue
+        for row in (layout + (f" on {body}" if body != "none" else ""), level(planned), "all"):
+            differences[row].append(measured - planned)
+        print(f"{case}: planned {planned:.1f}, measured {measured:.1f} dB", flush=True)
+    print("\n| cases | number | mean (dB) | largest (dB) | within 1 dB |\n|---|---|---|---|---|")
+    for row, found in sorted(differences.items()):
+        within = sum(abs(value) <= 1 for value in found)
+        worst = max(found, key=abs)
+        print(f"| {row} | {len(found)} | {np.mean(found):+.2f} | {worst:+.2f} | {within} of {len(found)} |")
+    print(
+        f"\nnothing beyond the noise in {len(unseen)} cases, planned {sorted(round(x, 1) for x in unseen)} dB"
+    )
+
+
+if __name__ == "__main__":
+    main()
