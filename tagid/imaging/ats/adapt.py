@@ -40,7 +40,8 @@ BLANK = 0.05
 
 KEEPS = 1.0
 """The defaults stay unless the gain of another prior over them exceeds this many standard errors over the
-views. Sparse pixels, which the default field starts from, take its place where they leave less."""
+views. Sparse pixels, which the default field starts from, take its place where they leave less, unless it
+leaves little but noise: it tells places more accurately."""
 
 MOST_TRIED, NEAR = 2, 1.1
 """So many fields at most are tried on another group of views, and only those that leave at most this times
@@ -219,11 +220,9 @@ class _Trials:
         return {name: part.residual for name, part in self.found.items()}
 
     def chosen(self) -> str:
-        """The best prior of those that were tried on every group; the defaults where they leave little but
-        noise or it is hardly better, backprojection where none predicts anything."""
-        if self.explained:
-            return DEFAULT
-        last = self._last()
+        """The best prior of those that were tried on every group; the defaults where it is hardly better,
+        backprojection where none predicts anything."""
+        last = [name for name in self._last() if name != PIXELS or not self.explained]
         left = self.residuals()
         best = min(last, key=left.__getitem__)
         if DEFAULT in last and self._gain(best, DEFAULT) < KEEPS:
