@@ -13,7 +13,7 @@ from tagid import __version__
 from tagid.capture import Capture
 from tagid.errors import UsageError
 from tagid.geometry import ImageGrid
-from tagid.imaging.ats.adapt import changes_made, linear_image, linear_iterations
+from tagid.imaging.ats.adapt import changes_made, has_field, image_without_field, linear_iterations
 from tagid.imaging.ats.fit import fit
 from tagid.imaging.autofocus import AxisFocus
 from tagid.imaging.bandcheck import band_warning
@@ -251,22 +251,22 @@ def _held_out(
         scans = scans if found is None else found.removed(scans)
         unfiltered = scans
     ats = replace(settings.ats, adapt=0, held_out=0.0, calibrate=())
-    iterations, changes = linear_iterations(made.settings.get("prior", "")), changes_made(made.settings)
+    prior, changes = made.settings.get("prior", ""), changes_made(made.settings)
     axis = made.settings.get("calibration", {}).get("axis")
     if axis:
         moved = scans.aperture.with_axis_distance(axis["distance_m"])
         scans, unfiltered = scans.with_aperture(moved), unfiltered.with_aperture(moved)
 
     def make(some: BasebandScans) -> Image:
-        if iterations is not None:
-            return linear_image(some, grid, iterations)
+        if not has_field(prior):
+            return image_without_field(some, grid, prior)
         return make_image(some, grid, method, settings.seed, "field", None, replace(ats, **changes))
 
     def predicted(all_views: BasebandScans, unseen: NDArray[np.intp]) -> float:
         fitted = replace(ats, **changes, seed=settings.seed)
         return fit(all_views, grid, fitted, lambda step, of, _: told(step, of), unseen).held_out
 
-    return check(scans, unfiltered, grid, make, predicted if method == "ats" and iterations is None else None)
+    return check(scans, unfiltered, grid, make, predicted if method == "ats" and has_field(prior) else None)
 
 
 def _check_extent(capture: Capture, grid: ImageGrid) -> None:

@@ -117,6 +117,10 @@ async def one(interval_ms: float, seed: int, short: bool) -> dict[str, float]:
                 status = await bridge.status()
                 await bridge.arm()
                 await bridge.write(DRIVE)
+                # The bridge stops the robot when it starts, too.
+                data = b""
+                while DRIVE not in data:
+                    data += await asyncio.to_thread(os.read, wire.master, 1)
                 await asyncio.sleep(random.uniform(0.05, 0.5))
                 cut = await asyncio.to_thread(board.command, "cut") / 1e6
                 data = b""

@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import sys
 import time
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -107,6 +108,8 @@ than a thousandth of their energy; the result says so.
 
 {summary}
 
+{commits}
+
 | views | n | noise | backprojection | FISTA | ATS | ATS - backprojection | ATS - FISTA | ATS worse |
 |---|---|---|---|---|---|---|---|---|
 {by_views}
@@ -174,6 +177,19 @@ def summary(found: Found) -> str:
     )
 
 
+def commits(made_of: dict[Task, str]) -> str:
+    """How many scenes of each number of views were made with which commit; empty where one made all."""
+    counts = Counter((made.split(", ")[0], task.views) for task, made in made_of.items())
+    names = dict.fromkeys(name for name, _ in sorted(counts))
+    if len(names) < 2:
+        return ""
+    parts = [
+        f"{name}: " + ", ".join(f"{counts[name, v]} scenes of {v} views" for v in VIEWS if counts[name, v])
+        for name in names
+    ]
+    return "; ".join(parts).capitalize() + "."
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=1)
@@ -197,6 +213,7 @@ def main() -> None:
             pieces.made,
         ),
         summary=summary(found),
+        commits=commits(pieces.made_of),
         by_views=by_views(found),
         rows=table(found),
     )

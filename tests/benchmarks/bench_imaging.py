@@ -1,7 +1,8 @@
 """The published imaging experiments, repeated on simulated scenes with every method in one table each.
 
 Run `python tests/benchmarks/bench_imaging.py EXPERIMENT`; `--list` names them. `--quick` takes one seed and
-fewer cases, `--seeds N` sets the seeds, `--write` puts table and figure into docs/.
+fewer cases, `--seeds N` sets the seeds, `--write` puts table and figure into docs/; `--figures` draws the
+figures alone, as they stand beside the tables.
 
 Point scenes: unit points uniform within +-0.22 m, radar at 1 m; 0.7 m and 96 x 96 pixels. The analytic
 sinogram is divided by its peak; "noise" is the standard deviation of the complex noise of one sample. The
@@ -14,6 +15,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Callable, Sequence
+from functools import partial as partial_of
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -132,9 +134,13 @@ def _objects(run: Run, name: str, cases: dict[str, Case]) -> str:
     found = report.resumed(score_object, cells, run.pieces)
     text = _table(found, cases, "object", OBJECT_COLUMNS)
     if run.draw:
-        problems = {label: object_scene(case, 0) for label, case in cases.items()}
-        _same_scene_picture(problems, run.pictures / f"imaging-{name}.png", "outline")
+        _draw_objects(run.pictures, name, cases)
     return text
+
+
+def _draw_objects(pictures: Path, name: str, cases: dict[str, Case]) -> None:
+    problems = {label: object_scene(case, 0) for label, case in cases.items()}
+    _same_scene_picture(problems, pictures / f"imaging-{name}.png", "outline")
 
 
 def _table(
@@ -155,22 +161,30 @@ def _table(
     return report.table((kind, "method", "seeds", *(c.title for c in columns)), lines)
 
 
+TWO_CANS = "two cans 68.58 cm apart"
+CASES = {
+    "objects": {name: Case(name, 0, 360, 1) for name in OBJECTS},
+    "skip-cans": {f"skip {s} deg": Case(TWO_CANS, 0, 360, s) for s in (10, 20, 30)},
+    "partial": {f"0 to {a} deg": Case(TWO_CANS, 0, a, 1) for a in (90, 180, 270)},
+}
+
+
 def objects(run: Run) -> str:
     """(3) Can in a cardboard box, two bottles, two cans, metal box: 360 views."""
-    return _objects(run, "objects", {name: Case(name, 0, 360, 1) for name in OBJECTS})
-
-
-TWO_CANS = "two cans 68.58 cm apart"
+    return _objects(run, "objects", CASES["objects"])
 
 
 def skip_cans(run: Run) -> str:
     """(4) Skip angles of 10, 20 and 30 degrees on the two cans."""
-    return _objects(run, "skip-cans", {f"skip {s} deg": Case(TWO_CANS, 0, 360, s) for s in (10, 20, 30)})
+    return _objects(run, "skip-cans", CASES["skip-cans"])
 
 
 def partial(run: Run) -> str:
     """(5) 90, 180 and 270 degrees of a turn on the two cans: does the second one stay visible?"""
-    return _objects(run, "partial", {f"0 to {a} deg": Case(TWO_CANS, 0, a, 1) for a in (90, 180, 270)})
+    return _objects(run, "partial", CASES["partial"])
+
+
+TAGS = ("container-90", "container-180", "helmet-120", "helmet-linear")
 
 
 class TagCell(NamedTuple):
@@ -212,14 +226,17 @@ def score_tag(cell: TagCell) -> dict[str, dict[str, float]]:
 
 def tags(run: Run) -> str:
     """(6) The mug's and the helmet's tags, on their objects, in a room, 15 dB SNR, 360 views."""
-    layouts = ("container-90", "container-180", "helmet-120", "helmet-linear")
-    cells = [TagCell(layout, seed) for layout in layouts for seed in range(run.seeds)]
+    cells = [TagCell(layout, seed) for layout in TAGS for seed in range(run.seeds)]
     found = report.resumed(score_tag, cells, run.pieces)
-    text = _table(found, {layout: layout for layout in layouts}, "tag", TAG_COLUMNS)
+    text = _table(found, {layout: layout for layout in TAGS}, "tag", TAG_COLUMNS)
     if run.draw:
-        problems = {layout: field_problem(layout, 0) for layout in layouts}
-        _same_scene_picture(problems, run.pictures / "imaging-tags.png")
+        _draw_tags(run.pictures)
     return text
+
+
+def _draw_tags(pictures: Path) -> None:
+    problems = {layout: field_problem(layout, 0) for layout in TAGS}
+    _same_scene_picture(problems, pictures / "imaging-tags.png")
 
 
 def _same_scene_picture(problems: dict[str, Problem], path: Path, truth: str = "truth") -> None:
@@ -230,15 +247,26 @@ def _same_scene_picture(problems: dict[str, Problem], path: Path, truth: str = "
 
 def methods(run: Run) -> str:
     """The same scenes in every method, for docs/imaging.md."""
+    if run.draw:
+        _draw_methods(run.pictures)
+    return f"Four points, {GRID.extent} m, dB below each maximum; noise 0.1 where none is said.\n"
+
+
+def _draw_methods(pictures: Path) -> None:
     problems = {
         "360 views": random_points(4, 360, 0.1, 1),
         "36 views, noise 0.316": random_points(4, 36, 0.316, 1),
         "12 views": random_points(4, 12, 0.1, 1),
     }
-    if run.draw:
-        _same_scene_picture(problems, run.pictures / "imaging-methods.png")
-    return f"Four points, {GRID.extent} m, dB below each maximum; noise 0.1 where none is said.\n"
+    _same_scene_picture(problems, pictures / "imaging-methods.png")
 
+
+FIGURES: dict[str, Callable[[Path], None]] = {
+    **{name: partial_of(_draw_objects, name=name, cases=cases) for name, cases in CASES.items()},
+    "tags": _draw_tags,
+    "methods": _draw_methods,
+}
+"""Figures that need no table, drawn into a folder."""
 
 EXPERIMENTS: dict[str, tuple[str, Callable[[Run], str], tuple[str, ...]]] = {
     "methods": ("The same scene in every method", methods, ("imaging-methods",)),
@@ -268,6 +296,7 @@ def main() -> None:
     report.Pieces.add_options(parser)
     parser.add_argument("--write", action="store_true", help="put table and figure into docs/")
     parser.add_argument("--no-pictures", action="store_true", help="leave the figures as they are")
+    parser.add_argument("--figures", action="store_true", help="draw the figures alone")
     parser.add_argument(
         "--rows", help="of points, objects and tags: compute and write these rows only, e.g. 'ATS field'"
     )
@@ -283,6 +312,14 @@ def main() -> None:
         parser.error(f"no experiment {', '.join(sorted(unknown))}; there are {', '.join(EXPERIMENTS)}")
     pictures = report.PICTURES if options.write else Path.cwd()
     seeds = 1 if options.quick else options.seeds
+    if options.figures:
+        for name in options.experiment or FIGURES:
+            if name not in FIGURES:
+                parser.error(f"the figure of {name} needs its table; there are {', '.join(FIGURES)}")
+            FIGURES[name](pictures)
+            if options.write:
+                report.write_figure_note("imaging", name)
+        return
     for name in options.experiment or EXPERIMENTS:
         title, work, figures = EXPERIMENTS[name]
         pieces = report.Pieces.of(options)

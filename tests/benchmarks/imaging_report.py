@@ -69,12 +69,14 @@ class Pieces:
         minutes: stop after so many; 0 computes all.
         part: (i, n) computes the i-th of n parts, from 0 on, and makes no table.
         made: what the results were made with; `resumed` fills it.
+        made_of: the same of every result, by its job.
     """
 
     file: Path | None = None
     minutes: float = 0.0
     part: tuple[int, int] | None = None
     made: set[str] = field(default_factory=set)
+    made_of: dict[Any, str] = field(default_factory=dict)
 
     @classmethod
     def add_options(cls, parser: argparse.ArgumentParser) -> None:
@@ -112,6 +114,7 @@ def resumed(work: Callable[[Job], dict[str, Any]], jobs: Sequence[Job], pieces: 
             if entry["work"] == name and job is not None:
                 found[job] = {**found.get(job, {}), **entry["found"]}
                 pieces.made.add(entry["made"])
+                pieces.made_of[job] = entry["made"]
     mine = list(jobs)
     if pieces.part is not None:
         i, n = pieces.part
@@ -126,6 +129,7 @@ def resumed(work: Callable[[Job], dict[str, Any]], jobs: Sequence[Job], pieces: 
             break
         found[job] = work(job)
         pieces.made.add(here)
+        pieces.made_of[job] = here
         if pieces.file is not None:
             entry = {"work": name, "made": here, "job": job, "found": found[job]}
             with pieces.file.open("a") as file:
@@ -195,6 +199,22 @@ def write_rows(
     note = f"{', '.join(rows)}: {made}."
     lines = [line for line in lines if not line.startswith(f"{', '.join(rows)}: commit ")]
     block = "\n".join([*lines[:4], "", note, *lines[4:]]) + "\n"
+    path.write_text(content.replace(there.group(), block), encoding="utf-8")
+
+
+def write_figure_note(page: str, name: str) -> None:
+    """Say in a block what its figure was drawn with, where it is not what its table was made with.
+
+    Raises:
+        SystemExit: the page has no such block.
+    """
+    path = RESULTS / f"{page}.md"
+    content = path.read_text(encoding="utf-8")
+    there = re.search(rf"<!-- imaging:{re.escape(name)} -->\n.*?<!-- end -->\n", content, re.DOTALL)
+    if there is None:
+        raise SystemExit(f"{path} has no block {name}")
+    block = re.sub(r"\nFigure: [^\n]*\n", "", there.group())
+    block = block.replace("\n![", f"\nFigure: {made_with()}.\n\n![", 1)
     path.write_text(content.replace(there.group(), block), encoding="utf-8")
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from tagid.capture import Capture
 from tagid.constants import RANGE_STEP_M, SPEED_OF_LIGHT
 from tagid.geometry import Aperture, ImageGrid
-from tagid.imaging.ats.adapt import changes_made, linear_image, linear_iterations
+from tagid.imaging.ats.adapt import changes_made, has_field, image_without_field
 from tagid.imaging.ats.fit import fit
 from tagid.imaging.ats.settings import AtsSettings
 from tagid.imaging.heldout import check
@@ -194,19 +194,19 @@ def held_out_percent(problem: Problem, row: str) -> float:
         return 100 * found.residual if found is not None else float("nan")
     # With the prior and the views a step of the image of all views.
     facts = problem.image(f"{row}, bare")[0].settings if method == "ats" else {}
-    iterations = linear_iterations(facts.get("prior", ""))
+    prior = facts.get("prior", "")
     ats = AtsSettings(steps=steps, adapt=0, **changes_made(facts))
 
     def make(some: BasebandScans) -> Image:
-        if iterations is not None:
-            return linear_image(some, problem.grid, iterations)
+        if not has_field(prior):
+            return image_without_field(some, problem.grid, prior)
         return make_image(some, problem.grid, method, problem.seed, ats=ats)
 
     def predicted(every: BasebandScans, unseen: np.ndarray) -> float:
         # The fit is more than its image: what no turn changes, and what depends on the aspect.
         return fit(every, problem.grid, replace(ats, held_out=0.0, seed=problem.seed), unseen=unseen).held_out
 
-    field = method == "ats" and iterations is None
+    field = method == "ats" and has_field(prior)
     found = check(scans, raw, problem.grid, make, predicted if field else None)
     return 100 * found.residual if found is not None else float("nan")
 

@@ -11,13 +11,15 @@ from tagid.cli.common.imaging import prior_words
 from tagid.geometry import ImageGrid
 from tagid.imaging.ats import adapt, start
 from tagid.imaging.ats.adapt import (
+    BACKPROJECTIONS,
     ITERATIONS,
+    PIXELS,
     changes_made,
     changes_of,
     fit_adapted,
     folds,
-    linear_image,
-    linear_iterations,
+    has_field,
+    image_without_field,
 )
 from tagid.imaging.ats.fit import fit, sparsity_weight
 from tagid.imaging.ats.settings import AtsSettings
@@ -25,7 +27,7 @@ from tagid.imaging.ats.start import FirstImages
 from tagid.imaging.heldout import Prediction, left_out, residual
 from tagid.imaging.operator import ForwardOperator
 from tagid.imaging.preprocess import PreprocessSettings, preprocess, select_views
-from tagid.imaging.sparse import column_norm
+from tagid.imaging.sparse import column_norm, sparse_recovery
 from tagid.imaging.types import BasebandScans
 from tests.unit.imaging_scenes import record, turn
 
@@ -69,20 +71,57 @@ def flat_sides(views: int) -> BasebandScans:
     return faced(points, normals, np.ones(100, dtype=complex), views)
 
 
+def two_cans(views: int) -> BasebandScans:
+    """Scans of two circles of 3 cm, 20 cm apart, of which each point is seen where it faces the antenna."""
+    t = np.arange(48) * 2 * np.pi / 48
+    out = np.column_stack([np.cos(t), np.sin(t)])
+    points = np.vstack([0.03 * out + [0.1, 0.01], 0.03 * out - [0.1, 0]])
+    return faced(points, np.vstack([out, out]), np.ones(96, dtype=complex), views)
+
+
+def test_sparse_pixels_make_the_image_where_they_predict_more_than_a_field() -> None:
+    scans = two_cans(18)
+    image = fit_adapted(scans, GRID, AtsSettings()).image
+    tried = image.settings["prior_trials"]
+    assert image.settings["prior"] == PIXELS
+    assert tried[PIXELS] == min(tried.values())
+    np.testing.assert_array_equal(image.values, image_without_field(scans, GRID, PIXELS).values)
+    unseen = left_out(18)
+    seen = select_views(scans, np.setdiff1d(np.arange(18), unseen))
+    left = residual(select_views(scans, unseen), image_without_field(seen, GRID, PIXELS))
+    assert left < fit(scans, GRID, AtsSettings(), unseen=unseen).held_out
+    # Its amplitudes are not those that the sparsity prior shrank.
+    shrunk = sparse_recovery(scans, GRID).values
+    ratio = image.values[shrunk != 0] / shrunk[shrunk != 0]
+    np.testing.assert_allclose(ratio, ratio[0], rtol=1e-5)
+    assert 1 < abs(ratio[0]) <= 2
+    assert "sparse solution without a field" in prior_words(image.settings)[0]
+
+
+def test_a_dozen_views_that_the_defaults_explain_keep_them_whatever_else_predicts_them() -> None:
+    scans = preprocess(
+        record([[0.07, 0.03], [-0.06, 0.01], [0.01, -0.08]], [1, 1, 1], turn(12), noise=0.1),
+        settings=PreprocessSettings("none", False, extent_m=GRID.extent),
+    )
+    settings = fit_adapted(scans, GRID, AtsSettings()).image.settings
+    assert settings["prior"] == "default"
+    assert settings["prior_trials"][PIXELS] < settings["prior_trials"]["default"]
+
+
 def test_an_outline_seen_from_its_side_gets_a_prior_that_predicts_better_than_backprojection() -> None:
     scans = rough()
     settings = fit_adapted(scans, GRID, AtsSettings()).image.settings
     tried, chosen = settings["prior_trials"], settings["prior"]
     assert {"default", *(f"linear {k}" for k in (0, *ITERATIONS))} <= set(tried)
     assert tried[chosen] == min(tried.values()) or chosen == "default"
-    assert linear_iterations(chosen) is None
+    assert has_field(chosen)
     for name, value in changes_of(chosen).items():
         assert settings[name] == value
     # On views that took no part in the choice, as the image is judged in the end.
     unseen = left_out(60)
     mine = fit(scans, GRID, replace(AtsSettings(), **changes_of(chosen)), unseen=unseen).held_out
     seen = np.setdiff1d(np.arange(60), unseen)
-    plain = linear_image(select_views(scans, seen), GRID, 1)
+    plain = image_without_field(select_views(scans, seen), GRID, "linear 1")
     assert mine < 0.3 * residual(select_views(scans, unseen), plain)
 
 
@@ -93,7 +132,8 @@ def test_every_view_takes_part_often_enough_for_a_scene_whose_views_differ() -> 
     assert made["views_per_step"] == 24
     unseen = left_out(240)
     part = select_views(scans, np.setdiff1d(np.arange(240), unseen))
-    plain = min(residual(select_views(scans, unseen), linear_image(part, GRID, k)) for k in (0, 1))
+    test = select_views(scans, unseen)
+    plain = min(residual(test, image_without_field(part, GRID, name)) for name in BACKPROJECTIONS)
     changes = changes_made(made)
     assert changes["views_per_step"] == 24
     settled = fit(scans, GRID, replace(AtsSettings(), **changes), unseen=unseen).held_out
@@ -117,9 +157,7 @@ def test_where_nothing_predicts_clearly_better_the_image_is_backprojection() -> 
     samples = (noise[0] + 1j * noise[1]).astype(np.complex64)
     image = fit_adapted(replace(scans, samples=samples, noise_std=0.0), GRID, QUICK).image
     assert image.settings["prior"] in ("linear 0", "linear 1")
-    iterations = linear_iterations(image.settings["prior"])
-    assert iterations is not None
-    expected = linear_image(replace(scans, samples=samples), GRID, iterations)
+    expected = image_without_field(replace(scans, samples=samples), GRID, image.settings["prior"])
     np.testing.assert_array_equal(image.values, expected.values)
 
 
@@ -211,7 +249,7 @@ def test_priors_that_are_compared_on_the_same_views_share_their_first_image(
     monkeypatch.setattr(start, "first_image", counted)
     scans = rough(60)
     settings = fit_adapted(scans, GRID, QUICK).image.settings
-    fields = [name for name in settings["prior_trials"] if linear_iterations(name) is None]
+    fields = [name for name in settings["prior_trials"] if has_field(name)]
     assert len(fields) > 2
     # One for the image, whatever its prior, and one for each group of unseen views.
     groups = folds(60 - len(left_out(60)))
@@ -244,7 +282,7 @@ def test_of_a_large_image_some_priors_are_left_out_and_the_result_says_which(
     better = min(("default", "dense"), key=tried.__getitem__)
     aspect = {"default": "aspect", "dense": "dense, aspect"}
     assert aspect[better] in tried
-    assert [name for name in skipped if linear_iterations(name) is None] == [
+    assert [name for name in skipped if has_field(name)] == [
         name for prior, name in aspect.items() if prior != better
     ]
     # Of the linear solution the highest numbers of iterations.

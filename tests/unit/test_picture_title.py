@@ -18,9 +18,10 @@ from tagid.pipeline.reconstruct import Reconstruction
         ({"prior": "dense, aspect"}, "ATS"),
         ({"prior": "linear 4"}, "ATS, linear solution"),
         ({"prior": "linear 1"}, "ATS, backprojection"),
+        ({"prior": "pixels"}, "ATS, sparse solution"),
         ({"preset": "paper"}, "ATS, paper"),
     ],
 )
-def test_a_linear_solution_is_not_shown_as_a_fit(settings: dict[str, str], title: str) -> None:
+def test_an_image_without_a_field_is_not_shown_as_a_fit(settings: dict[str, str], title: str) -> None:
     image = Image(np.ones((2, 2), np.complex64), ImageGrid(0.5, 2), dict(settings))
     assert method_shown(Reconstruction(image, "ats", None, 36, {})) == title

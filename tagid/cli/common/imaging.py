@@ -170,25 +170,25 @@ def prior_words(settings: dict[str, Any]) -> list[str]:
 
 
 def _prior_words(settings: dict[str, Any]) -> list[str]:
-    from tagid.imaging.ats.adapt import linear_iterations
+    from tagid.imaging.ats.adapt import PIXELS, linear_iterations
 
     prior, tried = settings.get("prior"), settings.get("prior_trials")
     if not prior or not tried:
         return []
     residual = f"leaves {100 * tried[prior]:.1f} % of views that its fit did not see"
+    than = f"the default prior {100 * tried['default']:.1f} %"
     iterations = linear_iterations(prior)
     if iterations is not None and iterations <= 1:
         return [
             f"no scene model predicts better than backprojection: the image is backprojection ({residual})"
         ]
     if iterations is not None:
-        return [
-            f"linear solution after {iterations} iterations: {residual}, the default prior "
-            f"{100 * tried['default']:.1f} %"
-        ]
+        return [f"linear solution after {iterations} iterations: {residual}, {than}"]
+    if prior == PIXELS:
+        return [f"sparse solution without a field: {residual}, {than}"]
     if prior == "default":
         return [f"default prior kept: {residual}, less than {len(tried) - 1} others"]
-    return [f"prior {prior}: {residual}, the default prior {100 * tried['default']:.1f} %"]
+    return [f"prior {prior}: {residual}, {than}"]
 
 
 def outside_words(settings: dict[str, Any]) -> list[str]:
@@ -292,12 +292,15 @@ def draw(result: Reconstruction, answer: Identification | None, png: Path) -> No
 
 
 def method_shown(result: Reconstruction) -> str:
-    """The method as a picture's title names it: ATS may show the paper's variant, or a linear solution."""
-    from tagid.imaging.ats.adapt import linear_iterations
+    """The method as a picture's title names it: ATS may show the paper's, or no field."""
+    from tagid.imaging.ats.adapt import PIXELS, linear_iterations
 
     if result.image.settings.get("preset") == "paper":
         return "ATS, paper"
-    iterations = linear_iterations(result.image.settings.get("prior", ""))
+    prior = result.image.settings.get("prior", "")
+    if prior == PIXELS:
+        return "ATS, sparse solution"
+    iterations = linear_iterations(prior)
     if iterations is None:
         return result.method.upper()
     return "ATS, backprojection" if iterations <= 1 else "ATS, linear solution"

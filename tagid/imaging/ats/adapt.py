@@ -2,8 +2,9 @@
 
 The defaults are for a few reflectors that scatter to all sides. Where they leave much more than noise of
 unseen views, the scene is something else: extended, smooth, or seen differently from different sides. Other
-priors are then tried. Among them is the linear solution, whose first iteration is backprojection, so that the
-method contains backprojection and returns it where no other prior predicts better.
+priors are then tried. Among them are two without a field: the linear solution, whose first iteration is
+backprojection, and the sparse solution of independent pixels. So the method contains both and returns them
+where no field predicts better.
 
 The views on which the image is judged in the end (`heldout.left_out`) take no part in the choice.
 """
@@ -19,7 +20,7 @@ from numpy.typing import NDArray
 
 from tagid.errors import MissingExtraError, UsageError
 from tagid.geometry import ImageGrid
-from tagid.imaging.ats.fit import fit, sparsity_weight
+from tagid.imaging.ats.fit import fit, sparsity_weight, unshrinking
 from tagid.imaging.ats.settings import LEAST_HELD_OUT, AtsResult, AtsSettings, Progress
 from tagid.imaging.ats.start import LARGE_PAIRS, FirstImages
 from tagid.imaging.backprojection import backproject
@@ -27,6 +28,7 @@ from tagid.imaging.heldout import Prediction, left_out, residual
 from tagid.imaging.linear import least_squares
 from tagid.imaging.operator import ForwardOperator
 from tagid.imaging.preprocess import select_views
+from tagid.imaging.sparse import sparse_recovery
 from tagid.imaging.types import BasebandScans, Image
 
 ASKS = 0.05
@@ -38,7 +40,8 @@ BLANK = 0.05
 
 KEEPS = 1.0
 """The defaults stay unless the gain of another prior over them exceeds this many standard errors over the
-views."""
+views. Sparse pixels, which the default field starts from, take its place where they leave less, unless it
+leaves little but noise: it tells places more accurately."""
 
 MOST_TRIED, NEAR = 2, 1.1
 """So many fields at most are tried on another group of views, and only those that leave at most this times
@@ -64,6 +67,11 @@ LINEAR = "linear"
 ITERATIONS = (1, 2, 4, 8, 16)
 """Iterations of conjugate gradients of the linear candidates. The first is backprojection of scans that are
 correlated with the pulse; 0 stands for backprojection of the scans as they are."""
+BACKPROJECTIONS = (f"{LINEAR} 0", f"{LINEAR} 1")
+
+PIXELS = "pixels"
+"""The sparse solution itself (`tagid.imaging.sparse`). Of few views of extended objects it predicts more than
+a field that starts from it: the encoding ties neighbours together, of which a dozen views tell nothing."""
 
 DEFAULT = "default"
 
@@ -97,14 +105,35 @@ def linear_iterations(prior: str) -> int | None:
     return int(count) if name == LINEAR else None
 
 
-def linear_image(scans: BasebandScans, grid: ImageGrid, iterations: int) -> Image:
-    """The linear solution as an image."""
-    if iterations == 0:
+def has_field(prior: str) -> bool:
+    """Whether an image of a prior shows a field: neither a linear solution nor sparse pixels."""
+    return prior != PIXELS and linear_iterations(prior) is None
+
+
+def image_without_field(scans: BasebandScans, grid: ImageGrid, prior: str) -> Image:
+    """The image of a prior that has no field.
+
+    Raises:
+        ValueError: it has one.
+    """
+    iterations = linear_iterations(prior)
+    if prior == PIXELS:
+        values = _sparse_pixels(scans, grid, ForwardOperator(scans, grid))
+    elif iterations is None:
+        raise ValueError(f"prior {prior} has a field")
+    elif iterations == 0:
         values = backproject(scans, grid).values
     else:
         *_, values = least_squares(ForwardOperator(scans, grid), scans.samples, (iterations,))
     facts = {"method": "ats", "axis_distance_m": scans.aperture.axis_distance}
     return Image(values.reshape(grid.pixels, grid.pixels), grid, facts)
+
+
+def _sparse_pixels(scans: BasebandScans, grid: ImageGrid, operator: ForwardOperator) -> NDArray[np.complex64]:
+    """(points,) sparse solution times the one factor that explains the scans best, as of a field."""
+    values = sparse_recovery(scans, grid, operator=operator).values.ravel()
+    factor = np.float32(unshrinking(operator.forward(values), scans.samples))
+    return np.asarray(values * factor, dtype=np.complex64)
 
 
 def fit_adapted(
@@ -130,17 +159,16 @@ def fit_adapted(
             first = fit(scans, grid, each, progress, images=images)
             if not first.losses or _explains(scans, grid, first):
                 return first
-    trials = _Trials(scans, grid, settings, progress, linear=settings.calibrate == ())
+    trials = _Trials(scans, grid, settings, progress, without_field=settings.calibrate == ())
     prior = trials.chosen()
-    iterations = linear_iterations(prior)
-    if first is None or (iterations is None and prior != DEFAULT):
+    if first is None or (has_field(prior) and prior != DEFAULT):
         first = fit(scans, grid, replace(settings, **changes_of(prior)), progress, images=images)
     facts = {**first.image.settings, "prior": prior, "prior_trials": trials.residuals()}
     if trials.skipped:
         facts["priors_not_tried"] = trials.skipped
-    if iterations is None:
+    if has_field(prior):
         return replace(first, image=replace(first.image, settings=facts))
-    image = linear_image(scans, grid, iterations)
+    image = image_without_field(scans, grid, prior)
     return replace(first, image=replace(image, settings=facts), field=None)
 
 
@@ -155,7 +183,8 @@ def _explains(scans: BasebandScans, grid: ImageGrid, first: AtsResult) -> bool:
     if first.held_out > _noise_share(unseen) + ASKS:
         return False
     seen = select_views(scans, np.setdiff1d(np.arange(scans.aperture.views), first.unseen))
-    return all(first.held_out <= residual(unseen, linear_image(seen, grid, k)) for k in (0, 1))
+    plain = (residual(unseen, image_without_field(seen, grid, name)) for name in BACKPROJECTIONS)
+    return all(first.held_out <= left for left in plain)
 
 
 class _Trials:
@@ -171,7 +200,7 @@ class _Trials:
         grid: ImageGrid,
         settings: AtsSettings,
         progress: Progress | None,
-        linear: bool,
+        without_field: bool,
     ) -> None:
         judged = left_out(scans.aperture.views)
         some = np.setdiff1d(np.arange(scans.aperture.views), judged)
@@ -180,8 +209,9 @@ class _Trials:
         self.images = FirstImages()
         self.grid, self.progress = grid, progress
         self.settings = replace(settings, calibrate=(), held_out=0.0)
-        self.operator, self.linear = ForwardOperator(self.scans, grid), linear
+        self.operator, self.without_field = ForwardOperator(self.scans, grid), without_field
         self.views = 0
+        self.explained = False
         self.found: dict[str, Prediction] = {}
         self._race(folds(self.scans.aperture.views))
 
@@ -192,26 +222,28 @@ class _Trials:
     def chosen(self) -> str:
         """The best prior of those that were tried on every group; the defaults where it is hardly better,
         backprojection where none predicts anything."""
-        last = self._last()
+        last = [name for name in self._last() if name != PIXELS or not self.explained]
         left = self.residuals()
         best = min(last, key=left.__getitem__)
         if DEFAULT in last and self._gain(best, DEFAULT) < KEEPS:
-            best = DEFAULT
-        if self.linear and left[best] > 1 - BLANK:
-            best = min((f"{LINEAR} 0", f"{LINEAR} 1"), key=left.__getitem__)
+            best = min((name for name in (DEFAULT, PIXELS) if name in last), key=left.__getitem__)
+        if self.without_field and left[best] > 1 - BLANK:
+            best = min(BACKPROJECTIONS, key=left.__getitem__)
         return best
 
     def _race(self, groups: list[NDArray[np.intp]]) -> None:
         running = self._different()
         for number, group in enumerate(groups):
             self.views += len(group)
-            if self.linear:
+            if self.without_field:
                 self._try_linear(group)
+                self._try_pixels(group)
             for name in running:
                 if number == 0 and self._is_skipped(name):
                     continue
                 self._try(name, group)
                 if name == DEFAULT and number == 0 and self._enough(group):
+                    self.explained = True
                     return
             if self.views < SETTLES:
                 continue
@@ -247,7 +279,7 @@ class _Trials:
         """Whether the defaults leave little but noise of the first group, and less than backprojection."""
         left = self.residuals()
         part = select_views(self.scans, group)
-        plain = [left[name] for name in (f"{LINEAR} 0", f"{LINEAR} 1") if name in left]
+        plain = [left[name] for name in BACKPROJECTIONS if name in left]
         return left[DEFAULT] <= min([_noise_share(part) + ASKS, *plain])
 
     def _last(self) -> list[str]:
@@ -273,6 +305,18 @@ class _Trials:
             if self.bounded and not self.skipped and iterations > 1 and left[-1] > left[-2]:
                 self.skipped = [f"{LINEAR} {more}" for more in counts if more > iterations]
                 break
+
+    def _try_pixels(self, group: NDArray[np.intp]) -> None:
+        """Sparse pixels; of a large image they take as long as all fields together."""
+        if self.bounded:
+            if PIXELS not in self.skipped:
+                self.skipped.append(PIXELS)
+            return
+        operator = self.operator
+        rest = np.setdiff1d(np.arange(operator.views), group)
+        values = _sparse_pixels(select_views(self.scans, rest), self.grid, operator.select(rest))
+        predicted = operator.select(group).forward(values)
+        self._add(PIXELS, Prediction.of(self.scans.samples[group], predicted))
 
     def _try(self, name: str, group: NDArray[np.intp]) -> None:
         """A field; left out where its engine or the memory for it is missing."""

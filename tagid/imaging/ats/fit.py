@@ -119,6 +119,16 @@ def fit(
     return _Fit(scans, grid, settings, unseen).run(progress, begun, images or FirstImages(), start)
 
 
+def unshrinking(seen: NDArray[np.complexfloating], data: NDArray[np.complexfloating]) -> float:
+    """The factor, 1 to 2, by which the scans that a sparse scene predicts explain the data best.
+
+    Both are (views, bins). The sparsity prior made the scene too dark.
+    """
+    energy = float(np.vdot(seen, seen).real)
+    factor = float(np.vdot(seen, data).real) / energy if energy > 0 else 1.0
+    return float(np.clip(factor, 1.0, _MOST_SHRUNK))
+
+
 @dataclass(frozen=True)
 class _Scales:
     """What makes the loss dimensionless: energy of the data, size of the output, weights of the priors.
@@ -239,9 +249,7 @@ class _Fit:
         """The field times the one factor that explains the scans best: the prior made it too dark."""
         data = self.scans.samples - self.known.static
         seen = self._seen(field.on(self.grid), True)
-        energy = float(np.vdot(seen, seen).real)
-        factor = float(np.vdot(seen, data).real) / energy if energy > 0 else 1.0
-        return replace(field, scale=field.scale * float(np.clip(factor, 1.0, _MOST_SHRUNK)))
+        return replace(field, scale=field.scale * unshrinking(seen, data))
 
     def _numbers(self, scales: _Scales, step: int, views: int) -> Array:
         """The step's scalars in the order of `step.Step.numbers`."""
