@@ -19,13 +19,13 @@ from numpy.typing import NDArray
 
 from tagid.tags.bodies.body_reading import BodySettings, Placed
 from tagid.tags.bodies.reflectors_fit import COMMON, Batch, Columns, Fitter, Linear, joined, solve
-from tagid.tags.bodies.wall import SERIES, TERMS, Wall, series
+from tagid.tags.bodies.wall import METAL, SERIES, TERMS, Material, Wall, series
 
 RADII_M = (-0.010, -0.004, 0.002, 0.008, 0.016)
 """Of the ring about the layout's nominal radius: a reflector stands where its body has a wall."""
 GAPS_M = (0.009, 0.013, 0.018)
-SHEETS_M = (np.inf, 0.024, 0.012, 0.006, 0.003)
-"""Metal, and (eps - 1) t of glass, ceramic, thin ceramic and plastic."""
+MATERIALS = (METAL, Material(0.004, 7.0), Material(0.004, 4.0), Material(0.003, 3.0), Material(0.002, 2.5))
+"""Metal, porcelain, ceramic, thin ceramic or glass, and plastic."""
 LEAST_GAP_M, MOST_GAP_M = 0.004, 0.026
 STEP_M = 3e-3
 REACH_M = 4e-3
@@ -146,10 +146,10 @@ def _first_walls(fitter: Fitter, rows: Batch, nominal_m: float) -> tuple[NDArray
     walls: list[Wall] = []
     for offset in RADII_M:
         some = [
-            Wall(horizontal, nominal_m + offset, gap, sheet)
+            Wall(horizontal, nominal_m + offset, gap, material)
             for horizontal in (False, True)
             for gap in GAPS_M
-            for sheet in SHEETS_M
+            for material in MATERIALS
         ]
         begun = _before(rows, some[:1] * count)
         plain = WalledFitter.like(fitter, some[:1]).plain(begun).values
@@ -214,8 +214,8 @@ def _inner(wall: Wall) -> Wall:
 
 
 def _denser(wall: Wall) -> Wall:
-    return replace(wall, sheet_m=SHEETS_M[max(SHEETS_M.index(wall.sheet_m) - 1, 0)])
+    return replace(wall, material=MATERIALS[max(MATERIALS.index(wall.material) - 1, 0)])
 
 
 def _thinner(wall: Wall) -> Wall:
-    return replace(wall, sheet_m=SHEETS_M[min(SHEETS_M.index(wall.sheet_m) + 1, len(SHEETS_M) - 1)])
+    return replace(wall, material=MATERIALS[min(MATERIALS.index(wall.material) + 1, len(MATERIALS) - 1)])

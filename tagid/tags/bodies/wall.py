@@ -10,17 +10,11 @@ E_p the components of the total field of a plane wave from that angle, the facto
 distance has anyway. For upright polarisation E_z dominates, and the magnetic field across it is taken beside
 it; for horizontal, the electric field along and across the wall. With U = E_z or H_z,
 
-    U = sum_n j^n (J_n(kr) + b_n H_n(kr)) exp(j n psi)
+    U = sum_n j^n (J_n(kr) + R_n H_n(kr)) exp(j n psi)
 
-(H_n of the second kind, time convention exp(+j omega t)), these are U and (1/k) dU/dr, or the latter and
-1/(kr) dU/dpsi. The wall is a sheet that carries the polarisation current of its material, of thickness t and
-permittivity eps: with chi = (eps - 1) t and x = ka,
-
-    b_n = -k chi J_n^2 / (k chi J_n H_n - 2j / (pi x)),      E upright,
-    b_n = k chi J_n'^2 / (2j / (pi x) - k chi H_n' J_n'),    H upright,
-
-and -J_n / H_n and -J_n' / H_n' for metal (Ruck et al., Radar Cross Section Handbook, 1970, chapter 4; the
-sheet's condition after Senior, IEEE Transactions on Antennas and Propagation 33(6), 1985).
+(H_n of the second kind, R_n of `tagid.fields.shells`), these are U and (1/k) dU/dr, or the latter and
+1/(kr) dU/dpsi. Beside a wall of unknown polarisation these components tell the two apart; the invariants of
+both fields, which `cylinder_patterns` fits, do not.
 
 Of full-wave reflectors on metal cans this leaves 0.1 to 1 % with upright and 1 to 3 % with horizontal
 polarisation, with two free amplitudes at each frequency; on ceramic cups 4 to 7 %, where three free terms
@@ -36,6 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.fields.bessel import bessel
+from tagid.fields.shells import Shell, reflection
 
 TERMS = 2
 """Free amplitudes at each frequency."""
@@ -47,6 +42,22 @@ _BEYOND = 8
 
 
 @dataclass(frozen=True)
+class Material:
+    """What a wall is made of.
+
+    Attributes:
+        wall_m: thickness, m; 0 for metal.
+        permittivity: relative.
+    """
+
+    wall_m: float
+    permittivity: float
+
+
+METAL = Material(0.0, 1.0)
+
+
+@dataclass(frozen=True)
 class Wall:
     """A round wall, and a reflector before it.
 
@@ -54,13 +65,22 @@ class Wall:
         horizontal: the radar's polarisation lies across the axis, else along it.
         radius_m: of the ring of reflectors, m.
         gap_m: from the wall to the reflectors' centres, m.
-        sheet_m: chi of the material, m; infinite for metal.
+        material: of the wall.
     """
 
     horizontal: bool
     radius_m: float
     gap_m: float
-    sheet_m: float
+    material: Material
+
+    @property
+    def shell(self) -> Shell:
+        """The body."""
+        made = self.material
+        polarisation = "H" if self.horizontal else "V"
+        return Shell(
+            self.radius_m - self.gap_m, made.wall_m, made.permittivity, made.wall_m == 0, polarisation
+        )
 
 
 def series(wavenumbers: NDArray[np.float64], walls: Sequence[Wall]) -> NDArray[np.complex128]:
@@ -70,14 +90,11 @@ def series(wavenumbers: NDArray[np.float64], walls: Sequence[Wall]) -> NDArray[n
         wavenumbers: (F,) kappa = 2 k, rad/m.
         walls: (W,), see `Wall`.
     """
-    radius = np.array([wall.radius_m for wall in walls])
-    gap = np.array([wall.gap_m for wall in walls])
-    sheet = np.array([wall.sheet_m for wall in walls])
-    horizontal = np.array([wall.horizontal for wall in walls])
     k = wavenumbers / 2
-    outside = k * radius[:, None]
+    outside = k * np.array([wall.radius_m for wall in walls])[:, None]
+    horizontal = np.array([wall.horizontal for wall in walls])
     n = np.arange(int(np.ceil(outside.max())) + _BEYOND + 1)
-    back = _reflected(k, k * (radius - gap)[:, None], sheet, horizontal, len(n) - 1)
+    back = reflection(k, [wall.shell for wall in walls], len(n) - 1)
     here = bessel(len(n) - 1, outside)
     weight = 1j**n * np.where(n > 0, 2, 1)
     angle = 2 * np.pi * np.arange(_SAMPLES) / _SAMPLES
@@ -90,29 +107,4 @@ def series(wavenumbers: NDArray[np.float64], walls: Sequence[Wall]) -> NDArray[n
     pattern /= np.sqrt((np.abs(pattern) ** 2).mean(axis=-1, keepdims=True))
     found = np.fft.fft(pattern, axis=-1)[..., :SERIES] / _SAMPLES
     found[..., 1:] *= 2
-    return found
-
-
-def _reflected(
-    k: NDArray[np.float64],
-    x: NDArray[np.float64],
-    sheet_m: NDArray[np.float64],
-    horizontal: NDArray[np.bool_],
-    order: int,
-) -> NDArray[np.complex128]:
-    """(W, F, order + 1) b_n of walls: k (F,) rad/m, x = ka (W, F), chi (W,), which field (W,)."""
-    own = bessel(order, x)
-    out = np.empty(own.j.shape, dtype=np.complex128)
-    metal = np.isinf(sheet_m)
-    out[metal] = -own.j[metal] / own.h2[metal]
-    across = metal & horizontal
-    out[across] = -own.dj[across] / own.dh2[across]
-    turn = (2j / (np.pi * x))[..., None]
-    strength = k[:, None] * np.where(metal, 0.0, sheet_m)[:, None, None]
-    some = ~metal & ~horizontal
-    j, h = own.j[some], own.h2[some]
-    out[some] = -strength[some] * j**2 / (strength[some] * j * h - turn[some])
-    some = ~metal & horizontal
-    j, h = own.dj[some], own.dh2[some]
-    out[some] = strength[some] * j**2 / (turn[some] - strength[some] * h * j)
-    return out
+    return np.asarray(found)
