@@ -7,6 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from any_evidence import ANY, SETTINGS
 
 from tagid.capture import Capture
 from tagid.cli.common.imaging import bound_words
@@ -35,9 +36,6 @@ from train.calibrate import one, replaced, strata
 from train.population import draw
 
 LAYOUTS = list(builtin_layouts().values())
-ALL = dict.fromkeys(Basis, Scores(10**6))
-ANY = Calibration("none, for these tests alone", (Stratum(1, 1000, -np.inf, np.inf, ALL),), {})
-SETTINGS = ReaderSettings(contest=ContestSettings(calibrated=ANY))
 
 
 def spectra_of(antenna: np.ndarray, views: int = 36) -> Spectra:

@@ -9,6 +9,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from any_evidence import SETTINGS
 from numpy.typing import NDArray
 
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
@@ -23,7 +24,6 @@ from tagid.simulate.scattering import Points
 from tagid.simulate.scene import Scene
 from tagid.simulate.specification import ReflectorSpec
 from tagid.tags.bodies.body_reading import BodySettings
-from tagid.tags.bodies.calibration import Basis, Calibration, Scores, Stratum
 from tagid.tags.bodies.hypothesis import Kind
 from tagid.tags.bodies.reader import read_on_body
 from tagid.tags.bodies.reflectors_fit import FACING, FEWEST_TERMS
@@ -32,7 +32,7 @@ from tagid.tags.bodies.spectra import Spectra, centred
 from tagid.tags.bodies.symmetric import symmetric_left
 from tagid.tags.layouts.layout import builtin_layouts
 from tagid.tags.matching.contest import BODY_LEAVES, ContestSettings, _undisputed
-from tagid.tags.matching.matcher import ReaderSettings, read_tag
+from tagid.tags.matching.matcher import read_tag
 from tagid.tags.matching.reading import Reading
 from tagid.tags.matching.vote import read_together
 from tagid.tags.verdicts.verdict import Code
@@ -40,9 +40,6 @@ from train.population import draw
 
 RESPONSES = Path(__file__).parents[1] / "data" / "responses"
 LAYOUTS = list(builtin_layouts().values())
-ALL = dict.fromkeys(Basis, Scores(10**6))
-ANY = Calibration("none, for these tests alone", (Stratum(1, 1000, -np.inf, np.inf, ALL),), {})
-SETTINGS = ReaderSettings(contest=ContestSettings(calibrated=ANY))
 RING_M = 0.045
 
 

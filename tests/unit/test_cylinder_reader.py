@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from any_evidence import SETTINGS
 from numpy.typing import NDArray
 
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
@@ -18,7 +19,6 @@ from tagid.simulate.response_file import read_response
 from tagid.simulate.response_scene import response_scene
 from tagid.tags.bodies import cylinder_reader
 from tagid.tags.bodies.body_reading import BodyReading, BodySettings
-from tagid.tags.bodies.calibration import Basis, Calibration, Scores, Stratum
 from tagid.tags.bodies.cylinder_patterns import Paths, Patterns
 from tagid.tags.bodies.cylinder_reader import _CylinderReader, read_on_cylinder
 from tagid.tags.bodies.decide import BodyDecision, decide_on_body
@@ -28,15 +28,11 @@ from tagid.tags.bodies.revolution import RoundBody
 from tagid.tags.bodies.spectra import Spectra, centred
 from tagid.tags.layouts.layout import builtin_layouts
 from tagid.tags.matching.beside import borne_out
-from tagid.tags.matching.contest import ContestSettings
-from tagid.tags.matching.matcher import ReaderSettings, read_tag
+from tagid.tags.matching.matcher import read_tag
 from train.calibrate import one
 
 RESPONSES = Path(__file__).parents[1] / "data" / "responses"
 LAYOUTS = list(builtin_layouts().values())
-ALL = dict.fromkeys(Basis, Scores(10**6))
-ANY = Calibration("none, for these tests alone", (Stratum(1, 1000, -np.inf, np.inf, ALL),), {})
-SETTINGS = ReaderSettings(contest=ContestSettings(calibrated=ANY))
 
 
 @cache
