@@ -1,8 +1,8 @@
 """Stated speeds that are wrong: which are contradicted by the scans, and with which number.
 
 Tags that repeat within a turn (two, three times) and tags that do not, bare and on bodies, at 10 rpm and 5 to
-20 dB; the stated speed is a quarter to three times the true one, the recording 1.3 turns at the stated speed, or
-1.35 or 2.2 true turns. The same recordings with the right speed are a check of false alarms.
+20 dB; the stated speed is a quarter to three times the true one, the recording 1.3 turns at the stated speed,
+or 1.35 or 2.2 true turns. The same recordings with the right speed are a check of false alarms.
 
     python tests/benchmarks/told_speed.py --seed 50 --cases 160
 
