@@ -305,10 +305,6 @@ OPENED = {
     "tub41_c180": Object(_tub41, 24, ring(51, 100, 280)),
     "tub41_c90": Object(_tub41, 20, ring(50, 45, 135)),
     "tub41_pair150": Object(_tub41, 20, ring(50, 0, 150)),
-}
-"""Objects that were sealed, reported, and looked at since."""
-
-SEALED: dict[str, Object] = {
     "box66": Object(_box66),
     "box66_c180": Object(_box66, 24, ring(47, 0, 180)),
     "box66_quad": Object(_box66, 20, ring(46, 342, 18, 162, 198)),
@@ -319,6 +315,9 @@ SEALED: dict[str, Object] = {
     "mug37_c180": Object(_mug37, 20, ring(48, 300, 120)),
     "mug37_quad": Object(_mug37, 20, ring(48, 278, 322, 98, 142)),
 }
+"""Objects that were sealed, reported, and looked at since."""
+
+SEALED: dict[str, Object] = {}
 """Objects that are only reported."""
 
 OBJECTS = {**DEVELOPMENT, **OPENED, **SEALED}
