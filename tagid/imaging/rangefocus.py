@@ -217,12 +217,15 @@ def focus_delay(
 
 
 def _rival(measure: Floats, best: int) -> int | None:
-    """The best delay outside the lobe about the best one; None if there is no other."""
+    """The best delay outside the lobe about the best one; None if there is no other.
+
+    The lobe reaches down to its feet: its flank below half power is no rival of its top.
+    """
     lobe = measure >= _LOBE * measure[best]
     first, last = best, best
-    while first > 0 and lobe[first - 1]:
+    while first > 0 and (lobe[first - 1] or measure[first - 1] < measure[first]):
         first -= 1
-    while last < len(measure) - 1 and lobe[last + 1]:
+    while last < len(measure) - 1 and (lobe[last + 1] or measure[last + 1] < measure[last]):
         last += 1
     outside = measure.copy()
     outside[first : last + 1] = -np.inf

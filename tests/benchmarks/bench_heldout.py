@@ -177,17 +177,21 @@ def summary(found: Found) -> str:
     )
 
 
-def commits(made_of: dict[Task, str]) -> str:
-    """How many scenes of each number of views were made with which commit; empty where one made all."""
-    counts = Counter((made.split(", ")[0], task.views) for task, made in made_of.items())
-    names = dict.fromkeys(name for name, _ in sorted(counts))
-    if len(names) < 2:
+def commits(made_of: dict[Task, str], found: Found) -> str:
+    """What was made with which commit, and in how many of its scenes priors were tried; empty where one
+    commit made all."""
+    by_commit: dict[str, list[Task]] = {}
+    for task, made in made_of.items():
+        by_commit.setdefault(made.split(", ")[0], []).append(task)
+    if len(by_commit) < 2:
         return ""
-    parts = [
-        f"{name}: " + ", ".join(f"{counts[name, v]} scenes of {v} views" for v in VIEWS if counts[name, v])
-        for name in names
-    ]
-    return "; ".join(parts).capitalize() + "."
+    lines = []
+    for name, some in sorted(by_commit.items()):
+        counts = Counter(task.views for task in some)
+        tried = sum(found[task].get("prior", "-") != "-" for task in some)
+        parts = ", ".join(f"{counts[views]} of {views} views" for views in VIEWS if counts[views])
+        lines.append(f"- {name}: {len(some)} scenes ({parts}); priors were tried in {tried}.")
+    return "Made in parts:\n\n" + "\n".join(lines)
 
 
 def main() -> None:
@@ -213,7 +217,7 @@ def main() -> None:
             pieces.made,
         ),
         summary=summary(found),
-        commits=commits(pieces.made_of),
+        commits=commits(pieces.made_of, found),
         by_views=by_views(found),
         rows=table(found),
     )

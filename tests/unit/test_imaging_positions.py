@@ -74,6 +74,22 @@ def test_a_bent_path_off_the_middle_knows_its_delay_and_its_side(sagitta_m: floa
     assert (found.detected, found.false) == (2, 0)
 
 
+def test_the_flank_of_a_delay_is_no_rival_of_its_top() -> None:
+    """Past reflectors far off its middle, a raised path focuses echoes a little at 0.15 m from the delay."""
+    u = np.linspace(-1, 1, 300)
+    antenna = np.stack([1.7 * u + 0.7, 0 * u, 0.4 + 0 * u], axis=1)
+    ranges = STEP_M * np.arange(960)
+    samples = 0.1 * np.random.default_rng(5).standard_normal((300, 960))
+    for amplitude, point in zip((1.0, 0.7), ([-0.6, 2.2, 0], [0.5, 3.6, 0]), strict=True):
+        distance = np.linalg.norm(antenna - point, axis=1)
+        samples += amplitude * analytic_echo(ranges - distance[:, None] - 0.41).real
+    capture = Capture(samples.astype(np.float32), 0.0, STEP_M, antenna_positions_m=antenna)
+    region = choose_region(capture, ImageGrid(0.5, 128), None, free_extent=True, free_pixels=True)
+    assert region.focus is not None
+    assert region.focus.reliable, region.focus.reason
+    assert region.focus.delay_m == pytest.approx(0.41, abs=0.006)
+
+
 def test_noise_alone_gives_no_delay() -> None:
     capture = rail(0.0)
     noise = np.random.default_rng(3).standard_normal(capture.samples.shape).astype(np.float32)
