@@ -35,6 +35,7 @@ ENROLMENT = (Pose((0.002, 0.0), 0.0), Pose((-0.002, 0.0035), 2.1), Pose((-0.003,
 SIMULATED = {
     "shell": ("helmet:101mm", "helmet-120", 0.03),
     "cup": ("cup:33mm,wall=4mm,handle", "container-90", 0.02),
+    "large": ("helmet:98mm", "helmet-linear", 0.04),
     "oval": ("cup:36mm,wall=3.4mm,oval=0.2mm", "container-90", 0.02),
 }
 """Body, the layout that it carries, and the size of its reflectors, m."""
@@ -108,6 +109,17 @@ def test_a_tag_is_read_at_any_turn_and_centre_of_its_body(
     right = min((expected(joint, one) for one in same), key=lambda one: abs(_turned(found, one)))
     assert abs(_turned(found, right)) < np.deg2rad(2.0)
     assert abs(found.centre - right.centre) < (1e-3 if body.startswith("handle") else 3e-3)
+
+
+def test_a_name_that_no_points_bear_out_is_sought_on_the_enrolled_body() -> None:
+    """Loud reflectors were named without a body, and the check of that name ended the reading."""
+    capture, layouts = recorded("large-tagged", UNSEEN[1], 0, 36, 10.0), list(LAYOUTS.values())
+    blind = identify(capture, layouts).reading
+    assert blind is not None
+    assert "points elsewhere explain the echo better than helmet-linear" in blind.reason
+    reading = identify(capture, layouts, None, None, [enrolled("large").signature]).reading
+    assert reading is not None
+    assert (reading.status, reading.layout, reading.kind) == ("identified", "helmet-linear", Kind.BODY)
 
 
 def _turned(one: Pose, other: Pose) -> float:

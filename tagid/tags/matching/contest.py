@@ -113,6 +113,11 @@ def settle(
         points = _points(bare, spectra, layouts, settings.points)
         bare = _in_place(bare, points, settings.points)
     done = _without_body(bare, points, layouts, settings)
+    if done is not None and (enrolled.bodies or enrolled.objects):
+        # A name that no points bear out may be that of reflectors on an enrolled body.
+        borne = checked(done, points, spectra, layouts, settings.bare, opaque=opaque)
+        if borne.status != done.status:
+            done, bare = None, borne
     if done is not None:
         if points is not None and _pointed(bare, points, settings):
             own = replace(own, layout=done.layout, left=float(np.clip(points.unexplained, 0, 1)))
