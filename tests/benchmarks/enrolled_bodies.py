@@ -335,8 +335,8 @@ although the enrolled mug left nothing of the echo unexplained. Since then an en
 name as a wall does, and both scenes are refused.
 
 With the checks of bare names that followed, 5 of 12 scenes of helmet-16 with 40 mm octahedra at 10 dB were
-named (commit 2906d17): a check that refuses a name without a body ended the reading. Since then it goes on with
-the enrolled body, and the sealed/5 scenes, which had been read before, were read again.
+named (commit 2906d17): a check that refuses a name without a body ended the reading. Since then it goes on
+with the enrolled body, and the sealed/5 scenes, which had been read before, were read again.
 """
 
 
