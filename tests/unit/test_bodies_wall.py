@@ -79,6 +79,12 @@ def test_without_a_wall_a_reflector_looks_alike_from_all_sides() -> None:
     assert along(across[3, 1], np.sin(PSI) ** 2 + 0j) > 0.99999
 
 
+@pytest.mark.parametrize("horizontal", [False, True])
+def test_a_dense_sheet_is_metal(horizontal: bool) -> None:
+    metal, dense = (waves(Wall(horizontal, 0.045, 0.01, made)) for made in (METAL, Material(1e-7, 1e10)))
+    assert np.abs(metal - dense).max() < 1e-3
+
+
 def test_the_field_of_a_metal_cylinder_is_that_of_its_series() -> None:
     wall = Wall(False, 0.047, 0.012, METAL)
     n = np.arange(40)

@@ -171,14 +171,15 @@ class Arrangements:
     radii: NDArray[np.float64]
     heights: NDArray[np.float64]
     present: NDArray[np.float64]
+    lean: NDArray[np.float64]
     tilt: NDArray[np.float64]
     terms: NDArray[np.float64]
     moves: NDArray[np.float64]
 
     def fits(self) -> bool:
-        """Whether the compiled loop takes so many terms and moves, and runs at all."""
+        """Whether the compiled loop takes so many terms and moves, none that leans, and runs at all."""
         small = self.terms.max() <= MOST_TERMS and self.moves.shape[1] <= MOST_MOVES
-        return _arrangements is not None and bool(small)
+        return _arrangements is not None and bool(small) and not np.any(self.lean)
 
     def left(
         self, spectra: SpectraTables, echoes: NDArray[np.complex128], steps: NDArray[np.float64]

@@ -7,8 +7,6 @@ three terms holds; the pattern of one reflector over that of a pair, which has z
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -44,14 +42,14 @@ def _row(best: Placed, half_gap_m: float, pattern: Pattern) -> Batch:
     at = np.zeros((1, COMMON + k))
     at[0, :COMMON] = best.batch.at[0, :COMMON]
     at[0, 2] = 0.0
-    at[0, COMMON:] = _both(best.angles - aside, best.angles + aside)
+    at[0, COMMON:] = np.concatenate([best.angles - aside, best.angles + aside])
     one, each = np.ones(1), np.ones((1, k))
     return Batch(
         at,
         radius * each,
         0 * each,
         each,
-        _both(aside + 0 * best.angles, -aside + 0 * best.angles)[None],
+        np.repeat([aside, -aside], k // 2)[None],
         one * pattern.tilt,
         one * pattern.terms,
         _moves(k)[None],
@@ -61,12 +59,7 @@ def _row(best: Placed, half_gap_m: float, pattern: Pattern) -> Batch:
     )
 
 
-def _both(one: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.concatenate([one, other])
-
-
 def _moves(count: int) -> NDArray[np.float64]:
     """(7, 6 + count) radius, centre, the body's pose, and the turn of all reflectors."""
     unit = np.eye(COMMON + count)
-    single: Sequence[int] = (2, 0, 1, 3, 4, 5)
-    return np.append(unit[list(single)], unit[COMMON:].sum(axis=0, keepdims=True), axis=0)
+    return np.append(unit[[2, 0, 1, 3, 4, 5]], unit[COMMON:].sum(axis=0, keepdims=True), axis=0)

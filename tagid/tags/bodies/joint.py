@@ -8,7 +8,7 @@ every later reading, so it is found and named.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -156,7 +156,7 @@ class Basis:
         return np.asarray(columns - columns.mean(axis=1, keepdims=True))
 
     def solve(
-        self, captures: Sequence[Placed], ridge: float = RIDGE
+        self, captures: Collection[Placed], ridge: float = RIDGE
     ) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
         """Harmonics (F, 2 M + 1), and the variance of one harmonic's noise (F,)."""
         size = len(self.m)
@@ -222,28 +222,15 @@ class _Estimate:
             search = PoseSearch(spectra, self.basis.order, around)
             # One capture does not tell its m = 0 from the room: what turns gives pose and gain.
             turns = left > (1 + _ROUND_TURNING) * spectra.noise_energy
-            self._add(
-                i,
-                [one.pose for one in matches(spectra, self.signature, search, starts=4, split=turns)],
-                turns,
-            )
+            near = matches(spectra, self.signature, search, starts=4, split=turns)
+            gains = [best_gain(spectra, self.signature, one.pose, split=turns) for one in near]
+            placed = [Placed(spectra, one.pose, gain) for one, gain in zip(near, gains, strict=True)]
+            # What turns may look alike in several poses: an oval turned by a quarter is one with the gain
+            # reversed. The gain must suit the round part of the echo, too.
+            before = list(self.placed.values())
+            lefts = [_left([*before, one], self.basis) for one in placed]
+            self.placed[i] = placed[int(np.argmin(lefts))]
             self.solve(1e-3)
-
-    def _add(self, i: int, poses: Sequence[Pose], turns: bool) -> None:
-        """A capture in the pose in which its gain suits the round part of the echo best, too.
-
-        What turns may look alike in several poses: an oval turned by a quarter is one with the gain reversed.
-        """
-        spectra, best = self.captures[i], np.inf
-        for pose in poses:
-            gain = best_gain(spectra, self.signature, pose, split=turns)
-            before = self.placed
-            self.placed = {**before, i: Placed(spectra, pose, gain)}
-            left = _left(self, self.basis)
-            if left < best:
-                best, chosen = left, self.placed[i]
-            self.placed = before
-        self.placed[i] = chosen
 
     def solve(self, ridge: float = RIDGE) -> None:
         """Harmonics for the present poses and gains."""
@@ -280,14 +267,14 @@ class _Estimate:
             slopes = slopes - columns @ (inverse @ slopes)
             left = data - (columns @ found[..., None])[..., 0]
             change = (np.linalg.pinv(slopes) @ left[..., None])[..., 0]
-            before, kept = _left(self, self.basis), self.placed
+            before, kept = _left(self.placed.values(), self.basis), self.placed
             self.placed = {
                 i: replace(one, gain=one.gain * (1 + change[:, self.order.index(i) - 1]))
                 if i != self.order[0]
                 else one
                 for i, one in kept.items()
             }
-            if _left(self, self.basis) > before:
+            if _left(self.placed.values(), self.basis) > before:
                 self.placed = kept
                 break
         self.solve()
@@ -389,19 +376,19 @@ def _joint(spectra: Sequence[Spectra], name: str, kind: SignatureKind, radius_m:
         work.alternate(2)
         work.balance()
         work.descend()
-        now = _left(work, work.basis)
+        now = _left(work.placed.values(), work.basis)
         if now > (1 - _SETTLED) * before:
             break
         before = now
     return work
 
 
-def _left(work: _Estimate, basis: Basis) -> float:
-    """Energy that the least squares of a basis leaves of all captures, in units of their noise."""
-    found, _ = basis.solve(list(work.placed.values()))
+def _left(captures: Collection[Placed], basis: Basis) -> float:
+    """Energy that the least squares of a basis leaves of captures, in units of their noise."""
+    found, _ = basis.solve(captures)
     return sum(
         float(np.sum(np.abs(_whitened(one.spectra) - (basis.columns(one) @ found[..., None])[..., 0]) ** 2))
-        for one in work.placed.values()
+        for one in captures
     )
 
 
@@ -409,7 +396,8 @@ def _score(spectra: Sequence[Spectra], work: _Estimate, radius_m: float) -> floa
     """Residual per squared share of the degrees of freedom, for a radius, at the poses found."""
     basis = Basis(spectra[0].wavenumbers, radius_m)
     return (
-        _left(work, basis) / max(1 - int(basis.mask.sum()) / sum(one.data.size for one in spectra), 1e-3) ** 2
+        _left(work.placed.values(), basis)
+        / max(1 - int(basis.mask.sum()) / sum(one.data.size for one in spectra), 1e-3) ** 2
     )
 
 

@@ -289,7 +289,6 @@ def match(
     *,
     starts: int = 3,
     either_way: bool = False,
-    split: bool = False,
 ) -> Match:
     """Best pose of a signature in a capture, over all rotations and centres near the axis.
 
@@ -299,23 +298,27 @@ def match(
         search: of that capture, to be shared between signatures; None makes one.
         starts: poses of the coarse search that are refined.
         either_way: try the mirror image as well, where the direction of the turn is not known.
-        split: give the round part a gain of its own, for a signature whose m = 0 is not known yet.
 
     Raises DataError where the two are at different frequencies.
     """
-    return matches(spectra, signature, search, starts=starts, either_way=either_way, split=split)[0]
+    return matches(spectra, signature, search, starts=starts, either_way=either_way)[0]
 
 
 def matches(
     spectra: Spectra,
     signature: Signature,
-    search: PoseSearch | None = None,
+    search: PoseSearch | None,
     *,
-    starts: int = 3,
+    starts: int,
     either_way: bool = False,
     split: bool = False,
 ) -> list[Match]:
-    """The refined ends of several starts, best first; all else as of `match`."""
+    """The refined ends of several starts, best first.
+
+    Args:
+        spectra, signature, search, starts, either_way: as of `match`.
+        split: give the round part a gain of its own, for a signature whose m = 0 is not known yet.
+    """
     search = search or PoseSearch(spectra, signature.order)
     found: list[Match] = []
     for flip in (False, True)[: 2 if either_way else 1]:

@@ -114,13 +114,8 @@ class Batch:
     def rows(self) -> Arrangements:
         """The same for the compiled loop."""
         return Arrangements(
-            self.at, self.radii, self.heights, self.present, self.tilt, self.terms, self.moves
+            self.at, self.radii, self.heights, self.present, self.lean, self.tilt, self.terms, self.moves
         )
-
-    @property
-    def leans(self) -> bool:
-        """Whether any reflector's outward direction is not its direction on the ring."""
-        return bool(np.any(self.lean))
 
     @property
     def angles(self) -> NDArray[np.float64]:
@@ -278,7 +273,7 @@ class Fitter:
     def left(self, batch: Batch) -> NDArray[np.float64]:
         """(H,) energy left at the places of a batch."""
         rows = batch.rows
-        if rows.fits() and not batch.leans:
+        if rows.fits():
             return rows.left(self.spectra.tables, self._echoes(batch, moved=False), np.array(_BODY_STEPS))
         return solve(self.spectra.data, Columns.of(self.spectra, self.body, batch).values).left
 
@@ -314,7 +309,7 @@ class Fitter:
         The slope is that of Kaufman (1975): derivatives of the columns at fixed amplitudes, projected.
         """
         rows = batch.rows
-        if rows.fits() and not batch.leans:
+        if rows.fits():
             steps = np.array(_BODY_STEPS)
             return Linear(*rows.linear(self.spectra.tables, self._echoes(batch, moved=True), steps))
         cols = Columns.of(self.spectra, self.body, batch)

@@ -113,18 +113,18 @@ def settle(
         points = _points(bare, spectra, layouts, settings.points)
         bare = _in_place(bare, points, settings.points)
     done = _without_body(bare, points, layouts, settings)
-    if done is not None and (enrolled.bodies or enrolled.objects):
-        # A name that no points bear out may be that of reflectors on an enrolled body.
-        borne = checked(done, points, spectra, layouts, settings.bare, opaque=opaque)
-        if borne.status != done.status:
-            done, bare = None, borne
     if done is not None:
-        if points is not None and _pointed(bare, points, settings):
-            own = replace(own, layout=done.layout, left=float(np.clip(points.unexplained, 0, 1)))
-        settled = replace(done, hypotheses=(own,))
-    else:
+        borne = checked(done, points, spectra, layouts, settings.bare, opaque=opaque)
+        if borne.status != done.status and (enrolled.bodies or enrolled.objects):
+            # A name that no points bear out may be that of reflectors on an enrolled body.
+            done, bare = None, borne
+        else:
+            if points is not None and _pointed(bare, points, settings):
+                own = replace(own, layout=done.layout, left=float(np.clip(points.unexplained, 0, 1)))
+            settled = replace(borne, hypotheses=(own,))
+    if done is None:
         settled = _against_bodies(_Bare(bare, own, points, opaque), spectra, layouts, enrolled, settings)
-    settled = checked(settled, points, spectra, layouts, settings.bare, opaque=opaque)
+        settled = checked(settled, points, spectra, layouts, settings.bare, opaque=opaque)
     settled = _undisputed(settled, points, spectra, layouts, settings)
     return _promised(settled, points, spectra, settings)
 
@@ -357,9 +357,7 @@ def _against_bodies(
             readings.append((reading, verdict))
     if not readings:
         return replace(bare, hypotheses=(own,))
-    readings = [
-        (r, v if v.status != "identified" else _outdone(r, v, readings, settings)) for r, v in readings
-    ]
+    readings = [(r, _outdone(r, v, readings, settings)) for r, v in readings]
     explanations = [own, *_explanations(readings)]
     objects = read_objects(
         spectra, enrolled.objects, readings[0][0].body_left, min(r.body_left for r, _ in readings)
@@ -454,7 +452,7 @@ def _outdone(
     settings: ContestSettings,
 ) -> Verdict:
     """The verdict on a name on a round body, taken back where an enrolled body explains the echo better."""
-    if reading.body.name:
+    if verdict.status != "identified" or reading.body.name:
         return verdict
     for other, _ in readings:
         least = min(placed.charged for placed in (*other.layouts, *other.others))
