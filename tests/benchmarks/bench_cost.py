@@ -309,7 +309,7 @@ def pulse_estimates() -> str:
     rng = np.random.default_rng(77)
     points = rng.uniform(-0.22, 0.22, (4, 2))
     turn = {"extent_m": EXTENT_M, "pixels": 96}
-    rail, _ = rail_capture(RailCell(RAILS[0], 0))
+    rail, _ = rail_capture(RailCell(RAILS[0], 0, "bp"))
     cases: list[tuple[str, Capture, dict[str, Any]]] = [
         (f"turn, {views} views, 96 x 96", simulate(points, views, 0.316, rng), turn) for views in (36, 360)
     ]

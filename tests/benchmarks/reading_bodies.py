@@ -93,6 +93,19 @@ def enrolled(task: Task, drawn: scenes.Drawn) -> tuple[str, str]:
     return answered(drawn, (signature,))
 
 
+def whole(task: Task, drawn: scenes.Drawn) -> tuple[str, str]:
+    """The same with the tagged object enrolled as a whole; a bare tag has no body to be enrolled with."""
+    if task.cell.body == "none":
+        return answered(drawn, ())
+    try:
+        captures = scenes.enrolment_captures(task.cell, task.population, task.number, tagged=True)
+        named = [Named(f"capture {i + 1}", aspect_spectra(capture)) for i, capture in enumerate(captures)]
+        signature = enrol_signature(named, drawn.name or "another", "object").signature
+    except TagidError as error:
+        return f"not enrolled: {error.message}", ""
+    return answered(drawn, (signature,))
+
+
 def answered(drawn: scenes.Drawn, signatures: tuple[Signature, ...]) -> tuple[str, str]:
     """(status, layout) of a recording."""
     try:
@@ -102,8 +115,12 @@ def answered(drawn: scenes.Drawn, signatures: tuple[Signature, ...]) -> tuple[st
     return answer.status, answer.reading.layout or ""
 
 
-MODES: dict[str, Callable[[Task, scenes.Drawn], tuple[str, str]]] = {"blind": blind, "enrolled": enrolled}
-"""What the reader knows: nothing of the body, or the untagged body."""
+MODES: dict[str, Callable[[Task, scenes.Drawn], tuple[str, str]]] = {
+    "blind": blind,
+    "enrolled": enrolled,
+    "object": whole,
+}
+"""What the reader knows: nothing of the body, the untagged body, or the object with its tag."""
 
 
 def outcome_of(status: str, answer: str, name: str) -> str:

@@ -279,17 +279,25 @@ def _acquisition(cell: Cell, rng: np.random.Generator) -> Acquisition:
     )
 
 
-def enrolment_captures(cell: Cell, population: str, number: int) -> tuple[Capture, ...]:
-    """Three captures of the same object's body without its tag, as `tagid enroll --body` takes them.
+def enrolment_captures(
+    cell: Cell, population: str, number: int, *, tagged: bool = False
+) -> tuple[Capture, ...]:
+    """Three captures of the same object's body, without its tag or with it, as `tagid enroll` takes them.
 
     72 views at 20 dB, turned and moved by 2 to 6 mm, at the height of the recording that is to be read, in a
-    room of its own.
+    room of its own, on a turntable as uneven as that of the recording where the tag is enrolled with the
+    body. An object that carries no enrolled layout is enrolled with one.
+
+    Raises:
+        DataError: that layout's reflectors do not stand clear of its wall.
     """
     rng = _generator(cell, population, number)
     # As in the recording: the tag's reflectors are drawn first.
     made, _ = _standing(cell, rng)
     read = _acquisition(cell, rng)
-    empty = _scene(made, "untagged", np.zeros((0, 3)), rng)
+    shown = _scene(made, "untagged", np.zeros((0, 3)), rng)
+    if tagged:
+        shown = _scene(made, "tagged", _enrolled_positions(cell, made, number), rng)
     found = []
     for i in range(3):
         place, turn = rng.uniform(0, 2 * np.pi, 2)
@@ -298,9 +306,19 @@ def enrolment_captures(cell: Cell, population: str, number: int) -> tuple[Captur
             views=72,
             snr_db=20.0,
             placement=Placement((off * np.cos(place), off * np.sin(place)), turn, read.placement.height_m),
+            wobble=read.wobble if tagged else Wobble(),
         )
-        found.append(simulate_capture(empty, acquisition, int(rng.integers(2**32)))[0])
+        found.append(simulate_capture(shown, acquisition, int(rng.integers(2**32)))[0])
     return tuple(found)
+
+
+def _enrolled_positions(cell: Cell, made: _Object, number: int) -> np.ndarray:
+    """(K, 3) reflectors of the layout that an object is enrolled with, m."""
+    if made.name:
+        return made.positions
+    fitting = _layouts_for(cell)
+    layout = fitting[number % len(fitting)]
+    return np.concatenate([layout.positions, np.asarray(layout.heights)[:, None]], axis=1)
 
 
 @lru_cache(maxsize=1)

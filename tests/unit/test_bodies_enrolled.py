@@ -23,9 +23,11 @@ from tagid.tags.bodies.enrolled import (
 )
 from tagid.tags.bodies.hypothesis import Explanation, Kind, Pose
 from tagid.tags.bodies.joint import Named, enrol_signature
+from tagid.tags.bodies.posing import match
 from tagid.tags.bodies.revolution import RoundBody
 from tagid.tags.bodies.signature import Signature, echo
 from tagid.tags.bodies.signature_file import to_bytes
+from tagid.tags.bodies.steadying import steadied
 from tagid.tags.enrolling.layout_file import read_entries, write_layouts
 from tagid.tags.enrolling.registry import Registry
 from tagid.tags.layouts.layout import Layout, builtin_layouts
@@ -125,11 +127,28 @@ def test_the_strongest_reflector_left_is_found_where_it_stands(tagged: Signature
     for extra, noise in ((ring(320), 0.1), (ring(250, radius=0.06), 0.5)):
         more = capture(MUG.plus(TAG).plus(extra), 4, centre=0.004 - 0.004j, rotation=1.0, noise=noise)
         spectra = aspect_spectra(more)
-        stray = model.stray(spectra, model.match(spectra))
+        stray = model.stray(model.match(spectra))
         place = 0.004 - 0.004j + extra.points[0] * np.exp(1j)
         assert stray.nats > 30 and abs(complex(*stray.place_m) - place) < 0.012
         same = aspect_spectra(capture(MUG.plus(TAG), 4, centre=0.004 - 0.004j, rotation=1.0, noise=noise))
-        assert model.stray(same, model.match(same)).nats < 20
+        assert model.stray(model.match(same)).nats < 20
+
+
+def test_an_uneven_turn_is_read_off_the_object(tagged: Signature) -> None:
+    """By a stated angle that is too small the antenna stands further round than the scans say."""
+    true = aspect_spectra(capture(MUG.plus(TAG), 5, centre=0.004 - 0.004j, rotation=1.0, views=36))
+    bearing = np.angle(true.antenna)
+    errors = 0.008 * np.sin(bearing + 0.4) + 0.004 * np.cos(2 * bearing)
+    stated = replace(true, antenna=true.antenna * np.exp(-1j * errors))
+    rigid = match(stated, tagged)
+    found, even = steadied(stated, tagged, rigid.pose), steadied(true, tagged, rigid.pose)
+    for one in (found, even):
+        assert np.abs(np.angle(one.spectra.antenna / true.antenna)).max() < 2e-3
+    assert abs(found.pose.centre - even.pose.centre) < 1e-5
+    assert rigid.left > 2.5 * found.left
+    assert abs(found.left - even.left) < 0.1 * even.left
+    noisy = steadied(replace(stated, noise=1e6 * true.noise), tagged, rigid.pose)
+    assert np.abs(np.angle(noisy.spectra.antenna / stated.antenna)).max() < 1e-4
 
 
 def test_a_bare_pair_whose_centre_lies_far_off_the_axis_is_not_named() -> None:

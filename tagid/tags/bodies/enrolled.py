@@ -17,6 +17,7 @@ from tagid.tags.bodies.hypothesis import Candidate, Enrolled, ObjectMatch
 from tagid.tags.bodies.posing import Match, PoseSearch, match, refine
 from tagid.tags.bodies.signature import Signature, angular, echo, near_field, same_wavenumbers
 from tagid.tags.bodies.spectra import Spectra, centred
+from tagid.tags.bodies.steadying import steadied
 from tagid.tags.bodies.stray import Stray, strongest_stray
 
 FREQUENCY_STEP_HZ = 0.2e9
@@ -149,15 +150,18 @@ class EnrolledObject:
         return self.signature.name
 
     def match(self, spectra: Spectra) -> ObjectMatch:
-        """Its best pose."""
-        best = self.placed(spectra)
-        return ObjectMatch(best.pose, best.left, self.noise_share(spectra), best.mirrored)
+        """Its best pose, on a turntable that may turn unevenly."""
+        found = self.placed(spectra)
+        best = steadied(spectra, self._seen(found.mirrored), found.pose)
+        return ObjectMatch(best.pose, best.spectra, best.left, self.noise_share(spectra), found.mirrored)
 
-    def stray(self, spectra: Spectra, found: ObjectMatch) -> Stray:
+    def stray(self, found: ObjectMatch) -> Stray:
         """The strongest reflector in what it leaves in that pose."""
-        one = self.signature.mirrored() if found.mirrored else self.signature
-        own = centred(echo(spectra, one, found.pose))
-        return strongest_stray(spectra, own, found.pose.centre, self.signature.radius_m + BEYOND_M)
+        own = centred(echo(found.spectra, self._seen(found.mirrored), found.pose))
+        return strongest_stray(found.spectra, own, found.pose.centre, self.signature.radius_m + BEYOND_M)
+
+    def _seen(self, mirrored: bool) -> Signature:
+        return self.signature.mirrored() if mirrored else self.signature
 
     def placed(self, spectra: Spectra) -> Match:
         """Its best pose, and whether it is that of the mirror image."""

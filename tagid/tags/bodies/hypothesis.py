@@ -91,18 +91,20 @@ class BodyModel(Protocol):
         ...
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ObjectMatch:
     """How well an enrolled object explains the scans.
 
     Attributes:
         pose: where it stands.
+        spectra: the scans, seen from where it says that they were taken: the turn may have been uneven.
         left: energy left.
         noise_share: energy that the noise in the enrolled signature adds, as a share of the scans' noise.
         mirrored: it is the mirror image that stands there, as where the object turned the other way.
     """
 
     pose: Pose
+    spectra: Spectra
     left: float
     noise_share: float
     mirrored: bool = False
@@ -125,7 +127,7 @@ class ObjectModel(Protocol):
         """Its best pose."""
         ...
 
-    def stray(self, spectra: Spectra, found: ObjectMatch) -> Stray:
+    def stray(self, found: ObjectMatch) -> Stray:
         """The strongest reflector in what it leaves in that pose."""
         ...
 

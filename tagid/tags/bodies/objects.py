@@ -97,7 +97,7 @@ def read_objects(
         )
     found.sort(key=lambda reading: reading.match.left)
     if found:
-        stray = found[0].model.stray(spectra, found[0].match)
+        stray = found[0].model.stray(found[0].match)
         found[0] = replace(found[0], stray=stray.energy / noise, stray_nats=stray.nats)
     return found
 

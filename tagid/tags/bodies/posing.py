@@ -82,17 +82,22 @@ def descend(
     model: Callable[[NDArray[np.float64]], Linear],
     x: NDArray[np.float64],
     iterations: int = 12,
+    sigmas: NDArray[np.float64] | None = None,
 ) -> Found:
     """Levenberg-Marquardt with the linear amplitudes eliminated (variable projection, Kaufman 1975).
 
     Args:
         spectra: data.
-        model: from parameters (P,); the first two are the centre, m, and have the prior CENTRE_SIGMA_M.
+        model: from parameters (P,); the first two are the centre, m.
         x: (P,) start.
         iterations: at most.
+        sigmas: (P,) standard deviations of the parameters about 0, inf where they are free; None: those of
+            the centre are CENTRE_SIGMA_M, the others are free.
     """
-    prior = np.zeros(len(x))
-    prior[:2] = noise_of(spectra) / CENTRE_SIGMA_M**2
+    if sigmas is None:
+        sigmas = np.full(len(x), np.inf)
+        sigmas[:2] = CENTRE_SIGMA_M
+    prior = noise_of(spectra) / sigmas**2
     data = spectra.data
 
     def rest(columns: NDArray[np.complex128]):  # type: ignore[no-untyped-def]

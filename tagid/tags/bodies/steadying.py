@@ -1,0 +1,83 @@
+"""The uneven turn of a turntable, read off an enrolled object.
+
+The stated angles of the views are off by a few milliradians: a bent axle, an off-centre belt. A handle 65 mm
+from the axis then moves by some tenths of a millimetre, and what a signature leaves of a loud object is more
+than its noise. The errors of the angles are parameters of the object's place, like its turn, with a prior.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tagid.tags.bodies.hypothesis import Pose
+from tagid.tags.bodies.posing import CENTRE_SIGMA_M, Linear, descend, noise_of
+from tagid.tags.bodies.signature import Signature, Standpoint, angular, turned
+from tagid.tags.bodies.spectra import Spectra
+
+HARMONICS = 4
+"""Of a turn, in the error of the angles."""
+SIGMA_RAD = 0.01
+"""Standard deviation of the first harmonic's coefficients, rad; the k-th has 1/k of it, as where the speed
+is uneven by as much at every harmonic."""
+
+
+@dataclass(frozen=True, eq=False)
+class Steadied:
+    """An object where its turn may have been uneven.
+
+    Attributes:
+        pose: the best one.
+        spectra: the scans, seen from where they were taken then.
+        left: energy left, with what the prior of the angles charges.
+    """
+
+    pose: Pose
+    spectra: Spectra
+    left: float
+
+
+def steadied(spectra: Spectra, signature: Signature, pose: Pose) -> Steadied:
+    """The best pose near a start, together with the errors of the angles.
+
+    Args:
+        spectra, signature: at the same frequencies.
+        pose: start.
+    """
+    order = signature.order
+    m = np.arange(-order, order + 1)
+    shapes = _harmonics(spectra.antenna)
+
+    def model(x: NDArray[np.float64]) -> Linear:
+        seen = _turned_by(spectra, x[3:] @ shapes)
+        at = Standpoint(seen, complex(x[0], x[1]))
+        weights = turned(seen, signature, float(x[2]))
+        basis = angular(at.azimuth, order)
+        pattern, bent = weights @ basis.T, (weights * (1j * m)) @ basis.T
+        moved = at.carrier_slopes() * pattern + at.carrier * bent * at.azimuth_slopes()[:, None, :]
+        # A larger angle takes the antenna along its circle, as if the centre moved the other way.
+        along = 1j * seen.antenna
+        later = -(moved[0] * along.real + moved[1] * along.imag)
+        slopes = np.concatenate([moved, (-at.carrier * bent)[None], later * shapes[:, None, :]])
+        return Linear((at.carrier * pattern)[..., None], slopes[..., None])
+
+    sigmas = SIGMA_RAD / np.repeat(np.arange(1, HARMONICS + 1), 2)
+    start = np.concatenate([[*pose.centre_m, pose.turn_rad], np.zeros(2 * HARMONICS)])
+    found = descend(spectra, model, start, sigmas=np.array([CENTRE_SIGMA_M, CENTRE_SIGMA_M, np.inf, *sigmas]))
+    x, y, turn = (float(value) for value in found.x[:3])
+    charged = noise_of(spectra) * float(np.sum((found.x[3:] / sigmas) ** 2))
+    seen = _turned_by(spectra, found.x[3:] @ shapes)
+    return Steadied(Pose((x, y), turn % (2 * np.pi)), seen, found.left + charged)
+
+
+def _harmonics(antenna: NDArray[np.complex128]) -> NDArray[np.float64]:
+    """(2 HARMONICS, V) cosines and sines of the bearing of the views."""
+    orders = np.arange(1, HARMONICS + 1)
+    waves = np.exp(1j * orders[:, None] * np.angle(antenna))
+    return np.stack([waves.real, waves.imag], axis=1).reshape(2 * HARMONICS, -1)
+
+
+def _turned_by(spectra: Spectra, errors: NDArray[np.float64]) -> Spectra:
+    return replace(spectra, antenna=spectra.antenna * np.exp(1j * errors))
