@@ -6,6 +6,7 @@ that a turntable and a free path are the same thing to them.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -75,6 +76,12 @@ class ForwardOperator:
     def forward(self, sigma: NDArray[np.complexfloating]) -> NDArray[np.complex64]:
         """Scans (views, bins) complex64 of reflectivities (points,)."""
         return np.asarray(self.geometry.scatter(sigma) @ self._spread, dtype=np.complex64)
+
+    def forward_by_view(self, sigma: Iterable[NDArray[np.complexfloating]]) -> NDArray[np.complex64]:
+        """As `forward`, where every view sees other reflectivities: (points,) of each view in turn."""
+        each = (self.geometry.select(slice(view, view + 1)) for view in range(self.views))
+        rows = [geometry.scatter(values) for geometry, values in zip(each, sigma, strict=True)]
+        return np.asarray(np.concatenate(rows) @ self._spread, dtype=np.complex64)
 
     def slope(self, sigma: NDArray[np.complexfloating]) -> NDArray[np.complex64]:
         """Derivative (views, bins) of `forward` by a distance that all points move away by, per m."""

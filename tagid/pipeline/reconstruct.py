@@ -13,7 +13,7 @@ from tagid import __version__
 from tagid.capture import Capture
 from tagid.errors import UsageError
 from tagid.geometry import ImageGrid
-from tagid.imaging.ats.adapt import changes_made, has_field, image_without_field, linear_iterations
+from tagid.imaging.ats.adapt import has_field, image_without_field, linear_iterations, settings_of
 from tagid.imaging.ats.fit import fit
 from tagid.imaging.autofocus import AxisFocus
 from tagid.imaging.bandcheck import band_warning
@@ -250,8 +250,8 @@ def _held_out(
         found = find_outside(select_views(scans, seen), grid, told)
         scans = scans if found is None else found.removed(scans)
         unfiltered = scans
-    ats = replace(settings.ats, adapt=0, held_out=0.0, calibrate=())
-    prior, changes = made.settings.get("prior", ""), changes_made(made.settings)
+    ats = settings_of(made.settings, replace(settings.ats, adapt=0, held_out=0.0, calibrate=()))
+    prior = made.settings.get("prior", "")
     axis = made.settings.get("calibration", {}).get("axis")
     if axis:
         moved = scans.aperture.with_axis_distance(axis["distance_m"])
@@ -260,10 +260,10 @@ def _held_out(
     def make(some: BasebandScans) -> Image:
         if not has_field(prior):
             return image_without_field(some, grid, prior)
-        return make_image(some, grid, method, settings.seed, "field", None, replace(ats, **changes))
+        return make_image(some, grid, method, settings.seed, "field", None, ats)
 
     def predicted(all_views: BasebandScans, unseen: NDArray[np.intp]) -> float:
-        fitted = replace(ats, **changes, seed=settings.seed)
+        fitted = replace(ats, seed=settings.seed)
         return fit(all_views, grid, fitted, lambda step, of, _: told(step, of), unseen).held_out
 
     return check(scans, unfiltered, grid, make, predicted if method == "ats" and has_field(prior) else None)

@@ -18,7 +18,7 @@ import numpy as np
 from tagid.capture import Capture
 from tagid.constants import RANGE_STEP_M, SPEED_OF_LIGHT
 from tagid.geometry import Aperture, ImageGrid
-from tagid.imaging.ats.adapt import changes_made, has_field, image_without_field
+from tagid.imaging.ats.adapt import has_field, image_without_field, settings_of
 from tagid.imaging.ats.fit import fit
 from tagid.imaging.ats.settings import AtsSettings
 from tagid.imaging.heldout import check
@@ -195,7 +195,7 @@ def held_out_percent(problem: Problem, row: str) -> float:
     # With the prior and the views a step of the image of all views.
     facts = problem.image(f"{row}, bare")[0].settings if method == "ats" else {}
     prior = facts.get("prior", "")
-    ats = AtsSettings(steps=steps, adapt=0, **changes_made(facts))
+    ats = settings_of(facts, AtsSettings(steps=steps, adapt=0))
 
     def make(some: BasebandScans) -> Image:
         if not has_field(prior):

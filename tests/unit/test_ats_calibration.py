@@ -16,6 +16,8 @@ from tagid.imaging.ats.calibration import Unknowns, _gains, _solve, angle_error,
 from tagid.imaging.ats.fit import AtsSettings, fit
 from tagid.imaging.ats.illumination import illumination
 from tagid.imaging.ats.occlusion import transmission
+from tagid.imaging.heldout import left_out
+from tagid.imaging.operator import ForwardOperator
 from tagid.imaging.preprocess import PreprocessSettings, preprocess, select_views
 from tagid.imaging.types import BasebandScans
 from tagid.simulate.acquisition import Acquisition
@@ -170,10 +172,29 @@ def test_nothing_hides_in_front_and_half_hides_behind() -> None:
     """A wall across the middle: seen from +x, what lies at -x is dimmed, what lies at +x is not."""
     wall = np.zeros((48, 48))
     wall[:, 24] = 1.0
-    left = transmission(wall, GRID, np.array([[1.0, 0.0, 0.0]]), nepers=0.7)[0].reshape(48, 48)
+    left = transmission(wall, GRID, np.array([[1.0, 0.0, 0.0]]), 0.7, GRID.step)[0].reshape(48, 48)
     assert left[20:28, :20].max() < 0.6
     assert left[20:28, 30:].min() > 0.95
     assert left[20:28, 10] == pytest.approx(np.exp(-0.7), abs=0.08)
+    finer = ImageGrid(GRID.extent, 96)
+    wall = np.kron(wall, np.ones((2, 2)))
+    same = transmission(wall, finer, np.array([[1.0, 0.0, 0.0]]), 0.7, GRID.step)[0].reshape(96, 96)
+    assert same[40:56, 20] == pytest.approx(np.exp(-0.7), abs=0.08)
+
+
+def test_views_that_no_fit_has_seen_are_predicted_with_their_shadows() -> None:
+    """A wall in the middle hides the points behind it, in the views on the other side."""
+    truth = np.zeros((48, 48), dtype=np.complex64)
+    truth[14:34, 24] = 1.0
+    truth[[20, 28, 24], [12, 14, 37]] = 3.0j
+    scans = scans_of(np.zeros(1), 0.0)
+    shade = transmission(np.minimum(np.abs(truth), 1), GRID, scans.aperture.positions, 1.5, GRID.step)
+    seen = ForwardOperator(scans, GRID).forward_by_view(truth.ravel() * row for row in shade)
+    level = np.abs(seen).max() / np.abs(scans.samples).max()
+    scans = BasebandScans(**{**scans.__dict__, "samples": seen + level * scans.samples * np.float32(1e-3)})
+    dense = AtsSettings(l1=0.003, noise_factor=1.0)
+    plain, shaded = (fit(scans, GRID, replace(dense, occlusion=n), unseen=left_out(VIEWS)) for n in (0, 2.0))
+    assert shaded.held_out < 0.8 * plain.held_out
 
 
 def test_occlusion_runs_and_stays_finite() -> None:

@@ -23,7 +23,7 @@ from tagid.capture import Capture
 from tagid.errors import DataError, MissingExtraError, UsageError
 from tagid.geometry import Aperture, ImageGrid
 from tagid.imaging.ats import calibration
-from tagid.imaging.ats.illumination import illumination, lit_forward
+from tagid.imaging.ats.illumination import illumination
 from tagid.imaging.ats.occlusion import transmission
 from tagid.imaging.ats.problem import (
     Array,
@@ -40,6 +40,7 @@ from tagid.imaging.ats.start import FirstImages
 from tagid.imaging.ats.support import CHECK_AT, Support
 from tagid.imaging.heldout import Prediction
 from tagid.imaging.kernel import is_compiled
+from tagid.imaging.lengths import finest_cell_m
 from tagid.imaging.memory import require_memory
 from tagid.imaging.operator import ForwardOperator
 from tagid.imaging.preprocess import PreprocessSettings, preprocess, select_views
@@ -328,12 +329,12 @@ class _Fit:
         what = self.what if late else tuple(w for w in self.what if w not in ("axis", "wobble"))
         if what:
             self.known = calibration.improve(self.scans, self.grid.points, image, self.known, what)
-        aperture = self.known.aperture(self.scans.aperture)
         if settings.occlusion > 0:
-            magnitude = np.sqrt((np.abs(values) ** 2).sum(axis=0))
-            self.shadow = transmission(magnitude, self.grid, aperture.positions, settings.occlusion)
-            light = self._light(self.scans)
-            self.shadow *= 1 if light is None else light
+            self.shadow = self._shade(values, self.scans)
+        if "static" in what and (len(values) > 1 or settings.occlusion > 0):
+            # The calibration knows of neither aspect nor shadows.
+            rest = self.scans.samples - self._seen(values, True)
+            self.known = replace(self.known, static=rest.mean(axis=0).astype(np.complex64))
         if settings.robust > 0 and late:
             residual = np.abs(self.scans.samples - self.known.static - self._seen(values, True))
             sigma = max(self.scans.noise_std, float(np.median(residual)) / np.sqrt(np.log(2)), 1e-30)
@@ -347,21 +348,29 @@ class _Fit:
         positions = scans.aperture.positions
         return illumination(self.grid.points, positions, s.spreading, float(np.deg2rad(s.beam_width_deg)))
 
+    def _shade(self, values: NDArray[np.complex64], scans: BasebandScans) -> NDArray[np.float32] | None:
+        """What reaches every point of the field's channels and comes back, (views, points), of its light and
+        its own shadows; None if the settings have neither."""
+        light, nepers = self._light(scans), self.settings.occlusion
+        if nepers == 0:
+            return light
+        power = (np.abs(values) ** 2).sum(axis=0)
+        positions = self.known.aperture(scans.aperture).positions
+        shade = transmission(power, self.grid, positions, nepers, finest_cell_m(scans.wavelength_m))
+        return shade if light is None else shade * light
+
     def _seen(self, values: NDArray[np.complex64], fitted: bool) -> NDArray[np.complex64]:
         """Synthesized scans of the field's channels in the views that were fitted, or in the others."""
         scans = self.scans if fitted else select_views(self.all, self.unseen)
-        aperture = self.known.aperture(scans.aperture)
-        aspect = self._view_of(aperture, fitted)
-        light = self._light(scans)
-        if light is None:
-            flat = values.reshape(len(values), -1)
-            bright = np.any(flat, axis=0)
-            operator = self._operators()[0 if fitted else 1].among(bright)
-            seen = [operator.forward(v[bright]) for v in flat]
-        else:
-            now = scans.with_aperture(aperture)
-            seen = [lit_forward(now, self.grid, v.ravel(), light) for v in values]
-        parts = [rows * aspect[:, i, None] for i, rows in enumerate(seen)]
+        aspect = self._view_of(self.known.aperture(scans.aperture), fitted)
+        shade = self._shade(values, scans)
+        flat = values.reshape(len(values), -1)
+        bright = np.any(flat, axis=0)
+        operator, flat = self._operators()[0 if fitted else 1].among(bright), flat[:, bright]
+        if shade is not None:
+            rows = zip(aspect.astype(np.complex64), shade[:, bright], strict=True)
+            return operator.forward_by_view(seen @ flat * light for seen, light in rows)
+        parts = [operator.forward(v) * aspect[:, i, None] for i, v in enumerate(flat)]
         return np.asarray(np.sum(parts, axis=0), dtype=np.complex64)
 
     def _prediction(self, field: FieldWeights | None) -> Prediction:

@@ -9,11 +9,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from tagid.geometry import ImageGrid
-from tagid.imaging.operator import ForwardOperator
-from tagid.imaging.preprocess import select_views
-from tagid.imaging.types import BasebandScans
-
 _NEAREST = 0.05
 """Points nearer than this part of the middle distance get no more light: 5 cm at 1 m."""
 
@@ -44,14 +39,3 @@ def illumination(
             cosine = np.clip(-(line @ antenna) / (distance * middle), -1, 1)
             row *= 2.0 ** -((2 * np.arccos(cosine) / beam_width_rad) ** 2)
     return out
-
-
-def lit_forward(
-    scans: BasebandScans, grid: ImageGrid, sigma: NDArray[np.complex64], light: NDArray[np.float32] | None
-) -> NDArray[np.complex64]:
-    """(views, bins) synthesized scans of sigma (points,), each view with its own light on it; None: even."""
-    if light is None:
-        return ForwardOperator(scans, grid).forward(sigma)
-    views = [select_views(scans, np.array([view])) for view in range(len(light))]
-    rows = [ForwardOperator(v, grid).forward(sigma * row)[0] for v, row in zip(views, light, strict=True)]
-    return np.stack(rows)

@@ -11,29 +11,39 @@ from numpy.typing import NDArray
 from tagid.geometry import ImageGrid
 from tagid.imaging.bilinear import bilinear
 
+CLEAR_CELLS = 2.0
+"""So many cells before a point nothing hides it: it is itself spread over them."""
+
 
 def transmission(
-    magnitude: NDArray[np.floating], grid: ImageGrid, positions: NDArray[np.float64], nepers: float
+    power: NDArray[np.floating],
+    grid: ImageGrid,
+    positions: NDArray[np.float64],
+    nepers: float,
+    cell_m: float,
 ) -> NDArray[np.float32]:
-    """exp(-sum over the pixels crossed of nepers |sigma| / max |sigma|) for every view and pixel.
+    """exp(-integral of nepers |sigma|^2 / max |sigma|^2 over the way in cells) for every view and pixel.
 
-    The sum runs along the straight line from the antenna's foot to the pixel and leaves out the last pixel,
-    so that nothing hides itself. It is taken on a polar grid about the antenna, whose step is a pixel.
+    The power, not the amplitude: a scattered wave takes its power from the one that passes, and sidelobes and
+    noise all over the image must not dim it. The integral runs along the straight line from the antenna's
+    foot to `CLEAR_CELLS` before the pixel, on a polar grid about the antenna whose step is a pixel.
 
     Args:
-        magnitude: (pixels, pixels) |sigma|, index (y, x).
+        power: (pixels, pixels) |sigma|^2, index (y, x).
         grid: its grid.
         positions: (views, 3) antenna positions, m.
-        nepers: attenuation of the amplitude, two ways, by one pixel as bright as the brightest.
+        nepers: attenuation of the amplitude, two ways, by one cell as bright as the brightest.
+        cell_m: length of a cell.
 
     Returns:
         (views, pixels^2) float32 in 0..1, row-major pixels.
     """
-    top = float(magnitude.max(initial=0))
+    top = float(power.max(initial=0))
     out = np.ones((len(positions), grid.pixels**2), dtype=np.float32)
     if top == 0 or nepers == 0:
         return out
-    density = (magnitude * (nepers / top)).astype(np.float32)
+    density = (power * (nepers / top * grid.step / cell_m)).astype(np.float32)
+    clear = max(CLEAR_CELLS * cell_m, 2 * grid.step)
     reach = grid.extent / np.sqrt(2)
     for row, (x, y, _) in zip(out, positions, strict=True):
         distance, bearing = np.hypot(x, y), np.arctan2(-y, -x)
@@ -47,8 +57,7 @@ def transmission(
         crossed = np.cumsum(bilinear(density, *at), axis=1)
         dx, dy = grid.points[:, 0] - x, grid.points[:, 1] - y
         turned = (np.arctan2(dy, dx) - bearing + np.pi) % (2 * np.pi) - np.pi
-        # A point is itself spread over two range steps: what counts lies at least two before it.
-        place = (np.hypot(dx, dy) - near) / grid.step - 2
+        place = (np.hypot(dx, dy) - clear - near) / grid.step
         line = (turned + half) / (2 * half) * (len(angles) - 1)
         row[:] = np.exp(-bilinear(crossed, line, place, held=True) * (place > -1))
     return out

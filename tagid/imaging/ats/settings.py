@@ -66,8 +66,9 @@ class AtsSettings:
             harmonics of the rotation's wobble, a gain of every scan, a static component that no turn changes.
         wobble_harmonics: harmonics of the angle error over a turn.
         aspect_harmonics: M; a point's reflectivity is a sum of exp(j m aspect), |m| <= M. 0: isotropic.
-        occlusion: what lies behind bright pixels is dimmed: attenuation of the brightest pixel, in nepers; 0:
-            nothing hides behind anything.
+        occlusion: what lies behind bright points is dimmed: attenuation by a cell of the encoding (0.096
+            wavelengths) that is as bright as the brightest, in nepers, two ways; 0: nothing hides behind
+            anything. Of weaker cells it is less, as their power.
         spreading: an echo's amplitude falls with this power of the range: 2 for a point reflector in free
             space, 0 if the radar or an earlier step has made up for it.
         beam_width_deg: full -3 dB width of the antenna's one-way power pattern; 0: it sees all round.
