@@ -14,6 +14,7 @@ from bodies_synthetic import MUG, TAG, Thing, capture, ring
 from tagid.errors import FileFormatError, RegistryError
 from tagid.pipeline.answer import Identification
 from tagid.pipeline.identify import aspect_spectra, identify
+from tagid.tags.bodies import joint
 from tagid.tags.bodies.enrolled import (
     EnrolledBody,
     EnrolledObject,
@@ -22,7 +23,7 @@ from tagid.tags.bodies.enrolled import (
     signature_wavenumbers,
 )
 from tagid.tags.bodies.hypothesis import Explanation, Kind, Pose
-from tagid.tags.bodies.joint import Named, enrol_signature
+from tagid.tags.bodies.joint import Named, enrol_signature, estimate
 from tagid.tags.bodies.posing import match
 from tagid.tags.bodies.revolution import RoundBody
 from tagid.tags.bodies.signature import Signature, echo
@@ -149,6 +150,22 @@ def test_an_uneven_turn_is_read_off_the_object(tagged: Signature) -> None:
     assert abs(found.left - even.left) < 0.1 * even.left
     noisy = steadied(replace(stated, noise=1e6 * true.noise), tagged, rigid.pose)
     assert np.abs(np.angle(noisy.spectra.antenna / stated.antenna)).max() < 1e-4
+
+
+def test_captures_of_uneven_turns_agree(monkeypatch: pytest.MonkeyPatch) -> None:
+    captures = []
+    for i, (centre, turn) in enumerate(
+        ((0.002 - 0.003j, 0.3), (-0.004 + 0.001j, 2.2), (0.001 + 0.005j, 4.4))
+    ):
+        true = aspect_spectra(capture(MUG.plus(TAG), i, centre=centre, rotation=turn))
+        errors = 0.01 * np.sin(np.angle(true.antenna) + 2.0 * i) + 0.004 * np.sin(
+            2 * np.angle(true.antenna) - i
+        )
+        captures.append(Named(f"c{i}", replace(true, antenna=true.antenna * np.exp(-1j * errors))))
+    agreed = estimate(captures, "mug-7", "object", 0.085)
+    assert agreed.signature.model_error < 3e-4
+    monkeypatch.setattr(joint, "UNEVEN_SHARE", 2.0)
+    assert estimate(captures, "mug-7", "object", 0.085).signature.model_error > 1.5e-3
 
 
 def test_a_bare_pair_whose_centre_lies_far_off_the_axis_is_not_named() -> None:
