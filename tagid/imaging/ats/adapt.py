@@ -109,8 +109,8 @@ together, and the dense ones on a scene that hides what lies behind it. Of atten
 leaves least of unseen views in most outlines, boxes and smooth bodies that were tried (seeds from 5000)."""
 
 SHADED = {"dense, shadows": "dense", "dense, aspect, shadows": "dense, aspect"}
-"""Priors with shadows, and the same without. Only that of the best field so far is tried, and none of a large
-image, where every view takes a sum over all pixels."""
+"""Priors with shadows, and the same without. Only that of the best field so far is tried, where it still asks
+for another (`ASKS`), and none of a large image: every view takes a sum over all pixels."""
 
 
 def with_prior(settings: AtsSettings, prior: str) -> AtsSettings:
@@ -267,7 +267,7 @@ class _Trials:
                 self._try_linear(group)
                 self._try_pixels(group)
             for name in running:
-                if number == 0 and self._is_skipped(name):
+                if number == 0 and self._is_skipped(name, group):
                     continue
                 self._try(name, group)
                 if name == DEFAULT and number == 0 and self._enough(group):
@@ -292,11 +292,13 @@ class _Trials:
             kept.setdefault((weight, settings.aspect_harmonics, settings.occlusion), name)
         return list(kept.values())
 
-    def _is_skipped(self, name: str) -> bool:
+    def _is_skipped(self, name: str, group: NDArray[np.intp]) -> bool:
         """Whether a prior is left out of the trials; noted where it is because the image is large."""
         tried = self.residuals()
         if name in SHADED:
-            if SHADED[name] != min((each for each in CANDIDATES if each in tried), key=tried.__getitem__):
+            best = min((each for each in CANDIDATES if each in tried), key=tried.__getitem__)
+            asks = tried[best] > _noise_share(select_views(self.scans, group)) + ASKS
+            if SHADED[name] != best or not asks:
                 return True
             if self.bounded:
                 self.skipped.append(name)
