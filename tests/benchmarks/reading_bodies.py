@@ -36,7 +36,7 @@ from tagid.pipeline.prepared import prepare
 from tagid.pipeline.settings import ImagingSettings
 from tagid.proportion import wilson
 from tagid.tags.bodies.joint import Named, enrol_signature
-from tagid.tags.bodies.signature import Signature
+from tagid.tags.bodies.signature import Signature, SignatureKind
 
 ROOT = Path(__file__).resolve().parents[2]
 OUTCOMES = ("correct", "ambiguous", "refused", "wrong")
@@ -82,25 +82,21 @@ def blind(task: Task, drawn: scenes.Drawn) -> tuple[str, str]:
 
 def enrolled(task: Task, drawn: scenes.Drawn) -> tuple[str, str]:
     """The same with the untagged body enrolled from three captures; a bare tag has none."""
-    if task.cell.body == "none":
-        return answered(drawn, ())
-    captures = scenes.enrolment_captures(task.cell, task.population, task.number)
-    named = [Named(f"capture {i + 1}", aspect_spectra(capture)) for i, capture in enumerate(captures)]
-    try:
-        signature = enrol_signature(named, "its-body", "body").signature
-    except TagidError as error:
-        return f"not enrolled: {error.message}", ""
-    return answered(drawn, (signature,))
+    return _knowing(task, drawn, "its-body", "body")
 
 
 def whole(task: Task, drawn: scenes.Drawn) -> tuple[str, str]:
     """The same with the tagged object enrolled as a whole; a bare tag has no body to be enrolled with."""
+    return _knowing(task, drawn, drawn.name or "another", "object")
+
+
+def _knowing(task: Task, drawn: scenes.Drawn, name: str, kind: SignatureKind) -> tuple[str, str]:
     if task.cell.body == "none":
         return answered(drawn, ())
     try:
-        captures = scenes.enrolment_captures(task.cell, task.population, task.number, tagged=True)
+        captures = scenes.enrolment_captures(task.cell, task.population, task.number, tagged=kind == "object")
         named = [Named(f"capture {i + 1}", aspect_spectra(capture)) for i, capture in enumerate(captures)]
-        signature = enrol_signature(named, drawn.name or "another", "object").signature
+        signature = enrol_signature(named, name, kind).signature
     except TagidError as error:
         return f"not enrolled: {error.message}", ""
     return answered(drawn, (signature,))

@@ -295,9 +295,8 @@ def enrolment_captures(
     # As in the recording: the tag's reflectors are drawn first.
     made, _ = _standing(cell, rng)
     read = _acquisition(cell, rng)
-    shown = _scene(made, "untagged", np.zeros((0, 3)), rng)
-    if tagged:
-        shown = _scene(made, "tagged", _enrolled_positions(cell, made, number), rng)
+    positions = _enrolled_positions(cell, made, number) if tagged else np.zeros((0, 3))
+    shown = _scene(made, "tagged" if tagged else "untagged", positions, rng)
     found = []
     for i in range(3):
         place, turn = rng.uniform(0, 2 * np.pi, 2)

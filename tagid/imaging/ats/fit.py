@@ -331,12 +331,16 @@ class _Fit:
             self.known = calibration.improve(self.scans, self.grid.points, image, self.known, what)
         if settings.occlusion > 0:
             self.shadow = self._shade(values, self.scans)
-        if "static" in what and (len(values) > 1 or settings.occlusion > 0):
-            # The calibration knows of neither aspect nor shadows.
-            rest = self.scans.samples - self._seen(values, True)
+        # The calibration knows of neither aspect nor shadows.
+        whole = "static" in what and (len(values) > 1 or settings.occlusion > 0)
+        robust = settings.robust > 0 and late
+        if not whole and not robust:
+            return
+        rest = self.scans.samples - self._synthesized(values, True, self.shadow)
+        if whole:
             self.known = replace(self.known, static=rest.mean(axis=0).astype(np.complex64))
-        if settings.robust > 0 and late:
-            residual = np.abs(self.scans.samples - self.known.static - self._seen(values, True))
+        if robust:
+            residual = np.abs(rest - self.known.static)
             sigma = max(self.scans.noise_std, float(np.median(residual)) / np.sqrt(np.log(2)), 1e-30)
             self.confidence = np.minimum(1, settings.robust * sigma / np.maximum(residual, 1e-30))
 
@@ -361,9 +365,16 @@ class _Fit:
 
     def _seen(self, values: NDArray[np.complex64], fitted: bool) -> NDArray[np.complex64]:
         """Synthesized scans of the field's channels in the views that were fitted, or in the others."""
-        scans = self.scans if fitted else select_views(self.all, self.unseen)
-        aspect = self._view_of(self.known.aperture(scans.aperture), fitted)
-        shade = self._shade(values, scans)
+        return self._synthesized(values, fitted, self._shade(values, self._of(fitted)))
+
+    def _of(self, fitted: bool) -> BasebandScans:
+        return self.scans if fitted else select_views(self.all, self.unseen)
+
+    def _synthesized(
+        self, values: NDArray[np.complex64], fitted: bool, shade: NDArray[np.float32] | None
+    ) -> NDArray[np.complex64]:
+        """As `_seen`, under a shade that is known."""
+        aspect = self._view_of(self.known.aperture(self._of(fitted).aperture), fitted)
         flat = values.reshape(len(values), -1)
         bright = np.any(flat, axis=0)
         operator, flat = self._operators()[0 if fitted else 1].among(bright), flat[:, bright]

@@ -56,7 +56,7 @@ CLEARLY = 0.4
 """A capture is to blame where leaving it out leaves this part of what leaving out another one leaves."""
 SAME_PLACE_M, SAME_TURN_RAD = 1e-3, np.deg2rad(15.0)
 """Captures nearer than both show the object in one pose."""
-_ROUNDS, _SETTLED = 5, 0.02
+_ROUNDS, _SETTLED, _STEADYING = 5, 0.02, 3
 _ROUND_TURNING = 0.5
 """Turning echo over noise under which an object counts as round: its turn is not seen."""
 
@@ -245,9 +245,9 @@ class _Estimate:
         """Poses and gains of all captures but the first, one by one, then the harmonics."""
         for _ in range(rounds):
             for i in self.order[1:]:
-                pose = refine(self.captures[i], self.signature, self.placed[i].pose).pose
-                gain = best_gain(self.captures[i], self.signature, pose)
-                self.placed[i] = Placed(self.captures[i], pose, gain)
+                spectra = self.placed[i].spectra
+                pose = refine(spectra, self.signature, self.placed[i].pose).pose
+                self.placed[i] = Placed(spectra, pose, best_gain(spectra, self.signature, pose))
             self.solve()
 
     def balance(self, steps: int = 3) -> None:
@@ -323,17 +323,11 @@ class _Estimate:
         self.placed = self._moved(moving, x)
         self.solve()
 
-    def steady(self, captures: Sequence[Spectra], rounds: int = 3) -> None:
-        """Errors of the angles of all captures, one by one, then poses, gains and harmonics.
-
-        Args:
-            captures: as recorded.
-            rounds: of the alternation.
-        """
-        for _ in range(rounds):
-            seen = [steadied(one, self.signature, self.placed[i].pose) for i, one in enumerate(captures)]
-            self.captures = [one.spectra for one in seen]
-            for i, one in enumerate(seen):
+    def steady(self) -> None:
+        """Errors of the angles of all captures, one by one, then poses, gains and harmonics."""
+        for _ in range(_STEADYING):
+            for i, recorded in enumerate(self.captures):
+                one = steadied(recorded, self.signature, self.placed[i].pose)
                 # The frame is that of the first.
                 pose = self.placed[i].pose if i == self.order[0] else one.pose
                 self.placed[i] = replace(self.placed[i], spectra=one.spectra, pose=pose)
@@ -377,7 +371,7 @@ def estimate(
             work.descend()
     residuals = _residuals(captures, work)
     if any(residual.share > UNEVEN_SHARE for residual in residuals):
-        work.steady(spectra)
+        work.steady()
         residuals = _residuals(captures, work)
     final = work.signature
     error = max(residual.share for residual in residuals)

@@ -159,6 +159,17 @@ def round_centre(spectra: Spectra) -> tuple[complex, float]:
     return complex(found.x[0], found.x[1]), found.left
 
 
+def at_pose(at: Standpoint, weights: NDArray[np.complex128]) -> Linear:
+    """The echo of harmonics that are turned already (F, 2 M + 1), and its slopes with the pose x, y, turn."""
+    order = weights.shape[1] // 2
+    basis = angular(at.azimuth, order)
+    pattern = weights @ basis.T
+    bent = (weights * (1j * np.arange(-order, order + 1))) @ basis.T
+    moved = at.carrier_slopes() * pattern + at.carrier * bent * at.azimuth_slopes()[:, None, :]
+    slopes = np.concatenate([moved, (-at.carrier * bent)[None]])
+    return Linear((at.carrier * pattern)[..., None], slopes[..., None])
+
+
 def refine(
     spectra: Spectra, signature: Signature, pose: Pose, *, split: bool = False, iterations: int = 12
 ) -> Match:
@@ -171,21 +182,16 @@ def refine(
         iterations: at most.
     """
     order = signature.order
-    m = np.arange(-order, order + 1)
 
     def model(x: NDArray[np.float64]) -> Linear:
         at = Standpoint(spectra, complex(x[0], x[1]))
         weights = turned(spectra, signature, float(x[2]))
         if split:
             weights[:, order] = 0
-        basis = angular(at.azimuth, order)
-        pattern = weights @ basis.T
-        bent = (weights * (1j * m)) @ basis.T
-        slope = at.carrier_slopes()
-        moved = slope * pattern + at.carrier * bent * at.azimuth_slopes()[:, None, :]
-        columns = (at.carrier * pattern)[..., None]
-        slopes = np.concatenate([moved, (-at.carrier * bent)[None]])[..., None]
+        parts = at_pose(at, weights)
+        columns, slopes = parts.columns, parts.slopes
         if split:
+            slope = at.carrier_slopes()
             own = np.concatenate([slope, np.zeros_like(slope[:1])])[..., None]
             columns = np.concatenate([at.carrier[..., None], columns], axis=-1)
             slopes = np.concatenate([own, slopes], axis=-1)

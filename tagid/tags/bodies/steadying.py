@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.tags.bodies.hypothesis import Pose
-from tagid.tags.bodies.posing import CENTRE_SIGMA_M, Linear, descend, noise_of
-from tagid.tags.bodies.signature import Signature, Standpoint, angular, turned
+from tagid.tags.bodies.posing import CENTRE_SIGMA_M, Linear, at_pose, descend, noise_of
+from tagid.tags.bodies.signature import Signature, Standpoint, turned
 from tagid.tags.bodies.spectra import Spectra
 
 HARMONICS = 4
@@ -46,22 +46,17 @@ def steadied(spectra: Spectra, signature: Signature, pose: Pose) -> Steadied:
         spectra, signature: at the same frequencies.
         pose: start.
     """
-    order = signature.order
-    m = np.arange(-order, order + 1)
     shapes = _harmonics(spectra.antenna)
 
     def model(x: NDArray[np.float64]) -> Linear:
         seen = _turned_by(spectra, x[3:] @ shapes)
         at = Standpoint(seen, complex(x[0], x[1]))
-        weights = turned(seen, signature, float(x[2]))
-        basis = angular(at.azimuth, order)
-        pattern, bent = weights @ basis.T, (weights * (1j * m)) @ basis.T
-        moved = at.carrier_slopes() * pattern + at.carrier * bent * at.azimuth_slopes()[:, None, :]
+        parts = at_pose(at, turned(seen, signature, float(x[2])))
         # A larger angle takes the antenna along its circle, as if the centre moved the other way.
         along = 1j * seen.antenna
-        later = -(moved[0] * along.real + moved[1] * along.imag)
-        slopes = np.concatenate([moved, (-at.carrier * bent)[None], later * shapes[:, None, :]])
-        return Linear((at.carrier * pattern)[..., None], slopes[..., None])
+        by_x, by_y = parts.slopes[0, ..., 0], parts.slopes[1, ..., 0]
+        later = -(by_x * along.real + by_y * along.imag) * shapes[:, None, :]
+        return Linear(parts.columns, np.concatenate([parts.slopes, later[..., None]]))
 
     sigmas = SIGMA_RAD / np.repeat(np.arange(1, HARMONICS + 1), 2)
     start = np.concatenate([[*pose.centre_m, pose.turn_rad], np.zeros(2 * HARMONICS)])
