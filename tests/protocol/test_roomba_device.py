@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import threading
 import time
@@ -207,18 +208,34 @@ def test_wheels_that_are_blocked_are_told_within_seconds() -> None:
 
 
 def test_a_drive_command_after_the_farewell_goes_nowhere(host: RoombaHost) -> None:
-    """A thread that was held up while it wrote must not set the wheels in motion again."""
+    """A thread that was held up before it reads must not set the wheels in motion again."""
     motion = robot_at(host, "?step=3")
     motion.start()
     turned(motion, 0.1)
     oi = motion._oi
     assert oi is not None
+    held, resumed = threading.Event(), threading.Event()
+
+    def hold(timeout: float) -> list[tuple[int, dict[int, int]]]:
+        held.set()
+        resumed.wait(30)
+        return []
+
+    # Two threads that read one port steal each other's bytes, so the thread is held before it reads.
+    oi.frames = hold  # type: ignore[method-assign]
+    assert held.wait(10)
     motion._halt()
+    driven: list[int] = []
+    oi.spin = lambda direction, speed_mm_s: driven.append(speed_mm_s)  # type: ignore[method-assign]
     motion._spin(57)
+    assert not driven
     with host.port.lock:
         assert host.core.mode is Mode.PASSIVE
-    motion.stop()
+    resumed.set()
+    with contextlib.suppress(DeviceError):  # how long the thread was held decides whether it has an error
+        motion.stop()
     assert wait_until_still(host, 2) is not None
+    assert host.core.mode is Mode.PASSIVE
 
 
 def test_a_radar_that_fails_leaves_a_robot_that_stands(host: RoombaHost, tmp_path: Path) -> None:
