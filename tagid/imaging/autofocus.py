@@ -18,7 +18,7 @@ from tagid.errors import UsageError
 from tagid.geometry import ImageGrid
 from tagid.imaging.backprojection import backproject
 from tagid.imaging.lengths import search_range_m
-from tagid.imaging.pointmodel import Explained, PointSearch, band_delays, needed_evidence
+from tagid.imaging.pointmodel import Explained, PointSearch, band_delays, jackknife_error, needed_evidence
 from tagid.imaging.preprocess import select_views
 from tagid.imaging.types import BasebandScans
 from tagid.signal import fitted_peak, vertex
@@ -136,7 +136,8 @@ def focus_axis_distance(
       over, sector by sector, has a t value of at least `needed_evidence`,
     - the standard error is at most `MOST_SIGMA_WAVELENGTHS`: that over the sectors of the turn (jackknife)
       and that over the parts of the band, which would have an echo of points in places of their own
-      (`band_delays`); the second shows bodies and resonances, whose echo has no one delay.
+      (`BandDelays.error_m`); the second shows bodies and resonances, whose echo has no one delay. It does not
+      show a delay that is the same in the whole band, which passes for distance.
 
     Sharpness is no criterion: an extended body has no sharpest distance. Within the best region the
     brightness sqrt(sum |f|^8) of the backprojection refines the estimate: of 3 points at 10 dB SNR a sample
@@ -248,8 +249,7 @@ def _judge(few: BasebandScans, grid: ImageGrid, given: float, search_m: float, b
         offset = bright
     sigma = _jackknife(offsets, left)
     there = few.with_aperture(few.aperture.with_axis_distance(given + offset))
-    delays = band_delays(there, points.explain(there.aperture))
-    band = float(delays.std(ddof=1) / np.sqrt(len(delays)))
+    band = band_delays(there, points.explain(there.aperture)).error_m
     evidence = _t_value(offsets, left, best, _RIVAL_WAVELENGTHS * lam)
     groups = left.shape[1]
     verdict = _Verdict(
@@ -285,13 +285,9 @@ def _t_value(offsets: Floats, left: Floats, best: int, rival_m: float) -> float:
 
 
 def _jackknife(offsets: Floats, left: Floats) -> float:
-    """Standard error of the lowest point when each group in turn is left out, in units of the offsets."""
-    groups = left.shape[1]
-    if groups < 3:
-        return float("nan")
+    """Standard error of the lowest point over the groups, in units of the offsets."""
     total = left.sum(axis=1)
-    found = np.array([_lowest(offsets, total - left[:, g]) for g in range(groups)])
-    return float(np.sqrt((groups - 1) / groups * ((found - found.mean()) ** 2).sum()))
+    return jackknife_error([_lowest(offsets, total - group) for group in left.T])
 
 
 def _lowest(offsets: Floats, total: Floats) -> float:

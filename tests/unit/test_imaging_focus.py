@@ -11,7 +11,7 @@ from imaging_scenes import BANDWIDTH, FC, C, record, turn
 from tagid.capture import Capture
 from tagid.geometry import ImageGrid
 from tagid.imaging.autofocus import MOST_SIGMA_WAVELENGTHS, focus_axis_distance
-from tagid.imaging.pointmodel import BAND_PARTS, band_delays, explain
+from tagid.imaging.pointmodel import BAND_PARTS, BandDelays, band_delays, explain, jackknife_error
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.imaging.types import BasebandScans
 from tagid.pipeline.prepared import PreparedCapture
@@ -37,6 +37,18 @@ def resonant(edge_m: float, error_m: float = 0.0) -> Capture:
     return replace(capture, samples=samples, angles_rad=angles, axis_distance_m=1.0 + error_m)
 
 
+def resonator(resonance_hz: float, quality: float, error_m: float) -> Capture:
+    """Two points whose echo is that of a damped resonator, h = x^2 / (1 - x^2 + jx / Q) with x = f / f0: the
+    current of a short dipole, E ~ f^2 far below its resonance, late by up to Q / (pi f0) at it."""
+    capture = record(POINTS, [1.0, 1.0], turn(36), noise=0.05, analytic=True)
+    rate = C / (2 * capture.range_step_m)
+    x = (np.fft.fftfreq(capture.bins, 1 / rate) % rate) / resonance_hz
+    spectrum = np.fft.fft(capture.samples, axis=1) * x**2 / (1 - x**2 + 1j * x / quality)
+    samples = np.fft.ifft(spectrum, axis=1).astype(np.complex64)
+    angles = np.arange(36) * 2 * np.pi / 36
+    return replace(capture, samples=samples, angles_rad=angles, axis_distance_m=1.0 + error_m)
+
+
 def scans_of(capture: Capture) -> BasebandScans:
     return preprocess(capture, settings=PreprocessSettings("none", False, extent_m=GRID.extent))
 
@@ -44,7 +56,7 @@ def scans_of(capture: Capture) -> BasebandScans:
 @pytest.mark.parametrize("edge_wavelengths", [0.0, 0.2])
 def test_every_part_of_the_band_gets_the_delay_of_its_echo(edge_wavelengths: float) -> None:
     scans = scans_of(resonant(edge_wavelengths * LAM))
-    delays = band_delays(scans, explain(scans, GRID)) / LAM
+    delays = band_delays(scans, explain(scans, GRID)).thirds / LAM
     # The middles of the thirds lie two thirds of the way to the edges; where the pulse is strong counts more.
     expected = edge_wavelengths * np.linspace(-1, 1, 2 * BAND_PARTS + 1)[1::2]
     np.testing.assert_allclose(delays, expected, atol=0.04)
@@ -60,6 +72,45 @@ def test_an_echo_of_one_delay_tells_the_axis_and_one_that_resonates_does_not() -
     assert focus.reason == "the parts of the band do not agree on one distance"
     assert focus.sigma_m > MOST_SIGMA_WAVELENGTHS * LAM
     assert same.aperture.axis_distance == pytest.approx(1.0 + error)
+
+
+@pytest.mark.parametrize(("resonance_hz", "sign"), [(3.4e9, -1), (4.8e9, 1)])
+def test_what_resonates_at_a_flank_of_the_band_does_not_tell_the_axis(
+    resonance_hz: float, sign: float
+) -> None:
+    """A resonance of Q = 2 delays the distance by over a fifth of a wavelength. The thirds of the band give a
+    standard error that would be taken; the halves differ."""
+    error = 0.1 * LAM
+    scans = scans_of(resonator(resonance_hz, 2.0, error))
+    same, focus = focus_axis_distance(scans, GRID)
+    assert focus.best_m is not None and focus.best_m - 1.0 > LAM / 5
+    assert not focus.reliable
+    assert focus.reason == "the parts of the band do not agree on one distance"
+    assert same.aperture.axis_distance == pytest.approx(1.0 + error)
+    there = scans.with_aperture(scans.aperture.with_axis_distance(focus.best_m))
+    delays = band_delays(there, explain(there, GRID))
+    assert delays.thirds.std(ddof=1) / np.sqrt(BAND_PARTS) < MOST_SIGMA_WAVELENGTHS * LAM
+    # Below its resonance it follows at once, at it late, above it at once again.
+    assert sign * delays.apart_m > 10 * delays.apart_error_m
+    assert delays.error_m > MOST_SIGMA_WAVELENGTHS * LAM
+
+
+def test_the_noise_of_the_halves_of_the_band_is_not_taken_for_a_resonance() -> None:
+    """Two halves that differ by their standard error say nothing; the mean of the thirds remains."""
+    thirds = np.array([-0.002, 0.0, 0.002])
+    mean = 0.002 / np.sqrt(3)
+    assert BandDelays(thirds, 0.004, 0.004).error_m == pytest.approx(mean)
+    assert BandDelays(thirds, -0.003, 0.004).error_m == pytest.approx(mean)
+    # 5^2 - 4^2 = 3^2; two values 3 apart have the standard deviation 3 / sqrt 2.
+    assert BandDelays(thirds, -0.005, 0.004).error_m == pytest.approx(np.hypot(mean, 0.003 / np.sqrt(2)))
+    assert np.isnan(BandDelays(thirds, 0.005, float("nan")).error_m)
+
+
+def test_the_error_of_the_mean_by_the_jackknife_is_the_usual_one() -> None:
+    values = np.array([1.0, 2.0, 4.0, 9.0])
+    without = [float(np.delete(values, i).mean()) for i in range(4)]
+    assert jackknife_error(without) == pytest.approx(values.std(ddof=1) / 2)
+    assert np.isnan(jackknife_error(without[:2]))
 
 
 def test_every_method_images_about_the_same_axis() -> None:
