@@ -15,10 +15,13 @@ from numpy.typing import NDArray
 from tagid.constants import SPEED_OF_LIGHT
 from tagid.tags.bodies.hypothesis import Candidate, Enrolled, ObjectMatch
 from tagid.tags.bodies.posing import Match, PoseSearch, match, refine
+from tagid.tags.bodies.pulse_tail import explained
 from tagid.tags.bodies.signature import Signature, angular, echo, near_field, same_wavenumbers
 from tagid.tags.bodies.spectra import Spectra, centred
 from tagid.tags.bodies.steadying import steadied
 from tagid.tags.bodies.stray import Stray, strongest_stray
+from tagid.tags.bodies.tag_share import reflector_share
+from tagid.tags.layouts.layout import Layout
 
 FREQUENCY_STEP_HZ = 0.2e9
 """Spacing of the frequencies of signatures: the range window of `Spectra` is 0.65 m wide, so spectra
@@ -152,13 +155,20 @@ class EnrolledObject:
     def match(self, spectra: Spectra) -> ObjectMatch:
         """Its best pose, on a turntable that may turn unevenly."""
         found = self.placed(spectra)
-        best = steadied(spectra, self._seen(found.mirrored), found.pose)
-        return ObjectMatch(best.pose, best.spectra, best.left, self.noise_share(spectra), found.mirrored)
+        seen = self._seen(found.mirrored)
+        best = steadied(spectra, seen, found.pose)
+        known = explained(best.spectra, centred(echo(best.spectra, seen, best.pose)))
+        left, noise = known.left + best.charged, self.noise_share(spectra)
+        return ObjectMatch(best.pose, best.spectra, known, left, noise, found.mirrored)
 
     def stray(self, found: ObjectMatch) -> Stray:
         """The strongest reflector in what it leaves in that pose."""
-        own = centred(echo(found.spectra, self._seen(found.mirrored), found.pose))
-        return strongest_stray(found.spectra, own, found.pose.centre, self.signature.radius_m + BEYOND_M)
+        reach = self.signature.radius_m + BEYOND_M
+        return strongest_stray(found.spectra, found.explained, found.pose.centre, reach)
+
+    def reflector_share(self, layout: Layout) -> float:
+        """What a reflector of its tag returns at least, as a share of the object's turning echo."""
+        return reflector_share(self.signature, layout)
 
     def _seen(self, mirrored: bool) -> Signature:
         return self.signature.mirrored() if mirrored else self.signature

@@ -14,8 +14,10 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from tagid.tags.bodies.pulse_tail import Explained
 from tagid.tags.bodies.spectra import Spectra
 from tagid.tags.bodies.stray import Stray
+from tagid.tags.layouts.layout import Layout
 
 
 class Kind(StrEnum):
@@ -98,13 +100,15 @@ class ObjectMatch:
     Attributes:
         pose: where it stands.
         spectra: the scans, seen from where it says that they were taken: the turn may have been uneven.
-        left: energy left.
+        explained: what the object explains of them, whatever the pulse.
+        left: energy left, with what the errors of the angles are charged.
         noise_share: energy that the noise in the enrolled signature adds, as a share of the scans' noise.
         mirrored: it is the mirror image that stands there, as where the object turned the other way.
     """
 
     pose: Pose
     spectra: Spectra
+    explained: Explained
     left: float
     noise_share: float
     mirrored: bool = False
@@ -129,6 +133,10 @@ class ObjectModel(Protocol):
 
     def stray(self, found: ObjectMatch) -> Stray:
         """The strongest reflector in what it leaves in that pose."""
+        ...
+
+    def reflector_share(self, layout: Layout) -> float:
+        """What a reflector of its tag returns at least, as a share of the object's turning echo."""
         ...
 
 

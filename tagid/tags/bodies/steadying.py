@@ -32,11 +32,13 @@ class Steadied:
         pose: the best one.
         spectra: the scans, seen from where they were taken then.
         left: energy left, with what the prior of the angles charges.
+        charged: what it charges.
     """
 
     pose: Pose
     spectra: Spectra
     left: float
+    charged: float
 
 
 def steadied(spectra: Spectra, signature: Signature, pose: Pose) -> Steadied:
@@ -64,7 +66,7 @@ def steadied(spectra: Spectra, signature: Signature, pose: Pose) -> Steadied:
     x, y, turn = (float(value) for value in found.x[:3])
     charged = noise_of(spectra) * float(np.sum((found.x[3:] / sigmas) ** 2))
     seen = _turned_by(spectra, found.x[3:] @ shapes)
-    return Steadied(Pose((x, y), turn % (2 * np.pi)), seen, found.left + charged)
+    return Steadied(Pose((x, y), turn % (2 * np.pi)), seen, found.left + charged, charged)
 
 
 def _harmonics(antenna: NDArray[np.complex128]) -> NDArray[np.float64]:

@@ -359,14 +359,21 @@ def _against_bodies(
         return replace(bare, hypotheses=(own,))
     readings = [(r, _outdone(r, v, readings, settings)) for r, v in readings]
     explanations = [own, *_explanations(readings)]
-    objects = read_objects(
-        spectra, enrolled.objects, readings[0][0].body_left, min(r.body_left for r, _ in readings)
-    )
-    explanations += [_object_explanation(spectra, one) for one in objects[:EXPLAINED_OBJECTS]]
-    bare = replace(bare, hypotheses=tuple(sorted(explanations, key=lambda e: e.left)))
     # An enrolled body alone explains the echo: a layout on another body only imitates it.
     alone = [(r, v) for r, v in readings if r.body.name and v.status == "no_tag"]
     passed = [] if alone else [(r, v) for r, v in readings if v.status == "identified"]
+    seen = min((r for r, _ in passed), key=lambda r: r.layouts[0].left, default=None)
+    objects = read_objects(
+        spectra,
+        enrolled.objects,
+        layouts,
+        readings[0][0].body_left,
+        min(r.body_left for r, _ in readings),
+        settings.objects,
+        next((one for one in layouts if seen is not None and one.name == seen.layouts[0].layout), None),
+    )
+    explanations += [_object_explanation(spectra, one) for one in objects[:EXPLAINED_OBJECTS]]
+    bare = replace(bare, hypotheses=tuple(sorted(explanations, key=lambda e: e.left)))
     if objects:
         whole = decide_object(objects, settings.objects)
         if whole.status == "identified":
@@ -380,8 +387,8 @@ def _against_bodies(
                 reason=whole.reason,
                 kind=Kind.OBJECT,
             )
-    if passed:
-        best, _ = min(passed, key=lambda pair: pair[0].layouts[0].left)
+    if seen is not None:
+        best = seen
         if not named or bare.layout == best.layouts[0].layout or own.left > settings.better * _left(best):
             return on_body(bare, best, layouts, _bound(best, settings))
         if _left(best) > settings.better * own.left:
