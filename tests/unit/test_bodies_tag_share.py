@@ -16,6 +16,7 @@ from tagid.tags.bodies.posing import match
 from tagid.tags.bodies.pulse_tail import explained
 from tagid.tags.bodies.signature import Signature, echo
 from tagid.tags.bodies.spectra import Spectra, centred
+from tagid.tags.bodies.stray import strongest_stray
 from tagid.tags.bodies.tag_share import reflector_share
 from tagid.tags.layouts.layout import Layout, builtin_layouts
 
@@ -93,3 +94,16 @@ def left_of_one_gain(spectra: Spectra, signature: Signature, pose: Pose) -> floa
 @pytest.fixture
 def tagged_capture() -> Capture:
     return capture(MUG.plus(ring(100, 190)), 5, centre=0.004 - 0.004j, rotation=1.0, views=36, noise=0.01)
+
+
+def test_a_stray_reflector_has_the_pulse_of_the_recording() -> None:
+    signature = enrolled(MUG.plus(ring(100, 190)))
+    more = capture(MUG.plus(ring(100, 190, 320)), 5, centre=0.004 - 0.004j, rotation=1.0, views=36, noise=0.5)
+    spectra = aspect_spectra(ringing(more, 0.15, 0.7))
+    pose = match(spectra, signature).pose
+    known = explained(spectra, centred(echo(spectra, signature, pose)))
+    flat = replace(known, gain=np.ones_like(known.gain))
+    found, other = (strongest_stray(spectra, one, pose.centre, 0.08) for one in (known, flat))
+    assert found.nats > 1.3 * other.nats
+    there = 0.004 - 0.004j + 0.045 * np.exp(1j * (np.deg2rad(320) + 1.0))
+    assert abs(complex(*found.place_m) - there) < 0.015
