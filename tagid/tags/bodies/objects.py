@@ -67,7 +67,7 @@ class ObjectReading:
         beyond_round: energy explained beyond a body of revolution, in noise energies.
         beyond_body: the same beyond the best body without a tag, enrolled ones included.
         reflector: energy that a reflector of its tag returns at least, in noise energies; 0 for all but the
-            object that leaves least.
+            object that leaves least, and where it leaves too much.
         stray: energy of the strongest reflector in what it leaves, in noise energies; 0 for all but the
             object that leaves least.
         stray_nats: the same over the variance of what is left.
@@ -133,7 +133,9 @@ def read_objects(
     if found:
         best = found[0]
         stray = best.model.stray(best.match)
-        reflector = _reflector(best, layouts, settings, seen)
+        # It takes as long as all the rest, and says nothing of an object that is not there.
+        explains = best.excess <= best.allowed(settings)
+        reflector = _reflector(best, layouts, settings, seen) if explains else 0.0
         found[0] = replace(best, reflector=reflector, stray=stray.energy / noise, stray_nats=stray.nats)
     return found
 
