@@ -36,8 +36,8 @@ RIDGE = 0.03
 def reflector_share(signature: Signature, layout: Layout) -> float:
     """What a reflector of the layout returns, as a share of the turning echo; rather too little.
 
-    Of 32 objects of our simulator it is 0 to 0.7 times the true share, 1.2 times in two; where nothing stands
-    out it is 0.
+    Of 32 objects of our simulator it is 0.44 times the true share in the median, 0 in four, where nothing
+    stands out, and 1.02 to 1.34 times in five.
 
     Args:
         signature: of the tagged object.
