@@ -10,6 +10,7 @@ from bodies_synthetic import MUG, Thing, capture, ring
 
 from tagid.capture import Capture
 from tagid.pipeline.identify import aspect_spectra, identify
+from tagid.tags.bodies.enrolled import EnrolledBody, Searches
 from tagid.tags.bodies.hypothesis import Kind, Pose
 from tagid.tags.bodies.joint import Named, enrol_signature
 from tagid.tags.bodies.posing import match
@@ -53,6 +54,19 @@ def test_reflectors_of_a_known_layout_stand_out_of_a_can_s_signature() -> None:
 def test_a_handle_does_not_pass_for_a_tag(amplitude: float) -> None:
     thing = MUG.plus(ring(100, 190, amplitude=amplitude)) if amplitude else MUG
     assert reflector_share(enrolled(thing), PAIR) < 0.01
+
+
+def test_with_its_body_enrolled_a_weak_tag_stands_out() -> None:
+    tagged = enrolled(MUG.plus(ring(100, 190, amplitude=0.4)))
+    mug = replace(enrolled(MUG), name="mug", kind="body")
+    body = EnrolledBody(mug, Searches(max(mug.order, tagged.order)))
+    share = reflector_share(tagged, PAIR, [body])
+    spectra = [
+        aspect_spectra(capture(thing, 9, noise=1e-4))
+        for thing in (MUG.plus(ring(100, 190, amplitude=0.4)), MUG)
+    ]
+    true = np.sum(np.abs(spectra[0].data - spectra[1].data) ** 2) / spectra[0].energy / 2
+    assert reflector_share(tagged, PAIR) == 0 and 0.2 * true < share < 1.3 * true
 
 
 def test_an_object_is_not_named_in_noise_that_hides_its_tag() -> None:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.constants import SPEED_OF_LIGHT
-from tagid.tags.bodies.hypothesis import Candidate, Enrolled, ObjectMatch
+from tagid.tags.bodies.hypothesis import BodyModel, Candidate, Enrolled, ObjectMatch
 from tagid.tags.bodies.posing import Match, PoseSearch, match, refine
 from tagid.tags.bodies.pulse_tail import explained
 from tagid.tags.bodies.signature import Signature, angular, echo, near_field, same_wavenumbers
@@ -166,9 +166,9 @@ class EnrolledObject:
         reach = self.signature.radius_m + BEYOND_M
         return strongest_stray(found.spectra, found.explained, found.pose.centre, reach)
 
-    def reflector_share(self, layout: Layout) -> float:
+    def reflector_share(self, layout: Layout, bodies: Sequence[BodyModel]) -> float:
         """What a reflector of its tag returns at least, as a share of the object's turning echo."""
-        return reflector_share(self.signature, layout)
+        return reflector_share(self.signature, layout, bodies)
 
     def _seen(self, mirrored: bool) -> Signature:
         return self.signature.mirrored() if mirrored else self.signature

@@ -135,7 +135,7 @@ class ObjectModel(Protocol):
         """The strongest reflector in what it leaves in that pose."""
         ...
 
-    def reflector_share(self, layout: Layout) -> float:
+    def reflector_share(self, layout: Layout, bodies: Sequence[BodyModel]) -> float:
         """What a reflector of its tag returns at least, as a share of the object's turning echo."""
         ...
 

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from tagid.tags.bodies.arrangement import off_axis
-from tagid.tags.bodies.hypothesis import ObjectMatch, ObjectModel
+from tagid.tags.bodies.hypothesis import BodyModel, Enrolled, ObjectMatch, ObjectModel
 from tagid.tags.bodies.pulse_tail import AMPLITUDES
 from tagid.tags.bodies.spectra import Spectra
 from tagid.tags.layouts.layout import Layout
@@ -102,7 +102,7 @@ class ObjectReading:
 
 def read_objects(
     spectra: Spectra,
-    objects: Sequence[ObjectModel],
+    enrolled: Enrolled,
     layouts: Sequence[Layout],
     round_left: float,
     body_left: float,
@@ -113,7 +113,7 @@ def read_objects(
 
     Args:
         spectra: capture, at the frequencies of the signatures.
-        objects: enrolled ones.
+        enrolled: bodies and objects.
         layouts: enrolled ones; an object's may be among them.
         round_left: energy that a body of revolution leaves.
         body_left: energy that the best body without a tag leaves.
@@ -124,7 +124,7 @@ def read_objects(
     nats = float(len(spectra.data) * (spectra.views - 1))
     free = (AMPLITUDES - 1) / (spectra.views - 1)
     found = []
-    for model in objects:
+    for model in enrolled.objects:
         one = model.match(spectra)
         excess = one.left / noise - (1 - free) - min(one.noise_share, 1.0)
         beyond_round, beyond_body = (round_left - one.left) / noise, (body_left - one.left) / noise
@@ -135,13 +135,17 @@ def read_objects(
         stray = best.model.stray(best.match)
         # It takes as long as all the rest, and says nothing of an object that is not there.
         explains = best.excess <= best.allowed(settings)
-        reflector = _reflector(best, layouts, settings, seen) if explains else 0.0
+        reflector = _reflector(best, enrolled.bodies, layouts, settings, seen) if explains else 0.0
         found[0] = replace(best, reflector=reflector, stray=stray.energy / noise, stray_nats=stray.nats)
     return found
 
 
 def _reflector(
-    reading: ObjectReading, layouts: Sequence[Layout], settings: ObjectDecision, seen: Layout | None
+    reading: ObjectReading,
+    bodies: Sequence[BodyModel],
+    layouts: Sequence[Layout],
+    settings: ObjectDecision,
+    seen: Layout | None,
 ) -> float:
     """What a reflector of the object's tag returns at least, in noise energies."""
     beyond_round, beyond_body = max(reading.beyond_round, 0.0), max(reading.beyond_body, 0.0)
@@ -150,7 +154,7 @@ def _reflector(
         return beyond_body / max(len(off_axis(seen)[0]), 1)
     share = settings.least_share
     if layout is not None:
-        share = max(reading.model.reflector_share(layout), share)
+        share = max(reading.model.reflector_share(layout, bodies), share)
     # All that is beyond the body is the tag's.
     most = beyond_body / max(len(off_axis(layout)[0]), 1) if layout is not None else beyond_body
     return min(share * beyond_round, most)

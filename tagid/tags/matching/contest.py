@@ -365,7 +365,7 @@ def _against_bodies(
     seen = min((r for r, _ in passed), key=lambda r: r.layouts[0].left, default=None)
     objects = read_objects(
         spectra,
-        enrolled.objects,
+        enrolled,
         layouts,
         readings[0][0].body_left,
         min(r.body_left for r, _ in readings),
