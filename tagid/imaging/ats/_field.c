@@ -117,15 +117,21 @@ WIDE static void update(float *restrict p, float *restrict gradient, float *rest
                         float rate, const Constants *c)
 {
     const float b1 = c->beta1, b2 = c->beta2, rest1 = 1.0f - b1, rest2 = 1.0f - b2, correction = c->correction;
-    float largest = 0.0f;
     for (int64_t k = 0; k < n; k++) {
         const float g = gradient[k];
         m[k] = b1 * m[k] + rest1 * g;
         v[k] = b2 * v[k] + rest2 * g * g;
-        const float size = sqrtf(v[k] * correction);
-        gradient[k] = size;
-        largest = size > largest ? size : largest;
+        gradient[k] = sqrtf(v[k] * correction);
     }
+    /* Floats that are not negative are ordered as their bits, and a largest integer is found in wide registers. */
+    int32_t most = 0;
+    for (int64_t k = 0; k < n; k++) {
+        int32_t bits;
+        memcpy(&bits, &gradient[k], sizeof bits);
+        most = bits > most ? bits : most;
+    }
+    float largest;
+    memcpy(&largest, &most, sizeof largest);
     const float added = c->epsilon * largest + c->smallest;
     for (int64_t k = 0; k < n; k++)
         p[k] -= rate * m[k] / (gradient[k] + added);
