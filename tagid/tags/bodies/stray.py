@@ -56,7 +56,6 @@ def strongest_stray(spectra: Spectra, known: Explained, centre: complex, reach_m
     freedom = len(known.rest) * (spectra.views - 1 - known.columns.shape[-1])
     variance = known.left / max(freedom, 1)
     shape = known.gain[:, None] / max(float(np.linalg.norm(known.gain)), 1e-300)
-    columns_known = known.columns
     radii = np.arange(NEAREST_M, reach_m + ARC_M / 2, ARC_M)
     best = Stray(0.0, (centre.real, centre.imag), variance)
     for radius in radii:
@@ -68,8 +67,8 @@ def strongest_stray(spectra: Spectra, known: Explained, centre: complex, reach_m
         facing = np.cos(np.angle(across) - azimuths[:, None])
         columns = centred(np.stack([waves, waves * facing[:, None]], axis=1))
         # (count, 2, F, V): of each frequency, what is explained already is taken out.
-        along = np.einsum("fvc,npfv->npfc", columns_known.conj(), columns, optimize=True)
-        columns = columns - np.einsum("fvc,npfc->npfv", columns_known, along, optimize=True)
+        along = np.einsum("fvc,npfv->npfc", known.columns.conj(), columns, optimize=True)
+        columns = columns - np.einsum("fvc,npfc->npfv", known.columns, along, optimize=True)
         flat = columns.reshape(count, 2, -1)
         gram = flat.conj() @ flat.swapaxes(1, 2)
         seen = flat.conj() @ known.rest.reshape(-1)

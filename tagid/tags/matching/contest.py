@@ -388,16 +388,15 @@ def _against_bodies(
                 kind=Kind.OBJECT,
             )
     if seen is not None:
-        best = seen
-        if not named or bare.layout == best.layouts[0].layout or own.left > settings.better * _left(best):
-            return on_body(bare, best, layouts, _bound(best, settings))
-        if _left(best) > settings.better * own.left:
+        if not named or bare.layout == seen.layouts[0].layout or own.left > settings.better * _left(seen):
+            return on_body(bare, seen, layouts, _bound(seen, settings))
+        if _left(seen) > settings.better * own.left:
             return bare
         return replace(
             bare,
             status="ambiguous",
             code=Code.AMBIGUOUS,
-            reason=f"the echo is that of {bare.layout} without a body, or of {best.layouts[0].layout} on one",
+            reason=f"the echo is that of {bare.layout} without a body, or of {seen.layouts[0].layout} on one",
         )
     first, verdict = min(alone or readings, key=lambda pair: pair[0].least)
     if named:
