@@ -16,6 +16,7 @@ from imaging_scenes import AXIS_DISTANCE_M, FIRST_SEED, GRID, SHARED, wobbling_p
 
 from tagid.capture import Capture, Pulse
 from tagid.constants import RANGE_STEP_M, SPEED_OF_LIGHT
+from tagid.errors import DataError
 from tagid.geometry import ImageGrid
 from tagid.imaging.ats.fit import AtsSettings, fit
 from tagid.imaging.autofocus import focus_axis_distance
@@ -337,10 +338,17 @@ def image_rail(cell: RailCell) -> Reconstruction:
 
 
 def score_rail(cell: RailCell) -> dict[str, float]:
-    """Error of the path delay (mm), reflectors seen, localisation error (mm), seconds of processor time."""
+    """Error of the path delay (mm), reflectors seen, localisation error (mm), seconds of processor time.
+
+    All but the reflectors, none, are nan where the method refuses the path: polar format sees no side of an
+    image that the antenna crosses.
+    """
     delay = rail_capture(cell)[1]
     began = time.process_time()
-    result = image_rail(cell)
+    try:
+        result = image_rail(cell)
+    except DataError:
+        return {"delay_mm": np.nan, "detected": 0.0, "where_mm": np.nan, "seconds": np.nan, "refused": 1.0}
     seconds = time.process_time() - began
     assert result.region is not None
     focus = result.region.focus
@@ -348,8 +356,12 @@ def score_rail(cell: RailCell) -> dict[str, float]:
     image = result.image
     found = localise(pick_peaks(image, 2, separation_m=0.3) + image.centre_m, RAIL_POINTS, 0.15)
     return {
-        "delay_mm": error, "detected": found.detected, "where_mm": found.rmse_m * 1e3, "seconds": seconds
-    }  # fmt: skip
+        "delay_mm": error,
+        "detected": found.detected,
+        "where_mm": found.rmse_m * 1e3,
+        "seconds": seconds,
+        "refused": 0.0,
+    }
 
 
 def rails(run: Run) -> str:
@@ -365,10 +377,11 @@ def rails(run: Run) -> str:
                 continue
             column = {name: np.array([s[name] for s in some], dtype=float) for name in some[0]}
             delay = np.sqrt(np.mean(column["delay_mm"] ** 2))
+            refused = f"{column['refused'].sum():.0f}"
             seen = f"{100 * column['detected'].mean() / len(RAIL_POINTS):.0f}"
             values = [report.interval(column[name], 1) for name in ("where_mm", "seconds")]
             first = [path, str(len(some)), f"{delay:.1f}"] if i == 0 else [""] * 3
-            lines.append([*first, METHODS[method].title, seen, *values])
+            lines.append([*first, METHODS[method].title, refused, seen, *values])
     if run.draw:
         images = [[image_rail(RailCell(p, 0, m)).image for m in RAIL_ROWS] for p in paths]
         pictures = [[np.abs(image.values) for image in row] for row in images]
@@ -380,6 +393,7 @@ def rails(run: Run) -> str:
         "seeds",
         "delay, rms error (mm)",
         "method",
+        "refused",
         "within 15 cm (%)",
         "localisation (mm)",
         "seconds",
