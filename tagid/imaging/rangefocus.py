@@ -47,10 +47,12 @@ often the strongest, and comes into focus at no delay."""
 _SHOWN_FLOOR = 0.25
 """Focused echoes weaker than this part of the strongest are left out of the result: what is left of a mirror
 image has up to a fifth."""
-_COARSE, _FINE = 0.2635, 0.0527
-"""Steps in range of the places that an echo may have, for the search and at its end, in wavelengths (20 and 4
-mm for a P440). A delay can in part be taken for a change of range, so that places too far apart would draw
-the delay to them."""
+_COARSE, _FINE, _FINEST = 0.2635, 0.0527, 0.0132
+"""Steps in range of the places that an echo may have, for the search, near its end and at its end, in
+wavelengths (20, 4 and 1 mm for a P440). A delay can in part be taken for a change of range, so that places
+too far apart would draw the delay to them; the jackknife triples what they add to its spread."""
+_FINEST_REACH = 0.25
+"""Part of the places about an echo that the finest steps try, about the place found before."""
 _MIRROR_FLOOR = 0.9
 """An echo weaker than this part of the one at its mirror place is its image, not another reflector."""
 _SPOT_WAVELENGTHS = 1.976
@@ -137,7 +139,7 @@ def focus_delay(
     A short piece of the path about its middle tells range and bearing of the strongest echoes whatever the
     delay is. Moved along its bearing by a trial delay, each echo is focused with the whole path at the place
     near it where |f|^2 is largest, f = 1/V sum_v z_v(d_v + delay) exp(2jk d_v). The delay is searched in
-    steps that the path's angles ask for, then twice in finer ones with a parabola at the end.
+    steps that the path's angles ask for, then twice by a parabola, with finer places each time.
 
     Only echoes that come into focus count (`LEAST_CONTRAST`): what is left of the leakage is often the
     strongest and as strong at every delay. The best delay is taken only if it lies inside the search, stands
@@ -197,13 +199,15 @@ def focus_delay(
     elif not (evidence >= needed_evidence(PIECES) or ghost):
         reason = "the pieces of the path do not agree on one delay"
     delay, sigma = guess, float("nan")
-    for near in () if reason else (width, width / 3):
-        trials = delay + near * np.linspace(-1, 1, 13)
-        fine = _measure(few, reference, focused, trials, _FINE * lam)
+    # The peak is flat: the parabola needs the whole lobe, also where the places are finest.
+    for places, reach in () if reason else ((_FINE, 1.0), (_FINEST, _FINEST_REACH)):
+        trials = delay + width * np.linspace(-1, 1, 13)
+        fine = _measure(few, reference, focused, trials, places * lam, reach)
         sigma = _spread(np.array([_peak(trials, measure) for measure in fine.without()]))
         delay = _peak(trials, fine.power.sum(axis=1))
-        kept = _measure(few, reference, focused, np.array([delay]), _FINE * lam).points
-        focused = focused[_real(kept, few.aperture.positions, focused, lam)]
+        kept = _measure(few, reference, focused, np.array([delay]), places * lam, reach).points
+        real = _real(kept, few.aperture.positions, focused, lam)
+        focused = _centred_on(kept, reference, delay, focused)[real]
     if not reason and not sigma <= MOST_SIGMA_WAVELENGTHS * lam:
         reason = "the pieces of the path give different delays"
     if reason:
@@ -391,17 +395,33 @@ def _spread(values: Floats) -> float:
     return float(np.sqrt((count - 1) / count * ((values - values.mean()) ** 2).sum()))
 
 
+def _centred_on(points: tuple[EchoPoint, ...], reference: Floats, delay: float, echoes: Floats) -> Floats:
+    """The echoes (n, 3) with the range and bearing at which they were focused with that delay."""
+    off = np.array([[p.x_m, p.y_m] for p in points]).reshape(-1, 2) - reference[:2]
+    bearing = np.arctan2(off[:, 1], off[:, 0])
+    return np.stack([np.linalg.norm(off, axis=1) + delay, bearing, echoes[:, 2]], axis=1)
+
+
 def _measure(
-    scans: BasebandScans, reference: Floats, echoes: Floats, delays: Floats, step_m: float
+    scans: BasebandScans,
+    reference: Floats,
+    echoes: Floats,
+    delays: Floats,
+    step_m: float,
+    part: float = 1.0,
 ) -> _Measure:
-    """Focus of the echoes at the delays; places of an echo are tried `step_m` apart along its bearing."""
+    """Focus of the echoes at the delays; places of an echo are tried `step_m` apart along its bearing.
+
+    `part` of the places that the short piece of the path leaves open are tried.
+    """
     lam = scans.wavelength_m
     spread = np.ptp(scans.aperture.positions, axis=0).max()
     # As fine as the whole path resolves, as wide as the short piece leaves open.
     d_bearing = np.clip(np.pi / scans.wavenumber / (4 * max(spread, 0.66 * lam)), 2e-3, 0.05)
     d_bearing *= min(1.0, 2 * step_m / (_COARSE * lam))
-    bearing = np.arange(-0.05, 0.05 + d_bearing / 2, d_bearing)
-    reach = _ALONG_WAVELENGTHS * lam
+    widest = 0.05 * part
+    bearing = np.arange(-widest, widest + d_bearing / 2, d_bearing)
+    reach = _ALONG_WAVELENGTHS * lam * part
     along = np.arange(-reach, reach + step_m / 2, step_m)
     fine, start, step = upsample_at_carrier(scans, slice(None))
     radius = echoes[None, :, None, None, 0] - delays[:, None, None, None] + along[None, None, :, None]

@@ -186,6 +186,8 @@ def generator() -> ModuleType:
             continue
         response = read_response(path)
         rings = {(r.polarisation, round(r.distance_m, 3)): i for i, r in enumerate(response.rings)}
+        if not {("V", 0.8), ("V", 1.0), ("V", 1.2)} <= rings.keys():
+            continue  # solved at other distances, for other benchmarks
         b = response.scattering_length_m.astype(complex)
         upright = [b[:, rings["V", d]] for d in (0.8, 1.0, 1.2)]
         across = [b[:, i] for (polarisation, _), i in rings.items() if polarisation == "H"]
