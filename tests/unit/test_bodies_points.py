@@ -74,6 +74,21 @@ def test_a_pair_is_read_with_its_double_bounce(bounce: float) -> None:
     assert reading.unexplained < 0.01 and reading.lead > 5 * SETTINGS.lead
 
 
+@pytest.mark.parametrize("compiled", [True, False])
+def test_a_layout_keeps_its_shape_while_it_turns(compiled: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Steps along the tangent of a turn stretched a right angle of 64 mm to a pair of 69 mm."""
+    if not compiled:
+        monkeypatch.setattr("tagid.tags.bodies.points._compiled", None)
+    pair = 0.0347 * np.exp(1j * np.array([0.0, np.pi])) + 0.004j
+    fitter = PointFitter(seen(pair), 1e-3)
+    start = Place(LAYOUTS["container-90"], 0.0, (-0.020, -0.035))
+    found = fitter.rigid(start, rounds=30)
+    begun = start.layout.placed(0.0, np.asarray(start.centre_m))
+    turned = np.angle(np.diff(found.places)[0] / complex(*np.diff(begun[:, :2], axis=0)[0]))
+    assert abs(turned) > 0.1
+    assert abs(np.diff(found.places)[0]) == pytest.approx(0.045 * np.sqrt(2), abs=1e-9)
+
+
 def test_points_alone_would_not_explain_it() -> None:
     places = at("container-90", 0.7, 0.004 - 0.005j)
     spectra = seen(places)

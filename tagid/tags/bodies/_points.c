@@ -273,6 +273,14 @@ typedef struct {
     double reach, step; /* largest distance from the axis, and in one step, m */
 } Freedom;
 
+/* Middle (2,) of the points. */
+static void middle_of(const double *places, int count, double *middle)
+{
+    middle[0] = middle[1] = 0.0;
+    for (int i = 0; i < 2 * count; i++)
+        middle[i % 2] += places[i] / count;
+}
+
 /* Directions (P, 2 K): the points as a whole, shifted and turned about their middle, or each on its own. */
 static int directions(const double *places, int count, int rigid, double *out)
 {
@@ -283,17 +291,33 @@ static int directions(const double *places, int count, int rigid, double *out)
             out[size * i + i] = 1.0;
         return rows;
     }
-    double x = 0.0, y = 0.0;
-    for (int k = 0; k < count; k++) {
-        x += places[2 * k] / count;
-        y += places[2 * k + 1] / count;
-    }
+    double middle[2];
+    middle_of(places, count, middle);
     for (int k = 0; k < count; k++) {
         out[2 * k] = out[size + 2 * k + 1] = 1.0;
-        out[2 * size + 2 * k] = y - places[2 * k + 1];
-        out[2 * size + 2 * k + 1] = places[2 * k] - x;
+        out[2 * size + 2 * k] = middle[1] - places[2 * k + 1];
+        out[2 * size + 2 * k + 1] = places[2 * k] - middle[0];
     }
     return rows;
+}
+
+/* Places after a step (P,) along the directions. A turn is a whole one, not along its tangent, which would
+   stretch what is rigid. */
+static void moved(const double *places, int count, int rigid, const double *step, double *out)
+{
+    if (!rigid) {
+        for (int i = 0; i < 2 * count; i++)
+            out[i] = places[i] + step[i];
+        return;
+    }
+    double middle[2];
+    middle_of(places, count, middle);
+    const double c = cos(step[2]), s = sin(step[2]);
+    for (int k = 0; k < count; k++) {
+        const double x = places[2 * k] - middle[0], y = places[2 * k + 1] - middle[1];
+        out[2 * k] = middle[0] + step[0] + c * x - s * y;
+        out[2 * k + 1] = middle[1] + step[1] + s * x + c * y;
+    }
 }
 
 /* Levenberg and Marquardt's descent from `places`, which end where the least is left. */
@@ -333,13 +357,9 @@ static void descend(const Spectra *g, const Freedom *free_to, double *places, co
             for (int p = 0; p < rows; p++)
                 load[rows * p + p] += damping * normal[rows * p + p] + 1e-12 * trace + 1e-300;
             solve(rows, load, move);
-            for (int i = 0; i < size; i++) {
-                double shift = 0.0;
-                for (int p = 0; p < rows; p++)
-                    shift += move[p] * steps[size * p + i];
-                trial[i] = places[i] + shift;
-                longest = fabs(shift) > longest ? fabs(shift) : longest;
-            }
+            moved(places, count, free_to->rigid, move, trial);
+            for (int i = 0; i < size; i++)
+                longest = fmax(longest, fabs(trial[i] - places[i]));
             for (int k = 0; k < count; k++) {
                 const double far = hypot(trial[2 * k], trial[2 * k + 1]);
                 farthest = far > farthest ? far : farthest;

@@ -218,8 +218,14 @@ class BodyReading:
         return float(batch.radii[0][batch.present[0] > 0].mean())
 
     def against(self, points: PointReading) -> BodyReading:
-        """The reading with the lead that is left against points without a body."""
-        if not points.others or self.body.name:
+        """The reading with the lead that is left against points without a body.
+
+        Free points near one layout are another arrangement than the layout that is read here.
+        """
+        rivals = [placed.left for placed in points.others[:1]]
+        if points.layouts[0].layout != self.layouts[0].layout:
+            rivals.append(points.free.left)
+        if not rivals or self.body.name:
             return self
-        lead = (points.others[0].left - self.layouts[0].charged) / self.rough
+        lead = (min(rivals) - self.layouts[0].charged) / self.rough
         return replace(self, lead=min(self.lead, lead), points_lead=lead)

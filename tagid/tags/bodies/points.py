@@ -360,9 +360,10 @@ class PointFitter:
             gain = 0.0
             for _ in range(4):
                 load = damping * np.diag(normal) + 1e-12 * np.trace(normal) + 1e-300
-                move = np.linalg.solve(normal + np.diag(load), gradient) @ steps
-                trial = places + move[0::2] + 1j * move[1::2]
-                if np.abs(trial).max() < _FARTHEST_M and np.abs(move).max() < _LONGEST_M:
+                step = np.linalg.solve(normal + np.diag(load), gradient)
+                trial = _moved(places, step) if rigid else places + step[0::2] + 1j * step[1::2]
+                longest = np.abs(_plain(trial - places)).max()
+                if np.abs(trial).max() < _FARTHEST_M and longest < _LONGEST_M:
                     after = self._linear(trial, heights)
                     if after.left < at.left:
                         gain, places, at = at.left - after.left, trial, after
@@ -397,6 +398,12 @@ def _moves(places: NDArray[np.complex128]) -> NDArray[np.float64]:
     """(3, 2 K) directions of points that move as a whole: along x and y, and turning about their middle."""
     unit = np.ones(len(places), dtype=np.complex128)
     return np.stack([_plain(unit), _plain(1j * unit), _plain(1j * (places - places.mean()))])
+
+
+def _moved(places: NDArray[np.complex128], step: NDArray[np.float64]) -> NDArray[np.complex128]:
+    """Points after a step (3,) along `_moves`: the turn is a whole one, as its tangent would stretch them."""
+    middle = places.mean()
+    return np.asarray(middle + complex(step[0], step[1]) + (places - middle) * np.exp(1j * step[2]))
 
 
 def _plain(places: NDArray[np.complex128]) -> NDArray[np.float64]:
