@@ -3,12 +3,14 @@
 Run `python tests/benchmarks/bench_focus.py --write`; `--seeds N` sets the scenes per family and radar,
 `--first` the first seed. The criterion was chosen on seeds from 1000 on; the reported ones start at 5000.
 `--resume FILE` keeps every outcome in a file (JSON lines) and leaves out the scenes that it already holds.
+`--paths` reads the paths alone and, with --write, replaces their section of the page.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import re
 import sys
 from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
@@ -23,7 +25,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 from focus_rails import PATHS, draw_rail
 from focus_scenes import FAMILIES, FULL_WAVE, FULL_WAVE_OBJECTS, RADARS, draw_scene, full_wave_scene
-from imaging_report import heading
+from imaging_report import heading, made_with
 
 from tagid.geometry import ImageGrid
 from tagid.imaging.region import choose_region
@@ -227,6 +229,29 @@ other signs were tried on these seeds and do not tell them, either:
 {why}
 """
 
+PATHS_TEXT = """## Path delay
+
+`{command}`, {made}.
+
+{paths}
+
+Kept:
+
+{why}
+
+"""
+
+
+def only_paths(given: argparse.Namespace) -> str:
+    """The section of the paths, with what made it."""
+    delays = outcomes(tasks(0, given.first, given.rails)[1], given.jobs, given.resume)
+    return PATHS_TEXT.format(
+        command=f"python tests/benchmarks/bench_focus.py --paths --rails {given.rails} --write",
+        made=made_with(),
+        paths=f"{summary(delays)}\n\n{table(delays)}",
+        why=reasons(delays),
+    )
+
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
@@ -235,8 +260,17 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=FIRST_SEED)
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--resume", type=Path, metavar="FILE")
+    parser.add_argument("--paths", action="store_true", help="the section of the paths alone")
     parser.add_argument("--write", action="store_true")
     given = parser.parse_args()
+    if given.paths:
+        section = only_paths(given)
+        print(section)
+        if given.write:
+            page = RESULTS.read_text(encoding="utf-8")
+            whole = re.compile(r"## Path delay\n.*?(?=## |\Z)", re.DOTALL)
+            RESULTS.write_text(whole.sub(lambda _: section, page), encoding="utf-8")
+        return
     turns, paths = tasks(given.seeds, given.first, given.rails)
     found = outcomes(turns, given.jobs, given.resume)
     delays = outcomes(paths, given.jobs, given.resume)

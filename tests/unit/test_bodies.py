@@ -277,8 +277,9 @@ def test_calibration_promises_no_more_than_it_counted() -> None:
     known = Calibration("a test", (stratum,), {Basis.ROUND: ((0, 2000),)})
     assert Calibration.from_json(known.to_json()) == known
     bound = known.bound(1.5, 36, 10.0, 1e-3)
-    assert bound.p_value == pytest.approx(2 / 2000) and bound.kept and bound.reachable
-    assert not known.bound(0.7, 36, 10.0, 1e-3).kept
+    # One object is as convincing on a round body, and as many may be beside a wall.
+    assert bound.p_value == pytest.approx(3 / 2000) and bound.reachable and not bound.kept
+    assert known.bound(1.5, 36, 10.0, 2e-3).kept and not known.bound(0.7, 36, 10.0, 2e-3).kept
     # Below the scores that were kept nothing is promised.
     assert known.bound(0.4, 36, 10.0, 1e-3).p_value == 1.0
     assert not known.bound(9.0, 36, 10.0, 1e-4).reachable
@@ -286,6 +287,26 @@ def test_calibration_promises_no_more_than_it_counted() -> None:
     assert known.bound(9.0, 36, 10.0, 1e-3, Basis.WALL).objects == 0
     with pytest.raises(ModelError):
         Calibration.from_json("{}")
+
+
+def test_the_bound_is_that_of_the_whole_answer() -> None:
+    """Drawn again from the same population, no more objects are named in any way than it promises."""
+    rng = np.random.default_rng(9)
+    leads = {kind: rng.standard_normal(20_000) for kind in Basis}
+    # Few objects are named without a body at all, and those whatever the bound says.
+    bare = np.where(leads[Basis.BARE] > 3.3, leads[Basis.BARE], -np.inf)
+    half = slice(0, 10_000)
+    told = [None if lead == -np.inf else float(lead) for lead in bare[half]]
+    scores = {kind: Scores.of(leads[kind][half].tolist(), 60) for kind in (Basis.ROUND, Basis.WALL)}
+    scores[Basis.BARE] = Scores.of(told, 60)
+    known = Calibration("a test", (Stratum(12, 37, -np.inf, np.inf, scores),), {})
+    named = bare[10_000:] > -np.inf
+    for kind in (Basis.ROUND, Basis.WALL):
+        bounds = [known.bound(lead, 36, 10.0, 5e-3, kind) for lead in leads[kind][10_000:]]
+        assert bounds[0].otherwise == pytest.approx(sum(lead is not None for lead in told) / 10_001)
+        named |= np.array([bound.kept for bound in bounds])
+    assert 20 < named.sum() < 65
+    assert not known.bound(9.0, 36, 10.0, bounds[0].otherwise).reachable
 
 
 def test_the_p_value_is_never_below_that_of_all_scores() -> None:

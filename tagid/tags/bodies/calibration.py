@@ -5,6 +5,10 @@ the decision is passed), of one of three kinds. Of n calibration objects that ca
 of the same population is more convincing than all but k of them with probability (k + 1) / (n + 1) at most,
 whatever its distribution: the conformal p-value (Vovk, Gammerman and Shafer 2005, chapter 2). It holds within
 a stratum of views and SNR.
+
+An object can be named on a body in two ways, and without one. The bound is that of the whole answer,
+whichever way a name was found: objects named without a body, which no bound takes back, count in full, and
+each way on a body may name as many as the other (Bonferroni).
 """
 
 from __future__ import annotations
@@ -31,11 +35,12 @@ class Bound:
     """The promise behind a name.
 
     Attributes:
-        p_value: share of calibration objects, this one counted, that were at least as convincing.
+        p_value: bound on the probability that an object of the population is named as convincingly.
         false_accept: the setting.
         objects: null and foreign objects in this stratum.
         stratum: which one.
         population: what they are.
+        otherwise: share of them that is named by other evidence, however strong this is.
     """
 
     p_value: float
@@ -43,11 +48,12 @@ class Bound:
     objects: int
     stratum: str
     population: str
+    otherwise: float = 0.0
 
     @property
     def reachable(self) -> bool:
-        """Whether so many objects can bear out the setting at all: 1 / (n + 1) <= false_accept."""
-        return self.objects + 1 >= 1 / self.false_accept - 1e-9
+        """Whether the objects can bear out the setting at all: otherwise + 1 / (n + 1) <= false_accept."""
+        return self.otherwise + 1 / (self.objects + 1) <= self.false_accept * (1 + 1e-9)
 
     @property
     def kept(self) -> bool:
@@ -66,6 +72,9 @@ class Basis(StrEnum):
     """Without a body."""
 
 
+BODY_WAYS = (Basis.ROUND, Basis.WALL)
+
+
 @dataclass(frozen=True)
 class Scores:
     """Leads that calibration objects reached by one model.
@@ -81,16 +90,20 @@ class Scores:
     kept: tuple[float, ...] = ()
     scored: int | None = None
 
-    def p_value(self, score: float) -> float:
-        """(k + 1) / (n + 1), k the objects that reach the score.
+    def reached(self, score: float) -> int:
+        """How many objects reach the score.
 
-        Exact down to the smallest score kept. Below it k is at most the number of objects with a score; of
-        all objects where that was not counted.
+        Exact down to the smallest score kept. Below it, at most the number of objects with a score; all
+        objects where that was not counted.
         """
         above = sum(1 for one in self.kept if one >= score)
         if self.kept and score < self.kept[-1]:
             above = self.objects if self.scored is None else self.scored
-        return (above + 1) / (self.objects + 1)
+        return above
+
+    def p_value(self, score: float, ways: int = 1) -> float:
+        """(w k + 1) / (n + 1), at most 1, k the objects that reach the score, w the `ways` to a name."""
+        return min((ways * self.reached(score) + 1) / (self.objects + 1), 1.0)
 
     @classmethod
     def of(cls, leads: Sequence[float | None], keep: int) -> Scores:
@@ -205,12 +218,25 @@ class Calibration:
         self, score: float, views: int, snr_db: float, false_accept: float, kind: Basis = Basis.ROUND
     ) -> Bound:
         """The promise for evidence of that strength; no objects where no stratum fits."""
+        found = self._scores(kind, views, snr_db)
+        if found is None:
+            return Bound(1.0, false_accept, 0, f"{views} views, {snr_db:.0f} dB", self.population)
+        name, some = found
+        otherwise, ways = 0.0, len(Basis)
+        if kind in BODY_WAYS:
+            bare = self._scores(Basis.BARE, views, snr_db)
+            ways = len(BODY_WAYS)
+            otherwise = bare[1].reached(-np.inf) / (bare[1].objects + 1) if bare is not None else 0.0
+        p_value = min(otherwise + some.p_value(score, ways), 1.0)
+        return Bound(p_value, false_accept, some.objects, name, self.population, otherwise)
+
+    def _scores(self, kind: Basis, views: int, snr_db: float) -> tuple[str, Scores] | None:
+        """Name of the stratum of such recordings, and its scores."""
         for one in self.strata:
             inside = kind in one.scores and one.views_from <= views < one.views_to
             if inside and one.snr_from_db <= snr_db < one.snr_to_db:
-                some = one.scores[kind]
-                return Bound(some.p_value(score), false_accept, some.objects, one.name, self.population)
-        return Bound(1.0, false_accept, 0, f"{views} views, {snr_db:.0f} dB", self.population)
+                return one.name, one.scores[kind]
+        return None
 
 
 def _number(value: float | None, missing: float) -> float:
