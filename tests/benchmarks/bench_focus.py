@@ -235,8 +235,8 @@ PATHS_TEXT = """## Path delay
 
 {paths}
 
-With places of echoes no finer than 4 mm at the end of the search (commit ee95e0d739, the same 120 scenes) 68 were
-taken, 65 of them within an eighth and none off by over a quarter.
+With places of echoes no finer than 4 mm at the end of the search (commit ee95e0d739, the same 120 scenes) 68
+were taken, 65 of them within an eighth and none off by over a quarter.
 
 Kept:
 
