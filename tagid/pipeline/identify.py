@@ -51,7 +51,7 @@ def identify(
         registry_version: stored in the answer.
         signatures: enrolled bodies and objects.
         spent: share of the false-accept probability that was used before, by readings of parts of the turn;
-            a name without a body has the rest.
+            this reading has the rest.
 
     Raises:
         DataError: too few views or bins, or the object lies outside the range window.
@@ -210,6 +210,6 @@ def _reader_settings(settings: ImagingSettings, spent: float = 0.0) -> ReaderSet
     from tagid.tags.matching.matcher import ReaderSettings
     from tagid.tags.reading.decision import DecisionSettings
 
-    decision = DecisionSettings(false_accept=settings.false_accept * (1 - spent))
-    contest = ContestSettings(false_accept=settings.false_accept)
+    left = settings.false_accept * (1 - spent)
+    decision, contest = DecisionSettings(false_accept=left), ContestSettings(false_accept=left)
     return ReaderSettings(decision=decision, contest=contest, direction_known=settings.direction_known)

@@ -16,6 +16,9 @@ from tagid.errors import ModelError
 from tagid.geometry import Aperture
 from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.imaging.types import BasebandScans
+from tagid.pipeline.identify import identify
+from tagid.pipeline.prepared import PreparedCapture
+from tagid.pipeline.settings import ImagingSettings
 from tagid.simulate.noise import NoiseShape, draw_noise
 from tagid.tags.bodies.arrangement import difference_deg, gaps_deg, layout_gaps_deg, merged, resolution_deg
 from tagid.tags.bodies.body_reading import BodySettings
@@ -373,6 +376,17 @@ def test_too_few_calibration_objects_refuse() -> None:
     _, capture = cans(500, 1, 20.0)[0]
     reading = read_tag(scans_of(capture), LAYOUTS, settings)
     assert (reading.status, reading.code) == ("unknown", Code.UNCALIBRATED)
+
+
+def test_early_looks_leave_a_name_on_a_body_the_rest_of_the_setting() -> None:
+    _, capture = cans(500, 1, 20.0)[0]
+    prepared = PreparedCapture(capture, ImagingSettings())
+    half, quarter = (identify(prepared, LAYOUTS, spent=spent).reading for spent in (0.5, 0.75))
+    assert half is not None and half.bound is not None and quarter is not None
+    assert half.status == "identified"
+    assert half.bound.false_accept == pytest.approx(0.5 * ImagingSettings().false_accept)
+    # A quarter is less than the calibration objects can bear out.
+    assert (quarter.status, quarter.code) == ("unknown", Code.UNCALIBRATED)
 
 
 def test_every_code_has_advice() -> None:
