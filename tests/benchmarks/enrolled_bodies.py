@@ -38,7 +38,7 @@ from tagid.tags.bodies.joint import Named, enrol_signature
 from tagid.tags.bodies.signature import Signature
 from tagid.tags.layouts.layout import builtin_layouts
 
-POPULATIONS = {"development": "development/1", "sealed": "sealed/5"}
+POPULATIONS = {"development": "development/1", "sealed": "sealed/6"}
 """Sealed seeds are renewed before every report that follows a change of the reader."""
 PARTS = ("solved", "designed")
 OFFSETS_MM = (0, 2, 6, 10)
@@ -336,7 +336,12 @@ name as a wall does, and both scenes are refused.
 
 With the checks of bare names that followed, 5 of 12 scenes of helmet-16 with 40 mm octahedra at 10 dB were
 named (commit 2906d17): a check that refuses a name without a body ended the reading. Since then it goes on
-with the enrolled body, and the sealed/5 scenes, which had been read before, were read again.
+with the enrolled body. Of the sealed/5 scenes, which had been read before, 39 of 41 on handles and shells and
+123 of 131 with designed layouts were named then, 0 of 127 others (commit 045af84).
+
+Since that an object is named only where noise does not hide a reflector of its tag, flat faces are an
+explanation of their own, and layouts without a body keep their shape in the fit. The sealed/6 scenes had not
+been read before.
 """
 
 
