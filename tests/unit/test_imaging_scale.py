@@ -126,6 +126,20 @@ def test_energy_outside_the_assumed_band_is_named() -> None:
     assert 4.4 < high < 5.0
 
 
+def test_baseband_and_conjugate_samples_are_told_with_the_conversion() -> None:
+    capture = capture_of(4e9, VACUUM)
+    spectrum = np.fft.fft(capture.samples, axis=1)
+    spectrum[:, capture.bins // 2 :] = 0
+    analytic = (2 * np.fft.ifft(spectrum, axis=1)).astype(np.complex64)
+    assert band_warning(replace(capture, samples=analytic)) is None
+    phase = 4 * np.pi * capture.center_frequency_hz * capture.ranges_m / capture.wave_speed_m_s
+    baseband = (analytic * np.exp(-1j * phase)).astype(np.complex64)
+    told = band_warning(replace(capture, samples=baseband))
+    assert told is not None and "exp(4j pi center_frequency_hz R / wave_speed_m_s)" in told
+    told = band_warning(replace(capture, samples=analytic.conj()))
+    assert told is not None and "conjugate" in told
+
+
 def test_the_extent_may_be_anything_up_to_the_range_window() -> None:
     capture = capture_of(4e9, VACUUM)
     reach = 2 * (13 * capture.wavelength_m + float(capture.ranges_m[-1]))
