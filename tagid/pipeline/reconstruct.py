@@ -18,7 +18,7 @@ from tagid.imaging.ats.fit import fit
 from tagid.imaging.autofocus import AxisFocus
 from tagid.imaging.bandcheck import band_warning
 from tagid.imaging.heldout import HeldOut, check, left_out
-from tagid.imaging.lengths import finest_cell_m
+from tagid.imaging.lengths import finest_cell_m, pixel_warning
 from tagid.imaging.outside import Outside, find_outside
 from tagid.imaging.preprocess import select_views
 from tagid.imaging.pulsefit import PulseEstimate
@@ -79,7 +79,7 @@ def reconstruct(
     _check_moved(prepared.given)
     placed = _placed(prepared, watch)
     prepared, settings, grid, region = placed.prepared, placed.settings, placed.grid, placed.region
-    _check_extent(prepared.given, grid)
+    check_extent(prepared.given, grid)
     prepared.choose_pulse(progress)
     matched = IMAGING_METHODS[method].matched_filter
     scans = prepared.scans(settings.preprocessing_for_focus(prepared.given, matched))
@@ -187,9 +187,10 @@ def _facts(prepared: PreparedCapture, scans: BasebandScans, image: Image, found:
         facts["focus"] = region.focus.facts()
     if found.outside is not None:
         facts["outside"] = found.outside.facts(found.subtracted)
-    warning = band_warning(prepared.given)
-    if warning:
-        facts["warnings"] = [warning]
+    coarse = pixel_warning(image.grid.extent, image.grid.pixels, scans.wavelength_m)
+    warnings = [each for each in (band_warning(prepared.given), coarse) if each]
+    if warnings:
+        facts["warnings"] = warnings
     if found.predicted is not None:
         facts["held_out"] = found.predicted.facts()
     learned = image.settings.get("calibration", {}).get("axis")
@@ -286,7 +287,7 @@ def _check_moved(capture: Capture) -> None:
         )
 
 
-def _check_extent(capture: Capture, grid: ImageGrid) -> None:
+def check_extent(capture: Capture, grid: ImageGrid) -> None:
     """Raise UsageError if the image area reaches beyond all recorded ranges."""
     antenna = capture.aperture().positions
     reach = float(np.linalg.norm(antenna, axis=1).max()) + float(capture.ranges_m[-1])

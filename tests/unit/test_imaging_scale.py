@@ -10,7 +10,7 @@ import pytest
 from tagid.capture import Capture
 from tagid.errors import UsageError
 from tagid.imaging.bandcheck import band_warning
-from tagid.imaging.lengths import finest_cell_m, search_range_m, views_needed
+from tagid.imaging.lengths import finest_cell_m, pixel_warning, search_range_m, views_needed
 from tagid.pipeline.prepared import prepare
 from tagid.pipeline.reconstruct import reconstruct
 from tagid.pipeline.settings import ImagingSettings
@@ -112,6 +112,18 @@ def test_lengths_of_a_p440_are_the_known_ones() -> None:
     lam = VACUUM / 3.95e9
     assert search_range_m(lam) == pytest.approx(0.040, abs=1e-4)
     assert finest_cell_m(lam) == pytest.approx(0.0073, abs=5e-5)
+
+
+def test_pixels_that_miss_points_are_warned_of() -> None:
+    lam = VACUUM / 77e9
+    assert pixel_warning(0.4, 512, lam) is None
+    assert "--pixels" not in str(pixel_warning(1.0, 512, lam))
+    told = pixel_warning(0.8, 512, lam)
+    assert told is not None and "give 867 --pixels or an --extent of up to 0.47 m" in told
+    capture = capture_of(4e9, VACUUM)
+    settings = ImagingSettings(method="bp", extent_m=1.0, pixels=32, background="none", held_out=False)
+    assert "coarser" in reconstruct(capture, settings).image.settings["warnings"][0]
+    assert "warnings" not in reconstruct(capture, replace(settings, pixels=64)).image.settings
 
 
 def test_energy_outside_the_assumed_band_is_named() -> None:
