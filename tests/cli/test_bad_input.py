@@ -112,3 +112,13 @@ def test_views_from_one_place_are_not_imaged(
     assert done.code == 1
     assert f"the {request.node.callspec.id} of all 36 views are the same" in done.err
     assert not (tmp_path / "image.npz").exists()
+
+
+def test_a_view_that_is_not_finite_is_named(tagid, tmp_path: Path) -> None:
+    samples = np.array(GOOD["samples"])
+    samples[3, 5] = np.nan
+    (tmp_path / "nan.npz").write_bytes(npz(samples=samples))
+    done = tagid("reconstruct", "nan.npz", "--method", "bp")
+    assert done.code == 1
+    assert "1 of 36 views hold non-finite samples, the first is view 3" in done.err
+    assert "Leave these views out" in done.err
