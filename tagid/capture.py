@@ -114,8 +114,11 @@ class Capture:
         if s.dtype not in (np.dtype(np.int32), np.dtype(np.float32), np.dtype(np.complex64)):
             raise DataError(f"samples have dtype {s.dtype}, expected int32, float32 or complex64")
         if not np.isfinite(s).all():
-            bad = int(np.count_nonzero(~np.isfinite(s).all(axis=1)))
-            raise DataError(f"{bad} of {len(s)} views hold non-finite samples")
+            bad = np.flatnonzero(~np.isfinite(s).all(axis=1))
+            raise DataError(
+                f"{len(bad)} of {len(s)} views hold non-finite samples, the first is view {bad[0]} (from 0)",
+                "Leave these views out, with their angles or positions.",
+            )
         if not (np.isfinite(self.range_step_m) and self.range_step_m > 0):
             raise DataError(f"range step is {self.range_step_m} m, expected a positive number")
         if not np.isfinite(self.range_start_m):

@@ -166,6 +166,7 @@ def make_volume(
         f"{method} volume of {made.views} views from {made.heights} antenna heights, {size} in {took:.2f} s",
         f"vertical resolution {1e3 * facts['vertical_resolution_m']:.0f} mm",
         *imaging.held_out_words(facts),
+        *facts.get("warnings", ()),
         *(f"{kind} {path}" for kind, path in files.items()),
     ]
     data: dict[str, Any] = {

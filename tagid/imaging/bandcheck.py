@@ -19,6 +19,11 @@ SHARE = 0.9
 """Share of the energy that the band named in a warning holds."""
 
 _WIDER = 0.2
+_BASEBAND = (
+    "it is about zero, as of baseband scans: multiply the samples at range R by "
+    "exp(4j pi center_frequency_hz R / wave_speed_m_s)"
+)
+_CONJUGATE = "it is at negative frequencies: store the complex conjugate of the samples"
 _MOST_VIEWS = 64
 
 
@@ -34,10 +39,15 @@ def band_warning(capture: Capture) -> str | None:
         return None
     low, high = band_of(normalised(assumed_pulse(capture)))
     edge = _WIDER * (high - low)
+    advice = "check center_frequency_hz, bandwidth_hz and wave_speed_m_s"
     if np.iscomplexobj(capture.samples):
         # An analytic signal sampled below its carrier is known up to multiples of the sampling rate.
         rate = capture.wave_speed_m_s / (2 * capture.range_step_m)
-        middle = (low + high) / 2
+        middle, reach = (low + high) / 2, (high - low) / 2 + edge
+        for centre, words in ((0.0, _BASEBAND), (-middle, _CONJUGATE)):
+            away = np.abs((frequency - centre + rate / 2) % rate - rate / 2)
+            if power[away <= reach].sum() >= SHARE * total:
+                advice = words
         frequency = middle + (frequency - middle + rate / 2) % rate - rate / 2
         order = np.argsort(frequency)
         frequency, power = frequency[order], power[order]
@@ -48,7 +58,7 @@ def band_warning(capture: Capture) -> str | None:
     return (
         f"the scans' energy lies outside the assumed band of {hertz(low)} to {hertz(high)}: "
         f"90 % of it is between {hertz(frequency[first])} and {hertz(frequency[last])}; "
-        "check center_frequency_hz, bandwidth_hz and wave_speed_m_s"
+        f"{advice}"
     )
 
 

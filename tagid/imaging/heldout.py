@@ -99,6 +99,10 @@ class Prediction:
             np.concatenate([self.product, others.product]),
         )
 
+    def first(self, views: int) -> Prediction:
+        """The first views of these."""
+        return Prediction(self.measured[:views], self.predicted[:views], self.product[:views])
+
     @property
     def misfits(self) -> NDArray[np.float64]:
         """Energy that is left of every view; one complex factor is fitted to all of them together.

@@ -19,6 +19,12 @@ interpolation keeps at least cos(0.605) = 82 % of it."""
 COARSEST_PIXEL_WAVELENGTHS = 0.2372
 """A pixel over a quarter of the wavelength may fall between the ripples of a point: 18 mm."""
 
+MOST_PIXELS = 1024
+"""Per side of an image."""
+
+_SHOWN_PIXEL_WAVELENGTHS = 0.26
+"""Coarser pixels are warned of: a quarter and what rounding adds."""
+
 VIEW_WAVELENGTHS = 0.0575
 """Farthest that an echo at half the image's width moves between neighbouring views, 4.4 mm: one degree, the
 paper's step, for a P440 and an image of 0.5 m. Its phase turns by 0.72 rad, so that averaging the scans in
@@ -50,3 +56,24 @@ def finest_cell_m(wavelength_m: float) -> float:
 def coarsest_pixel_m(wavelength_m: float) -> float:
     """Pixel above which a point may be missed, m."""
     return COARSEST_PIXEL_WAVELENGTHS * wavelength_m
+
+
+def pixel_warning(extent_m: float, pixels: int, wavelength_m: float) -> str | None:
+    """A warning where points may fall between the pixels of an image; else None.
+
+    Args:
+        extent_m: width of the image, m.
+        pixels: per side.
+        wavelength_m: at the centre of the band, m.
+    """
+    step = extent_m / pixels
+    if step <= _SHOWN_PIXEL_WAVELENGTHS * wavelength_m:
+        return None
+    most = coarsest_pixel_m(wavelength_m)
+    needed = math.ceil(extent_m / most)
+    more = f"{needed} --pixels or " if needed <= MOST_PIXELS else ""
+    return (
+        f"pixels of {step * 1e3:.3g} mm are coarser than a quarter of the wavelength, "
+        f"{wavelength_m / 4e-3:.3g} mm: points between them are lost; "
+        f"give {more}an --extent of up to {pixels * most:.2g} m"
+    )

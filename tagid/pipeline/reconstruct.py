@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 
 from tagid import __version__
 from tagid.capture import Capture
-from tagid.errors import UsageError
+from tagid.errors import DataError, UsageError
 from tagid.geometry import ImageGrid
 from tagid.imaging.ats.adapt import has_field, image_without_field, linear_iterations, settings_of
 from tagid.imaging.ats.fit import fit
 from tagid.imaging.autofocus import AxisFocus
 from tagid.imaging.bandcheck import band_warning
 from tagid.imaging.heldout import HeldOut, check, left_out
-from tagid.imaging.lengths import finest_cell_m
+from tagid.imaging.lengths import finest_cell_m, pixel_warning
 from tagid.imaging.outside import Outside, find_outside
 from tagid.imaging.preprocess import select_views
 from tagid.imaging.pulsefit import PulseEstimate
@@ -76,9 +76,10 @@ def reconstruct(
     prepared = as_prepared(capture, settings)
     method = "ats" if prepared.settings.method == "auto" else prepared.settings.method
     watch = Stopwatch()
+    _check_moved(prepared.given)
     placed = _placed(prepared, watch)
     prepared, settings, grid, region = placed.prepared, placed.settings, placed.grid, placed.region
-    _check_extent(prepared.given, grid)
+    check_extent(prepared.given, grid)
     prepared.choose_pulse(progress)
     matched = IMAGING_METHODS[method].matched_filter
     scans = prepared.scans(settings.preprocessing_for_focus(prepared.given, matched))
@@ -186,9 +187,10 @@ def _facts(prepared: PreparedCapture, scans: BasebandScans, image: Image, found:
         facts["focus"] = region.focus.facts()
     if found.outside is not None:
         facts["outside"] = found.outside.facts(found.subtracted)
-    warning = band_warning(prepared.given)
-    if warning:
-        facts["warnings"] = [warning]
+    coarse = pixel_warning(image.grid.extent, image.grid.pixels, scans.wavelength_m)
+    warnings = [each for each in (band_warning(prepared.given), coarse) if each]
+    if warnings:
+        facts["warnings"] = warnings
     if found.predicted is not None:
         facts["held_out"] = found.predicted.facts()
     learned = image.settings.get("calibration", {}).get("axis")
@@ -269,7 +271,23 @@ def _held_out(
     return check(scans, unfiltered, grid, make, predicted if method == "ats" and has_field(prior) else None)
 
 
-def _check_extent(capture: Capture, grid: ImageGrid) -> None:
+_STILL_WAVELENGTHS = 1e-3
+
+
+def _check_moved(capture: Capture) -> None:
+    """Raise DataError if several views were taken from one place: they tell ranges only, not bearings."""
+    wavelength = capture.wave_speed_m_s / capture.center_frequency_hz
+    antennas = capture.aperture().antennas
+    moved = max(float(np.ptp(places, axis=0).max()) for places in antennas)
+    if capture.views > 1 and moved < _STILL_WAVELENGTHS * wavelength:
+        what = "angles" if capture.angles_rad is not None else "antenna positions"
+        raise DataError(
+            f"the {what} of all {capture.views} views are the same: nothing can be imaged from one place",
+            f"Give each view its own {'angle' if capture.angles_rad is not None else 'position'}.",
+        )
+
+
+def check_extent(capture: Capture, grid: ImageGrid) -> None:
     """Raise UsageError if the image area reaches beyond all recorded ranges."""
     antenna = capture.aperture().positions
     reach = float(np.linalg.norm(antenna, axis=1).max()) + float(capture.ranges_m[-1])

@@ -12,12 +12,14 @@ from tagid.capture import Capture
 from tagid.errors import DataError, UsageError
 from tagid.geometry import ImageGrid, VolumeGrid
 from tagid.imaging.heldout import HeldOut, left_out
+from tagid.imaging.lengths import pixel_warning
 from tagid.imaging.memory import require_memory
 from tagid.imaging.operator import ForwardOperator
 from tagid.imaging.preprocess import PreprocessSettings, preprocess, select_views
 from tagid.imaging.types import BasebandScans
 from tagid.imaging.volume import Volume, backproject_volume, sparse_volume, vertical_resolution_m
 from tagid.pipeline.join import heights_of, without_background_of_each_height
+from tagid.pipeline.reconstruct import check_extent
 from tagid.pipeline.settings import Progress, Stopwatch
 
 METHODS = ("bp", "sparse", "ats")
@@ -80,9 +82,11 @@ def reconstruct_volume(
 
     Raises:
         DataError: all antenna positions have one height, or the scans cannot be preprocessed.
-        UsageError: a volume that would not fit into memory.
+        UsageError: a volume that reaches beyond the recorded ranges or would not fit into memory.
     """
     settings = settings or VolumeSettings()
+    square = ImageGrid(settings.extent_m, settings.pixels)
+    check_extent(capture, square)
     watch = Stopwatch()
     positions = capture.aperture().positions
     if float(np.ptp(positions[:, 2])) < 1e-3:
@@ -96,7 +100,6 @@ def reconstruct_volume(
         plain = PreprocessSettings("none", False, extent_m=settings.extent_m, heights_m=(low, high))
         unfiltered = preprocess(clean, settings=plain)
         matched = preprocess(clean, settings=replace(plain, matched_filter=True))
-    square = ImageGrid(settings.extent_m, settings.pixels)
     levels = settings.levels or _levels(unfiltered, square, high - low)
     grid = VolumeGrid(square, low, high, levels)
     with watch.stage("volume"):
@@ -113,6 +116,9 @@ def reconstruct_volume(
         "levels": levels,
         "extent_m": settings.extent_m,
     }
+    coarse = pixel_warning(settings.extent_m, settings.pixels, unfiltered.wavelength_m)
+    if coarse:
+        facts["warnings"] = [coarse]
     if settings.held_out:
         with watch.stage("held out"):
             again = _part(progress, 0.5, 1.0, "held-out views")

@@ -94,3 +94,31 @@ def test_a_port_in_use_is_named(tagid) -> None:
     assert done.code == 4
     assert done.json["errors"][0]["code"] == "port_in_use"
     assert str(port) in done.json["errors"][0]["message"]
+
+
+@pytest.mark.parametrize(
+    "where",
+    [
+        {"angles_rad": np.zeros(36)},
+        {"angles_rad": None, "axis_distance_m": None, "antenna_positions_m": np.ones((36, 3))},
+    ],
+    ids=["angles", "antenna positions"],
+)
+def test_views_from_one_place_are_not_imaged(
+    tagid, tmp_path: Path, where: dict[str, object], request: pytest.FixtureRequest
+) -> None:
+    (tmp_path / "still.npz").write_bytes(npz(**where))
+    done = tagid("reconstruct", "still.npz", "--method", "bp", "--out", "image.npz")
+    assert done.code == 1
+    assert f"the {request.node.callspec.id} of all 36 views are the same" in done.err
+    assert not (tmp_path / "image.npz").exists()
+
+
+def test_a_view_that_is_not_finite_is_named(tagid, tmp_path: Path) -> None:
+    samples = np.array(GOOD["samples"])
+    samples[3, 5] = np.nan
+    (tmp_path / "nan.npz").write_bytes(npz(samples=samples))
+    done = tagid("reconstruct", "nan.npz", "--method", "bp")
+    assert done.code == 1
+    assert "1 of 36 views hold non-finite samples, the first is view 3" in done.err
+    assert "Leave these views out" in done.err

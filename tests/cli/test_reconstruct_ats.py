@@ -78,3 +78,13 @@ def test_an_axis_distance_told_wrong_by_3_cm_is_found(tagid, error_m) -> None:
     tagid("simulate", "points-3", "--views", 36, "--axis-error", error_m, "--out", "far.tagid.h5")
     done = tagid("reconstruct", "far.tagid.h5", "--method", "bp", "--background", "none", "--output", "json")
     assert done.json["data"]["settings"]["axis_distance_m"] == pytest.approx(1.0, abs=0.003)
+
+
+def test_without_held_out_views_no_residual_is_told(tagid, wobbly) -> None:
+    words = ("--pixels", 48, "--ats", "steps=20", "--no-held-out")
+    done = tagid("reconstruct", wobbly, *words)
+    assert done.code == 0, done.err
+    assert "held-out residual" not in done.out
+    settings = tagid("reconstruct", wobbly, *words, "--output", "json").json["data"]["settings"]
+    assert "held_out" not in settings
+    assert settings["held_out_share"] == pytest.approx(0.04)

@@ -110,6 +110,21 @@ def test_a_dozen_views_that_the_defaults_explain_keep_them_whatever_else_predict
     assert settings["prior_trials"][PIXELS] < settings["prior_trials"]["default"]
 
 
+def test_a_prior_and_the_defaults_are_compared_on_the_views_that_both_were_tried_on() -> None:
+    rng = np.random.default_rng(3)
+    measured = rng.standard_normal((8, 5)) + 1j * rng.standard_normal((8, 5))
+    seen = measured + np.linspace(0, 2, 8)[:, None] * rng.standard_normal((8, 5))
+    every = Prediction.of(measured, seen)
+    assert every.first(3).residual == pytest.approx(Prediction.of(measured[:3], seen[:3]).residual)
+    settings = {"prior": "linear 2", "prior_trials": {"linear 2": 0.84, "default": 0.78}}
+    settings["prior_against_default"] = {"residual": 0.55, "default": 0.78, "views": 4}
+    assert "of the first 4 of them 55.0 %, the default prior 78.0 %" in prior_words(settings)[0]
+    settings["prior_against_default"] = {"residual": 0.84, "default": 0.78, "views": 8}
+    assert "of the first" not in prior_words(settings)[0]
+    kept = {"prior": "default", "prior_trials": {"default": 0.2, "pixels": 0.1, "linear 0": 0.4}}
+    assert "less than 1 of 2 others" in prior_words(kept)[0]
+
+
 def test_an_outline_seen_from_its_side_gets_a_prior_that_predicts_better_than_backprojection() -> None:
     scans = rough()
     settings = fit_adapted(scans, GRID, AtsSettings()).image.settings

@@ -10,7 +10,7 @@ import pytest
 from tagid.capture import Capture
 from tagid.errors import UsageError
 from tagid.imaging.bandcheck import band_warning
-from tagid.imaging.lengths import finest_cell_m, search_range_m, views_needed
+from tagid.imaging.lengths import finest_cell_m, pixel_warning, search_range_m, views_needed
 from tagid.pipeline.prepared import prepare
 from tagid.pipeline.reconstruct import reconstruct
 from tagid.pipeline.settings import ImagingSettings
@@ -114,6 +114,18 @@ def test_lengths_of_a_p440_are_the_known_ones() -> None:
     assert finest_cell_m(lam) == pytest.approx(0.0073, abs=5e-5)
 
 
+def test_pixels_that_miss_points_are_warned_of() -> None:
+    lam = VACUUM / 77e9
+    assert pixel_warning(0.4, 512, lam) is None
+    assert "--pixels" not in str(pixel_warning(1.0, 512, lam))
+    told = pixel_warning(0.8, 512, lam)
+    assert told is not None and "give 867 --pixels or an --extent of up to 0.47 m" in told
+    capture = capture_of(4e9, VACUUM)
+    settings = ImagingSettings(method="bp", extent_m=1.0, pixels=32, background="none", held_out=False)
+    assert "coarser" in reconstruct(capture, settings).image.settings["warnings"][0]
+    assert "warnings" not in reconstruct(capture, replace(settings, pixels=64)).image.settings
+
+
 def test_energy_outside_the_assumed_band_is_named() -> None:
     capture = capture_of(4e9, VACUUM)
     assert band_warning(capture) is None
@@ -124,6 +136,20 @@ def test_energy_outside_the_assumed_band_is_named() -> None:
     )
     assert 3.0 < low < 3.6
     assert 4.4 < high < 5.0
+
+
+def test_baseband_and_conjugate_samples_are_told_with_the_conversion() -> None:
+    capture = capture_of(4e9, VACUUM)
+    spectrum = np.fft.fft(capture.samples, axis=1)
+    spectrum[:, capture.bins // 2 :] = 0
+    analytic = (2 * np.fft.ifft(spectrum, axis=1)).astype(np.complex64)
+    assert band_warning(replace(capture, samples=analytic)) is None
+    phase = 4 * np.pi * capture.center_frequency_hz * capture.ranges_m / capture.wave_speed_m_s
+    baseband = (analytic * np.exp(-1j * phase)).astype(np.complex64)
+    told = band_warning(replace(capture, samples=baseband))
+    assert told is not None and "exp(4j pi center_frequency_hz R / wave_speed_m_s)" in told
+    told = band_warning(replace(capture, samples=analytic.conj()))
+    assert told is not None and "conjugate" in told
 
 
 def test_the_extent_may_be_anything_up_to_the_range_window() -> None:

@@ -65,6 +65,16 @@ def test_two_reflectors_of_one_radius_are_told_apart_by_height(method: str, apar
         assert held_out["residual"] < 0.3 * held_out["backprojection"]
 
 
+def test_a_volume_beyond_the_ranges_is_refused_and_one_of_coarse_voxels_warned_of() -> None:
+    joined = join(captures())
+    with pytest.raises(UsageError, match="beyond the recorded ranges"):
+        reconstruct_volume(joined, VolumeSettings("bp", 40.0, 32))
+    coarse = VolumeSettings("bp", 0.8, 16, (-0.05, 0.05), 2, held_out=False)
+    assert "coarser" in reconstruct_volume(joined, coarse).volume.settings["warnings"][0]
+    fine = replace(coarse, extent_m=0.24)
+    assert "warnings" not in reconstruct_volume(joined, fine).volume.settings
+
+
 def test_a_volume_is_the_matched_filter_of_every_voxel(monkeypatch: pytest.MonkeyPatch) -> None:
     """The same in one block and in many, compiled or not, and for a point 1 at its voxel."""
     place = GRID.points()[1000]

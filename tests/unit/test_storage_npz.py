@@ -58,6 +58,29 @@ def test_angles_in_degrees_are_refused_with_the_conversion(tmp_path: Path, views
     assert read_any(npz(tmp_path / "b.npz", **turn(views, angles_rad=np.deg2rad(degrees)))).views == views
 
 
+@pytest.mark.parametrize("case", ["jitter", "part", "wrapped", "turns", "fine", "lost"])
+def test_measured_partial_and_wrapped_degrees_are_refused(tmp_path: Path, case: str) -> None:
+    jitter = np.random.default_rng(3).normal(0, 0.1, 360)
+    degrees = {
+        "jitter": np.arange(360) + jitter,
+        "part": np.arange(120.0),
+        "wrapped": (np.arange(360) + 180.0) % 360 - 180,
+        "turns": np.arange(720.0),
+        "fine": np.arange(720) / 2 + 0.3 * np.tile(jitter, 2),
+        "lost": np.delete(np.arange(720) / 2, np.arange(100, 110)),
+    }[case]
+    views = len(degrees)
+    with pytest.raises(FileFormatError, match="these are degrees"):
+        read_any(npz(tmp_path / "a.npz", **turn(views, angles_rad=degrees)))
+    assert read_any(npz(tmp_path / "b.npz", **turn(views, angles_rad=np.deg2rad(degrees)))).views == views
+
+
+@pytest.mark.parametrize("step", [2 * np.pi / 6, 2.39996])
+def test_few_views_a_turn_and_golden_angles_of_one_turn_are_radians(tmp_path: Path, step: float) -> None:
+    wrapped = np.arange(30) * step % (2 * np.pi)
+    assert read_any(npz(tmp_path / "a.npz", **turn(30, angles_rad=wrapped))).views == 30
+
+
 def test_ranges_in_millimetres_are_refused_with_the_conversion(tmp_path: Path) -> None:
     changes = {"range_start_m": 300.0, "range_step_m": 9.15, "axis_distance_m": 1000.0}
     with pytest.raises(FileFormatError, match="these are millimetres") as raised:

@@ -177,6 +177,9 @@ def _prior_words(settings: dict[str, Any]) -> list[str]:
         return []
     residual = f"leaves {100 * tried[prior]:.1f} % of views that its fit did not see"
     than = f"the default prior {100 * tried['default']:.1f} %"
+    both = settings.get("prior_against_default")
+    if both and both["residual"] != tried[prior]:
+        than = f"of the first {both['views']} of them {100 * both['residual']:.1f} %, {than}"
     iterations = linear_iterations(prior)
     if iterations is not None and iterations <= 1:
         return [
@@ -187,7 +190,9 @@ def _prior_words(settings: dict[str, Any]) -> list[str]:
     if prior == PIXELS:
         return [f"sparse solution without a field: {residual}, {than}"]
     if prior == "default":
-        return [f"default prior kept: {residual}, less than {len(tried) - 1} others"]
+        others = [tried[name] for name in tried if name != prior]
+        more = sum(left > tried[prior] for left in others)
+        return [f"default prior kept: {residual}, less than {more} of {len(others)} others"]
     return [f"prior {prior}: {residual}, {than}"]
 
 

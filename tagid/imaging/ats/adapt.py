@@ -168,7 +168,8 @@ def fit_adapted(
     where they still ask for another prior and none was given, with that one.
 
     The image's settings say what was tried: "prior" is its name, "prior_trials" the residual of each on views
-    that its fit did not see, "priors_not_tried" what was left out because the image is large.
+    that its fit did not see, "prior_against_default" its residual and that of the defaults on those of these
+    views that both were tried on, "priors_not_tried" what was left out because the image is large.
 
     Args and errors as `fit`.
     """
@@ -192,6 +193,7 @@ def fit_adapted(
     if first is None or (has_field(prior) and prior != DEFAULT):
         first = fit(scans, grid, with_prior(settings, prior), progress, images=images)
     facts = {**first.image.settings, "prior": prior, "prior_trials": trials.residuals()}
+    facts["prior_against_default"] = trials.against_default(prior)
     if trials.skipped:
         facts["priors_not_tried"] = trials.skipped
     if has_field(prior):
@@ -246,6 +248,16 @@ class _Trials:
     def residuals(self) -> dict[str, float]:
         """Share of the energy that every prior leaves of the groups that it was tried on."""
         return {name: part.residual for name, part in self.found.items()}
+
+    def against_default(self, name: str) -> dict[str, float]:
+        """What a prior and the defaults leave of the views that both were tried on, and their number.
+
+        The defaults may fall behind after the first group; others are then judged on more views.
+        """
+        parts = [self.found[each] for each in (name, DEFAULT)]
+        views = min(len(part.measured) for part in parts)
+        left, default = (part.first(views).residual for part in parts)
+        return {"residual": left, "default": default, "views": views}
 
     def chosen(self) -> str:
         """The best prior of those that were tried on every group; the defaults where it is hardly better,

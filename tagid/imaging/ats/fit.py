@@ -413,6 +413,7 @@ class _Fit:
             known.static,
         )
         facts: dict[str, Any] = {"method": "ats", **asdict(self.settings), "engine": engine}
+        facts["held_out_share"] = facts.pop("held_out")  # in an image that is how well it predicts
         facts |= {"calibrate": list(self.settings.calibrate), "axis_distance_m": learned.axis_distance_m}
         facts["calibration"] = learned.facts(self.settings.calibrate)
         facts |= {"steps_done": len(self.losses), "loss": self.losses[-1] if self.losses else 0.0}
