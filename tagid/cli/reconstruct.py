@@ -56,7 +56,7 @@ def register(app: typer.Typer) -> None:
         background: options.Background = "mean",
         focus: Annotated[
             bool,
-            typer.Option(help="Estimate the axis distance within half a wavelength, or the path delay."),
+            typer.Option(help="Estimate the axis distance, or the path delay."),
         ] = True,
         preset: options.Preset = "field",
         pulse: options.Pulse = None,
@@ -67,6 +67,7 @@ def register(app: typer.Typer) -> None:
             bool, typer.Option(help="Compute how well the image predicts held-out views.")
         ] = True,
         delay_search: options.DelaySearch = None,
+        axis_search: options.AxisSearch = None,
         beam: Annotated[
             bool, typer.Option(help="Show sparse images at the resolution of the data, not as single pixels.")
         ] = True,
@@ -131,6 +132,8 @@ def register(app: typer.Typer) -> None:
                 "--heights, --levels, --vti, --ply, --surface and --webp apply to volumes only",
                 "Add --volume.",
             )
+        if not focus and (axis_search is not None or delay_search is not None):
+            raise UsageError("--axis-search and --delay-search have no effect with --no-focus", "Omit them.")
         if volume and (calibrate or ats):
             raise UsageError("--calibrate and --ats do not apply to volumes", "Omit them.")
         if (calibrate or ats) and preset != "field":
@@ -169,6 +172,7 @@ def register(app: typer.Typer) -> None:
             centre_m=imaging.parse_place(centre),
             towards_m=imaging.parse_place(side, "--side"),
             delay_m=delay_search if focus else 0.0,
+            focus_m=axis_search if focus else 0.0,
             restore=beam,
             held_out=held_out,
             free_extent=config.values["imaging.extent_m"].source == "default",

@@ -47,6 +47,7 @@ MOST_SIGMA_WAVELENGTHS = 1 / 16
 _RIVAL_WAVELENGTHS = 0.25
 """Distances farther than this from the best one have to be refuted."""
 _ENERGY_STEP_WAVELENGTHS = 0.1
+BEYOND_SEARCH = "the best distance is at or beyond the edge of the search"
 _BEYOND = 1.4
 """The energy is compared so much farther than the search: what is explained the better the nearer the axis is
 put must show it."""
@@ -262,7 +263,7 @@ def _judge(few: BasebandScans, grid: ImageGrid, given: float, search_m: float, b
 def _with_reason(verdict: _Verdict, inside: bool, best: Explained, lam: float) -> _Verdict:
     reason = ""
     if not inside:
-        reason = "the best distance is at or beyond the edge of the search"
+        reason = BEYOND_SEARCH
     elif best.second < LEAST_SECOND and verdict.offset_m < 0:
         reason = "one spot dominates, which a round body at the given distance would explain as well"
     elif not verdict.evidence >= verdict.needed:

@@ -125,10 +125,15 @@ class _Placed:
 
 
 def _placed(prepared: PreparedCapture, watch: Stopwatch) -> _Placed:
-    """Where the image lies and how large it is. Raises UsageError for a turntable's image off the axis."""
+    """Where the image lies and how large it is. Raises UsageError where the settings do not apply to it."""
     settings = prepared.settings
     grid = ImageGrid(settings.extent_m, settings.pixels)
     if prepared.given.antenna_positions_m is not None:
+        if settings.focus_m:
+            raise UsageError(
+                "the capture has antenna positions and no axis distance",
+                "Omit --axis-search; --delay-search sets the search for the path delay.",
+            )
         with watch.stage("focus"):
             region = choose_region(
                 prepared.given,
@@ -146,6 +151,12 @@ def _placed(prepared: PreparedCapture, watch: Stopwatch) -> _Placed:
         raise UsageError(
             "images of a turntable are always centred on the rotation axis",
             "Omit --centre, or give a larger --extent.",
+        )
+    if settings.towards_m is not None or settings.delay_m:
+        what = "side of its path" if settings.towards_m is not None else "path delay"
+        raise UsageError(
+            f"the capture is from a turntable, which has no {what}",
+            "Omit --side and --delay-search; --axis-search sets the search for the axis distance.",
         )
     if settings.free_pixels:
         finest = finest_cell_m(prepared.given.wavelength_m)

@@ -20,6 +20,7 @@ import warnings
 import zipfile
 import zlib
 from dataclasses import dataclass
+from difflib import get_close_matches
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -72,6 +73,8 @@ _KEYS = frozenset((*OPTIONAL_NUMBERS, *_VECTORS, *_OTHER))
 _TEXTS = ("uuid", "created_utc", "tool_version")
 _OLD_ANGLES = "angle_rad"
 """Name of the angles in older HDF5 and MATLAB files, which scripts copied into NPZ files."""
+_ALIKE = 0.85
+"""Likeness (0 to 1, difflib) from which on a name is a misspelt key: bandwith_hz, centre_frequency_hz."""
 _SMALL_BYTES = 16 << 20
 _MAX_EXPANSION = 20
 """Scans contain noise and compress 2:1 to 5:1; a much higher ratio in a large file indicates an attack."""
@@ -84,9 +87,11 @@ def read_npz(path: Path) -> Capture:
 
     Raises:
         StorageError: the file cannot be read.
-        FileFormatError: damaged, a key is missing, of the wrong shape, dtype or size, or not finite.
+        FileFormatError: damaged; a key is missing or misspelt; a value has a wrong shape, dtype or size.
     """
-    arrays = read_arrays(path, files.read_bytes(path), _KEYS | {_OLD_ANGLES})
+    data = files.read_bytes(path)
+    arrays = read_arrays(path, data, _KEYS | {_OLD_ANGLES})
+    _refuse_misspelt(path, data, arrays)
     if _OLD_ANGLES in arrays:
         arrays.setdefault("angles_rad", arrays[_OLD_ANGLES])
     missing = [key for key in ("samples", "range_start_m", "range_step_m") if key not in arrays]
@@ -139,6 +144,20 @@ def read_npz(path: Path) -> Capture:
     if not ours:
         check_units(path, capture)
     return capture
+
+
+def _refuse_misspelt(path: Path, data: bytes, arrays: dict[str, NDArray[Any]]) -> None:
+    """Raise FileFormatError where a number that has a default is there under a similar name only."""
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        names = [member.filename.removesuffix(".npy") for member in archive.infolist()]
+    absent = [key for key in OPTIONAL_NUMBERS if key not in arrays]
+    for name in names:
+        if name not in _KEYS:
+            for meant in get_close_matches(name.lower(), absent, 1, _ALIKE):
+                raise FileFormatError(
+                    f"{path}: the NPZ file holds {displayable(name)}, which is not a key; is it {meant}?",
+                    f"Rename it to {meant}, or leave it out.",
+                )
 
 
 def encode_npz(capture: Capture) -> bytes:

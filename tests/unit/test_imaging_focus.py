@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 from imaging_scenes import BANDWIDTH, FC, C, record, turn
 
 from tagid.capture import Capture
+from tagid.cli.common.imaging import focus_words
+from tagid.errors import UsageError
 from tagid.geometry import ImageGrid
 from tagid.imaging.autofocus import MOST_SIGMA_WAVELENGTHS, focus_axis_distance
 from tagid.imaging.pointmodel import BAND_PARTS, BandDelays, band_delays, explain, jackknife_error
@@ -140,3 +143,35 @@ def test_the_search_is_made_once_for_a_prepared_capture() -> None:
     assert prepared.focus() is prepared.focus()
     assert reconstruct(prepared).focus is prepared.focus()
     assert PreparedCapture(capture, replace(settings, focus_m=0.0)).focus() is None
+
+
+def test_a_distance_beyond_the_search_is_found_by_a_wider_one() -> None:
+    """1.2 wavelengths off; the words of a search that is too narrow name the option that widens it."""
+    error = 1.2 * LAM
+    capture = replace(
+        record(POINTS, [1.0, 0.7], turn(120), noise=0.05, start_m=0.2, bins=220),
+        angles_rad=np.arange(120) * 2 * np.pi / 120,
+        axis_distance_m=1.0 + error,
+    )
+    settings = ImagingSettings(method="bp", extent_m=0.4, pixels=48, background="none", held_out=False)
+    near = reconstruct(capture, settings, tell_outside=False).focus
+    assert near is not None and not near.reliable
+    assert "--axis-search" in " ".join(focus_words(near))
+    far = reconstruct(capture, replace(settings, focus_m=1.9 * LAM), tell_outside=False).focus
+    assert far is not None and far.reliable
+    assert far.axis_distance_m == pytest.approx(1.0, abs=0.002)
+
+
+@pytest.mark.parametrize("change", [{"towards_m": (0.0, 1.0)}, {"delay_m": 0.5}])
+def test_searches_of_paths_are_refused_for_a_turntable(change: dict[str, Any]) -> None:
+    capture = replace(
+        record(POINTS, [1.0, 0.7], turn(12)),
+        angles_rad=np.arange(12) * 2 * np.pi / 12,
+        axis_distance_m=1.0,
+    )
+    with pytest.raises(UsageError, match="turntable"):
+        reconstruct(capture, ImagingSettings(method="bp", **change))
+    positions = replace(capture, angles_rad=None, antenna_positions_m=turn(12).positions)
+    with pytest.raises(UsageError, match="antenna positions") as raised:
+        reconstruct(replace(positions, axis_distance_m=None), ImagingSettings(method="bp", focus_m=0.1))
+    assert "--delay-search" in raised.value.remedy

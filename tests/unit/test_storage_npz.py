@@ -43,6 +43,23 @@ def test_generic_file_of_another_radar(tmp_path: Path) -> None:
     assert c.object == ObjectInfo(label="box 3") and c.complete
 
 
+@pytest.mark.parametrize(
+    ("wrong", "meant"),
+    [
+        ("centre_frequency_hz", "center_frequency_hz"),
+        ("Bandwith_Hz", "bandwidth_hz"),
+        ("antenna_hight_m", "antenna_height_m"),
+    ],
+)
+def test_a_misspelt_key_is_an_error_not_a_default(tmp_path: Path, wrong: str, meant: str) -> None:
+    with pytest.raises(FileFormatError, match=f"is it {meant}") as raised:
+        read_any(npz(tmp_path / "a.npz", **{wrong: 1e9}))
+    assert meant in raised.value.remedy
+    # A key of its own, or beside the right one, is nobody's mistake.
+    read_any(npz(tmp_path / "b.npz", temperature_c=20.0))
+    read_any(npz(tmp_path / "c.npz", **{wrong: 1e9, meant: 1.0}))
+
+
 def turn(views: int = 36, **changes: Any) -> dict[str, Any]:
     scans = np.random.default_rng(views).standard_normal((views, 16))
     return {"samples": scans, "angles_rad": np.arange(views) * 2 * np.pi / views, **changes}
@@ -159,6 +176,7 @@ BAD: dict[str, tuple[tuple[str, ...], dict[str, Any], str]] = {
     "records": ((), {"samples": np.zeros((4, 6), [("a", "i4")])}, "dtype"),
     "NaN": ((), {"samples": np.full((4, 6), np.nan)}, "non-finite"),
     "too large for float32": ((), {"samples": np.full((4, 6), 1e300)}, "non-finite"),
+    "energy too large for float32": ((), {"samples": np.full((4, 6), 1e30)}, "exceed 1e+15"),
     "angles of another length": ((), {"angles_rad": np.zeros(5)}, "(5,)"),
     "angles NaN": ((), {"angles_rad": np.full(4, np.nan)}, "angles_rad"),
     "angles complex": ((), {"angles_rad": np.zeros(4, complex)}, "angles_rad"),

@@ -79,6 +79,15 @@ DelaySearch = Annotated[
         show_default=False,
     ),
 ]
+AxisSearch = Annotated[
+    float | None,
+    typer.Option(
+        "--axis-search",
+        help="Half-width of the axis-distance search (m), for turntables. "
+        "Default: half a wavelength, 0.04 m for a P440; at most two.",
+        show_default=False,
+    ),
+]
 Side = Annotated[
     str | None,
     typer.Option(

@@ -360,7 +360,7 @@ class PointFitter:
             gain = 0.0
             for _ in range(4):
                 load = damping * np.diag(normal) + 1e-12 * np.trace(normal) + 1e-300
-                step = np.linalg.solve(normal + np.diag(load), gradient)
+                step = np.asarray(np.linalg.solve(normal + np.diag(load), gradient), dtype=np.float64)
                 trial = _moved(places, step) if rigid else places + step[0::2] + 1j * step[1::2]
                 longest = np.abs(_plain(trial - places)).max()
                 if np.abs(trial).max() < _FARTHEST_M and longest < _LONGEST_M:
