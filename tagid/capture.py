@@ -31,10 +31,6 @@ class ViewFlag(enum.IntFlag):
     AFTER_GAP = 8
 
 
-MAX_SAMPLE = 1e15
-"""Largest magnitude of a sample: sums of squares over a capture stay finite in single precision."""
-
-
 @dataclass(frozen=True, eq=False)
 class Pulse:
     """A transmitted pulse as received from a point target, antennas included.
@@ -122,11 +118,6 @@ class Capture:
             raise DataError(
                 f"{len(bad)} of {len(s)} views hold non-finite samples, the first is view {bad[0]} (from 0)",
                 "Leave these views out, with their angles or positions.",
-            )
-        if s.dtype != np.int32 and float(np.abs(s.view(np.float32)).max(initial=0.0)) > MAX_SAMPLE:
-            raise DataError(
-                f"samples exceed {MAX_SAMPLE:g}: their energy would overflow in single precision",
-                "Scale all samples by one factor.",
             )
         if not (np.isfinite(self.range_step_m) and self.range_step_m > 0):
             raise DataError(f"range step is {self.range_step_m} m, expected a positive number")

@@ -43,6 +43,9 @@ SHAPE_PRIOR = 5.0
 MIN_EARLY_VALUES = 16
 """Values before the object from which the noise is known to 36 %, enough to notice that it is coloured."""
 
+MAX_SAMPLE = 1e15
+"""Largest magnitude of a sample: sums of squares over a capture stay finite in single precision."""
+
 _CHUNK_SAMPLES = 1 << 22
 _LN2 = float(np.log(2))
 
@@ -100,8 +103,8 @@ def preprocess(
         settings: see `PreprocessSettings`.
 
     Raises:
-        DataError: too few views or bins, all zero, nothing changes over angle, sampled too coarsely for the
-            pulse's band, or the object's ranges lie outside the recorded ones.
+        DataError: too few views or bins, all zero or one beyond `MAX_SAMPLE`, nothing changes over angle,
+            sampled too coarsely for the pulse's band, or the object's ranges lie outside the recorded ones.
     """
     settings = settings or PreprocessSettings()
     aperture = aperture or capture.aperture()
@@ -193,6 +196,13 @@ def _check(capture: Capture, aperture: Aperture, settings: PreprocessSettings) -
         )
     if not np.any(capture.samples):
         raise DataError("all samples are zero", "Check the radar's antenna and its transmit gain.")
+    with np.errstate(over="ignore"):
+        largest = float(np.abs(capture.samples).max())
+    if largest > MAX_SAMPLE:
+        raise DataError(
+            f"samples exceed {MAX_SAMPLE:g}: their energy would overflow in single precision",
+            "Scale all samples by one factor.",
+        )
     if capture.views < 2 and settings.background != "none":
         raise DataError(
             f"the capture has {capture.views} view: removing the background over angle leaves nothing",

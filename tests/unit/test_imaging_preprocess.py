@@ -160,6 +160,8 @@ def test_axis_outside_the_data_names_both_distances():
         (np.zeros((12, 130), np.float32), "zero"),
         (np.ones((12, 130), np.float32), "nothing changes"),
         (np.ones((12, 4), np.float32), "4 range bins"),
+        (np.full((12, 130), 1e30, np.float32), "overflow"),
+        (np.full((12, 130), 3e38 + 3e38j, np.complex64), "overflow"),
     ],
 )
 def test_unusable_scans_are_refused(samples, message):
