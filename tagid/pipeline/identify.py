@@ -206,7 +206,7 @@ def _second_look(prepared: PreparedCapture, reading: Reading) -> SecondLook | No
 
 
 def _reader_settings(settings: ImagingSettings, spent: float = 0.0) -> ReaderSettings:
-    from tagid.tags.matching.contest import ContestSettings
+    from tagid.tags.matching.contest_settings import ContestSettings
     from tagid.tags.matching.matcher import ReaderSettings
     from tagid.tags.reading.decision import DecisionSettings
 

@@ -33,7 +33,7 @@ from until_sure_scenes import FIRST, STATEMENT, Turn, null_turn, tagged_body_tur
 
 from tagid.pipeline.prepared import PreparedCapture
 from tagid.pipeline.settings import ImagingSettings
-from tagid.tags.matching.contest import ContestSettings
+from tagid.tags.matching.contest_settings import ContestSettings
 from tagid.tags.matching.matcher import ReaderSettings, read_tag
 from tagid.tags.matching.reading import Reading
 from tagid.tags.reading.decision import DecisionSettings

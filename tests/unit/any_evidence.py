@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tagid.tags.bodies.calibration import Basis, Calibration, Scores, Stratum
-from tagid.tags.matching.contest import ContestSettings
+from tagid.tags.matching.contest_settings import ContestSettings
 from tagid.tags.matching.matcher import ReaderSettings
 
 ALL = dict.fromkeys(Basis, Scores(10**6))

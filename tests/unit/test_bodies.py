@@ -32,7 +32,7 @@ from tagid.tags.bodies.ring import PairSearch, Ring
 from tagid.tags.bodies.spectra import Spectra, centred
 from tagid.tags.bodies.subtract import without_body
 from tagid.tags.layouts.layout import Layout, builtin_layouts
-from tagid.tags.matching.contest import ContestSettings
+from tagid.tags.matching.contest_settings import ContestSettings
 from tagid.tags.matching.matcher import ReaderSettings, read_tag
 from tagid.tags.verdicts.verdict import ADVICE, Code
 from train.calibrate import one, replaced, strata

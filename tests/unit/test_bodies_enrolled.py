@@ -32,7 +32,8 @@ from tagid.tags.bodies.steadying import steadied
 from tagid.tags.enrolling.layout_file import read_entries, write_layouts
 from tagid.tags.enrolling.registry import Registry
 from tagid.tags.layouts.layout import Layout, builtin_layouts
-from tagid.tags.matching.contest import ContestSettings, _contested
+from tagid.tags.matching.contest import _contested
+from tagid.tags.matching.contest_settings import ContestSettings
 from tagid.tags.verdicts.verdict import Code
 
 GOLDEN = Path(__file__).parents[1] / "data" / "registry-v1.sqlite"

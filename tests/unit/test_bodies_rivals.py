@@ -31,7 +31,8 @@ from tagid.tags.bodies.revolution import RoundBody
 from tagid.tags.bodies.spectra import Spectra, centred
 from tagid.tags.bodies.symmetric import symmetric_left
 from tagid.tags.layouts.layout import builtin_layouts
-from tagid.tags.matching.contest import BODY_LEAVES, ContestSettings, _undisputed
+from tagid.tags.matching.alone import BODY_LEAVES, undisputed
+from tagid.tags.matching.contest_settings import ContestSettings
 from tagid.tags.matching.matcher import read_tag
 from tagid.tags.matching.reading import Reading
 from tagid.tags.matching.vote import read_together
@@ -195,7 +196,7 @@ def test_no_body_is_tried_where_its_charge_alone_decides(monkeypatch: pytest.Mon
     floor = BODY_LEAVES * spectra.noise_energy + settings.disputed_nats
     for own in (floor + 0.5 * cost, floor + 0.99 * cost, floor + 1.01 * cost):
         points = SimpleNamespace(layouts=[SimpleNamespace(layout="pair", left=own)], tag=0.0)
-        assert _undisputed(bare, points, spectra, LAYOUTS, settings) is bare
+        assert undisputed(bare, points, spectra, LAYOUTS, settings) is bare
     assert tried == [floor + 1.01 * cost]
 
 

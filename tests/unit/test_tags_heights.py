@@ -19,7 +19,7 @@ from tagid.tags.layouts.codebook import all_distances, height_weight, in_space, 
 from tagid.tags.layouts.design import DesignRules, design
 from tagid.tags.layouts.layout import Layout
 from tagid.tags.layouts.objects import Row, TaggedObject
-from tagid.tags.matching.contest import ContestSettings
+from tagid.tags.matching.contest_settings import ContestSettings
 from tagid.tags.matching.heights import without_bodies
 from tagid.tags.reading.field import MatchedField
 from tagid.tags.reading.views import fold_views

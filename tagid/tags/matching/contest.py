@@ -7,83 +7,41 @@ that passes its own decision and is not contradicted by one that explains the ec
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from math import inf
 
 import numpy as np
 
 from tagid.imaging.types import BasebandScans
 from tagid.tags.bodies.arrangement import difference_deg, gaps_deg, layout_gaps_deg
-from tagid.tags.bodies.body_reading import BodyReading, BodySettings
-from tagid.tags.bodies.calibration import Basis, Bound, Calibration
-from tagid.tags.bodies.decide import BodyDecision, decide_on_body, score, tag_snr_db
+from tagid.tags.bodies.body_reading import BodyReading
+from tagid.tags.bodies.calibration import Bound, Calibration
+from tagid.tags.bodies.decide import decide_on_body, score, tag_snr_db
 from tagid.tags.bodies.hypothesis import Enrolled, Explanation, Kind, Pose, plausible
-from tagid.tags.bodies.objects import ObjectDecision, ObjectReading, decide_object, read_objects
-from tagid.tags.bodies.points import Place, PointReading, PointSettings, read_points
-from tagid.tags.bodies.reflectors_fit import FEWEST_TERMS
+from tagid.tags.bodies.objects import ObjectReading, decide_object, read_objects
+from tagid.tags.bodies.points import PointReading
 from tagid.tags.bodies.spectra import Spectra
 from tagid.tags.layouts.layout import Layout
-from tagid.tags.matching.bare_checks import BareDecision, checked
+from tagid.tags.matching.alone import (
+    in_place,
+    pointed,
+    points_of,
+    promised,
+    undisputed,
+    without_body,
+)
+from tagid.tags.matching.bare_checks import checked
 from tagid.tags.matching.beside import borne_out, read_beside_wall
+from tagid.tags.matching.contest_settings import ContestSettings
 from tagid.tags.matching.promise import bound_on_body, kept
 from tagid.tags.matching.reading import Reading
-from tagid.tags.matching.won import as_points, kind_on, on_body, on_object
+from tagid.tags.matching.won import kind_on, on_body, on_object
 from tagid.tags.verdicts.verdict import Code, Verdict
 
 ENOUGH_BODIES = 2
 """Enrolled bodies that are read in any case; more only while a layout on none of them explains the echo."""
 EXPLAINED_OBJECTS = 3
 """Enrolled objects reported among the hypotheses, the best ones."""
-
-
-@dataclass(frozen=True)
-class ContestSettings:
-    """How hypotheses are compared.
-
-    Attributes:
-        body: search and priors on bodies.
-        decision: tests on bodies.
-        points: fit and tests of tags without a body.
-        bare: checks of a name without a body.
-        explained: a bare reading that explains this share of the echo is not contested: no body could leave
-            a third of so little.
-        wall_m: a body takes part against a bare name only where its echo comes from so far before its centre
-        wall_share: and has this share of the moving echo's energy: the interaction of bare reflectors comes
-            from behind it.
-        outward: or where the reflectors shine outward by more than this (`Evidence.outward`): bare
-            full-wave tags reach 0.3, tags on full-wave cans have 0.64 or more.
-        false_accept: probability of naming an object of the calibration's population.
-        calibrated: by which; None for the package's own.
-        beyond: or where points without a body are behind the layout on it by such a lead: a strong body is
-            nearly one point, and what it hides counts.
-        better: a hypothesis that leaves so many times less contradicts one that names another layout.
-        enrolled_lead: a name on a round body is refused where an enrolled body leads it by so much. Of 42
-            full-wave readings that are right it leads by 0.55 at most, of neighbours on a box by 5.
-        disputed_nats: a name without a body is refused where another arrangement on a round body leaves so
-            many noise variances less, its amplitudes charged, beyond what `points` may leave of a tag: in a
-            weak echo one reflector on a can passes for two without a body.
-        objects: tests on enrolled objects.
-    """
-
-    body: BodySettings = field(default_factory=BodySettings)
-    decision: BodyDecision = field(default_factory=BodyDecision)
-    points: PointSettings = field(default_factory=PointSettings)
-    bare: BareDecision = field(default_factory=BareDecision)
-    explained: float = 0.9
-    wall_m: float = 0.010
-    wall_share: float = 0.05
-    outward: float = 0.45
-    beyond: float = 2.0
-    better: float = 3.0
-    enrolled_lead: float = 1.0
-    disputed_nats: float = 12.0
-    objects: ObjectDecision = field(default_factory=ObjectDecision)
-    false_accept: float = 1e-3
-    calibrated: Calibration | None = None
-
-    def calibration(self) -> Calibration:
-        """The calibration in force. Raises ModelError where the package's file is damaged."""
-        return self.calibrated or Calibration.shipped()
 
 
 def settle(
@@ -110,41 +68,23 @@ def settle(
     spectra = Spectra.of(scans, wavenumbers=enrolled.wavenumbers)
     points = None
     if bare.code is not Code.NO_ECHO and direction_known:
-        points = _points(bare, spectra, layouts, settings.points)
-        bare = _in_place(bare, points, settings.points)
-    done = _without_body(bare, points, layouts, settings)
+        points = points_of(bare, spectra, layouts, settings.points)
+        bare = in_place(bare, points, settings.points)
+    done = without_body(bare, points, layouts, settings)
     if done is not None:
         borne = checked(done, points, spectra, layouts, settings.bare, opaque=opaque)
-        if borne.status != done.status and (enrolled.bodies or enrolled.objects):
-            # A name that no points bear out may be that of reflectors on an enrolled body.
+        if borne.status != done.status:
+            # A name that no points bear out may be that of reflectors on a body.
             done, bare = None, borne
         else:
-            if points is not None and _pointed(bare, points, settings):
+            if points is not None and pointed(bare, points, settings):
                 own = replace(own, layout=done.layout, left=float(np.clip(points.unexplained, 0, 1)))
             settled = replace(borne, hypotheses=(own,))
     if done is None:
         settled = _against_bodies(_Bare(bare, own, points, opaque), spectra, layouts, enrolled, settings)
         settled = checked(settled, points, spectra, layouts, settings.bare, opaque=opaque)
-    settled = _undisputed(settled, points, spectra, layouts, settings)
-    return _promised(settled, points, spectra, settings)
-
-
-def _without_body(
-    bare: Reading, points: PointReading | None, layouts: Sequence[Layout], settings: ContestSettings
-) -> Reading | None:
-    """The reading where no body need take part; None where one may."""
-    if bare.evidence.outward > settings.outward:
-        return None
-    if points is not None and _pointed(bare, points, settings):
-        return as_points(bare, points, layouts)
-    named = bare.status in ("identified", "ambiguous")
-    return bare if named and bare.evidence.share >= settings.explained else None
-
-
-def _pointed(bare: Reading, points: PointReading, settings: ContestSettings) -> bool:
-    """Whether points name a layout that nothing in the bare reading speaks against."""
-    doubted = bare.status == "ambiguous" or bare.code is Code.HIDDEN
-    return points.passes(settings.points) and not doubted
+    settled = undisputed(settled, points, spectra, layouts, settings)
+    return promised(settled, points, spectra, settings)
 
 
 @dataclass(frozen=True)
@@ -172,8 +112,8 @@ def bare_evidence(
     settings: ContestSettings,
 ) -> float:
     """The evidence for a wrong name without a body, -inf where `settle` gives none."""
-    placed = _in_place(bare, points, settings.points)
-    if (_without_body(placed, points, layouts, settings) or placed).status != "identified":
+    placed = in_place(bare, points, settings.points)
+    if (without_body(placed, points, layouts, settings) or placed).status != "identified":
         return -inf
     freely = replace(settings, calibrated=Calibration("none", (), {}))
     last = settle(bare, scans, layouts, Enrolled(), freely)
@@ -200,9 +140,9 @@ def null_evidence(
     spectra = Spectra.of(scans)
     points, alone = None, -inf
     if bare.code is not Code.NO_ECHO:
-        points = _points(bare, spectra, layouts, settings.points)
+        points = points_of(bare, spectra, layouts, settings.points)
         alone = bare_evidence(bare, points, scans, layouts, settings)
-        bare = _in_place(bare, points, settings.points)
+        bare = in_place(bare, points, settings.points)
     if not bodies:
         return NullEvidence(-inf, -inf, alone, points.snr_db if points is not None else 0.0)
     reading = read_on_body(spectra, layouts, settings.body.body, settings.body, [complex(*bare.centre_m)])
@@ -213,7 +153,10 @@ def null_evidence(
     evidence = score(reading, settings.decision) if _shows(known, reading, settings) else -inf
     walled = -inf
     # Where points without a body are named, `settle` asks no wall.
-    contested = _without_body(bare, points, layouts, settings) is None
+    done = without_body(bare, points, layouts, settings)
+    if done is not None:
+        done = checked(done, points, spectra, layouts, settings.bare, opaque=known.opaque)
+    contested = done is None or done.status == "unknown"
     if contested and decide_on_body(reading, settings.decision).status != "no_tag":
         beside = read_beside_wall(reading, points, spectra, layouts, settings.body)
         if beside is not None and _shows(known, beside, settings):
@@ -242,87 +185,6 @@ class _Bare:
     own: Explanation
     points: PointReading | None
     opaque: bool
-
-
-def _points(
-    bare: Reading, spectra: Spectra, layouts: Sequence[Layout], settings: PointSettings
-) -> PointReading:
-    """Points with double bounce near where the bare reading found something."""
-    by_name = {layout.name: layout for layout in layouts}
-    places = [Place(by_name[s.name], float(np.deg2rad(s.rotation_deg)), s.centre_m) for s in bare.scores]
-    found = np.array([complex(r.x_m, r.y_m) for r in bare.reflectors], dtype=np.complex128)
-    return read_points(spectra, places, found, settings)
-
-
-def _in_place(bare: Reading, points: PointReading, settings: PointSettings) -> Reading:
-    """The bare reading, its name taken back where points with double bounce find the reflectors elsewhere."""
-    if bare.layout != points.layouts[0].layout or not points.displaced(settings):
-        return bare
-    off = points.displaced_m * 1e3
-    return bare.refused(Code.DISPLACED, f"reflectors lie {off:.1f} mm from the nearest layout's")
-
-
-BODY_LEAVES = 0.6
-"""No arrangement on a body leaves less than this share of the noise: it has up to 6 of at least 17 amplitudes
-per frequency."""
-
-
-def _undisputed(
-    reading: Reading,
-    points: PointReading | None,
-    spectra: Spectra,
-    layouts: Sequence[Layout],
-    settings: ContestSettings,
-) -> Reading:
-    """A name without a body, taken back where other reflectors on a round body explain the echo better.
-
-    A weak echo is explained to the noise by many arrangements of points; then it counts which explains most.
-    Reflectors that are hidden in some views are explained by their layout on a body, which counts for it.
-    Where points leave little beyond the noise, and what the fewest amplitudes on a body are charged, no body
-    is tried.
-    """
-    if reading.status != "identified" or reading.kind is not Kind.BARE or points is None:
-        return reading
-    own = next((placed.left for placed in points.layouts if placed.layout == reading.layout), inf)
-    margin = settings.disputed_nats * spectra.noise + settings.points.unexplained * points.tag
-    least = BODY_LEAVES * spectra.noise_energy + (FEWEST_TERMS - 1) * spectra.amplitude_cost
-    if spectra.noise <= 0 or own - least <= margin:
-        return reading
-    body = reading.body
-    if body is None or body.body.name:
-        from tagid.tags.bodies.reader import read_on_body
-
-        body = read_on_body(spectra, layouts, settings.body.body, settings.body, [complex(*reading.centre_m)])
-    if body is None:
-        return reading
-    wanted = layout_gaps_deg(next(one for one in layouts if one.name == reading.layout))
-    alike, others = [own], [inf]
-    for placed in (*body.layouts, *body.others, *([body.free] if body.free else [])):
-        same = difference_deg(gaps_deg(placed.angles), wanted) <= settings.body.other_deg
-        (alike if same else others).append(placed.charged)
-    if min(others) >= min(alike) - margin:
-        return reading
-    refused = reading.refused(
-        Code.OTHER,
-        f"other reflectors on a round body explain the echo better than {reading.layout} without one",
-    )
-    return replace(refused, body=body)
-
-
-def _promised(
-    reading: Reading, points: PointReading | None, spectra: Spectra, settings: ContestSettings
-) -> Reading:
-    """A name without a body with the bound that holds for it.
-
-    The bound is stated and takes no name back: such a name rests on its own decision, and a pair of bare
-    reflectors in an enrolled spacing is that layout, whatever object it belongs to.
-    """
-    if reading.status != "identified" or reading.kind is not Kind.BARE or points is None:
-        return reading
-    bound = settings.calibration().bound(
-        points.lead, spectra.views, points.snr_db, settings.false_accept, Basis.BARE
-    )
-    return replace(reading, bound=bound)
 
 
 def _against_bodies(

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from tagid.tags.matching.contest import ContestSettings
+from tagid.tags.matching.contest_settings import ContestSettings
 from tagid.tags.matching.reading import Reading
 from tagid.tags.verdicts.verdict import Code
 

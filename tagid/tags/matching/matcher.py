@@ -7,7 +7,7 @@ look like some layout of two when only peaks are matched.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,9 +16,12 @@ from tagid.errors import RegistryError
 from tagid.imaging.types import BasebandScans
 from tagid.imaging.whitening import whitened
 from tagid.signal import median
-from tagid.tags.bodies.hypothesis import Enrolled
+from tagid.tags.bodies.hypothesis import Enrolled, Explanation, Kind, Pose
+from tagid.tags.bodies.spectra import Spectra
 from tagid.tags.layouts.layout import Layout
-from tagid.tags.matching.contest import ContestSettings, NullEvidence, null_evidence, settle
+from tagid.tags.matching.alone import Alone, named_alone
+from tagid.tags.matching.contest import NullEvidence, null_evidence, settle
+from tagid.tags.matching.contest_settings import ContestSettings
 from tagid.tags.matching.heights import without_bodies
 from tagid.tags.matching.reading import LayoutScore, Reading
 from tagid.tags.reading.decision import PLACES_PER_METRE, DecisionSettings, Evidence, decide
@@ -33,7 +36,9 @@ from tagid.tags.reading.reflectors import (
     separate,
 )
 from tagid.tags.reading.rivals import rivals
+from tagid.tags.reading.thin_wall import thin_wall
 from tagid.tags.reading.views import fold_views
+from tagid.tags.verdicts.verdict import Code
 
 EXTRA_NATS = 11.0
 """Extra reflectors are looked for more eagerly than the finder does, at 1000 exp(-11) = 2 % of false alarms:
@@ -89,7 +94,12 @@ def null_evidence_of(scans: BasebandScans, layouts: Sequence[Layout], *, bodies:
     settings = ReaderSettings()
     scan = MatchedScan(scans, layouts, settings)
     bare = scan.read(np.argsort(scan.criteria))
-    return null_evidence(bare, scan.scans, layouts, settings.contest, bodies=bodies)
+    evidence = null_evidence(bare, scan.scans, layouts, settings.contest, bodies=bodies)
+    if evidence.bare > -np.inf or bare.code is Code.NO_ECHO:
+        return evidence
+    # As in `MatchedScan.settled`, whatever is found on a body.
+    found = scan.before_thin_wall()
+    return evidence if found is None else replace(evidence, bare=found.points.lead)
 
 
 LEVEL_STEP_M = 8e-3
@@ -161,14 +171,35 @@ class MatchedScan:
         """
         if self._field.several_heights:
             return without_bodies(bare, self._settings.contest)
-        return settle(
-            bare,
-            self.scans,
-            self._layouts,
-            self._enrolled,
-            self._settings.contest,
-            direction_known=self._settings.direction_known,
-        )
+        known = self._settings.direction_known
+        contest = self._settings.contest
+        settled = settle(bare, self.scans, self._layouts, self._enrolled, contest, direction_known=known)
+        on_enrolled = settled.body is not None and bool(settled.body.body.name)
+        if settled.status != "unknown" or on_enrolled or not known:
+            return settled
+        found = self.before_thin_wall()
+        return settled if found is None else found.reading
+
+    def before_thin_wall(self) -> Alone | None:
+        """The name without a body once the echo of a thin round wall is taken out; None for none.
+
+        The wall is about the best layout's centre. Where it explains too little nothing is read again.
+        """
+        best = min(self._fits, key=lambda fit: fit.criterion)
+        wall = thin_wall(self.scans, self._field, best)
+        if wall is None:
+            return None
+        scan = MatchedScan(wall.scans, self._layouts, self._settings)
+        bare = scan.read(np.argsort(scan.criteria))
+        found = named_alone(bare, Spectra.of(scan.scans), self._layouts, self._settings.contest)
+        if found is None:
+            return None
+        reading, radius = found.reading, wall.radius_m
+        left = float(np.clip(found.points.unexplained, 0, 1))
+        pose = Pose(reading.centre_m)
+        own = Explanation(Kind.BARE, "", reading.layout, left, None, pose, reading.rotation_deg)
+        note = f"the echo of a thin round wall, about {radius * 1e3:.0f} mm in radius, was taken out first"
+        return replace(found, reading=replace(reading, hypotheses=(own,), note=note))
 
     def read(self, order: NDArray[np.intp]) -> Reading:
         """What this recording says without a body if the layouts rank in this order."""

@@ -53,7 +53,7 @@ class Reading:
         hypotheses: every hypothesis that was fitted, best first.
         bound: what `tags.false_accept` rests on; None where no calibration was asked.
         body: the fit on a body, where one was made; for pictures without the body.
-        note: what the reading did not consider; empty if nothing was left out.
+        note: what the reading took out or did not consider; empty for nothing.
     """
 
     status: str

@@ -234,6 +234,15 @@ class MatchedField:
         """(..., K, K) G[k, l] = <s_k, s_l> of groups of K templates (..., K, views * rank)."""
         return np.asarray(np.matmul(templates.conj(), np.swapaxes(templates, -1, -2)), dtype=np.complex128)
 
+    def samples_without(
+        self, samples: NDArray[np.complex64], template: NDArray[np.complex64]
+    ) -> NDArray[np.complex64]:
+        """Scans (views, bins) minus a template (views * rank,), which is subtracted where it reaches."""
+        left = samples.copy()
+        rows = template.reshape(self.views, -1) @ self._range.basis.T
+        left[:, self._range.keep] -= rows.astype(np.complex64)
+        return left
+
     def full_gram(
         self, distances: NDArray[np.float64], weight: NDArray[np.float32] | None = None
     ) -> NDArray[np.complex128]:

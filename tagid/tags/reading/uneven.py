@@ -36,7 +36,8 @@ class UnevenFit:
         residual: (views * rank,) data minus the fit.
         explained: energy explained by the fit, minus the penalty of the prior.
         cost_nats: evidence lost to the additional freedom: log det(1 + C_prior / C_error).
-        sizes: (K,) RMS of A_k over that of w_k.
+        sizes: (K,) RMS of A_k over that of w_k, both weighted by (1 + cos psi)^2: what a reflector shows
+            where it faces the antenna. One on the axis faces it always, and is no stronger for that.
         outward: mean cosine of psi (see `Aspect`) weighted by |A_k(v)|^2, minus its mean over the views.
     """
 
@@ -84,14 +85,15 @@ class UnevenFit:
         shine = shine + found[size:].reshape(len(waves), size).T @ waves
         power = np.abs(shine) ** 2
         side = facing @ np.stack([np.cos(angle), np.sin(angle)])
-        whole = float(field.views) if even is None else np.maximum(np.sum(even**2, axis=1), 1e-9)
+        facing_us = (1 + side) ** 2
+        whole = (facing_us if even is None else even**2 * facing_us).sum(axis=1)
         return cls(
             templates,
             inverse,
             np.asarray(field.data - found.astype(np.complex64) @ templates, dtype=np.complex64),
             float(np.real(np.vdot(b, found))),
             float(cost),
-            np.asarray(np.sqrt(power.sum(axis=1) / whole), dtype=np.float64),
+            np.sqrt((power * facing_us).sum(axis=1) / np.maximum(whole, 1e-9)),
             float(
                 np.mean((power * side).sum(axis=1) / np.maximum(power.sum(axis=1), 1e-30) - side.mean(axis=1))
             ),

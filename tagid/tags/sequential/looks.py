@@ -21,7 +21,7 @@ from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.imaging.types import BasebandScans
 from tagid.tags.bodies.hypothesis import Enrolled
 from tagid.tags.layouts.layout import Layout
-from tagid.tags.matching.contest import ContestSettings
+from tagid.tags.matching.contest_settings import ContestSettings
 from tagid.tags.matching.matcher import MatchedScan, ReaderSettings
 from tagid.tags.matching.reading import Reading
 from tagid.tags.reading.aspect import outward

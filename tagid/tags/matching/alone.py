@@ -1,0 +1,157 @@
+"""Names without a body: what points with double bounce say of them, and which of them stand."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from math import inf
+
+import numpy as np
+
+from tagid.tags.bodies.arrangement import difference_deg, gaps_deg, layout_gaps_deg
+from tagid.tags.bodies.calibration import Basis
+from tagid.tags.bodies.hypothesis import Kind
+from tagid.tags.bodies.points import Place, PointReading, PointSettings, read_points
+from tagid.tags.bodies.reflectors_fit import FEWEST_TERMS
+from tagid.tags.bodies.spectra import Spectra
+from tagid.tags.layouts.layout import Layout
+from tagid.tags.matching.bare_checks import checked
+from tagid.tags.matching.contest_settings import ContestSettings
+from tagid.tags.matching.reading import Reading
+from tagid.tags.matching.won import as_points
+from tagid.tags.verdicts.verdict import Code
+
+
+@dataclass(frozen=True, eq=False)
+class Alone:
+    """A name without a body that every check leaves.
+
+    Attributes:
+        reading: with the name and its bound.
+        points: fit of points with double bounce.
+    """
+
+    reading: Reading
+    points: PointReading
+
+
+def named_alone(
+    bare: Reading, spectra: Spectra, layouts: Sequence[Layout], settings: ContestSettings
+) -> Alone | None:
+    """The name that scans give without a body; None where they give none.
+
+    Args:
+        bare: reading of the scans without a body.
+        spectra: the same scans.
+        layouts: the enrolled ones.
+        settings: of the contest.
+    """
+    if bare.code is Code.NO_ECHO:
+        return None
+    points = points_of(bare, spectra, layouts, settings.points)
+    named = without_body(in_place(bare, points, settings.points), points, layouts, settings)
+    if named is None:
+        return None
+    # Reflectors that shine outward only are never named without a body.
+    named = checked(named, points, spectra, layouts, settings.bare, opaque=False)
+    named = promised(undisputed(named, points, spectra, layouts, settings), points, spectra, settings)
+    return Alone(named, points) if named.status == "identified" else None
+
+
+def points_of(
+    bare: Reading, spectra: Spectra, layouts: Sequence[Layout], settings: PointSettings
+) -> PointReading:
+    """Points with double bounce near where the bare reading found something."""
+    by_name = {layout.name: layout for layout in layouts}
+    places = [Place(by_name[s.name], float(np.deg2rad(s.rotation_deg)), s.centre_m) for s in bare.scores]
+    found = np.array([complex(r.x_m, r.y_m) for r in bare.reflectors], dtype=np.complex128)
+    return read_points(spectra, places, found, settings)
+
+
+def in_place(bare: Reading, points: PointReading, settings: PointSettings) -> Reading:
+    """The bare reading, its name taken back where points with double bounce find the reflectors elsewhere."""
+    if bare.layout != points.layouts[0].layout or not points.displaced(settings):
+        return bare
+    off = points.displaced_m * 1e3
+    return bare.refused(Code.DISPLACED, f"reflectors lie {off:.1f} mm from the nearest layout's")
+
+
+def without_body(
+    bare: Reading, points: PointReading | None, layouts: Sequence[Layout], settings: ContestSettings
+) -> Reading | None:
+    """The reading where no body need take part; None where one may."""
+    if bare.evidence.outward > settings.outward:
+        return None
+    if points is not None and pointed(bare, points, settings):
+        return as_points(bare, points, layouts)
+    named = bare.status in ("identified", "ambiguous")
+    return bare if named and bare.evidence.share >= settings.explained else None
+
+
+def pointed(bare: Reading, points: PointReading, settings: ContestSettings) -> bool:
+    """Whether points name a layout that nothing in the bare reading speaks against."""
+    doubted = bare.status == "ambiguous" or bare.code is Code.HIDDEN
+    return points.passes(settings.points) and not doubted
+
+
+BODY_LEAVES = 0.6
+"""No arrangement on a body leaves less than this share of the noise: it has up to 6 of at least 17 amplitudes
+per frequency."""
+
+
+def undisputed(
+    reading: Reading,
+    points: PointReading | None,
+    spectra: Spectra,
+    layouts: Sequence[Layout],
+    settings: ContestSettings,
+) -> Reading:
+    """A name without a body, taken back where other reflectors on a round body explain the echo better.
+
+    A weak echo is explained to the noise by many arrangements of points; then it counts which explains most.
+    Reflectors that are hidden in some views are explained by their layout on a body, which counts for it.
+    Where points leave little beyond the noise, and what the fewest amplitudes on a body are charged, no body
+    is tried.
+    """
+    if reading.status != "identified" or reading.kind is not Kind.BARE or points is None:
+        return reading
+    own = next((placed.left for placed in points.layouts if placed.layout == reading.layout), inf)
+    margin = settings.disputed_nats * spectra.noise + settings.points.unexplained * points.tag
+    least = BODY_LEAVES * spectra.noise_energy + (FEWEST_TERMS - 1) * spectra.amplitude_cost
+    if spectra.noise <= 0 or own - least <= margin:
+        return reading
+    body = reading.body
+    if body is None or body.body.name:
+        from tagid.tags.bodies.reader import read_on_body
+
+        body = read_on_body(spectra, layouts, settings.body.body, settings.body, [complex(*reading.centre_m)])
+    if body is None:
+        return reading
+    wanted = layout_gaps_deg(next(one for one in layouts if one.name == reading.layout))
+    alike, others = [own], [inf]
+    for placed in (*body.layouts, *body.others, *([body.free] if body.free else [])):
+        same = difference_deg(gaps_deg(placed.angles), wanted) <= settings.body.other_deg
+        (alike if same else others).append(placed.charged)
+    if min(others) >= min(alike) - margin:
+        return reading
+    refused = reading.refused(
+        Code.OTHER,
+        f"other reflectors on a round body explain the echo better than {reading.layout} without one",
+    )
+    return replace(refused, body=body)
+
+
+def promised(
+    reading: Reading, points: PointReading | None, spectra: Spectra, settings: ContestSettings
+) -> Reading:
+    """A name without a body with the bound that holds for it.
+
+    The bound is stated and takes no name back: such a name rests on its own decision, and a pair of bare
+    reflectors in an enrolled spacing is that layout, whatever object it belongs to.
+    """
+    if reading.status != "identified" or reading.kind is not Kind.BARE or points is None:
+        return reading
+    bound = settings.calibration().bound(
+        points.lead, spectra.views, points.snr_db, settings.false_accept, Basis.BARE
+    )
+    return replace(reading, bound=bound)
