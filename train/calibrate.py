@@ -4,9 +4,8 @@ Run `python -m train.calibrate --first 200000 --count 4000 --jobs 2 --scores sco
 many machines as wanted, then `python -m train.calibrate --write tagid/tags/bodies/calibration.json FILES` to
 make the file that the package ships. Seeds from SEALED on are not for this.
 
-With --only bare both commands calibrate names without a body alone, 3,000 objects in 12 minutes of one core,
-and with --only wall those beside walls, in strata of their own (--views 12 18 24 361); the rest of the file
-stays as it is.
+With --only bare both commands calibrate names without a body alone, 3,000 objects in 12 minutes of one core;
+the rest of the file stays as it is.
 """
 
 from __future__ import annotations
@@ -49,7 +48,7 @@ def one(seed: int, bodies: bool = True) -> dict[str, float | int | str]:
     found = null_evidence_of(scans, list(builtin_layouts().values()), bodies=bodies)
     leads = {Basis.BARE: found.bare}
     if bodies:
-        leads |= {Basis.ROUND: found.round, Basis.WALL: found.wall}
+        leads |= {Basis.BODY: max(found.round, found.wall)}
     row: dict[str, float | int | str] = {"seed": seed, "views": specimen.views, "snr_db": found.snr_db}
     return row | {kind.value: lead if np.isfinite(lead) else REFUSED for kind, lead in leads.items()}
 

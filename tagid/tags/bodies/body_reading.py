@@ -176,6 +176,7 @@ class BodyReading:
         front_m: the same of the body about its centre, the radius of a body with a wall; the smaller one of
             those beside the layout and beside another arrangement that leaves less.
         body_energy: that the body explains beside the reflectors; the smaller one as well.
+        back: amplitude of the reflectors' pattern from behind over that from in front.
         points_lead: lead over the best arrangement of points without a body; infinite where none was fitted.
         wall: the round wall whose waves fix the reflectors' pattern; None where the pattern was free.
     """
@@ -203,6 +204,7 @@ class BodyReading:
     through: bool
     front_m: float
     body_energy: float
+    back: float = 0.0
     points_lead: float = np.inf
     wall: Shell | None = None
 
@@ -216,6 +218,11 @@ class BodyReading:
         """Mean distance of the best layout's reflectors from their centre, as built, m."""
         batch = self.layouts[0].batch
         return float(batch.radii[0][batch.present[0] > 0].mean())
+
+    @property
+    def outside_m(self) -> float:
+        """How far outside the best layout's places its reflectors seem to be, m."""
+        return float(self.layouts[0].radii.mean()) - self.nominal_m
 
     def against(self, points: PointReading) -> BodyReading:
         """The reading with the lead that is left against points without a body.

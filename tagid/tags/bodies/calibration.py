@@ -1,14 +1,14 @@
 """What the setting `tags.false_accept` rests on: order statistics of a stated population.
 
-The reader's evidence for a tag is one number (`BodyReading.lead` or `PointReading.lead`, where every test of
-the decision is passed), of one of three kinds. Of n calibration objects that carry no enrolled tag, a new one
-of the same population is more convincing than all but k of them with probability (k + 1) / (n + 1) at most,
-whatever its distribution: the conformal p-value (Vovk, Gammerman and Shafer 2005, chapter 2). It holds within
-a stratum of views and SNR.
+The reader's evidence for a tag is one number, where every test of the decision is passed: on a body (`score`
+in `bodies.decide`, the larger of those with a free pattern and beside a wall) or without one
+(`PointReading.lead`). Of n calibration objects that carry no enrolled tag, a new one of the same population
+is more convincing than all but k of them with probability (k + 1) / (n + 1) at most, whatever its
+distribution: the conformal p-value (Vovk, Gammerman and Shafer 2005, chapter 2). It holds within a stratum of
+views and SNR.
 
-An object can be named on a body in two ways, and without one. The bound is that of the whole answer,
-whichever way a name was found: objects named without a body, which no bound takes back, count in full, and
-each way on a body may name as many as the other (Bonferroni).
+The bound of a name on a body is that of the whole answer, whichever way a name was found: objects named
+without a body, which no bound takes back, count in full beside those that are as convincing on one.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ import numpy as np
 
 from tagid.errors import ModelError
 
-FORMAT_VERSION = 4
+FORMAT_VERSION = 5
 DIGITS = 4
 """Decimals of the scores in the file, rounded up: a larger one promises less."""
 
@@ -64,15 +64,10 @@ class Bound:
 class Basis(StrEnum):
     """By which model a layout is named."""
 
-    ROUND = "round"
-    """On a round body, with a free pattern."""
-    WALL = "wall"
-    """Beside a round wall of known waves, where the former is refused."""
+    BODY = "body"
+    """On a body, with a free pattern or beside a wall of known waves."""
     BARE = "bare"
     """Without a body."""
-
-
-BODY_WAYS = (Basis.ROUND, Basis.WALL)
 
 
 @dataclass(frozen=True)
@@ -215,7 +210,7 @@ class Calibration:
         return json.dumps(data, indent=1) + "\n"
 
     def bound(
-        self, score: float, views: int, snr_db: float, false_accept: float, kind: Basis = Basis.ROUND
+        self, score: float, views: int, snr_db: float, false_accept: float, kind: Basis = Basis.BODY
     ) -> Bound:
         """The promise for evidence of that strength; no objects where no stratum fits."""
         found = self._scores(kind, views, snr_db)
@@ -223,9 +218,9 @@ class Calibration:
             return Bound(1.0, false_accept, 0, f"{views} views, {snr_db:.0f} dB", self.population)
         name, some = found
         otherwise, ways = 0.0, len(Basis)
-        if kind in BODY_WAYS:
+        if kind is Basis.BODY:
             bare = self._scores(Basis.BARE, views, snr_db)
-            ways = len(BODY_WAYS)
+            ways = 1
             otherwise = bare[1].reached(-np.inf) / (bare[1].objects + 1) if bare is not None else 0.0
         p_value = min(otherwise + some.p_value(score, ways), 1.0)
         return Bound(p_value, false_accept, some.objects, name, self.population, otherwise)

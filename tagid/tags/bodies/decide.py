@@ -17,8 +17,10 @@ class BodyDecision:
     """Tests that a layout on a body must pass; each can only take a name away.
 
     Attributes:
-        unexplained: largest share of the tag's echo that its layout may leave, in any noise. A handle, an
-            oval wall or another tag leave 20 % or more.
+        unexplained: largest share of the tag's echo that its layout may leave. A handle, an oval wall or
+            another tag leave 20 % or more,
+        chance_sigmas: beside so many standard deviations of the noise's energy, on a round body: two of it
+            and of its level, which the median of as many values gives to 1 / ln 2 of that.
         wall_unexplained: the same beside a wall: one that tapers, or ends near the reflectors, leaves a
             fifth, other arrangements a quarter and more.
         round_left: and on a round body no more than this beyond what noise may add: tags on full-wave cans
@@ -37,6 +39,12 @@ class BodyDecision:
             reflectors than the larger of `early_m`: those of full-wave cans lie 8 to 17 mm inside, 21 mm
             outside where the axis distance is wrong by 10 mm and the pulse is delayed.
         early_glass_m: how early beside a wall of known waves that the wave passes.
+        seen_m: reflectors beside a wall of known waves, or seen from all sides, answer from where they are,
+            to within this. Only before an opaque wall does the bounce move a free pattern: of 90 tags that
+            are right those seen from all sides are within 7 mm, those beside walls within 9; pairs 140 mm
+            apart, before a thin shell, imitate ones of 90 mm from 15 to 25 mm outside,
+        seen_back: and reflectors are seen from all sides whose pattern has so much from behind.
+        free_more: lead by which a free pattern must be ahead of one of known waves, to be as convincing.
         centre_m: largest distance of the centres of body and tag from the rotation axis.
         no_tag_nats: a body is untagged where no arrangement explains so many noise variances more: fitting
             noise alone, 27 amplitudes and the places explain 40 to 50,
@@ -44,6 +52,7 @@ class BodyDecision:
     """
 
     unexplained: float = 0.15
+    chance_sigmas: float = 3.5
     wall_unexplained: float = 0.20
     round_left: float = 0.08
     noise_level: float = 0.25
@@ -54,6 +63,9 @@ class BodyDecision:
     early_m: tuple[float, float] = (-0.065, 0.030)
     wall_share: float = 0.05
     early_glass_m: float = 0.055
+    seen_m: float = 0.012
+    seen_back: float = 0.45
+    free_more: float = 0.15
     centre_m: float = FARTHEST_CENTRE_M
     no_tag_nats: float = 60.0
     no_tag_share: float = 0.001
@@ -62,7 +74,8 @@ class BodyDecision:
 def score(reading: BodyReading, settings: BodyDecision) -> float:
     """The evidence for the best layout, -inf where a test refuses it: what the calibration orders."""
     passed = decide_on_body(reading, replace(settings, lead=-inf)).status == "identified"
-    return reading.lead if passed else -inf
+    known = reading.wall is not None or bool(reading.body.name)
+    return reading.lead - (0.0 if known else settings.free_more) if passed else -inf
 
 
 def tag_snr_db(reading: BodyReading) -> float:
@@ -77,13 +90,14 @@ def most_unexplained(reading: BodyReading, settings: BodyDecision) -> float:
     layout leaves more than the model's own error is not that layout on a round body, whatever is worse.
     """
     r, s = reading, settings
+    deviation = sqrt(max(r.noise, 0.0) * max(r.variance, 0.0)) / max(r.tag, 1e-30)
+    by_chance = s.chance_sigmas * deviation
     if r.wall is not None:
-        return s.wall_unexplained
+        return s.wall_unexplained + by_chance
     if r.body.name:
         return s.unexplained
-    deviation = sqrt(max(r.noise, 0.0) * max(r.variance, 0.0))
-    noise = s.noise_level * r.noise + s.noise_sigmas * deviation
-    return min(s.unexplained, s.round_left + noise / max(r.tag, 1e-30))
+    noise = s.noise_level * r.noise / max(r.tag, 1e-30) + s.noise_sigmas * deviation
+    return min(s.unexplained + by_chance, s.round_left + noise)
 
 
 def _is_in_place(reading: BodyReading, settings: BodyDecision) -> bool:
@@ -133,6 +147,14 @@ def decide_on_body(reading: BodyReading, settings: BodyDecision) -> Verdict:
         )
     if r.angle_off_deg > s.angle_deg:
         return Verdict("unknown", Code.OTHER, f"the reflectors' angles are not those of {best.layout}")
+    seen = r.wall is not None or (not r.body.name and r.back > s.seen_back)
+    if seen and abs(r.outside_m) > s.seen_m:
+        side = "outside" if r.outside_m > 0 else "inside"
+        return Verdict(
+            "unknown",
+            Code.RADIUS,
+            f"the reflectors are {abs(r.outside_m) * 1e3:.0f} mm {side} the places of {best.layout}",
+        )
     if r.radius_off_m > s.radius_m:
         return Verdict("unknown", Code.RADIUS, f"the reflectors' radius is not that of {best.layout}")
     if r.untagged_lead < s.lead:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from tagid.tags.bodies.body_reading import BodyReading
-from tagid.tags.bodies.calibration import Basis, Bound, Calibration
+from tagid.tags.bodies.calibration import Bound, Calibration
 from tagid.tags.bodies.decide import BodyDecision, score, tag_snr_db
 from tagid.tags.verdicts.verdict import Code, Verdict
 
@@ -22,8 +22,7 @@ def bound_on_body(
     terms, snr_db = int(reading.layouts[0].batch.terms[0]), tag_snr_db(reading)
     if reading.wall is None and terms > calibration.terms:
         return Bound(1.0, false_accept, 0, f"patterns of {terms} terms", calibration.population)
-    basis = Basis.ROUND if reading.wall is None else Basis.WALL
-    return calibration.bound(score(reading, decision), reading.views, snr_db, false_accept, basis)
+    return calibration.bound(score(reading, decision), reading.views, snr_db, false_accept)
 
 
 def kept(bound: Bound, verdict: Verdict) -> Verdict:

@@ -59,7 +59,8 @@ def thin_wall(scans: BasebandScans, field: MatchedField, best: Fit) -> ThinWall 
     """
     own = _templates(field, best)
     away = field.distances(np.asarray(best.centre_m)[None]) + best.offset_m
-    radii = np.arange(0.0, field.radius_m, RADIUS_STEP_M)
+    # The wall carries the reflectors, so that it lies inside them.
+    radii = np.arange(0.0, best.layout.radius_m + RADIUS_STEP_M, RADIUS_STEP_M)
     waves = field.templates(away - radii[:, None])
     gram = field.gram(own)
     b = field.correlate(own)
