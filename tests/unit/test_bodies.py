@@ -276,18 +276,18 @@ def test_more_signal_and_more_views_never_take_a_name_away() -> None:
 
 
 def test_calibration_promises_no_more_than_it_counted() -> None:
-    stratum = Stratum(12, 37, -np.inf, np.inf, {Basis.ROUND: Scores(1999, (2.0, 1.0, 0.5))})
-    known = Calibration("a test", (stratum,), {Basis.ROUND: ((0, 2000),)})
+    stratum = Stratum(12, 37, -np.inf, np.inf, {Basis.BODY: Scores(1999, (2.0, 1.0, 0.5))})
+    known = Calibration("a test", (stratum,), {Basis.BODY: ((0, 2000),)})
     assert Calibration.from_json(known.to_json()) == known
     bound = known.bound(1.5, 36, 10.0, 1e-3)
-    # One object is as convincing on a round body, and as many may be beside a wall.
-    assert bound.p_value == pytest.approx(3 / 2000) and bound.reachable and not bound.kept
-    assert known.bound(1.5, 36, 10.0, 2e-3).kept and not known.bound(0.7, 36, 10.0, 2e-3).kept
+    # One object is as convincing on a body.
+    assert bound.p_value == pytest.approx(2 / 2000) and bound.reachable and bound.kept
+    assert known.bound(0.7, 36, 10.0, 2e-3).kept and not known.bound(0.7, 36, 10.0, 1e-3).kept
     # Below the scores that were kept nothing is promised.
     assert known.bound(0.4, 36, 10.0, 1e-3).p_value == 1.0
     assert not known.bound(9.0, 36, 10.0, 1e-4).reachable
     assert known.bound(9.0, 100, 10.0, 1e-3).objects == 0
-    assert known.bound(9.0, 36, 10.0, 1e-3, Basis.WALL).objects == 0
+    assert known.bound(9.0, 36, 10.0, 1e-3, Basis.BARE).objects == 0
     with pytest.raises(ModelError):
         Calibration.from_json("{}")
 
@@ -295,18 +295,19 @@ def test_calibration_promises_no_more_than_it_counted() -> None:
 def test_the_bound_is_that_of_the_whole_answer() -> None:
     """Drawn again from the same population, no more objects are named in any way than it promises."""
     rng = np.random.default_rng(9)
-    leads = {kind: rng.standard_normal(20_000) for kind in Basis}
+    free, wall, alone = rng.standard_normal((3, 20_000))
     # Few objects are named without a body at all, and those whatever the bound says.
-    bare = np.where(leads[Basis.BARE] > 3.3, leads[Basis.BARE], -np.inf)
+    bare = np.where(alone > 3.3, alone, -np.inf)
     half = slice(0, 10_000)
     told = [None if lead == -np.inf else float(lead) for lead in bare[half]]
-    scores = {kind: Scores.of(leads[kind][half].tolist(), 60) for kind in (Basis.ROUND, Basis.WALL)}
-    scores[Basis.BARE] = Scores.of(told, 60)
+    either = np.maximum(free, wall)
+    scores = {Basis.BODY: Scores.of(either[half].tolist(), 60), Basis.BARE: Scores.of(told, 60)}
     known = Calibration("a test", (Stratum(12, 37, -np.inf, np.inf, scores),), {})
     named = bare[10_000:] > -np.inf
-    for kind in (Basis.ROUND, Basis.WALL):
-        bounds = [known.bound(lead, 36, 10.0, 5e-3, kind) for lead in leads[kind][10_000:]]
-        assert bounds[0].otherwise == pytest.approx(sum(lead is not None for lead in told) / 10_001)
+    # The reader looks beside a wall where the free pattern is not named.
+    for lead in (free, wall):
+        bounds = [known.bound(one, 36, 10.0, 5e-3) for one in lead[10_000:]]
+        assert bounds[0].otherwise == pytest.approx(sum(one is not None for one in told) / 10_001)
         named |= np.array([bound.kept for bound in bounds])
     assert 20 < named.sum() < 65
     assert not known.bound(9.0, 36, 10.0, bounds[0].otherwise).reachable
@@ -334,27 +335,26 @@ def test_scores_of_the_file_are_rounded_up() -> None:
 def test_names_without_a_body_are_calibrated_apart() -> None:
     """The rest of the file stays; an object that a body takes the name from gives no evidence."""
     rows = [one(seed, bodies=False) for seed in (942301, 830657)]
-    assert [row["bare"] == "refused" for row in rows] == [False, True] and "round" not in rows[0]
+    assert [row["bare"] == "refused" for row in rows] == [False, True] and "body" not in rows[0]
     drawn = strata(rows, [12, 24, 361])
-    round_alone = {Basis.ROUND: Scores(9, (2.0,), 1)}
-    old = tuple(replace(s, scores=round_alone) for s in drawn)
+    on_body = {Basis.BODY: Scores(9, (2.0,), 1)}
+    old = tuple(replace(s, scores=on_body) for s in drawn)
     seeds = [830657, 942301]
-    made = replaced(Calibration("a test", old, {Basis.ROUND: ((0, 9),)}), drawn, seeds, Basis.BARE)
-    assert made.seeds[Basis.ROUND] == ((0, 9),)
+    made = replaced(Calibration("a test", old, {Basis.BODY: ((0, 9),)}), drawn, seeds, Basis.BARE)
+    assert made.seeds[Basis.BODY] == ((0, 9),)
     assert made.seeds[Basis.BARE] == ((830657, 830658), (942301, 942302))
     assert Calibration.from_json(made.to_json()) == made
     few, many = (one.scores for one in made.strata)
-    assert few[Basis.ROUND] == many[Basis.ROUND] == round_alone[Basis.ROUND]
+    assert few[Basis.BODY] == many[Basis.BODY] == on_body[Basis.BODY]
     assert (few[Basis.BARE].objects, few[Basis.BARE].scored) == (1, 1)
     assert many[Basis.BARE] == Scores(1, (), 0)
     assert made.bound(float(rows[0]["bare"]), 18, 0.0, 1e-3, Basis.BARE).p_value == 1.0
     finer = replaced(made, strata(rows, [12, 18, 24, 361]), seeds, Basis.BARE)
-    assert [sorted(s.scores) for s in finer.strata] == [["round"], ["bare", "round"], ["bare"], ["bare"]]
+    assert [sorted(s.scores) for s in finer.strata] == [["body"], ["bare", "body"], ["bare"], ["bare"]]
     assert [(s.views_from, s.views_to) for s in finer.strata] == [(12, 24), (24, 361), (12, 18), (18, 24)]
     assert Calibration.from_json(finer.to_json()) == finer
-    assert [finer.bound(9.0, 12, 0.0, 1e-3, kind).objects for kind in (Basis.ROUND, Basis.BARE)] == [9, 1]
-    assert [finer.bound(9.0, 18, 0.0, 1e-3, kind).objects for kind in (Basis.ROUND, Basis.BARE)] == [9, 0]
-    assert finer.bound(9.0, 18, 0.0, 1e-3, Basis.WALL).objects == 0
+    assert [finer.bound(9.0, 12, 0.0, 1e-3, kind).objects for kind in (Basis.BODY, Basis.BARE)] == [9, 1]
+    assert [finer.bound(9.0, 18, 0.0, 1e-3, kind).objects for kind in (Basis.BODY, Basis.BARE)] == [9, 0]
 
 
 def test_a_bound_is_stated_in_words() -> None:

@@ -16,7 +16,7 @@ from tagid.imaging.preprocess import PreprocessSettings, preprocess
 from tagid.imaging.types import BasebandScans
 from tagid.simulate import Acquisition, NoiseShape, Placement, parse_body, simulate_capture
 from tagid.simulate.objects import object_scene
-from tagid.simulate.presets import room_clutter
+from tagid.simulate.presets import room_clutter, scene_from_layout
 from tagid.simulate.response import Response
 from tagid.simulate.response_file import read_response
 from tagid.simulate.response_scene import response_scene
@@ -24,6 +24,7 @@ from tagid.simulate.scattering import Points
 from tagid.simulate.scene import Scene
 from tagid.simulate.specification import ReflectorSpec
 from tagid.tags.bodies.body_reading import BodySettings
+from tagid.tags.bodies.decide import BodyDecision, decide_on_body
 from tagid.tags.bodies.hypothesis import Kind
 from tagid.tags.bodies.reader import read_on_body
 from tagid.tags.bodies.reflectors_fit import FACING, FEWEST_TERMS
@@ -106,6 +107,36 @@ def test_two_bare_reflectors_of_another_spacing_need_no_body() -> None:
     reading = read_tag(preprocess(specimen.capture, settings=settings), LAYOUTS, SETTINGS)
     assert reading.layout is None
     assert reading.body is not None and reading.body.points_lead < 0
+
+
+@pytest.mark.parametrize("seed", [5, 11, 13])
+def test_only_an_opaque_wall_moves_what_is_seen(seed: int) -> None:
+    """A pair 140 mm apart before a thin shell was read as one of 90 mm that a bounce moves by 25 mm.
+
+    Or as the outer ones of three 180 mm apart, from inside.
+    """
+    rng = np.random.default_rng(seed)
+    scene = scene_from_layout(np.array([[0.07, 0.0], [-0.07, 0.0]]), "pair", seed)
+    placed = Placement((0.006 * rng.uniform(-1, 1), 0.006 * rng.uniform(-1, 1)), rng.uniform(0, 2 * np.pi))
+    scans = scans_of(scene, Acquisition(views=36, snr_db=20.0, placement=placed), seed)
+    answer = read_tag(scans, LAYOUTS, SETTINGS)
+    assert answer.status != "identified"
+    reading = answer.body
+    assert reading is not None
+    expected = {"container-180": 0.025, "helmet-linear": -0.018}[str(reading.layouts[0].layout)]
+    assert reading.outside_m == pytest.approx(expected, abs=0.002) and reading.back > 0.5
+    assert decide_on_body(reading, BodyDecision()).code is Code.RADIUS
+    # Seen from outside only, as before metal, it could be one that bounces.
+    assert decide_on_body(replace(reading, back=0.2), BodyDecision()).code is not Code.RADIUS
+
+
+def test_a_pair_on_a_can_that_an_oval_explains_without_a_body_is_sought_on_one() -> None:
+    """Points explain it, and an oval about as well: only the layout on a round body leaves nothing."""
+    specimen = draw(172, tagged=True, views=36, snr_db=20.0)
+    settings = PreprocessSettings(matched_filter=False, extent_m=0.5)
+    reading = read_tag(preprocess(specimen.capture, settings=settings), LAYOUTS, SETTINGS)
+    assert (reading.status, reading.layout) == ("identified", specimen.truth)
+    assert reading.kind is Kind.ROUND
 
 
 @cache

@@ -1,0 +1,107 @@
+"""The echo of a thin round wall below a tag: what it is told by, and what must not be taken for one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tags_synthetic import response, synthetic_scans
+
+from tagid.imaging.types import BasebandScans
+from tagid.tags.layouts.layout import builtin_layouts
+from tagid.tags.matching.matcher import ReaderSettings, read_tag
+from tagid.tags.reading.field import MatchedField
+from tagid.tags.reading.hypotheses import Fit, search
+from tagid.tags.reading.thin_wall import thin_wall
+from tagid.tags.reading.uneven import UnevenFit
+
+LAYOUTS = list(builtin_layouts().values())
+LAYOUT = builtin_layouts()["container-90"]
+CENTRE = np.array([0.006, -0.004])
+NOISE = 0.8
+TAG = LAYOUT.placed(1.0, CENTRE)[:, :2]
+
+
+def with_wall(scans: BasebandScans, radius_m: float, amplitude: complex) -> BasebandScans:
+    """The scans and the flash of a round wall about CENTRE, by its definition."""
+    d = np.hypot(*(scans.aperture.positions[:, :2] - CENTRE).T) - radius_m
+    k = scans.wavenumber
+    echo = response()(scans.ranges_m[None] - d[:, None]) * np.exp(-2j * k * d[:, None])
+    return replace(scans, samples=(scans.samples + amplitude * echo).astype(np.complex64))
+
+
+def best_fit(scans: BasebandScans) -> tuple[MatchedField, Fit]:
+    field = MatchedField(scans, 0.18)
+    return field, min(search(field, LAYOUTS, ReaderSettings().search), key=lambda fit: fit.criterion)
+
+
+@pytest.mark.parametrize("radius_m", [0.016, 0.04])
+def test_the_wall_is_found_and_taken_out(radius_m: float) -> None:
+    tag = synthetic_scans(TAG, noise=0.1, seed=2)
+    scans = with_wall(tag, radius_m, 0.5j)
+    wall = thin_wall(scans, *best_fit(scans))
+    assert wall is not None
+    assert wall.radius_m == pytest.approx(radius_m, abs=0.008)
+    assert wall.strength == pytest.approx(0.5, abs=0.1)
+
+    def moving(samples: np.ndarray) -> np.ndarray:
+        return samples - samples.mean(axis=0)
+
+    left = moving(wall.scans.samples - tag.samples)
+    assert np.sum(np.abs(left) ** 2) < 0.05 * np.sum(np.abs(moving(scans.samples - tag.samples)) ** 2)
+
+
+def test_a_tag_before_a_thin_wall_is_named() -> None:
+    """Without it the flash counts as a reflector elsewhere."""
+    named = noted = 0
+    for seed in range(8):
+        scans = with_wall(synthetic_scans(TAG, noise=0.5, seed=seed), 0.025, 0.55)
+        reading = read_tag(scans, LAYOUTS)
+        named += (reading.status, reading.layout) == ("identified", "container-90")
+        noted += "thin round wall" in reading.note
+        if reading.note:
+            assert reading.hypotheses[0].layout == "container-90" and reading.bound is not None
+    assert named == 8 and noted >= 3
+
+
+def test_a_reflector_in_the_centre_is_no_wall() -> None:
+    """A wave about the centre is what it sends, too: such a tag is another one."""
+    points = np.concatenate([TAG, CENTRE[None]])
+    for seed in range(4):
+        scans = synthetic_scans(points, noise=NOISE, seed=seed)
+        assert thin_wall(scans, *best_fit(scans)) is None
+        assert read_tag(scans, LAYOUTS).status != "identified"
+
+
+def test_a_tag_with_one_reflector_more_is_not_named_for_a_wall() -> None:
+    for angle in (0.3, 2.0, 4.1):
+        more = CENTRE + 0.06 * np.array([np.cos(angle), np.sin(angle)])
+        scans = synthetic_scans(np.concatenate([TAG, more[None]]), noise=NOISE, seed=5)
+        assert read_tag(scans, LAYOUTS).status != "identified"
+
+
+def test_a_reflector_on_the_axis_is_no_stronger_for_being_seen_from_all_sides() -> None:
+    """Amplitudes that differ by the side that is seen are compared where it faces the antenna."""
+    layout = builtin_layouts()["helmet-linear"]
+    centre = np.array([0.008, 0.003])
+    places = layout.placed(0.4, centre)[:, :2]
+    whole = synthetic_scans(places[:0])
+    samples = whole.samples.astype(complex)
+    k, angles = whole.wavenumber, np.arctan2(*whole.aperture.positions[:, 1::-1].T)
+    for place in places:
+        d = np.hypot(*(whole.aperture.positions[:, :2] - place).T)
+        x, y = place - centre
+        side = np.cos(angles - np.arctan2(y, x)) if np.hypot(x, y) > 0.01 else 1.0
+        seen = 0.7 + 0.3 * ((1 + side) / 2) ** 3
+        samples += (
+            np.broadcast_to(seen, d.shape)[:, None]
+            * response()(whole.ranges_m[None] - d[:, None])
+            * np.exp(-2j * k * d[:, None])
+        )
+    scans = replace(whole, samples=samples.astype(np.complex64))
+    field = MatchedField(scans, 0.18)
+    fit = next(f for f in search(field, LAYOUTS, ReaderSettings().search) if f.layout.name == layout.name)
+    sizes = UnevenFit.of(field, fit, 1e-3).sizes
+    middle = int(np.argmin(np.hypot(*layout.positions[:, :2].T)))
+    assert np.delete(sizes, middle).min() > sizes[middle]
