@@ -11,6 +11,7 @@ from tags_synthetic import response, synthetic_scans
 from tagid.imaging.types import BasebandScans
 from tagid.tags.layouts.layout import builtin_layouts
 from tagid.tags.matching.matcher import ReaderSettings, read_tag
+from tagid.tags.matching.vote import read_together
 from tagid.tags.reading.field import MatchedField
 from tagid.tags.reading.hypotheses import Fit, search
 from tagid.tags.reading.thin_wall import thin_wall
@@ -63,6 +64,14 @@ def test_a_tag_before_a_thin_wall_is_named() -> None:
         if reading.note:
             assert reading.hypotheses[0].layout == "container-90" and reading.bound is not None
     assert named == 8 and noted >= 3
+
+
+def test_a_vote_of_such_recordings_names_it_too() -> None:
+    """What hides the name in each recording hides it in all of them."""
+    recordings = [with_wall(synthetic_scans(TAG, noise=0.5, seed=s), 0.025, 0.55) for s in (1, 3, 7)]
+    joint, alone = read_together(recordings, LAYOUTS)
+    assert all(one.wall_m is not None for one in alone)
+    assert (joint.status, joint.layout) == ("identified", "container-90")
 
 
 def test_a_reflector_in_the_centre_is_no_wall() -> None:

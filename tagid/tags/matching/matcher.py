@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,7 +37,7 @@ from tagid.tags.reading.reflectors import (
     separate,
 )
 from tagid.tags.reading.rivals import rivals
-from tagid.tags.reading.thin_wall import thin_wall
+from tagid.tags.reading.thin_wall import ThinWall, thin_wall
 from tagid.tags.reading.views import fold_views
 from tagid.tags.verdicts.verdict import Code
 
@@ -178,28 +179,39 @@ class MatchedScan:
         if settled.status != "unknown" or on_enrolled or not known:
             return settled
         found = self.before_thin_wall()
-        return settled if found is None else found.reading
+        if found is None:
+            return settled
+        others = (one for one in settled.hypotheses if one.kind is not Kind.BARE)
+        return replace(found.reading, hypotheses=(*found.reading.hypotheses, *others))
+
+    @cached_property
+    def wall(self) -> ThinWall | None:
+        """The thin round wall about the best layout's centre; None where none shows."""
+        best = min(self._fits, key=lambda fit: fit.criterion)
+        return thin_wall(self.scans, self._field, best)
+
+    @cached_property
+    def without_wall(self) -> MatchedScan:
+        """The recording without the echo of its thin wall; itself where there is none."""
+        if self.wall is None:
+            return self
+        return MatchedScan(self.wall.scans, self._layouts, self._settings)
 
     def before_thin_wall(self) -> Alone | None:
-        """The name without a body once the echo of a thin round wall is taken out; None for none.
-
-        The wall is about the best layout's centre. Where it explains too little nothing is read again.
-        """
-        best = min(self._fits, key=lambda fit: fit.criterion)
-        wall = thin_wall(self.scans, self._field, best)
-        if wall is None:
+        """The name without a body once the echo of a thin round wall is taken out; None for none."""
+        if self.wall is None:
             return None
-        scan = MatchedScan(wall.scans, self._layouts, self._settings)
+        scan = self.without_wall
         bare = scan.read(np.argsort(scan.criteria))
         found = named_alone(bare, Spectra.of(scan.scans), self._layouts, self._settings.contest)
         if found is None:
             return None
-        reading, radius = found.reading, wall.radius_m
+        reading, radius = found.reading, self.wall.radius_m
         left = float(np.clip(found.points.unexplained, 0, 1))
         pose = Pose(reading.centre_m)
         own = Explanation(Kind.BARE, "", reading.layout, left, None, pose, reading.rotation_deg)
         note = f"the echo of a thin round wall, about {radius * 1e3:.0f} mm in radius, was taken out first"
-        return replace(found, reading=replace(reading, hypotheses=(own,), note=note))
+        return replace(found, reading=replace(reading, hypotheses=(own,), note=note, wall_m=radius))
 
     def read(self, order: NDArray[np.intp]) -> Reading:
         """What this recording says without a body if the layouts rank in this order."""

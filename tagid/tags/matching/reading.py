@@ -54,6 +54,7 @@ class Reading:
         bound: what `tags.false_accept` rests on; None where no calibration was asked.
         body: the fit on a body, where one was made; for pictures without the body.
         note: what the reading took out or did not consider; empty for nothing.
+        wall_m: radius of the thin round wall whose echo was taken out, m; None where none was.
     """
 
     status: str
@@ -76,6 +77,7 @@ class Reading:
     bound: Bound | None = None
     body: BodyReading | None = None
     note: str = ""
+    wall_m: float | None = None
 
     @property
     def advice(self) -> str:
