@@ -134,8 +134,19 @@ def register(app: typer.Typer) -> None:
             )
         if not focus and (axis_search is not None or delay_search is not None):
             raise UsageError("--axis-search and --delay-search have no effect with --no-focus", "Omit them.")
-        if volume and (calibrate or ats):
-            raise UsageError("--calibrate and --ats do not apply to volumes", "Omit them.")
+        if volume:
+            given_for = {
+                "--calibrate": calibrate,
+                "--ats": ats,
+                "--axis-search": axis_search is not None,
+                "--delay-search": delay_search is not None,
+                "--centre": centre,
+                "--side": side,
+                "--subtract-body": subtract_body,
+            }
+            idle = [option for option, asked in given_for.items() if asked]
+            if idle:
+                raise UsageError(f"no effect on a volume: {', '.join(idle)}", f"Omit {' and '.join(idle)}.")
         if (calibrate or ats) and preset != "field":
             raise UsageError("--calibrate and --ats require --preset field", "Omit them.")
         check_drawing("--png", png, (".png",), [file])

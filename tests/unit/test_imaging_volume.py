@@ -306,6 +306,8 @@ def test_from_the_command_line(tagid, tmp_path: Path) -> None:
     assert (tmp_path / "s.ply").read_bytes().startswith(b"ply\nformat binary_little_endian 1.0\n")
     for bad in (("--ats", "steps=5"), ("--surface", "s.stl"), ("--method", "omp")):
         assert tagid("reconstruct", "all.npz", "--volume", *words[2:], *bad).code == 2
+    idle = tagid("reconstruct", "all.npz", "--volume", "--axis-search", 0.1, "--subtract-body")
+    assert idle.code == 2 and "--axis-search and --subtract-body" in " ".join(idle.err.split())
     wrong = tagid("reconstruct", "all.npz", "--levels", 5)
     assert wrong.code == 2
     assert "--volume" in wrong.err
