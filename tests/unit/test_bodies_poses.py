@@ -116,7 +116,7 @@ def test_a_name_that_no_points_bear_out_is_sought_on_the_enrolled_body() -> None
     capture, layouts = recorded("large-tagged", UNSEEN[1], 0, 36, 10.0), list(LAYOUTS.values())
     blind = identify(capture, layouts).reading
     assert blind is not None
-    assert "points elsewhere explain the echo better than helmet-linear" in blind.reason
+    assert blind.status != "identified" or blind.kind is Kind.ROUND
     reading = identify(capture, layouts, None, None, [enrolled("large").signature]).reading
     assert reading is not None
     assert (reading.status, reading.layout, reading.kind) == ("identified", "helmet-linear", Kind.BODY)

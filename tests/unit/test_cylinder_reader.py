@@ -142,7 +142,7 @@ def test_what_free_patterns_found_is_tried_beside_walls(monkeypatch: pytest.Monk
 
 def test_the_wall_of_an_oval_shell_is_no_pair_beside_a_round_one() -> None:
     """With two amplitudes it is one in everything but that it answers from 6 cm before the pair's places."""
-    assert one(974605)["wall"] == "refused"
+    assert one(974605)["body"] == "refused"
 
 
 def test_one_reflector_beside_a_cup_has_the_pattern_of_its_wall() -> None:

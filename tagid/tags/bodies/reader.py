@@ -39,6 +39,7 @@ from tagid.tags.bodies.reflectors_fit import (
     Columns,
     Fitter,
     Pattern,
+    behind,
     joined,
     solve,
 )
@@ -51,13 +52,7 @@ from tagid.tags.layouts.layout import Layout
 
 @dataclass(frozen=True, eq=False)
 class _Amplitudes:
-    """Fitted responses (F,) of the body and of a reflector seen from outside, and what follows from them.
-
-    Attributes:
-        body, reflectors: (F,).
-        body_energy: that the body explains.
-        back: amplitude of the reflectors' pattern from behind over that from in front, RMS over frequency.
-    """
+    """Fitted responses (F,) of the body and of a reflector seen from outside, the body's energy, `behind`."""
 
     body: NDArray[np.complex128]
     reflectors: NDArray[np.complex128]
@@ -599,15 +594,5 @@ class BodyReader:
         cols = Columns.of(self.spectra, self.body, placed.batch)
         found = solve(self.spectra.data, cols.values).amplitudes[0]
         own = found[:, 0, None] * cols.values[0, :, 0]
-        terms, tilt = int(placed.batch.terms[0]), float(placed.batch.tilt[0])
-        power = (np.abs(found[:, 1 : 1 + terms] @ _sides(terms, tilt)) ** 2).sum(axis=0)
-        front, behind = np.split(power, 2)
-        back = float(np.sqrt(behind.sum() / max(front.sum(), 1e-300)))
+        back = behind(found[:, 1 : 1 + int(placed.batch.terms[0])], float(placed.batch.tilt[0]))
         return _Amplitudes(found[:, 0], found[:, 1:].sum(axis=1), float((np.abs(own) ** 2).sum()), back)
-
-
-def _sides(terms: int, tilt: float) -> NDArray[np.float64]:
-    """(M, 2 n) terms of the pattern at n angles within 50 degrees of the outward side and of its opposite."""
-    near = np.linspace(0, np.deg2rad(50.0), 8)
-    psi = np.concatenate([near, np.pi - near])
-    return np.asarray(((1 + np.cos(psi)) / 2) ** tilt * np.cos(np.arange(terms)[:, None] * psi))

@@ -53,6 +53,20 @@ FEWEST_TERMS = 2
 """Of the patterns that are compared on a body."""
 
 
+def behind(amplitudes: NDArray[np.complex128], tilt: float) -> float:
+    """Amplitude of a pattern from behind over that from in front, RMS over frequency and 50 degrees about.
+
+    Args:
+        amplitudes: (F, M) g_p of its terms.
+        tilt: t.
+    """
+    near = np.linspace(0, np.deg2rad(50.0), 8)
+    psi = np.concatenate([near, np.pi - near])
+    sides = ((1 + np.cos(psi)) / 2) ** tilt * np.cos(np.arange(amplitudes.shape[1])[:, None] * psi)
+    front, back = np.split((np.abs(amplitudes @ sides) ** 2).sum(axis=0), 2)
+    return float(np.sqrt(back.sum() / max(float(front.sum()), 1e-300)))
+
+
 @dataclass(frozen=True)
 class Priors:
     """What is known before the scans, standard deviations in metres.
