@@ -32,7 +32,7 @@ from tagid.tags.bodies.revolution import RoundBody
 from tagid.tags.bodies.spectra import Spectra, centred
 from tagid.tags.bodies.symmetric import symmetric_left
 from tagid.tags.layouts.layout import builtin_layouts
-from tagid.tags.matching.alone import BODY_LEAVES, undisputed
+from tagid.tags.matching.alone import BODY_LEAVES, pointed, points_of, undisputed
 from tagid.tags.matching.contest_settings import ContestSettings
 from tagid.tags.matching.matcher import read_tag
 from tagid.tags.matching.reading import Reading
@@ -92,6 +92,17 @@ def test_two_bare_reflectors_150_degrees_apart_are_not_opposite_ones(views: int)
     reading = read_tag(pair(150.0, views=views), LAYOUTS, SETTINGS)
     assert reading.layout is None and reading.advice
     assert reading.code is Code.DISPLACED
+
+
+def test_points_name_no_layout_where_another_is_nearest_and_refused() -> None:
+    """At 12 views a pair before a shell passed for three reflectors twice as far apart."""
+    scans = pair(180.0, views=12)
+    bare, spectra, settings = read_tag(scans, LAYOUTS, SETTINGS), Spectra.of(scans), SETTINGS.contest
+    points = points_of(bare, spectra, LAYOUTS, settings.points)
+    assert pointed(bare, points, settings) and points.layouts[0].layout == "container-180"
+    refused = bare.refused(Code.ELSEWHERE, "")
+    assert pointed(refused, points, settings)
+    assert not pointed(replace(refused, nearest="helmet-linear"), points, settings)
 
 
 def test_nor_are_they_in_a_vote() -> None:

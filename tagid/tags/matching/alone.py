@@ -89,9 +89,14 @@ def without_body(
 
 
 def pointed(bare: Reading, points: PointReading, settings: ContestSettings) -> bool:
-    """Whether points name a layout that nothing in the bare reading speaks against."""
+    """Whether points name a layout that nothing in the bare reading speaks against.
+
+    With amplitudes that are free in frequency and few views a pair is also three reflectors twice as far
+    apart: where the bare reading finds another layout nearest, its refusal is no ground to name this one.
+    """
     doubted = bare.status == "ambiguous" or bare.code is Code.HIDDEN
-    return points.passes(settings.points) and not doubted
+    other = bare.layout is None and bare.nearest != points.layouts[0].layout
+    return points.passes(settings.points) and not doubted and not other
 
 
 BODY_LEAVES = 0.6
