@@ -38,7 +38,7 @@ from tagid.tags.bodies.joint import Named, enrol_signature
 from tagid.tags.bodies.signature import Signature
 from tagid.tags.layouts.layout import builtin_layouts
 
-POPULATIONS = {"development": "development/1", "sealed": "sealed/6"}
+POPULATIONS = {"development": "development/1", "sealed": "sealed/7"}
 """Sealed seeds are renewed before every report that follows a change of the reader."""
 PARTS = ("solved", "designed")
 OFFSETS_MM = (0, 2, 6, 10)
@@ -340,8 +340,12 @@ with the enrolled body. Of the sealed/5 scenes, which had been read before, 39 o
 123 of 131 with designed layouts were named then, 0 of 127 others (commit 045af84).
 
 Since that an object is named only where noise does not hide a reflector of its tag, flat faces are an
-explanation of their own, and layouts without a body keep their shape in the fit. The sealed/6 scenes had not
-been read before.
+explanation of their own, and layouts without a body keep their shape in the fit. Of the sealed/6
+scenes 52 of 53 on handles and shells and 156 of 171 with designed layouts were named then, 0 of 152 others
+(commit a9c3849).
+
+Since that the evidence of all ways to a name has one order, and on an enrolled body, whose waves are known, a
+name needs no more of it than beside a wall. The sealed/7 scenes had not been read before.
 """
 
 
