@@ -132,6 +132,11 @@ class HiddenPoints(Points):
     hidden_rad: np.ndarray
     half_rad: float
 
+    def single(self, index: int) -> Points:
+        one = super().single(index)
+        object.__setattr__(one, "hidden_rad", self.hidden_rad[index : index + 1])
+        return one
+
     def returns(self, antennas: np.ndarray) -> Returns:
         seen = super().returns(antennas)
         side = np.arctan2(*(antennas[:, None, i] - self.positions[None, :, i] for i in (1, 0)))
