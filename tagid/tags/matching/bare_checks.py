@@ -74,7 +74,9 @@ def checked(
     own = next((p for p in points.layouts if p.layout == layout.name), None) if points is not None else None
     if points is None or own is None or opaque:
         return reading
-    if points.lead < 0 and points.unexplained > settings.unexplained:
+    # Points of constant brightness say little of reflectors that something hides in some views.
+    even = reading.evidence.uneven_nats <= 0
+    if even and points.lead < 0 and points.unexplained > settings.unexplained:
         left = f"which leaves {points.unexplained:.0%}"
         return reading.refused(
             Code.ELSEWHERE, f"points elsewhere explain the echo better than {layout.name}, {left}"

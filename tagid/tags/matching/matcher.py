@@ -342,5 +342,6 @@ def _evidence(case: _Case, settings: ReaderSettings) -> tuple[Evidence, NDArray[
         margin_share=lead / max(best.charged, 1e-30),
         margin_nats=lead / level - fewer * np.log(matched.independent_samples),
         views=matched.views,
+        uneven_nats=other.uneven_nats,
     )
     return evidence, other.positions

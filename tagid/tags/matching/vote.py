@@ -149,4 +149,5 @@ def joint_evidence(parts: Sequence[Evidence]) -> Evidence:
         margin_nats=sum(part.margin_nats for part in parts),
         views=min(part.views for part in parts),
         scans=sum(part.scans for part in parts),
+        uneven_nats=sum(part.uneven_nats for part in parts),
     )

@@ -113,6 +113,7 @@ class Evidence:
         margin_share, margin_nats: lead over the runner-up, as a share of the energy and in noise levels.
         views: number of distinct views of one recording.
         scans: number of recordings of one object that the energies are summed over.
+        uneven_nats: see `Rivals`; above 0 some reflector is hidden or dimmed in some views.
     """
 
     size: int
@@ -133,6 +134,7 @@ class Evidence:
     margin_nats: float
     views: int
     scans: int = 1
+    uneven_nats: float = 0.0
 
 
 def chance(nats: float, size: int, places: float, scans: int = 1) -> float:

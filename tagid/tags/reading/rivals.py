@@ -43,6 +43,8 @@ class Rivals:
         odds_nats: log likelihood ratio of the layout, even or uneven, over the best number of free points,
             each averaged over its positions and amplitudes (Laplace's approximation).
         displacement_m: RMS distance of the freely fitted reflectors from the layout's positions.
+        uneven_nats: log likelihood ratio of the layout with reflectors of uneven amplitude over that with
+            constant ones, its freedom charged.
         sizes: (K,) magnitudes of the layout's reflectors, from the uneven fit.
         outward: see `Evidence`.
         positions: (K, 2) freely fitted positions of the layout's reflectors, m; (K, 3) where heights show.
@@ -52,6 +54,7 @@ class Rivals:
     further_nats: float
     odds_nats: float
     displacement_m: float
+    uneven_nats: float
     sizes: NDArray[np.float64]
     outward: float
     positions: NDArray[np.float64]
@@ -92,6 +95,7 @@ def rivals(disc: SearchDisc, best: Fit, noise: float, search: SearchSettings) ->
         further_nats=beyond,
         odds_nats=float(own - free.max()),
         displacement_m=rigid_distance(moved, best.points, matched.height_scale),
+        uneven_nats=float(less_charged - even),
         sizes=visible_sizes(uneven.sizes.astype(np.complex128), best.visibility),
         outward=uneven.outward,
         positions=moved,

@@ -36,8 +36,9 @@ class UnevenFit:
         residual: (views * rank,) data minus the fit.
         explained: energy explained by the fit, minus the penalty of the prior.
         cost_nats: evidence lost to the additional freedom: log det(1 + C_prior / C_error).
-        sizes: (K,) RMS of A_k over that of w_k, both weighted by (1 + cos psi)^2: what a reflector shows
-            where it faces the antenna. One on the axis faces it always, and is no stronger for that.
+        sizes: (K,) RMS of A_k over that of w_k. One on the axis faces the antenna always, and is no stronger
+            for that: a reflector is as strong beside the strongest as where both face it, weighted by
+            (1 + cos psi)^2, if that is more.
         outward: mean cosine of psi (see `Aspect`) weighted by |A_k(v)|^2, minus its mean over the views.
     """
 
@@ -85,15 +86,20 @@ class UnevenFit:
         shine = shine + found[size:].reshape(len(waves), size).T @ waves
         power = np.abs(shine) ** 2
         side = facing @ np.stack([np.cos(angle), np.sin(angle)])
-        facing_us = (1 + side) ** 2
-        whole = (facing_us if even is None else even**2 * facing_us).sum(axis=1)
+        usual_power = np.ones_like(power) if even is None else even**2
+        every, facing = (
+            np.sqrt((power * w).sum(axis=1) / np.maximum((usual_power * w).sum(axis=1), 1e-9))
+            for w in (np.ones_like(side), (1 + side) ** 2)
+        )
+        largest = max(float(every.max()), 1e-30)
+        sizes = np.maximum(every, facing * (largest / max(float(facing.max()), 1e-30)))
         return cls(
             templates,
             inverse,
             np.asarray(field.data - found.astype(np.complex64) @ templates, dtype=np.complex64),
             float(np.real(np.vdot(b, found))),
             float(cost),
-            np.sqrt((power * facing_us).sum(axis=1) / np.maximum(whole, 1e-9)),
+            np.asarray(sizes, dtype=np.float64),
             float(
                 np.mean((power * side).sum(axis=1) / np.maximum(power.sum(axis=1), 1e-30) - side.mean(axis=1))
             ),
