@@ -346,8 +346,8 @@ scenes 52 of 53 on handles and shells and 156 of 171 with designed layouts were 
 
 Since that the evidence of all ways to a name has one order, and on an enrolled body, whose waves are known, a
 name needs no more of it than beside a wall. The sealed/7 scenes had not been read before.
-The reader before names 49 of 53 and 152 of 171 of the same, 0 of 152 others: what is refused on the mug that is
-two solutions added (`can35_handle+can28_c180-can28`, 4 of 8) is refused by both.
+The reader before names 49 of 53 and 152 of 171 of the same, 0 of 152 others: what is refused on the mug that
+is two solutions added (`can35_handle+can28_c180-can28`, 4 of 8) is refused by both.
 """
 
 
