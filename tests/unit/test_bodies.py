@@ -34,6 +34,7 @@ from tagid.tags.bodies.subtract import without_body
 from tagid.tags.layouts.layout import Layout, builtin_layouts
 from tagid.tags.matching.contest_settings import ContestSettings
 from tagid.tags.matching.matcher import ReaderSettings, read_tag
+from tagid.tags.sequential.looks import SPENT
 from tagid.tags.verdicts.verdict import ADVICE, Code
 from train.calibrate import one, replaced, strata
 from train.population import draw
@@ -381,10 +382,10 @@ def test_too_few_calibration_objects_refuse() -> None:
 def test_early_looks_leave_a_name_on_a_body_the_rest_of_the_setting() -> None:
     _, capture = cans(500, 1, 20.0)[0]
     prepared = PreparedCapture(capture, ImagingSettings())
-    half, quarter = (identify(prepared, LAYOUTS, spent=spent).reading for spent in (0.5, 0.75))
-    assert half is not None and half.bound is not None and quarter is not None
-    assert half.status == "identified"
-    assert half.bound.false_accept == pytest.approx(0.5 * ImagingSettings().false_accept)
+    most, quarter = (identify(prepared, LAYOUTS, spent=spent).reading for spent in (SPENT, 0.75))
+    assert most is not None and most.bound is not None and quarter is not None
+    assert most.status == "identified"
+    assert most.bound.false_accept == pytest.approx((1 - SPENT) * ImagingSettings().false_accept)
     # A quarter is less than the calibration objects can bear out.
     assert (quarter.status, quarter.code) == ("unknown", Code.UNCALIBRATED)
 

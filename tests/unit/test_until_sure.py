@@ -48,7 +48,7 @@ from tagid.tags.sequential.looks import (
     part_of_turn,
 )
 
-CALIBRATION = EndingCalibration("made up", (0, 1999), LOOKS, 32, 1e9, 1999, ())
+CALIBRATION = EndingCalibration("made up", (0, 3999), LOOKS, 32, 1e9, 3999, ())
 URL = "free?rpm=20"
 
 
@@ -77,7 +77,7 @@ def test_a_scan_ends_at_the_first_look_that_is_sure_and_the_capture_says_why(tmp
     with EarlyEnding(settings(), CALIBRATION) as ending:
         capture = recorded(tmp_path / "x.tagid.h5", ending)
     assert [one.share for one in ending.looks] == [0.45, 0.6]
-    expected = Ending("sure", 0.6, "helmet-120", 1 / 2000, 1999)
+    expected = Ending("sure", 0.6, "helmet-120", 1 / 4000, 3999)
     stored = read_capture(tmp_path / "x.tagid.h5")
     assert capture.complete and stored.complete
     assert capture.radar.ended == stored.radar.ended == expected
@@ -91,7 +91,7 @@ def test_a_scan_ends_at_the_first_look_that_is_sure_and_the_capture_says_why(tmp
     answer = ended_answer(identify(prepared, settings().layouts), capture.radar.ended, 1e-3, CALIBRATION)
     assert (answer.status, answer.reading and answer.reading.layout) == ("identified", "helmet-120")
     bound = answer.to_dict()["bound"]
-    assert bound["p_value"] == 1 / 2000 and bound["calibration_objects"] == 1999
+    assert bound["p_value"] == 1 / 4000 and bound["calibration_objects"] == 3999
     assert bound["false_accept"] == SPENT * 1e-3 and bound["population"] == "made up"
 
 
@@ -130,7 +130,7 @@ def test_without_a_bound_the_whole_turn_is_recorded(tmp_path: Path, why: str) ->
         capture = recorded(tmp_path / "x.tagid.h5", ending, scene)
     told = {
         "too few turns": "holds 1000 revolutions, too few for tags.false_accept = 0.001",
-        "a smaller setting": "holds 1999 revolutions, too few for tags.false_accept = 0.0005",
+        "a smaller setting": "holds 3999 revolutions, too few for tags.false_accept = 0.0005",
         "mirrored": "the direction of rotation is unknown",
         "only pairs": "no enrolled layout has 3 reflectors or more",
     }
@@ -217,7 +217,7 @@ def test_two_looks_in_a_row_have_to_name_the_same() -> None:
 def test_the_bound_holds_over_the_largest_score_of_all_looks() -> None:
     """Scores of any distribution, correlated over the looks: false endings stay within the stated rate."""
     rng = np.random.default_rng(4)
-    false_accept, ended, trials = 0.2, 0, 2000
+    false_accept, ended, trials = 0.1 / SPENT, 0, 2000
     for _ in range(trials):
         shared = rng.standard_cauchy((200, 1))
         scores = shared + rng.standard_normal((200, 3))
@@ -230,11 +230,11 @@ def test_the_bound_holds_over_the_largest_score_of_all_looks() -> None:
 
 
 def test_only_turns_with_a_score_can_reach_a_smaller_one() -> None:
-    """Of 1,999 turns one ended on a name: no more can have reached any score."""
+    """Of 3,999 turns one ended on a name: no more can have reached any score."""
     calibration = replace(CALIBRATION, scores=(30.0,))
     for score in (40.0, 20.0):
         new = looks_of(("a", score), ("a", score))
-        assert calibration.bound(new, 0.01).p_value == (1 + (score < 30.0)) / 2000
+        assert calibration.bound(new, 0.01).p_value == (1 + (score < 30.0)) / 4000
 
 
 def test_the_calibration_is_read_back_and_a_damaged_one_is_refused() -> None:

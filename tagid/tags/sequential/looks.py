@@ -43,9 +43,9 @@ bright points on a body may lie anywhere."""
 VIEWS_PER_TURN = 72
 """More scans than this are averaged: a sector of 5 degrees costs a reflector at 0.11 m 0.9 dB, and the time
 of a look does not grow with the scan rate."""
-SPENT = 0.5
-"""Share of the false-accept probability that the early looks may use. A name without a body that the whole
-turn gives has the rest."""
+SPENT = 0.3
+"""Share of the false-accept probability that the early looks may use. A name that the whole turn gives
+has the rest: of that, names without a body take half, and names on a body what is left."""
 OUTLINED_SHARE, OUTLINED_NATS = 0.65, 30.0
 """Energy that the coarse search has to explain, as a share of the echo and over noise, before a look reads
 further. Tags reach 0.72 and 66 at 5 to 20 dB (24 turns), four of five objects without a tag less."""
