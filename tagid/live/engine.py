@@ -26,7 +26,7 @@ from tagid.live.angles import LiveAngles
 from tagid.live.ats import GrowingAts
 from tagid.live.speed import GrowingSpeed
 from tagid.live.state import LiveState, Phase, Sinogram
-from tagid.live.views import TOLERANCE_RAD, GrowingViews, capture_so_far, whole_image
+from tagid.live.views import TOLERANCE_RAD, GrowingViews, capture_so_far, whole_evidence, whole_image
 from tagid.motion.device import Motion
 from tagid.pipeline.settings import ImagingSettings
 from tagid.recording.inspection import noise_power_of, signal_to_noise_db
@@ -362,7 +362,10 @@ class LiveView:
         self._answered_ahead(answer)
 
     def _last_frame(self, capture: Capture) -> None:
-        """The image of the stored capture: every view once, with its final angle."""
+        """Image and evidence of the stored capture: every view once, with its final angle.
+
+        On a busy machine the evidence has been computed of a few views only.
+        """
         if capture.angles_rad is None or capture.axis_distance_m is None:
             return
         if self._ats is None:
@@ -372,6 +375,7 @@ class LiveView:
                 self._fitter.join()
             image = self._ats.go_on(capture, last=True)
         self._publish(image=image, views=capture.views)
+        self._publish(evidence=whole_evidence(capture, self._settings.layouts, self._settings.imaging))
 
 
 def _same(one: Identification, other: Identification) -> bool:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from tagid.angles.views import average_into_views
 from tagid.capture import Capture
 from tagid.constants import RANGE_STEP_M
 from tagid.geometry import ImageGrid
@@ -175,3 +176,19 @@ def whole_image(capture: Capture, grid: ImageGrid, imaging: ImagingSettings) -> 
     settings = replace(imaging.preprocessing(matched_filter=True), background="none")
     image.add(preprocess(capture, settings=settings))
     return image.image()
+
+
+def whole_evidence(
+    capture: Capture, layouts: Sequence[Layout], imaging: ImagingSettings
+) -> tuple[LayoutEvidence, ...]:
+    """The evidence for each layout in a prepared capture, as `GrowingViews` computes it of MAX_VIEWS at most.
+
+    Raises DataError if the scans miss the object's range.
+    """
+    if not layouts:
+        return ()
+    part = average_into_views(capture, MAX_VIEWS) if capture.views > MAX_VIEWS else capture
+    found = GrowingEvidence(layouts, decision=DecisionSettings(false_accept=imaging.false_accept))
+    plain = imaging.preprocessing(matched_filter=False)
+    found.add(preprocess(part, settings=replace(plain, background="none")))
+    return found.judged(preprocess(part, settings=replace(plain, background="mean")))

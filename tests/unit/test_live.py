@@ -264,11 +264,14 @@ def test_a_view_that_is_late_ends_with_the_angle_that_was_recorded(
 ) -> None:
     """On a busy computer the last scans of a turn arrive after the last frame that shows scans."""
     monkeypatch.setattr(LiveView, "_take", lambda _: False)
-    with LiveView(LiveSettings(open_motion("free?rpm=20"), [], imaging=ImagingSettings(pixels=48))) as view:
+    settings = LiveSettings(open_motion("free?rpm=20"), layouts, imaging=ImagingSettings(pixels=48))
+    with LiveView(settings) as view:
         capture = recorded(tmp_path, view)
         prepared = PreparedCapture(load_capture(capture), ImagingSettings(pixels=48))
         view.settle(prepared.given, identify(prepared, layouts))
     assert view.state.final
+    best = max(view.state.evidence, key=lambda one: one.share)
+    assert best.layout == "helmet-120" and best.enough
     assert view.state.turned_rad is not None
     assert view.state.turned_rad > 2 * np.pi
     assert view.state.scans == capture.views
