@@ -26,7 +26,7 @@ from tagid.tags.layouts.layout import builtin_layouts
 from tagid.tags.sequential.calibration import EndingCalibration
 from tagid.tags.sequential.looks import LOOKS
 
-CALIBRATION = EndingCalibration("made up", (0, 1999), LOOKS, 32, 1e9, 1999, ())
+CALIBRATION = EndingCalibration("made up", (0, 3999), LOOKS, 32, 1e9, 3999, ())
 
 
 @pytest.mark.realtime
