@@ -92,7 +92,7 @@ class NullEvidence:
     """What the calibration orders: the evidence for a name, -inf where a test refuses it in any case.
 
     Attributes:
-        round: on a body of revolution (`BodyReading.lead`).
+        round: on a body of revolution (`score`).
         wall: beside a wall of known waves, where the reading above is refused.
         bare: without a body (`PointReading.lead`).
         snr_db: energy of what is not of the body over that of the noise.

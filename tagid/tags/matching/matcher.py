@@ -82,7 +82,7 @@ def read_tag(
         RegistryError: no layouts. DataError: the scans do not hold the object's range.
     """
     scan = MatchedScan(scans, layouts, settings or ReaderSettings(), enrolled)
-    return scan.settled(scan.read(np.argsort(scan.criteria)))
+    return scan.settled(scan.own)
 
 
 def null_evidence_of(scans: BasebandScans, layouts: Sequence[Layout], *, bodies: bool = True) -> NullEvidence:
@@ -94,7 +94,7 @@ def null_evidence_of(scans: BasebandScans, layouts: Sequence[Layout], *, bodies:
     """
     settings = ReaderSettings()
     scan = MatchedScan(scans, layouts, settings)
-    bare = scan.read(np.argsort(scan.criteria))
+    bare = scan.own
     evidence = null_evidence(bare, scan.scans, layouts, settings.contest, bodies=bodies)
     if evidence.bare > -np.inf or bare.code is Code.NO_ECHO:
         return evidence
@@ -185,6 +185,11 @@ class MatchedScan:
         return replace(found.reading, hypotheses=(*found.reading.hypotheses, *others))
 
     @cached_property
+    def own(self) -> Reading:
+        """What this recording says without a body where its own best layout leads."""
+        return self.read(np.argsort(self.criteria))
+
+    @cached_property
     def wall(self) -> ThinWall | None:
         """The thin round wall about the best layout's centre; None where none shows."""
         best = min(self._fits, key=lambda fit: fit.criterion)
@@ -202,8 +207,7 @@ class MatchedScan:
         if self.wall is None:
             return None
         scan = self.without_wall
-        bare = scan.read(np.argsort(scan.criteria))
-        found = named_alone(bare, Spectra.of(scan.scans), self._layouts, self._settings.contest)
+        found = named_alone(scan.own, Spectra.of(scan.scans), self._layouts, self._settings.contest)
         if found is None:
             return None
         reading, radius = found.reading, self.wall.radius_m

@@ -48,25 +48,22 @@ def read_together(
         raise DataError(f"{len(recordings)} recordings to vote", f"Give 1 to {MAX_SCANS}.")
     settings = settings or ReaderSettings()
     scans = [MatchedScan(recording, layouts, settings, enrolled) for recording in recordings]
-    bare = [scan.read(np.argsort(scan.criteria)) for scan in scans]
-    alone = [scan.settled(reading) for scan, reading in zip(scans, bare, strict=True)]
-    joint = _joint(scans, bare, settings)
+    alone = [scan.settled(scan.own) for scan in scans]
+    joint = _joint(scans, settings)
     if joint.status == "unknown" and any(one.wall_m is not None for one in alone):
         # What hides a name in each recording hides it in all of them.
-        cleared = [scan.without_wall for scan in scans]
-        bare = [scan.read(np.argsort(scan.criteria)) for scan in cleared]
-        without = _joint(cleared, bare, settings)
+        without = _joint([scan.without_wall for scan in scans], settings)
         if without.status == "identified":
             joint = without
     return agreed_on_body(_in_place(joint, alone), alone), alone
 
 
-def _joint(scans: Sequence[MatchedScan], own: Sequence[Reading], settings: ReaderSettings) -> Reading:
-    """What recordings say together without a body, and each alone (`own`) where its own best layout leads."""
+def _joint(scans: Sequence[MatchedScan], settings: ReaderSettings) -> Reading:
+    """What recordings say together without a body."""
     order = np.argsort(np.sum([scan.criteria for scan in scans], axis=0))
     agreed = [
-        reading if list(np.argsort(scan.criteria)[:2]) == list(order[:2]) else scan.read(order)
-        for scan, reading in zip(scans, own, strict=True)
+        scan.own if list(np.argsort(scan.criteria)[:2]) == list(order[:2]) else scan.read(order)
+        for scan in scans
     ]
     evidence = joint_evidence([reading.evidence for reading in agreed])
     verdict = decide(evidence, settings.decision)

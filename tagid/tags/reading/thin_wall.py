@@ -11,10 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tagid.imaging.types import BasebandScans
-from tagid.tags.reading.aspect import outward
 from tagid.tags.reading.field import MatchedField
 from tagid.tags.reading.hypotheses import Fit
 from tagid.tags.reading.squares import least_squares
@@ -57,7 +55,8 @@ def thin_wall(scans: BasebandScans, field: MatchedField, best: Fit) -> ThinWall 
         field: matched field.
         best: the layout's fit, whose centre is the wall's.
     """
-    own = _templates(field, best)
+    heights = np.asarray(best.layout.heights) + best.elevation_m
+    own = best.look.templates(field, np.column_stack([best.positions, heights]))
     away = field.distances(np.asarray(best.centre_m)[None]) + best.offset_m
     # The wall carries the reflectors, so that it lies inside them.
     radii = np.arange(0.0, best.layout.radius_m + RADIUS_STEP_M, RADIUS_STEP_M)
@@ -86,12 +85,3 @@ def thin_wall(scans: BasebandScans, field: MatchedField, best: Fit) -> ThinWall 
         return None
     samples = field.samples_without(scans.samples, (fitted[-1] * waves[i]).astype(np.complex64))
     return ThinWall(float(radii[i]), nats, strength, replace(scans, samples=samples))
-
-
-def _templates(field: MatchedField, best: Fit) -> NDArray[np.complex64]:
-    """(K, views * rank) templates of the layout's reflectors."""
-    distances = field.distances(best.positions, np.asarray(best.layout.heights) + best.elevation_m)
-    facing = outward(best.positions, best.centre_m)
-    return field.templates(
-        distances + best.offset_m, best.aspect.weight(field.antenna, best.positions, facing)
-    )

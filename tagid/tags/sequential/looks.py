@@ -128,7 +128,7 @@ def look(part: Capture, layouts: Sequence[Layout], share: float, enrolled: Enrol
         scan = MatchedScan(scans, layouts, ReaderSettings(), enrolled)
         if not scan.may_be_named():
             return Look(share, part.views)
-        reading = scan.read(np.argsort(scan.criteria))
+        reading = scan.own
     except DataError:
         return Look(share, part.views)
     found = Look(share, part.views, reading=reading, scan=scan)
