@@ -197,6 +197,31 @@ def _mug37() -> Mesh:
     return Mesh.join(shapes.can(0.037, 0.084, 0.0093), handle)
 
 
+def _can31() -> Mesh:
+    return shapes.can(0.031, 0.092, 0.0090)
+
+
+def _cup39() -> Mesh:
+    return shapes.can(0.039, 0.088, 0.0094, shapes.sheet(5.5, 0.0025))
+
+
+def _mug34() -> Mesh:
+    """Metal, with a handle near its lower rim."""
+    handle = shapes.handle(0.036, 0.025, 0.054, 0.011, 0.009).moved((0.0, 0.0, -0.010), np.deg2rad(30))
+    return Mesh.join(shapes.can(0.034, 0.094, 0.0092), handle)
+
+
+def _mug40() -> Mesh:
+    """Porcelain, with a porcelain handle."""
+    wall = shapes.sheet(5.8, 0.0028)
+    handle = shapes.handle(0.042, 0.027, 0.060, 0.013, 0.009, wall).moved(turn_rad=np.deg2rad(140))
+    return Mesh.join(shapes.can(0.040, 0.084, 0.0093, wall), handle)
+
+
+def _shell79() -> Mesh:
+    return shapes.helmet((0.079, 0.100, 0.074), 0.018, 0.0104, shapes.sheet(2.8, 0.0030))
+
+
 DEVELOPMENT = {
     "free24_c180": Object(None, 24, ring(45, 10, 190)),
     "free24_one": Object(None, 24, ((0, 0),)),
@@ -317,7 +342,31 @@ OPENED = {
 }
 """Objects that were sealed, reported, and looked at since."""
 
-SEALED: dict[str, Object] = {}
+SEALED: dict[str, Object] = {
+    "free22_c180": Object(None, 22, ring(45, 70, 250)),
+    "free32_h120": Object(None, 32, ring(111, 5, 125, 245)),
+    "free26_three": Object(None, 26, ring(45, 0, 90, 200)),
+    "can31": Object(_can31),
+    "can31_c90": Object(_can31, 24, ring(46, 130, 220)),
+    "can31_c180": Object(_can31, 30, ring(48, 65, 245)),
+    "can31_pair55": Object(_can31, 20, ring(46, 0, 55)),
+    "cup39": Object(_cup39),
+    "cup39_c180": Object(_cup39, 20, ring(51, 15, 195)),
+    "cup39_c90": Object(_cup39, 24, ring(50, 95, 185)),
+    "cup39_three": Object(_cup39, 20, ring(51, 0, 80, 180)),
+    "mug34": Object(_mug34),
+    "mug34_c90": Object(_mug34, 24, ring(47, 100, 190)),
+    "mug34_c180": Object(_mug34, 36, ring(52, 85, 265)),
+    "mug34_three": Object(_mug34, 24, ring(47, 100, 190, 300)),
+    "mug40": Object(_mug40),
+    "mug40_c180": Object(_mug40, 24, ring(53, 50, 230)),
+    "mug40_c90": Object(_mug40, 20, ring(51, 190, 280)),
+    "mug40_pair120": Object(_mug40, 24, ring(53, 0, 120)),
+    "shell79": Object(_shell79),
+    "shell79_h120": Object(_shell79, 24, ring(115, 60, 180, 300)),
+    "shell79_lin": Object(_shell79, 36, ((90, 90), (90, 270), (0, 0))),
+    "shell79_three": Object(_shell79, 24, ring(115, 60, 160, 300)),
+}
 """Objects that are only reported."""
 
 OBJECTS = {**DEVELOPMENT, **OPENED, **SEALED}
@@ -326,6 +375,7 @@ ROUND = (
     *("free18", "free36", "tin28", "bottle", "glass35", "pail"),
     *("tumbler", "jar42", "beaker31", "tin37"),
     *("soda34", "crock38", "flask29", "goblet33", "tub41"),
+    *("free22", "free32", "free26", "can31", "cup39"),
 )
 """Bodies of revolution, and tags alone: to be read without enrolment."""
 

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagid.errors import RegistryError
+from tagid.imaging.preprocess import select_views
 from tagid.imaging.types import BasebandScans
 from tagid.imaging.whitening import whitened
 from tagid.signal import median
@@ -27,6 +28,7 @@ from tagid.tags.matching.heights import without_bodies
 from tagid.tags.matching.reading import LayoutScore, Reading
 from tagid.tags.reading.decision import PLACES_PER_METRE, DecisionSettings, Evidence, decide
 from tagid.tags.reading.field import MatchedField
+from tagid.tags.reading.hidden import HiddenSectors, hidden_sectors
 from tagid.tags.reading.hypotheses import ELEVATION_RANGE_M, Fit, SearchSettings, search
 from tagid.tags.reading.reflectors import (
     FinderSettings,
@@ -99,7 +101,7 @@ def null_evidence_of(scans: BasebandScans, layouts: Sequence[Layout], *, bodies:
     if evidence.bare > -np.inf or bare.code is Code.NO_ECHO:
         return evidence
     # As in `MatchedScan.settled`, whatever is found on a body.
-    found = scan.before_thin_wall()
+    found = scan.cleared()
     return evidence if found is None else replace(evidence, bare=found.points.lead)
 
 
@@ -178,7 +180,7 @@ class MatchedScan:
         on_enrolled = settled.body is not None and bool(settled.body.body.name)
         if settled.status != "unknown" or on_enrolled or not known:
             return settled
-        found = self.before_thin_wall()
+        found = self.cleared()
         if found is None:
             return settled
         others = (one for one in settled.hypotheses if one.kind is not Kind.BARE)
@@ -202,12 +204,49 @@ class MatchedScan:
             return self
         return MatchedScan(self.wall.scans, self._layouts, self._settings)
 
-    def before_thin_wall(self) -> Alone | None:
+    @cached_property
+    def hidden(self) -> HiddenSectors | None:
+        """Sectors in which something hides the best layout's reflectors; None where none shows."""
+        evidence = self.own.evidence
+        # Reflectors that shine outward only are hidden by the body that carries them.
+        if evidence.uneven_nats <= 0 or evidence.outward > self._settings.contest.outward:
+            return None
+        return hidden_sectors(self._field, min(self._fits, key=lambda fit: fit.criterion))
+
+    @cached_property
+    def where_seen(self) -> MatchedScan:
+        """The views in which nothing hides a reflector; the recording itself where nothing does in any."""
+        if self.hidden is None:
+            return self
+        seen = select_views(self.scans, np.flatnonzero(self.hidden.seen))
+        return MatchedScan(seen, self._layouts, self._settings)
+
+    def cleared(self) -> Alone | None:
+        """The name without a body once what disturbs it is left out; None for none.
+
+        That is the echo of a thin round wall, or else the views in which something hides a reflector.
+        """
+        found = self._before_thin_wall()
+        if found is not None or self.hidden is None:
+            return found
+        found = self.where_seen._alone() or self.where_seen._before_thin_wall()
+        # Fewer views may not name what all of them do not find.
+        if found is None or found.reading.layout != self.own.nearest:
+            return None
+        lost = 360.0 * float(np.mean(~self.hidden.seen))
+        note = f"something hides a reflector in {lost:.0f} degrees of the turn, which were left out"
+        notes = "; ".join(one for one in (note, found.reading.note) if one)
+        return replace(found, reading=replace(found.reading, note=notes, hidden_deg=lost))
+
+    def _alone(self) -> Alone | None:
+        """The name without a body."""
+        return named_alone(self.own, Spectra.of(self.scans), self._layouts, self._settings.contest)
+
+    def _before_thin_wall(self) -> Alone | None:
         """The name without a body once the echo of a thin round wall is taken out; None for none."""
         if self.wall is None:
             return None
-        scan = self.without_wall
-        found = named_alone(scan.own, Spectra.of(scan.scans), self._layouts, self._settings.contest)
+        found = self.without_wall._alone()
         if found is None:
             return None
         reading, radius = found.reading, self.wall.radius_m

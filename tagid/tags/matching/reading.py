@@ -55,6 +55,7 @@ class Reading:
         body: the fit on a body, where one was made; for pictures without the body.
         note: what the reading took out or did not consider; empty for nothing.
         wall_m: radius of the thin round wall whose echo was taken out, m; None where none was.
+        hidden_deg: part of the turn that was left out because something hides a reflector there, deg.
     """
 
     status: str
@@ -78,6 +79,7 @@ class Reading:
     body: BodyReading | None = None
     note: str = ""
     wall_m: float | None = None
+    hidden_deg: float = 0.0
 
     @property
     def advice(self) -> str:
