@@ -83,6 +83,20 @@ def test_a_reflector_in_the_centre_is_no_wall() -> None:
         assert read_tag(scans, LAYOUTS).status != "identified"
 
 
+@pytest.mark.parametrize("noise", [0.05, 0.3])
+def test_the_flash_of_a_wall_is_no_reflector_in_the_middle(noise: float) -> None:
+    """The outer two of `helmet-linear` before a wall whose wave is that of a third of a reflector."""
+    places = builtin_layouts()["helmet-linear"].placed(0.4, CENTRE)[:, :2]
+    outer = places[np.hypot(*(places - CENTRE).T) > 0.05]
+    assert len(outer) == 2
+    for seed in range(3):
+        two = with_wall(synthetic_scans(outer, noise=noise, seed=seed), 0.07, 0.5)
+        assert read_tag(two, LAYOUTS).status != "identified"
+        three = with_wall(synthetic_scans(places, noise=noise, seed=seed), 0.07, 0.5)
+        reading = read_tag(three, LAYOUTS)
+        assert (reading.status, reading.layout) == ("identified", "helmet-linear"), reading.reason
+
+
 def test_a_tag_with_one_reflector_more_is_not_named_for_a_wall() -> None:
     for angle in (0.3, 2.0, 4.1):
         more = CENTRE + 0.06 * np.array([np.cos(angle), np.sin(angle)])

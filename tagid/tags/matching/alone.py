@@ -93,8 +93,9 @@ def pointed(bare: Reading, points: PointReading, settings: ContestSettings) -> b
 
     With amplitudes that are free in frequency and few views a pair is also three reflectors twice as far
     apart: where the bare reading finds another layout nearest, its refusal is no ground to name this one.
+    Nor is it where a reflector has no constant amplitude: free ones take up the echo of a wall.
     """
-    doubted = bare.status == "ambiguous" or bare.code is Code.HIDDEN
+    doubted = bare.status == "ambiguous" or bare.code is Code.HIDDEN or bare.evidence.absent > 0
     other = bare.layout is None and bare.nearest != points.layouts[0].layout
     return points.passes(settings.points) and not doubted and not other
 

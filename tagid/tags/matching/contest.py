@@ -288,9 +288,23 @@ def _judged(known: _Bare, reading: BodyReading, settings: ContestSettings) -> Ve
     if verdict.status == "identified" and not _shows(known, reading, settings):
         # Where no body shows, the pattern of a bare pair cannot be told from its angle.
         verdict = Verdict("unknown", Code.OTHER, "no body shows, and no layout fits without one")
+    if verdict.status == "identified" and _centre_absent(known, reading):
+        named = reading.layouts[0].layout
+        verdict = Verdict("unknown", Code.MISSING, f"the reflector in the middle of {named} is missing")
     if verdict.status != "identified":
         return verdict
     return kept(_bound(reading, settings), verdict)
+
+
+def _centre_absent(known: _Bare, reading: BodyReading) -> bool:
+    """Whether a layout on a round body lacks its reflector in the middle.
+
+    About its centre such a body sends the same wave, so that a reading on it leaves that reflector out.
+    Without a body too little of the wave is left for one.
+    """
+    best = reading.layouts[0]
+    same = known.reading.nearest == best.layout and known.reading.evidence.absent > 0
+    return same and not reading.body.name and len(best.radii) < known.reading.evidence.size
 
 
 def _beside_wall(

@@ -230,8 +230,8 @@ class MatchedScan:
         if found is not None or self.hidden is None:
             return found
         found = self.where_seen._alone() or self.where_seen._before_thin_wall()
-        # Fewer views may not name what all of them do not find.
-        if found is None or found.reading.layout != self.own.nearest:
+        # Fewer views may not name what all of them do not find, nor what points elsewhere explain as well.
+        if found is None or found.reading.layout != self.own.nearest or found.points.lead <= 0:
             return None
         lost = 360.0 * float(np.mean(~self.hidden.seen))
         note = f"something hides a reflector in {lost:.0f} degrees of the turn, which were left out"
@@ -354,6 +354,21 @@ class _Case:
     places: float
 
 
+def _absent(best: Fit, each: float, decision: DecisionSettings) -> NDArray[np.bool_]:
+    """(K,) whether a reflector's constant amplitude is too small, of those that are measured well enough.
+
+    Args:
+        best: the layout's fit with constant amplitudes.
+        each: energy of one reflector over the noise, nats.
+        decision: see `absent_share`.
+    """
+    constant = np.abs(best.amplitudes)
+    measured = (best.visibility >= decision.absent_visibility) & (
+        2 * each * best.visibility >= decision.absent_nats
+    )
+    return np.asarray(measured & (constant < decision.absent_share * median(constant)))
+
+
 def _evidence(case: _Case, settings: ReaderSettings) -> tuple[Evidence, NDArray[np.float64]]:
     """The evidence, and the positions (K, 2) of the layout's reflectors when fitted freely, m."""
     best, runner_up, level = case.best, case.runner_up, case.level
@@ -364,7 +379,9 @@ def _evidence(case: _Case, settings: ReaderSettings) -> tuple[Evidence, NDArray[
     other = rivals(case.disc, best, noise, settings.search)
     own = other.sizes
     each = max(best.explained / level / size, 1.0)
-    missing = decision.missing_below(each)
+    missing = own < decision.missing_below(each) * own.max()
+    # Near the axis amplitudes that vary with the view describe other echoes, too.
+    absent = _absent(best, each, decision)
     lead = best.charged - (runner_up.charged if runner_up else 0.0)
     fewer = (best.layout.size - runner_up.layout.size) if runner_up else size
     evidence = Evidence(
@@ -373,7 +390,7 @@ def _evidence(case: _Case, settings: ReaderSettings) -> tuple[Evidence, NDArray[
         places=case.places,
         share=float(min(best.charged / _signal_energy(matched, best, level), 1.0)),
         weakest=float(own.min() / max(float(own.max()), 1e-30)),
-        missing=int(np.count_nonzero(own < missing * own.max())),
+        missing=int(np.count_nonzero(missing | absent)),
         extra=int(np.count_nonzero(beyond > decision.extra_share * median(own))),
         gain_nats=other.gain_nats,
         further_nats=other.further_nats,
@@ -386,5 +403,6 @@ def _evidence(case: _Case, settings: ReaderSettings) -> tuple[Evidence, NDArray[
         margin_nats=lead / level - fewer * np.log(matched.independent_samples),
         views=matched.views,
         uneven_nats=other.uneven_nats,
+        absent=int(np.count_nonzero(absent)),
     )
     return evidence, other.positions

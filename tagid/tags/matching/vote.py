@@ -152,4 +152,5 @@ def joint_evidence(parts: Sequence[Evidence]) -> Evidence:
         views=min(part.views for part in parts),
         scans=sum(part.scans for part in parts),
         uneven_nats=sum(part.uneven_nats for part in parts),
+        absent=int(np.median([part.absent for part in parts])),
     )
