@@ -1,4 +1,4 @@
-"""Sectors of the turn in which something hides reflectors: how they are found, and what is read without them."""
+"""Sectors of the turn in which something hides reflectors: how they are found, and reading without them."""
 
 from __future__ import annotations
 
