@@ -24,11 +24,15 @@ from tagid.tags.layouts.objects import object_named
 
 FIRST_SEED = 50_000_000
 UNTAGGED = ("can", "box", "untagged", "empty")
-UNENROLLED = ("two-far", "three-right-angle", "four-square", "mirror-like", "three-random", "four-random")
+UNENROLLED = (
+    *("two-far", "three-right-angle", "four-square", "mirror-like", "three-random", "four-random"),
+    "linear-outer",
+)
 _FIXED = {
     "two-far": [[0.07, 0.0], [-0.07, 0.0]],
     "three-right-angle": [[0.08, 0.0], [0.0, 0.08], [-0.08, 0.0]],
     "four-square": [[0.1, 0.0], [0.0, 0.1], [-0.1, 0.0], [0.0, -0.1]],
+    "linear-outer": [[0.09, 0.0], [-0.09, 0.0]],
     "mirror-like": [[0.045, 0.0], [0.0, 0.045], [-0.09, -0.02]],
 }
 

@@ -339,10 +339,6 @@ OPENED = {
     "mug37": Object(_mug37),
     "mug37_c180": Object(_mug37, 20, ring(48, 300, 120)),
     "mug37_quad": Object(_mug37, 20, ring(48, 278, 322, 98, 142)),
-}
-"""Objects that were sealed, reported, and looked at since."""
-
-SEALED: dict[str, Object] = {
     "free22_c180": Object(None, 22, ring(45, 70, 250)),
     "free32_h120": Object(None, 32, ring(111, 5, 125, 245)),
     "free26_three": Object(None, 26, ring(45, 0, 90, 200)),
@@ -367,6 +363,9 @@ SEALED: dict[str, Object] = {
     "shell79_lin": Object(_shell79, 36, ((90, 90), (90, 270), (0, 0))),
     "shell79_three": Object(_shell79, 24, ring(115, 60, 160, 300)),
 }
+"""Objects that were sealed, reported, and looked at since."""
+
+SEALED: dict[str, Object] = {}
 """Objects that are only reported."""
 
 OBJECTS = {**DEVELOPMENT, **OPENED, **SEALED}

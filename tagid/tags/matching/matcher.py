@@ -224,19 +224,19 @@ class MatchedScan:
     def cleared(self) -> Alone | None:
         """The name without a body once what disturbs it is left out; None for none.
 
-        That is the echo of a thin round wall, or else the views in which something hides a reflector.
+        That is the echo of a thin round wall, or else the views in which something hides a reflector. Both
+        together would fit too much.
         """
         found = self._before_thin_wall()
         if found is not None or self.hidden is None:
             return found
-        found = self.where_seen._alone() or self.where_seen._before_thin_wall()
+        found = self.where_seen._alone()
         # Fewer views may not name what all of them do not find, nor what points elsewhere explain as well.
         if found is None or found.reading.layout != self.own.nearest or found.points.lead <= 0:
             return None
         lost = 360.0 * float(np.mean(~self.hidden.seen))
         note = f"something hides a reflector in {lost:.0f} degrees of the turn, which were left out"
-        notes = "; ".join(one for one in (note, found.reading.note) if one)
-        return replace(found, reading=replace(found.reading, note=notes, hidden_deg=lost))
+        return replace(found, reading=replace(found.reading, note=note, hidden_deg=lost))
 
     def _alone(self) -> Alone | None:
         """The name without a body."""
