@@ -186,6 +186,11 @@ class MatchedScan:
         others = (one for one in settled.hypotheses if one.kind is not Kind.BARE)
         return replace(found.reading, hypotheses=(*found.reading.hypotheses, *others))
 
+    @property
+    def _best(self) -> Fit:
+        """The fit that leads in this recording."""
+        return self._fits[int(np.argmin(self.criteria))]
+
     @cached_property
     def own(self) -> Reading:
         """What this recording says without a body where its own best layout leads."""
@@ -194,8 +199,7 @@ class MatchedScan:
     @cached_property
     def wall(self) -> ThinWall | None:
         """The thin round wall about the best layout's centre; None where none shows."""
-        best = min(self._fits, key=lambda fit: fit.criterion)
-        return thin_wall(self.scans, self._field, best)
+        return thin_wall(self.scans, self._field, self._best)
 
     @cached_property
     def without_wall(self) -> MatchedScan:
@@ -211,7 +215,7 @@ class MatchedScan:
         # Reflectors that shine outward only are hidden by the body that carries them.
         if evidence.uneven_nats <= 0 or evidence.outward > self._settings.contest.outward:
             return None
-        return hidden_sectors(self._field, min(self._fits, key=lambda fit: fit.criterion))
+        return hidden_sectors(self._field, self._best)
 
     @cached_property
     def where_seen(self) -> MatchedScan:

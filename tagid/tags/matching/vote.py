@@ -50,14 +50,12 @@ def read_together(
     scans = [MatchedScan(recording, layouts, settings, enrolled) for recording in recordings]
     alone = [scan.settled(scan.own) for scan in scans]
     joint = _joint(scans, settings)
-    if joint.status == "unknown":
+    hidden = any(one.hidden_deg for one in alone)
+    walled = any(one.wall_m is not None for one in alone)
+    if joint.status == "unknown" and (hidden or walled):
         # What disturbs the reading of one recording disturbs that of all.
-        clear = scans
-        if any(one.hidden_deg for one in alone):
-            clear = [scan.where_seen for scan in clear]
-        if any(one.wall_m is not None for one in alone):
-            clear = [scan.without_wall for scan in clear]
-        without = _joint(clear, settings) if clear is not scans else joint
+        clear = [scan.where_seen for scan in scans] if hidden else scans
+        without = _joint([scan.without_wall for scan in clear] if walled else clear, settings)
         if without.status == "identified":
             joint = without
     return agreed_on_body(_in_place(joint, alone), alone), alone

@@ -52,7 +52,7 @@ def hidden_sectors(field: MatchedField, best: Fit) -> HiddenSectors | None:
     angle = np.arctan2(field.antenna[:, 1], field.antenna[:, 0])
     masks, widths = _masks(angle)
     size, count = best.layout.size, len(masks)
-    d = field.distances(best.positions, np.asarray(best.layout.heights) + best.elevation_m) + best.offset_m
+    d = best.distances(field)
     pattern = best.aspect.weight(field.antenna, best.positions, outward(best.positions, best.centre_m))
     usual = np.ones_like(d) if pattern is None else pattern
     templates = np.concatenate(

@@ -125,10 +125,18 @@ class Fit:
     @property
     def points(self) -> NDArray[np.float64]:
         """(K, 2) positions of the reflectors, or (K, 3) with their heights where these show, m."""
-        if len(self.place) == 4:
-            return self.positions
+        return self.positions if len(self.place) == 4 else self.places
+
+    @property
+    def places(self) -> NDArray[np.float64]:
+        """(K, 3) positions of the reflectors with their heights, m."""
         heights = np.asarray(self.layout.heights) + self.elevation_m
         return np.column_stack([self.positions, heights])
+
+    def distances(self, field: MatchedField) -> NDArray[np.float64]:
+        """(K, views) measured distances of the reflectors, m."""
+        places = self.places
+        return field.distances(places[:, :2], places[:, 2]) + self.offset_m
 
     @property
     def look(self) -> Appearance:

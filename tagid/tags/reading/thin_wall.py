@@ -55,8 +55,7 @@ def thin_wall(scans: BasebandScans, field: MatchedField, best: Fit) -> ThinWall 
         field: matched field.
         best: the layout's fit, whose centre is the wall's.
     """
-    heights = np.asarray(best.layout.heights) + best.elevation_m
-    own = best.look.templates(field, np.column_stack([best.positions, heights]))
+    own = best.look.templates(field, best.places)
     away = field.distances(np.asarray(best.centre_m)[None]) + best.offset_m
     # The wall carries the reflectors, so that it lies inside them.
     radii = np.arange(0.0, best.layout.radius_m + RADIUS_STEP_M, RADIUS_STEP_M)

@@ -60,8 +60,7 @@ class UnevenFit:
             noise: variance of b / ||s|| from noise alone.
         """
         size = best.layout.size
-        d = field.distances(best.positions, np.asarray(best.layout.heights) + best.elevation_m)
-        d += best.offset_m
+        d = best.distances(field)
         facing = outward(best.positions, best.centre_m)
         even = best.aspect.weight(field.antenna, best.positions, facing)
         angle = np.arctan2(field.antenna[:, 1], field.antenna[:, 0])
