@@ -13,7 +13,7 @@ LOOPS = {
     "tagid.imaging._kernel": 3,
     "tagid.imaging.ats._field": 1,
     "tagid.tags.bodies._arrangements": 1,
-    "tagid.tags.bodies._cylinders": 1,
+    "tagid.tags.bodies._cylinders": 2,
     "tagid.tags.bodies._points": 2,
     "tagid.tags.bodies._walls": 1,
     "tagid.tags.reading._coarse": 3,

@@ -23,6 +23,7 @@ typedef struct {
     const double *radii;    /* (H, K) */
     const double *heights;  /* (H, K) */
     const double *present;  /* (H, K) */
+    const double *body;     /* (F, 2, views) of a body in its pose; NULL for one of revolution */
     int64_t rows, width, angles, walls;
     double *rest; /* (H, F, views, 2) */
     double *left; /* (H,) */
@@ -123,7 +124,7 @@ WIDE static void every_row(const Spectra *shared, const Ringed *r, double *scrat
         const int count = see(g, r, row, &body, each);
         double total = 0.0;
         for (int64_t f = 0; f < g->frequencies; f++) {
-            memcpy(column, body.wave, (size_t)(2 * n) * sizeof(double));
+            memcpy(column, r->body ? r->body + 2 * n * f : body.wave, (size_t)(2 * n) * sizeof(double));
             memset(column + 2 * n, 0, (size_t)(2 * n * DIPOLES) * sizeof(double));
             for (int d = 0; d < DIPOLES; d++) {
                 const double *pattern =
@@ -167,20 +168,23 @@ static int rows_of(Held *h, PyObject **o, const Spectra *g, Ringed *r)
     for (int64_t i = 0; i < r->rows; i++)
         if (r->shells[i] < 0 || r->shells[i] >= r->walls)
             return refused("there is no such wall");
-    return (r->rest = take(h, o[6], 16 * r->rows * g->frequencies * g->views, 1)) &&
-           (r->left = take(h, o[7], 8 * r->rows, 1));
+    r->body = NULL;
+    if (o[6] != Py_None && !(r->body = take(h, o[6], 16 * g->frequencies * g->views, 0)))
+        return 0;
+    return (r->rest = take(h, o[7], 16 * r->rows * g->frequencies * g->views, 1)) &&
+           (r->left = take(h, o[8], 8 * r->rows, 1));
 }
 
 static PyObject *left(PyObject *self, PyObject *args)
 {
     (void)self;
-    PyObject *s[3], *o[8];
+    PyObject *s[3], *o[9];
     Py_ssize_t angles;
     Held h = {.count = 0};
     Spectra g;
     Ringed r;
-    if (!PyArg_ParseTuple(args, "OOO(ddd)OnOOOOOOO", s, s + 1, s + 2, &g.first, &g.step, &g.distance, o,
-                          &angles, o + 1, o + 2, o + 3, o + 4, o + 5, o + 6, o + 7))
+    if (!PyArg_ParseTuple(args, "OOO(ddd)OnOOOOOOOO", s, s + 1, s + 2, &g.first, &g.step, &g.distance, o,
+                          &angles, o + 1, o + 2, o + 3, o + 4, o + 5, o + 6, o + 7, o + 8))
         return NULL;
     if (angles < 1 || angles > 1 << 16) {
         refused("too few angles of a pattern, or too many");
@@ -203,9 +207,9 @@ static PyObject *left(PyObject *self, PyObject *args)
 static PyMethodDef methods[] = {
     {"left", left, METH_VARARGS,
      "left(antenna, height, data, (first, step, distance), patterns, angles, shells, at, radii, heights, "
-     "present, rest, left)"},
+     "present, body, rest, left)"},
     {NULL, NULL, 0, NULL},
 };
 
 MODULE(_cylinders, "Compiled loop of reflectors beside round walls (see tagid.tags.bodies.compiled).", methods,
-       1)
+       2)

@@ -145,13 +145,17 @@ class RingedRows:
         return _cylinders is not None and self.radii.shape[1] <= MOST_RINGED
 
     def rest(
-        self, spectra: SpectraTables, patterns: NDArray[np.complex128]
+        self,
+        spectra: SpectraTables,
+        patterns: NDArray[np.complex128],
+        body: NDArray[np.complex128] | None = None,
     ) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
         """What they leave of the spectra (H, F, V), and its energies (H,).
 
         Args:
             spectra: the scans.
             patterns: (2, S, F, angles) beside every wall, of the electric and the magnetic dipole.
+            body: (F, V) echo of the body in its pose; None for one of revolution about each centre.
         """
         rest = np.empty((len(self.at), patterns.shape[2], len(spectra.height)), dtype=np.complex128)
         left = np.empty(len(self.at))
@@ -159,7 +163,8 @@ class RingedRows:
         plain = (np.ascontiguousarray(one, dtype=np.float64) for one in rows)
         shells = np.ascontiguousarray(self.shells, dtype=np.int64)
         there = spectra.antenna, spectra.height, spectra.data, spectra.scalars
-        _cylinders.left(*there, patterns, patterns.shape[3], shells, *plain, rest, left)
+        own = None if body is None else np.stack([body.real, body.imag], axis=1)
+        _cylinders.left(*there, patterns, patterns.shape[3], shells, *plain, own, rest, left)
         return rest, left
 
 

@@ -108,6 +108,8 @@ class CylinderFitter:
         body: of revolution.
         priors: see `Priors`.
         variance: of one value's error in the fit.
+        known: (F, V) echo of an enrolled body in its pose, in place of that of one of revolution; None for
+            the latter.
     """
 
     spectra: Spectra
@@ -115,6 +117,13 @@ class CylinderFitter:
     body: RoundBody
     priors: Priors
     variance: float
+    known: NDArray[np.complex128] | None = None
+
+    def body_echo(self, centres: NDArray[np.complex128]) -> NDArray[np.complex128]:
+        """(H, F, V) of the body below arrangements about centres x + jy (H,), m."""
+        if self.known is not None:
+            return np.broadcast_to(self.known, (len(centres), *self.known.shape))
+        return self.body.echo(self.spectra, centres, np.zeros(len(centres)))
 
     def solved(self, rows: Sequence[Ringed]) -> Solved:
         """Amplitudes (H, F, 3) of the body and of the reflectors' dipoles, and what they leave."""
@@ -176,13 +185,13 @@ class CylinderFitter:
 
     def _left(self, rings: RingedRows) -> _Left:
         if rings.fits():
-            return _Left(*rings.rest(self.spectra.tables, self.patterns.relative))
+            return _Left(*rings.rest(self.spectra.tables, self.patterns.relative, self.known))
         solved = self._solved(rings)
         return _Left(solved.rest, solved.left)
 
     def _solved(self, rings: RingedRows) -> Solved:
         centres = np.asarray(rings.at[:, 0] + 1j * rings.at[:, 1])
-        echo = self.body.echo(self.spectra, centres, np.zeros(len(centres)))
+        echo = self.body_echo(centres)
         radii = rings.radii + rings.at[:, 2:3]
         paths = Paths.of(self.spectra, centres, radii, rings.at[:, 3:], rings.heights)
         each = self.patterns.columns(paths, rings.shells)

@@ -149,9 +149,18 @@ class _CylinderReader:
         self.coarse_patterns = patterns.thinned(2)
         self.noise = spectra.noise_energy * max(spectra.views - 3, 1) / (spectra.views - 1)
         variance = spectra.noise + settings.priors.model_error * first.body_left / spectra.data.size
+        least = 1e-12 * first.energy
         self.fitter = CylinderFitter(
-            spectra, patterns, settings.body, settings.priors, max(variance, 1e-12 * first.energy)
+            spectra, patterns, settings.body, settings.priors, max(variance, least), self._known(spectra)
         )
+
+    def _known(self, spectra: Spectra) -> NDArray[np.complex128] | None:
+        """(F, V) echo of an enrolled body in its pose; None for one of revolution."""
+        body, pose = self.first.body, self.first.pose
+        if not body.turns:
+            return None
+        echo = body.echo(spectra, np.array([pose.centre]), np.array([pose.turn_rad]))
+        return np.asarray(echo[0])
 
     def read(self) -> BodyReading | None:
         """Search, fit and compare; None where the search leaves a layout no hope."""
@@ -220,7 +229,9 @@ class _CylinderReader:
     def _rings(self, shells: NDArray[np.intp], centre: complex) -> list[Ring]:
         """Reflectors all around a centre, beside each of some walls."""
         angles = 2 * np.pi * np.arange(COUNT) / COUNT
-        echo = self.first.body.echo(self.coarse, np.array([centre]), np.zeros(1))[0]
+        echo = self._known(self.coarse)
+        if echo is None:
+            echo = self.first.body.echo(self.coarse, np.array([centre]), np.zeros(1))[0]
         one = np.ones((1, COUNT))
         paths = Paths.of(self.coarse, np.array([centre]), self.radius_m * one, angles[None], 0 * one)
         return [
@@ -334,16 +345,16 @@ class _CylinderReader:
         lead = (next_left - best.left) / error
         rough = error + (settings.simple_error - settings.priors.model_error) * tag
         untagged = np.inf
-        if lead > 0 and layout.symmetry > 1:
+        if lead > 0 and layout.symmetry > 1 and not first.body.turns:
             hints = (best.centre, first.pose.centre)
             alone = symmetric_left(spectra, layout.symmetry, 3, hints)
             untagged = (alone - best.left) / rough
         solved = self.fitter.solved([best])
         body, wall = solved.amplitudes[0, :, 0], self.fitter.patterns.shells[best.shell]
-        echo = centred(first.body.echo(spectra, np.array([best.centre]), np.zeros(1))[0])
+        echo = centred(self.fitter.body_echo(np.array([best.centre]))[0])
         return BodyReading(
             body=first.body,
-            pose=Pose((best.centre.real, best.centre.imag)),
+            pose=self._pose(best.centre),
             views=spectra.views,
             energy=spectra.energy,
             noise=self.noise,
@@ -368,11 +379,15 @@ class _CylinderReader:
             wall=wall,
         )
 
+    def _pose(self, centre: complex) -> Pose:
+        """Of the body below reflectors about a centre."""
+        return self.first.pose if self.first.body.turns else Pose((centre.real, centre.imag))
+
     def _placed(self, row: Ringed, charged: float) -> Placed:
         """An arrangement beside a wall as one with a free pattern, as which pictures subtract its body."""
         k = len(row.angles)
-        centre = (row.centre.real, row.centre.imag)
-        at = np.array([[*centre, row.offset_m + self.outward_m, *centre, 0.0, *row.angles]])
+        ring, pose = (row.centre.real, row.centre.imag), self._pose(row.centre)
+        at = np.array([[*ring, row.offset_m + self.outward_m, *pose.centre_m, pose.turn_rad, *row.angles]])
         one = np.ones(1)
         batch = Batch(
             at,

@@ -23,6 +23,10 @@ class BodyDecision:
             and of its level, which the median of as many values gives to 1 / ln 2 of that.
         wall_unexplained: the same beside a wall: one that tapers, or ends near the reflectors, leaves a
             fifth, other arrangements a quarter and more.
+        shell_unexplained: on an enrolled shell, before which patterns differ with the gap, where the layout
+            leads by `shell_lead`: tags on oval shells leave up to 20 % and lead by 0.7 and more, 44 others
+            leave 33 % or more and lead by -0.3 at most, those with one reflector too many 28 % and 0.44,
+        shell_m: of nominal radius and more.
         round_left: and on a round body no more than this beyond what noise may add: tags on full-wave cans
             and cups leave up to 3 %, and a wobble of 1 % as much; tags on helmet shells, read as ones on a
             round body, 12 % or more.
@@ -38,6 +42,9 @@ class BodyDecision:
         wall_share: a body with this share of the moving echo has a wall, which cannot lie further outside the
             reflectors than the larger of `early_m`: those of full-wave cans lie 8 to 17 mm inside, 21 mm
             outside where the axis distance is wrong by 10 mm and the pulse is delayed.
+        enrolled_m: the echo of an enrolled body with such a share comes from where it came at enrolment, to
+            within this, one way: axis distances and pulses that nobody stated move it by up to 54 mm, a body
+            that is not there answers from up to 88.
         early_glass_m: how early beside a wall of known waves that the wave passes.
         seen_m: reflectors beside a wall of known waves, or seen from all sides, answer from where they are,
             to within this. Only before an opaque wall does the bounce move a free pattern: of 90 tags that
@@ -54,6 +61,9 @@ class BodyDecision:
     unexplained: float = 0.15
     chance_sigmas: float = 3.5
     wall_unexplained: float = 0.20
+    shell_unexplained: float = 0.22
+    shell_lead: float = 0.6
+    shell_m: float = 0.076
     round_left: float = 0.08
     noise_level: float = 0.25
     noise_sigmas: float = 3.0
@@ -62,6 +72,7 @@ class BodyDecision:
     radius_m: float = 0.025
     early_m: tuple[float, float] = (-0.065, 0.030)
     wall_share: float = 0.05
+    enrolled_m: float = 0.065
     early_glass_m: float = 0.055
     seen_m: float = 0.012
     seen_back: float = 0.45
@@ -95,7 +106,8 @@ def most_unexplained(reading: BodyReading, settings: BodyDecision) -> float:
     if r.wall is not None:
         return s.wall_unexplained + by_chance
     if r.body.name:
-        return s.unexplained
+        clear = r.nominal_m >= s.shell_m and r.lead >= s.shell_lead
+        return s.shell_unexplained if clear else s.unexplained
     noise = s.noise_level * r.noise / max(r.tag, 1e-30) + s.noise_sigmas * deviation
     return min(s.unexplained + by_chance, s.round_left + noise)
 
@@ -103,10 +115,13 @@ def most_unexplained(reading: BodyReading, settings: BodyDecision) -> float:
 def _is_in_place(reading: BodyReading, settings: BodyDecision) -> bool:
     """Whether the reflectors answer from where the layout has them."""
     r, s = reading, settings
+    if r.body.name and not r.through:
+        # An enrolled body knows of the delay that its echo may have in common with the reflectors'. One that
+        # the wave passes through returns most from behind, by paths of its own.
+        delay = r.front_m if r.body_energy > s.wall_share * r.energy else 0.0
+        return r.early_m - max(delay, 0.0) <= s.early_m[1]
     if not r.through:
-        # A body that the wave passes through returns most from behind, by paths of its own. An enrolled one
-        # may be such a body even where few terms explain the echo.
-        return r.early_m <= s.early_m[1] and (bool(r.body.name) or r.early_m >= s.early_m[0])
+        return s.early_m[0] <= r.early_m <= s.early_m[1]
     return r.wall is None or r.early_m <= s.early_glass_m
 
 
@@ -138,8 +153,15 @@ def decide_on_body(reading: BodyReading, settings: BodyDecision) -> Verdict:
             f"the echo comes from {abs(r.early_m) * 1e3:.0f} mm {'before' if r.early_m > 0 else 'behind'} "
             f"the places of {best.layout}, as from the wall of a body that is not round",
         )
-    inside = r.front_m - r.nominal_m
-    if r.body_energy > s.wall_share * r.energy and inside > s.early_m[1]:
+    inside, strong = r.front_m - r.nominal_m, r.body_energy > s.wall_share * r.energy
+    if r.body.turns and strong and abs(r.front_m) > s.enrolled_m:
+        side = "before" if r.front_m > 0 else "behind"
+        return Verdict(
+            "unknown",
+            Code.BODY,
+            f"what looks like {name} is {abs(r.front_m) * 1e3:.0f} mm {side} where it was at enrolment",
+        )
+    if strong and inside > s.early_m[1]:
         return Verdict(
             "unknown",
             Code.BODY,

@@ -18,6 +18,7 @@ from tagid.tags.bodies.body_reading import BodyReading
 from tagid.tags.bodies.calibration import Bound, Calibration
 from tagid.tags.bodies.decide import decide_on_body, score, tag_snr_db
 from tagid.tags.bodies.hypothesis import Enrolled, Explanation, Kind, Pose, plausible
+from tagid.tags.bodies.middle import contradicts
 from tagid.tags.bodies.objects import ObjectReading, decide_object, read_objects
 from tagid.tags.bodies.points import PointReading
 from tagid.tags.bodies.spectra import Spectra
@@ -210,12 +211,14 @@ def _against_bodies(
             reading = _clearer(reading, readings[0][0], spectra, layouts, settings)
         if reading is not None:
             reading = reading.against(known.points) if known.points is not None else reading
-            verdict = _judged(known, reading, settings)
-            free = verdict.status == "identified" and reading.through
+            verdict = _judged(known, reading, spectra, layouts, settings)
+            free = verdict.status == "identified" and reading.through and not body.name
             # Where no body shows, no name beside a wall would stand.
             doubted = (verdict.status == "unknown" and _shows(known, reading, settings)) or free
-            if not body.name and doubted:
+            if doubted:
                 reading, verdict = _beside_wall(known, reading, verdict, spectra, layouts, settings)
+            if body.name and readings:
+                verdict = _borne_out(reading, verdict, readings[0][0], settings)
             readings.append((reading, verdict))
     if not readings:
         return replace(bare, hypotheses=(own,))
@@ -282,7 +285,13 @@ def _against_bodies(
     return replace(bare, body=first)
 
 
-def _judged(known: _Bare, reading: BodyReading, settings: ContestSettings) -> Verdict:
+def _judged(
+    known: _Bare,
+    reading: BodyReading,
+    spectra: Spectra,
+    layouts: Sequence[Layout],
+    settings: ContestSettings,
+) -> Verdict:
     """The verdict on a layout on a body, with the calibration's."""
     verdict = decide_on_body(reading, settings.decision)
     if verdict.status == "identified" and not _shows(known, reading, settings):
@@ -291,6 +300,10 @@ def _judged(known: _Bare, reading: BodyReading, settings: ContestSettings) -> Ve
     if verdict.status == "identified" and _centre_absent(known, reading):
         named = reading.layouts[0].layout
         verdict = Verdict("unknown", Code.MISSING, f"the reflector in the middle of {named} is missing")
+    if verdict.status == "identified" and reading.body.name and reading.nominal_m >= settings.body.wide_m:
+        layout = next(one for one in layouts if one.name == reading.layouts[0].layout)
+        # A shell passes the wave to what stands inside it; a mug's wall does not.
+        verdict = contradicts(spectra, reading, layout) or verdict
     if verdict.status != "identified":
         return verdict
     return kept(_bound(reading, settings), verdict)
@@ -318,7 +331,7 @@ def _beside_wall(
     """A reading on a round body that is refused, or has many free terms, after what a wall says of it."""
     beside = read_beside_wall(reading, known.points, spectra, layouts, settings.body)
     if beside is not None:
-        told = _judged(known, beside, settings)
+        told = _judged(known, beside, spectra, layouts, settings)
         if told.status == "identified":
             return beside, told
     if verdict.status == "identified" and not borne_out(reading, beside, settings.decision):
@@ -336,13 +349,34 @@ def _outdone(
     """The verdict on a name on a round body, taken back where an enrolled body explains the echo better."""
     if verdict.status != "identified" or reading.body.name:
         return verdict
+    named = reading.layouts[0]
     for other, _ in readings:
-        least = min(placed.charged for placed in (*other.layouts, *other.others))
-        if other.body.name and reading.layouts[0].left - least > settings.enrolled_lead * other.error:
-            named = reading.layouts[0].layout
-            reason = f"reflectors on the enrolled body {other.body.name} explain the echo better than {named}"
-            return Verdict("unknown", Code.OTHER, f"{reason} on a round body")
+        if not other.body.name:
+            continue
+        best = min((*other.layouts, *other.others), key=lambda placed: placed.charged)
+        leads = named.left - best.charged > settings.enrolled_lead * other.error
+        # Alone it explains far more than a round body does: then it is what stands there.
+        stands = other.body_left < settings.standing * reading.body_left
+        if leads or (stands and best.layout != named.layout):
+            reason = f"reflectors on the enrolled body {other.body.name} explain the echo better than"
+            return Verdict("unknown", Code.OTHER, f"{reason} {named.layout} on a round body")
     return verdict
+
+
+def _borne_out(
+    reading: BodyReading, verdict: Verdict, first: BodyReading, settings: ContestSettings
+) -> Verdict:
+    """The verdict on a name on an enrolled body, taken back where a round one explains about as much.
+
+    Where the layout leaves much on both, it is not that body that stands there.
+    """
+    much = reading.unexplained > settings.decision.round_left
+    if verdict.status != "identified" or not much or first.body.name:
+        return verdict
+    if _beyond(first) > settings.borne_out * _beyond(reading):
+        return verdict
+    reason = f"a round body explains the echo about as well as the enrolled body {reading.body.name}"
+    return Verdict("unknown", Code.BODY, reason)
 
 
 def _shows(known: _Bare, reading: BodyReading, settings: ContestSettings) -> bool:
@@ -395,6 +429,11 @@ def _share(reading: BodyReading, left: float) -> float:
     """Energy left above noise as a share of the moving echo above noise."""
     signal = max(reading.energy - reading.noise, 1e-30)
     return float(np.clip((left - reading.noise) / signal, 0, 1))
+
+
+def _beyond(reading: BodyReading) -> float:
+    """Energy above noise that the best layout leaves."""
+    return max(reading.layouts[0].left - reading.noise, 0.0)
 
 
 def _left(reading: BodyReading) -> float:

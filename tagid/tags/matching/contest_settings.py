@@ -35,6 +35,13 @@ class ContestSettings:
         better: a hypothesis that leaves so many times less contradicts one that names another layout.
         enrolled_lead: a name on a round body is refused where an enrolled body leads it by so much. Of 42
             full-wave readings that are right it leads by 0.55 at most, of neighbours on a box by 5.
+        standing: or where the enrolled body alone leaves so much less of the echo than a round one, and another
+            arrangement on it leaves least: at 18 views a shell and `helmet-linear` passed for a cup with
+            `container-180`.
+        borne_out: a layout on an enrolled body that leaves more than `BodyDecision.round_left` is named only
+            where it leaves so many times more on a round body. Of tags on their own bodies most leave 1.7
+            times as much and more, of tags with one more reflector in the middle, on a mug that is not there,
+            1.1 to 1.7.
         disputed_nats: a name without a body is refused where another arrangement on a round body leaves so
             many noise variances less, its amplitudes charged, beyond what `points` may leave of a tag: in a
             weak echo one reflector on a can passes for two without a body.
@@ -52,6 +59,8 @@ class ContestSettings:
     beyond: float = 2.0
     better: float = 3.0
     enrolled_lead: float = 1.0
+    standing: float = 0.5
+    borne_out: float = 1.4
     disputed_nats: float = 12.0
     objects: ObjectDecision = field(default_factory=ObjectDecision)
     false_accept: float = 1e-3
