@@ -222,6 +222,41 @@ def _shell79() -> Mesh:
     return shapes.helmet((0.079, 0.100, 0.074), 0.018, 0.0104, shapes.sheet(2.8, 0.0030))
 
 
+def _mug36() -> Mesh:
+    """Metal, tall, with a square handle."""
+    handle = shapes.handle(0.038, 0.026, 0.064, 0.013, 0.009).moved((0.0, 0.0, 0.004), np.deg2rad(190))
+    return Mesh.join(shapes.can(0.036, 0.102, 0.0093), handle)
+
+
+def _mug42() -> Mesh:
+    """Stoneware, low, with a stoneware handle."""
+    wall = shapes.sheet(6.2, 0.0032)
+    handle = shapes.handle(0.044, 0.024, 0.050, 0.014, 0.009, wall).moved(turn_rad=np.deg2rad(65))
+    return Mesh.join(shapes.can(0.042, 0.078, 0.0094, wall), handle)
+
+
+def _mug30() -> Mesh:
+    """Metal, slender, with a handle as wide as the mug."""
+    handle = shapes.handle(0.032, 0.032, 0.058, 0.010, 0.009).moved((0.0, 0.0, -0.006), np.deg2rad(330))
+    return Mesh.join(shapes.can(0.030, 0.090, 0.009), handle)
+
+
+def _shell74() -> Mesh:
+    return shapes.helmet((0.074, 0.096, 0.082), 0.016, 0.0103, shapes.sheet(2.5, 0.0035))
+
+
+def _shell82() -> Mesh:
+    return shapes.helmet((0.082, 0.099, 0.071), 0.022, 0.0104, shapes.sheet(3.1, 0.0024))
+
+
+def _can36() -> Mesh:
+    return _profile(0.0094, (0, -46), (36, -46), (36, 46))
+
+
+def _glass38() -> Mesh:
+    return shapes.can(0.038, 0.098, 0.0094, shapes.sheet(6.9, 0.0027))
+
+
 DEVELOPMENT = {
     "free24_c180": Object(None, 24, ring(45, 10, 190)),
     "free24_one": Object(None, 24, ((0, 0),)),
@@ -365,7 +400,36 @@ OPENED = {
 }
 """Objects that were sealed, reported, and looked at since."""
 
-SEALED: dict[str, Object] = {}
+SEALED: dict[str, Object] = {
+    "mug36": Object(_mug36),
+    "mug36_c90": Object(_mug36, 24, ring(49, 220, 310)),
+    "mug36_c180": Object(_mug36, 20, ring(48, 95, 275)),
+    "mug36_pair130": Object(_mug36, 24, ring(49, 30, 160)),
+    "mug42": Object(_mug42),
+    "mug42_c90": Object(_mug42, 20, ring(53, 120, 210)),
+    "mug42_c180": Object(_mug42, 30, ring(58, 20, 200)),
+    "mug42_three": Object(_mug42, 24, ring(55, 0, 90, 230)),
+    "mug30": Object(_mug30),
+    "mug30_c90": Object(_mug30, 20, ring(43, 10, 100)),
+    "mug30_c180": Object(_mug30, 24, ring(45, 70, 250)),
+    "mug30_one": Object(_mug30, 24, ring(45, 70)),
+    "shell74": Object(_shell74),
+    "shell74_h120": Object(_shell74, 24, ring(112, 25, 145, 265)),
+    "shell74_lin": Object(_shell74, 24, ((90, 0), (90, 180), (0, 0))),
+    "shell74_pair150": Object(_shell74, 30, ring(112, 0, 150)),
+    "shell82": Object(_shell82),
+    "shell82_h120": Object(_shell82, 30, ring(116, 80, 200, 320)),
+    "shell82_lin": Object(_shell82, 30, ((90, 90), (90, 270), (0, 0))),
+    "shell82_four": Object(_shell82, 24, ring(113, 0, 100, 180, 260)),
+    "can36": Object(_can36),
+    "can36_c90": Object(_can36, 20, ring(48, 170, 260)),
+    "can36_c180": Object(_can36, 30, ring(52, 40, 220)),
+    "can36_pair75": Object(_can36, 24, ring(50, 0, 75)),
+    "glass38": Object(_glass38),
+    "glass38_c90": Object(_glass38, 24, ring(50, 60, 150)),
+    "glass38_c180": Object(_glass38, 20, ring(49, 115, 295)),
+    "glass38_three": Object(_glass38, 20, ring(49, 0, 100, 220)),
+}
 """Objects that are only reported."""
 
 OBJECTS = {**DEVELOPMENT, **OPENED, **SEALED}
@@ -374,7 +438,7 @@ ROUND = (
     *("free18", "free36", "tin28", "bottle", "glass35", "pail"),
     *("tumbler", "jar42", "beaker31", "tin37"),
     *("soda34", "crock38", "flask29", "goblet33", "tub41"),
-    *("free22", "free32", "free26", "can31", "cup39"),
+    *("free22", "free32", "free26", "can31", "cup39", "can36", "glass38"),
 )
 """Bodies of revolution, and tags alone: to be read without enrolment."""
 

@@ -35,9 +35,9 @@ class ContestSettings:
         better: a hypothesis that leaves so many times less contradicts one that names another layout.
         enrolled_lead: a name on a round body is refused where an enrolled body leads it by so much. Of 42
             full-wave readings that are right it leads by 0.55 at most, of neighbours on a box by 5.
-        standing: or where the enrolled body alone leaves so much less of the echo than a round one, and another
-            arrangement on it leaves least: at 18 views a shell and `helmet-linear` passed for a cup with
-            `container-180`.
+        standing: or where the enrolled body alone leaves so much less of the echo than a round one, and
+            another arrangement on it leaves least: at 18 views a shell and `helmet-linear` passed for a cup
+            with `container-180`.
         borne_out: a layout on an enrolled body that leaves more than `BodyDecision.round_left` is named only
             where it leaves so many times more on a round body. Of tags on their own bodies most leave 1.7
             times as much and more, of tags with one more reflector in the middle, on a mug that is not there,
