@@ -156,7 +156,7 @@ def register(app: typer.Typer) -> None:
 
 def _facts(one: Signature) -> dict[str, Any]:
     """Properties of a signature, for scripts."""
-    from tagid.tags.bodies.likeness import least_tag, turning_share
+    from tagid.tags.bodies.likeness import least_tag
 
     return {
         "kind": one.kind,
@@ -170,7 +170,7 @@ def _facts(one: Signature) -> dict[str, Any]:
         "captures": one.captures,
         "model_error": one.model_error,
         "noise_share": one.noise_share,
-        "turning_share": turning_share(one),
+        "turning_share": one.turning_share,
         "least_tag": least_tag(one),
     }
 

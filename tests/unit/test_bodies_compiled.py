@@ -183,6 +183,25 @@ def test_reflectors_beside_walls(views: int, monkeypatch: pytest.MonkeyPatch) ->
 
 
 @pytest.mark.skipif(compiled._cylinders is None, reason="no compiler was present at installation")
+def test_reflectors_beside_the_wall_of_an_enrolled_body(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its echo stays where its pose has it, whatever the reflectors' centre."""
+    round_fitter = beside_walls(13)
+    spectra = round_fitter.spectra
+    known = Turning().echo(spectra, np.array([0.003 + 0.002j]), np.array([0.7]))[0]
+    fitter = replace(round_fitter, known=known)
+    rows = [ringed(0, "a", 0.1, 3.0), ringed(7, None, -2.0)]
+    rings = _Many.of(rows).rings
+    found = fitter._left(rings)
+    assert (np.abs(found.energy / round_fitter._left(rings).energy - 1) > 1e-3).all()
+    with pytest.raises(ValueError, match="bytes"):
+        rings.rest(spectra.tables, fitter.patterns.relative, known[:-1])
+    monkeypatch.setattr(compiled, "_cylinders", None)
+    wanted = fitter._left(rings)
+    assert_alike(found.energy, wanted.energy, 1e-9)
+    assert_alike(found.rest, wanted.rest, 1e-8)
+
+
+@pytest.mark.skipif(compiled._cylinders is None, reason="no compiler was present at installation")
 def test_reflectors_beside_no_wall_are_refused() -> None:
     fitter = beside_walls(12)
     tables, patterns = fitter.spectra.tables, fitter.patterns.relative

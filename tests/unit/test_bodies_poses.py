@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from bodies_synthetic import Thing, ring
 from bodies_synthetic import capture as drawn
+from numpy.typing import NDArray
 
 from tagid.capture import Capture
 from tagid.pipeline.identify import aspect_spectra, identify
@@ -18,7 +20,7 @@ from tagid.simulate.presets import room_clutter
 from tagid.simulate.response_file import read_response
 from tagid.simulate.response_scene import response_scene
 from tagid.tags.bodies.below import read_below
-from tagid.tags.bodies.body_reading import BodySettings
+from tagid.tags.bodies.body_reading import BodyReading, BodySettings
 from tagid.tags.bodies.enrolled import EnrolledBody, Searches
 from tagid.tags.bodies.hypothesis import Kind, Pose
 from tagid.tags.bodies.joint import Joint, Named, enrol_signature
@@ -28,6 +30,10 @@ from tagid.tags.bodies.reflectors_fit import FACING, solve
 from tagid.tags.bodies.ring import ring_columns
 from tagid.tags.bodies.spectra import centred
 from tagid.tags.layouts.layout import builtin_layouts
+from tagid.tags.matching import contest
+from tagid.tags.matching.contest_settings import ContestSettings
+from tagid.tags.matching.reading import Reading
+from tagid.tags.verdicts.verdict import Code
 
 RESPONSES = Path(__file__).parents[1] / "data" / "responses"
 LAYOUTS = builtin_layouts()
@@ -37,14 +43,26 @@ SIMULATED = {
     "cup": ("cup:33mm,wall=4mm,handle", "container-90", 0.02),
     "large": ("helmet:98mm", "helmet-linear", 0.04),
     "oval": ("cup:36mm,wall=3.4mm,oval=0.2mm", "container-90", 0.02),
+    "mug": ("cup:36mm,wall=4.5mm,handle", "container-180", 0.02),
+    "loud": ("helmet:101mm", "helmet-linear", 0.04),
 }
 """Body, the layout that it carries, and the size of its reflectors, m."""
 UNSEEN = (Pose((0.0, 0.0), 0.31), Pose((0.0041, -0.0047), 2.777), Pose((-0.0066, 0.0073), 5.043))
 """Between the steps of the coarse searches: 1.4 and 5 degrees, and 3 mm."""
 
 
-def recorded(what: str, pose: Pose, seed: int, views: int, snr_db: float = 20.0) -> Capture:
-    """A turn of a solved can with a handle, a simulated shell or a cup, with or without its tag."""
+def recorded(
+    what: str,
+    pose: Pose,
+    seed: int,
+    views: int,
+    snr_db: float = 20.0,
+    places: NDArray[np.float64] | None = None,
+) -> Capture:
+    """A turn of a solved can with a handle, a simulated shell or a cup, with or without its tag.
+
+    Reflectors stand at `places` (N, 2), m, where given, instead of at the layout's.
+    """
     rng = np.random.default_rng([seed, len(what)])
     acquisition = Acquisition(views=views, snr_db=snr_db, placement=Placement(pose.centre_m, pose.turn_rad))
     room = room_clutter(rng)
@@ -55,6 +73,7 @@ def recorded(what: str, pose: Pose, seed: int, views: int, snr_db: float = 20.0)
     else:
         text, layout, tip_m = SIMULATED[what.removesuffix("-tagged")]
         positions = LAYOUTS[layout].positions if what.endswith("-tagged") else np.zeros((0, 2))
+        positions = positions if places is None else places
         size, body = ReflectorSpec("octahedron", tip_m), parse_body(text)
         scene = object_scene(what, positions, body, size, rng=rng, room=room, variation=Variation(2.6))
     return simulate_capture(scene, acquisition, seed)[0]
@@ -120,6 +139,63 @@ def test_loud_reflectors_before_a_shell_are_named_with_and_without_its_enrolment
     reading = identify(capture, layouts, None, None, [enrolled("large").signature]).reading
     assert reading is not None
     assert (reading.status, reading.layout) == ("identified", "helmet-linear")
+
+
+@pytest.mark.parametrize("pose", UNSEEN)
+def test_a_tag_on_an_enrolled_mug_is_read_beside_its_wall(pose: Pose) -> None:
+    """With free patterns another arrangement explains each of these as well."""
+    signatures, layouts = [enrolled("mug").signature], list(LAYOUTS.values())
+    reading = identify(recorded("mug-tagged", pose, 9, 36, 10.0), layouts, None, None, signatures).reading
+    assert reading is not None and reading.body is not None
+    assert (reading.status, reading.layout, reading.kind) == ("identified", "container-180", Kind.BODY)
+    assert reading.body.body.name == "mug" and reading.body.wall is not None
+    # The body keeps the pose in which its handle was found, the tag has a centre of its own.
+    assert abs(_turned(reading.body.pose, expected(enrolled("mug"), pose))) < np.deg2rad(2.0)
+    others = 0.045 * np.array([[1.0, 0.0], [-0.5, 0.75**0.5]])
+    foreign = identify(
+        recorded("mug-tagged", pose, 9, 36, 10.0, others), layouts, None, None, signatures
+    ).reading
+    assert foreign is not None and foreign.layout is None
+
+
+def test_no_round_wall_is_sought_on_an_enrolled_shell(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pairs beside small walls inside it were named on untagged shells."""
+    assert enrolled("shell").signature.turning_share > ContestSettings().turning
+    assert enrolled("mug").signature.turning_share < ContestSettings().turning
+    beside, asked = contest.read_beside_wall, list[str]()
+
+    def counted(reading: BodyReading, *rest: Any) -> BodyReading | None:
+        asked.append(reading.body.name)
+        return beside(reading, *rest)
+
+    monkeypatch.setattr(contest, "read_beside_wall", counted)
+    for body in ("shell", "mug"):
+        capture, signatures = recorded(body, UNSEEN[1], 9, 36, 10.0), [enrolled(body).signature]
+        reading = identify(capture, list(LAYOUTS.values()), None, None, signatures).reading
+        assert reading is not None and reading.layout is None
+    capture = recorded("mug-tagged", UNSEEN[1], 9, 36, 10.0)
+    identify(capture, list(LAYOUTS.values()), None, None, [enrolled("mug").signature])
+    assert "mug" in asked and "shell" not in asked
+
+
+def test_the_middle_of_a_tag_on_an_enrolled_shell_is_as_its_layout_has_it() -> None:
+    """A ring of reflectors does not hold it; where the ring is off the rotation axis, it shows."""
+    layouts, pose = list(LAYOUTS.values()), UNSEEN[2]
+    ring = LAYOUTS["helmet-120"].positions
+
+    def read(body: str, places: NDArray[np.float64] | None = None) -> Reading:
+        capture = recorded(f"{body}-tagged", pose, 4, 36, 20.0, places)
+        reading = identify(capture, layouts, None, None, [enrolled(body).signature]).reading
+        assert reading is not None
+        return reading
+
+    assert read("shell").layout == "helmet-120"
+    extra = read("shell", np.vstack([ring, np.zeros((1, 2))]))
+    assert (extra.layout, extra.code) == (None, Code.EXTRA)
+    assert "in the middle of helmet-120" in extra.reason
+    assert read("loud").layout == "helmet-linear"
+    missing = read("loud", np.array([[0.09, 0.0], [-0.09, 0.0]]))
+    assert (missing.layout, missing.code) == (None, Code.MISSING)
 
 
 def _turned(one: Pose, other: Pose) -> float:

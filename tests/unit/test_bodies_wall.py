@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,17 +21,21 @@ from tagid.simulate.response_file import read_response
 from tagid.simulate.response_scene import response_scene
 from tagid.tags.bodies import reader as reader_module
 from tagid.tags.bodies.body_reading import BodyReading, BodySettings
-from tagid.tags.bodies.decide import BodyDecision
+from tagid.tags.bodies.decide import BodyDecision, decide_on_body
 from tagid.tags.bodies.hypothesis import BodyModel, Candidate, Enrolled, Pose
 from tagid.tags.bodies.neighbours import lefts_before_walls
+from tagid.tags.bodies.points import PointReading
 from tagid.tags.bodies.reader import BodyReader, read_on_body
 from tagid.tags.bodies.reflectors_fit import POINTS
+from tagid.tags.bodies.revolution import RoundBody
 from tagid.tags.bodies.spectra import Spectra
 from tagid.tags.bodies.starts import Start
 from tagid.tags.bodies.wall import METAL, SERIES, Material, Wall, series
 from tagid.tags.layouts.layout import builtin_layouts
 from tagid.tags.matching import contest
+from tagid.tags.matching.contest_settings import ContestSettings
 from tagid.tags.matching.matcher import read_tag
+from tagid.tags.matching.reading import Reading
 from tagid.tags.verdicts.verdict import Code, Verdict
 
 RESPONSES = Path(__file__).parents[1] / "data" / "responses"
@@ -139,7 +144,7 @@ def test_two_amplitudes_hold_a_solved_reflector_before_its_wall(
 class Solved:
     """A solved body that is known exactly, where it stands."""
 
-    turns, slack_m = True, 5e-3
+    turns, slack_m, turning_share = True, 5e-3, 0.3
 
     def __init__(self, polarisation: str, name: str = "handle34") -> None:
         self.polarisation = polarisation
@@ -322,3 +327,83 @@ def test_an_enrolled_body_that_explains_more_refuses_a_name_on_a_round_one(
     answer = read_tag(scans, list(builtin_layouts().values()), enrolled=Enrolled((Solved("H"),)))
     assert answer.status == status
     assert ("the enrolled body handle34 explain the echo better" in answer.reason) == (status == "unknown")
+
+
+def test_what_an_enrolled_body_must_show_for_a_name_on_it() -> None:
+    """Its place, a tag above the noise, and reflectors where they are, but for a delay that both have."""
+    own, settings = read(tagged(0, 180), "H", BodySettings(), 20.0, 3), BodyDecision()
+    strong = replace(own, body_energy=0.5 * own.energy)
+
+    def code(reading: BodyReading) -> Code:
+        return decide_on_body(reading, settings).code
+
+    assert code(own) is code(strong) is Code.NONE
+    assert code(replace(strong, early_m=0.05, front_m=0.0)) is Code.BODY
+    assert code(replace(strong, early_m=0.05, front_m=0.04)) is Code.NONE
+    elsewhere = decide_on_body(replace(strong, front_m=-0.08), settings)
+    assert elsewhere.code is Code.BODY
+    assert "is 80 mm behind where it was at enrolment" in elsewhere.reason
+    # A weak echo below a loud tag tells no place.
+    assert code(replace(own, body_energy=0.2 * own.energy, front_m=-0.08)) is Code.NONE
+    gain = own.body_left - own.least
+    assert code(replace(own, variance=gain / 115)) is Code.NONE
+    assert code(replace(own, variance=gain / 105)) is Code.WEAK
+    assert code(replace(own, variance=gain / 50)) is Code.NO_TAG
+
+
+@pytest.mark.parametrize(("times", "status"), [(1.3, "unknown"), (1.5, "identified")])
+def test_a_name_on_an_enrolled_body_is_borne_out_by_what_a_round_one_leaves(
+    times: float, status: str
+) -> None:
+    own, settings = read(tagged(0, 180), "H", BodySettings(), 20.0, 3), ContestSettings()
+    much, named = replace(own, unexplained=0.12), Verdict("identified")
+    left = own.noise + times * (own.layouts[0].left - own.noise)
+    round_ = replace(own, body=RoundBody(), layouts=(replace(own.layouts[0], left=left), *own.layouts[1:]))
+    assert own.layouts[0].left > own.noise
+    assert contest._borne_out(much, named, round_, settings).status == status
+    # What leaves little needs no such proof.
+    assert contest._borne_out(replace(own, unexplained=0.05), named, round_, settings) is named
+
+
+@pytest.mark.parametrize(("alone", "status"), [(0.4, "unknown"), (0.6, "identified")])
+def test_an_enrolled_body_that_stands_there_refuses_another_name_on_a_round_one(
+    alone: float, status: str
+) -> None:
+    """A shell with `helmet-linear` passed for a cup with `container-180`."""
+    own, settings = read(tagged(0, 180), "H", BodySettings(), 20.0, 3), ContestSettings()
+    other = replace(own.layouts[0], layout="helmet-linear", charged=own.layouts[0].left)
+    enrolled = replace(own, layouts=(other,), others=(), body_left=alone * own.body_left)
+    round_ = replace(own, body=RoundBody())
+    refused = Verdict("unknown", Code.OTHER, "")
+    verdict = contest._outdone(round_, Verdict("identified"), [(enrolled, refused)], settings)
+    assert verdict.status == status
+    same = replace(enrolled, layouts=(replace(other, layout=own.layouts[0].layout),))
+    assert contest._outdone(round_, Verdict("identified"), [(same, refused)], settings).status == "identified"
+
+
+def test_a_bare_name_that_points_do_not_explain_is_held_against_an_enrolled_body(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """One reflector on a mug and its handle were two without a body."""
+    layouts, asked = list(builtin_layouts().values()), list[int]()
+    acquisition = Acquisition(views=36, snr_db=20.0, placement=Placement(POSE.centre_m, POSE.turn_rad))
+    scene = response_scene(response("free30_c90"), acquisition, "H", response("free30_one"), None)
+    capture, _ = simulate_capture(scene, acquisition, 3)
+    scans = preprocess(capture, settings=PreprocessSettings(matched_filter=False, extent_m=0.5))
+    against, points_of = contest._against_bodies, contest.points_of
+
+    def counted(known: contest._Bare, *rest: Any) -> Reading:
+        asked.append(1)
+        return against(known, *rest)
+
+    monkeypatch.setattr(contest, "_against_bodies", counted)
+    for unexplained, bodies, times in ((0.02, True, 0), (0.3, False, 0), (0.3, True, 1)):
+        asked.clear()
+
+        def points(*given: Any, share: float = unexplained) -> PointReading:
+            return replace(points_of(*given), unexplained=share, lead=5.0)
+
+        monkeypatch.setattr(contest, "points_of", points)
+        enrolled = Enrolled((Solved("H"),) if bodies else ())
+        assert read_tag(scans, layouts, enrolled=enrolled).status in ("identified", "unknown")
+        assert len(asked) == times

@@ -1,9 +1,10 @@
 """Which alike reflectors beside which round wall made the echo, where free patterns cannot tell.
 
-On a can, cup or glass that the reader of free patterns refuses, every arrangement of 1 to 4 reflectors is
-fitted beside walls of metal, plastic, ceramic and glass of every size that the layouts leave room for. Two
-amplitudes per frequency are left for the tag, so that arrangements which patterns of five terms make alike
-differ by a tenth of the echo and more.
+On a can, cup or glass, or an enrolled mug, that the reader of free patterns refuses, every arrangement of 1
+to 4 reflectors is fitted beside walls of metal, plastic, ceramic and glass of every size that the layouts
+leave room for. An enrolled body keeps the echo and the pose that explain it; the wall fixes the pattern
+alone. Two amplitudes per frequency are left for the tag, so that arrangements which patterns of five terms
+make alike differ by a tenth of the echo and more.
 """
 
 from __future__ import annotations

@@ -103,6 +103,11 @@ class EnrolledBody:
         return self.signature.noise_share < ROUND_NOISE_SHARE
 
     @property
+    def turning_share(self) -> float:
+        """Energy of what depends on it over that of the whole echo."""
+        return self.signature.turning_share
+
+    @property
     def slack_m(self) -> float:
         """Standard deviation of a tag's centre about the body's, m."""
         return SLACK_M

@@ -75,6 +75,11 @@ class BodyModel(Protocol):
         ...
 
     @property
+    def turning_share(self) -> float:
+        """Energy of what depends on it over that of the whole echo; 0 for a body of revolution."""
+        ...
+
+    @property
     def slack_m(self) -> float:
         """Standard deviation of the reflectors' common centre about the body's, m; 0 where they are one."""
         ...

@@ -76,17 +76,10 @@ def compare(one: Signature, other: Signature) -> Likeness:
     return Likeness(one.name, other.name, one.kind, float(np.clip(min(shares), 0, 1)))
 
 
-def turning_share(signature: Signature) -> float:
-    """Energy of the turning echo over that of the whole, 0 for a body of revolution."""
-    whole = float(np.sum(np.abs(signature.harmonics) ** 2))
-    turning = float(np.sum(np.abs(signature.turning) ** 2)) * (1 - signature.noise_share)
-    return turning / whole
-
-
 def least_tag(signature: Signature) -> float:
     """Energy that a tag must add to be read on this body, over the body's whole echo, apart from noise.
 
     The body's signature is wrong by its model error, and its layout may leave UNEXPLAINED of the tag's echo.
     """
-    error = max(signature.model_error, LEAST_ERROR) * max(turning_share(signature), LEAST_ERROR)
+    error = max(signature.model_error, LEAST_ERROR) * max(signature.turning_share, LEAST_ERROR)
     return error / UNEXPLAINED

@@ -43,6 +43,11 @@ class RoundBody:
         return False
 
     @property
+    def turning_share(self) -> float:
+        """Nothing of its echo depends on its turn."""
+        return 0.0
+
+    @property
     def slack_m(self) -> float:
         """The reflectors are placed about its own centre."""
         return 0.0

@@ -142,6 +142,13 @@ class Signature:
         noise = float(np.sum(self.noise[:, None] * mask))
         return min(noise / max(float(np.sum(np.abs(self.turning) ** 2)), 1e-300), 1.0)
 
+    @property
+    def turning_share(self) -> float:
+        """Energy of the turning echo over that of the whole, noise subtracted: 0 for a body of revolution."""
+        whole = float(np.sum(np.abs(self.harmonics) ** 2))
+        turning = float(np.sum(np.abs(self.turning) ** 2)) * (1 - self.noise_share)
+        return turning / max(whole, 1e-300)
+
     def mirrored(self) -> Signature:
         """As it looks where the object turned the other way."""
         return replace(self, harmonics=self.harmonics[:, ::-1])

@@ -77,6 +77,10 @@ def settle(
         if borne.status != done.status:
             # A name that no points bear out may be that of reflectors on a body.
             done, bare = None, borne
+        elif enrolled.bodies and points is not None and points.unexplained > settings.bare.unexplained:
+            # What points leave much of may be the echo of a known body, and of something on it.
+            done, bare = None, borne
+            own = replace(own, left=max(own.left, min(points.unexplained, 1.0)))
         else:
             if points is not None and pointed(bare, points, settings):
                 own = replace(own, layout=done.layout, left=float(np.clip(points.unexplained, 0, 1)))
@@ -215,7 +219,7 @@ def _against_bodies(
             free = verdict.status == "identified" and reading.through and not body.name
             # Where no body shows, no name beside a wall would stand.
             doubted = (verdict.status == "unknown" and _shows(known, reading, settings)) or free
-            if doubted:
+            if doubted and body.turning_share < settings.turning:
                 reading, verdict = _beside_wall(known, reading, verdict, spectra, layouts, settings)
             if body.name and readings:
                 verdict = _borne_out(reading, verdict, readings[0][0], settings)
