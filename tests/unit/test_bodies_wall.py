@@ -346,8 +346,8 @@ def test_what_an_enrolled_body_must_show_for_a_name_on_it() -> None:
     # A weak echo below a loud tag tells no place.
     assert code(replace(own, body_energy=0.2 * own.energy, front_m=-0.08)) is Code.NONE
     gain = own.body_left - own.least
-    assert code(replace(own, variance=gain / 115)) is Code.NONE
-    assert code(replace(own, variance=gain / 105)) is Code.WEAK
+    assert code(replace(own, variance=gain / 125)) is Code.NONE
+    assert code(replace(own, variance=gain / 115)) is Code.WEAK
     assert code(replace(own, variance=gain / 50)) is Code.NO_TAG
 
 
