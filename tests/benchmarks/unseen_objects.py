@@ -397,10 +397,6 @@ OPENED = {
     "shell79_h120": Object(_shell79, 24, ring(115, 60, 180, 300)),
     "shell79_lin": Object(_shell79, 36, ((90, 90), (90, 270), (0, 0))),
     "shell79_three": Object(_shell79, 24, ring(115, 60, 160, 300)),
-}
-"""Objects that were sealed, reported, and looked at since."""
-
-SEALED: dict[str, Object] = {
     "mug36": Object(_mug36),
     "mug36_c90": Object(_mug36, 24, ring(49, 220, 310)),
     "mug36_c180": Object(_mug36, 20, ring(48, 95, 275)),
@@ -430,6 +426,9 @@ SEALED: dict[str, Object] = {
     "glass38_c180": Object(_glass38, 20, ring(49, 115, 295)),
     "glass38_three": Object(_glass38, 20, ring(49, 0, 100, 220)),
 }
+"""Objects that were sealed, reported, and looked at since."""
+
+SEALED: dict[str, Object] = {}
 """Objects that are only reported."""
 
 OBJECTS = {**DEVELOPMENT, **OPENED, **SEALED}
