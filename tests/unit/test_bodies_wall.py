@@ -22,7 +22,7 @@ from tagid.simulate.response_scene import response_scene
 from tagid.tags.bodies import reader as reader_module
 from tagid.tags.bodies.body_reading import BodyReading, BodySettings
 from tagid.tags.bodies.decide import BodyDecision, decide_on_body
-from tagid.tags.bodies.hypothesis import BodyModel, Candidate, Enrolled, Pose
+from tagid.tags.bodies.hypothesis import BodyModel, Candidate, Enrolled, Explanation, Kind, Pose
 from tagid.tags.bodies.neighbours import lefts_before_walls
 from tagid.tags.bodies.points import PointReading
 from tagid.tags.bodies.reader import BodyReader, read_on_body
@@ -407,3 +407,17 @@ def test_a_bare_name_that_points_do_not_explain_is_held_against_an_enrolled_body
         enrolled = Enrolled((Solved("H"),) if bodies else ())
         assert read_tag(scans, layouts, enrolled=enrolled).status in ("identified", "unknown")
         assert len(asked) == times
+
+
+@pytest.mark.parametrize(("left", "status"), [(0.45, "unknown"), (0.35, "identified")])
+def test_a_bare_name_that_leaves_much_is_contested_where_no_wall_shows(left: float, status: str) -> None:
+    """Neighbours on a can on the axis, whose wall does not move, were a pair without a body."""
+    layouts, settings = list(builtin_layouts().values()), ContestSettings()
+    own = read(tagged(0, 180), "H", BodySettings(), 20.0, 3)
+    best = replace(own.layouts[0], layout=None, left=own.noise)
+    round_ = replace(own, body=RoundBody(), body_energy=0.0, layouts=(best,), others=())
+    scans = scans_of(response("free30_c90"), "H", 20.0, 3)
+    bare = replace(read_tag(scans, layouts), status="identified", layout="container-90", kind=Kind.BARE)
+    named = Explanation(Kind.BARE, "", "container-90", left, None, POSE)
+    assert not contest._walled(round_, settings) and bare.evidence.outward <= settings.outward
+    assert contest._contested(bare, named, round_, layouts, settings).status == status

@@ -33,6 +33,8 @@ class ContestSettings:
         beyond: or where points without a body are behind the layout on it by such a lead: a strong body is
             nearly one point, and what it hides counts.
         better: a hypothesis that leaves so many times less contradicts one that names another layout.
+        much: a name without a body that leaves so much of the echo needs no wall to be contested: something
+            else stands there. Neighbours on a can on the axis, horizontally polarised, left half of it.
         enrolled_lead: a name on a round body is refused where an enrolled body leads it by so much. Of 42
             full-wave readings that are right it leads by 0.55 at most, of neighbours on a box by 5.
         standing: or where the enrolled body alone leaves so much less of the echo than a round one, and
@@ -60,6 +62,7 @@ class ContestSettings:
     outward: float = 0.45
     beyond: float = 2.0
     better: float = 3.0
+    much: float = 0.4
     enrolled_lead: float = 1.0
     standing: float = 0.5
     borne_out: float = 1.4
