@@ -13,7 +13,7 @@ from tagid.pipeline.identify import aspect_spectra
 from tagid.tags.bodies import posing, signature
 from tagid.tags.bodies.hypothesis import Pose
 from tagid.tags.bodies.joint import Basis, Joint, Named, _Estimate, _left, enrol_signature
-from tagid.tags.bodies.likeness import compare, least_tag, turning_share
+from tagid.tags.bodies.likeness import compare, least_tag
 from tagid.tags.bodies.posing import PoseSearch, match, refine, round_centre
 from tagid.tags.bodies.signature import Signature, angular, order_of
 from tagid.tags.bodies.signature_file import MAX_BYTES, from_bytes, to_bytes
@@ -172,7 +172,7 @@ def test_likeness_and_what_a_tag_must_return(mug: Joint) -> None:
     other = enrol_signature(three(Thing((0.04, -0.05j), (2.0, 2.0), 6.0)), "other", "body").signature
     assert compare(mug.signature, again).alike
     assert not compare(mug.signature, other).alike and compare(mug.signature, other).left > 0.2
-    assert 0.05 < turning_share(mug.signature) < 0.9
+    assert 0.05 < mug.signature.turning_share < 0.9
     assert least_tag(mug.signature) < 0.01
 
 
