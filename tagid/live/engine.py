@@ -43,7 +43,7 @@ MAX_PIXELS = 128
 """Pixels per side of the live image: screens show no more next to the other figures."""
 FRAME_S = 0.12
 """Shortest time between two frames, s."""
-_ROWS = 240
+_ROWS, _FEWEST_ROWS = 240, 3
 _JUDGED_SCANS = 64
 _JOIN_S = 30.0
 
@@ -286,20 +286,23 @@ class LiveView:
         return True
 
     def _count_the_rest(self) -> None:
-        """Number and angle of all scans: the last ones of a late view were in no frame."""
+        """Number, angle and sinogram of all scans: the last ones of a late view, or all, were in no frame."""
         with self._lock:
             new, self._queue = self._queue, []
         self._scans += new
         angles = self._angles.of(self._scans) if self._scans else None
         turned = self._state.turned_rad if angles is None else float(np.abs(angles).max())
-        self._publish(scans=len(self._scans), turned_rad=turned)
+        shown: dict[str, object] = {"scans": len(self._scans), "turned_rad": turned}
+        if self._session is not None and len(self._scans) >= _FEWEST_ROWS:
+            shown["sinogram"], shown["snr_db"] = self._sinogram(self._session)
+        self._publish(**shown)
 
     def _in_a_hurry(self) -> bool:
         """Whether the view is to end; remaining scans are then not shown."""
         return self._closing or self._stored is not None
 
     def _sinogram(self, session: Session) -> tuple[Sinogram | None, float | None]:
-        if len(self._scans) < 3:
+        if len(self._scans) < _FEWEST_ROWS:
             return None, None
         every = -(-len(self._scans) // _ROWS)
         samples = np.stack([scan.samples for scan in self._scans[::every]]).astype(np.float64)

@@ -51,7 +51,7 @@ class LiveState:
         turned_rad: angle covered, not negative; None while neither the motion nor the scans determine it.
         views: views in the image.
         snr_db: ratio of moving echo to noise in one scan, dB; None if no echo exceeds the noise.
-        sinogram: of the scans so far; None before two of them.
+        sinogram: of the scans so far; None before three of them.
         image: backprojection of the views so far; None before there is one.
         evidence: for each layout; empty with too few views.
         answer: the newest answer; None before there is one.

@@ -259,7 +259,7 @@ def test_a_recording_is_shown_to_its_last_frame(tmp_path: Path, layouts: list[La
     assert [t.name for t in threading.enumerate() if t.name.startswith("live-")] == []
 
 
-def test_a_view_that_is_late_ends_with_the_angle_that_was_recorded(
+def test_a_view_that_is_late_ends_with_angle_and_sinogram_of_what_was_recorded(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, layouts: list[Layout]
 ) -> None:
     """On a busy computer the last scans of a turn arrive after the last frame that shows scans."""
@@ -275,6 +275,8 @@ def test_a_view_that_is_late_ends_with_the_angle_that_was_recorded(
     assert view.state.turned_rad is not None
     assert view.state.turned_rad > 2 * np.pi
     assert view.state.scans == capture.views
+    assert view.state.sinogram is not None
+    assert np.ptp(view.state.sinogram.rows) > 0 and view.state.snr_db is not None
 
 
 @dataclass(frozen=True)
