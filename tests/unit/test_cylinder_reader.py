@@ -132,6 +132,17 @@ def test_a_wall_must_bear_out_a_pattern_of_many_free_terms() -> None:
     assert other.layouts and not borne_out(named, other, decision)
 
 
+def test_a_wall_and_reflectors_that_cancel_each_other_name_nothing() -> None:
+    """A helmet's tag of 18 views was fitted by a pair beside a small glass, each as loud as their sum."""
+    own, decision = beside(spectra_of("cup36_c180", "V")), BodyDecision()
+    assert own.body_energy + own.body_left < 1.5 * own.energy
+    for times, status in ((1.5, "identified"), (1.7, "unknown")):
+        loud = replace(own, body_energy=times * own.energy - own.body_left)
+        verdict = decide_on_body(loud, decision)
+        assert verdict.status == status
+        assert ("would undo" in verdict.reason) == (status == "unknown")
+
+
 def test_what_free_patterns_found_is_tried_beside_walls(monkeypatch: pytest.MonkeyPatch) -> None:
     """The search on the ring missed a pair 110 degrees apart on a can; a right angle led by 0.9."""
     monkeypatch.setattr(cylinder_reader, "HOPEFUL", 0.0)
