@@ -43,7 +43,7 @@ MAX_PIXELS = 128
 """Pixels per side of the live image: screens show no more next to the other figures."""
 FRAME_S = 0.12
 """Shortest time between two frames, s."""
-_ROWS, _FEWEST_ROWS = 240, 3
+_ROWS = 240
 _JUDGED_SCANS = 64
 _JOIN_S = 30.0
 
@@ -277,32 +277,39 @@ class LiveView:
                 self._fit_ahead()
                 image = self._ats_image or image
                 shown |= {"views": self._views.count, "image": image, "evidence": evidence}
-        sinogram, snr = self._sinogram(session)
-        seconds = (self._scans[-1].radar_time_ms - self._scans[0].radar_time_ms) * 1e-3
-        lost = session.intake.scans_lost
-        self._publish(
-            scans=len(self._scans), lost=lost, seconds=seconds, sinogram=sinogram, snr_db=snr, **shown
-        )
+        self._publish(**self._recorded(session), **shown)
         return True
 
     def _count_the_rest(self) -> None:
-        """Number, angle and sinogram of all scans: the last ones of a late view, or all, were in no frame."""
+        """Publish what was recorded: the last scans of a late view, or all of them, were in no frame."""
         with self._lock:
             new, self._queue = self._queue, []
         self._scans += new
-        angles = self._angles.of(self._scans) if self._scans else None
+        session = self._session
+        if not self._scans or session is None:
+            return
+        # Also where all scans were shown: angles may have become known since.
+        angles = self._angles.of(self._scans)
         turned = self._state.turned_rad if angles is None else float(np.abs(angles).max())
-        shown: dict[str, object] = {"scans": len(self._scans), "turned_rad": turned}
-        if self._session is not None and len(self._scans) >= _FEWEST_ROWS:
-            shown["sinogram"], shown["snr_db"] = self._sinogram(self._session)
-        self._publish(**shown)
+        self._publish(**self._recorded(session), turned_rad=turned)
+
+    def _recorded(self, session: Session) -> dict[str, object]:
+        """Fields of the state that need the scans so far and no angles; at least one scan."""
+        sinogram, snr = self._sinogram(session)
+        return {
+            "scans": len(self._scans),
+            "lost": session.intake.scans_lost,
+            "seconds": (self._scans[-1].radar_time_ms - self._scans[0].radar_time_ms) * 1e-3,
+            "sinogram": sinogram,
+            "snr_db": snr,
+        }
 
     def _in_a_hurry(self) -> bool:
         """Whether the view is to end; remaining scans are then not shown."""
         return self._closing or self._stored is not None
 
     def _sinogram(self, session: Session) -> tuple[Sinogram | None, float | None]:
-        if len(self._scans) < _FEWEST_ROWS:
+        if len(self._scans) < 3:
             return None, None
         every = -(-len(self._scans) // _ROWS)
         samples = np.stack([scan.samples for scan in self._scans[::every]]).astype(np.float64)

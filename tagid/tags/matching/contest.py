@@ -455,11 +455,15 @@ def _contested(
     best = min((*reading.layouts, *reading.others), key=lambda placed: placed.left)
     wanted = layout_gaps_deg(next(one for one in layouts if one.name == bare.layout))
     apart = difference_deg(gaps_deg(best.angles), wanted) > settings.body.other_deg
-    # On the axis a wall does not move: there its shadow on the reflectors tells of it.
-    wall = _walled(reading, settings) or bare.evidence.outward > settings.outward or bool(reading.body.name)
-    # Alike reflectors of constant brightness that leave so much are not all that stands there.
-    wall = wall or own.left > settings.much
-    if best.layout == bare.layout or not apart or not wall:
+    doubtful = (
+        _walled(reading, settings)
+        # On the axis a wall does not move: there its shadow on the reflectors tells of it.
+        or bare.evidence.outward > settings.outward
+        or bool(reading.body.name)
+        # Alike reflectors of constant brightness that leave so much are not all that stands there.
+        or own.left > settings.much
+    )
+    if best.layout == bare.layout or not apart or not doubtful:
         return replace(bare, body=reading)
     if own.left <= settings.better * max(_share(reading, best.left), settings.body.priors.model_error):
         return replace(bare, body=reading)
