@@ -76,11 +76,15 @@ def _act(late: bool = False) -> None:
 
 
 @contextmanager
-def handled() -> Iterator[None]:
+def handled(*, to_the_end: bool = False) -> Iterator[None]:
     """Make each of `SIGNALS` raise KeyboardInterrupt in the main thread; for a program's outermost call.
 
     A signal that was ignored when the process started (`nohup`) stays ignored. While the interpreter exits,
     all signals are ignored: all files are written by then.
+
+    Args:
+        to_the_end: the program ends with the block: signals after it have no effect. Otherwise they are
+            handled as before it.
     """
     if not _on_main_thread():
         yield
@@ -90,7 +94,11 @@ def handled() -> Iterator[None]:
     try:
         yield
     finally:
-        _restore(before)
+        if to_the_end:
+            # Restored, a signal between here and the end of the interpreter would change the exit code.
+            _state.depth += 1
+        else:
+            _restore(before)
         atexit.unregister(_ignore_all)
         atexit.register(_ignore_all)
 

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import sys
-
 import typer
 
 from firmware_tools.cli import build, flash, p440, provision, selftest, verify
-from tagid.cli.common.frame import serve
+from tagid.cli.common.frame import run_program
 
 app = typer.Typer(
     name="tagid-firmware",
@@ -23,4 +21,4 @@ for part in (build, flash, provision, verify, selftest, p440):
 
 def main() -> None:
     """Entry point."""
-    sys.exit(serve(app))
+    run_program(app)

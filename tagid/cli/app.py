@@ -7,13 +7,12 @@ from __future__ import annotations
 
 import gc
 import os
-import sys
 from typing import Annotated
 
 import typer
 
 from tagid import __version__
-from tagid.cli.common.frame import serve
+from tagid.cli.common.frame import run_program
 from tagid.cli.common.lazy import Entry, lazy_group
 from tagid.constants import BLAS_THREADS
 
@@ -113,4 +112,4 @@ def main() -> None:
     # another keeps its core busy: on a busy computer two of them made a command five times slower.
     for name in BLAS_THREADS:
         os.environ.setdefault(name, "1")
-    sys.exit(serve(app))
+    run_program(app)

@@ -57,6 +57,29 @@ def test_every_stop_signal_ends_a_recording_alike(tmp_path: Path, command: str, 
     assert capture.samples.any(axis=1).all()
 
 
+@pytest.mark.parametrize("program", ["tagid", "firmware_tools"])
+@pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_after_the_last_write_changes_nothing(kind: signal.Signals, program: str) -> None:
+    """Between the result and the end of the interpreter, where exit code and message are decided."""
+    script = (
+        "import os\n"
+        "from tagid.cli.common import frame\n"
+        f"from {program}.cli.app import main\n"
+        "def exiting(code):\n"
+        f"    os.kill(os.getpid(), {int(kind)})\n"
+        "    raise SystemExit(code)\n"
+        "frame.sys.exit = exiting\n"
+        "main()\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script, "--help"],
+        capture_output=True,
+        text=True,
+        cwd=Path(__file__).parents[2],
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+
+
 def test_the_journal_stays_where_the_file_does_not_read_back(tmp_path: Path) -> None:
     script = (
         "import sys\n"

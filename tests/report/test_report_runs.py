@@ -20,7 +20,8 @@ from report_batches import a_job
 from tagid.batch.inputs import Source
 from tagid.batch.local import Task, run_local
 from tagid.batch.run import FILES
-from tagid.cli.app import main
+from tagid.cli.app import app
+from tagid.cli.common.frame import serve
 
 
 def lines(folder: Path) -> list[dict]:
@@ -111,10 +112,9 @@ def test_wrong_command_lines(
     monkeypatch.setattr(sys, "argv", ["tagid", *map(str, words)])
     for name in ("TAGID_DATA", "TAGID_CONFIG", "COLUMNS"):
         monkeypatch.setenv(name, home[name])
-    with pytest.raises(SystemExit) as ended:
-        main()
+    ended = serve(app)
     err = capsys.readouterr().err
-    assert (ended.value.code, err.count("error:")) == (code, 1), err
+    assert (ended, err.count("error:")) == (code, 1), err
     assert message in " ".join(err.split())
     assert not (tmp_path / "report").exists()
 

@@ -218,6 +218,16 @@ def _drop_if_broken(stream: typing.TextIO) -> None:
             os.close(null)
 
 
+def run_program(app: typer.Typer) -> typing.NoReturn:
+    """Run the command line of a program and end the process with its exit code (`serve`)."""
+    try:
+        with interrupts.handled(to_the_end=True):
+            code = serve(app)
+    except KeyboardInterrupt:
+        code = EXIT_INTERRUPTED
+    sys.exit(code)
+
+
 def serve(app: typer.Typer) -> int:
     """Run the command line of a program; report an invalid one in the requested format.
 
