@@ -257,6 +257,32 @@ def _glass38() -> Mesh:
     return shapes.can(0.038, 0.098, 0.0094, shapes.sheet(6.9, 0.0027))
 
 
+def _shell77() -> Mesh:
+    return shapes.helmet((0.077, 0.095, 0.086), 0.018, 0.0104, shapes.sheet(2.7, 0.0028))
+
+
+def _shell81() -> Mesh:
+    return shapes.helmet((0.081, 0.103, 0.078), 0.020, 0.0106, shapes.sheet(3.0, 0.0033))
+
+
+def _mug39() -> Mesh:
+    """Porcelain, with a slender porcelain handle."""
+    wall = shapes.sheet(5.4, 0.0026)
+    handle = shapes.handle(0.041, 0.025, 0.055, 0.010, 0.009, wall).moved(turn_rad=np.deg2rad(285))
+    return Mesh.join(shapes.can(0.039, 0.088, 0.0093, wall), handle)
+
+
+def _mug32() -> Mesh:
+    """Metal, with a handle at half its height."""
+    handle = shapes.handle(0.034, 0.026, 0.050, 0.012, 0.009).moved((0.0, 0.0, 0.002), np.deg2rad(110))
+    return Mesh.join(shapes.can(0.032, 0.096, 0.009), handle)
+
+
+def _crate62() -> Mesh:
+    """Plastic, open at the top."""
+    return shapes.box((0.062, 0.062, 0.085), 0.0100, shapes.sheet(2.4, 0.003))
+
+
 DEVELOPMENT = {
     "free24_c180": Object(None, 24, ring(45, 10, 190)),
     "free24_one": Object(None, 24, ((0, 0),)),
@@ -428,7 +454,28 @@ OPENED = {
 }
 """Objects that were sealed, reported, and looked at since."""
 
-SEALED: dict[str, Object] = {}
+SEALED: dict[str, Object] = {
+    "shell77": Object(_shell77),
+    "shell77_h120": Object(_shell77, 24, ring(113, 35, 155, 275)),
+    "shell77_lin": Object(_shell77, 30, ((90, 0), (90, 180), (0, 0))),
+    "shell77_pair100": Object(_shell77, 24, ring(113, 35, 135)),
+    "shell81": Object(_shell81),
+    "shell81_h120": Object(_shell81, 28, ring(116, 10, 130, 250)),
+    "shell81_lin": Object(_shell81, 24, ((90, 90), (90, 270), (0, 0))),
+    "shell81_three": Object(_shell81, 28, ring(115, 0, 95, 220)),
+    "mug39": Object(_mug39),
+    "mug39_c90": Object(_mug39, 24, ring(52, 20, 110)),
+    "mug39_c180": Object(_mug39, 20, ring(51, 60, 240)),
+    "mug39_pair60": Object(_mug39, 24, ring(52, 20, 80)),
+    "mug32": Object(_mug32),
+    "mug32_c90": Object(_mug32, 20, ring(45, 220, 310)),
+    "mug32_c180": Object(_mug32, 24, ring(46, 20, 200)),
+    "mug32_three": Object(_mug32, 20, ring(45, 220, 310, 35)),
+    "crate62": Object(_crate62),
+    "crate62_c90": Object(_crate62, 24, ring(46, 0, 90)),
+    "crate62_c180": Object(_crate62, 20, ring(46, 90, 270)),
+    "crate62_three": Object(_crate62, 20, ring(46, 0, 90, 180)),
+}
 """Objects that are only reported."""
 
 OBJECTS = {**DEVELOPMENT, **OPENED, **SEALED}
