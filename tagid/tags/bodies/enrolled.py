@@ -16,7 +16,15 @@ from tagid.constants import SPEED_OF_LIGHT
 from tagid.tags.bodies.hypothesis import BodyModel, Candidate, Enrolled, ObjectMatch
 from tagid.tags.bodies.posing import Match, PoseSearch, match, refine
 from tagid.tags.bodies.pulse_tail import explained
-from tagid.tags.bodies.signature import Signature, angular, echo, near_field, same_wavenumbers
+from tagid.tags.bodies.signature import (
+    SAME_WAVENUMBER,
+    Signature,
+    angular,
+    between,
+    echo,
+    near_field,
+    same_wavenumbers,
+)
 from tagid.tags.bodies.spectra import Spectra, centred
 from tagid.tags.bodies.steadying import steadied
 from tagid.tags.bodies.stray import Stray, strongest_stray
@@ -116,15 +124,23 @@ class EnrolledBody:
         """The poses at which it explains the scans best, best first."""
         return self.searches.poses(spectra, self.signature, self.starts)
 
+    def _harmonics(self, wavenumbers: NDArray[np.float64]) -> NDArray[np.complex128]:
+        """(F, 2 M + 1) of the signature, those of its own frequencies as they are."""
+        known = self.signature.wavenumbers
+        away = np.abs(known[:, None] - wavenumbers)
+        # The reader's coarse steps use some of the frequencies only.
+        rows = away.argmin(axis=0)
+        if away.min(axis=0).max() < SAME_WAVENUMBER:
+            return np.asarray(self.signature.harmonics[rows])
+        return between(self.signature.harmonics, known, wavenumbers)
+
     def echo(
         self, spectra: Spectra, centres: NDArray[np.complex128], turns: NDArray[np.float64]
     ) -> NDArray[np.complex128]:
         """(H, F, V) its echo at centres x + jy (H,), m, and turns (H,), rad."""
         order = self.signature.order
         near = near_field(spectra.wavenumbers, order, spectra.distance_m)
-        # The reader's coarse steps use some of the frequencies only.
-        rows = np.abs(self.signature.wavenumbers[:, None] - spectra.wavenumbers).argmin(axis=0)
-        weights = self.signature.harmonics[rows] * near
+        weights = self._harmonics(spectra.wavenumbers) * near
         across = spectra.antenna - np.asarray(centres)[:, None]
         rho = np.abs(across)
         carrier = spectra.waves(rho) * (spectra.distance_m / rho) ** 2

@@ -38,6 +38,8 @@ MIN_RADIUS_M, MAX_RADIUS_M = 0.02, 0.16
 MAX_FREQUENCIES, MAX_ORDER = 32, 64
 """Bounds of a stored signature: larger ones are not believed."""
 MAX_LABEL = 200
+SAME_WAVENUMBER = 4 * np.pi * 1e6 / SPEED_OF_LIGHT
+"""Frequencies nearer than 1 MHz are the same, rad/m."""
 SignatureKind = Literal["body", "object"]
 KINDS = ("body", "object")
 
@@ -224,6 +226,37 @@ def turned(spectra: Spectra, signature: Signature, turn_rad: float) -> NDArray[n
     return np.asarray(signature.harmonics * near * np.exp(-1j * m * turn_rad))
 
 
+_NODES = 4
+
+
+def between(
+    harmonics: NDArray[np.complex128], known: NDArray[np.float64], wanted: NDArray[np.float64]
+) -> NDArray[np.complex128]:
+    """(F', 2 M + 1) harmonics at wavenumbers between those at which they are known.
+
+    A wall 0.1 m before the centre turns their phase by 0.84 rad from one multiple of 0.2 GHz to the next. The
+    Lagrange polynomial through the four nearest frequencies follows that to 1 % in the middle of the band and
+    2 % at its ends, where the nearest frequency itself is off by up to 40 %; higher ones add noise. Beyond
+    the ends the harmonics stay as they are there.
+
+    Args:
+        harmonics: (F, 2 M + 1), F of 2 or more.
+        known: (F,) their wavenumbers, rad/m, ascending.
+        wanted: (F',) rad/m.
+    """
+    at = np.clip(wanted, known[0], known[-1])
+    count = min(_NODES, len(known))
+    first = np.clip(np.searchsorted(known, at) - count // 2, 0, len(known) - count)
+    rows = first[:, None] + np.arange(count)
+    nodes = known[rows]
+    weights = np.ones((len(at), count))
+    for i in range(count):
+        for j in range(count):
+            if i != j:
+                weights[:, i] *= (at - nodes[:, j]) / (nodes[:, i] - nodes[:, j])
+    return np.asarray(np.einsum("fi,fim->fm", weights, harmonics[rows]))
+
+
 def echo(spectra: Spectra, signature: Signature, pose: Pose) -> NDArray[np.complex128]:
     """(F, V) echo of an object in a pose, with unit gain."""
     at = Standpoint(spectra, pose.centre)
@@ -232,5 +265,5 @@ def echo(spectra: Spectra, signature: Signature, pose: Pose) -> NDArray[np.compl
 
 
 def same_wavenumbers(one: NDArray[np.float64], other: NDArray[np.float64]) -> bool:
-    """Whether both are the same frequencies, to 1 MHz."""
-    return len(one) == len(other) and bool(np.abs(one - other).max() < 4 * np.pi * 1e6 / SPEED_OF_LIGHT)
+    """Whether both are the same frequencies, to SAME_WAVENUMBER."""
+    return len(one) == len(other) and bool(np.abs(one - other).max() < SAME_WAVENUMBER)

@@ -9,6 +9,7 @@ from tagid.tags.bodies.calibration import Calibration
 from tagid.tags.bodies.decide import BodyDecision
 from tagid.tags.bodies.objects import ObjectDecision
 from tagid.tags.bodies.points import PointSettings
+from tagid.tags.bodies.transparent import TransparentDecision
 from tagid.tags.matching.bare_checks import BareDecision
 
 
@@ -49,6 +50,7 @@ class ContestSettings:
         disputed_nats: a name without a body is refused where another arrangement on a round body leaves so
             many noise variances less, its amplitudes charged, beyond what `points` may leave of a tag: in a
             weak echo one reflector on a can passes for two without a body.
+        transparent: of names that points have beside an enrolled body.
         objects: tests on enrolled objects.
     """
 
@@ -68,6 +70,7 @@ class ContestSettings:
     borne_out: float = 1.4
     turning: float = 0.5
     disputed_nats: float = 12.0
+    transparent: TransparentDecision = field(default_factory=TransparentDecision)
     objects: ObjectDecision = field(default_factory=ObjectDecision)
     false_accept: float = 1e-3
     calibrated: Calibration | None = None

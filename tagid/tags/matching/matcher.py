@@ -18,8 +18,10 @@ from tagid.imaging.preprocess import select_views
 from tagid.imaging.types import BasebandScans
 from tagid.imaging.whitening import whitened
 from tagid.signal import median
+from tagid.tags.bodies.body_reading import BodyReading
 from tagid.tags.bodies.hypothesis import Enrolled, Explanation, Kind, Pose
 from tagid.tags.bodies.spectra import Spectra
+from tagid.tags.bodies.transparent import without_transparent
 from tagid.tags.layouts.layout import Layout
 from tagid.tags.matching.alone import Alone, named_alone
 from tagid.tags.matching.contest import NullEvidence, null_evidence, settle
@@ -177,14 +179,30 @@ class MatchedScan:
         known = self._settings.direction_known
         contest = self._settings.contest
         settled = settle(bare, self.scans, self._layouts, self._enrolled, contest, direction_known=known)
-        on_enrolled = settled.body is not None and bool(settled.body.body.name)
-        if settled.status != "unknown" or on_enrolled or not known:
+        if settled.status != "unknown" or not known:
             return settled
+        if settled.body is not None and settled.body.body.name:
+            return self._beside_transparent(settled, settled.body) or settled
         found = self.cleared()
         if found is None:
             return settled
         others = (one for one in settled.hypotheses if one.kind is not Kind.BARE)
         return replace(found.reading, hypotheses=(*found.reading.hypotheses, *others))
+
+    def _beside_transparent(self, settled: Reading, on_body: BodyReading) -> Reading | None:
+        """The name of points beside an enrolled body that hardly changes the wave; None for none.
+
+        Args:
+            settled: the reading, which names nothing.
+            on_body: that of the enrolled body in it.
+        """
+        spectra = Spectra.of(self.scans, wavenumbers=self._enrolled.wavenumbers)
+        contest = self._settings.contest
+        scans = without_transparent(self.scans, spectra, on_body, contest.body.priors)
+        found = MatchedScan(scans, self._layouts, self._settings)._alone()
+        if found is None or not contest.transparent.bears_out(found.points, on_body):
+            return None
+        return replace(found.reading, kind=Kind.BODY, body=on_body, hypotheses=settled.hypotheses)
 
     @property
     def _best(self) -> Fit:
