@@ -334,6 +334,7 @@ HYPOTHESES = {
     "no_tag": "a round body without a tag",
     "bare": "a tag without a body",
     "round": "a tag on a round body",
+    "shell": "a tag on a helmet shell",
     "body": "a tag on an enrolled body",
     "object": "an enrolled object",
 }

@@ -29,6 +29,8 @@ class Kind(StrEnum):
     """Reflectors without a body that matters: ideal points at their nominal places."""
     ROUND = "round"
     """Reflectors on a body of revolution that nobody enrolled."""
+    SHELL = "shell"
+    """Reflectors on a thin elliptic shell that nobody enrolled, as a helmet has one."""
     BODY = "body"
     """Reflectors on an enrolled body."""
     OBJECT = "object"

@@ -245,11 +245,37 @@ class PoseSearch:
         # (C, F, 4 M + 1) inner products of harmonics by their difference.
         self._lags = (np.abs(carrier) ** 2 + 0j) @ basis
 
+    def best(self, signature: Signature) -> tuple[float, Pose]:
+        """The energy that a signature leaves of the frequencies searched, at its best pose.
+
+        Raises DataError as `candidates` does.
+        """
+        left = self._energies(signature)
+        i, turn = np.unravel_index(int(np.argmin(left)), left.shape)
+        return float(left[i, turn]), self._pose(int(i), int(turn))
+
     def candidates(self, signature: Signature, count: int = 3) -> list[Pose]:
         """The poses that explain most and differ in rotation, best first.
 
         Raises DataError where signature and capture are at different frequencies.
         """
+        left = self._energies(signature)
+        found: list[Pose] = []
+        for index in np.argsort(left, axis=None)[:400]:
+            i, turn = np.unravel_index(index, left.shape)
+            pose = self._pose(int(i), int(turn))
+            if all(abs(np.angle(np.exp(1j * (pose.turn_rad - one.turn_rad)))) > APART_RAD for one in found):
+                found.append(pose)
+            if len(found) == count:
+                break
+        return found
+
+    def _pose(self, centre: int, turn: int) -> Pose:
+        at = complex(self._centres[centre])
+        return Pose((at.real, at.imag), 2 * np.pi * turn / ROTATIONS)
+
+    def _energies(self, signature: Signature) -> NDArray[np.float64]:
+        """(C, ROTATIONS) energy left with every centre and rotation."""
         if (
             not same_wavenumbers(self.spectra.wavenumbers, signature.wavenumbers)
             or signature.order > self._order
@@ -274,16 +300,7 @@ class PoseSearch:
         size -= np.abs(room) ** 2 + np.abs(body) ** 2
         noise = signature.noise[:: self._step] * 2 * order * self._thin.views
         size = np.maximum(size, 0) + noise[:, None] + 1e-300
-        left = self._left[:, None] - np.sum(np.abs(along) ** 2 / size, axis=1)
-        found: list[Pose] = []
-        for index in np.argsort(left, axis=None)[:400]:
-            i, turn = np.unravel_index(index, left.shape)
-            centre, angle = complex(self._centres[int(i)]), 2 * np.pi * float(turn) / ROTATIONS
-            if all(abs(np.angle(np.exp(1j * (angle - one.turn_rad)))) > APART_RAD for one in found):
-                found.append(Pose((centre.real, centre.imag), angle))
-            if len(found) == count:
-                break
-        return found
+        return np.asarray(self._left[:, None] - np.sum(np.abs(along) ** 2 / size, axis=1))
 
 
 def _over_rotation(values: NDArray[np.complex128], m: NDArray[np.intp]) -> NDArray[np.complex128]:

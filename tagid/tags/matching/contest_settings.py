@@ -9,6 +9,7 @@ from tagid.tags.bodies.calibration import Calibration
 from tagid.tags.bodies.decide import BodyDecision
 from tagid.tags.bodies.objects import ObjectDecision
 from tagid.tags.bodies.points import PointSettings
+from tagid.tags.bodies.shell_decide import ShellDecision
 from tagid.tags.bodies.transparent import TransparentDecision
 from tagid.tags.matching.bare_checks import BareDecision
 
@@ -51,6 +52,7 @@ class ContestSettings:
             many noise variances less, its amplitudes charged, beyond what `points` may leave of a tag: in a
             weak echo one reflector on a can passes for two without a body.
         transparent: of names that points have beside an enrolled body.
+        shell: tests on a thin shell that nobody enrolled.
         objects: tests on enrolled objects.
     """
 
@@ -71,6 +73,7 @@ class ContestSettings:
     turning: float = 0.5
     disputed_nats: float = 12.0
     transparent: TransparentDecision = field(default_factory=TransparentDecision)
+    shell: ShellDecision = field(default_factory=ShellDecision)
     objects: ObjectDecision = field(default_factory=ObjectDecision)
     false_accept: float = 1e-3
     calibrated: Calibration | None = None

@@ -27,6 +27,7 @@ from tagid.tags.matching.alone import Alone, named_alone
 from tagid.tags.matching.contest import NullEvidence, null_evidence, settle
 from tagid.tags.matching.contest_settings import ContestSettings
 from tagid.tags.matching.heights import without_bodies
+from tagid.tags.matching.on_shell import on_shell
 from tagid.tags.matching.reading import LayoutScore, Reading
 from tagid.tags.reading.decision import PLACES_PER_METRE, DecisionSettings, Evidence, decide
 from tagid.tags.reading.field import MatchedField
@@ -182,10 +183,11 @@ class MatchedScan:
         if settled.status != "unknown" or not known:
             return settled
         if settled.body is not None and settled.body.body.name:
-            return self._beside_transparent(settled, settled.body) or settled
+            named = self._beside_transparent(settled, settled.body)
+            return named or on_shell(settled, self.scans, self._layouts, contest) or settled
         found = self.cleared()
         if found is None:
-            return settled
+            return on_shell(settled, self.scans, self._layouts, contest) or settled
         others = (one for one in settled.hypotheses if one.kind is not Kind.BARE)
         return replace(found.reading, hypotheses=(*found.reading.hypotheses, *others))
 

@@ -55,7 +55,7 @@ def as_points(bare: Reading, points: PointReading, layouts: Sequence[Layout]) ->
     )
 
 
-def on_body(bare: Reading, reading: BodyReading, layouts: Sequence[Layout], bound: Bound) -> Reading:
+def on_body(bare: Reading, reading: BodyReading, layouts: Sequence[Layout], bound: Bound | None) -> Reading:
     """The reading that a layout on a body won."""
     best = reading.layouts[0]
     layout = next(one for one in layouts if one.name == best.layout)
@@ -117,7 +117,10 @@ def on_object(
 
 
 def kind_on(reading: BodyReading) -> Kind:
-    return Kind.BODY if reading.body.name else Kind.ROUND
+    if reading.body.name:
+        return Kind.BODY
+    # A body that nobody enrolled and that looks another from each side is a shell.
+    return Kind.SHELL if reading.body.turns else Kind.ROUND
 
 
 def _rotation_deg(placed: Placed, layout: Layout) -> float:

@@ -1,0 +1,68 @@
+"""The verdict on a tag beside a thin shell that nobody enrolled."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from tagid.tags.bodies.decide import FARTHEST_CENTRE_M
+from tagid.tags.bodies.shell_reader import ShellReading
+from tagid.tags.verdicts.verdict import Code, Verdict
+
+
+@dataclass(frozen=True)
+class ShellDecision:
+    """Tests of a layout beside a shell.
+
+    Attributes:
+        unexplained: largest share of the tag's echo that it may leave beyond noise: of 24 tags on solved
+            shells at 36 views up to 0.15, of tags that are not enrolled 0.66 and more,
+        chance_sigmas: and so many standard deviations of the noise's energy.
+        lead: least lead over other arrangements on the shell; those 24 have 0.46 and more, and tags that
+            are not enrolled less than 0.1.
+        angle_deg, radius_m: largest differences where angles and radius are fitted freely.
+        centre_m: largest distance of the shell's centre, and of the tag's, from the rotation axis.
+        tag_nats: a tag explains so many noise variances.
+        wall_share: a shell has this share of the moving echo: without one the reading is that of a bare tag.
+        middle: a reflector in the middle is told where it would show by so many errors of the reading.
+    """
+
+    unexplained: float = 0.2
+    chance_sigmas: float = 3.5
+    lead: float = 0.3
+    angle_deg: float = 12.0
+    radius_m: float = 0.008
+    centre_m: float = FARTHEST_CENTRE_M
+    tag_nats: float = 80.0
+    wall_share: float = 0.05
+    middle: float = 0.1
+
+
+def decide_on_shell(found: ShellReading, settings: ShellDecision) -> Verdict:
+    """The verdict on the best layout beside a shell."""
+    r, s = found.reading, settings
+    name = r.layouts[0].layout
+    if r.body_energy < s.wall_share * r.energy:
+        return Verdict("unknown", Code.BODY, "no shell shows")
+    if r.tag_nats < s.tag_nats:
+        return Verdict("unknown", Code.WEAK, f"{name} on a thin shell is too weak to be told from another")
+    by_chance = s.chance_sigmas * (max(r.noise, 0.0) * max(r.variance, 0.0)) ** 0.5 / r.tag
+    if r.unexplained > s.unexplained + by_chance:
+        left = f"{min(r.unexplained, 1):.0%} of its echo unexplained"
+        return Verdict("unknown", Code.BODY, f"{name} on a thin shell leaves {left}")
+    off = max(abs(r.pose.centre), abs(r.layouts[0].centre))
+    if off > s.centre_m:
+        return Verdict("unknown", Code.OFF_CENTRE, f"the shell's centre lies {off * 1e3:.0f} mm off the axis")
+    if r.angle_off_deg > s.angle_deg:
+        return Verdict("unknown", Code.OTHER, f"the reflectors' angles are not those of {name}")
+    if r.radius_off_m > s.radius_m:
+        return Verdict("unknown", Code.RADIUS, f"the reflectors' radius is not that of {name}")
+    told = found.has_middle or found.middle_nats >= s.middle
+    if told and found.middle_lead <= 0:
+        if found.has_middle:
+            return Verdict("unknown", Code.MISSING, f"the reflector in the middle of {name} is missing")
+        return Verdict("unknown", Code.EXTRA, f"a reflector stands in the middle of {name}")
+    if r.lead < s.lead:
+        return Verdict(
+            "unknown", Code.OTHER, "another arrangement on a thin shell explains the echo about as well"
+        )
+    return Verdict("identified")

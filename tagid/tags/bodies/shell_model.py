@@ -1,0 +1,226 @@
+"""Thin elliptic shells as bodies: their echo, and the one that explains some scans best.
+
+A helmet is a sheet of plastic, about elliptic at the height of its reflectors. Two half axes and the strength
+of the sheet fix its echo from all sides, but for one amplitude per frequency (`tagid.fields.elliptic`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tagid.fields.elliptic import EllipticShell, ShellField
+from tagid.tags.bodies.enrolled import SLACK_M, EnrolledBody, Searches
+from tagid.tags.bodies.hypothesis import Candidate, Pose
+from tagid.tags.bodies.posing import CENTRE_SIGMA_M, PoseSearch
+from tagid.tags.bodies.signature import Signature, near_field, order_of
+from tagid.tags.bodies.spectra import Spectra, centred
+
+SHEET_M = 2.8e-3
+"""(eps - 1) d of a helmet's shell, halved because it ends above and below: 2.4 to 2.9 mm fit solved shells of
+2.4 to 3.5 mm plastic with permittivities of 2.5 to 3.1."""
+ACROSS = (0.58, 0.61, 0.64, 0.67, 0.70, 0.73, 0.76)
+ALONG = (0.74, 0.77, 0.80, 0.83, 0.86, 0.89, 0.92)
+"""Half axes that are tried over the radius of the reflectors' ring. Those between them are 1.7 mm away."""
+OBLONG = 1.04
+"""Least ratio of the half axes: a round shell is a round body."""
+_SEARCHED, _REFINED = 72, 84
+"""Points of the contour in the search, and in the fit."""
+_STEPS = np.array([1e-4, 1e-4, 1e-3, 1e-4, 1e-4])
+"""Finite differences of centre, m, turn, rad, and half axes, m."""
+
+
+@dataclass(frozen=True, eq=False)
+class ShellBody:
+    """A thin elliptic shell that nobody enrolled (a `BodyModel`).
+
+    Attributes:
+        shell: its shape.
+        placed: where it was found; None before.
+        left: energy that it left there, alone.
+        wavenumbers: (F,) kappa at which its harmonics are known, rad/m.
+        distance_m: at which they are.
+    """
+
+    shell: EllipticShell
+    placed: Pose
+    left: float
+    wavenumbers: NDArray[np.float64]
+    distance_m: float
+
+    @property
+    def name(self) -> str:
+        """None."""
+        return ""
+
+    @property
+    def turns(self) -> bool:
+        """Its echo depends on its turn."""
+        return True
+
+    @property
+    def turning_share(self) -> float:
+        """Energy of what depends on it over that of the whole echo."""
+        return self._known.turning_share
+
+    @property
+    def slack_m(self) -> float:
+        """Standard deviation of a tag's centre about the body's, m."""
+        return SLACK_M
+
+    def poses(self, spectra: Spectra) -> list[Candidate]:
+        """Where it was found."""
+        return [Candidate(self.placed, self.left)]
+
+    def echo(
+        self, spectra: Spectra, centres: NDArray[np.complex128], turns: NDArray[np.float64]
+    ) -> NDArray[np.complex128]:
+        """(H, F, V) its echo at centres x + jy (H,), m, and turns (H,), rad."""
+        return self._known.echo(spectra, centres, turns)
+
+    @cached_property
+    def _known(self) -> EnrolledBody:
+        return EnrolledBody(signature_of(self.shell, self.wavenumbers, self.distance_m), Searches(1))
+
+
+@dataclass(frozen=True)
+class ShellFit:
+    """A shell that explains some scans.
+
+    Attributes:
+        shell: its shape.
+        pose: its centre and turn.
+        left: energy that it leaves, alone or beside the reflectors that were fitted with it.
+    """
+
+    shell: EllipticShell
+    pose: Pose
+    left: float
+
+
+def signature_of(
+    shell: EllipticShell, wavenumbers: NDArray[np.float64], distance_m: float, points: int = _SEARCHED
+) -> Signature:
+    """The echo of a shell as angular harmonics, as those of an enrolled body.
+
+    Args:
+        shell: about its own centre.
+        wavenumbers: (F,) kappa, rad/m.
+        distance_m: of the antenna, m.
+        points: of the contour.
+    """
+    radius = shell.along_m
+    order = order_of(float(wavenumbers[-1]), radius)
+    aspects = 2 * order + 4
+    antenna = distance_m * np.exp(2j * np.pi * np.arange(aspects) / aspects)
+    seen = ShellField.of(wavenumbers / 2, shell, points).echo(antenna)
+    seen = seen * np.exp(1j * wavenumbers[:, None] * distance_m)
+    m = np.arange(-order, order + 1)
+    harmonics = np.fft.fft(seen, axis=1)[:, m % aspects] / aspects
+    harmonics = harmonics / near_field(wavenumbers, order, distance_m)
+    # One amplitude per frequency is free: those of this one are alike.
+    harmonics = harmonics / np.linalg.norm(harmonics, axis=1, keepdims=True)
+    noise = np.full(len(wavenumbers), 1e-9)
+    return Signature("shell", "body", wavenumbers, harmonics, noise, radius, distance_m)
+
+
+@lru_cache(maxsize=4)
+def _dictionary(wavenumbers: bytes, distance_m: float, ring_m: float) -> tuple[Signature, ...]:
+    kappa = np.frombuffer(wavenumbers)
+    return tuple(
+        signature_of(EllipticShell(a * ring_m, b * ring_m, SHEET_M), kappa, distance_m)
+        for a in ACROSS
+        for b in ALONG
+        if b >= OBLONG * a
+    )
+
+
+def _shapes(ring_m: float) -> list[EllipticShell]:
+    return [EllipticShell(a * ring_m, b * ring_m, SHEET_M) for a in ACROSS for b in ALONG if b >= OBLONG * a]
+
+
+def likely_shells(spectra: Spectra, ring_m: float, count: int) -> list[ShellFit]:
+    """The shells inside a ring of reflectors that explain scans best, over all sizes, turns and centres.
+
+    Args:
+        spectra: the scans.
+        ring_m: radius of the ring, m.
+        count: number of them.
+    """
+    known = _dictionary(spectra.wavenumbers.tobytes(), round(spectra.distance_m, 2), ring_m)
+    search = PoseSearch(spectra, max(one.order for one in known))
+    found = []
+    for signature, shape in zip(known, _shapes(ring_m), strict=True):
+        left, pose = search.best(signature)
+        found.append(ShellFit(shape, pose, left))
+    return sorted(found, key=lambda fit: fit.left)[:count]
+
+
+def refined_beside(
+    spectra: Spectra, start: ShellFit, tag: NDArray[np.complex128], rounds: int = 4
+) -> ShellFit:
+    """The shell near a start that explains most beside reflectors: centre, turn and half axes.
+
+    Levenberg-Marquardt with the amplitudes of shell and reflectors eliminated.
+
+    Args:
+        spectra: the scans.
+        start: where it begins.
+        tag: (F, V) echo of the reflectors.
+        rounds: at most.
+    """
+    shell, pose = start.shell, start.pose
+    unit = tag / np.maximum(np.linalg.norm(tag, axis=1, keepdims=True), 1e-30)
+
+    def beyond(waves: NDArray[np.complex128]) -> NDArray[np.complex128]:
+        waves = centred(waves)
+        return np.asarray(waves - (waves * unit.conj()).sum(axis=1, keepdims=True) * unit)
+
+    data = beyond(spectra.data)
+
+    def field_at(x: NDArray[np.float64]) -> ShellField:
+        shape = replace(shell, across_m=float(x[3]), along_m=float(x[4]))
+        return ShellField.of(spectra.wavenumbers / 2, shape, _REFINED)
+
+    def rest(x: NDArray[np.float64], field: ShellField) -> NDArray[np.complex128]:
+        wave = beyond(field.echo((spectra.antenna - complex(x[0], x[1])) * np.exp(-1j * x[2])))
+        along = (wave.conj() * data).sum(axis=1, keepdims=True)
+        return np.asarray(data - wave * along / (np.abs(wave) ** 2).sum(axis=1, keepdims=True))
+
+    prior = np.array([CENTRE_SIGMA_M, CENTRE_SIGMA_M, np.inf, np.inf, np.inf]) ** -2.0
+    prior *= max(spectra.noise, 0.01 * spectra.energy / spectra.data.size)
+
+    def cost(x: NDArray[np.float64], left: NDArray[np.complex128]) -> float:
+        return float((np.abs(left) ** 2).sum() + prior @ x**2)
+
+    x = np.array([*pose.centre_m, pose.turn_rad, shell.across_m, shell.along_m])
+    least, most = 0.8 * x[3:], 1.25 * x[3:]
+    field = field_at(x)
+    left = rest(x, field)
+    now, damping = cost(x, left), 1e-2
+    for _ in range(rounds):
+        moved = [
+            rest(x + step, field if i < 3 else field_at(x + step)) for i, step in enumerate(np.diag(_STEPS))
+        ]
+        slopes = np.stack([(one - left).ravel() / size for one, size in zip(moved, _STEPS, strict=True)])
+        normal = np.real(slopes.conj() @ slopes.T) + np.diag(prior)
+        gradient = np.real(slopes.conj() @ left.ravel()) + prior * x
+        gain = 0.0
+        for _ in range(3):
+            trial = x - np.linalg.solve(normal + damping * np.diag(np.diag(normal)), gradient)
+            trial[3:] = np.clip(trial[3:], least, most)
+            there = field_at(trial)
+            trial_left = rest(trial, there)
+            value = cost(trial, trial_left)
+            if value < now:
+                gain = now - value
+                x, field, left, now, damping = trial, there, trial_left, value, damping / 5
+                break
+            damping *= 8
+        if gain < 1e-3 * now:
+            break
+    pose = Pose((float(x[0]), float(x[1])), float(np.mod(x[2], 2 * np.pi)))
+    return ShellFit(field.shell, pose, float((np.abs(left) ** 2).sum()))

@@ -1,0 +1,393 @@
+"""Which alike reflectors beside a thin elliptic shell made the echo, where free patterns cannot tell.
+
+A pattern that holds what a helmet's shell does to its reflectors has seven free terms, which takes 30 views
+and an enrolled body. But the shell's own wave fixes it: the field at a reflector is that beside an elliptic
+sheet (`tagid.fields.elliptic`), and two amplitudes per frequency are left, one for the shell and one for all
+reflectors,
+
+    Y = B + A(f) echo(shell) + g(f) sum_k E(r_k)^2.
+
+What is searched is the shape and the place of the shell, and where the reflectors are. It need not be
+enrolled.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from math import inf
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tagid.fields.elliptic import ShellField
+from tagid.tags.bodies.arrangement import apart_deg, gaps_deg, kind_of, off_axis, resolution_deg
+from tagid.tags.bodies.body_reading import BodyReading, BodySettings, Placed
+from tagid.tags.bodies.reflectors_fit import COMMON, POINTS, THROUGH, Batch
+from tagid.tags.bodies.ring import Ring, peaks
+from tagid.tags.bodies.shell_model import ShellBody, ShellFit, likely_shells, refined_beside
+from tagid.tags.bodies.spectra import Spectra, centred
+from tagid.tags.layouts.layout import Layout
+
+COUNT = 72
+"""Angles on a ring: 5 degrees, 10 mm on a helmet's."""
+_TRIED, _REFINED = 8, 3
+"""Shells of the search beside which layouts are tried, and those that are fitted together with a layout."""
+_KEPT, _BEAM = 12, 8
+"""Other arrangements that are fitted, and sets kept per number of reflectors."""
+RING_M = 3e-3
+"""Standard deviation of a reflector's distance from the ring's centre about its nominal one,"""
+OFF_M = 3e-3
+"""and of that centre about the shell's, per coordinate."""
+HOPEFUL = 0.4
+"""Share of what the shell leaves that the best layout of the search must explain for others to be fitted."""
+CLEAR_M = 2e-3
+"""Reflectors on a ring clear the shell's wall by so much."""
+MODEL_ERROR = 0.02
+"""Share of the tag's echo that counts as the model's error: layouts leave 2 to 6 % of solved ones."""
+_STEP_M, _STEP_RAD = 3e-4, 3e-3
+
+
+def read_on_shell(spectra: Spectra, layouts: Sequence[Layout], settings: BodySettings) -> ShellReading | None:
+    """The best layout beside a shell, against every other arrangement there.
+
+    Args:
+        spectra: the scans.
+        layouts: the enrolled ones; those with reflectors `settings.wide_m` or further out are read.
+        enrolled: an enrolled body; None for a shell that nobody enrolled.
+        settings: search and priors.
+
+    Returns:
+        The reading; None where no layout can stand around a shell, the enrolled body is none, or none
+        explains much of the echo.
+    """
+    wide = [layout for layout in layouts if _ring_m(layout) >= settings.wide_m]
+    if not wide:
+        return None
+    ring = max(_ring_m(layout) for layout in wide)
+    thin = spectra.thinned(2)
+    starts = [_ShellReader(thin, wide, fit, settings) for fit in likely_shells(spectra, ring, _TRIED)]
+    starts.sort(key=lambda reader: reader.start.left)
+    found: list[_ShellReader] = []
+    for reader in starts[:_REFINED]:
+        # Beside its reflectors the shell is seen more exactly, and they beside it.
+        row = reader.fitted(reader.start, 2)
+        fit = refined_beside(thin, reader.fit, reader.wave_of(row))
+        reader = _ShellReader(spectra, wide, fit, settings)
+        row = reader.fitted(reader.start)
+        fit = refined_beside(spectra, fit, reader.wave_of(row), 3)
+        found.append(_ShellReader(spectra, wide, fit, settings))
+    return min(found, key=lambda reader: reader.fitted(reader.start, 2).left).read()
+
+
+def _ring_m(layout: Layout) -> float:
+    return float(off_axis(layout)[0].max(initial=0.0))
+
+
+@dataclass(frozen=True, eq=False)
+class ShellReading:
+    """What the scans say of a tag beside a shell.
+
+    Attributes:
+        reading: the same as on any other body.
+        middle_nats: energy by which a reflector alike in the middle would show, over the reading's error.
+        middle_lead: what the best layout leaves less than the same with a reflector more in the middle, or
+            without the one that it has there, over that error.
+        has_middle: the best layout has one.
+    """
+
+    reading: BodyReading
+    middle_nats: float
+    middle_lead: float
+    has_middle: bool
+
+
+@dataclass(frozen=True, eq=False)
+class _Ringed:
+    """Alike reflectors around one centre.
+
+    Attributes:
+        at: (3 + K,) centre x and y about the shell's, what is added to the radii, m, and the angles, rad.
+        radii: (K,) nominal, m; 0 for one in the middle.
+        heights: (K,) above the object's plane, m.
+        layout: its name, which turns as a whole; None for reflectors whose angles are free.
+        left: energy left.
+    """
+
+    at: NDArray[np.float64]
+    radii: NDArray[np.float64]
+    heights: NDArray[np.float64]
+    layout: str | None
+    left: float = inf
+
+    @property
+    def places(self) -> NDArray[np.complex128]:
+        """(K,) about the shell's centre, in the turntable's directions, m."""
+        out = (self.radii + self.at[2] * (self.radii > 0)) * np.exp(1j * self.at[3:])
+        return np.asarray(complex(self.at[0], self.at[1]) + out)
+
+    @property
+    def on_ring(self) -> NDArray[np.float64]:
+        """Angles of the reflectors off the middle, rad."""
+        return np.asarray(self.at[3:][self.radii > 0])
+
+
+class _ShellReader:
+    """The search beside one shell in one place."""
+
+    def __init__(
+        self,
+        spectra: Spectra,
+        layouts: Sequence[Layout],
+        fit: ShellFit,
+        settings: BodySettings,
+    ) -> None:
+        self.spectra, self.layouts, self.fit, self.settings = spectra, layouts, fit, settings
+        distance = round(spectra.distance_m, 2)
+        self.body = ShellBody(fit.shell, fit.pose, fit.left, spectra.wavenumbers, distance)
+        self.field = ShellField.of(spectra.wavenumbers / 2, fit.shell)
+        self.across = spectra.antenna - fit.pose.centre
+        self.seen = self.field.seen_from(self.across * np.exp(-1j * fit.pose.turn_rad))
+        unit = centred(self.field.echo(self.across * np.exp(-1j * fit.pose.turn_rad)))
+        self.unit = unit / np.maximum(np.linalg.norm(unit, axis=1, keepdims=True), 1e-30)
+        self.beyond = self._beyond_body(spectra.data)
+        self.body_left = float((np.abs(self.beyond) ** 2).sum())
+        self.noise = spectra.noise_energy * max(spectra.views - 3, 1) / (spectra.views - 1)
+        self.variance = max(
+            spectra.noise + MODEL_ERROR * self.body_left / spectra.data.size, 1e-12 * spectra.energy
+        )
+
+    def _beyond_body(self, waves: NDArray[np.complex128]) -> NDArray[np.complex128]:
+        """Waves (..., F, V) without what is constant over the views and without the body's echo."""
+        waves = centred(waves)
+        return np.asarray(waves - (waves * self.unit.conj()).sum(axis=-1, keepdims=True) * self.unit)
+
+    def each(self, places: NDArray[np.complex128], heights: NDArray[np.float64]) -> NDArray[np.complex128]:
+        """(F, K, V) echo of reflectors at places about the shell's centre, m."""
+        plane = np.abs(self.across - places[:, None])
+        distance = np.hypot(plane, self.spectra.height_m - heights[:, None])
+        direct = self.spectra.waves(distance) * (self.spectra.distance_m / distance) ** 2
+        return direct * self.seen.relative(places * np.exp(-1j * self.fit.pose.turn_rad))
+
+    def wave_of(self, row: _Ringed) -> NDArray[np.complex128]:
+        """(F, V) echo of an arrangement, without the room."""
+        return centred(self.each(row.places, row.heights).sum(axis=1))
+
+    def _rest(self, at: NDArray[np.float64], row: _Ringed) -> NDArray[np.complex128]:
+        """(F, V) what body and arrangement leave of the data."""
+        moved = replace(row, at=at)
+        wave = self._beyond_body(self.each(moved.places, row.heights).sum(axis=1))
+        along = (wave.conj() * self.beyond).sum(axis=1, keepdims=True)
+        size = np.maximum((np.abs(wave) ** 2).sum(axis=1, keepdims=True), 1e-30)
+        return np.asarray(self.beyond - wave * along / size)
+
+    def fitted(self, row: _Ringed, rounds: int = 4) -> _Ringed:
+        """Levenberg-Marquardt on where an arrangement is."""
+        k = len(row.radii)
+        moves = np.zeros((3 + (1 if row.layout else k), 3 + k))
+        moves[:3, :3] = np.eye(3)
+        moves[3:, 3:] = 1.0 if row.layout else np.eye(k)
+        steps = np.full(len(moves), _STEP_RAD)
+        steps[:3] = _STEP_M
+        weight = np.zeros(3 + k)
+        weight[:3] = OFF_M**-2, OFF_M**-2, RING_M**-2
+        weight *= self.variance / 2
+        at = row.at
+        rest = self._rest(at, row)
+        cost, damping = float((np.abs(rest) ** 2).sum() + weight @ at**2), 1e-2
+        for _ in range(rounds):
+            slopes = np.stack(
+                [(self._rest(at + d * m, row) - rest).ravel() / d for d, m in zip(steps, moves, strict=True)]
+            )
+            normal = np.real(slopes.conj() @ slopes.T) + (moves * weight) @ moves.T
+            gradient = np.real(slopes.conj() @ rest.ravel()) + (moves * weight) @ at
+            gain = 0.0
+            for _ in range(3):
+                damped = normal + np.diag(damping * np.diag(normal) + 1e-30)
+                trial = at - np.linalg.solve(damped, gradient) @ moves
+                there = self._rest(trial, row)
+                value = float((np.abs(there) ** 2).sum() + weight @ trial**2)
+                if value < cost:
+                    gain = cost - value
+                    at, rest, cost, damping = trial, there, value, damping / 5
+                    break
+                damping *= 8
+            if gain < 1e-3 * cost:
+                break
+        return replace(row, at=at, left=float((np.abs(rest) ** 2).sum()))
+
+    def _turns(self, layout: Layout) -> list[_Ringed]:
+        """The best turns of a layout about the shell's centre."""
+        place = layout.positions[:, 0] + 1j * layout.positions[:, 1]
+        radii, angles = np.abs(place), np.angle(place)
+        radii = np.where(radii > 0.01, radii, 0.0)
+        heights = np.asarray(layout.heights, dtype=np.float64)
+        steps = np.exp(2j * np.pi * np.arange(COUNT) / COUNT)
+        total = np.zeros((COUNT, *self.spectra.data.shape), dtype=np.complex128)
+        for radius, angle, height in zip(radii, angles, heights, strict=True):
+            if radius > 0:
+                around = self.each(radius * np.exp(1j * angle) * steps, np.full(COUNT, height))
+                total += np.moveaxis(around, 1, 0)
+            else:
+                total += self.each(np.zeros(1, dtype=np.complex128), np.full(1, height))[:, 0]
+        waves = self._beyond_body(total)
+        along = np.abs((waves.conj() * self.beyond).sum(axis=-1)) ** 2
+        value = (along / np.maximum((np.abs(waves) ** 2).sum(axis=-1), 1e-30)).sum(axis=1)
+        found = []
+        for i in peaks(value, 2):
+            at = np.concatenate([np.zeros(3), angles + 2 * np.pi * i / COUNT])
+            found.append(_Ringed(at, radii, heights, layout.name, self.body_left - float(value[i])))
+        return found
+
+    def _clears(self, row: _Ringed) -> bool:
+        """Whether no reflector on the ring stands in the shell's wall."""
+        own = row.places[row.radii > 0] * np.exp(-1j * self.fit.pose.turn_rad)
+        return bool((np.abs(self.fit.shell.outside_m(own)) > CLEAR_M).all())
+
+    def _others(self) -> list[_Ringed]:
+        """The best of each of some kinds of arrangements on the layouts' rings."""
+        thin = slice(None, None, 2)
+        angles = 2 * np.pi * np.arange(COUNT) / COUNT
+        starts: list[_Ringed] = []
+        for radius in sorted({round(_ring_m(layout), 3) for layout in self.layouts}):
+            each = self.each(radius * np.exp(1j * angles), np.zeros(COUNT))[thin]
+            ring = Ring.from_columns(
+                self.spectra.data[thin], centred(each), self.unit[thin], radius, POINTS, angles
+            )
+            scale = self.body_left / max(ring.energy, 1e-30)
+            for sets, values in ring.best(self.settings.most, _BEAM).values():
+                for indices, value in zip(sets, values, strict=True):
+                    k = len(indices)
+                    at = np.concatenate([np.zeros(3), angles[indices]])
+                    left = (ring.energy - float(value)) * scale
+                    starts.append(_Ringed(at, np.full(k, radius), np.zeros(k), None, left))
+        kept: list[_Ringed] = []
+        seen: set[tuple[object, ...]] = set()
+        for start in sorted(starts, key=lambda one: one.left):
+            kind = (kind_of([float(a) for a in start.on_ring]), float(start.radii[0]))
+            if kind not in seen and len(kept) < _KEPT:
+                seen.add(kind)
+                kept.append(start)
+        return kept
+
+    @cached_property
+    def turns(self) -> list[_Ringed]:
+        """The best turns of every layout."""
+        return [row for layout in self.layouts for row in self._turns(layout)]
+
+    @property
+    def start(self) -> _Ringed:
+        """The one that leaves least."""
+        return min(self.turns, key=lambda row: row.left)
+
+    def read(self) -> ShellReading | None:
+        """Search, fit and compare."""
+        rows = [self.fitted(row) for row in self.turns]
+        rows = [row for row in rows if self._clears(row)]
+        own: dict[str, _Ringed] = {}
+        for row in sorted(rows, key=lambda one: one.left, reverse=True):
+            own[row.layout or ""] = row
+        ranked = sorted(own.values(), key=lambda row: row.left)
+        if not ranked or self.body_left - ranked[0].left < HOPEFUL * (self.body_left - self.noise):
+            return None
+        best = ranked[0]
+        others = [self.fitted(row) for row in self._others()]
+        free = self.fitted(replace(best, layout=None))
+        return self._compared(ranked, others, free, self.fitted(self._toggled(best)))
+
+    def _toggled(self, row: _Ringed) -> _Ringed:
+        """An arrangement with a reflector in the middle, or without the one that it has there."""
+        keep = row.radii > 0
+        if keep.all():
+            return replace(
+                row,
+                at=np.append(row.at, 0.0),
+                radii=np.append(row.radii, 0.0),
+                heights=np.append(row.heights, row.heights.mean()),
+            )
+        at = np.concatenate([row.at[:3], row.at[3:][keep]])
+        return replace(row, at=at, radii=row.radii[keep], heights=row.heights[keep])
+
+    def _compared(
+        self, ranked: list[_Ringed], found: list[_Ringed], free: _Ringed, toggled: _Ringed
+    ) -> ShellReading:
+        """The best layout against all that is not it."""
+        settings, spectra = self.settings, self.spectra
+        best = ranked[0]
+        wanted = gaps_deg(best.on_ring)
+        radius = float(best.radii.max())
+        middle = bool((best.radii == 0).any())
+
+        def away(row: _Ringed) -> float:
+            return apart_deg(row.on_ring, wanted, resolution_deg(radius))
+
+        def is_other(row: _Ringed) -> bool:
+            elsewhere = abs(float(row.radii.max() + row.at[2]) - radius) > settings.other_radius_m
+            return away(row) > settings.other_deg or elsewhere
+
+        different = [row for row in found if is_other(row) and self._clears(row)]
+        costs = [self._placed(row, spectra.angle_cost * (len(row.on_ring) - 1)) for row in different]
+        every = sorted([*costs, *(self._placed(row, 0.0) for row in ranked[1:])], key=lambda p: p.charged)
+        tag = max(self.body_left - best.left, 1e-30)
+        above = max(best.left - self.noise, 0.0)
+        error = above + MODEL_ERROR * tag + settings.noise_nats * spectra.noise
+        lead = (every[0].charged - best.left) / error if every else inf
+        wave = self._beyond_body(self.wave_of(best))
+        amplitude = (wave.conj() * self.beyond).sum(axis=1) / (np.abs(wave) ** 2).sum(axis=1)
+        body = ((spectra.data - amplitude[:, None] * self.wave_of(best)) * self.unit.conj()).sum(axis=1)
+        layouts = tuple(self._placed(row, 0.0) for row in ranked)
+        # What a reflector alike in the middle adds beyond the arrangement, whose amplitude follows.
+        fewer, more = sorted((best, self._toggled(best)), key=lambda row: len(row.radii))
+        extra = self._beyond_body(self.wave_of(more) - self.wave_of(fewer))
+        extra = extra - wave * ((wave.conj() * extra).sum(axis=1) / (np.abs(wave) ** 2).sum(axis=1))[:, None]
+        shows = float((np.abs(amplitude[:, None] * extra) ** 2).sum())
+        reading = BodyReading(
+            body=self.body,
+            pose=self.fit.pose,
+            views=spectra.views,
+            energy=spectra.energy,
+            noise=self.noise,
+            variance=spectra.noise,
+            body_left=self.body_left,
+            layouts=layouts,
+            others=tuple(every),
+            free=self._placed(free, 0.0) if len(free.on_ring) == len(best.on_ring) else None,
+            tag=tag,
+            unexplained=above / tag,
+            lead=lead,
+            untagged_lead=inf,
+            error=error,
+            rough=error,
+            angle_off_deg=away(free),
+            radius_off_m=abs(float(free.at[2] - best.at[2])),
+            tag_nats=tag / max(spectra.noise, 1e-30),
+            early_m=spectra.early_m(amplitude),
+            through=True,
+            front_m=0.0,
+            body_energy=float((np.abs(body) ** 2).sum()),
+        )
+        return ShellReading(reading, shows / error, (toggled.left - best.left) / error, middle)
+
+    def _placed(self, row: _Ringed, charge: float) -> Placed:
+        """An arrangement beside the shell as one with a free pattern, as which pictures subtract its body."""
+        off = row.radii > 0
+        k = int(off.sum())
+        centre = self.fit.pose.centre + complex(row.at[0], row.at[1])
+        pose = self.fit.pose
+        at = np.array([[centre.real, centre.imag, row.at[2], *pose.centre_m, pose.turn_rad, *row.on_ring]])
+        one = np.ones(1)
+        batch = Batch(
+            at,
+            row.radii[None, off],
+            row.heights[None, off],
+            np.ones((1, k)),
+            np.zeros((1, k)),
+            one * THROUGH.tilt,
+            one * THROUGH.terms,
+            np.zeros((1, 1, COMMON + k)),
+            -one,
+            one,
+            0 * one,
+        )
+        return Placed(batch, row.left, row.left + charge, row.layout)
